@@ -1,0 +1,142 @@
+//! Pinhole cameras and rigid transforms.
+
+use glam::{DMat3, DMat4, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+
+/// How far a rotation may be from orthonormal: above the rounding of poses printed with six digits, below real skew.
+const ORTHONORMAL_TOLERANCE: f64 = 1e-4;
+
+/// A pinhole camera in the world.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Camera {
+    /// Image size, focal lengths and principal point.
+    pub intrinsics: Intrinsics,
+    /// World to view coordinates (x right, y down, z forward).
+    pub camera_from_world: RigidTransform,
+}
+
+/// A pinhole projection without distortion (images are undistorted on import).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Intrinsics {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Horizontal focal length in pixels.
+    pub focal_x: f64,
+    /// Vertical focal length in pixels.
+    pub focal_y: f64,
+    /// Horizontal principal point in pixels (image centre = width / 2).
+    pub center_x: f64,
+    /// Vertical principal point in pixels (image centre = height / 2).
+    pub center_y: f64,
+}
+
+/// `y = rotation · x + translation`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RigidTransform {
+    /// Orthonormal, determinant +1.
+    pub rotation: DMat3,
+    /// In scene units.
+    pub translation: DVec3,
+}
+
+impl Camera {
+    /// A camera at `position_world` that looks at `target_world` with `up_world` upwards in the image.
+    pub fn look_at(intrinsics: Intrinsics, position_world: DVec3, target_world: DVec3, up_world: DVec3) -> Self {
+        let forward = (target_world - position_world).normalize();
+        let right = forward.cross(up_world).normalize();
+        let down = forward.cross(right);
+        let rotation = DMat3::from_cols(right, down, forward).transpose();
+        let camera_from_world = RigidTransform { rotation, translation: -(rotation * position_world) };
+        Self { intrinsics, camera_from_world }
+    }
+
+    /// The camera's centre in the world.
+    pub fn position_world(&self) -> DVec3 {
+        self.camera_from_world.inverse().translation
+    }
+
+    /// Pixel position and view depth of a world point; `None` where it is not in front of the camera.
+    pub fn project(&self, point_world: DVec3) -> Option<(DVec2, f64)> {
+        let view = self.camera_from_world.apply(point_world);
+        let Intrinsics { focal_x, focal_y, center_x, center_y, .. } = self.intrinsics;
+        let pixel = DVec2::new(focal_x * view.x / view.z + center_x, focal_y * view.y / view.z + center_y);
+        (view.z > 0.0).then_some((pixel, view.z))
+    }
+
+    /// The view-space direction through a pixel position, scaled to z = 1.
+    pub fn ray_view(&self, pixel: DVec2) -> DVec3 {
+        let Intrinsics { focal_x, focal_y, center_x, center_y, .. } = self.intrinsics;
+        DVec3::new((pixel.x - center_x) / focal_x, (pixel.y - center_y) / focal_y, 1.0)
+    }
+
+    /// The same camera with an image of `width` × `height` pixels over the same field of view.
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let old = self.intrinsics;
+        let (sx, sy) = (f64::from(width) / f64::from(old.width), f64::from(height) / f64::from(old.height));
+        let intrinsics = Intrinsics {
+            width,
+            height,
+            focal_x: old.focal_x * sx,
+            focal_y: old.focal_y * sy,
+            center_x: old.center_x * sx,
+            center_y: old.center_y * sy,
+        };
+        Self { intrinsics, ..*self }
+    }
+
+    /// Finite numbers, a non-empty image, positive focal lengths, an orthonormal right-handed rotation.
+    pub fn check(&self) -> Result<()> {
+        let Intrinsics { width, height, focal_x, focal_y, center_x, center_y } = self.intrinsics;
+        if width == 0 || height == 0 {
+            return Err(Error::new(format!("camera with an empty image ({width}×{height})")));
+        }
+        if !(focal_x > 0.0 && focal_y > 0.0 && focal_x.is_finite() && focal_y.is_finite()) {
+            return Err(Error::new(format!("focal lengths must be positive and finite, not {focal_x} and {focal_y}")));
+        }
+        if !(center_x.is_finite() && center_y.is_finite()) {
+            return Err(Error::new(format!("principal point is not finite ({center_x}, {center_y})")));
+        }
+        self.camera_from_world.check()
+    }
+}
+
+impl RigidTransform {
+    /// No rotation, no translation.
+    pub const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+
+    /// Maps a point.
+    pub fn apply(&self, point: DVec3) -> DVec3 {
+        self.rotation * point + self.translation
+    }
+
+    /// The inverse map.
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.transpose();
+        Self { rotation, translation: -(rotation * self.translation) }
+    }
+
+    /// From a homogeneous matrix whose last row is (0, 0, 0, 1); unchecked, see [`RigidTransform::check`].
+    pub fn from_matrix(matrix: DMat4) -> Self {
+        Self { rotation: DMat3::from_mat4(matrix), translation: matrix.w_axis.truncate() }
+    }
+
+    /// Finite, orthonormal and right-handed.
+    pub fn check(&self) -> Result<()> {
+        if !(self.rotation.is_finite() && self.translation.is_finite()) {
+            return Err(Error::new("pose has a value that is not finite"));
+        }
+        let residual = self.rotation * self.rotation.transpose() - DMat3::IDENTITY;
+        let error = residual.to_cols_array().iter().fold(0.0_f64, |worst, value| worst.max(value.abs()));
+        if !(error <= ORTHONORMAL_TOLERANCE) {
+            return Err(Error::new(format!("pose rotation is not orthonormal (off by {error:.2e})")));
+        }
+        if !(self.rotation.determinant() > 0.0) {
+            return Err(Error::new("pose rotation is a reflection (determinant -1)"));
+        }
+        Ok(())
+    }
+}
