@@ -1,0 +1,201 @@
+//! The artifact of training: every learnable tensor by name, and what is needed to use them.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::{Context as _, bail, ensure};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use scene::{Protocol, TimeMap};
+use serde::{Deserialize, Serialize};
+
+/// The header's file name.
+const HEADER: &str = "model.json";
+/// The tensors' file name.
+const TENSORS: &str = "model.safetensors";
+
+/// A trained model: `model.json` (the header) and `model.safetensors` (every tensor, f32, by name).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// What the tensors are.
+    pub header: ModelHeader,
+    /// Tensors by name, as `gaussians.positions`.
+    pub tensors: BTreeMap<String, NamedTensor>,
+}
+
+/// Everything about a model that is not a tensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelHeader {
+    /// The method's name, as `deformable4dgs`.
+    pub method: String,
+    /// The canonical training parameters, defaults filled in.
+    pub method_params: serde_json::Value,
+    /// How the images that the model was trained on came to be.
+    pub protocol: Protocol,
+    /// The colour behind the Gaussians, in [0, 1].
+    pub background: [f32; 3],
+    /// Seconds to the [0, 1] that the motion model sees.
+    pub time_map: TimeMap,
+    /// 1.1 × the largest distance of a training camera from their mean, scene units.
+    pub scene_extent: f64,
+    /// Spherical-harmonics degree that was reached.
+    pub sh_degree: usize,
+    /// Gaussians in the model.
+    pub n_gaussians: u64,
+    /// Optimiser steps per phase, in order.
+    pub iterations: Vec<(String, u64)>,
+    /// The seed of every random choice.
+    pub seed: u64,
+    /// Effects that were left out, each with the reason.
+    pub skipped: BTreeMap<String, String>,
+}
+
+/// A row-major f32 tensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedTensor {
+    /// Sizes, outermost first.
+    pub shape: Vec<usize>,
+    /// The values.
+    pub values: Vec<f32>,
+}
+
+impl Model {
+    /// Writes both files into `dir`; equal models give equal bytes.
+    pub fn save(&self, dir: &Path) -> anyhow::Result<()> {
+        let header = serde_json::to_string_pretty(&self.header)? + "\n";
+        std::fs::write(dir.join(HEADER), header)
+            .with_context(|| format!("cannot write {}", dir.join(HEADER).display()))?;
+        save_tensors(&self.tensors, &dir.join(TENSORS))
+    }
+
+    /// Bytes of all tensors on disk: what a reader of the table calls the model's size.
+    pub fn size_bytes(&self) -> u64 {
+        self.tensors.values().map(|tensor| 4 * tensor.values.len() as u64).sum()
+    }
+}
+
+impl engine::Artifact for Model {
+    const NAME: &'static str = "model";
+    const SCHEMA: u32 = 1;
+
+    fn open(dir: &Path) -> anyhow::Result<Self> {
+        let path = dir.join(HEADER);
+        let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        let header = serde_json::from_str(&text).with_context(|| format!("not a model header: {}", path.display()))?;
+        Ok(Self { header, tensors: load_tensors(&dir.join(TENSORS))? })
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        ensure!(!self.tensors.is_empty(), "model without tensors");
+        ensure!(self.header.scene_extent.is_finite() && self.header.scene_extent > 0.0, "scene extent is not positive");
+        ensure!(self.header.n_gaussians > 0, "model without Gaussians");
+        ensure!(self.header.background.iter().all(|value| (0.0..=1.0).contains(value)), "background is not a colour");
+        self.header.time_map.check()?;
+        for (name, tensor) in &self.tensors {
+            let count: usize = tensor.shape.iter().product();
+            ensure!(count == tensor.values.len(), "{name} has {} values for shape {:?}", tensor.values.len(), tensor.shape);
+            if let Some(at) = tensor.values.iter().position(|value| !value.is_finite()) {
+                bail!("{name}[{at}] is {}", tensor.values[at]);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes named f32 tensors as one safetensors file.
+pub(crate) fn save_tensors(tensors: &BTreeMap<String, NamedTensor>, path: &Path) -> anyhow::Result<()> {
+    let views = tensors
+        .iter()
+        .map(|(name, tensor)| {
+            let bytes = bytemuck::cast_slice(&tensor.values);
+            Ok((name.as_str(), TensorView::new(Dtype::F32, tensor.shape.clone(), bytes)?))
+        })
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let bytes = safetensors::serialize(views, None)?;
+    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Reads named f32 tensors from one safetensors file.
+pub(crate) fn load_tensors(path: &Path) -> anyhow::Result<BTreeMap<String, NamedTensor>> {
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let file = SafeTensors::deserialize(&bytes).with_context(|| format!("not safetensors: {}", path.display()))?;
+    let read = |(name, view): (String, TensorView<'_>)| {
+        ensure!(view.dtype() == Dtype::F32, "{name} is {:?} instead of f32: {}", view.dtype(), path.display());
+        let values = bytemuck::pod_collect_to_vec(view.data());
+        Ok((name, NamedTensor { shape: view.shape().to_vec(), values }))
+    };
+    file.tensors().into_iter().map(read).collect()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use engine::Artifact as _;
+
+    use super::*;
+
+    pub(crate) fn tiny_model() -> Model {
+        let protocol = Protocol {
+            dataset: "synthetic".into(),
+            split: "official".into(),
+            width: 8,
+            height: 8,
+            resize: "analytic".into(),
+            background: "white".into(),
+            time: "analytic".into(),
+        };
+        let header = ModelHeader {
+            method: "static3dgs".into(),
+            method_params: serde_json::json!({ "seed": 0 }),
+            protocol,
+            background: [1.0; 3],
+            time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
+            scene_extent: 1.5,
+            sh_degree: 0,
+            n_gaussians: 2,
+            iterations: vec![("train".into(), 10)],
+            seed: 0,
+            skipped: BTreeMap::new(),
+        };
+        let values = (0..6).map(|i| i as f32 * 0.1).collect();
+        let tensors = [("gaussians.positions".to_string(), NamedTensor { shape: vec![2, 3], values })].into();
+        Model { header, tensors }
+    }
+
+    #[test]
+    fn saved_model_reads_back_equal_and_bytes_are_stable() {
+        let model = tiny_model();
+        let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        model.save(first.path()).unwrap();
+        model.save(second.path()).unwrap();
+        assert_eq!(Model::open(first.path()).unwrap(), model);
+        for file in [HEADER, TENSORS] {
+            let read = |dir: &tempfile::TempDir| std::fs::read(dir.path().join(file)).unwrap();
+            assert_eq!(read(&first), read(&second));
+        }
+    }
+
+    #[test]
+    fn values_that_are_not_finite_and_wrong_counts_are_refused() {
+        let mut model = tiny_model();
+        model.check().unwrap();
+        model.tensors.get_mut("gaussians.positions").unwrap().values[4] = f32::NAN;
+        assert!(model.check().unwrap_err().to_string().contains("gaussians.positions[4]"));
+        let mut short = tiny_model();
+        short.tensors.get_mut("gaussians.positions").unwrap().values.pop();
+        assert!(short.check().is_err());
+    }
+
+    #[test]
+    fn truncated_files_are_errors() {
+        let dir = tempfile::tempdir().unwrap();
+        tiny_model().save(dir.path()).unwrap();
+        for file in [HEADER, TENSORS] {
+            let bytes = std::fs::read(dir.path().join(file)).unwrap();
+            for keep in [0, 1, 7, bytes.len() / 2, bytes.len() - 2] {
+                std::fs::write(dir.path().join(file), &bytes[..keep]).unwrap();
+                assert!(Model::open(dir.path()).is_err(), "{file} cut to {keep} bytes was read");
+            }
+            std::fs::write(dir.path().join(file), &bytes).unwrap();
+        }
+    }
+}
