@@ -1,0 +1,35 @@
+//! Data parallelism over chunks of a fixed size: what each chunk computes and the order in which partial sums are added
+//! depend on the data alone, never on the number of threads.
+
+use rayon::prelude::*;
+
+use super::Real;
+
+/// Elements per chunk of a pointwise loop: 32 KiB of f32, which stays in the first-level cache and hides rayon's overhead.
+pub const CHUNK: usize = 8192;
+
+/// Calls `body(first element index, chunk)` for every chunk of `out`, in parallel where there are several.
+pub fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
+    if out.len() <= chunk_len {
+        return if out.is_empty() { () } else { body(0, out) };
+    }
+    out.par_chunks_mut(chunk_len).enumerate().for_each(|(chunk, out)| body(chunk * chunk_len, out));
+}
+
+/// `body(range)` for consecutive ranges of `chunk_len` covering `0..len`; the results in order.
+pub fn map_chunks<R: Send>(
+    len: usize,
+    chunk_len: usize,
+    body: impl Fn(std::ops::Range<usize>) -> R + Sync + Send,
+) -> Vec<R> {
+    let range = |chunk: usize| chunk * chunk_len..((chunk + 1) * chunk_len).min(len);
+    match len.div_ceil(chunk_len) {
+        1 => vec![body(range(0))],
+        chunks => (0..chunks).into_par_iter().map(|chunk| body(range(chunk))).collect(),
+    }
+}
+
+/// Σ `term(i)` over `0..len`: f64 partial sums per fixed chunk, added in order.
+pub fn sum(len: usize, term: impl Fn(usize) -> f64 + Sync + Send) -> f64 {
+    map_chunks(len, CHUNK, |range| range.map(&term).sum::<f64>()).into_iter().sum()
+}

@@ -1,0 +1,209 @@
+//! A tape over coarse differentiable operations: it records what was applied, and runs it backwards.
+//!
+//! The tape knows nothing of what an operation computes. A kernel is an [`Op`]; a model is a function that takes a tape
+//! and variables and returns variables. Everything is generic over [`Real`], so that what trains in `f32` is checked in
+//! `f64` against central differences (see [`crate::check`]).
+
+pub mod chunks;
+mod profile;
+mod real;
+mod tensor;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+use std::time::Instant;
+
+pub use profile::{Cost, OpCost, Profile};
+pub use real::Real;
+pub use tensor::{Device, Tensor};
+
+/// A value on a tape.
+#[derive(Copy, Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Var(usize);
+
+/// A differentiable operation; it runs on the device of its inputs.
+pub trait Op<T: Real>: Send {
+    /// The name in profiles and messages.
+    fn name(&self) -> &'static str;
+
+    /// The outputs; `self` may keep what the backward pass needs.
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>>;
+
+    /// The gradient of each input, of the input's shape, given the gradients of those outputs that have one.
+    ///
+    /// `needs[i]` tells whether input `i` takes part in differentiation: where it does not, the result is not looked at
+    /// and `None` saves work. `None` where it does means zero.
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>>;
+}
+
+struct Value<T: Real> {
+    tensor: Tensor<T>,
+    needs_gradient: bool,
+}
+
+struct Node<T: Real> {
+    op: Box<dyn Op<T>>,
+    inputs: Vec<Var>,
+    outputs: Range<usize>,
+}
+
+/// The record of a computation: leaves, constants and the operations applied to them.
+pub struct Tape<T: Real> {
+    device: Device,
+    values: Vec<Value<T>>,
+    nodes: Vec<Node<T>>,
+    profile: Profile,
+}
+
+impl<T: Real> Tape<T> {
+    pub fn new(device: Device) -> Self {
+        Self { device, values: Vec::new(), nodes: Vec::new(), profile: Profile::default() }
+    }
+
+    pub fn device(&self) -> Device {
+        self.device
+    }
+
+    /// A value whose gradient is wanted.
+    pub fn leaf(&mut self, tensor: Tensor<T>) -> Var {
+        self.push(tensor, true)
+    }
+
+    /// A value that is not differentiated.
+    pub fn constant(&mut self, tensor: Tensor<T>) -> Var {
+        self.push(tensor, false)
+    }
+
+    /// The same value, cut off from what it was computed from: no gradient flows through it.
+    pub fn detach(&mut self, var: Var) -> Var {
+        let tensor = self.value(var).clone();
+        self.constant(tensor)
+    }
+
+    pub fn value(&self, var: Var) -> &Tensor<T> {
+        &self.values[var.0].tensor
+    }
+
+    /// Whether a gradient flows to this value.
+    pub fn needs_gradient(&self, var: Var) -> bool {
+        self.values[var.0].needs_gradient
+    }
+
+    /// Seconds and calls per operation name so far.
+    pub fn profile(&self) -> &Profile {
+        &self.profile
+    }
+
+    /// Runs an operation now and records it for the backward pass if any input needs a gradient.
+    pub fn apply(&mut self, mut op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
+        let tensors: Vec<&Tensor<T>> = inputs.iter().map(|&var| self.value(var)).collect();
+        let start = Instant::now();
+        let outputs = op.forward(&tensors);
+        self.profile.entry(op.name()).forward.add(start.elapsed());
+
+        let needs_gradient = inputs.iter().any(|&var| self.needs_gradient(var));
+        let first = self.values.len();
+        let vars: Vec<Var> = outputs.into_iter().map(|tensor| self.push(tensor, needs_gradient)).collect();
+        if needs_gradient {
+            let outputs = first..self.values.len();
+            self.nodes.push(Node { op: Box::new(op), inputs: inputs.to_vec(), outputs });
+        }
+        vars
+    }
+
+    /// As [`Tape::apply`] for an operation with exactly one output.
+    pub fn apply_one(&mut self, op: impl Op<T> + 'static, inputs: &[Var]) -> Var {
+        let name = op.name();
+        let vars = self.apply(op, inputs);
+        assert_eq!(vars.len(), 1, "{name}: expected one output");
+        vars[0]
+    }
+
+    /// Gradients of Σ ⟨seed, value⟩ over the given (variable, seed of the same shape) pairs.
+    ///
+    /// Operations run in reverse order of creation and contributions add up in that order: the result does not depend on
+    /// scheduling.
+    pub fn backward(&mut self, seeds: &[(Var, Tensor<T>)]) -> Gradients<T> {
+        let mut gradients = Gradients { tensors: vec![None; self.values.len()] };
+        for (var, seed) in seeds {
+            gradients.accumulate("seed", *var, self.value(*var), seed.clone());
+        }
+        for node in self.nodes.iter_mut().rev() {
+            node.backward(&self.values, &mut gradients, &mut self.profile);
+        }
+        gradients
+    }
+
+    /// The first operation, in order of execution, with an output that is not finite: where a NaN arose.
+    pub fn first_non_finite_op(&self) -> Option<&'static str> {
+        let is_bad = |node: &&Node<T>| !self.values[node.outputs.clone()].iter().all(|value| value.tensor.is_finite());
+        self.nodes.iter().find(is_bad).map(|node| node.op.name())
+    }
+
+    fn push(&mut self, tensor: Tensor<T>, needs_gradient: bool) -> Var {
+        self.values.push(Value { tensor, needs_gradient });
+        Var(self.values.len() - 1)
+    }
+}
+
+impl<T: Real> Node<T> {
+    /// Adds this node's contribution to the gradients of its inputs; skipped if no gradient reached its outputs.
+    fn backward(&mut self, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
+        let output_grads: Vec<_> = gradients.tensors[self.outputs.clone()].iter().map(Option::as_ref).collect();
+        if output_grads.iter().all(Option::is_none) {
+            return;
+        }
+        let inputs: Vec<_> = self.inputs.iter().map(|var| &values[var.0].tensor).collect();
+        let outputs: Vec<_> = values[self.outputs.clone()].iter().map(|value| &value.tensor).collect();
+        let needs: Vec<bool> = self.inputs.iter().map(|var| values[var.0].needs_gradient).collect();
+
+        let start = Instant::now();
+        let input_grads = self.op.backward(&inputs, &outputs, &output_grads, &needs);
+        profile.entry(self.op.name()).backward.add(start.elapsed());
+
+        assert_eq!(input_grads.len(), self.inputs.len(), "{}: one gradient per input", self.op.name());
+        for ((&var, needed), gradient) in self.inputs.iter().zip(needs).zip(input_grads) {
+            if let (true, Some(gradient)) = (needed, gradient) {
+                gradients.accumulate(self.op.name(), var, &values[var.0].tensor, gradient);
+            }
+        }
+    }
+}
+
+/// The result of a backward pass.
+pub struct Gradients<T: Real> {
+    tensors: Vec<Option<Tensor<T>>>,
+}
+
+impl<T: Real> Gradients<T> {
+    /// The gradient of a leaf or of an intermediate value; `None` if none reached it (it is zero).
+    pub fn get(&self, var: Var) -> Option<&Tensor<T>> {
+        self.tensors[var.0].as_ref()
+    }
+
+    /// As [`Gradients::get`], moved out.
+    pub fn take(&mut self, var: Var) -> Option<Tensor<T>> {
+        self.tensors[var.0].take()
+    }
+
+    fn accumulate(&mut self, source: &str, var: Var, value: &Tensor<T>, gradient: Tensor<T>) {
+        assert_eq!(gradient.shape(), value.shape(), "{source}: gradient and value differ in shape");
+        let slot = &mut self.tensors[var.0];
+        match slot {
+            None => *slot = Some(gradient),
+            Some(total) => {
+                let term = gradient.as_slice();
+                chunks::for_each_chunk(total.make_mut(), chunks::CHUNK, |first, total| {
+                    total.iter_mut().zip(&term[first..]).for_each(|(total, &term)| *total += term);
+                });
+            }
+        }
+    }
+}
