@@ -1,0 +1,111 @@
+//! Judging two folders of images, whoever made them.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use engine::{Failure, FailureKind};
+use scene::{Protocol, Split};
+
+use crate::artifact::empty_set;
+use crate::{Background, METRIC_VERSION, MetricEvaluationParams, Metrics, Pair, evaluate_pairs};
+
+/// File name extensions that are read, in lower case.
+const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
+/// Names listed in one message about missing counterparts; more would bury the point.
+const LISTED: usize = 5;
+
+/// Judges every image in `renders` against the one with the same stem in `truth`, by all metrics.
+///
+/// # Errors
+/// An empty folder, a missing counterpart on either side, images of different sizes, transparent images (see
+/// [`evaluate_folders_with`]), an unreadable file.
+pub fn evaluate_folders(renders: &Path, truth: &Path) -> anyhow::Result<Metrics> {
+    evaluate_folders_with(renders, truth, &MetricEvaluationParams::default(), None)
+}
+
+/// [`evaluate_folders`] with chosen metrics; transparent images are composited on `background`.
+pub fn evaluate_folders_with(
+    renders: &Path,
+    truth: &Path,
+    params: &MetricEvaluationParams,
+    background: Option<Background>,
+) -> anyhow::Result<Metrics> {
+    let pairs = paired(renders, truth)?;
+    let (images, size) = evaluate_pairs(&pairs, params, background)?;
+    let background = match background {
+        None => "as given",
+        Some(Background::White) => "white",
+        Some(Background::Black) => "black",
+    };
+    Ok(Metrics {
+        method: "external".into(),
+        protocol: Protocol {
+            dataset: "folder".into(),
+            split: "as given".into(),
+            width: size[0],
+            height: size[1],
+            resize: "as given".into(),
+            background: background.into(),
+            time: "as given".into(),
+        },
+        split: Split::Test,
+        metric_version: METRIC_VERSION,
+        quantise: params.quantise,
+        means: Metrics::means_of(&images, &params.metrics),
+        n_images: images.len(),
+        images,
+    })
+}
+
+/// Pairs by file stem; every image must have its counterpart, since a chosen subset is another test set.
+fn paired(renders: &Path, truth: &Path) -> Result<Vec<Pair>, Failure> {
+    let (rendered, mut true_images) = (images_in(renders)?, images_in(truth)?);
+    let without = |those: &BTreeMap<String, PathBuf>, others: &BTreeMap<String, PathBuf>| {
+        those.keys().filter(|stem| !others.contains_key(*stem)).cloned().collect::<Vec<_>>()
+    };
+    let (no_truth, no_render) = (without(&rendered, &true_images), without(&true_images, &rendered));
+    if !no_truth.is_empty() {
+        return Err(missing("renders", &no_truth, "true image", truth));
+    }
+    if !no_render.is_empty() {
+        return Err(missing("true images", &no_render, "render", renders));
+    }
+    let pair = |(name, render): (String, PathBuf)| {
+        let truth = true_images.remove(&name)?;
+        Some(Pair { name, time_secs: None, camera_index: None, render, truth })
+    };
+    Ok(rendered.into_iter().filter_map(pair).collect())
+}
+
+fn missing(whose: &str, stems: &[String], counterpart: &str, folder: &Path) -> Failure {
+    let more = if stems.len() > LISTED { format!(" and {} more", stems.len() - LISTED) } else { String::new() };
+    let listed = stems[..stems.len().min(LISTED)].join(", ");
+    let message = format!("{} {whose} have no {counterpart} of the same name: {listed}{more}", stems.len());
+    Failure::new(FailureKind::BadInput, message)
+        .hint("images are paired by file name without extension; remove or rename what is not to be judged")
+        .at(folder)
+}
+
+/// PNG and JPEG files of a folder by stem.
+fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Failure> {
+    let unreadable = |error: std::io::Error| {
+        Failure::new(FailureKind::MissingData, format!("cannot list folder: {error}")).at(folder)
+    };
+    let mut images = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        let (Some(stem), Some(extension)) = (path.file_stem(), extension) else { continue };
+        if !EXTENSIONS.contains(&extension.as_str()) {
+            continue;
+        }
+        if let Some(other) = images.insert(stem.to_string_lossy().into_owned(), path.clone()) {
+            let message = format!("two images have the stem {}", stem.to_string_lossy());
+            return Err(Failure::new(FailureKind::BadInput, message).hint("keep one of them").at(other.max(path)));
+        }
+    }
+    if images.is_empty() {
+        return Err(empty_set("folder").hint("PNG and JPEG files are read").at(folder));
+    }
+    Ok(images)
+}

@@ -1,0 +1,20 @@
+//! Peak signal-to-noise ratio.
+
+use crate::Image;
+
+/// The PSNR of identical images, and of any that differ by less than a mean squared error of 1e-10.
+///
+/// Identical images have no finite PSNR; a cap keeps means finite. EasyVolcap and 4K4D use the same floor.
+pub const PSNR_CAP_DB: f64 = 100.0;
+
+/// Mean of the squared difference over pixels and channels, colours in [0, 1]; the images must be equally large.
+pub fn mean_squared_error(render: &Image, truth: &Image) -> f64 {
+    let squared = |(a, b): (&f64, &f64)| (a - b) * (a - b);
+    let plane_sum = |c: usize| render.planes[c].iter().zip(&truth.planes[c]).map(squared).sum::<f64>();
+    (plane_sum(0) + plane_sum(1) + plane_sum(2)) / (3 * render.width * render.height) as f64
+}
+
+/// `-10 log10(mse)` in dB for a peak of 1, at most [`PSNR_CAP_DB`].
+pub fn psnr_from_mse(mse: f64) -> f64 {
+    (-10.0 * mse.log10()).min(PSNR_CAP_DB)
+}

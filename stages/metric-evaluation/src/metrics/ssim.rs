@@ -1,0 +1,102 @@
+//! Structural similarity (Wang et al., "Image quality assessment: from error visibility to structural similarity",
+//! IEEE TIP 2004) with the window of 3D Gaussian Splatting: 11 Gaussian taps, σ = 1.5, population moments, range 1.
+
+/// Taps of the separable window.
+pub(super) const TAPS: usize = 11;
+const RADIUS: usize = TAPS / 2;
+const SIGMA: f64 = 1.5;
+/// (0.01 L)² and (0.03 L)² for a range L = 1.
+const C1: f64 = 1e-4;
+const C2: f64 = 9e-4;
+
+/// Means of one channel's SSIM map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SsimMeans {
+    /// Over every pixel; windows are padded with zeros (black) beyond the border.
+    pub zero_padded: f64,
+    /// Over the pixels whose window lies inside the image; none where no window does.
+    pub valid: Option<f64>,
+    /// Contrast times structure, without luminance, over the same pixels (a factor of MS-SSIM).
+    pub contrast_structure_valid: Option<f64>,
+}
+
+/// SSIM of two channels in [0, 1], row-major with `width` pixels per row.
+pub fn ssim_means(a: &[f64], b: &[f64], width: usize) -> SsimMeans {
+    let height = a.len() / width;
+    let moments = horizontal_moments(a, b, width);
+    let window = gaussian_window();
+    let (mut total, mut valid, mut contrast_structure) = (0.0, 0.0, 0.0);
+    let mut sums: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; width]);
+    for y in 0..height {
+        // Vertical half of the window sums; rows beyond the border are zero and drop out.
+        sums.iter_mut().for_each(|row| row.fill(0.0));
+        for source in y.saturating_sub(RADIUS)..(y + RADIUS + 1).min(height) {
+            let weight = window[source + RADIUS - y];
+            for (sum, moment) in sums.iter_mut().zip(&moments) {
+                add_scaled(sum, &moment[source * width..][..width], weight);
+            }
+        }
+        let row_is_valid = y >= RADIUS && y + RADIUS < height;
+        for x in 0..width {
+            let (ssim, cs) = ssim_of_window(sums[0][x], sums[1][x], sums[2][x], sums[3][x]);
+            total += ssim;
+            if row_is_valid && x >= RADIUS && x + RADIUS < width {
+                valid += ssim;
+                contrast_structure += cs;
+            }
+        }
+    }
+    let n_valid = (width + 1).saturating_sub(TAPS) * (height + 1).saturating_sub(TAPS);
+    let mean_valid = |sum: f64| (n_valid > 0).then(|| sum / n_valid as f64);
+    SsimMeans {
+        zero_padded: total / (width * height) as f64,
+        valid: mean_valid(valid),
+        contrast_structure_valid: mean_valid(contrast_structure),
+    }
+}
+
+/// SSIM and its contrast-structure factor from the window means of a, b, a² + b² and ab.
+///
+/// The two variances only occur as a sum, which saves one of five window sums.
+fn ssim_of_window(mean_a: f64, mean_b: f64, mean_squares: f64, mean_product: f64) -> (f64, f64) {
+    let luminance_product = mean_a * mean_b;
+    let luminance_squares = mean_a * mean_a + mean_b * mean_b;
+    let covariance = mean_product - luminance_product;
+    let variances = mean_squares - luminance_squares;
+    let contrast_structure = (2.0 * covariance + C2) / (variances + C2);
+    ((2.0 * luminance_product + C1) / (luminance_squares + C1) * contrast_structure, contrast_structure)
+}
+
+/// Horizontally filtered a, b, a² + b² and ab, padded with zeros beyond the border.
+fn horizontal_moments(a: &[f64], b: &[f64], width: usize) -> [Vec<f64>; 4] {
+    let window = gaussian_window();
+    let mut moments: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; a.len()]);
+    let mut padded = vec![0.0; width + 2 * RADIUS];
+    for start in (0..a.len()).step_by(width) {
+        let (row_a, row_b) = (&a[start..start + width], &b[start..start + width]);
+        for (which, moment) in moments.iter_mut().enumerate() {
+            for ((slot, &a), &b) in padded[RADIUS..].iter_mut().zip(row_a).zip(row_b) {
+                *slot = [a, b, a * a + b * b, a * b][which];
+            }
+            for (tap, &weight) in window.iter().enumerate() {
+                add_scaled(&mut moment[start..start + width], &padded[tap..tap + width], weight);
+            }
+        }
+    }
+    moments
+}
+
+/// `sum += weight * row`.
+fn add_scaled(sum: &mut [f64], row: &[f64], weight: f64) {
+    for (sum, value) in sum.iter_mut().zip(row) {
+        *sum += weight * value;
+    }
+}
+
+/// Gaussian taps that sum to 1.
+fn gaussian_window() -> [f64; TAPS] {
+    let taps: [f64; TAPS] =
+        std::array::from_fn(|tap| (-(tap as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
+    let sum: f64 = taps.iter().sum();
+    taps.map(|tap| tap / sum)
+}

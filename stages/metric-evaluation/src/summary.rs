@@ -1,0 +1,53 @@
+//! Metrics as text for a terminal.
+
+use std::fmt::Write;
+
+use crate::metrics::PSNR_CAP_DB;
+use crate::{Metric, Metrics, Remark, Score};
+
+impl Metrics {
+    /// An aligned table: mean, worst value and worst image per metric, then what a reader should know.
+    pub fn summary(&self) -> String {
+        let mut rows = vec![["metric", "mean", "worst", "worst image"].map(String::from)];
+        rows.extend(self.means.iter().map(|(metric, mean)| self.summary_row(*metric, mean)));
+        let widths: [usize; 4] =
+            std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
+        let mut text = format!("{} images · {}×{} px\n", self.n_images, self.protocol.width, self.protocol.height);
+        for [metric, mean, worst, name] in &rows {
+            let line = format!("{metric:<0$}  {mean:>1$}  {worst:>2$}  {name}", widths[0], widths[1], widths[2]);
+            writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");
+        }
+        for (metric, mean) in &self.means {
+            if let Score::Undefined { undefined } = mean {
+                writeln!(text, "{} is undefined: {undefined}", metric.heading()).expect("writing to a string succeeds");
+            }
+        }
+        text + &self.remark_lines()
+    }
+
+    fn summary_row(&self, metric: Metric, mean: &Score) -> [String; 4] {
+        let number = |value: f64| format!("{value:.*} {}", metric.decimals(), metric.unit()).trim_end().to_owned();
+        let values = self.images.iter().filter_map(|image| Some((image.values.get(&metric)?.value()?, &image.name)));
+        let worst = values.min_by(|a, b| a.0.total_cmp(&b.0));
+        [
+            metric.heading().into(),
+            mean.value().map_or("undefined".into(), number),
+            worst.map_or(String::new(), |(value, _)| number(value)),
+            worst.map_or(String::new(), |(_, name)| name.clone()),
+        ]
+    }
+
+    fn remark_lines(&self) -> String {
+        let explained = [
+            (Remark::Identical, format!("equal to the truth (PSNR capped at {PSNR_CAP_DB} dB)")),
+            (Remark::ConstantRender, "rendered in a single colour".into()),
+            (Remark::ConstantTruth, "compared with a truth of a single colour".into()),
+        ];
+        let line = |(remark, what): (Remark, String)| {
+            let names: Vec<_> = self.images.iter().filter(|image| image.remarks.contains(&remark)).collect();
+            let first = names.first()?;
+            Some(format!("note: {} of {} images {what}, first {}\n", names.len(), self.n_images, first.name))
+        };
+        explained.into_iter().filter_map(line).collect()
+    }
+}
