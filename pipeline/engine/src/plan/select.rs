@@ -1,0 +1,60 @@
+//! Selecting nodes by name: `train`, `train/lego`, `train/*/mcgs*`.
+
+use std::collections::BTreeSet;
+
+use crate::recipe::nearest;
+
+use super::Plan;
+
+/// A pattern that selects no node.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no job matches `{pattern}`{}", .nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default())]
+pub struct NothingSelected {
+    /// The pattern as given.
+    pub pattern: String,
+    /// The name that comes closest.
+    pub nearest: Option<String>,
+}
+
+impl Plan {
+    /// The nodes whose names match any of `patterns` (all nodes if there are none); a pattern without a match is an error.
+    pub fn select(&self, patterns: &[String]) -> Result<BTreeSet<usize>, NothingSelected> {
+        if patterns.is_empty() {
+            return Ok((0..self.nodes.len()).collect());
+        }
+        let mut selected = BTreeSet::new();
+        for pattern in patterns {
+            let found: Vec<usize> =
+                (0..self.nodes.len()).filter(|&index| matches_pattern(pattern, &self.nodes[index].name)).collect();
+            if found.is_empty() {
+                let names = self.nodes.iter().flat_map(|node| [node.template.as_str(), node.name.as_str()]);
+                return Err(NothingSelected { pattern: pattern.clone(), nearest: nearest(pattern, names) });
+            }
+            selected.extend(found);
+        }
+        Ok(selected)
+    }
+}
+
+/// Whether `name` matches: the pattern's `/`-separated parts match the first parts of the name, each with
+/// `*` for any characters and `?` for one.
+pub fn matches_pattern(pattern: &str, name: &str) -> bool {
+    let mut parts = name.split('/');
+    pattern.trim_end_matches('/').split('/').all(|wanted| parts.next().is_some_and(|part| matches_part(wanted, part)))
+}
+
+fn matches_part(pattern: &str, text: &str) -> bool {
+    let mut rest = pattern.chars();
+    match rest.next() {
+        None => text.is_empty(),
+        // A star takes the empty string or one character more.
+        Some('*') => {
+            text.char_indices().map(|(at, _)| at).chain([text.len()]).any(|at| matches_part(rest.as_str(), &text[at..]))
+        }
+        Some(wanted) => {
+            let mut text = text.chars();
+            text.next()
+                .is_some_and(|got| (wanted == '?' || wanted == got) && matches_part(rest.as_str(), text.as_str()))
+        }
+    }
+}

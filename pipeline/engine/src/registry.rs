@@ -1,0 +1,127 @@
+//! The stages that this binary knows, with their types erased.
+
+mod params;
+
+use std::collections::BTreeMap;
+use std::marker::PhantomData;
+
+use anyhow::Context as _;
+use serde_json::Value;
+
+use crate::fingerprint::{Code, CodeTable, stage_code};
+use crate::{Artifact, JobContext, ParamProblem, Port, Resources, Source, Stage};
+
+/// All stages by id. The one list of stages builds it: `Registry::new(CODE).with::<Training>()`.
+pub struct Registry {
+    code: CodeTable,
+    stages: BTreeMap<&'static str, Box<dyn AnyStage>>,
+}
+
+/// A [`Stage`] whose parameters are JSON.
+///
+/// Parameters that a method takes as `&Value` are canonical: they come from [`AnyStage::canonical_params`].
+pub trait AnyStage: Send + Sync {
+    /// [`Stage::ID`].
+    fn id(&self) -> &'static str;
+    /// [`Stage::ABOUT`].
+    fn about(&self) -> &'static str;
+    /// [`Stage::ports`].
+    fn ports(&self) -> Vec<Port>;
+    /// Name and schema version of the artifact type that the stage makes.
+    fn output(&self) -> (&'static str, u32);
+    /// The parameters as the stage's type writes them, with defaults filled in; or every problem that was found.
+    fn canonical_params(&self, raw: &Value) -> Result<Value, Vec<ParamProblem>>;
+    /// [`Stage::sources`].
+    fn sources(&self, params: &Value) -> anyhow::Result<Vec<Source>>;
+    /// [`Stage::resources`].
+    fn resources(&self, params: &Value) -> anyhow::Result<Resources>;
+    /// [`Stage::unused_sources`].
+    fn unused_sources(&self, params: &Value) -> anyhow::Result<Vec<String>>;
+    /// Runs the stage, checks the value that it returns, opens the output folder again and checks what was read.
+    fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()>;
+}
+
+impl Registry {
+    /// A registry without stages; `code` is the table of sources that the binary was built from.
+    pub fn new(code: CodeTable) -> Self {
+        Self { code, stages: BTreeMap::new() }
+    }
+
+    /// The same registry with one more stage.
+    ///
+    /// # Panics
+    ///
+    /// If the id is taken or no crate of that name is in the code table: a mistake in the one list of stages.
+    pub fn with<S: Stage>(mut self) -> Self {
+        assert!(self.code.get(S::ID).is_some(), "no crate in the code table is named like the stage {}", S::ID);
+        let taken = self.stages.insert(S::ID, Box::new(Erased::<S>(PhantomData)));
+        assert!(taken.is_none(), "two stages are called {}", S::ID);
+        self
+    }
+
+    /// The stage called `id`.
+    pub fn get(&self, id: &str) -> Option<&dyn AnyStage> {
+        self.stages.get(id).map(Box::as_ref)
+    }
+
+    /// All stages by id.
+    pub fn stages(&self) -> impl Iterator<Item = &dyn AnyStage> {
+        self.stages.values().map(Box::as_ref)
+    }
+
+    /// The fingerprint of the code that can influence what `stage` makes of `params`.
+    pub fn code(&self, stage: &dyn AnyStage, params: &Value) -> anyhow::Result<Code> {
+        Ok(stage_code(&self.code, stage.id(), &stage.unused_sources(params)?))
+    }
+}
+
+struct Erased<S>(PhantomData<fn() -> S>);
+
+impl<S: Stage> AnyStage for Erased<S> {
+    fn id(&self) -> &'static str {
+        S::ID
+    }
+
+    fn about(&self) -> &'static str {
+        S::ABOUT
+    }
+
+    fn ports(&self) -> Vec<Port> {
+        S::ports()
+    }
+
+    fn output(&self) -> (&'static str, u32) {
+        (S::Output::NAME, S::Output::SCHEMA)
+    }
+
+    fn canonical_params(&self, raw: &Value) -> Result<Value, Vec<ParamProblem>> {
+        params::canonical::<S>(raw)
+    }
+
+    fn sources(&self, params: &Value) -> anyhow::Result<Vec<Source>> {
+        Ok(S::sources(&typed::<S>(params)?))
+    }
+
+    fn resources(&self, params: &Value) -> anyhow::Result<Resources> {
+        Ok(S::resources(&typed::<S>(params)?))
+    }
+
+    fn unused_sources(&self, params: &Value) -> anyhow::Result<Vec<String>> {
+        Ok(S::unused_sources(&typed::<S>(params)?))
+    }
+
+    fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()> {
+        let made = S::run(context, &typed::<S>(params)?)?;
+        made.check().with_context(|| format!("{} made a {} that is not valid", S::ID, S::Output::NAME))?;
+        drop(made);
+        let read = S::Output::open(context.output_dir())
+            .with_context(|| format!("cannot read back the {} that {} wrote", S::Output::NAME, S::ID))?;
+        read.check()
+            .with_context(|| format!("the {} that {} wrote is not valid when read back", S::Output::NAME, S::ID))
+    }
+}
+
+/// Canonical parameters as the stage's type.
+fn typed<S: Stage>(params: &Value) -> anyhow::Result<S::Params> {
+    serde_json::from_value(params.clone()).with_context(|| format!("parameters that {} does not understand", S::ID))
+}
