@@ -2,4 +2,5 @@
 //! readable reference, its fast body and its tests.
 
 pub mod check;
+pub mod pointwise;
 pub mod tape;

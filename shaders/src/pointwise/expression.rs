@@ -1,0 +1,92 @@
+use std::any::Any;
+
+use crate::tape::chunks::{CHUNK, for_each_chunk};
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+/// `kernel(inputs, constants, out)`: the value of every element.
+pub type ValueKernel<T> = fn(&[&[T]], &[T], &mut [T]);
+
+/// `kernel(inputs, constants, y, dy, out)`: the gradient of every element with respect to one input.
+pub type GradientKernel<T> = fn(&[&[T]], &[T], &[T], &[T], &mut [T]);
+
+/// An expression over the elements of equally shaped tensors, as written once in [`pointwise!`](crate::pointwise!).
+pub struct Expression {
+    pub name: &'static str,
+    pub inputs: usize,
+    pub constants: usize,
+    /// `fn name(inputs, constants) -> f32` and, for every input i, `fn name_d_i(inputs, constants, y, dy) -> f32`.
+    pub wgsl: &'static str,
+    pub value_f32: ValueKernel<f32>,
+    pub value_f64: ValueKernel<f64>,
+    pub gradients_f32: &'static [GradientKernel<f32>],
+    pub gradients_f64: &'static [GradientKernel<f64>],
+}
+
+impl Expression {
+    /// Evaluates the expression on the tape; all inputs and the output have one shape.
+    pub fn apply<T: Real>(&'static self, tape: &mut Tape<T>, inputs: &[Var], constants: &[f64]) -> Var {
+        assert_eq!((inputs.len(), constants.len()), (self.inputs, self.constants), "{}: wrong arguments", self.name);
+        let constants = constants.iter().map(|&constant| T::from_f64(constant)).collect();
+        tape.apply_one(Pointwise { expression: self, constants }, inputs)
+    }
+
+    fn value<T: Real>(&self) -> ValueKernel<T> {
+        of_type(&self.value_f32, &self.value_f64)
+    }
+
+    fn gradient<T: Real>(&self, input: usize) -> GradientKernel<T> {
+        of_type(&self.gradients_f32[input], &self.gradients_f64[input])
+    }
+}
+
+/// The one of two values whose type is `K`.
+fn of_type<A: 'static, B: 'static, K: Copy + 'static>(a: &A, b: &B) -> K {
+    let found = (a as &dyn Any).downcast_ref::<K>().or_else(|| (b as &dyn Any).downcast_ref());
+    *found.expect("a Real is f32 or f64")
+}
+
+struct Pointwise<T> {
+    expression: &'static Expression,
+    constants: Vec<T>,
+}
+
+impl<T: Real> Op<T> for Pointwise<T> {
+    fn name(&self) -> &'static str {
+        self.expression.name
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let shape = inputs[0].shape();
+        assert!(inputs.iter().all(|input| input.shape() == shape), "{}: shapes differ", self.expression.name);
+        let kernel = self.expression.value::<T>();
+        let mut out = vec![T::ZERO; inputs[0].len()];
+        for_each_chunk(&mut out, CHUNK, |first, out| kernel(&parts(inputs, first, out.len()), &self.constants, out));
+        vec![Tensor::from_vec(shape, out)]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
+        let gradient = |input: usize| {
+            let kernel = self.expression.gradient::<T>(input);
+            let mut out = vec![T::ZERO; dy.len()];
+            for_each_chunk(&mut out, CHUNK, |first, out| {
+                let range = first..first + out.len();
+                let (y, dy) = (&outputs[0].as_slice()[range.clone()], &dy.as_slice()[range]);
+                kernel(&parts(inputs, first, out.len()), &self.constants, y, dy, out);
+            });
+            Tensor::from_vec(dy.shape(), out)
+        };
+        (0..inputs.len()).map(|input| needs[input].then(|| gradient(input))).collect()
+    }
+}
+
+/// Elements `first..first + len` of every tensor.
+fn parts<'a, T: Real>(tensors: &[&'a Tensor<T>], first: usize, len: usize) -> Vec<&'a [T]> {
+    tensors.iter().map(|tensor| &tensor.as_slice()[first..first + len]).collect()
+}

@@ -1,0 +1,84 @@
+use super::*;
+use crate::check::{self, agree, gradients};
+use crate::tape::{Device, Tape, Tensor, Var};
+
+/// Inputs in [−3, 3] and constants in [−1, 1] for any expression.
+fn arguments(expression: &Expression, len: usize) -> (Vec<Tensor<f64>>, Vec<f64>) {
+    let input = |seed| Tensor::from_vec([len], check::noise(len, seed).iter().map(|x| 3.0 * x).collect());
+    ((0..expression.inputs as u64).map(input).collect(), check::noise(expression.constants, 99))
+}
+
+#[test]
+fn gradients_equal_central_differences() {
+    for expression in EXPRESSIONS {
+        let (inputs, constants) = arguments(expression, 31);
+        let result = gradients(|tape, vars| expression.apply(tape, vars, &constants), &inputs, check::TOLERANCE);
+        result.unwrap_or_else(|mismatch| panic!("{}: {mismatch}", expression.name));
+    }
+}
+
+#[test]
+fn f32_agrees_with_f64() {
+    for expression in EXPRESSIONS {
+        let (inputs, constants) = arguments(expression, 20_000);
+        let mut tapes = (Tape::<f32>::new(Device::Cpu), Tape::<f64>::new(Device::Cpu));
+        let vars32: Vec<Var> = inputs.iter().map(|input| tapes.0.leaf(input.cast())).collect();
+        let vars64: Vec<Var> = inputs.iter().map(|input| tapes.1.leaf(input.clone())).collect();
+        let y32 = expression.apply(&mut tapes.0, &vars32, &constants);
+        let y64 = expression.apply(&mut tapes.1, &vars64, &constants);
+        agree(tapes.0.value(y32), tapes.1.value(y64), 1e-6).unwrap();
+        let g32 = tapes.0.backward(&[(y32, Tensor::full([20_000], 1.0))]);
+        let g64 = tapes.1.backward(&[(y64, Tensor::full([20_000], 1.0))]);
+        for (&var32, &var64) in vars32.iter().zip(&vars64) {
+            agree(g32.get(var32).unwrap(), g64.get(var64).unwrap(), 1e-6).unwrap();
+        }
+    }
+}
+
+#[test]
+fn sigmoid_is_stable_at_the_extremes() {
+    let mut tape = Tape::<f32>::new(Device::Cpu);
+    let x = tape.leaf(Tensor::from_vec([4], vec![-1e30, -88.0, 0.0, 1e30]));
+    let y = sigmoid(&mut tape, x);
+    let values = tape.value(y).as_slice().to_vec();
+    assert!(values[0] == 0.0 && values[1] > 0.0 && values[2] == 0.5 && values[3] == 1.0, "{values:?}");
+    assert!(tape.backward(&[(y, Tensor::full([4], 1.0))]).get(x).unwrap().is_finite());
+}
+
+#[test]
+fn every_expression_is_valid_wgsl() {
+    for expression in EXPRESSIONS {
+        validate(&compute_shader(expression)).unwrap_or_else(|error| panic!("{}: {error}", expression.name));
+    }
+}
+
+#[test]
+fn the_wgsl_check_rejects_a_planted_fault() {
+    let shader = compute_shader(EXPRESSIONS[0]).replacen("return", "return 1u +", 1);
+    assert!(validate(&shader).is_err());
+}
+
+/// A complete compute shader that calls the value and every gradient.
+fn compute_shader(expression: &Expression) -> String {
+    let names = expression.wgsl.lines().filter_map(|line| line.strip_prefix("fn ")?.split('(').next());
+    let calls: String = names
+        .map(|name| {
+            let extra = if name == expression.name { 0 } else { 2 };
+            let arguments = vec!["data[id.x]"; expression.inputs + expression.constants + extra].join(", ");
+            format!("    data[id.x] = {name}({arguments});\n")
+        })
+        .collect();
+    assert_eq!(calls.lines().count(), 1 + expression.inputs, "{}", expression.wgsl);
+    format!(
+        "{}@group(0) @binding(0) var<storage, read_write> data: array<f32>;\n\
+         @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3<u32>) {{\n{calls}}}\n",
+        expression.wgsl
+    )
+}
+
+fn validate(shader: &str) -> Result<(), String> {
+    let module = naga::front::wgsl::parse_str(shader).map_err(|error| error.emit_to_string(shader))?;
+    let mut validator =
+        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+    validator.validate(&module).map(|_| ()).map_err(|error| format!("{error:?}"))
+}
