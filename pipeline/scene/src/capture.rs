@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-pub use writing::CaptureWriter;
+pub use writing::{CaptureInfo, CaptureWriter, Frame};
 
 use crate::{Camera, Protocol, TimeMap};
 

@@ -7,14 +7,21 @@
 
 pub mod camera;
 pub mod capture;
+pub mod cloud;
 mod error;
+pub mod exr_file;
 pub mod gaussians;
+pub mod image_file;
+pub mod maps;
+pub mod ply;
 pub mod protocol;
 pub mod time;
 
 pub use camera::{Camera, Intrinsics, RigidTransform};
-pub use capture::{Capture, CaptureWriter, Split, View};
+pub use capture::{Capture, CaptureInfo, CaptureWriter, Frame, Split, View};
+pub use cloud::PointCloud;
 pub use error::{Error, Result};
 pub use gaussians::Gaussians;
+pub use maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
 pub use protocol::Protocol;
 pub use time::TimeMap;

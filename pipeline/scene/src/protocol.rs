@@ -25,6 +25,8 @@ impl Protocol {
     /// One line that names every field; two protocols are equal exactly when their lines are.
     pub fn line(&self) -> String {
         let Self { dataset, split, width, height, resize, background, time } = self;
-        format!("{dataset} · {split} split · {width}×{height} · resize {resize} · {background} background · time {time}")
+        format!(
+            "{dataset} · {split} split · {width}×{height} · resize {resize} · {background} background · time {time}"
+        )
     }
 }

@@ -1,0 +1,255 @@
+//! Opening a capture, checking it, and loading what its views name.
+
+use std::collections::BTreeSet;
+use std::path::{Component, Path};
+
+use glam::DVec3;
+
+use super::{Capture, Split, View};
+use crate::cloud::PointCloud;
+use crate::image_file::{self, GrayImage, RgbImage};
+use crate::maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
+use crate::{Error, Result, exr_file};
+
+/// The file that describes the capture.
+pub(super) const INDEX_FILE: &str = "capture.json";
+/// The point cloud, where there is one.
+pub(super) const POINTS_FILE: &str = "points.ply";
+
+/// Margin around the cameras (Kerbl et al. 2023, `getNerfppNorm`).
+const EXTENT_MARGIN: f64 = 1.1;
+/// Relative to the size of the coordinates: closer cameras stand in one place and tell nothing about scale.
+const SAME_PLACE: f64 = 1e-6;
+/// Coarsest f32 step of the coordinates that a scene can be modelled with, relative to its extent.
+const MAX_COORDINATE_STEP: f64 = 1e-2;
+/// Rounding of time values, relative to the duration of the capture.
+const TIME_TOLERANCE: f64 = 1e-6;
+
+impl Capture {
+    /// Reads `capture.json` in `dir`; see [`Capture::check`] for what must hold beyond its syntax.
+    pub fn open(dir: &Path) -> Result<Self> {
+        let path = dir.join(INDEX_FILE);
+        let bytes = image_file::read_file(&path).map_err(|error| error.hint("is this the folder of a capture?"))?;
+        let parsed = serde_json::from_slice(&bytes);
+        let capture: Self = parsed.map_err(|error| Error::new(format!("not a valid capture ({error})")).at(&path))?;
+        Ok(Self { dir: dir.into(), ..capture })
+    }
+
+    /// Everything that readers rely on: unique names in order, valid cameras, times within the time map, at least one
+    /// training view, one resolution, and files with the right size and channels (only headers are read).
+    pub fn check(&self) -> Result<()> {
+        self.check_index().map_err(|error| error.at(self.dir.join(INDEX_FILE)))?;
+        for view in &self.views {
+            self.check_files(view)?;
+        }
+        if self.has_points && !self.dir.join(POINTS_FILE).is_file() {
+            return Err(Error::new("the point cloud is missing").at(self.dir.join(POINTS_FILE)));
+        }
+        Ok(())
+    }
+
+    /// The views of one split with their positions in [`Capture::views`].
+    pub fn views_of(&self, split: Split) -> impl Iterator<Item = (usize, &View)> {
+        self.views.iter().enumerate().filter(move |(_, view)| view.split == split)
+    }
+
+    /// 8-bit colours, composited on the background.
+    pub fn load_image(&self, view: &View) -> Result<RgbImage> {
+        let image = image_file::read_rgb(&self.dir.join(&view.image))?;
+        self.sized(view, &view.image, (image.width(), image.height()))?;
+        Ok(image)
+    }
+
+    /// [H, W, 3] colours in [0, 1], sRGB-encoded.
+    pub fn load_image_f32(&self, view: &View) -> Result<Vec<f32>> {
+        Ok(self.load_image(view)?.as_raw().iter().map(|value| f32::from(*value) / 255.0).collect())
+    }
+
+    /// Coverage before compositing, where the view has it.
+    pub fn load_alpha(&self, view: &View) -> Result<Option<GrayImage>> {
+        self.load(view, view.alpha.as_deref(), image_file::read_grey, GrayImage::dimensions)
+    }
+
+    /// View-space depth, where the view has it.
+    pub fn load_depth(&self, view: &View) -> Result<Option<DepthMap>> {
+        self.load(view, view.depth.as_deref(), DepthMap::read, |map| (map.width, map.height))
+    }
+
+    /// Forward optical flow, where the view has it.
+    pub fn load_flow(&self, view: &View) -> Result<Option<FlowMap>> {
+        self.load(view, view.flow.as_deref(), FlowMap::read, |map| (map.width, map.height))
+    }
+
+    /// Velocity of the seen surface, where the view has it.
+    pub fn load_velocity(&self, view: &View) -> Result<Option<VelocityMap>> {
+        self.load(view, view.velocity.as_deref(), VelocityMap::read, |map| (map.width, map.height))
+    }
+
+    /// Instance labels, where the view has them; a label without a class name is an error.
+    pub fn load_mask(&self, view: &View) -> Result<Option<LabelMap>> {
+        let mask = self.load(view, view.mask.as_deref(), LabelMap::read, |map| (map.width, map.height))?;
+        let highest = mask.iter().flat_map(|mask| &mask.labels).max().copied().unwrap_or(0);
+        if usize::from(highest) > self.class_names.len() {
+            let message =
+                format!("label {highest} in the mask of {}, but {} classes", view.name, self.class_names.len());
+            return Err(Error::new(message).at(self.dir.join(INDEX_FILE)));
+        }
+        Ok(mask)
+    }
+
+    /// The point cloud, where the capture has one.
+    pub fn load_points(&self) -> Result<Option<PointCloud>> {
+        self.has_points.then(|| PointCloud::read_ply(&self.dir.join(POINTS_FILE))).transpose()
+    }
+
+    /// The size of the scene: 1.1 × the largest distance of a training camera from their mean (Kerbl et al. 2023).
+    ///
+    /// Where all training cameras stand in one place, half the diagonal of the bounds, and without bounds 1.
+    pub fn scene_extent(&self) -> f64 {
+        let centers: Vec<DVec3> = self.views_of(Split::Train).map(|(_, view)| view.camera.position_world()).collect();
+        let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
+        let radius = centers.iter().fold(0.0_f64, |radius, center| radius.max(center.distance(mean)));
+        if radius > SAME_PLACE * (1.0 + mean.length()) {
+            return EXTENT_MARGIN * radius;
+        }
+        let half_diagonal = |[low, high]: [[f64; 3]; 2]| 0.5 * DVec3::from(low).distance(DVec3::from(high));
+        self.bounds_world.map_or(1.0, half_diagonal)
+    }
+
+    /// What can be said without looking at any other file.
+    fn check_index(&self) -> Result<()> {
+        self.time_map.check()?;
+        let mut names = BTreeSet::new();
+        for view in &self.views {
+            let blame = |error: Error| Error { message: format!("view {}: {}", view.name, error.message), ..error };
+            self.check_view(view).map_err(blame)?;
+            if !names.insert(view.name.as_str()) {
+                return Err(Error::new(format!("two views are called {}", view.name)));
+            }
+        }
+        if let Some(pair) = self.views.windows(2).find(|pair| view_order(&pair[0], &pair[1]).is_gt()) {
+            let message = format!("view {} comes after {}", pair[1].name, pair[0].name);
+            return Err(Error::new(message).hint("views are ordered by split, time and camera"));
+        }
+        if self.views_of(Split::Train).next().is_none() {
+            return Err(Error::new(format!("none of the {} views is a training view", self.views.len())));
+        }
+        if !self.background.iter().all(|value| (0.0..=1.0).contains(value)) {
+            return Err(Error::new(format!("background {:?} is not a colour in [0, 1]", self.background)));
+        }
+        self.check_bounds()?;
+        self.check_coordinates()
+    }
+
+    /// One view on its own: name, camera, size, time.
+    fn check_view(&self, view: &View) -> Result<()> {
+        check_name(&view.name)?;
+        view.camera.check()?;
+        let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        if size != (self.protocol.width, self.protocol.height) {
+            let (width, height) = (self.protocol.width, self.protocol.height);
+            return Err(Error::new(format!("{}×{} pixels where the protocol says {width}×{height}", size.0, size.1)));
+        }
+        let slack_secs = TIME_TOLERANCE * (self.time_map.end_secs - self.time_map.start_secs).max(1.0);
+        let (start_secs, end_secs) = (self.time_map.start_secs - slack_secs, self.time_map.end_secs + slack_secs);
+        if !(view.time_secs >= start_secs && view.time_secs <= end_secs) {
+            let map = &self.time_map;
+            let message = format!("time {} s is outside of {} to {} s", view.time_secs, map.start_secs, map.end_secs);
+            return Err(Error::new(message));
+        }
+        Ok(())
+    }
+
+    fn check_bounds(&self) -> Result<()> {
+        let Some([low, high]) = self.bounds_world else { return Ok(()) };
+        let ordered = low.iter().zip(&high).all(|(low, high)| low <= high && low.is_finite() && high.is_finite());
+        if ordered {
+            Ok(())
+        } else {
+            Err(Error::new(format!("bounds are not ordered and finite: {low:?} to {high:?}")))
+        }
+    }
+
+    /// Models keep positions as f32: coordinates far from the origin leave too few digits for the scene.
+    fn check_coordinates(&self) -> Result<()> {
+        let centers = self.views.iter().map(|view| view.camera.position_world().abs().max_element());
+        let largest = centers.fold(0.0_f64, f64::max);
+        let step = largest * f64::from(f32::EPSILON);
+        let extent = self.scene_extent();
+        if step <= MAX_COORDINATE_STEP * extent {
+            return Ok(());
+        }
+        let message = format!("coordinates up to {largest:.1e} for a scene of extent {extent:.1e} are beyond f32");
+        Err(Error::new(message).hint("subtract the offset of the coordinate system from all poses and points"))
+    }
+
+    /// Files exist below the folder, with the view's size and the channels of their kind.
+    fn check_files(&self, view: &View) -> Result<()> {
+        for file in [Some(&view.image), view.alpha.as_ref(), view.mask.as_ref()].into_iter().flatten() {
+            self.check_path(file)?;
+            self.sized(view, file, image_file::read_size(&self.dir.join(file))?)?;
+        }
+        let depth: &[&[&str]] = &[&DepthMap::CHANNELS];
+        let [flow_x, flow_y] = &FlowMap::CHANNELS;
+        let [x, y, z] = &VelocityMap::CHANNELS;
+        let floats: [(_, &[&[&str]]); 3] =
+            [(&view.depth, depth), (&view.flow, &[flow_x, flow_y]), (&view.velocity, &[&[x], &[y], &[z]])];
+        for (file, channels) in floats {
+            let Some(file) = file else { continue };
+            self.check_path(file)?;
+            let header = exr_file::read_header(&self.dir.join(file))?;
+            self.sized(view, file, (header.width, header.height))?;
+            let present = |names: &[&str]| names.iter().any(|name| header.channels.iter().any(|have| have == name));
+            if let Some(missing) = channels.iter().find(|names| !present(names)) {
+                let message = format!("channels {:?} where {} is needed", header.channels, missing.join(" or "));
+                return Err(Error::new(message).at(self.dir.join(file)));
+            }
+        }
+        Ok(())
+    }
+
+    /// A capture's files lie in its folder, so that it can be moved and hashed.
+    fn check_path(&self, file: &Path) -> Result<()> {
+        let inside = file.components().all(|part| matches!(part, Component::Normal(_)));
+        if inside { Ok(()) } else { Err(Error::new("the path leads out of the capture's folder").at(file)) }
+    }
+
+    fn load<T>(
+        &self,
+        view: &View,
+        file: Option<&Path>,
+        read: impl Fn(&Path) -> Result<T>,
+        size: impl Fn(&T) -> (u32, u32),
+    ) -> Result<Option<T>> {
+        let Some(file) = file else { return Ok(None) };
+        let value = read(&self.dir.join(file))?;
+        self.sized(view, file, size(&value))?;
+        Ok(Some(value))
+    }
+
+    fn sized(&self, view: &View, file: &Path, (width, height): (u32, u32)) -> Result<()> {
+        let expected = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        if (width, height) == expected {
+            return Ok(());
+        }
+        let message = format!("{width}×{height} pixels where the camera has {}×{}", expected.0, expected.1);
+        Err(Error::new(message).at(self.dir.join(file)))
+    }
+}
+
+/// Split, then time, then camera; the frame and the name make the order total.
+pub(super) fn view_order(a: &View, b: &View) -> std::cmp::Ordering {
+    let rest = |view: &View| (view.camera_index, view.frame_index);
+    let by_split = a.split.cmp(&b.split);
+    let by_time = by_split.then(a.time_secs.total_cmp(&b.time_secs));
+    by_time.then(rest(a).cmp(&rest(b))).then_with(|| a.name.cmp(&b.name))
+}
+
+/// View names become file names.
+pub(super) fn check_name(name: &str) -> Result<()> {
+    let safe = |symbol: char| symbol.is_ascii_alphanumeric() || "_-.".contains(symbol);
+    if !name.is_empty() && !name.starts_with('.') && name.chars().all(safe) {
+        return Ok(());
+    }
+    Err(Error::new(format!("{name:?} is not safe as a file name")).hint("use letters, digits, _, - and ."))
+}

@@ -1,0 +1,86 @@
+//! Coloured point clouds.
+
+use std::path::Path;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::ply::{Ply, PlyFormat, Property, write_ply};
+use crate::{Error, Result};
+
+/// N points in the world.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointCloud {
+    /// [N, 3] world, scene units.
+    pub positions: Vec<[f32; 3]>,
+    /// [N, 3] sRGB.
+    pub colors: Vec<[u8; 3]>,
+}
+
+impl PointCloud {
+    /// N.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are no points.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// `count` grey points drawn uniformly in a box (min, max corner), as captures without structure from motion
+    /// are initialised (Kerbl et al. 2023).
+    pub fn random_in(bounds_world: [[f64; 3]; 2], count: usize, seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let [low, high] = bounds_world;
+        let mut coordinate = |axis: usize| low[axis] + (high[axis] - low[axis]) * random.random::<f64>();
+        let mut point = || std::array::from_fn(|axis| coordinate(axis) as f32);
+        Self { positions: (0..count).map(|_| point()).collect(), colors: vec![[128; 3]; count] }
+    }
+
+    /// As many colours as points, finite positions.
+    pub fn check(&self) -> Result<()> {
+        if self.positions.len() != self.colors.len() {
+            let (points, colors) = (self.positions.len(), self.colors.len());
+            return Err(Error::new(format!("{points} points with {colors} colours")));
+        }
+        match self.positions.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
+            Some(at) => Err(Error::new(format!("point {at} lies at {:?}", self.positions[at]))),
+            None => Ok(()),
+        }
+    }
+
+    /// Reads `vertex` elements with x, y, z and, where present, colours (`red` or `r`, 0–255 or float 0–1; grey
+    /// where absent); other properties and elements are skipped.
+    pub fn read_ply(path: &Path) -> Result<Self> {
+        let ply = Ply::open(path)?;
+        let values = ply.vertices(&["x", "y", "z"])?;
+        let positions = values.chunks_exact(3).map(|point| [point[0], point[1], point[2]]).collect::<Vec<_>>();
+        let names = [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"]];
+        let named = names.iter().find(|names| names.iter().all(|name| ply.property(name).is_some()));
+        let colors = match named {
+            Some(names) => {
+                let scale = if ply.property(names[0]).is_some_and(Property::is_float) { 255.0 } else { 1.0 };
+                let byte = |value: f32| (value * scale).round().clamp(0.0, 255.0) as u8;
+                ply.vertices(names)?.chunks_exact(3).map(|rgb| [byte(rgb[0]), byte(rgb[1]), byte(rgb[2])]).collect()
+            }
+            None => vec![[128; 3]; positions.len()],
+        };
+        let cloud = Self { positions, colors };
+        cloud.check().map_err(|error| error.at(path))?;
+        Ok(cloud)
+    }
+
+    /// Writes positions as float and colours as uchar.
+    pub fn write_ply(&self, path: &Path, format: PlyFormat) -> Result<()> {
+        self.check().map_err(|error| error.at(path))?;
+        let mut properties = vec![];
+        properties.extend(["x", "y", "z"].map(Property::float));
+        properties.extend(["red", "green", "blue"].map(Property::byte));
+        let rows = self.positions.iter().zip(&self.colors).flat_map(|(position, color)| {
+            let color = color.map(f32::from);
+            position.iter().copied().chain(color)
+        });
+        write_ply(path, format, &properties, self.len(), rows)
+    }
+}

@@ -1,0 +1,135 @@
+//! Per-pixel quantities beside colour: depth, optical flow, velocity and instance labels.
+
+use std::path::Path;
+
+use crate::image_file::{self, GrayImage};
+use crate::{Error, Result, exr_file};
+
+/// View-space z per pixel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DepthMap {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// [H, W], scene units; 0 where there is none.
+    pub depth_view: Vec<f32>,
+}
+
+/// Pixel displacement to another frame.
+#[derive(Clone, Debug, Default)]
+pub struct FlowMap {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// [H, W] of (right, down) in pixels; NaN where the pixel has no counterpart.
+    pub flow_px: Vec<[f32; 2]>,
+}
+
+/// 3D velocity of the surface point that each pixel sees.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct VelocityMap {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// [H, W] of (x, y, z), world, scene units per second; 0 where nothing is seen.
+    pub velocity_world: Vec<[f32; 3]>,
+}
+
+/// An instance label per pixel; 0 is the static background.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LabelMap {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// [H, W].
+    pub labels: Vec<u8>,
+}
+
+impl DepthMap {
+    /// Names that depth channels have in the wild, most specific first.
+    pub const CHANNELS: [&str; 4] = ["Z", "depth.Z", "Y", "R"];
+
+    /// Reads an EXR file; values must be finite and not negative.
+    pub fn read(path: &Path) -> Result<Self> {
+        let image = exr_file::read(path)?;
+        let depth_view = image.channel(&Self::CHANNELS).ok_or_else(|| no_channel(&Self::CHANNELS, path))?.to_vec();
+        if let Some(value) = depth_view.iter().find(|value| !(**value >= 0.0 && value.is_finite())) {
+            let error = Error::new(format!("depth {value} is not a distance")).hint("write 0 where there is none");
+            return Err(error.at(path));
+        }
+        Ok(Self { width: image.width, height: image.height, depth_view })
+    }
+
+    /// Writes an EXR file with the channel Z.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        exr_file::write(path, self.width, self.height, &[("Z", self.depth_view.clone())])
+    }
+}
+
+impl FlowMap {
+    /// Names that flow channels have in the wild.
+    pub const CHANNELS: [[&str; 4]; 2] = [["X", "u", "R", "forward.u"], ["Y", "v", "G", "forward.v"]];
+
+    /// Reads an EXR file; infinite values are refused, NaN means no counterpart.
+    pub fn read(path: &Path) -> Result<Self> {
+        let image = exr_file::read(path)?;
+        let [x, y] = Self::CHANNELS.map(|names| image.channel(&names).ok_or_else(|| no_channel(&names, path)));
+        let flow_px: Vec<_> = x?.iter().zip(y?).map(|(x, y)| [*x, *y]).collect();
+        if flow_px.iter().flatten().any(|value| value.is_infinite()) {
+            return Err(Error::new("infinite flow").hint("write NaN where there is none").at(path));
+        }
+        Ok(Self { width: image.width, height: image.height, flow_px })
+    }
+
+    /// Writes an EXR file with the channels X and Y.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let channel = |axis: usize| self.flow_px.iter().map(|flow| flow[axis]).collect();
+        exr_file::write(path, self.width, self.height, &[("X", channel(0)), ("Y", channel(1))])
+    }
+}
+
+impl VelocityMap {
+    /// Names of the channels.
+    pub const CHANNELS: [&str; 3] = ["X", "Y", "Z"];
+
+    /// Reads an EXR file; values must be finite.
+    pub fn read(path: &Path) -> Result<Self> {
+        let image = exr_file::read(path)?;
+        let [x, y, z] = Self::CHANNELS.map(|name| image.channel(&[name]).ok_or_else(|| no_channel(&[name], path)));
+        let velocity_world: Vec<_> = x?.iter().zip(y?).zip(z?).map(|((x, y), z)| [*x, *y, *z]).collect();
+        if !velocity_world.iter().flatten().all(|value| value.is_finite()) {
+            return Err(Error::new("velocity that is not finite").at(path));
+        }
+        Ok(Self { width: image.width, height: image.height, velocity_world })
+    }
+
+    /// Writes an EXR file with the channels X, Y and Z.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let channel = |axis: usize| self.velocity_world.iter().map(|velocity| velocity[axis]).collect();
+        let channels = [("X", channel(0)), ("Y", channel(1)), ("Z", channel(2))];
+        exr_file::write(path, self.width, self.height, &channels)
+    }
+}
+
+impl LabelMap {
+    /// Reads an 8-bit grey PNG.
+    pub fn read(path: &Path) -> Result<Self> {
+        let image = image_file::read_grey(path)?;
+        Ok(Self { width: image.width(), height: image.height(), labels: image.into_raw() })
+    }
+
+    /// Writes an 8-bit grey PNG.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let image = GrayImage::from_raw(self.width, self.height, self.labels.clone());
+        let sizes = || format!("{} labels for {}×{} pixels", self.labels.len(), self.width, self.height);
+        image_file::write_grey(path, &image.ok_or_else(|| Error::new(sizes()).at(path))?)
+    }
+}
+
+fn no_channel(names: &[&str], path: &Path) -> Error {
+    Error::new(format!("EXR image has no channel called {}", names.join(" or "))).at(path)
+}
