@@ -9,6 +9,8 @@ mod image_file;
 pub mod metrics;
 mod params;
 mod run;
+#[cfg(test)]
+mod stage_tests;
 mod summary;
 #[cfg(test)]
 mod tests;

@@ -1,17 +1,113 @@
 //! The stage: pairs rendered views with the capture's images and judges them.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-use engine::{Failure, FailureKind};
+use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Stage};
 use rayon::prelude::*;
+use rendering::Renders;
 
 use crate::artifact::empty_set;
 use crate::metrics::{judge, mean_squared_error};
-use crate::{Background, Image, ImageMetrics, MetricEvaluationParams, Remark};
+use crate::{Background, Image, ImageMetrics, METRIC_VERSION, MetricEvaluationParams, Metrics, Remark};
 
 /// The stage `metric-evaluation`.
 pub struct MetricEvaluation;
+
+engine::artifact! {
+    /// The capture whose images are the truth.
+    pub struct TrueImages(scene::Capture) = "capture" @ scene::capture::SCHEMA;
+}
+
+impl Stage for MetricEvaluation {
+    type Params = MetricEvaluationParams;
+    type Output = Metrics;
+
+    const ID: &'static str = "metric-evaluation";
+    const ABOUT: &'static str = "judges rendered views against the capture's images: PSNR, SSIM, MS-SSIM";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<Renders>("renders"), Port::one::<TrueImages>("capture")]
+    }
+
+    fn check_params(params: &Self::Params) -> Vec<ParamProblem> {
+        let problem = ParamProblem {
+            key: "metrics".into(),
+            message: "no metric to compute".into(),
+            hint: Some("leave the key out to compute all".into()),
+        };
+        if params.metrics.is_empty() { vec![problem] } else { Vec::new() }
+    }
+
+    fn resources(_params: &Self::Params) -> Resources {
+        Resources { threads: 0 }
+    }
+
+    fn run(context: &JobContext, params: &Self::Params) -> anyhow::Result<Metrics> {
+        let renders: Renders = context.input("renders")?;
+        let capture: TrueImages = context.input("capture")?;
+        let pairs = pairs_of(&renders, &capture)?;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        // Between batches the job reports and may stop; a batch keeps every thread busy.
+        let batch = 4 * pool.current_num_threads();
+        let mut images = Vec::with_capacity(pairs.len());
+        for pairs_of_batch in pairs.chunks(batch) {
+            if context.should_stop() {
+                return Err(context.interrupted());
+            }
+            images.extend(pool.install(|| evaluate_pairs(pairs_of_batch, params, None))?.0);
+            context.progress(images.len() as u64, pairs.len() as u64, "images judged");
+        }
+        let metrics = Metrics {
+            method: renders.method,
+            protocol: renders.protocol,
+            split: renders.split,
+            metric_version: METRIC_VERSION,
+            quantise: params.quantise,
+            means: Metrics::means_of(&images, &params.metrics),
+            n_images: images.len(),
+            images,
+        };
+        metrics.write(context.output_dir())?;
+        Ok(metrics)
+    }
+}
+
+/// Pairs every view of the rendered split with its render; none may be missing, since the mean is over the split.
+fn pairs_of(renders: &Renders, capture: &scene::Capture) -> Result<Vec<Pair>, Failure> {
+    if renders.protocol != capture.protocol {
+        let message = format!("renders belong to another capture: {}", renders.protocol.line());
+        return Err(
+            Failure::new(FailureKind::BadInput, message).hint(format!("the capture is {}", capture.protocol.line()))
+        );
+    }
+    let views: Vec<_> = capture.views.iter().filter(|view| view.split == renders.split).collect();
+    if views.is_empty() {
+        return Err(empty_set("split").at(&capture.dir));
+    }
+    let mut rendered: BTreeMap<_, _> = renders.views.iter().map(|view| (view.name.as_str(), view)).collect();
+    let mut pairs = Vec::with_capacity(views.len());
+    for view in views {
+        let Some(render) = rendered.remove(view.name.as_str()) else {
+            let message = format!("view {} of the capture was not rendered", view.name);
+            return Err(Failure::new(FailureKind::BadInput, message).at(&renders.dir));
+        };
+        pairs.push(Pair {
+            name: view.name.clone(),
+            time_secs: Some(view.time_secs),
+            camera_index: Some(view.camera_index),
+            render: renders.image_path(render),
+            truth: capture.dir.join(&view.image),
+        });
+    }
+    match rendered.keys().next() {
+        None => Ok(pairs),
+        Some(name) => {
+            let message = format!("rendered view {name} is not in the split of the capture");
+            Err(Failure::new(FailureKind::BadInput, message).at(&renders.dir))
+        }
+    }
+}
 
 /// A render and the image that it should be.
 #[derive(Clone, Debug, PartialEq)]
