@@ -2,5 +2,6 @@
 //! readable reference, its fast body and its tests.
 
 pub mod check;
+pub mod linear;
 pub mod pointwise;
 pub mod tape;

@@ -1,0 +1,86 @@
+use super::*;
+use crate::check::{TOLERANCE, agree, gradients, noise};
+use crate::tape::Device;
+
+/// x [rows, inputs], weight [outputs, inputs], bias [outputs].
+fn arguments(rows: usize, inputs: usize, outputs: usize) -> [Tensor<f64>; 3] {
+    [
+        Tensor::from_vec([rows, inputs], noise(rows * inputs, 1)),
+        Tensor::from_vec([outputs, inputs], noise(outputs * inputs, 2)),
+        Tensor::from_vec([outputs], noise(outputs, 3)),
+    ]
+}
+
+/// Output and the three gradients for an upstream gradient of noise.
+fn run<T: Real>(arguments: &[Tensor<f64>; 3], activation: Activation) -> Vec<Tensor<T>> {
+    let mut tape = Tape::<T>::new(Device::Cpu);
+    let vars = arguments.each_ref().map(|tensor| tape.leaf(tensor.cast()));
+    let y = linear(&mut tape, vars[0], vars[1], vars[2], activation);
+    let value = tape.value(y).clone();
+    let seed = Tensor::from_vec(value.shape(), noise(value.len(), 4)).cast();
+    let gradients = tape.backward(&[(y, seed)]);
+    std::iter::once(value).chain(vars.map(|var| gradients.get(var).unwrap().clone())).collect()
+}
+
+#[test]
+fn gradients_equal_central_differences() {
+    for activation in [Activation::Identity, Activation::Relu] {
+        let layer = |tape: &mut Tape<f64>, vars: &[Var]| linear(tape, vars[0], vars[1], vars[2], activation);
+        gradients(layer, &arguments(7, 5, 3), TOLERANCE).unwrap();
+    }
+}
+
+#[test]
+fn a_layer_computes_its_equation() {
+    let arguments = [
+        Tensor::from_vec([1, 2], vec![2.0, 3.0]),
+        Tensor::from_vec([2, 2], vec![1.0, 10.0, -1.0, 0.0]),
+        Tensor::from_vec([2], vec![0.5, 0.25]),
+    ];
+    assert_eq!(run::<f32>(&arguments, Activation::Identity)[0].as_slice(), [32.5, -1.75]);
+    assert_eq!(run::<f32>(&arguments, Activation::Relu)[0].as_slice(), [32.5, 0.0]);
+}
+
+#[test]
+fn f32_agrees_with_the_f64_reference() {
+    for (rows, inputs, outputs) in [(1300, 64, 33), (5, 3, 1), (1, 1, 7)] {
+        let arguments = arguments(rows, inputs, outputs);
+        // Identity: a rounding difference around the kink of a ReLU is not an error.
+        let (fast, exact) =
+            (run::<f32>(&arguments, Activation::Identity), run::<f64>(&arguments, Activation::Identity));
+        fast.iter().zip(&exact).for_each(|(fast, exact)| agree(fast, exact, 2e-6).unwrap());
+    }
+}
+
+#[test]
+fn a_planted_fault_is_rejected() {
+    let exact = run::<f64>(&arguments(600, 8, 4), Activation::Identity);
+    let mut faulty = arguments(600, 8, 4);
+    faulty[1].make_mut()[5] += 1e-3;
+    assert!(agree(&run::<f32>(&faulty, Activation::Identity)[0], &exact[0], 2e-6).is_err());
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let arguments = arguments(3000, 64, 64);
+    let run_with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| run::<f32>(&arguments, Activation::Relu))
+    };
+    assert!([2, 3, 8].iter().all(|&threads| run_with(threads) == run_with(1)));
+}
+
+#[test]
+fn a_nan_is_not_hidden_by_the_relu() {
+    let mut arguments = arguments(2, 3, 2);
+    arguments[0].make_mut()[0] = f64::NAN;
+    let results = run::<f32>(&arguments, Activation::Relu);
+    assert!(results[0].row(0).iter().all(|y| y.is_nan()) && results[0].row(1).iter().all(|y| y.is_finite()));
+}
+
+#[test]
+fn no_rows_give_no_output_and_zero_gradients() {
+    let results = run::<f32>(&arguments(0, 4, 3), Activation::Relu);
+    assert_eq!(results[0].shape(), [0, 3]);
+    assert!(results[2..].iter().all(|gradient| gradient.as_slice().iter().all(|&value| value == 0.0)));
+}
