@@ -140,3 +140,6 @@ impl RigidTransform {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

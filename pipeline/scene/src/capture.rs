@@ -3,6 +3,9 @@
 mod reading;
 mod writing;
 
+#[cfg(test)]
+mod tests;
+
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};

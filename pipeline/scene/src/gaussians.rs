@@ -1,5 +1,9 @@
 //! 3D Gaussians as every splatting method stores them.
 
+mod ply_file;
+#[cfg(test)]
+mod tests;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};

@@ -10,6 +10,7 @@ pub mod capture;
 pub mod cloud;
 mod error;
 pub mod exr_file;
+pub mod float_image;
 pub mod gaussians;
 pub mod image_file;
 pub mod maps;
@@ -21,7 +22,11 @@ pub use camera::{Camera, Intrinsics, RigidTransform};
 pub use capture::{Capture, CaptureInfo, CaptureWriter, Frame, Split, View};
 pub use cloud::PointCloud;
 pub use error::{Error, Result};
+pub use float_image::{FloatImage, ResizeFilter};
 pub use gaussians::Gaussians;
 pub use maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
 pub use protocol::Protocol;
 pub use time::TimeMap;
+
+#[cfg(test)]
+mod mangled_files;

@@ -308,3 +308,6 @@ impl Values for BinaryValues<'_> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;
