@@ -1,6 +1,8 @@
 //! The stages that this binary knows, with their types erased.
 
 mod params;
+#[cfg(test)]
+pub(crate) mod tests;
 
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
@@ -69,9 +71,9 @@ impl Registry {
         self.stages.values().map(Box::as_ref)
     }
 
-    /// The fingerprint of the code that can influence what `stage` makes of `params`.
-    pub fn code(&self, stage: &dyn AnyStage, params: &Value) -> anyhow::Result<Code> {
-        Ok(stage_code(&self.code, stage.id(), &stage.unused_sources(params)?))
+    /// The fingerprint of the code that can influence a result of the stage `id`, without its `unused_sources`.
+    pub fn code(&self, id: &str, unused_sources: &[String]) -> Code {
+        stage_code(&self.code, id, unused_sources)
     }
 }
 

@@ -1,0 +1,143 @@
+//! From a template to its jobs: one per combination of axis values, with the parameters of each.
+
+use serde_json::Value;
+
+use super::errors::{Report, names_hint};
+use super::raw::{AxisValue, RawRecipe, Template};
+use super::tree::{self, Item, Table, Tree};
+use crate::Coordinates;
+
+/// One job of a template.
+pub(crate) struct Instance {
+    pub name: String,
+    /// Axis index and value, in axis order.
+    pub values: Vec<(usize, AxisValue)>,
+    pub coordinates: Coordinates,
+    /// Parameters as the recipe gives them for these values.
+    pub params: Table,
+}
+
+/// All jobs of the template called `name`, the last axis varying fastest.
+pub(crate) fn instances(recipe: &RawRecipe, name: &str, template: &Template, report: &mut Report) -> Vec<Instance> {
+    let mut combinations = vec![Vec::new()];
+    for &axis in &template.over {
+        let longer = |head: &Vec<(usize, AxisValue)>| {
+            let with = |value: &AxisValue| head.iter().cloned().chain([(axis, value.clone())]).collect();
+            recipe.axes[axis].values.iter().map(with).collect::<Vec<_>>()
+        };
+        combinations = combinations.iter().flat_map(longer).collect();
+    }
+    combinations.into_iter().map(|values| instance(recipe, name, template, values, report)).collect()
+}
+
+fn instance(
+    recipe: &RawRecipe,
+    name: &str,
+    template: &Template,
+    values: Vec<(usize, AxisValue)>,
+    report: &mut Report,
+) -> Instance {
+    let value_of = |axis: usize| values.iter().find(|(own, _)| *own == axis).map(|(_, value)| value);
+    let mut params = template.params.clone();
+    for rule in &recipe.rules {
+        let holds = |(&axis, wanted): (&usize, &_)| value_of(axis).is_some_and(|value| contains(wanted, value));
+        if rule.when.iter().all(holds) {
+            let own = rule.params.iter().filter(|(template, _)| template == name);
+            own.for_each(|(_, over)| tree::merge(&mut params, over.clone()));
+        }
+    }
+    for item in params.values_mut() {
+        item.visit(&mut |item| substitute(item, name, recipe, &value_of, report));
+    }
+    let texts = values.iter().map(|(_, value)| value.text.as_str());
+    Instance {
+        name: [name].into_iter().chain(texts).collect::<Vec<_>>().join("/"),
+        coordinates: values.iter().map(|(axis, value)| (recipe.axis_name(*axis).into(), value.text.clone())).collect(),
+        params,
+        values,
+    }
+}
+
+fn contains(wanted: &std::collections::BTreeSet<String>, value: &AxisValue) -> bool {
+    wanted.contains(&value.text)
+}
+
+/// Fills `{axis}` in a string; a string that is exactly one placeholder becomes the axis value with its type.
+fn substitute<'a>(
+    item: &mut Item,
+    node: &str,
+    recipe: &RawRecipe,
+    value_of: &impl Fn(usize) -> Option<&'a AxisValue>,
+    report: &mut Report,
+) {
+    let Some(text) = item.as_str() else { return };
+    let parts = split(text);
+    let mut filled: Vec<Value> = Vec::new();
+    for part in &parts {
+        let axis = match part {
+            Part::Text(text) => {
+                filled.push(Value::String((*text).into()));
+                continue;
+            }
+            Part::Axis(axis) => *axis,
+        };
+        match recipe.axes.get_index_of(axis).map(value_of) {
+            Some(Some(value)) => filled.push(value.value.clone()),
+            Some(None) => {
+                let hint = format!(r#"add "{axis}" to nodes.{node}.over"#);
+                let message = format!("node `{node}` is not expanded over axis `{axis}`");
+                report.add(&item.at, format!("nodes.{node}.params"), message, Some(hint));
+            }
+            None => {
+                let names = names_hint(axis, recipe.axes.keys().map(String::as_str)).unwrap_or_default();
+                let hint = Some(format!("{names}; for a literal brace write {{{{{axis}}}}}"));
+                report.add(&item.at, format!("nodes.{node}.params"), format!("unknown axis `{axis}`"), hint);
+            }
+        }
+    }
+    if let [Part::Axis(_)] = parts[..] {
+        let Some(value) = filled.pop() else { return };
+        item.tree = Tree::Leaf(value);
+    } else {
+        let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        item.tree = Tree::Leaf(Value::String(filled.iter().map(text).collect()));
+    }
+}
+
+#[derive(Debug, PartialEq)]
+enum Part<'a> {
+    Text(&'a str),
+    Axis(&'a str),
+}
+
+/// Splits at `{name}`; `{{name}}` is the text `{name}`, and braces around anything else are text.
+fn split(text: &str) -> Vec<Part<'_>> {
+    let mut parts = Vec::new();
+    let mut rest = text;
+    while let Some((open, length)) = placeholder(rest) {
+        let close = open + length + 1;
+        let escaped = rest[..open].ends_with('{') && rest[close + 1..].starts_with('}');
+        if escaped {
+            parts.push(Part::Text(&rest[..open - 1]));
+            parts.push(Part::Text(&rest[open..=close]));
+            rest = &rest[close + 2..];
+        } else {
+            parts.push(Part::Text(&rest[..open]));
+            parts.push(Part::Axis(&rest[open + 1..close]));
+            rest = &rest[close + 1..];
+        }
+    }
+    parts.push(Part::Text(rest));
+    parts.retain(|part| *part != Part::Text(""));
+    parts
+}
+
+/// Where the first `{name}` opens, and the length of the name.
+fn placeholder(text: &str) -> Option<(usize, usize)> {
+    text.match_indices('{').find_map(|(open, _)| {
+        let length = text[open + 1..].find('}')?;
+        let name = &text[open + 1..open + 1 + length];
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        (!name.is_empty() && name.chars().all(plain)).then_some((open, length))
+    })
+}

@@ -1,0 +1,148 @@
+//! Reads a recipe with everything that it extends and the overrides of the command line.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use super::errors::Report;
+use super::places::Place;
+use super::raw::axis_text;
+use super::tree::{self, Item, Table, Tree};
+
+/// The merged text of a recipe, before anything is known about its meaning.
+#[derive(Default)]
+pub(crate) struct Loaded {
+    /// All layers merged, without `extends` and `set`.
+    pub root: Table,
+    /// The entries of `[[set]]`: base recipes first.
+    pub rules: Vec<Item>,
+    /// The parameters of nodes that the command line overrides, applied after all rules.
+    pub overrides: Vec<Item>,
+    /// Every value that any layer gives an axis: a recipe may narrow an axis and keep the rules of its base.
+    pub axis_values: BTreeMap<String, BTreeSet<String>>,
+}
+
+/// Reads the recipe at `path`; everything wrong goes to `report`. Nothing comes back if a file cannot be read at all:
+/// what the other files say would only raise errors that are none.
+pub(crate) fn load(path: &Path, overrides: &[String], report: &mut Report) -> Option<Loaded> {
+    let mut loaded = Loaded::default();
+    let root = read(path, None, &mut Vec::new(), report, &mut loaded);
+    let tables: Vec<Option<Table>> = overrides
+        .iter()
+        .map(|text| {
+            let text = report.texts.add(Path::new("-s"), text.clone(), true);
+            read_override(text, report)
+        })
+        .collect();
+    loaded.root = root?;
+    tables.into_iter().flatten().for_each(|table| add_override(&mut loaded, table));
+    Some(loaded)
+}
+
+/// Reads one file on top of the files that it extends; `stack` holds the files that are being read.
+fn read(
+    path: &Path,
+    named_at: Option<&Item>,
+    stack: &mut Vec<PathBuf>,
+    report: &mut Report,
+    loaded: &mut Loaded,
+) -> Option<Table> {
+    let identity = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let content = std::fs::read_to_string(path);
+    // A file that cannot be read is blamed on the line that names it, or on itself.
+    let text = report.texts.add(path, content.as_deref().unwrap_or("").into(), false);
+    let place = named_at.map_or(Place::new(text, 0..0), |item| item.at);
+    if let Err(error) = content {
+        report.add(&place, "", format!("cannot read the recipe ({error}): {}", path.display()), None);
+        return None;
+    }
+    if let Some(first) = stack.iter().position(|open| *open == identity) {
+        let names = stack[first..].iter().chain([&identity]).map(|path| path.display().to_string());
+        report.add(&place, "extends", format!("recipes extend each other: {}", join_arrows(names)), None);
+        return None;
+    }
+    let mut own = tree::parse(text, report)?;
+    let extends = own.shift_remove("extends");
+    stack.push(identity);
+    let (mut merged, mut is_whole) = (Table::new(), true);
+    let bases = extends.as_ref().map(|item| extended(item, report)).unwrap_or_default();
+    for item in bases {
+        let base = path.parent().unwrap_or(Path::new("")).join(item.as_str().unwrap_or_default());
+        match read(&base, Some(item), stack, report, loaded) {
+            Some(mut base) => {
+                // A name is that of one file.
+                base.shift_remove("name");
+                tree::merge(&mut merged, base);
+            }
+            None => is_whole = false,
+        }
+    }
+    stack.pop();
+    add_layer(&mut own, loaded, report);
+    tree::merge(&mut merged, own);
+    is_whole.then_some(merged)
+}
+
+/// The entries of `extends`, if it is an array of strings.
+fn extended<'a>(item: &'a Item, report: &mut Report) -> &'a [Item] {
+    match &item.tree {
+        Tree::Array(items) if items.iter().all(|item| item.as_str().is_some()) => items,
+        _ => {
+            report.add(&item.at, "extends", "`extends` must be an array of file names", None);
+            &[]
+        }
+    }
+}
+
+/// Takes the rules out of a layer and notes its axis values.
+fn add_layer(layer: &mut Table, loaded: &mut Loaded, report: &mut Report) {
+    match layer.shift_remove("set") {
+        Some(Item { tree: Tree::Array(rules), .. }) => loaded.rules.extend(rules),
+        Some(item) => report.add(&item.key_at, "set", "`set` must be an array of tables: [[set]]", None),
+        None => (),
+    }
+    for (axis, item) in layer.get("axes").and_then(Item::as_table).into_iter().flatten() {
+        if let Tree::Array(values) = &item.tree {
+            loaded.axis_values.entry(axis.clone()).or_default().extend(values.iter().filter_map(axis_text));
+        }
+    }
+}
+
+fn read_override(text: usize, report: &mut Report) -> Option<Table> {
+    let content = report.texts.get(text).text.clone();
+    if toml::de::DeTable::parse(&content).is_err() {
+        let hint = r#"write key.path=VALUE; strings need quotes, as -s 'name="x"'"#.to_owned();
+        report.add(&Place::new(text, 0..content.len()), "", "this override is not a TOML assignment", Some(hint));
+        return None;
+    }
+    tree::parse(text, report)
+}
+
+/// Parameters of nodes wait until all rules are applied; everything else belongs to the recipe itself.
+fn add_override(loaded: &mut Loaded, mut table: Table) {
+    if let Some(Tree::Table(nodes)) = table.get_mut("nodes").map(|item| &mut item.tree) {
+        let mut params = Table::new();
+        for (name, node) in nodes.iter_mut() {
+            let Tree::Table(fields) = &mut node.tree else { continue };
+            if let Some(item) = fields.shift_remove("params") {
+                let only_params = Table::from([("params".to_owned(), item)]);
+                params.insert(name.clone(), Item { tree: Tree::Table(only_params), ..*node });
+            }
+        }
+        nodes.retain(|_, node| node.as_table().is_none_or(|fields| !fields.is_empty()));
+        loaded.overrides.extend((!params.is_empty()).then(|| rule(params)));
+    }
+    // An override may add values to an axis, but rules need not know them.
+    tree::merge(&mut loaded.root, table);
+}
+
+/// `{ nodes = … }`, the shape of a rule without a condition.
+fn rule(nodes: Table) -> Item {
+    let place = nodes[0].key_at;
+    let nodes = Item { tree: Tree::Table(nodes), key_at: place, at: place };
+    Item { tree: Tree::Table(Table::from([("nodes".to_owned(), nodes)])), key_at: place, at: place }
+}
+
+/// "a → b → a".
+pub(crate) fn join_arrows(names: impl Iterator<Item = String>) -> String {
+    names.collect::<Vec<_>>().join(" → ")
+}

@@ -1,0 +1,233 @@
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+use tempfile::TempDir;
+
+use super::{RecipeErrors, resolve};
+use crate::plan::{Origin, Plan};
+use crate::registry::tests::registry;
+
+/// A folder of recipes.
+struct Recipes(TempDir);
+
+impl Recipes {
+    fn new(files: &[(&str, &str)]) -> Self {
+        let folder = TempDir::new().unwrap();
+        for (name, text) in files {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn resolve(&self, name: &str, overrides: &[&str]) -> Result<Plan, RecipeErrors> {
+        let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+        resolve(&self.path(name), &overrides, &registry())
+    }
+}
+
+fn plan(text: &str, overrides: &[&str]) -> Plan {
+    Recipes::new(&[("recipe.toml", text)]).resolve("recipe.toml", overrides).unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+/// One "LINE: KEY: MESSAGE (HINT)" per error.
+fn errors(text: &str, overrides: &[&str]) -> Vec<String> {
+    let errors = Recipes::new(&[("recipe.toml", text)]).resolve("recipe.toml", overrides).expect_err("must fail");
+    let hint = |hint: &Option<String>| hint.as_ref().map(|hint| format!(" ({hint})")).unwrap_or_default();
+    errors.0.iter().map(|e| format!("{}: {}: {}{}", e.line, e.key, e.message, hint(&e.hint))).collect()
+}
+
+const GRID: &str = r#"
+[axes]
+scene = ["ball", "lego"]
+method = ["a", "b"]
+seed = [0, 1]
+
+[nodes.table]
+stage = "test-list"
+inputs = { texts = ["train", "capture"] }
+
+[nodes.capture]
+stage = "test-write"
+over = ["scene"]
+params = { text = "{scene}: {{scene}} {0}", source = "in/{scene}" }
+
+[nodes.train]
+stage = "test-work"
+over = ["seed", "scene", "method"]
+inputs = { text = "capture" }
+params = { letter = "{method}", steps = 3, rate = 1 }
+
+[[set]]
+when = { scene = "ball", method = ["b"] }
+nodes.train.params.steps = 5
+
+[[set]]
+when = { seed = 1 }
+nodes.train.params.keep = 7
+"#;
+
+#[test]
+fn a_recipe_becomes_jobs_in_topological_order() {
+    let plan = plan(GRID, &[]);
+    let names: Vec<&str> = plan.nodes.iter().map(|node| node.name.as_str()).collect();
+    let expected = [
+        "capture/ball",
+        "capture/lego",
+        "train/ball/a/0",
+        "train/ball/a/1",
+        "train/ball/b/0",
+        "train/ball/b/1",
+        "train/lego/a/0",
+        "train/lego/a/1",
+        "train/lego/b/0",
+        "train/lego/b/1",
+        "table",
+    ];
+    assert_eq!(names, expected);
+    assert_eq!(plan.recipe, "recipe");
+    let train = &plan.nodes[5];
+    assert_eq!(train.coordinates, [("method", "b"), ("scene", "ball"), ("seed", "1")].map(|(k, v)| (k.into(), v.into())).into());
+    assert_eq!(train.params["steps"], json!(5));
+    assert_eq!(train.params["keep"], json!(7));
+    assert_eq!(train.params["rate"], json!(1.0));
+    assert_eq!(train.inputs[0].producers, [0]);
+    assert_eq!(plan.nodes[8].params["steps"], json!(3));
+    assert_eq!(plan.nodes[10].inputs[0].producers, [2, 3, 4, 5, 6, 7, 8, 9, 0, 1]);
+    assert_eq!(plan.nodes[0].params["text"], json!("ball: {scene} {0}"));
+    assert_eq!(plan.nodes[1].sources[0].path, Path::new("in/lego"));
+}
+
+#[test]
+fn a_placeholder_alone_keeps_the_type_of_the_value() {
+    let text = GRID.replace("steps = 3", r#"steps = "{seed}""#).replace("seed = [0, 1]", "seed = [4, 6]");
+    let plan = plan(&text, &[]);
+    assert_eq!(plan.nodes[2].params["steps"], json!(4));
+    assert_eq!(plan.nodes[3].params["steps"], json!(6));
+}
+
+#[test]
+fn plans_survive_json_and_do_not_depend_on_the_run() {
+    let plan = plan(GRID, &[]);
+    let copy: Plan = serde_json::from_str(&serde_json::to_string(&plan).unwrap()).unwrap();
+    assert_eq!(copy, plan);
+}
+
+#[test]
+fn overrides_win_and_every_value_knows_its_origin() {
+    let plan = plan(GRID, &["nodes.train.params.keep=9", "axes.scene=[\"ball\"]", r#"name = "mine""#]);
+    assert_eq!((plan.recipe.as_str(), plan.nodes.len()), ("mine", 6));
+    let origins = |node: &str, key: &str| plan.origins[node][key].clone();
+    assert_eq!(plan.nodes[1].params["keep"], json!(9));
+    assert_eq!(origins("train/ball/a/1", "keep"), Origin::CommandLine);
+    assert_eq!(origins("train/ball/a/1", "sleep_millis"), Origin::Default);
+    assert!(matches!(origins("train/ball/a/1", "steps"), Origin::File { line: 20, .. }));
+    assert!(matches!(origins("train/ball/b/0", "steps"), Origin::Set { number: 1, line: 24, .. }));
+}
+
+#[test]
+fn bases_merge_and_rules_add_up() {
+    let base = r#"
+name = "base"
+[axes]
+scene = ["ball", "lego"]
+[nodes.capture]
+stage = "test-write"
+over = ["scene"]
+params.text = "base"
+[[set]]
+when.scene = "lego"
+nodes.capture.params.text = "brick"
+[[set]]
+when.scene = "ball"
+nodes.capture.params.source = "in/ball"
+"#;
+    let main = r#"
+extends = ["base.toml"]
+[axes]
+scene = ["ball", "hook"]
+[[set]]
+when.scene = "ball"
+nodes.capture.params.text = "round"
+"#;
+    let recipes = Recipes::new(&[("base.toml", base), ("main.toml", main)]);
+    let plan = recipes.resolve("main.toml", &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    assert_eq!(plan.recipe, "main");
+    assert_eq!(plan.nodes.iter().map(|node| &node.name).collect::<Vec<_>>(), ["capture/ball", "capture/hook"]);
+    assert_eq!(plan.nodes[0].params, json!({ "text": "round", "source": "in/ball" }));
+    assert_eq!(plan.nodes[1].params, json!({ "text": "base", "source": null }));
+    let origin = &plan.origins["capture/ball"];
+    assert_eq!(origin["text"], Origin::Set { number: 3, file: recipes.path("main.toml"), line: 7 });
+    assert_eq!(origin["source"], Origin::Set { number: 2, file: recipes.path("base.toml"), line: 14 });
+}
+
+#[test]
+fn errors_of_a_base_name_its_file() {
+    let recipes = Recipes::new(&[
+        ("base.toml", "[nodes.capture]\nstage = \"test-write\"\nparams.txt = \"x\"\n"),
+        ("main.toml", "extends = [\"base.toml\"]\nnodse = 1\n"),
+    ]);
+    let errors = recipes.resolve("main.toml", &[]).unwrap_err();
+    let found: Vec<_> = errors.0.iter().map(|error| (error.file.clone(), error.line, error.column)).collect();
+    assert_eq!(found, [(recipes.path("main.toml"), 2, 1), (recipes.path("base.toml"), 3, 8)]);
+}
+
+#[test]
+fn recipes_that_extend_each_other_are_refused() {
+    let recipes = Recipes::new(&[("a.toml", "extends = [\"b.toml\"]"), ("b.toml", "extends = [\"a.toml\"]")]);
+    let errors = recipes.resolve("a.toml", &[]).unwrap_err();
+    assert_eq!(errors.0.len(), 1);
+    assert!(errors.0[0].message.starts_with("recipes extend each other: "), "{errors}");
+    assert!(errors.0[0].message.ends_with("a.toml"), "{errors}");
+    let missing = Recipes::new(&[("a.toml", "extends = [\"nowhere.toml\"]")]).resolve("a.toml", &[]).unwrap_err();
+    assert!(missing.0[0].message.contains("cannot read the recipe"), "{missing}");
+}
+
+#[test]
+fn all_errors_come_at_once() {
+    let text = r#"
+[axes]
+scene = ["ball", "ball", 1.5, "a/b"]
+[nodes.capture]
+stage = "test-wirte"
+ovre = ["scene"]
+[nodes.other]
+stage = "test-write"
+over = ["scen"]
+params = { text = "{sene}", sorce = "x" }
+[nodes.train]
+stage = "test-work"
+inputs = { txt = "capture", text = "captures" }
+params = { stpes = 3, keep = "x", steps = 0, rate = inf }
+[[set]]
+when = { scene = "bal", sene = "x" }
+nodes.trian.params.steps = 1
+"#;
+    let expected = [
+        "3: axes.scene: axis value `ball` is there twice",
+        "3: axes.scene: axis values are strings or integers",
+        "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`)",
+        "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-list, test-work, test-write)",
+        "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, inputs, params)",
+        "9: nodes.other.over: unknown axis `scen` (did you mean `scene`? allowed: scene)",
+        "10: nodes.other.params: unknown axis `sene` (did you mean `scene`? allowed: scene; for a literal brace write {{sene}})",
+        "10: nodes.other.params.sorce: unknown key `sorce` (did you mean `source`? allowed: text, source)",
+        "13: nodes.train.inputs.txt: stage `test-work` has no port `txt` (did you mean `text`? allowed: text)",
+        "13: nodes.train.inputs.text: unknown node `captures` (did you mean `capture`? allowed: capture, other, train)",
+        "14: nodes.train.params.stpes: unknown key `stpes` (did you mean `steps`? allowed: letter, steps, sleep_millis, rate, keep, fail)",
+        "14: nodes.train.params.keep: invalid type: string \"x\", expected usize",
+        "14: nodes.train.params.steps: must be at least 1",
+        "14: nodes.train.params.rate: numbers must be finite",
+        "16: set.when.scene: axis `scene` has no value `bal` (did you mean `ball`? allowed: 1.5, a/b, ball)",
+        "16: set.when.sene: unknown axis `sene` (did you mean `scene`? allowed: scene)",
+        "17: set.nodes.trian: unknown node `trian` (did you mean `train`? allowed: capture, other, train)",
+    ];
+    let found = errors(text, &[]);
+    for (found, expected) in found.iter().zip(expected) {
+        assert_eq!(found, &expected.replace("allowed: 1.5, a/b, ball", "allowed: a/b, ball"));
+    }
+    assert_eq!(found.len(), expected.len(), "{found:#?}");
+}

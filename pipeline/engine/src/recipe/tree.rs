@@ -1,0 +1,136 @@
+//! TOML as a tree in which every key and value knows where it stands.
+
+use indexmap::IndexMap;
+use serde_json::Value;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::errors::Report;
+use super::places::Place;
+
+/// A table in the order of the file.
+pub(crate) type Table = IndexMap<String, Item>;
+
+/// A value with its place and that of its key.
+#[derive(Clone, Debug)]
+pub(crate) struct Item {
+    pub tree: Tree,
+    pub key_at: Place,
+    pub at: Place,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) enum Tree {
+    /// A string, number or truth value.
+    Leaf(Value),
+    Array(Vec<Item>),
+    Table(Table),
+}
+
+impl Item {
+    pub fn to_json(&self) -> Value {
+        match &self.tree {
+            Tree::Leaf(value) => value.clone(),
+            Tree::Array(items) => items.iter().map(Self::to_json).collect(),
+            Tree::Table(table) => table_to_json(table),
+        }
+    }
+
+    pub fn as_table(&self) -> Option<&Table> {
+        if let Tree::Table(table) = &self.tree { Some(table) } else { None }
+    }
+
+    pub fn as_str(&self) -> Option<&str> {
+        if let Tree::Leaf(Value::String(text)) = &self.tree { Some(text) } else { None }
+    }
+
+    /// Calls `f` with this item and all below it.
+    pub fn visit(&mut self, f: &mut impl FnMut(&mut Item)) {
+        f(self);
+        match &mut self.tree {
+            Tree::Leaf(_) => (),
+            Tree::Array(items) => items.iter_mut().for_each(|item| item.visit(f)),
+            Tree::Table(table) => table.values_mut().for_each(|item| item.visit(f)),
+        }
+    }
+}
+
+pub(crate) fn table_to_json(table: &Table) -> Value {
+    table.iter().map(|(key, item)| (key.clone(), item.to_json())).collect()
+}
+
+/// Lays `over` over `base`: tables merge, everything else is replaced.
+pub(crate) fn merge(base: &mut Table, over: Table) {
+    for (key, item) in over {
+        match (base.get_mut(&key).map(|item| &mut item.tree), item.tree) {
+            (Some(Tree::Table(base)), Tree::Table(over)) => merge(base, over),
+            (_, tree) => {
+                base.insert(key, Item { tree, ..item });
+            }
+        }
+    }
+}
+
+/// The deepest item on the dotted path `key`, and whether it lies at its very end.
+pub(crate) fn find<'a>(table: &'a Table, key: &str) -> Option<(&'a Item, bool)> {
+    let (first, rest) = key.split_once('.').unwrap_or((key, ""));
+    let item = table.get(first)?;
+    if rest.is_empty() {
+        return Some((item, true));
+    }
+    item.as_table().and_then(|table| find(table, rest)).or(Some((item, false)))
+}
+
+/// Parses text number `text`; all syntax errors are reported, and then there is no tree.
+pub(crate) fn parse(text: usize, report: &mut Report) -> Option<Table> {
+    let content = report.texts.get(text).text.clone();
+    let (root, errors) = DeTable::parse_recoverable(&content);
+    for error in &errors {
+        let place = Place::new(text, error.span().unwrap_or(0..0));
+        report.add(&place, "", error.message().replace('\n', ", "), None);
+    }
+    errors.is_empty().then(|| table(root.get_ref(), text, "", report))
+}
+
+fn table(table: &DeTable, text: usize, prefix: &str, report: &mut Report) -> Table {
+    let mut entries: Vec<_> = table.iter().collect();
+    // The parser sorts by name; the order of axes and nodes is that of the file.
+    entries.sort_by_key(|(key, _)| key.span().start);
+    let mut found = Table::new();
+    for (key, value) in entries {
+        let dotted = format!("{prefix}{}", key.get_ref());
+        let key_at = Place::new(text, key.span());
+        found.extend(item(value, key_at, &dotted, report).map(|item| (key.get_ref().to_string(), item)));
+    }
+    found
+}
+
+/// The item, unless its value is one that recipes cannot have.
+fn item(value: &Spanned<DeValue>, key_at: Place, dotted: &str, report: &mut Report) -> Option<Item> {
+    let at = Place::new(key_at.text, value.span());
+    let tree = match value.get_ref() {
+        DeValue::Array(items) => Tree::Array(items.iter().filter_map(|value| item(value, at, dotted, report)).collect()),
+        DeValue::Table(inner) => Tree::Table(table(inner, at.text, &format!("{dotted}."), report)),
+        leaf => {
+            let value = leaf_value(leaf);
+            Tree::Leaf(value.map_err(|problem| report.add(&at, dotted, problem, None)).ok()?)
+        }
+    };
+    Some(Item { tree, key_at, at })
+}
+
+fn leaf_value(value: &DeValue) -> Result<Value, &'static str> {
+    match value {
+        DeValue::String(text) => Ok(Value::String(text.to_string())),
+        DeValue::Boolean(value) => Ok(Value::Bool(*value)),
+        DeValue::Integer(digits) => {
+            i64::from_str_radix(digits.as_str(), digits.radix()).map(Value::from).map_err(|_| "integer out of range")
+        }
+        DeValue::Float(digits) => match digits.as_str().parse::<f64>().ok().and_then(serde_json::Number::from_f64) {
+            Some(number) => Ok(Value::Number(number)),
+            None => Err("numbers must be finite"),
+        },
+        DeValue::Datetime(_) => Err("dates are not used in recipes; write a string"),
+        DeValue::Array(_) | DeValue::Table(_) => Err("not a single value"),
+    }
+}

@@ -1,0 +1,162 @@
+//! Whether the templates of a recipe fit together: stages, ports, types, arity, no cycles.
+
+use crate::registry::AnyStage;
+use crate::{Arity, Port, Registry};
+
+use super::errors::{Report, names_hint};
+use super::load::join_arrows;
+use super::raw::{Named, RawRecipe, Template, Wire};
+
+/// Checks all templates; their indices with producers first (ties in the order of the file), unless there is a cycle.
+pub(crate) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report) -> Option<Vec<usize>> {
+    for (name, template) in &recipe.templates {
+        let key = format!("nodes.{name}");
+        match registry.get(&template.stage.name) {
+            Some(stage) => Checker { recipe, registry, name, template, stage }.check(report),
+            None => {
+                let hint = names_hint(&template.stage.name, registry.stages().map(|stage| stage.id()));
+                let message = format!("unknown stage `{}`", template.stage.name);
+                report.add(&template.stage.at, format!("{key}.stage"), message, hint);
+            }
+        }
+    }
+    order(recipe).map_err(|cycle| report_cycle(recipe, &cycle, report)).ok()
+}
+
+/// One template with its stage.
+struct Checker<'a> {
+    recipe: &'a RawRecipe,
+    registry: &'a Registry,
+    name: &'a str,
+    template: &'a Template,
+    stage: &'a dyn AnyStage,
+}
+
+impl Checker<'_> {
+    fn check(&self, report: &mut Report) {
+        let ports = self.stage.ports();
+        for wire in &self.template.inputs {
+            match ports.iter().find(|port| port.name == wire.port.name) {
+                Some(port) => self.check_wire(port, wire, report),
+                None => {
+                    let message = format!("stage `{}` has no port `{}`", self.stage.id(), wire.port.name);
+                    let hint = names_hint(&wire.port.name, ports.iter().map(|port| port.name));
+                    report.add(&wire.port.at, self.key(&wire.port.name), message, hint);
+                }
+            }
+        }
+        let wired = |port: &Port| self.template.inputs.iter().any(|wire| wire.port.name == port.name);
+        for port in ports.iter().filter(|port| port.arity == Arity::One && !wired(port)) {
+            let message = format!("stage `{}` needs an input on port `{}`", self.stage.id(), port.name);
+            let makers = self.makers(port);
+            let hint = match makers.is_empty() {
+                true => format!("no node of this recipe makes a {}", port.artifact.0),
+                false => format!("nodes that make a {}: {}", port.artifact.0, makers.join(", ")),
+            };
+            report.add(&self.template.at, self.key(port.name), message, Some(hint));
+        }
+    }
+
+    fn check_wire(&self, port: &Port, wire: &Wire, report: &mut Report) {
+        let key = self.key(port.name);
+        if port.arity == Arity::One && wire.from.len() != 1 {
+            let message = format!("port `{}` takes one producer, not {}", port.name, wire.from.len());
+            report.add(&wire.port.at, &key, message, None);
+        }
+        for (index, from) in wire.from.iter().enumerate() {
+            if wire.from[..index].iter().any(|known| known.name == from.name) {
+                report.add(&from.at, &key, format!("node `{}` is there twice", from.name), None);
+            }
+            match self.recipe.templates.get(&from.name) {
+                Some(producer) => self.check_producer(port, from, producer, report),
+                None => {
+                    let hint = names_hint(&from.name, self.recipe.templates.keys().map(String::as_str));
+                    report.add(&from.at, &key, format!("unknown node `{}`", from.name), hint);
+                }
+            }
+        }
+    }
+
+    fn check_producer(&self, port: &Port, from: &Named, producer: &Template, report: &mut Report) {
+        let key = self.key(port.name);
+        if let Some(stage) = self.registry.get(&producer.stage.name)
+            && stage.output() != port.artifact
+        {
+            let ((made, made_schema), (read, read_schema)) = (stage.output(), port.artifact);
+            let message = format!(
+                "port `{}` reads {read} (schema {read_schema}), but node `{}` makes {made} (schema {made_schema})",
+                port.name, from.name
+            );
+            let makers = self.makers(port);
+            let hint = (!makers.is_empty()).then(|| format!("nodes that make a {read}: {}", makers.join(", ")));
+            report.add(&from.at, &key, message, hint);
+        }
+        let lacking: Vec<&str> = producer
+            .over
+            .iter()
+            .filter(|axis| !self.template.over.contains(axis))
+            .map(|&axis| self.recipe.axis_name(axis))
+            .collect();
+        if port.arity == Arity::One && !lacking.is_empty() {
+            let message = format!(
+                "port `{}` takes one producer, but there is one `{}` for each {}",
+                port.name,
+                from.name,
+                lacking.join(" and ")
+            );
+            let hint = format!("add {} to nodes.{}.over", lacking.join(", "), self.name);
+            report.add(&from.at, &key, message, Some(hint));
+        }
+    }
+
+    /// The nodes whose artifacts fit the port.
+    fn makers(&self, port: &Port) -> Vec<&str> {
+        let fits = |template: &Template| {
+            self.registry.get(&template.stage.name).is_some_and(|stage| stage.output() == port.artifact)
+        };
+        self.recipe.templates.iter().filter(|(_, template)| fits(template)).map(|(name, _)| name.as_str()).collect()
+    }
+
+    fn key(&self, port: &str) -> String {
+        format!("nodes.{}.inputs.{port}", self.name)
+    }
+}
+
+/// The templates that a template reads, by index.
+fn producers(recipe: &RawRecipe, template: usize) -> impl Iterator<Item = usize> {
+    let wires = recipe.templates[template].inputs.iter().flat_map(|wire| &wire.from);
+    wires.filter_map(|from| recipe.templates.get_index_of(&from.name))
+}
+
+/// Producers first, else in the order of the file; or the indices along a cycle.
+fn order(recipe: &RawRecipe) -> Result<Vec<usize>, Vec<usize>> {
+    let mut order = Vec::new();
+    while order.len() < recipe.templates.len() {
+        let open = |index: &usize| !order.contains(index);
+        let ready = |index: &usize| open(index) && producers(recipe, *index).all(|producer| !open(&producer));
+        match (0..recipe.templates.len()).find(ready) {
+            Some(next) => order.push(next),
+            None => {
+                // Every open template reads an open one: following them must come back somewhere.
+                let mut path: Vec<usize> = (0..recipe.templates.len()).find(open).into_iter().collect();
+                loop {
+                    let next = producers(recipe, path[path.len() - 1]).find(open).expect("open templates read open ones");
+                    if let Some(start) = path.iter().position(|&known| known == next) {
+                        return Err(path[start..].to_vec());
+                    }
+                    path.push(next);
+                }
+            }
+        }
+    }
+    Ok(order)
+}
+
+fn report_cycle(recipe: &RawRecipe, cycle: &[usize], report: &mut Report) {
+    let name = |&index: &usize| recipe.templates.get_index(index).map_or(String::new(), |(name, _)| name.clone());
+    // From consumer to producer the path runs against the data; readers expect data to flow along arrows.
+    let names = cycle.iter().chain(cycle.first()).rev().map(name);
+    let message = format!("nodes need each other: {}", join_arrows(names));
+    let key = format!("nodes.{}.inputs", name(&cycle[0]));
+    report.add(&recipe.templates[cycle[0]].at, key, message, None);
+}
