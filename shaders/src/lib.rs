@@ -2,6 +2,7 @@
 //! readable reference, its fast body and its tests.
 
 pub mod check;
+pub mod hexplane;
 pub mod linear;
 pub mod pointwise;
 pub mod tape;
