@@ -1,22 +1,34 @@
 //! The job graph: recipes become plans, plans become cached jobs. Knows no stage, no scene and no GPU.
 
 pub mod canonical;
+pub mod digest;
+pub mod exit;
 pub mod fingerprint;
+pub mod job;
 pub mod key;
+pub mod lock;
 pub mod plan;
 pub mod recipe;
 pub mod registry;
+pub mod store;
 
 mod artifact;
 mod context;
 mod failure;
 mod stage;
 
+#[cfg(test)]
+extern crate self as engine;
+#[cfg(test)]
+mod test_stages;
+
 pub use artifact::Artifact;
 pub use context::{Coordinates, Input, InputRecord, JobContext, Progress};
+pub use digest::Digest;
 pub use failure::{Failure, FailureKind};
 pub use fingerprint::{Code, CodeTable, CrateCode};
 pub use key::{ActionKey, KeyComponents, KeyInput};
 pub use plan::{Node, Plan, PlanInput, PlanSource};
 pub use registry::{AnyStage, Registry};
 pub use stage::{Arity, ParamProblem, Port, Resources, Source, Stage};
+pub use store::Store;

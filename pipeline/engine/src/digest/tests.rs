@@ -1,0 +1,91 @@
+use std::fs::{self, File, FileTimes};
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use super::{Digest, SourceDigests, SourceError};
+
+#[test]
+fn digest_is_sha256_in_hexadecimal() {
+    let digest = Digest::of(b"abc");
+    let hex = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+    assert_eq!(digest.to_string(), hex);
+    assert_eq!(Digest::from_hex(hex).unwrap(), digest);
+    assert!(Digest::from_hex(&hex.to_uppercase()).is_err(), "one spelling per digest");
+    assert!(Digest::from_hex(&hex[1..]).is_err());
+}
+
+#[test]
+fn folder_digest_sees_names_and_contents_and_nothing_else() {
+    let root = tempfile::tempdir().unwrap();
+    let folder = root.path().join("capture");
+    fs::create_dir_all(folder.join("images")).unwrap();
+    fs::write(folder.join("images/0.png"), "zero").unwrap();
+    fs::write(folder.join("poses.json"), "{}").unwrap();
+    let fresh = || SourceDigests::load(&root.path().join("none"), false).digest(&folder).unwrap();
+
+    let before = fresh();
+    fs::create_dir(folder.join("empty")).unwrap();
+    set_modified(&folder.join("poses.json"), Duration::from_secs(5000));
+    assert_eq!(fresh(), before);
+
+    fs::rename(folder.join("images/0.png"), folder.join("images/1.png")).unwrap();
+    let renamed = fresh();
+    assert_ne!(renamed, before);
+    fs::write(folder.join("images/1.png"), "one!").unwrap();
+    assert_ne!(fresh(), renamed);
+}
+
+#[test]
+fn missing_source_is_told_apart() {
+    let root = tempfile::tempdir().unwrap();
+    let digests = SourceDigests::load(&root.path().join("cache"), false);
+    let gone = root.path().join("lego");
+    assert!(matches!(digests.digest(&gone), Err(SourceError::Missing(path)) if path == gone));
+}
+
+#[test]
+fn cache_is_used_for_settled_files_and_distrusted_for_fresh_ones() {
+    let root = tempfile::tempdir().unwrap();
+    let (file, cache) = (root.path().join("data"), root.path().join("cache"));
+    fs::write(&file, "contents").unwrap();
+    let honest = SourceDigests::load(&cache, false);
+    let digest = honest.digest(&file).unwrap();
+    honest.save().unwrap();
+
+    // A planted wrong digest shows whether the row is believed: ctime is now, so it must not be.
+    plant(&cache, 0);
+    assert_eq!(SourceDigests::load(&cache, false).digest(&file).unwrap(), digest);
+    // The same row, hashed an hour after the last change, is believed, unless told to rehash.
+    plant(&cache, 3600);
+    assert_ne!(SourceDigests::load(&cache, false).digest(&file).unwrap(), digest);
+    assert_eq!(SourceDigests::load(&cache, true).digest(&file).unwrap(), digest);
+    // A changed file is hashed again however late the row is.
+    fs::write(&file, "CONTENTS").unwrap();
+    let changed = SourceDigests::load(&cache, false).digest(&file).unwrap();
+    assert_eq!(changed, SourceDigests::load(&cache, true).digest(&file).unwrap());
+}
+
+#[test]
+fn stat_digest_sees_a_touched_file() {
+    let root = tempfile::tempdir().unwrap();
+    fs::write(root.path().join("a"), "a").unwrap();
+    let before = SourceDigests::stat_digest(root.path()).unwrap();
+    assert_eq!(SourceDigests::stat_digest(root.path()).unwrap(), before);
+    set_modified(&root.path().join("a"), Duration::from_secs(10));
+    assert_ne!(SourceDigests::stat_digest(root.path()).unwrap(), before);
+}
+
+fn set_modified(path: &Path, ago: Duration) {
+    let times = FileTimes::new().set_modified(SystemTime::now() - ago);
+    File::options().write(true).open(path).unwrap().set_times(times).unwrap();
+}
+
+/// Replaces every digest in the cache by a wrong one, hashed `later_secs` after the file's last change.
+fn plant(cache: &Path, later_secs: i64) {
+    let mut rows: serde_json::Value = serde_json::from_slice(&fs::read(cache).unwrap()).unwrap();
+    for row in rows.as_object_mut().unwrap().values_mut() {
+        row["sha256"] = Digest::of(b"planted").to_string().into();
+        row["hashed_at_ns"] = (row["stat"]["ctime_ns"].as_i64().unwrap() + later_secs * 1_000_000_000).into();
+    }
+    fs::write(cache, rows.to_string()).unwrap();
+}

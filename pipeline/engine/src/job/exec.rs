@@ -1,0 +1,218 @@
+//! The child's side: read the inputs, run the stage, publish, leave a status.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{self, Write};
+use std::panic::AssertUnwindSafe;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::Context;
+use serde_json::{Value, json};
+
+use super::{InputSpec, JobSpec, JobStatus, Line, failure, log, signals};
+use crate::digest::SourceDigests;
+use crate::store::{ActionRecord, Provenance, Publication, Store, write_atomic};
+use crate::{ActionKey, FailureKind, InputRecord, JobContext, Progress, Registry, exit};
+
+/// Progress is reported at most this often: faster than the eye, slower than any pipe.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
+/// A job whose scheduler died has so long to save its progress.
+const ORPHAN_GRACE: Duration = Duration::from_secs(30);
+
+/// Runs the job described in `spec_file` and returns the process's exit code (see [`exit`]).
+///
+/// The outcome is in `status.json` beside the specification; an error means that not even that could be written.
+pub fn execute(spec_file: &Path, registry: &Registry) -> anyhow::Result<u8> {
+    let spec: JobSpec = serde_json::from_slice(&fs::read(spec_file).context("cannot read the job")?)?;
+    let stop = signals::stop_flag().context("cannot listen to signals")?;
+    stop_with_parent(spec.parent_pid, &stop)?;
+    log::init(&spec.dir, &spec.log_filter)?;
+    log_panics();
+    tracing::info!(node = spec.node, "started");
+    let run = AssertUnwindSafe(|| run_and_publish(&spec, registry, stop));
+    let status = match std::panic::catch_unwind(run) {
+        Ok(Ok(status)) => status,
+        Ok(Err(error)) => JobStatus::Failed(failure::of_error(&error)),
+        Err(payload) => JobStatus::Failed(failure::of_panic(payload.as_ref())),
+    };
+    tracing::info!(?status, "finished");
+    write_atomic(&spec.dir.join("status.json"), &serde_json::to_vec_pretty(&status)?)?;
+    Ok(match status {
+        JobStatus::Published { .. } => exit::OK,
+        JobStatus::Failed(failure) if failure.kind == FailureKind::Interrupted => exit::CHECKPOINTED,
+        JobStatus::Failed(_) => exit::FAILED,
+    })
+}
+
+fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -> anyhow::Result<JobStatus> {
+    let store = Store::open(&spec.store)?;
+    // Held until the end, so that nobody sweeps the scratch folder away.
+    let _in_use = store.lock_shared()?;
+    let key = ActionKey::new(&spec.components);
+    let scratch = store.scratch("job").context("cannot make a scratch folder")?;
+    let context = job_context(spec, &store, &key, scratch.path(), stop)?;
+    let stage = registry.get(&spec.components.stage);
+    let stage = stage.with_context(|| format!("this program has no stage {}", spec.components.stage))?;
+
+    let (started_at, clock) = (SystemTime::now(), Instant::now());
+    stage.run(&context, &spec.components.params)?;
+    let wall_secs = clock.elapsed().as_secs_f64();
+
+    let peak_rss_bytes = peak_rss_bytes();
+    let mut measurements = context.measurements.take();
+    measurements.insert("job".into(), json!({ "wall_secs": wall_secs, "peak_rss_bytes": peak_rss_bytes }));
+    let publication = store.publish(&context.output_dir, &Value::Object(measurements))?;
+    let provenance = Provenance {
+        recipe: spec.recipe.clone(),
+        node: spec.node.clone(),
+        plan_id: spec.plan_id.clone(),
+        run: spec.run.clone(),
+        host: rustix::system::uname().nodename().to_string_lossy().into_owned(),
+        threads: spec.threads,
+        started_at_secs: started_at.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64(),
+        wall_secs,
+        peak_rss_bytes,
+    };
+    let status = commit(spec, &store, &key, &publication, provenance)?;
+    match fs::remove_dir_all(&context.checkpoint_dir) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error).context("cannot remove checkpoints"),
+        _ => Ok(status),
+    }
+}
+
+/// Writes the action record, unless a source moved under the job or somebody else's record was first.
+fn commit(
+    spec: &JobSpec,
+    store: &Store,
+    key: &ActionKey,
+    publication: &Publication,
+    provenance: Provenance,
+) -> anyhow::Result<JobStatus> {
+    let Publication { content, measurements, .. } = *publication;
+    for source in spec.sources.values() {
+        if SourceDigests::stat_digest(&source.path).ok() != Some(source.stat) {
+            let note = format!("not recorded: the source changed while the job ran: {}", source.path.display());
+            return Ok(JobStatus::Published { content, measurements, note: Some(note) });
+        }
+    }
+    if spec.replace {
+        store.retire_record(key)?;
+    }
+    let record = ActionRecord::new(spec.components.clone(), provenance, publication);
+    if store.put_record(&record)? {
+        store.clear_failure(key);
+        return Ok(JobStatus::Published { content, measurements, note: None });
+    }
+    match store.lookup(key) {
+        crate::store::Lookup::Hit(first) => Ok(JobStatus::Published {
+            content: first.content,
+            measurements: first.measurements,
+            note: (first.content != content)
+                .then(|| "another run finished first with a different result; the first one is kept".into()),
+        }),
+        _ => anyhow::bail!("the store has an unusable record of this very job; run again"),
+    }
+}
+
+fn job_context(
+    spec: &JobSpec,
+    store: &Store,
+    key: &ActionKey,
+    scratch: &Path,
+    stop: Arc<AtomicBool>,
+) -> anyhow::Result<JobContext> {
+    let output_dir = scratch.join("output");
+    let checkpoint_dir = store.checkpoint_dir(key.as_str());
+    for dir in [&output_dir, &checkpoint_dir] {
+        fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
+    }
+    let mut inputs = BTreeMap::new();
+    for (port, producers) in &spec.inputs {
+        let records: anyhow::Result<_> = producers.iter().map(|input| input_record(store, input)).collect();
+        inputs.insert(port.clone(), records.with_context(|| format!("cannot read what port {port} reads"))?);
+    }
+    let sources = spec.sources.iter().map(|(name, source)| (name.clone(), source.path.clone())).collect();
+    Ok(JobContext {
+        name: spec.node.clone(),
+        coordinates: spec.coordinates.clone(),
+        action_key: key.to_string(),
+        threads: spec.threads,
+        inputs,
+        sources,
+        output_dir,
+        checkpoint_dir,
+        stop,
+        on_progress: Box::new(progress_printer()),
+        measurements: Default::default(),
+    })
+}
+
+fn input_record(store: &Store, input: &InputSpec) -> anyhow::Result<InputRecord> {
+    let artifact: Result<PathBuf, _> = match &input.artifact {
+        Ok(content) => Ok(store.view(content)?),
+        Err(failure) => Err(failure.clone()),
+    };
+    let measurements = input.measurements.map(|digest| store.read_measurements(&digest)).transpose()?;
+    Ok(InputRecord {
+        producer: input.producer.clone(),
+        coordinates: input.coordinates.clone(),
+        artifact,
+        measurements: measurements.unwrap_or(Value::Null),
+        action_key: input.action_key.clone(),
+    })
+}
+
+/// Writes progress as JSON lines to standard output: not too often, but the last step always.
+fn progress_printer() -> impl Fn(Progress) + Send + Sync {
+    let last: Mutex<Option<Instant>> = Mutex::new(None);
+    move |progress| {
+        let mut last = last.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let recent = last.is_some_and(|time| time.elapsed() < PROGRESS_INTERVAL);
+        if recent && progress.done < progress.total {
+            return;
+        }
+        *last = Some(Instant::now());
+        if let Ok(line) = serde_json::to_string(&Line::Progress(progress)) {
+            // Nobody may be listening any more: then progress is of no interest, and the job goes on.
+            let _ = writeln!(io::stdout().lock(), "{line}");
+        }
+    }
+}
+
+/// Asks the job to stop when the scheduler dies, however it dies, and ends it if it does not.
+fn stop_with_parent(parent_pid: u32, stop: &Arc<AtomicBool>) -> anyhow::Result<()> {
+    #[cfg(target_os = "linux")]
+    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))?;
+    let stop = Arc::clone(stop);
+    let orphaned = move || std::os::unix::process::parent_id() != parent_pid;
+    let watch = move || {
+        while !orphaned() {
+            std::thread::sleep(Duration::from_millis(500));
+        }
+        stop.store(true, Ordering::Relaxed);
+        std::thread::sleep(ORPHAN_GRACE);
+        std::process::exit(exit::CHECKPOINTED.into());
+    };
+    std::thread::Builder::new().name("parent watch".into()).spawn(watch).context("cannot start a thread")?;
+    Ok(())
+}
+
+/// Panics go to the log with a backtrace, besides standard error.
+fn log_panics() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        tracing::error!("{info}\n{}", std::backtrace::Backtrace::force_capture());
+        usual(info);
+    }));
+}
+
+/// The largest resident set of this very process image; `None` where the system has no `/proc`.
+fn peak_rss_bytes() -> Option<u64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let kibibytes = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix("kB")?;
+    Some(kibibytes.trim().parse::<u64>().ok()? * 1024)
+}

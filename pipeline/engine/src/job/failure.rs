@@ -1,0 +1,120 @@
+//! From errors, panics and dead processes to typed failures.
+
+use std::any::Any;
+use std::io;
+
+use crate::{Failure, FailureKind};
+
+/// The failure that an error of a stage stands for: the first typed [`Failure`] in its chain with the context above
+/// it, or else `World` for an I/O error and `BadInput` for anything else.
+pub(super) fn of_error(error: &anyhow::Error) -> Failure {
+    let mut context = Vec::new();
+    for cause in error.chain() {
+        if let Some(failure) = cause.downcast_ref::<Failure>() {
+            let mut failure = failure.clone();
+            context.push(failure.message);
+            failure.message = context.join(": ");
+            return failure;
+        }
+        context.push(cause.to_string());
+    }
+    let io_error = error.chain().any(|cause| cause.downcast_ref::<io::Error>().is_some());
+    Failure::new(if io_error { FailureKind::World } else { FailureKind::BadInput }, context.join(": "))
+}
+
+/// The failure that a panic stands for.
+pub(super) fn of_panic(payload: &(dyn Any + Send)) -> Failure {
+    let text = payload.downcast_ref::<&str>().copied();
+    let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message");
+    Failure::new(FailureKind::Crashed, format!("panicked: {text}")).hint("this is a bug; the log has a backtrace")
+}
+
+/// What is known of a child that left no status.
+pub(super) struct Death<'a> {
+    pub signal: Option<i32>,
+    pub code: Option<i32>,
+    pub timed_out: bool,
+    pub told_to_stop: bool,
+    pub kernel_killed_for_memory: bool,
+    pub log_tail: &'a [String],
+}
+
+/// The failure of a child that left no status.
+pub(super) fn of_death(death: &Death<'_>) -> Failure {
+    let out_of_memory = |message: &str| {
+        Failure::new(FailureKind::OutOfMemory, message).hint("run fewer jobs at once with --jobs 1")
+    };
+    if death.timed_out {
+        return Failure::new(FailureKind::Timeout, "ran past its time limit and was stopped");
+    }
+    if death.told_to_stop {
+        return Failure::new(FailureKind::Interrupted, "stopped on request before it saved its progress");
+    }
+    if death.log_tail.iter().any(|line| line.starts_with("memory allocation of")) {
+        return out_of_memory("an allocation failed");
+    }
+    match (death.signal, death.code) {
+        (Some(libc::SIGKILL), _) if death.kernel_killed_for_memory => {
+            out_of_memory("the kernel killed the process because memory ran out")
+        }
+        (Some(signal), _) => Failure::new(FailureKind::Crashed, format!("killed by {}", signal_name(signal))),
+        (None, Some(code)) => {
+            Failure::new(FailureKind::Crashed, format!("ended with exit code {code} and left no status"))
+        }
+        (None, None) => Failure::new(FailureKind::Crashed, "ended and left no status"),
+    }
+}
+
+/// How many processes the kernel has killed for lack of memory since it booted; 0 where it does not tell.
+pub(super) fn kernel_memory_kills() -> u64 {
+    let vmstat = std::fs::read_to_string("/proc/vmstat").unwrap_or_default();
+    let count = vmstat.lines().find_map(|line| line.strip_prefix("oom_kill "));
+    count.and_then(|count| count.trim().parse().ok()).unwrap_or(0)
+}
+
+fn signal_name(signal: i32) -> String {
+    signal_hook::low_level::signal_name(signal).map_or_else(|| format!("signal {signal}"), str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::Context;
+
+    use super::*;
+
+    #[test]
+    fn typed_failure_is_found_below_its_context() {
+        let failure = Failure::new(FailureKind::Diverged, "loss is NaN").hint("lower the rate");
+        let error = Err::<(), _>(failure).context("iteration 7").context("fine stage").unwrap_err();
+        let found = of_error(&error);
+        assert_eq!(found.kind, FailureKind::Diverged);
+        assert_eq!(found.to_string(), "fine stage: iteration 7: loss is NaN; lower the rate");
+    }
+
+    #[test]
+    fn untyped_errors_are_the_input_or_the_world() {
+        let full = anyhow::Error::from(io::Error::from(io::ErrorKind::StorageFull)).context("cannot write");
+        assert_eq!(of_error(&full).kind, FailureKind::World);
+        assert_eq!(of_error(&anyhow::anyhow!("two poses")).kind, FailureKind::BadInput);
+    }
+
+    #[test]
+    fn deaths_are_told_apart() {
+        let death = Death {
+            signal: Some(libc::SIGKILL),
+            code: None,
+            timed_out: false,
+            told_to_stop: false,
+            kernel_killed_for_memory: false,
+            log_tail: &[],
+        };
+        let kind = |death: Death<'_>| of_death(&death).kind;
+        assert_eq!(kind(Death { kernel_killed_for_memory: true, ..death }), FailureKind::OutOfMemory);
+        assert_eq!(kind(Death { timed_out: true, ..death }), FailureKind::Timeout);
+        assert_eq!(kind(Death { told_to_stop: true, ..death }), FailureKind::Interrupted);
+        let aborted = ["memory allocation of 64 bytes failed".to_owned()];
+        let abort = Death { signal: Some(libc::SIGABRT), log_tail: &aborted, ..death };
+        assert_eq!(kind(abort), FailureKind::OutOfMemory);
+        assert_eq!(of_death(&death).to_string(), "killed by SIGKILL");
+    }
+}

@@ -1,0 +1,85 @@
+//! Blobs: bytes named by their SHA-256.
+
+use std::fs;
+use std::io::{self, ErrorKind, Write};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use tempfile::TempPath;
+
+use super::Store;
+use crate::Digest;
+
+impl Store {
+    /// Where the blob called `digest` lies, if it is there: `cas/ab/cdef…`.
+    pub fn blob_path(&self, digest: &Digest) -> PathBuf {
+        self.root.join(blob_name(digest))
+    }
+
+    /// The blob's bytes, checked against its name.
+    pub fn read_blob(&self, digest: &Digest) -> io::Result<Vec<u8>> {
+        let bytes = fs::read(self.blob_path(digest))?;
+        if Digest::of(&bytes) != *digest {
+            return Err(io::Error::new(ErrorKind::InvalidData, format!("blob {} is damaged", digest.short())));
+        }
+        Ok(bytes)
+    }
+
+    /// Adds bytes as a blob, durably.
+    pub(super) fn put_bytes(&self, bytes: &[u8]) -> io::Result<Digest> {
+        let digest = Digest::of(bytes);
+        let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
+        file.write_all(bytes)?;
+        file.as_file().set_permissions(fs::Permissions::from_mode(0o444))?;
+        file.as_file().sync_all()?;
+        self.place(file.into_temp_path(), &digest, bytes.len() as u64)?;
+        Ok(digest)
+    }
+
+    /// Moves a finished file (synced, read-only, on this file system) to the blob called `digest`.
+    ///
+    /// A blob that is already there and whole stays, and the file is removed; a damaged one goes to quarantine.
+    pub(super) fn place(&self, file: TempPath, digest: &Digest, size_bytes: u64) -> io::Result<()> {
+        let path = self.blob_path(digest);
+        fs::create_dir_all(path.parent().unwrap_or(&self.root))?;
+        if path.exists() && !is_whole(&path, digest, size_bytes) {
+            self.quarantine(&path)?;
+        }
+        match file.persist_noclobber(&path) {
+            Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(error.error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Moves something damaged out of the way, keeping it for inspection.
+    pub(super) fn quarantine(&self, path: &Path) -> io::Result<()> {
+        let folder = self.root.join("quarantine");
+        fs::create_dir_all(&folder)?;
+        let name = path.strip_prefix(&self.root).unwrap_or(path).to_string_lossy().replace('/', "-");
+        // A second damaged file of this name gets a number; the loop ends at the first free one.
+        let free = (0..).map(|number| folder.join(format!("{name}.{number}"))).find(|target| !target.exists());
+        match fs::rename(path, free.unwrap_or_else(|| folder.join(name))) {
+            // Another process was faster.
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+            other => other,
+        }
+    }
+}
+
+/// A blob's path relative to the store.
+pub(super) fn blob_name(digest: &Digest) -> PathBuf {
+    let hex = digest.to_string();
+    Path::new("cas").join(&hex[..2]).join(&hex[2..])
+}
+
+/// Whether the file has this size and this digest.
+pub(super) fn is_whole(path: &Path, digest: &Digest, size_bytes: u64) -> bool {
+    let right_size = fs::symlink_metadata(path).is_ok_and(|meta| meta.is_file() && meta.len() == size_bytes);
+    right_size && Digest::of_file(path).is_ok_and(|found| found == *digest)
+}
+
+/// When the file's contents or its inode last changed, in nanoseconds since 1970.
+pub(super) fn changed_ns(meta: &fs::Metadata) -> i128 {
+    let nanos = |secs: i64, nanos: i64| i128::from(secs) * 1_000_000_000 + i128::from(nanos);
+    nanos(meta.mtime(), meta.mtime_nsec()).max(nanos(meta.ctime(), meta.ctime_nsec()))
+}

@@ -1,0 +1,210 @@
+//! Looking after a store: verify, collect garbage, measure.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use anyhow::Context;
+use rayon::prelude::*;
+use walkdir::WalkDir;
+
+use super::{ActionRecord, Store};
+use crate::Digest;
+
+/// One thing that is wrong in the store.
+#[derive(Clone, Debug)]
+pub struct Damage {
+    /// The file concerned.
+    pub path: PathBuf,
+    /// What is wrong, naming the jobs that are affected.
+    pub message: String,
+}
+
+/// What a collection removed (or would remove).
+#[derive(Clone, Debug, Default)]
+pub struct GcReport {
+    /// Jobs whose results go: node name, seconds that a rerun would take, and size.
+    pub jobs: Vec<(String, f64, u64)>,
+    /// Files removed.
+    pub files: usize,
+    /// Their size together.
+    pub size_bytes: u64,
+}
+
+/// Size and number of files of one part of the store.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Usage {
+    /// Number of files.
+    pub files: usize,
+    /// Their size together.
+    pub size_bytes: u64,
+}
+
+impl Store {
+    /// Hashes every blob and follows every record. With `repair`, what is damaged goes to quarantine, together with
+    /// the records that need it, so that the next run makes it again.
+    pub fn verify(&self, repair: bool) -> anyhow::Result<Vec<Damage>> {
+        let blobs = files_below(&self.root.join("cas"))?;
+        let corrupt: Vec<PathBuf> = blobs.into_par_iter().filter(|path| !self.is_sound(path)).collect();
+        let mut damages: Vec<Damage> =
+            corrupt.iter().map(|path| Damage { path: path.clone(), message: "blob is corrupt".into() }).collect();
+        if repair {
+            self.discard(&corrupt)?;
+        }
+        for path in files_below(&self.root.join("records"))? {
+            let Some(message) = self.record_damage(&path, &corrupt) else { continue };
+            if repair {
+                self.quarantine(&path)?;
+            }
+            damages.push(Damage { path, message });
+        }
+        Ok(damages)
+    }
+
+    /// Whether a blob's contents hash to its name.
+    fn is_sound(&self, path: &Path) -> bool {
+        let named = |digest: Digest| self.blob_path(&digest) == path;
+        Digest::of_file(path).is_ok_and(named)
+    }
+
+    /// What is wrong with a record, if anything.
+    fn record_damage(&self, path: &Path, corrupt: &[PathBuf]) -> Option<String> {
+        let read = || -> Option<ActionRecord> { serde_json::from_slice(&fs::read(path).ok()?).ok() };
+        let Some(record) = read() else { return Some("record cannot be read".into()) };
+        let blobs = self.blobs_of(&record);
+        let broken = |blob: &&Digest| {
+            let path = self.blob_path(blob);
+            corrupt.contains(&path) || !path.exists()
+        };
+        let message = match &blobs {
+            Err(error) => format!("{error:#}"),
+            Ok(blobs) => format!("{} of its blobs are missing or corrupt", blobs.iter().filter(broken).count()),
+        };
+        let whole = blobs.is_ok_and(|blobs| !blobs.iter().any(|blob| broken(&blob)));
+        (!whole).then(|| format!("{}: {message}", record.provenance.node))
+    }
+
+    /// Every blob that a record needs: manifest, measurements, files.
+    fn blobs_of(&self, record: &ActionRecord) -> anyhow::Result<BTreeSet<Digest>> {
+        let manifest = self.manifest(&record.content).context("the manifest cannot be read")?;
+        let own = [record.content, record.measurements];
+        Ok(manifest.files.iter().map(|file| file.sha256).chain(own).collect())
+    }
+
+    /// Removes records that neither one of `keep_plan_ids` names nor a run made or used within `max_age`, then
+    /// everything that no record needs. The caller holds the store's exclusive lock.
+    ///
+    /// Removed besides: views, markers, locks and failures without a record, scratch, old checkpoints and quarantine.
+    pub fn gc(&self, keep_plan_ids: &BTreeSet<String>, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
+        let mut report = GcReport::default();
+        let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {
+            keep_plan_ids.contains(&record.provenance.plan_id) || !is_older(&self.record_path(&record.key), max_age)
+        });
+        for record in &dropped {
+            report.jobs.push((record.provenance.node.clone(), record.provenance.wall_secs, record.size_bytes));
+        }
+        report.jobs.sort_by(|a, b| a.0.cmp(&b.0));
+        let mut needed = BTreeSet::new();
+        for record in &kept {
+            // A record whose manifest is unreadable is damaged; the next lookup deals with it.
+            needed.extend(self.blobs_of(record).unwrap_or_default());
+        }
+        let mut doomed: Vec<PathBuf> = dropped.iter().map(|record| self.record_path(&record.key)).collect();
+        doomed.extend(self.unneeded_files(&kept, &needed, max_age)?);
+        for path in &doomed {
+            report.files += 1;
+            report.size_bytes += fs::symlink_metadata(path).map_or(0, |meta| meta.len());
+            if !dry_run {
+                fs::remove_file(path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+        if !dry_run {
+            self.remove_empty_folders()?;
+        }
+        Ok(report)
+    }
+
+    /// Files that no kept record needs.
+    fn unneeded_files(
+        &self,
+        kept: &[ActionRecord],
+        needed: &BTreeSet<Digest>,
+        max_age: Duration,
+    ) -> io::Result<Vec<PathBuf>> {
+        let needed_blobs: BTreeSet<PathBuf> = needed.iter().map(|digest| self.blob_path(digest)).collect();
+        let contents: BTreeSet<String> = kept.iter().map(|record| record.content.to_string()).collect();
+        let first_part = |folder: &str, path: &Path| {
+            let relative = path.strip_prefix(self.root.join(folder)).ok()?;
+            Some(relative.iter().next()?.to_string_lossy().into_owned())
+        };
+        let shown = |folder: &str, path: &Path| first_part(folder, path).is_some_and(|name| contents.contains(&name));
+        let mut files: Vec<PathBuf> = files_below(&self.root.join("cas"))?;
+        files.retain(|path| !needed_blobs.contains(path));
+        for folder in ["views", "verified"] {
+            files.extend(files_below(&self.root.join(folder))?.into_iter().filter(|path| !shown(folder, path)));
+        }
+        files.extend(files_below(&self.root.join("tmp"))?);
+        files.extend(files_below(&self.root.join("locks"))?);
+        for folder in ["checkpoints", "failures", "quarantine", "runs"] {
+            let old = files_below(&self.root.join(folder))?.into_iter().filter(|path| is_older(path, max_age));
+            files.extend(old);
+        }
+        Ok(files)
+    }
+
+    fn remove_empty_folders(&self) -> io::Result<()> {
+        for folder in ["cas", "views", "tmp", "checkpoints", "runs"] {
+            for entry in WalkDir::new(self.root.join(folder)).min_depth(1).contents_first(true) {
+                let entry = entry?;
+                if entry.file_type().is_dir() {
+                    // Fails, as it should, where something is left.
+                    let _ = fs::remove_dir(entry.path());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sizes of the store's parts by name.
+    pub fn usage(&self) -> io::Result<BTreeMap<String, Usage>> {
+        let mut usage: BTreeMap<String, Usage> = BTreeMap::new();
+        for path in files_below(&self.root)? {
+            let relative = path.strip_prefix(&self.root).unwrap_or(&path);
+            let part = relative.iter().next().unwrap_or_default().to_string_lossy().into_owned();
+            let entry = usage.entry(part).or_default();
+            entry.files += 1;
+            entry.size_bytes += fs::symlink_metadata(&path).map_or(0, |meta| meta.len());
+        }
+        Ok(usage)
+    }
+
+    /// Marks a record as used now, so that collections by age keep it.
+    pub(crate) fn touch(&self, record: &ActionRecord) {
+        // The time stamp only orders collections: a failure here is of no consequence.
+        let file = fs::File::options().append(true).open(self.record_path(&record.key));
+        let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
+    }
+}
+
+/// All files and links below `dir`, sorted; none if there is no such folder.
+fn files_below(dir: &Path) -> io::Result<Vec<PathBuf>> {
+    if !dir.exists() {
+        return Ok(Vec::new());
+    }
+    let mut files = Vec::new();
+    for entry in WalkDir::new(dir) {
+        let entry = entry?;
+        if !entry.file_type().is_dir() {
+            files.push(entry.into_path());
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn is_older(path: &Path, age: Duration) -> bool {
+    let modified = fs::symlink_metadata(path).and_then(|meta| meta.modified());
+    modified.is_ok_and(|time| time.elapsed().is_ok_and(|elapsed| elapsed >= age))
+}

@@ -1,0 +1,167 @@
+//! The store: blobs named by their SHA-256, folders as manifests, and one record per action key.
+//!
+//! ```text
+//! FORMAT                      version of this layout
+//! cas/ab/cdef…                blobs, read-only
+//! verified/<manifest>         marker: the manifest's blobs matched their names at this file's time
+//! views/<manifest>/…          a folder of links into cas, for reading in place
+//! records/<action key>.json   what a job made and from what: the commit point of a publication
+//! failures/<action key>.json  the last failure of an action; never a cache hit
+//! checkpoints/<action key>/   what an interrupted job saved
+//! runs/<run>/                 plan, events and one folder per job with its logs
+//! locks/, tmp/, quarantine/   economy, scratch, and what was found damaged
+//! ```
+//! Locks only save work; correctness rests on content addressing and on renames that never replace.
+
+mod blob;
+mod lookup;
+mod maintenance;
+mod manifest;
+mod publish;
+mod record;
+mod view;
+
+use std::fs;
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use crate::{Failure, FailureKind};
+
+pub use lookup::Lookup;
+pub use maintenance::{Damage, GcReport, Usage};
+pub use manifest::{Manifest, ManifestFile};
+pub use publish::Publication;
+pub use record::{ActionRecord, FailureRecord, Provenance};
+
+/// The version of the layout. A store of a newer version is refused, since this binary cannot know its rules.
+const FORMAT: u32 = 1;
+
+/// A store on a local disk; cheap to clone, holds no lock and no open file.
+#[derive(Clone, Debug)]
+pub struct Store {
+    root: PathBuf,
+}
+
+impl Store {
+    /// Opens the store in `root`, making it if nothing is there.
+    pub fn open(root: &Path) -> anyhow::Result<Self> {
+        let make = |error| Failure::new(FailureKind::World, format!("cannot make the store ({error})")).at(root);
+        fs::create_dir_all(root).map_err(make)?;
+        let store = Self { root: fs::canonicalize(root).map_err(make)? };
+        for folder in ["cas", "verified", "views", "records", "failures", "checkpoints", "runs", "locks", "tmp"] {
+            fs::create_dir_all(store.root.join(folder)).map_err(make)?;
+        }
+        store.check_format()?;
+        Ok(store)
+    }
+
+    /// The store's folder, absolute.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The folder of one run.
+    pub fn run_dir(&self, run: &str) -> PathBuf {
+        self.root.join("runs").join(run)
+    }
+
+    /// The folder in which an interrupted job of `action_key` left its checkpoint.
+    pub fn checkpoint_dir(&self, action_key: &str) -> PathBuf {
+        self.root.join("checkpoints").join(action_key)
+    }
+
+    /// The file whose lock a runner of `action_key` holds.
+    pub fn lock_file(&self, action_key: &str) -> PathBuf {
+        self.root.join("locks").join(action_key)
+    }
+
+    /// The cache of source digests.
+    pub fn stat_cache_file(&self) -> PathBuf {
+        self.root.join("sources.json")
+    }
+
+    /// Marks the store as in use until the returned file is dropped: nothing is swept away meanwhile.
+    pub fn lock_shared(&self) -> anyhow::Result<fs::File> {
+        let file = crate::lock::open(&self.root.join("LOCK"))?;
+        file.lock_shared().context("cannot lock the store")?;
+        Ok(file)
+    }
+
+    /// The store for this process alone, or nothing if anybody uses it.
+    pub fn try_lock_exclusive(&self) -> anyhow::Result<Option<fs::File>> {
+        let file = crate::lock::open(&self.root.join("LOCK"))?;
+        Ok(crate::lock::try_exclusive(&file).context("cannot lock the store")?.then_some(file))
+    }
+
+    /// Marks the store as in use, after sweeping away what crashed runs left in `tmp`, if nobody else is there.
+    pub fn enter(&self) -> anyhow::Result<fs::File> {
+        if let Some(_alone) = self.try_lock_exclusive()? {
+            for entry in fs::read_dir(self.root.join("tmp"))? {
+                let path = entry?.path();
+                let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+                removed.with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+        self.lock_shared()
+    }
+
+    /// A fresh folder on the store's file system; removed when dropped.
+    pub fn scratch(&self, purpose: &str) -> io::Result<tempfile::TempDir> {
+        tempfile::Builder::new().prefix(&format!("{purpose}-")).tempdir_in(self.root.join("tmp"))
+    }
+
+    fn check_format(&self) -> anyhow::Result<()> {
+        let path = self.root.join("FORMAT");
+        match fs::read_to_string(&path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                // Two processes may make the same store at once; both write the same line.
+                match write_new(&path, format!("{FORMAT}\n").as_bytes()) {
+                    Err(error) if error.kind() != ErrorKind::AlreadyExists => Err(error).context("cannot write FORMAT"),
+                    _ => Ok(()),
+                }
+            }
+            Err(error) => Err(error).with_context(|| format!("cannot read {}", path.display())),
+            Ok(text) => match text.trim().parse::<u32>() {
+                Ok(FORMAT) => Ok(()),
+                Ok(version) => Err(Failure::new(
+                    FailureKind::World,
+                    format!("the store has format {version}, this program knows format {FORMAT}"),
+                )
+                .hint("use a newer program, or another folder with --store")
+                .at(path)
+                .into()),
+                Err(_) => Err(Failure::new(FailureKind::World, "this is not a store: FORMAT holds no number")
+                    .hint("choose another folder with --store")
+                    .at(path)
+                    .into()),
+            },
+        }
+    }
+}
+
+/// Writes a file that must not exist yet, durably: temporary file, fsync, rename that never replaces.
+fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let parent = path.parent().unwrap_or(Path::new("."));
+    let mut file = tempfile::NamedTempFile::new_in(parent)?;
+    file.write_all(bytes)?;
+    file.as_file().sync_all()?;
+    file.persist_noclobber(path).map_err(|error| error.error)?;
+    sync_dir(parent)
+}
+
+/// Writes a file, replacing what is there in one step.
+pub(crate) fn write_atomic(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = tempfile::NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
+    file.write_all(bytes)?;
+    file.persist(path)?;
+    Ok(())
+}
+
+fn sync_dir(dir: &Path) -> io::Result<()> {
+    fs::File::open(dir)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests;

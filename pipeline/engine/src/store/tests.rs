@@ -1,0 +1,239 @@
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::json;
+
+use super::{ActionRecord, Lookup, Provenance, Store};
+use crate::{ActionKey, KeyComponents};
+
+fn components(name: &str) -> KeyComponents {
+    KeyComponents {
+        stage: "test".into(),
+        code: BTreeMap::new(),
+        params: json!({ "name": name }),
+        inputs: BTreeMap::new(),
+        sources: BTreeMap::new(),
+        output: ("text".into(), 1),
+        environment: "cpu".into(),
+    }
+}
+
+/// Publishes a folder of two files under the key of `name`.
+fn publish(store: &Store, name: &str, text: &str) -> ActionRecord {
+    let scratch = store.scratch("test").unwrap();
+    let output = scratch.path().join("output");
+    fs::create_dir_all(output.join("images")).unwrap();
+    fs::write(output.join("text.txt"), text).unwrap();
+    fs::write(output.join("images/0.png"), "shared by all").unwrap();
+    let publication = store.publish(&output, &json!({ "seconds": 2 })).unwrap();
+    let provenance = Provenance { node: name.into(), plan_id: format!("plan of {name}"), ..Provenance::default() };
+    let record = ActionRecord::new(components(name), provenance, &publication);
+    store.put_record(&record).unwrap();
+    record
+}
+
+fn key(name: &str) -> ActionKey {
+    ActionKey::new(&components(name))
+}
+
+fn is_hit(store: &Store, name: &str) -> bool {
+    matches!(store.lookup(&key(name)), Lookup::Hit(_))
+}
+
+fn with_store(test: impl FnOnce(&Store)) {
+    let root = tempfile::tempdir().unwrap();
+    test(&Store::open(&root.path().join("store")).unwrap());
+}
+
+#[test]
+fn published_folder_is_found_and_reads_in_place() {
+    with_store(|store| {
+        assert!(matches!(store.lookup(&key("a")), Lookup::Miss));
+        let record = publish(store, "a", "hello");
+        let Lookup::Hit(found) = store.lookup(&key("a")) else { panic!("not found") };
+        assert_eq!(found.content, record.content);
+        let view = store.view(&record.content).unwrap();
+        assert_eq!(fs::read_to_string(view.join("text.txt")).unwrap(), "hello");
+        assert_eq!(fs::read_to_string(view.join("images/0.png")).unwrap(), "shared by all");
+        assert_eq!(store.read_measurements(&record.measurements).unwrap(), json!({ "seconds": 2 }));
+        assert!(fs::read_link(view.join("images/0.png")).unwrap().is_relative());
+        assert!(fs::metadata(view.join("text.txt")).unwrap().permissions().readonly());
+    });
+}
+
+#[test]
+fn damaged_view_is_built_again() {
+    with_store(|store| {
+        let content = publish(store, "a", "hello").content;
+        let view = store.view(&content).unwrap();
+        fs::remove_file(view.join("text.txt")).unwrap();
+        assert_eq!(fs::read_to_string(store.view(&content).unwrap().join("text.txt")).unwrap(), "hello");
+    });
+}
+
+#[test]
+fn first_record_wins() {
+    with_store(|store| {
+        let first = publish(store, "a", "first");
+        publish(store, "a", "second");
+        let Lookup::Hit(found) = store.lookup(&key("a")) else { panic!("not found") };
+        assert_eq!(found.content, first.content);
+        store.retire_record(&key("a")).unwrap();
+        let third = publish(store, "a", "third");
+        let Lookup::Hit(found) = store.lookup(&key("a")) else { panic!("not found") };
+        assert_eq!(found.content, third.content);
+    });
+}
+
+#[test]
+fn missing_and_corrupt_blobs_are_misses_until_published_again() {
+    with_store(|store| {
+        let record = publish(store, "a", "hello");
+        let manifest = store.manifest(&record.content).unwrap();
+        let blob = store.blob_path(&manifest.files[1].sha256);
+        let damages: [&dyn Fn(); 5] = [
+            &|| fs::remove_file(&blob).unwrap(),
+            &|| replace(&blob, "HELLO"),
+            &|| replace(&blob, "hell"),
+            &|| replace(&store.blob_path(&record.content), "{}"),
+            &|| replace(&store.blob_path(&record.measurements), "{}"),
+        ];
+        for (number, damage) in damages.iter().enumerate() {
+            assert!(is_hit(store, "a"), "before damage {number}");
+            damage();
+            let Lookup::Damaged { paths, .. } = store.lookup(&key("a")) else { panic!("damage {number} not seen") };
+            store.discard(&paths).unwrap();
+            assert!(matches!(store.lookup(&key("a")), Lookup::Miss));
+            publish(store, "a", "hello");
+        }
+        assert!(is_hit(store, "a"));
+    });
+}
+
+#[test]
+fn publishing_heals_a_corrupt_blob_that_another_artifact_shares() {
+    with_store(|store| {
+        let record = publish(store, "a", "hello");
+        let shared = store.blob_path(&store.manifest(&record.content).unwrap().files[0].sha256);
+        replace(&shared, "SHARED BY ALL");
+        publish(store, "b", "other");
+        assert!(is_hit(store, "a") && is_hit(store, "b"));
+    });
+}
+
+#[test]
+fn truncated_and_scrambled_records_are_misses() {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    with_store(|store| {
+        publish(store, "a", "hello");
+        let path = store.record_path(&key("a"));
+        let whole = fs::read(&path).unwrap();
+        for _ in 0..200 {
+            let cut = random.random_range(0..whole.len() - 2);
+            fs::write(&path, &whole[..cut]).unwrap();
+            assert!(!is_hit(store, "a"), "cut to {cut} bytes");
+            let mut scrambled = whole.clone();
+            scrambled[cut] = random.random();
+            fs::write(&path, &scrambled).unwrap();
+            // Whatever it says now, looking it up does not crash; where it names other blobs, it is no hit.
+            let _ = store.lookup(&key("a"));
+        }
+        fs::write(&path, &whole).unwrap();
+        assert!(is_hit(store, "a"));
+    });
+}
+
+#[test]
+fn folders_that_would_not_travel_are_refused() {
+    let make: [(&str, &dyn Fn(&Path)); 3] = [
+        ("no file", &|_| ()),
+        ("links", &|dir| symlink("/etc/passwd", dir.join("link")).unwrap()),
+        ("case", &|dir| ["a.png", "A.png"].iter().for_each(|name| fs::write(dir.join(name), "").unwrap())),
+    ];
+    with_store(|store| {
+        for (reason, make) in make {
+            let scratch = store.scratch("test").unwrap();
+            make(scratch.path());
+            let error = store.publish(scratch.path(), &json!({})).unwrap_err();
+            assert!(format!("{error:#}").contains(reason), "{error:#}");
+        }
+    });
+}
+
+#[test]
+fn manifests_that_lead_out_of_the_folder_are_refused() {
+    let digest = crate::Digest::of(b"");
+    for path in ["../up", "/etc/passwd", "a/../../b", "", "."] {
+        let manifest = json!({ "version": 1, "files": [{ "path": path, "size_bytes": 0, "sha256": digest }] });
+        assert!(super::Manifest::parse(manifest.to_string().as_bytes()).is_err(), "{path}");
+    }
+}
+
+#[test]
+fn newer_store_is_refused() {
+    with_store(|store| {
+        fs::write(store.root().join("FORMAT"), "2\n").unwrap();
+        let message = Store::open(store.root()).unwrap_err().to_string();
+        assert!(message.contains("format 2") && message.contains("use a newer program"), "{message}");
+    });
+}
+
+#[test]
+fn verify_finds_what_was_planted_and_repair_removes_it() {
+    with_store(|store| {
+        let record = publish(store, "a", "hello");
+        publish(store, "b", "other");
+        assert!(store.verify(false).unwrap().is_empty());
+        replace(&store.blob_path(&store.manifest(&record.content).unwrap().files[1].sha256), "HELLO");
+        let found: Vec<String> = store.verify(true).unwrap().into_iter().map(|damage| damage.message).collect();
+        assert_eq!(found, ["blob is corrupt", "a: 1 of its blobs are missing or corrupt"]);
+        assert!(store.verify(false).unwrap().is_empty());
+        assert!(matches!(store.lookup(&key("a")), Lookup::Miss) && is_hit(store, "b"));
+    });
+}
+
+#[test]
+fn collection_keeps_what_plans_and_the_young_need() {
+    with_store(|store| {
+        publish(store, "a", "hello");
+        publish(store, "b", "other");
+        let keep = BTreeSet::from(["plan of b".to_owned()]);
+        let young = store.gc(&keep, Duration::from_secs(3600), true).unwrap();
+        assert!(young.jobs.is_empty());
+
+        let planned = store.gc(&keep, Duration::ZERO, true).unwrap();
+        assert_eq!(planned.jobs.iter().map(|job| job.0.as_str()).collect::<Vec<_>>(), ["a"]);
+        assert!(is_hit(store, "a"), "a dry run removes nothing");
+
+        let done = store.gc(&keep, Duration::ZERO, false).unwrap();
+        assert_eq!((done.files, done.size_bytes), (planned.files, planned.size_bytes));
+        assert!(matches!(store.lookup(&key("a")), Lookup::Miss) && is_hit(store, "b"));
+        assert!(store.verify(false).unwrap().is_empty());
+    });
+}
+
+#[test]
+fn only_the_last_one_out_sweeps_scratch() {
+    with_store(|store| {
+        let left = store.root().join("tmp/left by a crash");
+        fs::create_dir(&left).unwrap();
+        let other = store.lock_shared().unwrap();
+        let _entered = store.enter().unwrap();
+        assert!(left.exists());
+        drop((other, _entered));
+        let _entered = store.enter().unwrap();
+        assert!(!left.exists());
+        assert!(store.try_lock_exclusive().unwrap().is_none());
+    });
+}
+
+/// Overwrites a read-only file, as a failing disk or a careless user would.
+fn replace(path: &Path, text: &str) {
+    fs::remove_file(path).unwrap();
+    fs::write(path, text).unwrap();
+}

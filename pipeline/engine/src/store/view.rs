@@ -1,0 +1,57 @@
+//! Views: folders of links into `cas`, so that artifacts are read in place.
+
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use super::{Manifest, Store, blob};
+use crate::Digest;
+
+impl Store {
+    /// A folder that shows the artifact: `views/<digest>`, built once, checked and reused.
+    ///
+    /// The links are relative, so that a store can be moved as a whole.
+    pub fn view(&self, content: &Digest) -> anyhow::Result<PathBuf> {
+        let manifest = self.manifest(content).context("cannot read an artifact's manifest")?;
+        let view = self.root.join("views").join(content.to_string());
+        if view.exists() && !is_complete(&view, &manifest) {
+            self.quarantine(&view)?;
+        }
+        if !view.exists() {
+            self.build_view(&view, &manifest).context("cannot make a view of an artifact")?;
+        }
+        Ok(view)
+    }
+
+    fn build_view(&self, view: &Path, manifest: &Manifest) -> io::Result<()> {
+        let scratch = self.scratch("view")?;
+        let building = scratch.path().join("view");
+        fs::create_dir(&building)?;
+        for file in &manifest.files {
+            let link = building.join(&file.path);
+            fs::create_dir_all(link.parent().unwrap_or(&building))?;
+            symlink(link_target(&file.path, &file.sha256), link)?;
+        }
+        match fs::rename(&building, view) {
+            // Another process made the same view.
+            Err(error) if matches!(error.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) => Ok(()),
+            other => other,
+        }
+    }
+}
+
+/// Where the link at `path` in a view points: out of the folders of `path`, the view and `views`, then into `cas`.
+fn link_target(path: &str, digest: &Digest) -> PathBuf {
+    let depth = path.matches('/').count() + 2;
+    std::iter::repeat_n(Path::new(".."), depth).chain([blob::blob_name(digest).as_path()]).collect()
+}
+
+fn is_complete(view: &Path, manifest: &Manifest) -> bool {
+    let points_right = |file: &super::ManifestFile| {
+        fs::read_link(view.join(&file.path)).is_ok_and(|target| target == link_target(&file.path, &file.sha256))
+    };
+    manifest.files.iter().all(points_right)
+}

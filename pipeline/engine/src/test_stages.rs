@@ -1,0 +1,164 @@
+//! Three small stages for the engine's own tests: a text, work on a text, and a list of texts.
+//! Names the crate `engine`, so that the integration test can include this file as well.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use engine::{Artifact, Failure, FailureKind, JobContext, ParamProblem, Port, Source, Stage};
+use serde::{Deserialize, Serialize};
+
+/// A folder with one file, `text.txt`.
+pub struct Text(pub String);
+
+impl Text {
+    pub fn write(dir: &Path, text: &str) -> anyhow::Result<Self> {
+        std::fs::write(dir.join("text.txt"), text)?;
+        Ok(Self(text.to_owned()))
+    }
+}
+
+impl Artifact for Text {
+    const NAME: &'static str = "text";
+    const SCHEMA: u32 = 1;
+
+    fn open(dir: &Path) -> anyhow::Result<Self> {
+        Ok(Self(std::fs::read_to_string(dir.join("text.txt"))?))
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        anyhow::ensure!(!self.0.contains("invalid"), "the text calls itself invalid");
+        Ok(())
+    }
+}
+
+/// Makes a text from a parameter, or from a source file.
+pub struct Write;
+
+#[derive(Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WriteParams {
+    pub text: String,
+    /// Appended to the text; relative to the data root.
+    pub source: Option<PathBuf>,
+}
+
+impl Stage for Write {
+    type Params = WriteParams;
+    type Output = Text;
+    const ID: &'static str = "test-write";
+    const ABOUT: &'static str = "writes a text";
+
+    fn ports() -> Vec<Port> {
+        Vec::new()
+    }
+
+    fn sources(params: &WriteParams) -> Vec<Source> {
+        params.source.iter().map(|path| Source { name: "text", path: path.clone() }).collect()
+    }
+
+    fn run(context: &JobContext, params: &WriteParams) -> anyhow::Result<Text> {
+        let source = if params.source.is_some() { std::fs::read_to_string(context.source("text")?)? } else { "".into() };
+        Text::write(context.output_dir(), &format!("{}{source}", params.text))
+    }
+}
+
+/// Appends a letter per step to a text, saving a checkpoint per step; fails when told to.
+pub struct Work;
+
+#[derive(Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WorkParams {
+    pub letter: String,
+    pub steps: usize,
+    pub sleep_millis: u64,
+    pub rate: f64,
+    /// Keeps so many letters of the result: equal results of unequal parameters.
+    pub keep: usize,
+    /// `error`, `missing`, `diverged`, `panic`, `abort`, `hang`, `invalid`, or nothing.
+    pub fail: String,
+}
+
+impl Default for WorkParams {
+    fn default() -> Self {
+        Self { letter: "x".into(), steps: 1, sleep_millis: 0, rate: 0.001, keep: usize::MAX >> 12, fail: "".into() }
+    }
+}
+
+impl Stage for Work {
+    type Params = WorkParams;
+    type Output = Text;
+    const ID: &'static str = "test-work";
+    const ABOUT: &'static str = "appends letters to a text";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<Text>("text")]
+    }
+
+    fn check_params(params: &WorkParams) -> Vec<ParamProblem> {
+        let problem = ParamProblem { key: "steps".into(), message: "must be at least 1".into(), hint: None };
+        if params.steps == 0 { vec![problem] } else { Vec::new() }
+    }
+
+    fn run(context: &JobContext, params: &WorkParams) -> anyhow::Result<Text> {
+        fail_as_told(&params.fail)?;
+        let checkpoint = context.checkpoint_dir().join("steps");
+        let start = context.input::<Text>("text")?.0;
+        let mut text = std::fs::read_to_string(&checkpoint).unwrap_or(start.clone());
+        context.measure("resumed_steps", text.len() - start.len())?;
+        for step in text.len() - start.len()..params.steps {
+            std::thread::sleep(Duration::from_millis(params.sleep_millis));
+            text += &params.letter;
+            std::fs::write(checkpoint.with_extension("new"), &text)?;
+            std::fs::rename(checkpoint.with_extension("new"), &checkpoint)?;
+            context.progress(step as u64 + 1, params.steps as u64, format!("{} letters", text.len()));
+            if context.should_stop() && step + 1 < params.steps {
+                return Err(context.interrupted());
+            }
+        }
+        let kept: String = text.chars().take(params.keep).collect();
+        Text::write(context.output_dir(), &kept)
+    }
+}
+
+fn fail_as_told(how: &str) -> anyhow::Result<()> {
+    match how {
+        "error" => anyhow::bail!("told to fail"),
+        "missing" => Err(Failure::new(FailureKind::MissingData, "told to miss data").into()),
+        "diverged" => Err(Failure::new(FailureKind::Diverged, "weights at iteration 7").into()),
+        "panic" => panic!("told to panic"),
+        "abort" => std::process::abort(),
+        "hang" => loop {
+            std::thread::sleep(Duration::from_secs(1));
+        },
+        _ => Ok(()),
+    }
+}
+
+/// Lists any number of texts with their coordinates; failed ones by kind.
+pub struct List;
+
+#[derive(Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ListParams {
+    pub title: String,
+}
+
+impl Stage for List {
+    type Params = ListParams;
+    type Output = Text;
+    const ID: &'static str = "test-list";
+    const ABOUT: &'static str = "lists texts";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::many::<Text>("texts")]
+    }
+
+    fn run(context: &JobContext, params: &ListParams) -> anyhow::Result<Text> {
+        let mut lines = params.title.clone();
+        for input in context.inputs::<Text>("texts")? {
+            let value = input.artifact.map_or_else(|failure| format!("{:?}", failure.kind), |text| text.0);
+            lines += &format!("\n{:?} {value}", input.record.coordinates);
+        }
+        Text::write(context.output_dir(), &lines)
+    }
+}
