@@ -1,1 +1,23 @@
-//! sfm-import
+//! Imports captures whose poses somebody else has computed: D-NeRF/Blender `transforms_*.json` and COLMAP sparse
+//! models become the one [`scene::Capture`].
+//!
+//! A reader ([`blender`], [`colmap`]) turns files into a [`source::SourceCapture`]: posed, timed, split frames, without
+//! touching a pixel. [`source::SourceCapture::problems`] lists everything that is wrong with it; [`run`] refuses it or
+//! converts the pixels, and [`inspect`] tells a person.
+
+mod artifact;
+pub mod blender;
+pub mod colmap;
+pub mod inspect;
+pub mod lens;
+pub mod params;
+mod pixels;
+mod run;
+pub mod source;
+mod split;
+#[cfg(test)]
+mod tests;
+
+pub use artifact::CaptureArtifact;
+pub use params::Params;
+pub use run::{SfmImport, import};

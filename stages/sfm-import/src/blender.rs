@@ -1,0 +1,200 @@
+//! `transforms_{train,val,test}.json`: D-NeRF and the synthetic scenes of NeRF (Pumarola et al. 2021, Mildenhall et
+//! al. 2020).
+//!
+//! `camera_angle_x` is the horizontal field of view in radians; `transform_matrix` maps camera to world with Blender's
+//! axes (x right, y up, looking along −z); `time` is in [0, 1] and absent for a scene at rest; `file_path` names a PNG,
+//! its extension left out.
+
+use std::path::{Component, Path, PathBuf};
+
+use glam::{DMat4, DVec4};
+use scene::{Intrinsics, RigidTransform, Split, TimeMap};
+use serde::Deserialize;
+
+use crate::Params;
+use crate::lens::Lens;
+use crate::params::{Format, TestSplit};
+use crate::source::{Frame, Result, SourceCapture, bad, image_size, read_bytes};
+use crate::split;
+
+/// Half the side of the cube in which the D-NeRF loaders draw their initial points.
+const BOUND: f64 = 1.3;
+/// Rounding of the last row of a homogeneous matrix.
+const LAST_ROW_TOLERANCE: f64 = 1e-6;
+
+#[derive(Deserialize)]
+struct Transforms {
+    camera_angle_x: f64,
+    frames: Vec<TransformFrame>,
+}
+
+#[derive(Deserialize)]
+struct TransformFrame {
+    file_path: String,
+    time: Option<f64>,
+    transform_matrix: [[f64; 4]; 4],
+}
+
+/// One split file, read.
+struct SplitFile {
+    path: PathBuf,
+    label: &'static str,
+    split: Split,
+    transforms: Transforms,
+}
+
+/// Whether `dir` holds this format.
+pub fn is_here(dir: &Path) -> bool {
+    dir.join("transforms_train.json").is_file()
+}
+
+/// Reads the split files that `params` ask for.
+pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    let mut warnings = Vec::new();
+    let files = split_files(dir, params, &mut warnings)?;
+    let times = || files.iter().flat_map(|file| &file.transforms.frames).map(|frame| frame.time);
+    let timed = times().filter(Option::is_some).count();
+    if timed != 0 && timed != times().count() {
+        let untimed = |file: &&SplitFile| file.transforms.frames.iter().any(|frame| frame.time.is_none());
+        let path = files.iter().find(untimed).map_or(dir, |file| &file.path);
+        return Err(bad("some frames have a time and some have none").at(path));
+    }
+    let is_static = params.static_scene || timed == 0;
+    if timed == 0 && !params.static_scene {
+        warnings.push("no frame has a time: imported as a scene at rest".into());
+    }
+    let mut frames = Vec::new();
+    for file in &files {
+        let first_camera = if is_static { frames.len() } else { 0 };
+        frames.extend(file_frames(dir, file, is_static, first_camera)?);
+    }
+    let mut rules = vec![split_name(params).to_owned()];
+    let time_map = time_map(&frames, is_static);
+    rules.extend(split::refine(&mut frames, params));
+    Ok(SourceCapture {
+        name: dir.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        format: Format::Blender,
+        dataset: if timed > 0 { "dnerf" } else { "blender" },
+        split_rule: rules.join(", "),
+        time_rule: if is_static { "one instant".into() } else { "(file time - min) / (max - min)".into() },
+        time_map,
+        frames,
+        points: Vec::new(),
+        bounds_world: Some([[-BOUND; 3], [BOUND; 3]]),
+        quality: None,
+        warnings,
+    })
+}
+
+/// The train file, the file that is tested on, and the official validation file unless it is tested on.
+fn split_files(dir: &Path, params: &Params, warnings: &mut Vec<String>) -> Result<Vec<SplitFile>> {
+    let load = |label, split| {
+        let path = dir.join(format!("transforms_{label}.json"));
+        Ok(SplitFile { transforms: parse(&path)?, path, label, split })
+    };
+    let train = load("train", Split::Train)?;
+    if params.test_split == TestSplit::Val {
+        return Ok(vec![train, load("val", Split::Test)?]);
+    }
+    if dir.join("transforms_val.json").is_file() {
+        return Ok(vec![train, load("val", Split::Val)?, load("test", Split::Test)?]);
+    }
+    warnings.push("transforms_val.json is missing: no official validation views (val_count holds some out)".into());
+    Ok(vec![train, load("test", Split::Test)?])
+}
+
+fn split_name(params: &Params) -> &'static str {
+    match params.test_split {
+        TestSplit::Test => "official",
+        TestSplit::Val => "official, tested on val",
+    }
+}
+
+fn parse(path: &Path) -> Result<Transforms> {
+    let bytes = read_bytes(path)?;
+    serde_json::from_slice(&bytes).map_err(|error| {
+        let failure = bad(format!("not a valid transforms file ({error})")).at(path);
+        let text = String::from_utf8_lossy(&bytes);
+        match ["NaN", "Infinity"].iter().find(|word| text.contains(**word)) {
+            Some(word) => failure.hint(format!("it contains {word}, which is neither a pose nor JSON")),
+            None => failure,
+        }
+    })
+}
+
+/// The frames of one file, in its order.
+fn file_frames(dir: &Path, file: &SplitFile, is_static: bool, first_camera: usize) -> Result<Vec<Frame>> {
+    let transforms = &file.transforms;
+    let images = transforms.frames.iter().map(|frame| image_path(dir, frame).map_err(|failure| failure.at(&file.path)));
+    let images = images.collect::<Result<Vec<_>>>()?;
+    // A missing file is listed with all other problems; here any image that is present tells the size.
+    let Some(sized) = images.iter().find(|image| image.is_file()).or(images.first()) else { return Ok(Vec::new()) };
+    let (width, height) = image_size(sized)?;
+    let lens = Lens::pinhole(intrinsics(transforms.camera_angle_x, width, height).map_err(|e| e.at(&file.path))?);
+    let frame = |(index, (stated, image)): (usize, (&TransformFrame, PathBuf))| {
+        let name = format!("{}_{index:03}", file.label);
+        let camera_from_world = camera_from_world(&stated.transform_matrix)
+            .map_err(|failure| bad(format!("{} ({name}): {}", stated.file_path, failure.message)).at(&file.path))?;
+        Ok(Frame {
+            name,
+            split: file.split,
+            image,
+            mask: None,
+            lens,
+            camera_from_world,
+            camera_index: if is_static { (first_camera + index) as u32 } else { 0 },
+            frame_index: if is_static { 0 } else { index as u32 },
+            time_secs: if is_static { 0.0 } else { stated.time.unwrap_or_default() },
+            stated_in: file.path.clone(),
+        })
+    };
+    transforms.frames.iter().zip(images).enumerate().map(frame).collect()
+}
+
+/// `file_path` with `.png` unless it names a PNG or JPEG itself; must stay inside the capture.
+fn image_path(dir: &Path, frame: &TransformFrame) -> Result<PathBuf> {
+    let stated = Path::new(&frame.file_path);
+    if !stated.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
+        return Err(bad(format!("file_path {} leads out of the capture's folder", frame.file_path)));
+    }
+    let extension = stated.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    let has_extension = matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg"));
+    let name = stated.components().filter(|part| matches!(part, Component::Normal(_))).collect::<PathBuf>();
+    let name = if has_extension { name } else { PathBuf::from(format!("{}.png", name.display())) };
+    Ok(dir.join(name))
+}
+
+/// Square pixels, centred principal point: focal = width / (2 tan(angle / 2)).
+fn intrinsics(angle_x: f64, width: u32, height: u32) -> Result<Intrinsics> {
+    if !(angle_x > 0.0 && angle_x < std::f64::consts::PI) {
+        return Err(bad(format!("camera_angle_x is {angle_x}, not an angle between 0 and π radians")));
+    }
+    let focal = 0.5 * f64::from(width) / (0.5 * angle_x).tan();
+    let (center_x, center_y) = (0.5 * f64::from(width), 0.5 * f64::from(height));
+    Ok(Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x, center_y })
+}
+
+/// Camera-to-world with y up and z backwards to world-to-camera with y down and z forwards.
+fn camera_from_world(rows: &[[f64; 4]; 4]) -> Result<RigidTransform> {
+    let last_row = DVec4::from(rows[3]);
+    if !(last_row.abs_diff_eq(DVec4::W, LAST_ROW_TOLERANCE)) {
+        return Err(bad(format!("last row of transform_matrix is {last_row} instead of [0, 0, 0, 1]")));
+    }
+    let blender = DMat4::from_cols_array_2d(rows).transpose();
+    let flip = DMat4::from_diagonal(DVec4::new(1.0, -1.0, -1.0, 1.0));
+    let world_from_camera = RigidTransform::from_matrix(blender * flip);
+    world_from_camera.check().map_err(|error| bad(error.message))?;
+    Ok(world_from_camera.inverse())
+}
+
+/// One map over all splits; a frame lasts 1 / (training frames − 1) of it.
+fn time_map(frames: &[Frame], is_static: bool) -> TimeMap {
+    let times = || frames.iter().map(|frame| frame.time_secs);
+    let (start_secs, end_secs) = times().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+    let train = frames.iter().filter(|frame| frame.split == Split::Train).count();
+    if is_static || !(end_secs > start_secs) {
+        let instant_secs = if start_secs.is_finite() { start_secs } else { 0.0 };
+        return TimeMap { start_secs: instant_secs, end_secs: instant_secs, frame_secs: 1.0 };
+    }
+    TimeMap { start_secs, end_secs, frame_secs: (end_secs - start_secs) / train.saturating_sub(1).max(1) as f64 }
+}

@@ -1,0 +1,123 @@
+//! The little-endian binary files.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use glam::{DVec2, DVec3};
+
+use crate::colmap::model::{CAMERA_MODELS, Point, RegisteredImage, lens};
+use crate::lens::Lens;
+use crate::source::{Result, bad, read_bytes};
+
+/// What COLMAP writes for a keypoint without a point.
+const NO_POINT: u64 = u64::MAX;
+
+/// `cameras.bin`: count, then id, model, width, height, parameters.
+pub fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
+    records(path, |file| {
+        let (id, model) = (file.u32()?, file.u32()?);
+        let (width, height) = (file.u64()?, file.u64()?);
+        let Some((name, count)) = CAMERA_MODELS.get(model as usize) else {
+            return Err(bad(format!("camera model number {model} is unknown")).hint("the file may be damaged"));
+        };
+        let params = (0..*count).map(|_| file.f64()).collect::<Result<Vec<_>>>()?;
+        Ok((id, lens(name, width, height, &params)?))
+    })
+}
+
+/// `images.bin`: count, then id, quaternion (w, x, y, z), translation, camera id, name, keypoints.
+pub fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
+    records(path, |file| {
+        let id = file.u32()?;
+        let quaternion = [file.f64()?, file.f64()?, file.f64()?, file.f64()?];
+        let translation = [file.f64()?, file.f64()?, file.f64()?];
+        let camera_id = file.u32()?;
+        let name = file.name()?;
+        let mut observations = Vec::new();
+        for _ in 0..file.u64()? {
+            let pixel = DVec2::new(file.f64()?, file.f64()?);
+            let point = file.u64()?;
+            observations.push((pixel, (point != NO_POINT).then_some(point)));
+        }
+        Ok((id, RegisteredImage { name, camera_id, quaternion, translation, observations }))
+    })
+}
+
+/// `points3D.bin`: count, then id, position, colour, error, track.
+pub fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
+    records(path, |file| {
+        let id = file.u64()?;
+        let position = DVec3::new(file.f64()?, file.f64()?, file.f64()?);
+        let rgb = file.array()?;
+        let error_px = file.f64()?;
+        let mut track = Vec::new();
+        for _ in 0..file.u64()? {
+            track.push((file.u32()?, file.u32()?));
+        }
+        Ok((id, Point { position, rgb, error_px, track }))
+    })
+}
+
+/// Reads a count and so many keyed records, and nothing after them.
+fn records<K: Ord + std::fmt::Display + Copy, V>(
+    path: &Path,
+    mut read: impl FnMut(&mut Cursor) -> Result<(K, V)>,
+) -> Result<BTreeMap<K, V>> {
+    let bytes = read_bytes(path)?;
+    let mut file = Cursor { rest: &bytes };
+    let count = file.u64().map_err(|failure| failure.at(path))?;
+    let mut records = BTreeMap::new();
+    for index in 0..count {
+        let (key, value) = read(&mut file).map_err(|mut failure| {
+            failure.message = format!("record {} of {count}: {}", index + 1, failure.message);
+            failure.at(path)
+        })?;
+        if records.insert(key, value).is_some() {
+            return Err(bad(format!("id {key} occurs twice")).at(path));
+        }
+    }
+    match file.rest.len() {
+        0 => Ok(records),
+        left => Err(bad(format!("{left} bytes after the last of {count} records")).hint(DAMAGED).at(path)),
+    }
+}
+
+/// Advice for files whose length is wrong.
+const DAMAGED: &str = "the file is cut short or damaged: copy it again";
+
+struct Cursor<'a> {
+    rest: &'a [u8],
+}
+
+impl Cursor<'_> {
+    fn array<const N: usize>(&mut self) -> Result<[u8; N]> {
+        let Some((head, rest)) = self.rest.split_first_chunk::<N>() else {
+            return Err(bad("the file ends inside it").hint(DAMAGED));
+        };
+        self.rest = rest;
+        Ok(*head)
+    }
+
+    fn u32(&mut self) -> Result<u32> {
+        Ok(u32::from_le_bytes(self.array()?))
+    }
+
+    fn u64(&mut self) -> Result<u64> {
+        Ok(u64::from_le_bytes(self.array()?))
+    }
+
+    fn f64(&mut self) -> Result<f64> {
+        Ok(f64::from_le_bytes(self.array()?))
+    }
+
+    /// A name that ends with a zero byte.
+    fn name(&mut self) -> Result<String> {
+        let Some(end) = self.rest.iter().position(|byte| *byte == 0) else {
+            return Err(bad("the file ends inside a name").hint(DAMAGED));
+        };
+        let name = std::str::from_utf8(&self.rest[..end]).map_err(|_| bad("image name is not UTF-8").hint(DAMAGED))?;
+        let name = name.to_owned();
+        self.rest = &self.rest[end + 1..];
+        Ok(name)
+    }
+}

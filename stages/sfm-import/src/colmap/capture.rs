@@ -1,0 +1,202 @@
+//! A sparse model and its images as posed, timed and split frames.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
+
+use scene::{Split, TimeMap};
+
+use crate::Params;
+use crate::colmap::layout::{image_names, images_dir, mask_path, natural_order, numbered_models, sparse_dir};
+use crate::colmap::model::{Model, RegisteredImage};
+use crate::params::Format;
+use crate::source::{Frame, Quality, Result, SourceCapture, bad, image_size};
+use crate::split;
+
+/// Mean reprojection error above which poses blur what is trained on them; good models stay below 1.
+const POOR_REPROJECTION_PX: f64 = 2.0;
+
+/// Reads the model and the names of the images in `dir`.
+///
+/// Images in sub-folders are the cameras of a rig, one folder each; a frame's number is its place among all images of
+/// its camera, registered or not, so that a frame without a pose leaves a gap in time and shifts nothing.
+pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    let sparse = sparse_dir(dir).ok_or_else(|| bad("no COLMAP model").at(dir))?;
+    let model = Model::read(&sparse)?;
+    let images_dir = images_dir(dir);
+    let present = image_names(&images_dir);
+    check_registered_share(&model, &present, params, &sparse)?;
+    let quality = Quality {
+        registered: model.images.len(),
+        images: present.len().max(model.images.len()),
+        reprojection: model.reprojection_error(),
+    };
+    let mut warnings = warnings(dir, &sparse, &model, &quality);
+    let mut registered: Vec<&RegisteredImage> = model.images.values().collect();
+    registered.sort_by(|a, b| natural_order(&a.name, &b.name));
+    let places = places(present.iter().map(String::as_str).chain(registered.iter().map(|image| image.name.as_str())));
+    let source = FrameSource { dir, images_dir: &images_dir, sparse: &sparse, model: &model, params };
+    let frames = registered.iter().enumerate().map(|(index, image)| source.frame(index, image, places[image.name.as_str()]));
+    let mut frames = frames.collect::<Result<Vec<_>>>()?;
+    warnings.extend(drop_misfit_masks(&mut frames));
+    let mut rules = vec![split_tests(&mut frames, params)];
+    let time_map = time_map(&frames, params);
+    rules.extend(split::refine(&mut frames, params));
+    Ok(SourceCapture {
+        name: dir.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        format: Format::Colmap,
+        dataset: "colmap",
+        split_rule: rules.join(", "),
+        time_rule: if params.static_scene { "one instant".into() } else { "sorted frame / (frames - 1)".into() },
+        time_map,
+        frames,
+        points: model.points.values().map(|point| (point.position.to_array(), point.rgb)).collect(),
+        bounds_world: None,
+        quality: Some(quality),
+        warnings,
+    })
+}
+
+/// Refuses a model that lost more images than `params` allow.
+fn check_registered_share(model: &Model, present: &[String], params: &Params, sparse: &Path) -> Result<()> {
+    let registered = model.images.len();
+    let total = registered.max(present.len());
+    if registered as f64 >= params.min_registered_share * total as f64 {
+        return Ok(());
+    }
+    let names: BTreeSet<&str> = model.images.values().map(|image| image.name.as_str()).collect();
+    let lost = present.iter().filter(|name| !names.contains(name.as_str()));
+    let lost: Vec<&str> = lost.take(3).map(String::as_str).collect();
+    let percent = 100.0 * registered as f64 / total as f64;
+    let message = format!("only {registered} of {total} images ({percent:.0} %) have a pose; none for {} …", lost.join(", "));
+    let hint = format!(
+        "mask moving objects for structure from motion, or lower min_registered_share (now {})",
+        params.min_registered_share
+    );
+    Err(bad(message).hint(hint).at(sparse))
+}
+
+fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let models = numbered_models(dir);
+    if models.len() > 1 {
+        let used = sparse.strip_prefix(dir).unwrap_or(sparse).display();
+        warnings.push(format!("{} models in sparse/: the scene broke into parts, only {used} is used", models.len()));
+    }
+    if model.points.is_empty() {
+        warnings.push("the model has no points: initial points will be random".into());
+    }
+    let lost = quality.images - quality.registered;
+    if lost > 0 {
+        warnings.push(format!("{lost} of {} images have no pose and are left out", quality.images));
+    }
+    if let Some(error) = quality.reprojection.filter(|error| !(error.recomputed_px <= POOR_REPROJECTION_PX)) {
+        warnings.push(format!("points miss their keypoints by {:.1} px: poses are poor", error.recomputed_px));
+    }
+    warnings
+}
+
+/// Camera (rank of the folder) and frame number (rank within the folder) of every image name.
+fn places<'a>(names: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, (u32, u32)> {
+    let names: BTreeSet<&str> = names.collect();
+    let mut cameras: Vec<(&str, Vec<&str>)> = Vec::new();
+    let mut by_folder = BTreeMap::new();
+    for name in names {
+        let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
+        by_folder.entry(folder).or_insert_with(Vec::new).push(name);
+    }
+    cameras.extend(by_folder);
+    cameras.sort_by(|a, b| natural_order(a.0, b.0));
+    let mut places = BTreeMap::new();
+    for (camera, (_, names)) in cameras.iter_mut().enumerate() {
+        names.sort_by(|a, b| natural_order(a, b));
+        places.extend(names.iter().enumerate().map(|(frame, name)| (*name, (camera as u32, frame as u32))));
+    }
+    places
+}
+
+/// What every frame of one model shares.
+struct FrameSource<'a> {
+    dir: &'a Path,
+    images_dir: &'a Path,
+    sparse: &'a Path,
+    model: &'a Model,
+    params: &'a Params,
+}
+
+impl FrameSource<'_> {
+    /// The `index`-th registered image, all of them training views for now.
+    fn frame(&self, index: usize, image: &RegisteredImage, (camera, frame): (u32, u32)) -> Result<Frame> {
+        let is_static = self.params.static_scene;
+        Ok(Frame {
+            name: view_name(&image.name),
+            split: Split::Train,
+            image: self.images_dir.join(inside(&image.name).map_err(|failure| failure.at(self.sparse))?),
+            mask: mask_path(self.dir, &image.name),
+            lens: self.model.cameras[&image.camera_id],
+            camera_from_world: image.camera_from_world(),
+            camera_index: if is_static { index as u32 } else { camera },
+            frame_index: if is_static { 0 } else { frame },
+            time_secs: if is_static { 0.0 } else { f64::from(frame) / self.params.fps },
+            stated_in: self.sparse.to_owned(),
+        })
+    }
+}
+
+/// An image name as a path that stays inside the images' folder.
+fn inside(name: &str) -> Result<PathBuf> {
+    let path = PathBuf::from(name);
+    if path.components().all(|part| matches!(part, Component::Normal(_))) {
+        return Ok(path);
+    }
+    Err(bad(format!("image name {name} leads out of the images' folder")))
+}
+
+/// The image's name without extension, safe as a file name.
+fn view_name(name: &str) -> String {
+    let stem = Path::new(name).with_extension("");
+    let safe = |symbol: char| if symbol.is_ascii_alphanumeric() || "-.".contains(symbol) { symbol } else { '_' };
+    let name: String = stem.to_string_lossy().chars().map(safe).collect();
+    if name.starts_with('.') { format!("_{name}") } else { name }
+}
+
+/// Marks test views: of a rig at several instants every n-th camera, else every n-th image in natural order (the rule
+/// of LLFF, there by spelling).
+fn split_tests(frames: &mut [Frame], params: &Params) -> String {
+    let every = params.every_nth as usize;
+    if every == 0 {
+        return "no test".into();
+    }
+    let is_rig = !params.static_scene && frames.iter().any(|frame| frame.camera_index > 0);
+    for (index, frame) in frames.iter_mut().enumerate() {
+        let rank = if is_rig { frame.camera_index as usize } else { index };
+        if rank % every == 0 {
+            frame.split = Split::Test;
+        }
+    }
+    format!("1 of {every} {}", if is_rig { "cameras" } else { "images" })
+}
+
+/// Forgets masks whose size is not that of their image; says so, and where only some images have one.
+fn drop_misfit_masks(frames: &mut [Frame]) -> Option<String> {
+    let stated = frames.iter().filter(|frame| frame.mask.is_some()).count();
+    for frame in &mut *frames {
+        let size = (frame.lens.intrinsics.width, frame.lens.intrinsics.height);
+        frame.mask.take_if(|mask| !image_size(mask).is_ok_and(|found| found == size));
+    }
+    let used = frames.iter().filter(|frame| frame.mask.is_some()).count();
+    match stated - used {
+        0 if used == 0 || used == frames.len() => None,
+        0 => Some(format!("only {used} of {} images have a mask", frames.len())),
+        misfits => Some(format!("{misfits} masks are not used: they have not the size of their images")),
+    }
+}
+
+/// From the first to the last registered frame.
+fn time_map(frames: &[Frame], params: &Params) -> TimeMap {
+    if params.static_scene {
+        return TimeMap { start_secs: 0.0, end_secs: 0.0, frame_secs: 1.0 };
+    }
+    let times = frames.iter().map(|frame| frame.time_secs);
+    let (start_secs, end_secs) = times.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+    TimeMap { start_secs, end_secs, frame_secs: 1.0 / params.fps }
+}

@@ -1,0 +1,119 @@
+//! The text files: one record per line (images: two), `#` comments.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::str::FromStr;
+
+use glam::{DVec2, DVec3};
+
+use crate::colmap::model::{Point, RegisteredImage, lens};
+use crate::lens::Lens;
+use crate::source::{Result, bad, read_bytes};
+
+/// `cameras.txt`: id, model, width, height, parameters.
+pub fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
+    records(path, |words, _| {
+        let (id, model, width, height) = (words.next()?, words.word()?, words.next()?, words.next()?);
+        let params = words.rest::<f64>()?;
+        Ok((id, lens(model, width, height, &params)?))
+    })
+}
+
+/// `images.txt`: id, quaternion (w, x, y, z), translation, camera id, name; on the next line keypoints.
+pub fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
+    records(path, |words, lines| {
+        let id = words.next()?;
+        let quaternion = [words.next()?, words.next()?, words.next()?, words.next()?];
+        let translation = [words.next()?, words.next()?, words.next()?];
+        let camera_id = words.next()?;
+        let name = words.remainder()?.to_owned();
+        let Some((_, keypoints)) = lines.next() else {
+            return Err(bad("the line of its keypoints is missing").hint("write an empty line where there are none"));
+        };
+        let mut keypoints = Words { rest: keypoints };
+        let mut observations = Vec::new();
+        while !keypoints.rest.trim().is_empty() {
+            let pixel = DVec2::new(keypoints.next()?, keypoints.next()?);
+            let point: i64 = keypoints.next()?;
+            observations.push((pixel, u64::try_from(point).ok()));
+        }
+        Ok((id, RegisteredImage { name, camera_id, quaternion, translation, observations }))
+    })
+}
+
+/// `points3D.txt`: id, position, colour, error, track.
+pub fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
+    records(path, |words, _| {
+        let id = words.next()?;
+        let position = DVec3::new(words.next()?, words.next()?, words.next()?);
+        let rgb = [words.next()?, words.next()?, words.next()?];
+        let error_px = words.next()?;
+        let mut track = Vec::new();
+        while !words.rest.trim().is_empty() {
+            track.push((words.next()?, words.next()?));
+        }
+        Ok((id, Point { position, rgb, error_px, track }))
+    })
+}
+
+/// Numbered lines of a file.
+type Lines<'a> = dyn Iterator<Item = (usize, &'a str)> + 'a;
+
+/// Reads keyed records, blaming file and line.
+fn records<K: Ord + std::fmt::Display + Copy, V>(
+    path: &Path,
+    mut read: impl FnMut(&mut Words, &mut Lines) -> Result<(K, V)>,
+) -> Result<BTreeMap<K, V>> {
+    let bytes = read_bytes(path)?;
+    let text = std::str::from_utf8(&bytes).map_err(|_| bad("not a text file").at(path))?;
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#'));
+    let mut records = BTreeMap::new();
+    while let Some((number, line)) = lines.next() {
+        if line.trim().is_empty() {
+            continue;
+        }
+        let blame = |message: String| bad(format!("line {}: {message}", number + 1)).at(path);
+        let (key, value) = read(&mut Words { rest: line }, &mut lines).map_err(|failure| {
+            let hint = failure.hint.clone();
+            let blamed = blame(failure.message);
+            if let Some(hint) = hint { blamed.hint(hint) } else { blamed }
+        })?;
+        if records.insert(key, value).is_some() {
+            return Err(blame(format!("id {key} occurs twice")));
+        }
+    }
+    Ok(records)
+}
+
+struct Words<'a> {
+    rest: &'a str,
+}
+
+impl<'a> Words<'a> {
+    fn word(&mut self) -> Result<&'a str> {
+        let trimmed = self.rest.trim_start();
+        let end = trimmed.find(char::is_whitespace).unwrap_or(trimmed.len());
+        let (word, rest) = trimmed.split_at(end);
+        self.rest = rest;
+        if word.is_empty() { Err(bad("the line ends too early")) } else { Ok(word) }
+    }
+
+    fn next<T: FromStr>(&mut self) -> Result<T> {
+        let word = self.word()?;
+        word.parse().map_err(|_| bad(format!("{word:?} is not a number of the kind expected here")))
+    }
+
+    fn rest<T: FromStr>(&mut self) -> Result<Vec<T>> {
+        let mut values = Vec::new();
+        while !self.rest.trim().is_empty() {
+            values.push(self.next()?);
+        }
+        Ok(values)
+    }
+
+    /// Everything that is left: names may contain spaces.
+    fn remainder(&mut self) -> Result<&'a str> {
+        let name = std::mem::take(&mut self.rest).trim();
+        if name.is_empty() { Err(bad("the line ends too early")) } else { Ok(name) }
+    }
+}

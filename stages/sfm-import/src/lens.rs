@@ -1,0 +1,122 @@
+//! Lens distortion: the Brown–Conrady model of OpenCV and COLMAP, and the pinhole that replaces it.
+
+use engine::{Failure, FailureKind};
+use glam::DVec2;
+use scene::Intrinsics;
+
+/// The largest zoom spent on hiding unseen borders; beyond it the coefficients are not those of a real lens.
+const MAX_ZOOM: f64 = 4.0;
+/// Bisection steps of the zoom: 40 halvings of [1, `MAX_ZOOM`] are below f64 pixel rounding.
+const ZOOM_STEPS: usize = 40;
+
+/// Radial (`k1`, `k2`) and tangential (`p1`, `p2`) coefficients on the plane z = 1.
+///
+/// x' = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²), y' = y (1 + k1 r² + k2 r⁴) + p1 (r² + 2 y²) + 2 p2 x y
+/// (Brown 1966; COLMAP's `OPENCV`, of which `RADIAL` and `SIMPLE_RADIAL` are special cases).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Distortion {
+    /// Coefficient of r².
+    pub k1: f64,
+    /// Coefficient of r⁴.
+    pub k2: f64,
+    /// First tangential coefficient.
+    pub p1: f64,
+    /// Second tangential coefficient.
+    pub p2: f64,
+}
+
+/// A pinhole with distortion: how a photograph was taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Image size, focal lengths and principal point.
+    pub intrinsics: Intrinsics,
+    /// What bends the rays.
+    pub distortion: Distortion,
+}
+
+impl Distortion {
+    /// Whether this is a pinhole.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Where the ray through `point` (plane z = 1) lands on that plane.
+    pub fn apply(&self, point: DVec2) -> DVec2 {
+        let Self { k1, k2, p1, p2 } = *self;
+        let (r2, xy) = (point.length_squared(), point.x * point.y);
+        let radial = 1.0 + k1 * r2 + k2 * r2 * r2;
+        let tangential = DVec2::new(
+            2.0 * p1 * xy + p2 * (r2 + 2.0 * point.x * point.x),
+            p1 * (r2 + 2.0 * point.y * point.y) + 2.0 * p2 * xy,
+        );
+        point * radial + tangential
+    }
+
+    /// Whether the radial part still grows at radius² `r2`: d(r + k1 r³ + k2 r⁵)/dr > 0.
+    fn grows_at(&self, r2: f64) -> bool {
+        1.0 + 3.0 * self.k1 * r2 + 5.0 * self.k2 * r2 * r2 > 0.0
+    }
+}
+
+impl Lens {
+    /// A lens that bends nothing.
+    pub fn pinhole(intrinsics: Intrinsics) -> Self {
+        Self { intrinsics, distortion: Distortion::default() }
+    }
+
+    /// Pixel position of a point on the plane z = 1.
+    pub fn pixel(&self, point: DVec2) -> DVec2 {
+        let k = self.intrinsics;
+        self.distortion.apply(point) * DVec2::new(k.focal_x, k.focal_y) + DVec2::new(k.center_x, k.center_y)
+    }
+
+    /// The pinhole that undistorted images have: the same size and principal point, focal lengths multiplied by the
+    /// smallest factor ≥ 1 for which every pixel centre of the new image lies between pixel centres of the old one, so
+    /// that no pixel is invented. A pinhole is returned as it is.
+    pub fn undistorted(&self) -> Result<Intrinsics, Failure> {
+        if self.distortion.is_none() {
+            return Ok(self.intrinsics);
+        }
+        if !self.sees_border_of(&self.zoomed(MAX_ZOOM)) {
+            let message = format!("lens distortion {:?} folds the image over", self.distortion);
+            let hint = "the calibration is wrong: calibrate again, or undistort with `colmap image_undistorter`";
+            return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
+        }
+        let (mut too_small, mut enough) = (1.0, MAX_ZOOM);
+        if self.sees_border_of(&self.zoomed(1.0)) {
+            enough = 1.0;
+        }
+        for _ in 0..ZOOM_STEPS {
+            let middle = 0.5 * (too_small + enough);
+            let seen = self.sees_border_of(&self.zoomed(middle));
+            *(if seen { &mut enough } else { &mut too_small }) = middle;
+        }
+        Ok(self.zoomed(enough))
+    }
+
+    fn zoomed(&self, zoom: f64) -> Intrinsics {
+        let k = self.intrinsics;
+        Intrinsics { focal_x: k.focal_x * zoom, focal_y: k.focal_y * zoom, ..k }
+    }
+
+    /// Whether every border pixel of the pinhole `target` is seen by this lens; the inside follows, because the
+    /// distortion grows outwards.
+    fn sees_border_of(&self, target: &Intrinsics) -> bool {
+        let (width, height) = (target.width, target.height);
+        let (last_x, last_y) = (f64::from(width) - 0.5, f64::from(height) - 0.5);
+        let rows = (0..height).flat_map(|row| [(0, row), (width - 1, row)]);
+        let columns = (0..width).flat_map(|column| [(column, 0), (column, height - 1)]);
+        rows.chain(columns).all(|(column, row)| {
+            let point = plane_point(target, column, row);
+            let pixel = self.pixel(point);
+            let inside = (0.5..=last_x).contains(&pixel.x) && (0.5..=last_y).contains(&pixel.y);
+            inside && self.distortion.grows_at(point.length_squared())
+        })
+    }
+}
+
+/// The point on the plane z = 1 that the centre of a pixel shows.
+pub fn plane_point(pinhole: &Intrinsics, column: u32, row: u32) -> DVec2 {
+    let pixel = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+    (pixel - DVec2::new(pinhole.center_x, pinhole.center_y)) / DVec2::new(pinhole.focal_x, pinhole.focal_y)
+}

@@ -1,0 +1,198 @@
+//! The stage: reads, refuses or converts.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use engine::{JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
+use rayon::prelude::*;
+use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
+
+use crate::params::{Format, Resize};
+use crate::pixels::{self, Labels};
+use crate::source::{self, Frame, Result, SourceCapture, bad};
+use crate::{CaptureArtifact, Params};
+
+/// The name under which the engine hands over the capture's folder.
+const SOURCE: &str = "source";
+
+/// The stage `sfm-import`.
+pub struct SfmImport;
+
+impl Stage for SfmImport {
+    type Params = Params;
+    type Output = CaptureArtifact;
+
+    const ID: &'static str = "sfm-import";
+    const ABOUT: &'static str = "Imports a capture with known poses: D-NeRF/Blender transforms or a COLMAP model.";
+
+    fn ports() -> Vec<Port> {
+        Vec::new()
+    }
+
+    fn sources(params: &Params) -> Vec<Source> {
+        vec![Source { name: SOURCE, path: params.source.clone() }]
+    }
+
+    fn check_params(params: &Params) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn resources(_params: &Params) -> Resources {
+        Resources { threads: 0 } // decoding images is all there is to do, and it scales
+    }
+
+    fn run(context: &JobContext, params: &Params) -> anyhow::Result<CaptureArtifact> {
+        let source = source::read(context.source(SOURCE)?, params)?;
+        refuse(&source)?;
+        for warning in &source.warnings {
+            tracing::warn!("{}: {warning}", source.name);
+        }
+        context.measure("warnings", &source.warnings)?;
+        context.measure("structure_from_motion", source.quality)?;
+        let (on_progress, stop, output_dir) = (&context.on_progress, &context.stop, context.output_dir());
+        let on_view = |done: u64, total: u64| {
+            on_progress(Progress { done, total, message: "images".into() });
+            !stop.load(Ordering::Relaxed)
+        };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        match pool.install(|| convert(&source, params, output_dir, &on_view))? {
+            Some(capture) => Ok(CaptureArtifact(capture)),
+            None => Err(context.interrupted()),
+        }
+    }
+}
+
+/// Imports the capture in `dir` into the folder `output_dir`, outside of any job.
+pub fn import(dir: &Path, params: &Params, output_dir: &Path) -> anyhow::Result<Capture> {
+    let source = source::read(dir, params)?;
+    refuse(&source)?;
+    let capture = convert(&source, params, output_dir, &|_, _| true)?;
+    Ok(capture.expect("nobody asks it to stop"))
+}
+
+/// Fails with the first problem and the number of others.
+fn refuse(source: &SourceCapture) -> Result<()> {
+    let mut problems = source.problems();
+    if problems.is_empty() {
+        return Ok(());
+    }
+    let others = problems.len() - 1;
+    let mut first = problems.swap_remove(0);
+    if others > 0 {
+        first.message = format!("{} (and {others} more problems; `pipeline inspect` lists them)", first.message);
+    }
+    Err(first)
+}
+
+/// Writes all views and points; `None` when `on_view(done, total)` says stop.
+fn convert(
+    source: &SourceCapture,
+    params: &Params,
+    output_dir: &Path,
+    on_view: &(dyn Fn(u64, u64) -> bool + Sync),
+) -> anyhow::Result<Option<Capture>> {
+    let conversion = Conversion::plan(source, params)?;
+    let mut writer = CaptureWriter::create(output_dir, conversion.info(source, params))?;
+    if !source.points.is_empty() {
+        let positions = source.points.iter().map(|(position, _)| position.map(|value| value as f32)).collect();
+        let colors = source.points.iter().map(|(_, rgb)| *rgb).collect();
+        writer.write_points(&PointCloud { positions, colors })?;
+    }
+    let (done, total) = (AtomicU64::new(0), source.frames.len() as u64);
+    let views = source.frames.par_iter().map(|frame| -> anyhow::Result<bool> {
+        writer.write_view(&conversion.view(frame)?)?;
+        Ok(on_view(done.fetch_add(1, Ordering::Relaxed) + 1, total))
+    });
+    let go_on = views.try_reduce(|| true, |left, right| Ok(left && right))?;
+    Ok(if go_on { Some(writer.finish()?) } else { None })
+}
+
+/// What is the same for every image of a capture.
+struct Conversion {
+    native: (u32, u32),
+    size: (u32, u32),
+    filter: Resize,
+    background: [f32; 3],
+    any_alpha: bool,
+    labels: Labels,
+}
+
+impl Conversion {
+    fn plan(source: &SourceCapture, params: &Params) -> Result<Self> {
+        let first = source.frames.first().ok_or_else(|| bad("the capture has no frames"))?;
+        let native = (first.lens.intrinsics.width, first.lens.intrinsics.height);
+        let size = target_size(native, params.width)?;
+        let alphas = source.frames.par_iter().map(|frame| pixels::has_alpha(&frame.image));
+        let any_alpha = alphas.collect::<Result<Vec<_>>>()?.contains(&true);
+        let masks = source.frames.par_iter().filter_map(|frame| frame.mask.as_deref()).map(pixels::mask_values);
+        let mut values = [false; 256];
+        for present in masks.collect::<Result<Vec<_>>>()? {
+            values.iter_mut().zip(present).for_each(|(any, present)| *any |= present);
+        }
+        let labels = Labels::of_values(&values);
+        Ok(Self { native, size, filter: params.filter(), background: params.background.rgb(), any_alpha, labels })
+    }
+
+    fn info(&self, source: &SourceCapture, params: &Params) -> CaptureInfo {
+        let resize = match (self.size == self.native, self.filter) {
+            (true, _) => "none",
+            (false, Resize::Area) => "area",
+            (false, Resize::Lanczos3) => "lanczos3",
+        };
+        CaptureInfo {
+            name: source.name.clone(),
+            pose_source: if source.format == Format::Colmap { "colmap" } else { "blender" }.into(),
+            protocol: Protocol {
+                dataset: source.dataset.into(),
+                split: source.split_rule.clone(),
+                width: self.size.0,
+                height: self.size.1,
+                resize: resize.into(),
+                background: if self.any_alpha { params.background.name() } else { "none" }.into(),
+                time: source.time_rule.clone(),
+            },
+            background: self.background,
+            time_map: source.time_map,
+            class_names: self.labels.class_names.clone(),
+            bounds_world: source.bounds_world,
+        }
+    }
+
+    /// One image: composited and rounded at native size, then undistorted, then resized, then rounded.
+    fn view(&self, frame: &Frame) -> Result<scene::Frame> {
+        let native = frame.camera()?;
+        let (width, height) = self.size;
+        let (image, alpha) = pixels::composited(&frame.image, self.background)?;
+        let finish = |raster: pixels::Raster| {
+            let undistorted = raster.undistorted(&frame.lens, &native.intrinsics);
+            undistorted.resized(width as usize, height as usize, self.filter)
+        };
+        let mask = frame.mask.as_ref();
+        let mask = mask.map(|path| self.labels.read(path, &frame.lens, &native.intrinsics, self.size));
+        Ok(scene::Frame {
+            name: frame.name.clone(),
+            split: frame.split,
+            camera: if self.size == self.native { native } else { Camera::resized(&native, width, height) },
+            camera_index: frame.camera_index,
+            frame_index: frame.frame_index,
+            time_secs: frame.time_secs,
+            image: finish(image).into_rgb(),
+            alpha: alpha.map(|alpha| finish(alpha).into_grey()),
+            depth: None,
+            flow: None,
+            mask: mask.transpose()?,
+            velocity: None,
+        })
+    }
+}
+
+/// The size at `width` pixels per row; images are never enlarged.
+fn target_size(native: (u32, u32), width: Option<u32>) -> Result<(u32, u32)> {
+    let Some(width) = width else { return Ok(native) };
+    if width > native.0 {
+        let message = format!("width = {width} would enlarge images of {}×{} pixels", native.0, native.1);
+        return Err(bad(message).hint(format!("use at most {}, or leave width out", native.0)));
+    }
+    let height = (f64::from(native.1) * f64::from(width) / f64::from(native.0)).round().max(1.0);
+    Ok((width, height as u32))
+}

@@ -1,0 +1,285 @@
+//! A recognised capture before any pixel is read: posed, timed and split frames, and what is wrong with them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use engine::{Failure, FailureKind};
+use rayon::prelude::*;
+use scene::{Camera, RigidTransform, Split, TimeMap};
+use serde::Serialize;
+
+use crate::colmap::model::ReprojectionError;
+use crate::lens::Lens;
+use crate::params::Format;
+use crate::{Params, blender, colmap};
+
+/// Results of this crate: every error has a kind, a message, a hint and a file.
+pub type Result<T> = std::result::Result<T, Failure>;
+
+/// Everything that the files say, except pixels.
+pub struct SourceCapture {
+    /// The folder's name.
+    pub name: String,
+    /// [`Format::Blender`] or [`Format::Colmap`].
+    pub format: Format,
+    /// The benchmark, for the protocol: `dnerf`, `blender` or `colmap`.
+    pub dataset: &'static str,
+    /// How views became train, val and test.
+    pub split_rule: String,
+    /// How times became [0, 1].
+    pub time_rule: String,
+    /// Over all splits, before any subsampling.
+    pub time_map: TimeMap,
+    /// Every image that is imported.
+    pub frames: Vec<Frame>,
+    /// World positions and sRGB colours of a sparse cloud; empty where there is none.
+    pub points: Vec<([f64; 3], [u8; 3])>,
+    /// The box that holds the scene, where the literature fixes it.
+    pub bounds_world: Option<[[f64; 3]; 2]>,
+    /// How well structure from motion went, where it was run.
+    pub quality: Option<Quality>,
+    /// Odd, but not wrong.
+    pub warnings: Vec<String>,
+}
+
+/// How well structure from motion went.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Quality {
+    /// Images with a pose.
+    pub registered: usize,
+    /// Images.
+    pub images: usize,
+    /// Of the points, where there are any.
+    pub reprojection: Option<ReprojectionError>,
+}
+
+/// One image file with its camera and time.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Unique, safe as a file name.
+    pub name: String,
+    /// What the view may be used for.
+    pub split: Split,
+    /// The image file.
+    pub image: PathBuf,
+    /// Its instance mask, where there is one.
+    pub mask: Option<PathBuf>,
+    /// How it was taken.
+    pub lens: Lens,
+    /// World to view coordinates (OpenCV axes).
+    pub camera_from_world: RigidTransform,
+    /// Which camera of a rig.
+    pub camera_index: u32,
+    /// Frame number within that camera's video.
+    pub frame_index: u32,
+    /// When it was taken.
+    pub time_secs: f64,
+    /// The file that states pose and time.
+    pub stated_in: PathBuf,
+}
+
+/// Reads the capture in `dir` as `params` say; opens no image beyond its header.
+pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    let source = match recognise(dir, params.format)? {
+        Format::Colmap => colmap::read(dir, params)?,
+        _ => blender::read(dir, params)?,
+    };
+    Ok(source)
+}
+
+/// The format of `dir`: what its files say, which must be `wanted` unless that is [`Format::Auto`].
+pub fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
+    if !dir.is_dir() {
+        let hint = "is --data-root right, and is the data downloaded?";
+        return Err(Failure::new(FailureKind::MissingData, "no such data folder").hint(hint).at(dir));
+    }
+    let (is_blender, is_colmap) = (blender::is_here(dir), colmap::layout::sparse_dir(dir).is_some());
+    match (wanted, is_blender, is_colmap) {
+        (Format::Auto | Format::Blender, true, false) | (Format::Blender, true, true) => Ok(Format::Blender),
+        (Format::Auto | Format::Colmap, false, true) | (Format::Colmap, true, true) => Ok(Format::Colmap),
+        (Format::Auto, true, true) => {
+            let message = "the folder holds both transforms_train.json and a COLMAP model";
+            Err(bad(message).hint("set format = \"blender\" or format = \"colmap\"").at(dir))
+        }
+        _ => Err(unrecognised(dir, wanted)),
+    }
+}
+
+/// The error for a folder that is not what was wanted: what was found, and what is supported.
+fn unrecognised(dir: &Path, wanted: Format) -> Failure {
+    let what = match wanted {
+        Format::Auto => "neither a Blender/D-NeRF nor a COLMAP capture",
+        Format::Blender => "not a Blender/D-NeRF capture",
+        Format::Colmap => "not a COLMAP capture",
+    };
+    let mut found: Vec<String> = children(dir);
+    let has = |name: &str| found.iter().any(|entry| entry == name);
+    let hint = if found.is_empty() {
+        "the folder is empty: is the data downloaded?".to_owned()
+    } else if let Some(child) = captures_below(dir).first() {
+        format!("it is a folder of captures: choose one, as {}", child.file_name().unwrap_or_default().display())
+    } else if has("cameras.bin") || has("cameras.txt") {
+        "this looks like part of a COLMAP model: name the folder that holds both the model and the images".into()
+    } else if has("transforms.json") {
+        "a single transforms.json (nerfstudio) is not read: split it into transforms_{train,val,test}.json".into()
+    } else if has("dataset.json") && has("camera") {
+        "this looks like the Nerfies/HyperNeRF layout, which is not read yet".into()
+    } else if has("poses_bounds.npy") {
+        "poses_bounds.npy (LLFF, Neural 3D Video) is not read yet; a COLMAP model beside it would be".into()
+    } else {
+        "supported: transforms_{train,val,test}.json (Blender, D-NeRF), or images/ beside \
+         sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP)"
+            .into()
+    };
+    let more = found.len().saturating_sub(8);
+    found.truncate(8);
+    let listed = format!("{}{}", found.join(", "), if more > 0 { format!(" and {more} more") } else { String::new() });
+    let listed = if listed.is_empty() { "nothing".into() } else { listed };
+    bad(format!("{what} (found {listed})")).hint(hint).at(dir)
+}
+
+/// The folders directly below `dir` that are recognised as captures, sorted.
+pub fn captures_below(dir: &Path) -> Vec<PathBuf> {
+    let mut captures: Vec<PathBuf> = children(dir).iter().map(|name| dir.join(name)).collect();
+    captures.retain(|path| path.is_dir() && (blender::is_here(path) || colmap::layout::sparse_dir(path).is_some()));
+    captures
+}
+
+/// Names of the entries of `dir`, sorted; folders end without a slash.
+fn children(dir: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+impl SourceCapture {
+    /// Everything that makes the capture unusable, in a fixed order; empty for a good one.
+    pub fn problems(&self) -> Vec<Failure> {
+        let mut problems = self.split_problems();
+        problems.extend(self.frames.par_iter().filter_map(|frame| frame.check().err()).collect::<Vec<_>>());
+        problems.extend(self.name_problems());
+        problems.extend(self.time_problems());
+        problems.extend(self.size_problem());
+        problems
+    }
+
+    /// Frames of one split.
+    pub fn count(&self, split: Split) -> usize {
+        self.frames.iter().filter(|frame| frame.split == split).count()
+    }
+
+    /// Number of cameras that move or stand on their own.
+    pub fn camera_count(&self) -> usize {
+        self.frames.iter().map(|frame| frame.camera_index).collect::<BTreeSet<_>>().len()
+    }
+
+    fn split_problems(&self) -> Vec<Failure> {
+        let empty = |split, hint| {
+            let message = format!("the {} split of {} is empty", format!("{split:?}").to_lowercase(), self.name);
+            (self.count(split) == 0).then(|| bad(message).hint(hint))
+        };
+        let train = empty(Split::Train, "nothing can be trained: change every_nth, val_count or the split files");
+        let test = empty(Split::Test, "nothing could be measured: change every_nth or test_split");
+        train.into_iter().chain(test).collect()
+    }
+
+    fn name_problems(&self) -> Vec<Failure> {
+        let mut seen = BTreeMap::new();
+        let mut problems = Vec::new();
+        for frame in &self.frames {
+            if let Some(other) = seen.insert(&frame.name, &frame.image) {
+                let message = format!("two images would both be called {}: {} and this", frame.name, other.display());
+                problems.push(bad(message).at(&frame.image));
+            }
+        }
+        problems
+    }
+
+    /// Times of one camera must grow strictly in the order of its file.
+    fn time_problems(&self) -> Vec<Failure> {
+        let mut last: BTreeMap<(Split, u32), &Frame> = BTreeMap::new();
+        let mut problems = Vec::new();
+        for frame in &self.frames {
+            let Some(before) = last.insert((frame.split, frame.camera_index), frame) else { continue };
+            let what = match frame.time_secs.partial_cmp(&before.time_secs) {
+                Some(std::cmp::Ordering::Greater) => continue,
+                Some(std::cmp::Ordering::Equal) => "the same time as",
+                _ => "an earlier time than",
+            };
+            let message = format!(
+                "{} (time {}) has {what} {} before it (time {})",
+                frame.name, frame.time_secs, before.name, before.time_secs
+            );
+            let hint = "one camera's frames must be listed in order of time, one per instant; \
+                        static = true imports a scene at rest";
+            problems.push(bad(message).hint(hint).at(&frame.stated_in));
+        }
+        problems
+    }
+
+    /// Views of one capture have one size.
+    fn size_problem(&self) -> Option<Failure> {
+        let first = self.frames.first()?;
+        let (width, height) = (first.lens.intrinsics.width, first.lens.intrinsics.height);
+        let other = self.frames.iter().find(|frame| {
+            let intrinsics = frame.lens.intrinsics;
+            (intrinsics.width, intrinsics.height) != (width, height)
+        })?;
+        let (w, h) = (other.lens.intrinsics.width, other.lens.intrinsics.height);
+        let message = format!("views differ in size: {} is {width}×{height}, {} is {w}×{h}", first.name, other.name);
+        Some(bad(message).hint("crop or resize the images to one size before structure from motion").at(&other.image))
+    }
+}
+
+impl Frame {
+    /// The camera at native size, without distortion.
+    pub fn camera(&self) -> Result<Camera> {
+        let intrinsics = self.lens.undistorted().map_err(|failure| failure.at(&self.stated_in))?;
+        Ok(Camera { intrinsics, camera_from_world: self.camera_from_world })
+    }
+
+    /// A finite pose and time, and an image file of the stated size.
+    fn check(&self) -> Result<()> {
+        let pinhole = Camera { intrinsics: self.lens.intrinsics, camera_from_world: self.camera_from_world };
+        pinhole.check().map_err(|error| bad(format!("{}: {}", self.name, error.message)).at(&self.stated_in))?;
+        if !self.time_secs.is_finite() {
+            return Err(bad(format!("{}: the time is {}", self.name, self.time_secs)).at(&self.stated_in));
+        }
+        let stated = (self.lens.intrinsics.width, self.lens.intrinsics.height);
+        let found = image_size(&self.image)?;
+        if found != stated {
+            let message = format!(
+                "image is {}×{} where {}×{} is expected from the other views or the camera file",
+                found.0, found.1, stated.0, stated.1
+            );
+            return Err(bad(message).hint("use the images that the poses were computed from").at(&self.image));
+        }
+        Ok(())
+    }
+}
+
+/// Width and height from the file's header.
+pub fn image_size(path: &Path) -> Result<(u32, u32)> {
+    if !path.is_file() {
+        let hint = "download the capture again, or remove the frame from the file that names it";
+        return Err(Failure::new(FailureKind::MissingData, "image file is missing").hint(hint).at(path));
+    }
+    image::image_dimensions(path).map_err(|error| bad(format!("image cannot be read ({error})")).at(path))
+}
+
+/// Bad input with a message.
+pub fn bad(message: impl Into<String>) -> Failure {
+    Failure::new(FailureKind::BadInput, message)
+}
+
+/// Reads a whole file.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).map_err(|error| {
+        let kind = match error.kind() {
+            std::io::ErrorKind::NotFound => FailureKind::MissingData,
+            _ => FailureKind::World,
+        };
+        Failure::new(kind, format!("cannot read the file ({error})")).at(path)
+    })
+}

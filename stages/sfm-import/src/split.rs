@@ -1,0 +1,95 @@
+//! Which views are trained on, watched and tested on.
+
+use scene::Split;
+
+use crate::Params;
+use crate::source::Frame;
+
+/// `count` indices of `0..length`, evenly spread with both ends where there are two or more; all of them if `count`
+/// is not smaller.
+fn spread_with_ends(count: usize, length: usize) -> Vec<usize> {
+    match count {
+        _ if count >= length => (0..length).collect(),
+        0 => Vec::new(),
+        1 => vec![length / 2],
+        _ => (0..count).map(|i| (i * (length - 1) + (count - 1) / 2) / (count - 1)).collect(),
+    }
+}
+
+/// `count` indices of `0..length`, evenly spread inside, so that neither end is held out.
+fn spread_inside(count: usize, length: usize) -> Vec<usize> {
+    (0..count.min(length)).map(|i| (2 * i + 1) * length / (2 * count)).collect()
+}
+
+/// Applies `val_count`, `frame_step` and `train_limit` to frames that are already split as their format says; returns
+/// what was done, for the protocol.
+pub fn refine(frames: &mut Vec<Frame>, params: &Params) -> Vec<String> {
+    let mut rules = Vec::new();
+    if let Some(count) = params.val_count {
+        rules.extend(choose_validation(frames, count as usize));
+    }
+    let train = indices(frames, Split::Train);
+    let stepped: Vec<usize> = train.iter().copied().step_by(params.frame_step.max(1) as usize).collect();
+    if stepped.len() < train.len() {
+        rules.push(format!("1 of {} training views", params.frame_step));
+    }
+    let limit = params.train_limit.map_or(stepped.len(), |limit| limit as usize);
+    let kept: Vec<usize> = spread_with_ends(limit, stepped.len()).into_iter().map(|at| stepped[at]).collect();
+    if kept.len() < stepped.len() {
+        rules.push(format!("at most {limit} training views"));
+    }
+    keep(frames, Split::Train, &kept);
+    rules
+}
+
+/// Thins the official validation views to `count`, or holds `count` training views out where there are none.
+fn choose_validation(frames: &mut Vec<Frame>, count: usize) -> Option<String> {
+    let official = indices(frames, Split::Val);
+    if official.is_empty() {
+        let train = indices(frames, Split::Train);
+        // One training view has to remain.
+        let held_out = spread_inside(count.min(train.len().saturating_sub(1)), train.len());
+        held_out.iter().for_each(|&at| frames[train[at]].split = Split::Val);
+        return (!held_out.is_empty()).then(|| format!("{} training views held out for validation", held_out.len()));
+    }
+    let kept: Vec<usize> = spread_with_ends(count, official.len()).into_iter().map(|at| official[at]).collect();
+    keep(frames, Split::Val, &kept);
+    None // the training and test views are those of the official split
+}
+
+/// Positions of the frames of one split.
+fn indices(frames: &[Frame], split: Split) -> Vec<usize> {
+    (0..frames.len()).filter(|&at| frames[at].split == split).collect()
+}
+
+/// Drops the frames of `split` that are not in `kept` (sorted positions).
+fn keep(frames: &mut Vec<Frame>, split: Split, kept: &[usize]) {
+    let mut at = 0;
+    frames.retain(|frame| {
+        let keep = frame.split != split || kept.binary_search(&at).is_ok();
+        at += 1;
+        keep
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spreads_are_even_and_distinct() {
+        assert_eq!(spread_with_ends(3, 9), [0, 4, 8]);
+        assert_eq!(spread_with_ends(9, 3), [0, 1, 2]);
+        assert_eq!(spread_with_ends(0, 3), [] as [usize; 0]);
+        assert_eq!(spread_inside(2, 8), [2, 6]);
+        for length in 1..40 {
+            for count in 1..=length {
+                for chosen in [spread_with_ends(count, length), spread_inside(count, length)] {
+                    assert_eq!(chosen.len(), count, "{count} of {length}");
+                    assert!(chosen.windows(2).all(|pair| pair[0] < pair[1]), "{count} of {length}: {chosen:?}");
+                    assert!(chosen.iter().all(|&at| at < length));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,199 @@
+use scene::{Split, TimeMap};
+use serde_json::json;
+
+use super::support::*;
+use crate::Params;
+use crate::params::{Background, Resize, TestSplit};
+
+#[test]
+fn cameras_times_and_splits_are_those_of_the_files() {
+    let dir = blender_scene();
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let counts = [Split::Train, Split::Val, Split::Test].map(|split| capture.views_of(split).count());
+    assert_eq!(counts, [5, 2, 3]);
+    assert_eq!(capture.time_map, TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.25 });
+    assert_eq!(capture.bounds_world, Some([[-1.3; 3], [1.3; 3]]));
+    let expected = "dnerf · official split · 24×16 · resize none · white background · time (file time - min) / (max - min)";
+    assert_eq!(capture.protocol.line(), expected);
+    for (index, (_, view)) in capture.views_of(Split::Train).enumerate() {
+        let focal = 12.0 / 0.35_f64.tan();
+        assert!((view.camera.intrinsics.focal_x - focal).abs() <= 1e-12 * focal);
+        let position = glam::DVec3::from_array([0, 1, 2].map(|axis| blender_matrix(index)[axis][3]));
+        assert!(view.camera.position_world().distance(position) <= 1e-12);
+        // The test cameras look at the origin: it must project to the principal point, in front of the camera.
+        let (pixel, depth) = view.camera.project(glam::DVec3::ZERO).unwrap();
+        assert!(pixel.distance(glam::DVec2::new(12.0, 8.0)) <= 1e-9, "{pixel}");
+        assert!((depth - position.length()).abs() <= 1e-9);
+        // World z is up, so a point above the origin lies higher in the image.
+        assert!(view.camera.project(glam::DVec3::Z).unwrap().0.y < pixel.y);
+        assert_eq!(view.time_secs, index as f64 / 4.0);
+    }
+}
+
+#[test]
+fn alpha_is_composited_once_on_the_declared_background_and_kept() {
+    let dir = blender_scene();
+    for (background, edge) in [(Background::White, [155, 233, 155]), (Background::Black, [0, 78, 0])] {
+        let (_root, capture) = run(dir.path(), &Params { background, ..Params::default() }).unwrap();
+        let view = &capture.views[4];
+        let image = capture.load_image(view).unwrap();
+        let empty = if background == Background::White { 255 } else { 0 };
+        // 0.392… · 200 + 0.607… · 255 = 233.3 on white, 78.4 on black.
+        assert_eq!([image[(0, 0)].0, image[(10, 3)].0, image[(20, 3)].0], [[empty; 3], edge, [0, 4, 255]]);
+        let alpha = capture.load_alpha(view).unwrap().unwrap();
+        assert_eq!([alpha[(0, 0)].0, alpha[(10, 3)].0, alpha[(20, 3)].0], [[0], [100], [255]]);
+    }
+}
+
+#[test]
+fn resizing_follows_compositing_and_scales_the_camera() {
+    let dir = blender_scene();
+    let params = Params { width: Some(12), resize: Some(Resize::Area), ..Params::default() };
+    let (_root, capture) = run(dir.path(), &params).unwrap();
+    let view = &capture.views[0];
+    let native = frames(dir.path(), &params)[0].camera().unwrap();
+    assert_eq!(view.camera, native.resized(12, 8));
+    assert_eq!(capture.load_image(view).unwrap()[(5, 1)].0, [155, 233, 155]);
+    assert!(capture.protocol.line().contains("12×8 · resize area"));
+    let message = refusal(dir.path(), &Params { width: Some(25), ..Params::default() });
+    assert!(message.contains("would enlarge images of 24×16"), "{message}");
+}
+
+#[test]
+fn lego_can_be_tested_on_its_validation_split() {
+    let dir = blender_scene();
+    let params = Params { test_split: TestSplit::Val, ..Params::default() };
+    std::fs::remove_file(transforms_path(dir.path(), "test")).unwrap(); // not read at all
+    let (_root, capture) = run(dir.path(), &params).unwrap();
+    assert_eq!(capture.protocol.split, "official, tested on val");
+    let names: Vec<&str> = capture.views_of(Split::Test).map(|(_, view)| view.name.as_str()).collect();
+    assert_eq!(names, ["val_000", "val_001"]);
+    assert_eq!(capture.views_of(Split::Val).count(), 0);
+    let (_root, capture) = run(dir.path(), &Params { val_count: Some(1), ..params }).unwrap();
+    assert_eq!(capture.views_of(Split::Val).next().unwrap().1.name, "train_002");
+    assert_eq!(capture.views_of(Split::Train).count(), 4);
+}
+
+#[test]
+fn training_views_are_thinned_and_the_protocol_says_so() {
+    let dir = blender_scene();
+    let params = Params { frame_step: 2, train_limit: Some(2), val_count: Some(1), ..Params::default() };
+    let (_root, capture) = run(dir.path(), &params).unwrap();
+    let names: Vec<&str> = capture.views_of(Split::Train).map(|(_, view)| view.name.as_str()).collect();
+    assert_eq!(names, ["train_000", "train_004"]);
+    assert_eq!(capture.protocol.split, "official, 1 of 2 training views, at most 2 training views");
+    assert_eq!((capture.views_of(Split::Val).count(), capture.views_of(Split::Test).count()), (1, 3));
+    assert_eq!(capture.time_map.frame_secs, 0.25, "time is that of the whole capture");
+}
+
+#[test]
+fn frames_without_times_are_a_scene_at_rest() {
+    let dir = blender_scene();
+    for label in ["train", "val", "test"] {
+        edit_transforms(dir.path(), label, |json| {
+            json["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| drop(f.as_object_mut().unwrap().remove("time")));
+        });
+    }
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    assert!(capture.views.iter().all(|view| view.time_secs == 0.0 && view.frame_index == 0));
+    assert_eq!((capture.time_map.start_secs, capture.time_map.end_secs), (0.0, 0.0));
+    assert_eq!(capture.protocol.dataset, "blender");
+    let source = crate::source::read(dir.path(), &Params::default()).unwrap();
+    assert_eq!(source.warnings, ["no frame has a time: imported as a scene at rest"]);
+    edit_transforms(dir.path(), "val", |json| json["frames"][0]["time"] = json!(0.0));
+    assert_refused(dir.path(), &Params::default(), &["some frames have a time and some have none"]);
+}
+
+#[test]
+fn same_input_gives_same_bytes_for_any_number_of_threads() {
+    let dir = blender_scene();
+    let params = Params { width: Some(10), ..Params::default() };
+    let bytes = |threads: usize| {
+        let root = tempfile::tempdir().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| crate::import(dir.path(), &params, root.path())).unwrap();
+        ["capture.json", "images/train_003.png", "alpha/test_001.png"].map(|f| std::fs::read(root.path().join(f)).unwrap())
+    };
+    assert_eq!(bytes(1), bytes(3));
+}
+
+#[test]
+fn missing_files_are_named() {
+    let dir = blender_scene();
+    std::fs::remove_file(dir.path().join("train/r_003.png")).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["image file is missing", "train/r_003.png"]);
+    std::fs::remove_file(dir.path().join("test/r_001.png")).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["and 1 more problems", "train/r_003.png"]);
+    let dir = blender_scene();
+    std::fs::remove_file(transforms_path(dir.path(), "test")).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["cannot read the file", "transforms_test.json"]);
+    assert_refused(&dir.path().join("nowhere"), &Params::default(), &["no such data folder", "--data-root", "nowhere"]);
+}
+
+#[test]
+fn images_of_different_size_are_refused() {
+    let dir = blender_scene();
+    image::RgbaImage::new(23, 16).save(dir.path().join("train/r_002.png")).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["23×16 where 24×16 is expected", "r_002.png"]);
+    let dir = blender_scene();
+    for index in 0..3 {
+        image::RgbaImage::new(12, 8).save(dir.path().join(format!("test/r_00{index}.png"))).unwrap();
+    }
+    assert_refused(dir.path(), &Params::default(), &["views differ in size: train_000 is 24×16, test_000 is 12×8"]);
+}
+
+#[test]
+fn wrong_poses_are_refused() {
+    let spoil = |edit: &dyn Fn(&mut serde_json::Value), parts: &[&str]| {
+        let dir = blender_scene();
+        edit_transforms(dir.path(), "val", |json| edit(&mut json["frames"][1]["transform_matrix"]));
+        assert_refused(dir.path(), &Params::default(), &[parts, &["transforms_val.json"]].concat());
+    };
+    spoil(&|m| m[0][0] = json!(m[0][0].as_f64().unwrap() + 0.01), &["r_001", "not orthonormal"]);
+    spoil(&|m| (0..3).for_each(|row| m[row][0] = json!(-m[row][0].as_f64().unwrap())), &["val_001", "reflection"]);
+    spoil(&|m| m[3] = json!([0.0, 0.0, 0.0, 2.0]), &["last row"]);
+    spoil(&|m| m[3] = json!([0.0, 0.0, 1.0]), &["not a valid transforms file"]);
+}
+
+#[test]
+fn not_a_number_is_refused() {
+    let dir = blender_scene();
+    let path = transforms_path(dir.path(), "train");
+    let text = std::fs::read_to_string(&path).unwrap().replacen("\"time\":0.25", "\"time\":NaN", 1);
+    assert!(text.contains("NaN"));
+    std::fs::write(&path, text).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["not a valid transforms file", "contains NaN", "transforms_train.json"]);
+    for angle in [0.0, -1.0, 3.2] {
+        let dir = blender_scene();
+        edit_transforms(dir.path(), "test", |json| json["camera_angle_x"] = json!(angle));
+        assert_refused(dir.path(), &Params::default(), &["camera_angle_x", "transforms_test.json"]);
+    }
+}
+
+#[test]
+fn unsorted_and_duplicate_times_are_refused() {
+    for (time, words) in [(0.5, "the same time as train_002"), (0.1, "an earlier time than train_002")] {
+        let dir = blender_scene();
+        edit_transforms(dir.path(), "train", |json| json["frames"][3]["time"] = json!(time));
+        assert_refused(dir.path(), &Params::default(), &["train_003", words, "transforms_train.json"]);
+    }
+}
+
+#[test]
+fn empty_splits_and_paths_outside_are_refused() {
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "test", |json| json["frames"] = json!([]));
+    assert_refused(dir.path(), &Params::default(), &["test split", "is empty"]);
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "train", |json| json["frames"][0]["file_path"] = json!("../train/r_000"));
+    assert_refused(dir.path(), &Params::default(), &["leads out of the capture's folder", "transforms_train.json"]);
+}
+
+#[test]
+fn damaged_images_are_refused() {
+    let dir = blender_scene();
+    let path = dir.path().join("val/r_000.png");
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["image cannot be read", "val/r_000.png"]);
+}

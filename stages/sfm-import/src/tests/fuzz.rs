@@ -1,0 +1,92 @@
+//! Damaged files give errors, never panics.
+
+use super::support::*;
+use crate::colmap::{Model, write};
+use crate::{Params, source};
+
+/// A fixed sequence of pseudo-random numbers (Knuth's MMIX generator, upper bits).
+fn random(state: &mut u64) -> usize {
+    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    (*state >> 33) as usize
+}
+
+#[test]
+fn every_truncation_of_binary_models_is_an_error() {
+    let workspace = Workspace::video(2);
+    let dir = tempfile::tempdir().unwrap();
+    write::binary(dir.path(), &workspace.cameras, &workspace.model);
+    assert!(Model::read(dir.path()).is_ok());
+    for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let path = dir.path().join(file);
+        let bytes = std::fs::read(&path).unwrap();
+        for length in 0..bytes.len() {
+            std::fs::write(&path, &bytes[..length]).unwrap();
+            let message = Model::read(dir.path()).unwrap_err().to_string();
+            assert!(message.contains("the file ends inside") && message.contains(file), "{message}");
+        }
+        std::fs::write(&path, [&bytes[..], &[0]].concat()).unwrap();
+        let message = Model::read(dir.path()).unwrap_err().to_string();
+        assert!(message.contains("1 bytes after the last of"), "{message}");
+        std::fs::write(&path, &bytes).unwrap();
+    }
+}
+
+#[test]
+fn mangled_models_never_panic() {
+    let workspace = Workspace::video(2);
+    let mut state = 7;
+    for (write, extension) in [(write::binary as fn(&_, &_, &_), "bin"), (write::text, "txt")] {
+        let dir = workspace.write();
+        let sparse = dir.path().join("sparse/0");
+        std::fs::remove_dir_all(&sparse).unwrap();
+        write(&sparse, &workspace.cameras, &workspace.model);
+        let mut refused = 0;
+        for round in 0..600 {
+            let path = sparse.join(format!("{}.{extension}", ["cameras", "images", "points3D"][round % 3]));
+            let good = std::fs::read(&path).unwrap();
+            let mut bytes = good.clone();
+            for _ in 0..=random(&mut state) % 3 {
+                let at = random(&mut state) % bytes.len();
+                bytes[at] = random(&mut state) as u8;
+            }
+            std::fs::write(&path, bytes).unwrap();
+            let result = source::read(dir.path(), &colmap_params());
+            refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
+            std::fs::write(&path, good).unwrap();
+        }
+        assert!(refused > 100, "only {refused} of 600 mangled models were refused: is the file read at all?");
+    }
+}
+
+#[test]
+fn mangled_transforms_never_panic() {
+    let dir = blender_scene();
+    let path = transforms_path(dir.path(), "train");
+    let good = std::fs::read(&path).unwrap();
+    let mut state = 11;
+    let mut refused = 0;
+    for round in 0..600 {
+        let mut bytes = good.clone();
+        if round % 3 == 0 {
+            bytes.truncate(random(&mut state) % good.len());
+        } else {
+            let at = random(&mut state) % bytes.len();
+            bytes[at] = random(&mut state) as u8;
+        }
+        std::fs::write(&path, bytes).unwrap();
+        let result = source::read(dir.path(), &Params::default());
+        refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
+    }
+    assert!(refused > 300, "only {refused} of 600 mangled files were refused");
+}
+
+#[test]
+fn truncated_images_never_panic() {
+    let dir = blender_scene();
+    let path = dir.path().join("test/r_002.png");
+    let good = std::fs::read(&path).unwrap();
+    for length in (0..good.len() - 12).step_by(7) {
+        std::fs::write(&path, &good[..length]).unwrap();
+        assert_refused(dir.path(), &Params::default(), &["image cannot be read", "r_002.png"]);
+    }
+}

@@ -1,0 +1,10 @@
+//! Tests over small generated captures, and over real ones where `PIPELINE_DATA` names them.
+
+mod blender;
+mod colmap;
+mod fuzz;
+mod inspect;
+mod lens;
+mod pixels;
+mod real;
+mod support;

@@ -1,0 +1,191 @@
+//! Small captures in temporary folders.
+
+use std::path::Path;
+
+use engine::JobContext;
+use glam::{DMat3, DMat4, DVec2, DVec3};
+use image::{GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
+use scene::{Camera, Capture, Intrinsics};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::colmap::Model;
+use crate::colmap::model::{Point, RegisteredImage, lens};
+use crate::colmap::write::StatedCamera;
+use crate::{Params, SfmImport, source};
+
+/// Size of generated images.
+pub const WIDTH: u32 = 24;
+/// Size of generated images.
+pub const HEIGHT: u32 = 16;
+
+/// Runs the stage on `dir` through a job context.
+pub fn run(dir: &Path, params: &Params) -> anyhow::Result<(TempDir, Capture)> {
+    let root = tempfile::tempdir()?;
+    let mut context = JobContext::detached(root.path())?;
+    context.sources.insert("source".into(), dir.into());
+    let artifact = <SfmImport as engine::Stage>::run(&context, params)?;
+    artifact.0.check()?;
+    Ok((root, artifact.0))
+}
+
+/// The message with which `dir` is refused.
+pub fn refusal(dir: &Path, params: &Params) -> String {
+    match run(dir, params) {
+        Ok(_) => panic!("{} was accepted", dir.display()),
+        Err(error) => format!("{error:#}"),
+    }
+}
+
+/// Asserts that `dir` is refused with a message that contains all `parts`.
+pub fn assert_refused(dir: &Path, params: &Params, parts: &[&str]) {
+    let message = refusal(dir, params);
+    for part in parts {
+        assert!(message.contains(part), "{part:?} is not in {message:?}");
+    }
+}
+
+/// The frames that are imported, without touching pixels.
+pub fn frames(dir: &Path, params: &Params) -> Vec<source::Frame> {
+    source::read(dir, params).unwrap().frames
+}
+
+/// The camera-to-world matrix (Blender axes) of the `index`-th test camera, rows first.
+pub fn blender_matrix(index: usize) -> [[f64; 4]; 4] {
+    let angle = 0.4 * index as f64;
+    let camera = Camera::look_at(intrinsics(), DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0), DVec3::ZERO, DVec3::Z);
+    let world_from_camera = camera.camera_from_world.inverse();
+    let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let rotation = world_from_camera.rotation * flip;
+    let matrix = DMat4::from_mat3(rotation);
+    let mut rows = matrix.transpose().to_cols_array_2d();
+    (0..3).for_each(|axis| rows[axis][3] = world_from_camera.translation[axis]);
+    rows
+}
+
+/// A pinhole of the size of generated images.
+pub fn intrinsics() -> Intrinsics {
+    Intrinsics { width: WIDTH, height: HEIGHT, focal_x: 30.0, focal_y: 30.0, center_x: 12.0, center_y: 8.0 }
+}
+
+/// A D-NeRF folder with 5 training, 2 validation and 3 test frames.
+pub fn blender_scene() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for (label, count) in [("train", 5), ("val", 2), ("test", 3)] {
+        std::fs::create_dir_all(dir.path().join(label)).unwrap();
+        let frame = |index: usize| {
+            json!({
+                "file_path": format!("./{label}/r_{index:03}"),
+                "rotation": 0.1,
+                "time": index as f64 / (count - 1) as f64,
+                "transform_matrix": blender_matrix(index),
+            })
+        };
+        let transforms = json!({ "camera_angle_x": 0.7, "frames": (0..count).map(frame).collect::<Vec<_>>() });
+        std::fs::write(transforms_path(dir.path(), label), transforms.to_string()).unwrap();
+        for index in 0..count {
+            rgba_image(index).save(dir.path().join(label).join(format!("r_{index:03}.png"))).unwrap();
+        }
+    }
+    dir
+}
+
+/// Left third transparent red, middle half-transparent green, right opaque blue.
+fn rgba_image(index: usize) -> RgbaImage {
+    RgbaImage::from_fn(WIDTH, HEIGHT, |column, _| match column / 8 {
+        0 => Rgba([255, 0, 0, 0]),
+        1 => Rgba([0, 200, 0, 100]),
+        _ => Rgba([0, index as u8, 255, 255]),
+    })
+}
+
+pub fn transforms_path(dir: &Path, label: &str) -> std::path::PathBuf {
+    dir.join(format!("transforms_{label}.json"))
+}
+
+/// Changes the JSON of one split.
+pub fn edit_transforms(dir: &Path, label: &str, edit: impl FnOnce(&mut Value)) {
+    let path = transforms_path(dir, label);
+    let mut json: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    edit(&mut json);
+    std::fs::write(path, json.to_string()).unwrap();
+}
+
+/// A COLMAP workspace in memory: cameras, and a model that fits them exactly.
+pub struct Workspace {
+    pub cameras: Vec<StatedCamera>,
+    pub model: Model,
+}
+
+impl Workspace {
+    /// `count` images named by `name`, all of camera 1 with the given model and parameters.
+    pub fn new(count: u32, camera_model: &'static str, params: &[f64], name: impl Fn(u32) -> String) -> Self {
+        let size = (u64::from(WIDTH), u64::from(HEIGHT));
+        let camera = StatedCamera { id: 1, model: camera_model, size, params: params.to_vec() };
+        let lens = lens(camera_model, size.0, size.1, params);
+        let mut model = Model::default();
+        for id in 1..=6_u64 {
+            let t = id as f64;
+            let position = DVec3::new(0.1 * t - 0.3, 0.2 * (t * 1.7).sin(), 0.15 * (t * 0.9).cos());
+            model.points.insert(id, Point { position, rgb: [id as u8; 3], error_px: 0.0, track: vec![] });
+        }
+        for id in 1..=count {
+            let angle = 0.1 * f64::from(id);
+            let position = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0);
+            let pose = Camera::look_at(intrinsics(), position, DVec3::ZERO, DVec3::Z).camera_from_world;
+            let q = glam::DQuat::from_mat3(&pose.rotation);
+            let mut image = RegisteredImage {
+                name: name(id - 1),
+                camera_id: 1,
+                quaternion: [q.w, q.x, q.y, q.z],
+                translation: pose.translation.to_array(),
+                observations: vec![(DVec2::new(1.5, 2.5), None)],
+            };
+            for (point_id, point) in &mut model.points {
+                let view = pose.apply(point.position);
+                let plane = view.truncate() / view.z;
+                let pixel = lens.as_ref().map_or(plane, |lens| lens.pixel(plane));
+                point.track.push((id, image.observations.len() as u32));
+                image.observations.push((pixel, Some(*point_id)));
+            }
+            model.images.insert(id, image);
+        }
+        if let Ok(lens) = lens {
+            model.cameras.insert(1, lens);
+        }
+        Self { cameras: vec![camera], model }
+    }
+
+    /// A pinhole video of `count` frames.
+    pub fn video(count: u32) -> Self {
+        Self::new(count, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("{index:04}.png"))
+    }
+
+    /// Writes a binary model and an image per registered name into a folder.
+    pub fn write(&self) -> TempDir {
+        let dir = tempfile::tempdir().unwrap();
+        crate::colmap::write::binary(&dir.path().join("sparse/0"), &self.cameras, &self.model);
+        for (id, image) in &self.model.images {
+            write_image(&dir.path().join("images").join(&image.name), *id);
+        }
+        dir
+    }
+}
+
+/// An opaque image.
+pub fn write_image(path: &Path, seed: u32) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let pixel = |column: u32, row: u32| Rgb([(10 * column) as u8, (15 * row) as u8, seed as u8]);
+    RgbImage::from_fn(WIDTH, HEIGHT, pixel).save(path).unwrap();
+}
+
+/// A mask whose left half is 0 and whose right half is `value`.
+pub fn write_mask(path: &Path, size: (u32, u32), value: u8) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    GrayImage::from_fn(size.0, size.1, |column, _| Luma([if column < size.0 / 2 { 0 } else { value }])).save(path).unwrap();
+}
+
+/// Parameters of a COLMAP import that tests on the first of every four images.
+pub fn colmap_params() -> Params {
+    Params { every_nth: 4, fps: 10.0, ..Params::default() }
+}
