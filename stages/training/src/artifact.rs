@@ -38,6 +38,8 @@ pub struct ModelHeader {
     pub time_map: TimeMap,
     /// 1.1 × the largest distance of a training camera from their mean, scene units.
     pub scene_extent: f64,
+    /// Different times among the training views.
+    pub time_count: usize,
     /// Spherical-harmonics degree that was reached.
     pub sh_degree: usize,
     /// Gaussians in the model.
@@ -103,24 +105,35 @@ impl engine::Artifact for Model {
 }
 
 /// Writes named f32 tensors as one safetensors file.
-pub(crate) fn save_tensors(tensors: &BTreeMap<String, NamedTensor>, path: &Path) -> anyhow::Result<()> {
-    let views = tensors
-        .iter()
-        .map(|(name, tensor)| {
-            let bytes = bytemuck::cast_slice(&tensor.values);
-            Ok((name.as_str(), TensorView::new(Dtype::F32, tensor.shape.clone(), bytes)?))
-        })
-        .collect::<anyhow::Result<Vec<_>>>()?;
-    let bytes = safetensors::serialize(views, None)?;
+fn save_tensors(tensors: &BTreeMap<String, NamedTensor>, path: &Path) -> anyhow::Result<()> {
+    let bytes = write_tensors(tensors, None)?;
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Reads named f32 tensors from one safetensors file.
-pub(crate) fn load_tensors(path: &Path) -> anyhow::Result<BTreeMap<String, NamedTensor>> {
+fn load_tensors(path: &Path) -> anyhow::Result<BTreeMap<String, NamedTensor>> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let file = SafeTensors::deserialize(&bytes).with_context(|| format!("not safetensors: {}", path.display()))?;
+    read_tensors(&bytes).with_context(|| format!("cannot use {}", path.display()))
+}
+
+/// The bytes of a safetensors file, with at most one metadata entry (more would have no fixed order).
+pub(crate) fn write_tensors(
+    tensors: &BTreeMap<String, NamedTensor>,
+    metadata: Option<(&str, String)>,
+) -> anyhow::Result<Vec<u8>> {
+    let view = |(name, tensor): (&'_ String, &'_ NamedTensor)| {
+        let bytes = bytemuck::cast_slice(&tensor.values);
+        Ok((name.clone(), TensorView::new(Dtype::F32, tensor.shape.clone(), bytes)?))
+    };
+    let views = tensors.iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
+    Ok(safetensors::serialize(views, metadata.map(|(key, value)| [(key.to_string(), value)].into()))?)
+}
+
+/// The named f32 tensors of a safetensors file.
+pub(crate) fn read_tensors(bytes: &[u8]) -> anyhow::Result<BTreeMap<String, NamedTensor>> {
+    let file = SafeTensors::deserialize(bytes)?;
     let read = |(name, view): (String, TensorView<'_>)| {
-        ensure!(view.dtype() == Dtype::F32, "{name} is {:?} instead of f32: {}", view.dtype(), path.display());
+        ensure!(view.dtype() == Dtype::F32, "{name} is {:?} instead of f32", view.dtype());
         let values = bytemuck::pod_collect_to_vec(view.data());
         Ok((name, NamedTensor { shape: view.shape().to_vec(), values }))
     };
@@ -150,6 +163,7 @@ pub(crate) mod tests {
             background: [1.0; 3],
             time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
             scene_extent: 1.5,
+            time_count: 3,
             sh_degree: 0,
             n_gaussians: 2,
             iterations: vec![("train".into(), 10)],

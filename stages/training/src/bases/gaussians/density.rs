@@ -1,0 +1,241 @@
+//! Adaptive density control of Kerbl et al. 2023 (section 5.2, with the constants of the published code).
+//!
+//! Gradients are those of the projected mean in normalised device coordinates, averaged over the steps that saw the
+//! Gaussian. Departures: one round acts on the statistics before it (a clone is never split in the same round, as in
+//! the published code), the optimiser's step of the same iteration comes first, and a hard cap takes the largest
+//! gradients when a round would exceed it.
+
+use anyhow::Context as _;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use serde::{Deserialize, Serialize};
+
+use crate::method::{PopulationControl, SceneFacts, ScreenGradients};
+use crate::optimizer::Optimizer;
+use crate::params::Density;
+use crate::schedule::stretch;
+
+/// Children of a split Gaussian.
+const SPLIT_CHILDREN: usize = 2;
+/// Scales of the children: 0.8 · [`SPLIT_CHILDREN`] times smaller, as in the published code.
+const SPLIT_SHRINK: f32 = 1.6;
+
+/// Clones, splits and prunes the rows of one population of Gaussians.
+pub struct AdaptiveDensity {
+    population: String,
+    params: Density,
+    reset_at_start: bool,
+    statistics: Statistics,
+}
+
+/// Per Gaussian, since the last round.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Statistics {
+    gradient_sum: Vec<f32>,
+    seen_count: Vec<u32>,
+    radius_px: Vec<f32>,
+}
+
+impl AdaptiveDensity {
+    /// Control of `population`, its schedule stretched by `schedule_scale`; `reset_at_start` resets opacities once when
+    /// rounds begin (the published code does so on a white background).
+    pub fn new(population: &str, params: &Density, schedule_scale: f64, reset_at_start: bool) -> Self {
+        let params = Density {
+            from: stretch(params.from, schedule_scale),
+            until: stretch(params.until, schedule_scale),
+            opacity_reset_interval: stretch(params.opacity_reset_interval, schedule_scale),
+            ..params.clone()
+        };
+        Self { population: population.into(), params, reset_at_start, statistics: Statistics::default() }
+    }
+
+    fn tensor<'a>(&self, optimizer: &'a Optimizer, attribute: &str) -> anyhow::Result<&'a [f32]> {
+        Ok(optimizer.tensor(&format!("{}.{attribute}", self.population))?.as_slice())
+    }
+
+    /// Clones small and splits large Gaussians whose gradient is above the threshold.
+    fn densify(&mut self, optimizer: &mut Optimizer, extent: f64, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+        let count = optimizer.population_len(&self.population)?;
+        let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
+        let chosen = self.candidates(count);
+        let split_above = (self.params.split_above * extent) as f32;
+        let (split, cloned): (Vec<usize>, Vec<usize>) = chosen.into_iter().partition(|&at| largest[at] > split_above);
+
+        let first_child = count + cloned.len();
+        let children: Vec<usize> = split.iter().flat_map(|&parent| [parent; SPLIT_CHILDREN]).collect();
+        optimizer.append_copies(&self.population, &[cloned, children.clone()].concat())?;
+        self.scatter_children(optimizer, first_child, &children, random)?;
+        let total = first_child + children.len();
+        let mut keep = vec![true; total];
+        split.iter().for_each(|&parent| keep[parent] = false);
+        let mut radius_px = std::mem::take(&mut self.statistics.radius_px);
+        radius_px.resize(total, 0.0);
+        optimizer.keep(&self.population, &keep)?;
+        let kept = radius_px.iter().zip(&keep).filter(|(_, keep)| **keep).map(|(radius, _)| *radius).collect();
+        self.statistics = Statistics::zeros(kept);
+        Ok(())
+    }
+
+    /// Gaussians above the threshold, in order; the largest gradients where a cap does not let all of them grow.
+    fn candidates(&self, count: usize) -> Vec<usize> {
+        let Statistics { gradient_sum, seen_count, .. } = &self.statistics;
+        let mean = |at: usize| gradient_sum[at] / seen_count[at].max(1) as f32;
+        let threshold = self.params.gradient_threshold as f32;
+        let mut chosen: Vec<usize> = (0..gradient_sum.len()).filter(|&at| mean(at) >= threshold).collect();
+        // Cloning and splitting both add one Gaussian.
+        let room = self.params.max_count.saturating_sub(count);
+        if chosen.len() > room {
+            chosen.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
+            chosen.truncate(room);
+            chosen.sort_unstable();
+        }
+        chosen
+    }
+
+    /// Draws the children of split Gaussians from their parents, and shrinks them.
+    fn scatter_children(
+        &self,
+        optimizer: &mut Optimizer,
+        first_child: usize,
+        parents: &[usize],
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<()> {
+        let log_scales = self.tensor(optimizer, "log_scales")?.to_vec();
+        let rotations = self.tensor(optimizer, "rotations")?.to_vec();
+        optimizer.edit(&format!("{}.positions", self.population), |positions| {
+            for (child, &parent) in parents.iter().enumerate() {
+                let mut normal = || -> f32 { StandardNormal.sample(random) };
+                let scale = glam::Vec3::from_slice(&log_scales[3 * parent..]).exp();
+                let offset = rotation(&rotations[4 * parent..4 * parent + 4])
+                    * (scale * glam::Vec3::new(normal(), normal(), normal()));
+                let at = 3 * (first_child + child);
+                let moved = glam::Vec3::from_slice(&positions[at..]) + offset;
+                positions[at..at + 3].copy_from_slice(&moved.to_array());
+            }
+        })?;
+        let shrink = SPLIT_SHRINK.ln();
+        optimizer.edit(&format!("{}.log_scales", self.population), |log_scales| {
+            log_scales[3 * first_child..].iter_mut().for_each(|value| *value -= shrink);
+        })
+    }
+
+    /// Removes Gaussians that are transparent, and those that are too large once opacities have been reset.
+    fn prune(&mut self, optimizer: &mut Optimizer, extent: f64, sizes_count: bool) -> anyhow::Result<()> {
+        let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
+        let opacities = self.tensor(optimizer, "opacity_logits")?;
+        let min_logit = logit(self.params.min_opacity) as f32;
+        let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, self.params.max_radius_px as f32);
+        let radius_px = &self.statistics.radius_px;
+        let keep: Vec<bool> = (0..opacities.len())
+            .map(|at| {
+                let too_large = largest[at] > max_scale || radius_px.get(at).is_some_and(|&radius| radius > max_radius);
+                opacities[at] >= min_logit && !(sizes_count && too_large)
+            })
+            .collect();
+        optimizer.keep(&self.population, &keep)?;
+        self.statistics.keep(&keep);
+        Ok(())
+    }
+
+    /// Lowers every opacity to the reset value at most and forgets its moments.
+    fn reset_opacity(&self, optimizer: &mut Optimizer) -> anyhow::Result<()> {
+        let name = format!("{}.opacity_logits", self.population);
+        let ceiling = logit(self.params.opacity_reset_to) as f32;
+        optimizer.edit(&name, |logits| logits.iter_mut().for_each(|value| *value = value.min(ceiling)))?;
+        optimizer.reset_moments(&name)
+    }
+}
+
+impl PopulationControl for AdaptiveDensity {
+    fn observe(&mut self, screen: &ScreenGradients) {
+        if screen.population != self.population {
+            return;
+        }
+        let statistics = &mut self.statistics;
+        statistics.resize(screen.visible.len());
+        for at in (0..screen.visible.len()).filter(|&at| screen.visible[at]) {
+            let [x, y] = screen.gradient_ndc[at];
+            statistics.gradient_sum[at] += (x * x + y * y).sqrt();
+            statistics.seen_count[at] += 1;
+            statistics.radius_px[at] = statistics.radius_px[at].max(screen.radius_px[at]);
+        }
+    }
+
+    fn act(
+        &mut self,
+        iteration: u64,
+        optimizer: &mut Optimizer,
+        scene: &SceneFacts,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<()> {
+        let Density { interval, from, until, prune_interval, prune_above_count, opacity_reset_interval, .. } = self.params;
+        if iteration >= until {
+            return Ok(());
+        }
+        let resets = opacity_reset_interval > 0;
+        if iteration > from && iteration.is_multiple_of(interval) {
+            self.densify(optimizer, scene.extent, random)?;
+        }
+        let count = optimizer.population_len(&self.population)?;
+        if iteration > from && iteration.is_multiple_of(prune_interval) && count > prune_above_count {
+            self.prune(optimizer, scene.extent, resets && iteration > opacity_reset_interval)?;
+        }
+        if iteration > from && iteration.is_multiple_of(interval) {
+            self.statistics = Statistics::default();
+        }
+        if resets && (iteration.is_multiple_of(opacity_reset_interval) || self.reset_at_start && iteration == from) {
+            self.reset_opacity(optimizer)?;
+        }
+        Ok(())
+    }
+
+    fn save(&self) -> serde_json::Value {
+        serde_json::to_value(&self.statistics).expect("numbers serialise")
+    }
+
+    fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
+        self.statistics = serde_json::from_value(saved).context("the density statistics of the checkpoint")?;
+        Ok(())
+    }
+}
+
+impl Statistics {
+    fn zeros(radius_px: Vec<f32>) -> Self {
+        let count = radius_px.len();
+        Self { gradient_sum: vec![0.0; count], seen_count: vec![0; count], radius_px }
+    }
+
+    fn resize(&mut self, count: usize) {
+        self.gradient_sum.resize(count, 0.0);
+        self.seen_count.resize(count, 0);
+        self.radius_px.resize(count, 0.0);
+    }
+
+    fn keep(&mut self, keep: &[bool]) {
+        self.resize(keep.len());
+        retain(&mut self.gradient_sum, keep);
+        retain(&mut self.seen_count, keep);
+        retain(&mut self.radius_px, keep);
+    }
+}
+
+fn retain<V>(values: &mut Vec<V>, keep: &[bool]) {
+    let mut keep = keep.iter();
+    values.retain(|_| *keep.next().expect("as many values as rows"));
+}
+
+/// ln(p / (1 − p)).
+pub fn logit(share: f64) -> f64 {
+    (share / (1.0 - share)).ln()
+}
+
+/// The largest standard deviation of each Gaussian.
+fn largest_scales(log_scales: &[f32]) -> Vec<f32> {
+    log_scales.as_chunks::<3>().0.iter().map(|row| row.iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()).collect()
+}
+
+/// The rotation of a raw quaternion (w, x, y, z); the identity where it has no direction.
+fn rotation(wxyz: &[f32]) -> glam::Quat {
+    let raw = glam::Quat::from_xyzw(wxyz[1], wxyz[2], wxyz[3], wxyz[0]);
+    if raw.length_squared() >= 1e-12 { raw.normalize() } else { glam::Quat::IDENTITY }
+}

@@ -1,0 +1,77 @@
+//! Gaussians in the parametrisation of Kerbl et al. 2023: tensors, first values, step sizes and density control.
+//!
+//! | tensor | shape | stored as |
+//! |---|---|---|
+//! | `positions` | [N, 3] | scene units |
+//! | `log_scales` | [N, 3] | logarithm of the standard deviation |
+//! | `rotations` | [N, 4] | quaternion (w, x, y, z), normalised where used |
+//! | `opacity_logits` | [N, 1] | before the logistic function |
+//! | `sh_dc`, `sh_rest` | [N, 1, 3], [N, (degree + 1)² − 1, 3] | spherical harmonics |
+
+mod density;
+mod harmonics;
+mod initial;
+#[cfg(test)]
+mod tests;
+
+pub use density::{AdaptiveDensity, logit};
+pub use harmonics::{active_harmonics, leading_harmonics};
+pub use initial::insert_gaussians;
+
+use scene::Gaussians;
+use shaders::splat::Splats;
+use shaders::tape::{Real, Tape};
+
+use crate::method::SceneFacts;
+use crate::params::LearningRates;
+use crate::schedule::LogLinear;
+use crate::state::Variables;
+
+/// The size of a Gaussian without neighbours, as a share of the scene's extent: the size above which density control
+/// splits.
+pub const LONE_SCALE: f64 = 0.01;
+
+/// The population that most methods have.
+pub const GAUSSIANS: &str = "gaussians";
+
+/// The step size of an attribute of a population of Gaussians; `None` for other tensors.
+///
+/// Positions move in shares of the scene's extent.
+pub fn learning_rate(rates: &LearningRates, population: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+    let attribute = tensor.strip_prefix(population)?.strip_prefix('.')?;
+    match attribute {
+        "positions" => Some(rates.position.scaled(scene.extent)),
+        "log_scales" => Some(LogLinear::constant(rates.scale)),
+        "rotations" => Some(LogLinear::constant(rates.rotation)),
+        "opacity_logits" => Some(LogLinear::constant(rates.opacity)),
+        "sh_dc" => Some(LogLinear::constant(rates.sh_dc)),
+        "sh_rest" => Some(LogLinear::constant(rates.sh_rest)),
+        _ => None,
+    }
+}
+
+/// A population as it is stored, without motion.
+pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population: &str, sh_degree: usize) -> Splats {
+    let var = |attribute: &str| model.get(&format!("{population}.{attribute}"));
+    Splats {
+        positions: var("positions"),
+        log_scales: var("log_scales"),
+        rotations: var("rotations"),
+        opacity_logits: var("opacity_logits"),
+        sh: active_harmonics(tape, var("sh_dc"), var("sh_rest"), sh_degree),
+        features: None,
+    }
+}
+
+/// The values of splats on a tape, for files.
+pub fn baked(tape: &Tape<f32>, splats: &Splats, sh_degree: usize) -> Gaussians {
+    let values = |var| tape.value(var).as_slice().to_vec();
+    Gaussians {
+        positions: values(splats.positions),
+        log_scales: values(splats.log_scales),
+        rotations: values(splats.rotations),
+        opacity_logits: values(splats.opacity_logits),
+        sh: values(splats.sh),
+        sh_degree,
+    }
+}

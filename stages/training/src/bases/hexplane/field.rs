@@ -1,0 +1,166 @@
+//! The hexplane field as tensors of a model: planes over pairs of (x, y, z, t) in a box (Wu et al. 2024, section 4.2).
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use serde::{Deserialize, Serialize};
+use shaders::hexplane::{HexplaneShape, distance_to_one, hexplane, is_time_plane, smoothness};
+use shaders::tape::{Op, Real, Tape, Tensor, Var};
+
+use crate::bases::layers::uniform;
+use crate::state::{ModelState, Variables};
+
+/// First values of the spatial planes (published code); time planes start at 1, which means "no change".
+const SPATIAL_START: [f64; 2] = [0.1, 0.5];
+/// The thinnest box, as a share of its longest side, so that a planar cloud does not divide by zero.
+const MIN_SIDE: f64 = 1e-3;
+/// The box of the field: [2, 3], smallest and largest corner, world.
+pub const BOUNDS: &str = "field.bounds";
+/// The planes are called `field.plane_{scale}_{pair}`.
+pub const PLANES: &str = "field.plane_";
+
+/// Where normalised time in [0, 1] falls on the time axis of the planes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TimeAxis {
+    /// On all of it, with half the texels: the same used capacity as the published code, nothing idle.
+    Full,
+    /// On the upper half only, as in the published code, whose lower half is never read.
+    UpperHalf,
+}
+
+/// A field's planes: sizes, and the names of their tensors.
+#[derive(Clone, Debug)]
+pub struct Field {
+    shape: HexplaneShape,
+    time_axis: TimeAxis,
+}
+
+impl Field {
+    /// A field whose time axis has `time_resolution` texels in the published code's counting (see [`TimeAxis`]).
+    pub fn new(channels: usize, spatial: [usize; 3], time_resolution: usize, multipliers: &[usize], axis: TimeAxis) -> Self {
+        let time = match axis {
+            TimeAxis::Full => time_resolution.div_ceil(2),
+            TimeAxis::UpperHalf => time_resolution,
+        };
+        let [x, y, z] = spatial;
+        let shape = HexplaneShape { channels, resolution: [x, y, z, time.max(1)], multipliers: multipliers.to_vec() };
+        Self { shape, time_axis: axis }
+    }
+
+    /// Features per point.
+    pub fn features(&self) -> usize {
+        self.shape.features()
+    }
+
+    /// Adds the planes.
+    pub fn insert_planes<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+        for (index, shape) in self.shape.plane_shapes().iter().enumerate() {
+            let [low, high] = if is_time_plane(index) { [1.0, 1.0] } else { SPATIAL_START };
+            state.insert(plane_name(index), uniform(shape, low, high, random));
+        }
+    }
+
+    /// Features [N, F] of positions [N, 3] (world) at a time in [0, 1].
+    pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
+        let bounds = model.get(BOUNDS);
+        let inside = tape.apply_one(ToBox, &[positions, bounds]);
+        let time = match self.time_axis {
+            TimeAxis::Full => 2.0 * time - 1.0,
+            TimeAxis::UpperHalf => time,
+        };
+        hexplane(tape, &self.planes(model, |_| true), inside, time)
+    }
+
+    /// Σ over spatial planes of the mean squared second difference along the height axis.
+    pub fn spatial_roughness<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Var {
+        smoothness(tape, &self.planes(model, |index| !is_time_plane(index)))
+    }
+
+    /// Σ over time planes of the mean squared second difference along time.
+    pub fn temporal_roughness<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Var {
+        smoothness(tape, &self.planes(model, is_time_plane))
+    }
+
+    /// Σ over time planes of mean |1 − P|.
+    pub fn change<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Var {
+        distance_to_one(tape, &self.planes(model, is_time_plane))
+    }
+
+    /// The factor of the two time regularisers that gives them the weight of the published code: its means run over
+    /// the idle lower half as well.
+    pub fn time_weight_factor(&self) -> f64 {
+        match self.time_axis {
+            TimeAxis::Full => 0.5,
+            TimeAxis::UpperHalf => 1.0,
+        }
+    }
+
+    fn planes(&self, model: &Variables, chosen: impl Fn(usize) -> bool) -> Vec<Var> {
+        let count = 6 * self.shape.multipliers.len();
+        (0..count).filter(|&index| chosen(index)).map(|index| model.get(&plane_name(index))).collect()
+    }
+}
+
+/// Adds the box of a point cloud as [`BOUNDS`].
+pub fn insert_bounds<T: Real>(state: &mut ModelState<T>, points: &PointCloud) {
+    let mut corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    for point in &points.positions {
+        for axis in 0..3 {
+            let value = f64::from(point[axis]);
+            corners[0][axis] = corners[0][axis].min(value);
+            corners[1][axis] = corners[1][axis].max(value);
+        }
+    }
+    let [low, high] = corners;
+    let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
+    let margin = |axis: usize| 0.5 * ((MIN_SIDE * longest).max(f64::from(f32::EPSILON)) - (high[axis] - low[axis])).max(0.0);
+    let low = std::array::from_fn::<_, 3, _>(|axis| low[axis] - margin(axis));
+    let high = std::array::from_fn::<_, 3, _>(|axis| high[axis] + margin(axis));
+    let values = [low, high].concat().into_iter().map(T::from_f64).collect();
+    state.insert(BOUNDS, Tensor::from_vec([2, 3], values));
+}
+
+fn plane_name(index: usize) -> String {
+    const PAIRS: [&str; 6] = ["xy", "xz", "xt", "yz", "yt", "zt"];
+    format!("{PLANES}{}_{}", index / 6, PAIRS[index % 6])
+}
+
+/// Positions [N, 3] in a box [2, 3] to [−1, 1]: 2·(x − low) / (high − low) − 1; no gradient flows to the box.
+struct ToBox;
+
+impl ToBox {
+    /// Factor and summand of each axis.
+    fn affine<T: Real>(bounds: &Tensor<T>) -> [(T, T); 3] {
+        let (low, high) = (bounds.row(0), bounds.row(1));
+        std::array::from_fn(|axis| {
+            let factor = T::from_f64(2.0) / (high[axis] - low[axis]);
+            (factor, -(low[axis] * factor) - T::ONE)
+        })
+    }
+}
+
+impl<T: Real> Op<T> for ToBox {
+    fn name(&self) -> &'static str {
+        "to_box"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let affine = Self::affine(inputs[1]);
+        let map = |(at, &value): (usize, &T)| value.mul_add(affine[at % 3].0, affine[at % 3].1);
+        let values = inputs[0].as_slice().iter().enumerate().map(map).collect();
+        vec![Tensor::from_vec(inputs[0].shape(), values)]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(gradient) = output_grads[0] else { return vec![None, None] };
+        let affine = Self::affine(inputs[1]);
+        let values = gradient.as_slice().iter().enumerate().map(|(at, &value)| value * affine[at % 3].0).collect();
+        vec![Some(Tensor::from_vec(gradient.shape(), values)), None]
+    }
+}

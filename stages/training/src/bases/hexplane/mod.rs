@@ -1,0 +1,238 @@
+//! Canonical Gaussians moved by a hexplane field and a small network: 4DGaussians (Wu et al. 2024), the base of every
+//! method that builds on it.
+//!
+//! Two phases. `coarse` fits Gaussians to all frames as if nothing moved; it knows nothing of the field but its box, so
+//! methods can share it. `fine` adds the field and the network, and learns everything.
+
+mod field;
+mod network;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use serde::{Deserialize, Serialize};
+use shaders::splat::Splats;
+use shaders::tape::{Real, Tape};
+
+pub use field::TimeAxis;
+pub use network::Heads;
+
+use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Step};
+use crate::params::{Density, LearningRates, Loss, Shared};
+use crate::schedule::{LogLinear, stretch};
+use crate::state::{ModelState, Variables};
+use field::Field;
+use network::Network;
+
+/// Static warm-up.
+pub const COARSE: &str = "coarse";
+/// Everything learns.
+pub const FINE: &str = "fine";
+
+/// The field, the network and their training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HexplaneSettings {
+    /// Channels per plane.
+    pub channels: usize,
+    /// Texels along x, y and z at multiplier 1.
+    pub spatial_resolution: usize,
+    /// Texels along time in the published code's counting (it reads only half of them, see `time_axis`); absent: half
+    /// the number of different training times, which is what its D-NeRF settings amount to.
+    pub time_resolution: Option<usize>,
+    /// One set of planes each; multiplies the spatial resolution.
+    pub multipliers: Vec<usize>,
+    /// Width of the network.
+    pub width: usize,
+    /// Which part of the time axis is read.
+    pub time_axis: TimeAxis,
+    /// What the network moves.
+    pub heads: Heads,
+    /// Whether the last layer of every head starts at zero, so that `fine` starts without motion; the published code
+    /// draws it at random.
+    pub zero_heads: bool,
+    /// Weight of the second differences of the spatial planes.
+    pub spatial_smoothness: f64,
+    /// Weight of the second differences along time.
+    pub temporal_smoothness: f64,
+    /// Weight of the time planes' distance to 1.
+    pub time_to_one: f64,
+    /// Step sizes of the planes, as a share of the scene's extent.
+    pub plane_rate: LogLinear,
+    /// Step sizes of the network, as a share of the scene's extent.
+    pub network_rate: LogLinear,
+}
+
+impl Default for HexplaneSettings {
+    fn default() -> Self {
+        Self {
+            channels: 32,
+            spatial_resolution: 64,
+            time_resolution: None,
+            multipliers: vec![1, 2],
+            width: 64,
+            time_axis: TimeAxis::Full,
+            heads: Heads::default(),
+            zero_heads: false,
+            spatial_smoothness: 1e-4,
+            temporal_smoothness: 1e-2,
+            time_to_one: 1e-4,
+            plane_rate: LogLinear { start: 1.6e-3, end: 1.6e-5, steps: 20_000 },
+            network_rate: LogLinear { start: 1.6e-4, end: 1.6e-6, steps: 20_000 },
+        }
+    }
+}
+
+impl HexplaneSettings {
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        let sizes = [self.channels, self.spatial_resolution, self.width, self.time_resolution.unwrap_or(1)];
+        let weights = [self.spatial_smoothness, self.temporal_smoothness, self.time_to_one];
+        let good = [
+            (sizes.iter().all(|&size| size > 0), "channels, resolutions and width must be at least 1"),
+            (!self.multipliers.is_empty() && !self.multipliers.contains(&0), "multipliers must be positive"),
+            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
+            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
+            (self.heads != Heads::NONE, "a deformation without heads moves nothing"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+
+    /// What all methods understand, as the published D-NeRF settings have it: L1 alone, 2000 random points, pruning
+    /// only beyond 200 000 Gaussians, no opacity reset.
+    pub fn shared_defaults() -> Shared {
+        let density = Density {
+            max_count: 360_000,
+            prune_interval: 8000,
+            prune_above_count: 200_000,
+            opacity_reset_interval: 0,
+            ..Density::default()
+        };
+        let mut shared = Shared {
+            iterations: BTreeMap::from([(COARSE.into(), 3000), (FINE.into(), 20_000)]),
+            loss: Loss { lambda_dssim: 0.0 },
+            density,
+            ..Shared::default()
+        };
+        shared.initial_points.random_count = 2000;
+        shared.learning_rates = LearningRates::default();
+        shared.learning_rates.position.steps = 20_000;
+        shared
+    }
+}
+
+/// The base: every part of a method that builds on it.
+pub struct HexplaneGaussians {
+    shared: Shared,
+    settings: HexplaneSettings,
+}
+
+impl HexplaneGaussians {
+    /// The base with these settings.
+    pub fn new(shared: &Shared, settings: HexplaneSettings) -> Self {
+        Self { shared: shared.clone(), settings }
+    }
+
+    /// `coarse` and `fine`.
+    pub fn phases(&self) -> Vec<Phase> {
+        let length = |name: &str| {
+            let iterations = self.shared.iterations.get(name).copied().unwrap_or(0);
+            stretch(iterations, self.shared.schedule_scale)
+        };
+        [COARSE, FINE].map(|name| Phase { name, iterations: length(name) }).to_vec()
+    }
+
+    /// Gaussians on the points, and the box that the field will have.
+    pub fn initialize<T: Real>(&self, scene: &SceneFacts, points: &PointCloud) -> ModelState<T> {
+        let mut state = ModelState::new();
+        let lone_scale = gaussians::LONE_SCALE * scene.extent;
+        gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale);
+        field::insert_bounds(&mut state, points);
+        state
+    }
+
+    /// Adds the field and the network where `fine` begins.
+    pub fn enter_phase<T: Real>(
+        &self,
+        phase: &str,
+        mut state: ModelState<T>,
+        scene: &SceneFacts,
+        random: &mut ChaCha8Rng,
+    ) -> ModelState<T> {
+        if phase == FINE {
+            self.field(scene).insert_planes(&mut state, random);
+            self.network(scene).insert(&mut state, self.settings.zero_heads, random);
+        }
+        state
+    }
+
+    /// The step size of a tensor; the box never learns, the field and the network only exist in `fine`.
+    pub fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        if tensor.starts_with(field::PLANES) {
+            return Some(self.settings.plane_rate.scaled(scene.extent));
+        }
+        if tensor.starts_with(network::NETWORK) {
+            return Some(self.settings.network_rate.scaled(scene.extent));
+        }
+        gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
+    }
+
+    /// The Gaussians at a moment: canonical ones in `coarse`, moved ones in `fine`.
+    pub fn splats<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        moment: &Moment<'_>,
+    ) -> Splats {
+        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
+        if moment.phase == COARSE {
+            return canonical;
+        }
+        let features = self.field(moment.scene).at(tape, model, canonical.positions, moment.time);
+        self.network(moment.scene).deform(tape, model, features, canonical, moment.sh_degree)
+    }
+
+    /// The regularisers of the planes, in `fine`.
+    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
+        if step.phase == COARSE {
+            return;
+        }
+        let HexplaneSettings { spatial_smoothness, temporal_smoothness, time_to_one, .. } = self.settings;
+        let field = self.field(step.scene);
+        let time_factor = field.time_weight_factor();
+        if spatial_smoothness > 0.0 {
+            let value = field.spatial_roughness(step.tape, step.model);
+            step.add_loss("spatial_smoothness", spatial_smoothness, value);
+        }
+        if temporal_smoothness > 0.0 {
+            let value = field.temporal_roughness(step.tape, step.model);
+            step.add_loss("temporal_smoothness", time_factor * temporal_smoothness, value);
+        }
+        if time_to_one > 0.0 {
+            let value = field.change(step.tape, step.model);
+            step.add_loss("time_to_one", time_factor * time_to_one, value);
+        }
+    }
+
+    /// Density control of the Gaussians, the same in both phases.
+    pub fn population_controls(&self) -> Vec<Box<dyn PopulationControl>> {
+        let Shared { density, schedule_scale, .. } = &self.shared;
+        vec![Box::new(AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, false))]
+    }
+
+    fn field(&self, scene: &SceneFacts) -> Field {
+        let settings = &self.settings;
+        let time_resolution = settings.time_resolution.unwrap_or(scene.time_count.div_ceil(2));
+        let spatial = [settings.spatial_resolution; 3];
+        Field::new(settings.channels, spatial, time_resolution, &settings.multipliers, settings.time_axis)
+    }
+
+    fn network(&self, scene: &SceneFacts) -> Network {
+        let sh_count = (self.shared.harmonics.degree + 1).pow(2);
+        Network::new(self.field(scene).features(), self.settings.width, self.settings.heads, sh_count)
+    }
+}

@@ -1,0 +1,5 @@
+//! What methods are built from. Bases know the trainer's vocabulary and no method.
+
+pub mod gaussians;
+pub mod hexplane;
+pub mod layers;

@@ -1,0 +1,149 @@
+//! The training views in memory, and what a method may know of their scene.
+
+use std::collections::BTreeSet;
+
+use engine::{Failure, FailureKind};
+use rayon::prelude::*;
+use scene::cloud::PointCloud;
+use scene::{Capture, Split, View};
+use shaders::splat::PinholeCamera;
+use shaders::tape::{Real, Tensor};
+
+use crate::method::{SceneFacts, TrainingView};
+use crate::params::{InitialPoints, PointSource};
+
+/// A capture's training views, and the few views that the quality curve is measured on.
+pub struct Dataset {
+    /// The capture.
+    pub capture: Capture,
+    /// What a method may know.
+    pub scene: SceneFacts,
+    /// All training views, in the capture's order.
+    pub train: Vec<LoadedView>,
+    /// Evenly chosen validation views (training views where the capture has no validation views).
+    pub curve: Vec<LoadedView>,
+    /// The split of [`Dataset::curve`].
+    pub curve_split: Split,
+}
+
+/// One view with its 8-bit image.
+pub struct LoadedView {
+    /// Index within the capture's views.
+    pub index: usize,
+    /// Intrinsics and pose.
+    pub camera: PinholeCamera,
+    /// In [0, 1].
+    pub time: f64,
+    /// [H, W, 3] sRGB.
+    pub pixels: Vec<u8>,
+}
+
+impl Dataset {
+    /// Reads every training view and `curve_views` views for the curve; 8 bit per value stay in memory.
+    pub fn load(capture: Capture, curve_views: usize) -> anyhow::Result<Self> {
+        let train_views: Vec<_> = capture.views_of(Split::Train).collect();
+        if train_views.is_empty() {
+            let failure = Failure::new(FailureKind::BadInput, format!("capture {} has no training views", capture.name));
+            return Err(failure.at(&capture.dir).into());
+        }
+        let has_val = capture.views_of(Split::Val).next().is_some();
+        let curve_split = if has_val { Split::Val } else { Split::Train };
+        let curve_candidates: Vec<_> = capture.views_of(curve_split).collect();
+        let times: BTreeSet<u64> = train_views.iter().map(|(_, view)| view.time_secs.to_bits()).collect();
+        let scene = SceneFacts {
+            extent: capture.scene_extent(),
+            time_map: capture.time_map,
+            background: capture.background,
+            time_count: times.len(),
+        };
+        let train = load_all(&capture, &train_views)?;
+        let curve = load_all(&capture, &evenly(&curve_candidates, curve_views))?;
+        Ok(Self { scene, train, curve, curve_split, capture })
+    }
+
+    /// The points that the first Gaussians stand on; random ones are drawn in the capture's bounds.
+    pub fn initial_points(&self, params: &InitialPoints, seed: u64) -> anyhow::Result<PointCloud> {
+        let stored = match params.from {
+            PointSource::Random => None,
+            PointSource::Auto | PointSource::Capture => self.capture.load_points()?,
+        };
+        let bad = |message: String, hint: &str| Failure::new(FailureKind::BadInput, message).hint(hint);
+        match (stored, params.from, self.capture.bounds_world) {
+            (Some(points), ..) if !points.is_empty() => Ok(thinned(points, params.max_count)),
+            (_, PointSource::Capture, _) => {
+                let message = format!("capture {} has no points", self.capture.name);
+                Err(bad(message, "set initial_points.from = \"random\"").into())
+            }
+            (_, _, Some(bounds)) => Ok(PointCloud::random_in(bounds, params.random_count, seed)),
+            (_, _, None) => {
+                let message = format!("capture {} has neither points nor bounds to draw them in", self.capture.name);
+                Err(bad(message, "import it with a point cloud").into())
+            }
+        }
+    }
+}
+
+impl LoadedView {
+    /// The view in working precision.
+    pub fn to_training<T: Real>(&self) -> TrainingView<T> {
+        let levels: Vec<T> = (0..=255).map(|level| T::from_f64(f64::from(level) / 255.0)).collect();
+        let values = self.pixels.iter().map(|&value| levels[usize::from(value)]).collect();
+        let (width, height) = (self.camera.width, self.camera.height);
+        let image = Tensor::from_vec([height as usize, width as usize, 3], values);
+        TrainingView { index: self.index, camera: self.camera.clone(), time: self.time, image }
+    }
+}
+
+/// `count` of the items (all if there are fewer), evenly spread, first and last included.
+fn evenly<V: Clone>(items: &[V], count: usize) -> Vec<V> {
+    let count = count.min(items.len());
+    let last = items.len().saturating_sub(1);
+    (0..count).map(|at| items[if count > 1 { at * last / (count - 1) } else { last / 2 }].clone()).collect()
+}
+
+/// At most `max_count` points, evenly chosen.
+fn thinned(points: PointCloud, max_count: usize) -> PointCloud {
+    if points.len() <= max_count {
+        return points;
+    }
+    let chosen: Vec<usize> = (0..max_count).map(|at| at * points.len() / max_count).collect();
+    PointCloud {
+        positions: chosen.iter().map(|&at| points.positions[at]).collect(),
+        colors: chosen.iter().map(|&at| points.colors[at]).collect(),
+    }
+}
+
+fn load_all(capture: &Capture, views: &[(usize, &View)]) -> anyhow::Result<Vec<LoadedView>> {
+    let load = |&(index, view): &(usize, &View)| {
+        let pixels = capture.load_image(view)?.into_raw();
+        let time = capture.time_map.normalized(view.time_secs);
+        Ok(LoadedView { index, camera: PinholeCamera::from(&view.camera), time, pixels })
+    };
+    views.par_iter().map(load).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn even_choice_includes_both_ends_and_never_repeats() {
+        let items: Vec<usize> = (0..20).collect();
+        assert_eq!(evenly(&items, 5), [0, 4, 9, 14, 19]);
+        assert_eq!(evenly(&items, 1), [9]);
+        assert_eq!(evenly(&items, 100), items);
+        assert!(evenly::<usize>(&[], 3).is_empty());
+    }
+
+    #[test]
+    fn thinning_keeps_the_asked_count_and_the_pairs() {
+        let points = PointCloud {
+            positions: (0..10).map(|at| [at as f32; 3]).collect(),
+            colors: (0..10).map(|at| [at as u8; 3]).collect(),
+        };
+        let thin = thinned(points.clone(), 4);
+        assert_eq!(thin.len(), 4);
+        assert!(thin.positions.iter().zip(&thin.colors).all(|(position, color)| position[0] == f32::from(color[0])));
+        assert_eq!(thinned(points.clone(), 10), points);
+    }
+}

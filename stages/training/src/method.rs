@@ -1,0 +1,253 @@
+//! What a method is, and what one training step offers it.
+//!
+//! The trainer knows phases, tensors by name, losses by name and populations whose rows come and go; what they mean is
+//! the method's business. Everything is generic over the precision, so that a whole step is checked in f64.
+
+use std::collections::BTreeMap;
+
+use rand_chacha::ChaCha8Rng;
+use scene::TimeMap;
+use scene::cloud::PointCloud;
+use shaders::losses;
+use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, Splats};
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use crate::clock::PhaseClock;
+use crate::optimizer::Optimizer;
+use crate::params::Shared;
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables};
+
+/// One phase of a training: it starts with a fresh optimiser and ends with a [`ModelState`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Phase {
+    /// As `coarse`; the key of [`Shared::iterations`].
+    pub name: &'static str,
+    /// Optimiser steps.
+    pub iterations: u64,
+}
+
+/// What a method may know of the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneFacts {
+    /// 1.1 × the largest distance of a training camera from their mean, scene units.
+    pub extent: f64,
+    /// Seconds to [0, 1].
+    pub time_map: TimeMap,
+    /// The colour behind the Gaussians.
+    pub background: [f32; 3],
+    /// Different times among the training views.
+    pub time_count: usize,
+}
+
+/// When, whence and how far in training the model is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// The scene.
+    pub scene: &'a SceneFacts,
+    /// The phase's name; after training the last one.
+    pub phase: &'a str,
+    /// In [0, 1].
+    pub time: f64,
+    /// The camera that looks, for what depends on the viewpoint.
+    pub camera: &'a PinholeCamera,
+    /// Spherical-harmonics degree in use.
+    pub sh_degree: usize,
+}
+
+/// One training view in the working precision.
+#[derive(Clone, Debug)]
+pub struct TrainingView<T: Real> {
+    /// Index within the capture's views.
+    pub index: usize,
+    /// Intrinsics and pose.
+    pub camera: PinholeCamera,
+    /// In [0, 1].
+    pub time: f64,
+    /// [H, W, 3] in [0, 1].
+    pub image: Tensor<T>,
+}
+
+/// A method of dynamic (or static) Gaussian splatting.
+pub trait Method<T: Real>: Send + Sync {
+    /// The phases in order.
+    fn phases(&self) -> Vec<Phase>;
+
+    /// The first values of every tensor.
+    fn initialize(
+        &self,
+        scene: &SceneFacts,
+        points: &PointCloud,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>>;
+
+    /// Changes the state at the start of a phase (adds tensors, selects nodes); most methods change nothing.
+    fn enter_phase(
+        &self,
+        _phase: &str,
+        state: ModelState<T>,
+        _scene: &SceneFacts,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        Ok(state)
+    }
+
+    /// The step size of a tensor in a phase; `None` where it is not learnt.
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear>;
+
+    /// The Gaussians at one moment: the motion model.
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Splats>;
+
+    /// The losses of one step, given to [`Step::add_loss`]; by default the photometric loss of the step's views.
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        photometric_losses(self, step)
+    }
+
+    /// What makes and removes rows during a phase.
+    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        Vec::new()
+    }
+
+    /// Effects that this scene does not call for, each with the reason.
+    fn skipped(&self, _scene: &SceneFacts) -> BTreeMap<String, String> {
+        BTreeMap::new()
+    }
+}
+
+/// Renders every view of the step and compares it with its image: what most methods start from.
+pub fn photometric_losses<T: Real, M: Method<T> + ?Sized>(method: &M, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+    for view in step.views {
+        step.clock.enter("motion");
+        let splats = method.splats(step.tape, step.model, &step.moment(view))?;
+        let rendered = step.render(&splats, view, Some("gaussians"));
+        step.photometric(rendered.color, view);
+    }
+    Ok(())
+}
+
+/// Makes and removes rows of a population between steps. Its state is part of every checkpoint.
+pub trait PopulationControl: Send {
+    /// Watches one step.
+    fn observe(&mut self, screen: &ScreenGradients);
+
+    /// Acts after the optimiser's step `iteration` (counted from 1).
+    fn act(
+        &mut self,
+        iteration: u64,
+        optimizer: &mut Optimizer,
+        scene: &SceneFacts,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<()>;
+
+    /// The statistics, for a checkpoint.
+    fn save(&self) -> serde_json::Value;
+
+    /// The statistics from a checkpoint.
+    fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()>;
+}
+
+/// What one step's renders say about the Gaussians of a population.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScreenGradients {
+    /// As `gaussians`.
+    pub population: String,
+    /// [N, 2] gradient of the loss by the projected mean, normalised device coordinates, summed over the renders.
+    pub gradient_ndc: Vec<[f32; 2]>,
+    /// [N] whether any render saw the Gaussian.
+    pub visible: Vec<bool>,
+    /// [N] largest radius in pixels.
+    pub radius_px: Vec<f32>,
+}
+
+/// One loss of a step: a scalar on the tape and its weight in the sum.
+#[derive(Clone, Debug)]
+pub struct NamedLoss {
+    /// As `l1`.
+    pub name: &'static str,
+    /// Its factor in the sum.
+    pub weight: f64,
+    /// A scalar.
+    pub value: Var,
+}
+
+/// A render whose screen gradients drive a population.
+pub(crate) struct WatchedRender {
+    pub population: String,
+    pub means2d: Var,
+    pub visible: Vec<bool>,
+    pub radius_px: Vec<f32>,
+    pub size_px: [f64; 2],
+}
+
+/// One training step as a method sees it.
+pub struct Step<'a, T: Real> {
+    /// Records everything.
+    pub tape: &'a mut Tape<T>,
+    /// The model's tensors on the tape.
+    pub model: &'a Variables,
+    /// The views drawn for this step.
+    pub views: &'a [TrainingView<T>],
+    /// The scene.
+    pub scene: &'a SceneFacts,
+    /// The tables that every method understands.
+    pub shared: &'a Shared,
+    /// The phase's name.
+    pub phase: &'a str,
+    /// Counted from 1 within the phase.
+    pub iteration: u64,
+    /// Spherical-harmonics degree in use.
+    pub sh_degree: usize,
+    /// The method's own random draws.
+    pub random: &'a mut ChaCha8Rng,
+    /// Where the time goes.
+    pub clock: &'a mut PhaseClock,
+    pub(crate) losses: Vec<NamedLoss>,
+    pub(crate) renders: Vec<WatchedRender>,
+}
+
+impl<T: Real> Step<'_, T> {
+    /// The moment of a view in this step.
+    pub fn moment<'v>(&'v self, view: &'v TrainingView<T>) -> Moment<'v> {
+        Moment { scene: self.scene, phase: self.phase, time: view.time, camera: &view.camera, sh_degree: self.sh_degree }
+    }
+
+    /// Renders Gaussians as a view's camera sees them; `population` names the rows that the screen gradients drive.
+    pub fn render(&mut self, splats: &Splats, view: &TrainingView<T>, population: Option<&str>) -> Rendered {
+        self.clock.enter("render");
+        let rendered = splat::render(self.tape, splats, &view.camera, &raster_settings(self.scene, self.sh_degree));
+        if let Some(population) = population {
+            self.renders.push(WatchedRender {
+                population: population.into(),
+                means2d: rendered.means2d,
+                visible: rendered.visible.clone(),
+                radius_px: rendered.radii_px.clone(),
+                size_px: [view.camera.width as f64, view.camera.height as f64],
+            });
+        }
+        self.clock.enter("losses");
+        rendered
+    }
+
+    /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
+    pub fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
+        let share = 1.0 / self.views.len() as f64;
+        let lambda = self.shared.loss.lambda_dssim;
+        let target = self.tape.constant(view.image.clone());
+        let l1 = losses::l1(self.tape, color, target);
+        self.add_loss("l1", share * (1.0 - lambda), l1);
+        if lambda > 0.0 {
+            let dssim = losses::dssim(self.tape, color, target);
+            self.add_loss("dssim", share * lambda, dssim);
+        }
+    }
+
+    /// Adds `weight` · `value` to what is minimised.
+    pub fn add_loss(&mut self, name: &'static str, weight: f64, value: Var) {
+        self.losses.push(NamedLoss { name, weight, value });
+    }
+}
+
+/// How every stage rasterises a model of this scene.
+pub fn raster_settings(scene: &SceneFacts, sh_degree: usize) -> RasterSettings {
+    RasterSettings { background: scene.background, sh_degree, ..RasterSettings::default() }
+}

@@ -1,0 +1,83 @@
+//! 4DGaussians (Wu et al. 2024): the hexplane base and nothing else.
+
+use std::collections::BTreeMap;
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use shaders::splat::Splats;
+use shaders::tape::{Real, Tape};
+
+use super::MethodFolder;
+use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Step, photometric_losses};
+use crate::params::Shared;
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables};
+
+/// The folder's entry.
+pub struct Deformable4dgs;
+
+impl MethodFolder for Deformable4dgs {
+    const NAME: &'static str = "deformable4dgs";
+    const ABOUT: &'static str = "4DGaussians: a hexplane field moves canonical Gaussians (Wu et al. 2024)";
+    type Settings = HexplaneSettings;
+
+    fn shared_defaults() -> Shared {
+        HexplaneSettings::shared_defaults()
+    }
+
+    fn check(settings: &HexplaneSettings) -> Result<(), String> {
+        settings.check()
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: HexplaneSettings) -> Box<dyn Method<T>> {
+        Box::new(FourDGaussians { base: HexplaneGaussians::new(shared, settings) })
+    }
+}
+
+struct FourDGaussians {
+    base: HexplaneGaussians,
+}
+
+impl<T: Real> Method<T> for FourDGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        self.base.phases()
+    }
+
+    fn initialize(
+        &self,
+        scene: &SceneFacts,
+        points: &PointCloud,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        Ok(self.base.initialize(scene, points))
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        state: ModelState<T>,
+        scene: &SceneFacts,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        Ok(self.base.enter_phase(phase, state, scene, random))
+    }
+
+    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        self.base.learning_rate(tensor, scene)
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Splats> {
+        Ok(self.base.splats(tape, model, moment))
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        photometric_losses(self, step)?;
+        self.base.regularize(step);
+        Ok(())
+    }
+
+    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        self.base.population_controls()
+    }
+}

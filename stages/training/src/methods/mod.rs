@@ -1,0 +1,127 @@
+//! The methods: one folder each, one line each in [`registry`]. No method imports another.
+
+mod deformable4dgs;
+mod static3dgs;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use shaders::tape::Real;
+
+use crate::method::Method;
+use crate::params::{Shared, TrainingParams};
+
+/// Every method, in the order of the tables.
+pub fn registry() -> Vec<Registration> {
+    vec![
+        Registration::of::<static3dgs::Static3dgs>(), //
+        Registration::of::<deformable4dgs::Deformable4dgs>(),
+    ]
+}
+
+/// What a method's folder provides.
+pub trait MethodFolder: 'static {
+    /// The name in recipes and tables, equal to the folder's.
+    const NAME: &'static str;
+    /// One line: what it is and whose.
+    const ABOUT: &'static str;
+    /// The table that only this method understands.
+    type Settings: Serialize + DeserializeOwned + Default;
+
+    /// The method's own defaults of what all methods understand.
+    fn shared_defaults() -> Shared;
+
+    /// Why these settings cannot work, if so.
+    fn check(_settings: &Self::Settings) -> Result<(), String> {
+        Ok(())
+    }
+
+    /// The method in one precision.
+    fn build<T: Real>(shared: &Shared, settings: Self::Settings) -> Box<dyn Method<T>>;
+}
+
+/// One method, its types erased.
+pub struct Registration {
+    /// The name in recipes and tables.
+    pub name: &'static str,
+    /// One line: what it is and whose.
+    pub about: &'static str,
+    /// The method's own defaults of what all methods understand.
+    pub shared_defaults: fn() -> Shared,
+    /// Checks the method's table and fills in its defaults.
+    pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
+    build_f32: fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<f32>>>,
+    build_f64: fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<f64>>>,
+}
+
+impl Registration {
+    fn of<M: MethodFolder>() -> Self {
+        Self {
+            name: M::NAME,
+            about: M::ABOUT,
+            shared_defaults: M::shared_defaults,
+            canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
+            build_f32: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
+            build_f64: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
+        }
+    }
+
+    /// The method as it trains and renders.
+    pub fn build_f32(&self, params: &TrainingParams) -> anyhow::Result<Box<dyn Method<f32>>> {
+        (self.build_f32)(&params.shared, &params.settings)
+    }
+
+    /// The method as its gradients are checked.
+    pub fn build_f64(&self, params: &TrainingParams) -> anyhow::Result<Box<dyn Method<f64>>> {
+        (self.build_f64)(&params.shared, &params.settings)
+    }
+}
+
+fn read_settings<M: MethodFolder>(given: &Value) -> anyhow::Result<M::Settings> {
+    let settings = serde_json::from_value(given.clone())?;
+    M::check(&settings).map_err(anyhow::Error::msg)?;
+    Ok(settings)
+}
+
+/// The method of that name; the error lists the registered ones.
+pub fn find(name: &str) -> Result<Registration, String> {
+    let known = || registry().iter().map(|entry| entry.name).collect::<Vec<_>>().join(", ");
+    registry().into_iter().find(|entry| entry.name == name).ok_or_else(|| {
+        format!("unknown method {name:?}, expected one of {}", known()) //
+    })
+}
+
+/// The folders of all other methods: an edit there cannot change what this one trains.
+pub fn unused_sources(name: &str) -> Vec<String> {
+    registry().iter().filter(|entry| entry.name != name).map(|entry| format!("src/methods/{}", entry.name)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_method_has_its_folder_with_a_readme_and_a_paper() {
+        for entry in registry() {
+            let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/methods").join(entry.name);
+            for file in ["README.md", "paper.toml", "mod.rs"] {
+                assert!(folder.join(file).is_file(), "{} lacks {file}", entry.name);
+            }
+        }
+    }
+
+    #[test]
+    fn unused_sources_are_all_other_folders_and_exist() {
+        for entry in registry() {
+            let unused = unused_sources(entry.name);
+            assert_eq!(unused.len(), registry().len() - 1);
+            assert!(unused.iter().all(|path| !path.ends_with(entry.name)));
+            assert!(unused.iter().all(|path| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path).is_dir()));
+        }
+    }
+
+    #[test]
+    fn an_unknown_method_is_refused_with_the_known_ones() {
+        assert!(find("nerf").err().unwrap().contains("deformable4dgs"));
+    }
+}

@@ -1,0 +1,130 @@
+//! The stage: a capture in, a model out.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use engine::stage::ParamProblem;
+use engine::{JobContext, Port, Progress, Resources, Stage};
+use scene::Capture;
+
+use crate::artifact::Model;
+use crate::checkpoint::Checkpoint;
+use crate::dataset::Dataset;
+use crate::methods;
+use crate::params::TrainingParams;
+use crate::trainer::{Report, Trainer};
+
+/// A minute of lost work at most; a checkpoint of 100k Gaussians takes a fraction of a second. Not a parameter: it
+/// cannot change the model.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
+/// How often whoever watches is told.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);
+
+engine::artifact! {
+    /// The capture that a model is trained on.
+    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
+}
+
+/// The stage that trains.
+pub struct Training;
+
+impl Stage for Training {
+    type Params = TrainingParams;
+    type Output = Model;
+
+    const ID: &'static str = "training";
+    const ABOUT: &'static str = "trains a dynamic (or static) Gaussian model on a capture";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<CaptureArtifact>("capture")]
+    }
+
+    fn check_params(params: &TrainingParams) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn resources(_params: &TrainingParams) -> Resources {
+        Resources { threads: 0 }
+    }
+
+    fn unused_sources(params: &TrainingParams) -> Vec<String> {
+        methods::unused_sources(&params.method)
+    }
+
+    fn run(context: &JobContext, params: &TrainingParams) -> anyhow::Result<Model> {
+        let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        let watch = Watch {
+            stop: &context.stop,
+            on_progress: &*context.on_progress,
+            checkpoint_dir: context.checkpoint_dir(),
+        };
+        let Some((model, report)) = pool.install(|| train(capture, params, &watch))? else {
+            return Err(context.interrupted());
+        };
+        measure(context, &report, pool.current_num_threads())?;
+        model.save(context.output_dir())?;
+        Ok(model)
+    }
+}
+
+/// Whom a training asks and tells while it runs.
+pub struct Watch<'a> {
+    /// Set when the training should save a checkpoint and stop.
+    pub stop: &'a AtomicBool,
+    /// Receives progress.
+    pub on_progress: &'a (dyn Fn(Progress) + Send + Sync),
+    /// Where checkpoints lie.
+    pub checkpoint_dir: &'a Path,
+}
+
+/// Trains to the end, from the newest checkpoint if there is one; `None` if it was asked to stop (a checkpoint is saved).
+pub fn train(capture: Capture, params: &TrainingParams, watch: &Watch<'_>) -> anyhow::Result<Option<(Model, Report)>> {
+    let dataset = Dataset::load(capture, params.shared.curve.views)?;
+    let mut trainer = match Checkpoint::load(watch.checkpoint_dir, &serde_json::to_value(params)?) {
+        Some(checkpoint) => Trainer::resume(&dataset, params, checkpoint)?,
+        None => Trainer::new(&dataset, params)?,
+    };
+    let (mut saved, mut told) = (Instant::now(), Instant::now());
+    while !trainer.is_done() {
+        trainer.advance()?;
+        let stopping = watch.stop.load(Ordering::Relaxed);
+        if stopping || saved.elapsed() >= CHECKPOINT_INTERVAL {
+            trainer.checkpoint()?.save(watch.checkpoint_dir)?;
+            saved = Instant::now();
+        }
+        if stopping {
+            return Ok(None);
+        }
+        if trainer.is_done() || told.elapsed() >= PROGRESS_INTERVAL {
+            let (done, total) = trainer.steps();
+            (watch.on_progress)(Progress { done, total, message: trainer.status_line() });
+            told = Instant::now();
+        }
+    }
+    let report = trainer.report();
+    Ok(Some((trainer.finish()?, report)))
+}
+
+/// Everything that must not be in the artifact.
+fn measure(context: &JobContext, report: &Report, threads: usize) -> anyhow::Result<()> {
+    context.measure("training_secs", report.training_secs)?;
+    context.measure("total_secs", report.total_secs)?;
+    context.measure("ms_per_iteration", report.ms_per_iteration)?;
+    context.measure("phases", &report.phases)?;
+    context.measure("kernels_ms", &report.kernels)?;
+    context.measure("curve", &report.curve)?;
+    context.measure("curve_split", report.curve_split)?;
+    context.measure("peak_memory_bytes", peak_memory_bytes())?;
+    context.measure("device", "cpu")?;
+    context.measure("threads", threads)
+}
+
+/// The largest resident set of this process so far; `None` where the system does not tell.
+pub fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(1024 * kibibytes)
+}

@@ -1,0 +1,74 @@
+//! Learning-rate laws.
+
+use serde::{Deserialize, Serialize};
+
+/// A rate that falls from `start` to `end` on a straight line in the logarithm, and stays there.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LogLinear {
+    /// At step 0.
+    pub start: f64,
+    /// From step `steps` on.
+    pub end: f64,
+    /// Length of the fall.
+    pub steps: u64,
+}
+
+impl LogLinear {
+    /// The same rate at every step.
+    pub fn constant(rate: f64) -> Self {
+        Self { start: rate, end: rate, steps: 1 }
+    }
+
+    /// exp((1 − u)·ln start + u·ln end) with u = min(step / steps, 1).
+    pub fn at(&self, step: u64) -> f64 {
+        if self.start == self.end {
+            return self.start;
+        }
+        let u = (step as f64 / self.steps.max(1) as f64).min(1.0);
+        ((1.0 - u) * self.start.ln() + u * self.end.ln()).exp()
+    }
+
+    /// The same law with both ends multiplied by `factor`.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self { start: self.start * factor, end: self.end * factor, ..*self }
+    }
+
+    /// The same law over `factor` times as many steps.
+    pub fn stretched(&self, factor: f64) -> Self {
+        Self { steps: stretch(self.steps, factor), ..*self }
+    }
+
+    /// Positive and finite at both ends, over at least one step.
+    pub fn is_valid(&self) -> bool {
+        let good = |rate: f64| rate > 0.0 && rate.is_finite();
+        good(self.start) && good(self.end) && self.steps > 0
+    }
+}
+
+/// `steps` times `factor`, rounded, at least 1 where `steps` is.
+pub fn stretch(steps: u64, factor: f64) -> u64 {
+    ((steps as f64 * factor).round() as u64).max(steps.min(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_middle_and_beyond() {
+        let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
+        for (step, expected) in [(0, 1e-2), (50, 1e-3), (100, 1e-4), (1000, 1e-4)] {
+            assert!((law.at(step) / expected - 1.0).abs() <= 1e-12, "step {step}: {}", law.at(step));
+        }
+        assert_eq!(LogLinear::constant(0.05).at(7), 0.05);
+        assert!((law.stretched(0.5).at(25) / 1e-3 - 1.0).abs() <= 1e-12);
+    }
+
+    #[test]
+    fn stretching_keeps_zero_and_never_makes_it() {
+        assert_eq!(stretch(0, 0.5), 0);
+        assert_eq!(stretch(1, 0.01), 1);
+        assert_eq!(stretch(1000, 0.35), 350);
+    }
+}

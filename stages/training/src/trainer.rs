@@ -1,0 +1,372 @@
+//! The training loop, which knows no method.
+//!
+//! One step: draw views, bind the tensors to a tape, let the method say its losses, differentiate, step the optimiser,
+//! let the population controls act. Phases follow each other with fresh optimisers. Nothing depends on the thread count
+//! or the clock, so a training resumed from a checkpoint ends in the same bytes as an undisturbed one.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::ensure;
+use engine::{Failure, FailureKind};
+use rand_chacha::ChaCha8Rng;
+use shaders::splat::{self, PinholeCamera, Splats};
+use shaders::tape::{Device, Profile, Tape, Tensor};
+
+use crate::artifact::{Model, ModelHeader};
+use crate::checkpoint::{Checkpoint, Progress};
+use crate::clock::{ClockReading, PhaseClock};
+use crate::curve::{self, CurvePoint};
+use crate::dataset::Dataset;
+use crate::method::{Method, Moment, Phase, PopulationControl, Step, raster_settings};
+use crate::methods;
+use crate::optimizer::Optimizer;
+use crate::params::TrainingParams;
+use crate::sampler::{Stream, ViewSampler, generator};
+use crate::schedule::{LogLinear, stretch};
+use crate::state::ModelState;
+use crate::step::run_step;
+
+/// The activity that the training clock leaves out.
+pub const EVALUATION: &str = "evaluation";
+
+/// A training between two steps.
+pub struct Trainer<'a> {
+    dataset: &'a Dataset,
+    params: &'a TrainingParams,
+    method: Box<dyn Method<f32>>,
+    phases: Vec<Phase>,
+    phase: usize,
+    iteration: u64,
+    sh_degree: usize,
+    optimizer: Optimizer,
+    controls: Vec<Box<dyn PopulationControl>>,
+    sampler: ViewSampler,
+    density_random: ChaCha8Rng,
+    method_random: ChaCha8Rng,
+    curve_at: BTreeSet<u64>,
+    curve: Vec<CurvePoint>,
+    loss: f64,
+    clock: PhaseClock,
+    profile: Profile,
+}
+
+impl<'a> Trainer<'a> {
+    /// A training before its first step.
+    pub fn new(dataset: &'a Dataset, params: &'a TrainingParams) -> anyhow::Result<Self> {
+        let method = methods::find(&params.method).map_err(anyhow::Error::msg)?.build_f32(params)?;
+        let seed = params.shared.seed;
+        let points = dataset.initial_points(&params.shared.initial_points, seed)?;
+        let state = method.initialize(&dataset.scene, &points, &mut generator(seed, Stream::Initial))?;
+        let phases = method.phases();
+        let total = phases.iter().map(|phase| phase.iterations).sum();
+        let mut trainer = Self {
+            dataset,
+            params,
+            method,
+            phases,
+            phase: 0,
+            iteration: 0,
+            sh_degree: 0,
+            optimizer: Optimizer::default(),
+            controls: Vec::new(),
+            sampler: ViewSampler::new(dataset.train.len(), seed),
+            density_random: generator(seed, Stream::Density),
+            method_random: generator(seed, Stream::Method),
+            curve_at: curve::schedule(&params.shared.curve, total),
+            curve: Vec::new(),
+            loss: f64::NAN,
+            clock: PhaseClock::start("load", ClockReading::default()),
+            profile: Profile::default(),
+        };
+        trainer.enter_phase(0, state)?;
+        trainer.skip_finished_phases()?;
+        Ok(trainer)
+    }
+
+    /// The training that a checkpoint was taken of, with the same data and parameters.
+    pub fn resume(dataset: &'a Dataset, params: &'a TrainingParams, checkpoint: Checkpoint) -> anyhow::Result<Self> {
+        let mut trainer = Self::new(dataset, params)?;
+        let Checkpoint { progress, tensors } = checkpoint;
+        ensure!(progress.phase < trainer.phases.len(), "the checkpoint has more phases than the method");
+        let rates = trainer.learning_rates(progress.phase);
+        trainer.optimizer = Optimizer::restore(&tensors, &progress.optimizer_steps, rates)?;
+        trainer.controls = trainer.method.population_controls(trainer.phases[progress.phase].name, &dataset.scene);
+        ensure!(progress.controls.len() == trainer.controls.len(), "the checkpoint has other population controls");
+        for (control, saved) in trainer.controls.iter_mut().zip(progress.controls) {
+            control.restore(saved)?;
+        }
+        (trainer.phase, trainer.iteration, trainer.sh_degree) = (progress.phase, progress.iteration, progress.sh_degree);
+        (trainer.sampler, trainer.curve, trainer.loss) = (progress.sampler, progress.curve, progress.loss);
+        (trainer.density_random, trainer.method_random) = (progress.density_random, progress.method_random);
+        trainer.clock = PhaseClock::start("load", progress.clock);
+        Ok(trainer)
+    }
+
+    /// Everything that the next step depends on.
+    pub fn checkpoint(&mut self) -> anyhow::Result<Checkpoint> {
+        let (tensors, optimizer_steps) = self.optimizer.save();
+        let progress = Progress {
+            params: serde_json::to_value(self.params)?,
+            phase: self.phase,
+            iteration: self.iteration,
+            sh_degree: self.sh_degree,
+            sampler: self.sampler.clone(),
+            density_random: self.density_random.clone(),
+            method_random: self.method_random.clone(),
+            controls: self.controls.iter().map(|control| control.save()).collect(),
+            optimizer_steps,
+            clock: self.clock.reading(),
+            curve: self.curve.clone(),
+            loss: self.loss,
+        };
+        Ok(Checkpoint { progress, tensors })
+    }
+
+    /// Whether all phases are done.
+    pub fn is_done(&self) -> bool {
+        self.iteration >= self.phases[self.phase].iterations
+    }
+
+    /// Steps done and steps in all, over all phases.
+    pub fn steps(&self) -> (u64, u64) {
+        let before: u64 = self.phases[..self.phase].iter().map(|phase| phase.iterations).sum();
+        (before + self.iteration, self.phases.iter().map(|phase| phase.iterations).sum())
+    }
+
+    /// One optimiser step and what follows it: density control, the curve, the next phase.
+    pub fn advance(&mut self) -> anyhow::Result<()> {
+        self.iteration += 1;
+        let scale = self.params.shared.schedule_scale;
+        let harmonics_interval = stretch(self.params.shared.harmonics.interval, scale);
+        if self.iteration.is_multiple_of(harmonics_interval) {
+            self.sh_degree = (self.sh_degree + 1).min(self.params.shared.harmonics.degree);
+        }
+        self.step()?;
+        if self.curve_at.contains(&self.steps().0) {
+            self.clock.enter(EVALUATION);
+            self.add_curve_point()?;
+        }
+        self.clock.enter("load");
+        self.skip_finished_phases()
+    }
+
+    fn step(&mut self) -> anyhow::Result<()> {
+        self.clock.enter("load");
+        let mut views = Vec::with_capacity(self.params.shared.batch);
+        for _ in 0..self.params.shared.batch {
+            views.push(self.dataset.train[self.sampler.next_view()].to_training());
+        }
+        let mut tape = Tape::new(Device::Cpu);
+        let model = self.optimizer.bind(&mut tape);
+        let phase = self.phases[self.phase].name;
+        let step = Step {
+            tape: &mut tape,
+            model: &model,
+            views: &views,
+            scene: &self.dataset.scene,
+            shared: &self.params.shared,
+            phase,
+            iteration: self.iteration,
+            sh_degree: self.sh_degree,
+            random: &mut self.method_random,
+            clock: &mut self.clock,
+            losses: Vec::new(),
+            renders: Vec::new(),
+        };
+        let mut outcome = run_step(&*self.method, step)?;
+        self.record_profile(&tape);
+        self.loss = outcome.total();
+        for (name, value) in &outcome.losses {
+            self.check_finite(value.is_finite(), &format!("loss {name}"), &tape)?;
+        }
+
+        self.clock.enter("optimizer");
+        let screens = outcome.screen_gradients();
+        let gradients: BTreeMap<&str, Tensor<f32>> =
+            model.iter().filter_map(|(name, var)| Some((name, outcome.gradients.take(var)?))).collect();
+        if let Some(name) = Optimizer::first_not_finite(&gradients) {
+            self.check_finite(false, &format!("gradient of {name}"), &tape)?;
+        }
+        // The tape shares the tensors; without it they are changed in place.
+        drop(tape);
+        self.optimizer.step(&gradients, self.iteration)?;
+
+        self.clock.enter("density");
+        for control in &mut self.controls {
+            screens.iter().for_each(|screen| control.observe(screen));
+            control.act(self.iteration, &mut self.optimizer, &self.dataset.scene, &mut self.density_random)?;
+        }
+        self.check_not_empty()
+    }
+
+    /// Starts a phase on the state that the one before ended with.
+    fn enter_phase(&mut self, phase: usize, state: ModelState<f32>) -> anyhow::Result<()> {
+        let name = self.phases[phase].name;
+        let state = self.method.enter_phase(name, state, &self.dataset.scene, &mut self.method_random)?;
+        self.optimizer = Optimizer::new(state, self.learning_rates(phase));
+        self.controls = self.method.population_controls(name, &self.dataset.scene);
+        (self.phase, self.iteration) = (phase, 0);
+        Ok(())
+    }
+
+    /// Goes on to the next phase that has steps to do.
+    fn skip_finished_phases(&mut self) -> anyhow::Result<()> {
+        while self.is_done() && self.phase + 1 < self.phases.len() {
+            let finished = std::mem::take(&mut self.optimizer);
+            self.enter_phase(self.phase + 1, finished.into_state())?;
+        }
+        Ok(())
+    }
+
+    /// The step size of every tensor that a phase learns.
+    fn learning_rates(&self, phase: usize) -> impl Fn(&str) -> Option<LogLinear> {
+        let scale = self.params.shared.schedule_scale;
+        let name = self.phases[phase].name;
+        move |tensor| Some(self.method.learning_rate(name, tensor, &self.dataset.scene)?.stretched(scale))
+    }
+
+    /// Measures the curve's views.
+    fn add_curve_point(&mut self) -> anyhow::Result<()> {
+        let mut psnr_sum = 0.0;
+        let mut n_gaussians = 0;
+        for view in &self.dataset.curve {
+            let mut tape = Tape::new(Device::Cpu);
+            let moment = self.moment(view.time, &view.camera);
+            let splats = self.splats(&mut tape, &moment)?;
+            n_gaussians = tape.value(splats.positions).rows() as u64;
+            let settings = raster_settings(&self.dataset.scene, self.sh_degree);
+            let rendered = splat::render(&mut tape, &splats, &view.camera, &settings);
+            psnr_sum += curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
+        }
+        self.curve.push(CurvePoint {
+            seconds: self.clock.reading().total_except(&[EVALUATION]),
+            iteration: self.steps().0,
+            n_gaussians,
+            psnr_val: psnr_sum / self.dataset.curve.len() as f64,
+            loss: self.loss,
+        });
+        Ok(())
+    }
+
+    fn moment<'m>(&'m self, time: f64, camera: &'m PinholeCamera) -> Moment<'m> {
+        let phase = self.phases[self.phase].name;
+        Moment { scene: &self.dataset.scene, phase, time, camera, sh_degree: self.sh_degree }
+    }
+
+    /// The Gaussians at a moment, without gradients.
+    fn splats(&self, tape: &mut Tape<f32>, moment: &Moment<'_>) -> anyhow::Result<Splats> {
+        let model = self.optimizer.bind_constant(tape);
+        self.method.splats(tape, &model, moment)
+    }
+
+    /// Splits the time of this step's renders into their kernels.
+    fn record_profile(&mut self, tape: &Tape<f32>) {
+        for (op, activity) in [("projection", "projection"), ("binning", "sort"), ("blending", "blend")] {
+            if let Some(cost) = tape.profile().ops.get(op) {
+                self.clock.reassign("render", activity, cost.forward.secs);
+            }
+        }
+        self.profile.merge(tape.profile());
+    }
+
+    /// The error that names what stopped being finite, when, and which operation made it.
+    fn check_finite(&self, finite: bool, what: &str, tape: &Tape<f32>) -> anyhow::Result<()> {
+        if finite {
+            return Ok(());
+        }
+        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
+        let origin = match tape.first_non_finite_op() {
+            Some(op) => format!("first in the output of {op}"),
+            None => "first in the backward pass".into(),
+        };
+        let message = format!("{what} is not finite at iteration {iteration} of phase {phase} ({origin})");
+        let hint = "lower the learning rates; the training is not restarted because that would hide the cause";
+        Err(Failure::new(FailureKind::Diverged, message).hint(hint).into())
+    }
+
+    fn check_not_empty(&self) -> anyhow::Result<()> {
+        if self.optimizer.has_rows() {
+            return Ok(());
+        }
+        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
+        let message = format!("no Gaussians left after iteration {iteration} of phase {phase}");
+        let hint = "lower density.min_opacity, or give more initial points inside the cameras' view";
+        Err(Failure::new(FailureKind::Diverged, message).hint(hint).into())
+    }
+
+    /// A few figures for whoever watches.
+    pub fn status_line(&self) -> String {
+        let phase = self.phases[self.phase].name;
+        match self.curve.last() {
+            Some(point) => format!("{phase} {} Gaussians {:.2} dB", point.n_gaussians, point.psnr_val),
+            None => format!("{phase} loss {:.4}", self.loss),
+        }
+    }
+
+    /// What was measured besides the model.
+    pub fn report(&mut self) -> Report {
+        let clock = self.clock.reading();
+        let (steps, _) = self.steps();
+        let training_secs = clock.total_except(&[EVALUATION]);
+        Report {
+            training_secs,
+            total_secs: clock.total_except(&[]),
+            ms_per_iteration: 1e3 * training_secs / steps.max(1) as f64,
+            phases: clock.secs,
+            curve: self.curve.clone(),
+            curve_split: self.dataset.curve_split,
+            kernels: kernel_milliseconds(&self.profile),
+        }
+    }
+
+    /// The trained model.
+    pub fn finish(self) -> anyhow::Result<Model> {
+        let phases = self.phases.iter().map(|phase| (phase.name.to_string(), phase.iterations)).collect();
+        let capture = &self.dataset.capture;
+        let camera = PinholeCamera::from(&capture.views[self.dataset.train[0].index].camera);
+        let moment = self.moment(0.0, &camera);
+        let mut tape = Tape::new(Device::Cpu);
+        let splats = self.splats(&mut tape, &moment)?;
+        let n_gaussians = tape.value(splats.positions).rows() as u64;
+        drop(tape);
+        let header = ModelHeader {
+            method: self.params.method.clone(),
+            method_params: serde_json::to_value(self.params)?,
+            protocol: capture.protocol.clone(),
+            background: capture.background,
+            time_map: capture.time_map,
+            scene_extent: self.dataset.scene.extent,
+            time_count: self.dataset.scene.time_count,
+            sh_degree: self.sh_degree,
+            n_gaussians,
+            iterations: phases,
+            seed: self.params.shared.seed,
+            skipped: self.method.skipped(&self.dataset.scene),
+        };
+        Ok(Model { header, tensors: self.optimizer.into_state().to_named() })
+    }
+}
+
+/// What a training measures besides its model.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Seconds, evaluation excluded.
+    pub training_secs: f64,
+    /// Seconds, evaluation included.
+    pub total_secs: f64,
+    /// Training time per step.
+    pub ms_per_iteration: f64,
+    /// Seconds per activity.
+    pub phases: BTreeMap<String, f64>,
+    /// Quality over seconds.
+    pub curve: Vec<CurvePoint>,
+    /// The split that the curve was measured on.
+    pub curve_split: scene::Split,
+    /// Milliseconds per call of every kernel, forward and backward, since the last resumption.
+    pub kernels: BTreeMap<String, [f64; 2]>,
+}
+
+fn kernel_milliseconds(profile: &Profile) -> BTreeMap<String, [f64; 2]> {
+    let mean = |cost: &shaders::tape::Cost| 1e3 * cost.secs / cost.calls.max(1) as f64;
+    profile.ops.iter().map(|(name, cost)| (name.to_string(), [mean(&cost.forward), mean(&cost.backward)])).collect()
+}
