@@ -1,0 +1,159 @@
+//! The figures that tables are made of: name, unit, direction and decimals of each, once.
+
+use metric_evaluation::Metric;
+use serde::{Deserialize, Serialize};
+
+/// One figure of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Column {
+    /// [`Metric::Psnr`].
+    Psnr,
+    /// [`Metric::PsnrPooled`].
+    PsnrPooled,
+    /// [`Metric::Ssim`].
+    Ssim,
+    /// [`Metric::SsimValid`].
+    SsimValid,
+    /// [`Metric::MsSsim`].
+    MsSsim,
+    /// Seconds of training without evaluation.
+    TrainingSecs,
+    /// Gaussians in the model.
+    Gaussians,
+    /// Bytes of the model's tensors / 10⁶.
+    SizeMb,
+    /// Frames per second of the rasteriser alone (median).
+    FpsRaster,
+    /// Frames per second of motion model and rasteriser (median).
+    FpsModel,
+    /// Frames per second of delivered images: motion model, rasteriser, 8-bit conversion and encoding (median).
+    FpsDelivered,
+    /// Seconds of training until the validation PSNR first reached 90 % of its last value.
+    #[serde(rename = "secs_to_90")]
+    SecsTo90,
+    /// The same for 95 %.
+    #[serde(rename = "secs_to_95")]
+    SecsTo95,
+    /// The same for 99 %.
+    #[serde(rename = "secs_to_99")]
+    SecsTo99,
+    /// Milliseconds per training iteration.
+    MsPerIteration,
+    /// Largest resident memory of the training process / 10⁶ bytes.
+    PeakMemoryMb,
+}
+
+impl Column {
+    /// Every column, in the order of the CSV file.
+    pub const ALL: [Self; 16] = [
+        Self::Psnr,
+        Self::PsnrPooled,
+        Self::Ssim,
+        Self::SsimValid,
+        Self::MsSsim,
+        Self::TrainingSecs,
+        Self::Gaussians,
+        Self::SizeMb,
+        Self::FpsRaster,
+        Self::FpsModel,
+        Self::FpsDelivered,
+        Self::SecsTo90,
+        Self::SecsTo95,
+        Self::SecsTo99,
+        Self::MsPerIteration,
+        Self::PeakMemoryMb,
+    ];
+
+    /// The columns of the headline table.
+    pub const HEADLINE: [Self; 9] = [
+        Self::Psnr,
+        Self::Ssim,
+        Self::MsSsim,
+        Self::TrainingSecs,
+        Self::Gaussians,
+        Self::SizeMb,
+        Self::FpsRaster,
+        Self::FpsModel,
+        Self::FpsDelivered,
+    ];
+
+    /// The columns of the table of time to quality.
+    pub const TIME_TO_QUALITY: [Self; 4] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99, Self::TrainingSecs];
+
+    /// The column of a metric.
+    pub fn of_metric(metric: Metric) -> Self {
+        match metric {
+            Metric::Psnr => Self::Psnr,
+            Metric::PsnrPooled => Self::PsnrPooled,
+            Metric::Ssim => Self::Ssim,
+            Metric::SsimValid => Self::SsimValid,
+            Metric::MsSsim => Self::MsSsim,
+        }
+    }
+
+    fn metric(self) -> Option<Metric> {
+        Metric::ALL.into_iter().find(|metric| Self::of_metric(*metric) == self)
+    }
+
+    /// The name in files.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::TrainingSecs => "training_secs",
+            Self::Gaussians => "gaussians",
+            Self::SizeMb => "size_mb",
+            Self::FpsRaster => "fps_raster",
+            Self::FpsModel => "fps_model",
+            Self::FpsDelivered => "fps_delivered",
+            Self::SecsTo90 => "secs_to_90",
+            Self::SecsTo95 => "secs_to_95",
+            Self::SecsTo99 => "secs_to_99",
+            Self::MsPerIteration => "ms_per_iteration",
+            Self::PeakMemoryMb => "peak_memory_mb",
+            Self::Psnr | Self::PsnrPooled | Self::Ssim | Self::SsimValid | Self::MsSsim => {
+                self.metric().map_or("", Metric::key)
+            }
+        }
+    }
+
+    /// The name and unit in tables.
+    pub fn heading(self) -> String {
+        let (name, unit) = match self {
+            Self::TrainingSecs => ("training", "s"),
+            Self::Gaussians => ("Gaussians", ""),
+            Self::SizeMb => ("size", "MB"),
+            Self::FpsRaster => ("FPS raster", ""),
+            Self::FpsModel => ("FPS model", ""),
+            Self::FpsDelivered => ("FPS delivered", ""),
+            Self::SecsTo90 => ("90 %", "s"),
+            Self::SecsTo95 => ("95 %", "s"),
+            Self::SecsTo99 => ("99 %", "s"),
+            Self::MsPerIteration => ("iteration", "ms"),
+            Self::PeakMemoryMb => ("peak memory", "MB"),
+            Self::Psnr | Self::PsnrPooled | Self::Ssim | Self::SsimValid | Self::MsSsim => {
+                self.metric().map_or(("", ""), |metric| (metric.heading(), metric.unit()))
+            }
+        };
+        if unit.is_empty() { name.into() } else { format!("{name} ({unit})") }
+    }
+
+    /// Decimals in tables; ranks are decided on values rounded to them.
+    pub fn decimals(self) -> usize {
+        match self {
+            Self::Gaussians => 0,
+            Self::SizeMb | Self::MsPerIteration => 2,
+            Self::PeakMemoryMb => 0,
+            _ => self.metric().map_or(1, Metric::decimals),
+        }
+    }
+
+    /// Whether more is better.
+    pub fn higher_is_better(self) -> bool {
+        self.metric().is_some() || matches!(self, Self::FpsRaster | Self::FpsModel | Self::FpsDelivered)
+    }
+
+    /// Whether the value depends on the machine, so that ranks need one machine.
+    pub fn is_timing(self) -> bool {
+        self.metric().is_none() && !matches!(self, Self::Gaussians | Self::SizeMb)
+    }
+}

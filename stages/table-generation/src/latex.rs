@@ -1,0 +1,72 @@
+//! Documents as LaTeX tables, to be read with `\input` in a document that loads `booktabs`.
+
+use crate::document::{Block, Document, Table, Text};
+use crate::markdown::note_line;
+
+/// The document's tables as LaTeX; figures stay in their SVG files.
+pub fn latex(document: &Document) -> String {
+    let mut text = String::from(
+        "% Needs \\usepackage{booktabs}. Redefine these to change how ranks look.\n\
+         \\providecommand{\\best}[1]{\\textbf{#1}}\n\
+         \\providecommand{\\second}[1]{\\underline{#1}}\n\
+         \\providecommand{\\third}[1]{\\textit{#1}}\n",
+    );
+    text += &format!("\\section*{{{}}}\n", escape(&document.title));
+    for block in &document.blocks {
+        text += "\n";
+        match block {
+            Block::Heading(heading) => text += &format!("\\subsection*{{{}}}\n", escape(heading)),
+            Block::Paragraph(paragraph) => text += &format!("{}\n", escape(paragraph)),
+            Block::Table(table) => text += &table_text(table),
+            Block::Figure { file, caption, .. } => text += &format!("% figure {file}: {}\n", escape(caption)),
+        }
+    }
+    text
+}
+
+fn table_text(table: &Table) -> String {
+    let alignment = "l".to_owned() + &"r".repeat(table.header.len().saturating_sub(1));
+    let line = |cells: Vec<String>| format!("{} \\\\\n", cells.join(" & "));
+    let mut text = format!("\\begin{{table}}\n\\centering\n\\caption{{{}}}\n", escape(&table.caption));
+    text += &format!("\\begin{{tabular}}{{{alignment}}}\n\\toprule\n");
+    text += &line(table.header.iter().map(|heading| escape(heading)).collect());
+    text += "\\midrule\n";
+    for row in &table.rows {
+        text += &line(row.iter().map(cell).collect());
+    }
+    text += "\\bottomrule\n\\end{tabular}\n";
+    for (index, note) in table.notes.iter().enumerate() {
+        text += &format!("\\par\\footnotesize {}\n", escape(&note_line(index, note)));
+    }
+    text + "\\end{table}\n"
+}
+
+fn cell(cell: &Text) -> String {
+    let text = escape(&cell.text);
+    match cell.rank {
+        1 => format!("\\best{{{text}}}"),
+        2 => format!("\\second{{{text}}}"),
+        3 => format!("\\third{{{text}}}"),
+        _ => text,
+    }
+}
+
+/// Characters that LaTeX reads as commands, and symbols that need one.
+fn escape(text: &str) -> String {
+    let escaped = |c: char| match c {
+        '&' | '%' | '$' | '#' | '_' | '{' | '}' => format!("\\{c}"),
+        '\\' => "\\textbackslash{}".into(),
+        '~' => "\\textasciitilde{}".into(),
+        '^' => "\\textasciicircum{}".into(),
+        // A bracket after a line's end would be read as its optional argument.
+        '[' | ']' => format!("{{{c}}}"),
+        '±' => "$\\pm$".into(),
+        '×' => "$\\times$".into(),
+        '·' => "$\\cdot$".into(),
+        '−' => "$-$".into(),
+        '–' => "--".into(),
+        '\n' => " ".into(),
+        _ => c.into(),
+    };
+    text.chars().map(escaped).collect()
+}
