@@ -16,6 +16,9 @@ use crate::source::{self, Quality, SourceCapture};
 /// Problems that are printed one by one.
 const LISTED_PROBLEMS: usize = 8;
 
+/// Pixels per row from which the recipe suggests half of them.
+const LARGE_WIDTH: u32 = 800;
+
 /// One folder, as far as it could be read.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -172,7 +175,7 @@ impl Frames {
         if let Some(quality) = self.quality {
             lines.push(("poses", format!("{} of {} images registered", quality.registered, quality.images)));
             let error = quality.reprojection.map_or(String::new(), |error| {
-                format!(", reprojection error {:.2} px (COLMAP says {:.2})", error.recomputed_px, error.stored_px)
+                format!(", {:.2} px from their keypoints on average (COLMAP stored {:.2})", error.recomputed_px, error.stored_px)
             });
             lines.push(("points", format!("{}{error}", self.points)));
         } else if self.points == 0 {
@@ -200,7 +203,7 @@ impl Frames {
 /// A recipe node for one capture.
 fn recipe(source: &SourceCapture, frames: &Frames) -> String {
     let mut params = vec![format!("source = {:?}", source.name)];
-    if frames.intrinsics.width > 400 {
+    if frames.intrinsics.width >= LARGE_WIDTH {
         params.push(format!("width = {}, resize = \"area\"", frames.intrinsics.width / 2));
     }
     let mut note = "";
@@ -210,7 +213,6 @@ fn recipe(source: &SourceCapture, frames: &Frames) -> String {
                 # for photos of a scene at rest replace fps by static = true\n";
     } else if source.name == "lego" && source.dataset == "dnerf" {
         params.push("test_split = \"val\"".into());
-        note = "# the test images of D-NeRF's lego show another state of the shovel than its training images\n";
     }
     format!("{note}[nodes.capture]\nstage = \"sfm-import\"\nparams = {{ {} }}\n", params.join(", "))
 }

@@ -2,28 +2,15 @@
 
 use std::path::Path;
 
-use image::{DynamicImage, GrayImage, ImageDecoder, ImageReader, RgbImage};
+use image::{DynamicImage, ImageDecoder, ImageReader};
+use scene::float_image::FloatImage;
 use scene::{Intrinsics, LabelMap};
 
 use crate::lens::{Lens, plane_point};
-use crate::params::Resize;
 use crate::source::{Result, bad, image_size};
 
 /// More distinct values than instances in one scene: the edges of such masks are blurred.
 const MAX_INSTANCES: usize = 16;
-
-/// [height, width, channels] values in 0..=255.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Raster {
-    /// Pixels per row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Values per pixel.
-    pub channels: usize,
-    /// Row-major, channels innermost.
-    pub values: Vec<f32>,
-}
 
 /// Whether an image file has an alpha channel, from its header.
 pub fn has_alpha(path: &Path) -> Result<bool> {
@@ -43,138 +30,49 @@ fn decode(path: &Path) -> Result<DynamicImage> {
 }
 
 /// The colours of a file, composited on `background` and rounded to 8 bits, and its alpha where it has some:
-/// c = round(a · c + (1 − a) · background), once, in floating point, at native size.
-pub fn composited(path: &Path, background: [f32; 3]) -> Result<(Raster, Option<Raster>)> {
+/// round(rgb · a + background · (1 − a)), once, at native size.
+pub fn composited(path: &Path, background: [f32; 3]) -> Result<(FloatImage, Option<FloatImage>)> {
     let image = decode(path)?;
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let raster = |channels, values| Raster { width, height, channels, values };
     if !image.color().has_alpha() {
-        return Ok((raster(3, image.into_rgb8().iter().map(|value| f32::from(*value)).collect()), None));
+        return Ok((FloatImage::from_rgb(&image.into_rgb8()), None));
     }
     let rgba = image.into_rgba8();
-    let mut color = Vec::with_capacity(3 * width * height);
-    for pixel in rgba.pixels() {
-        let alpha = f32::from(pixel[3]) / 255.0;
-        let blend = |channel: usize| alpha * f32::from(pixel[channel]) + (1.0 - alpha) * 255.0 * background[channel];
-        color.extend([0, 1, 2].map(|channel| (blend(channel) + 0.5).floor()));
-    }
-    let alpha = rgba.pixels().map(|pixel| f32::from(pixel[3])).collect();
-    Ok((raster(3, color), Some(raster(1, alpha))))
+    let rounded = FloatImage::composited(&rgba, background).to_rgb8().map_err(|error| bad(error.message).at(path))?;
+    Ok((FloatImage::from_rgb(&rounded), Some(FloatImage::alpha_of(&rgba))))
 }
 
-impl Raster {
-    /// The image that the pinhole `target` of the same size sees, looked up bilinearly; the raster itself for a lens
-    /// without distortion.
-    pub fn undistorted(self, lens: &Lens, target: &Intrinsics) -> Self {
-        if lens.distortion.is_none() {
-            return self;
-        }
-        let mut values = Vec::with_capacity(self.values.len());
-        for row in 0..target.height {
-            for column in 0..target.width {
-                let pixel = lens.pixel(plane_point(target, column, row));
-                self.bilinear(pixel.x - 0.5, pixel.y - 0.5, &mut values);
-            }
-        }
-        Self { values, ..self }
+/// The image that the pinhole `target` of the same size sees, looked up bilinearly; the image itself for a lens
+/// without distortion.
+pub fn undistorted(image: FloatImage, lens: &Lens, target: &Intrinsics) -> FloatImage {
+    if lens.distortion.is_none() {
+        return image;
     }
-
-    /// Appends the value between pixel centres at (x, y) counted from the centre of the first pixel.
-    fn bilinear(&self, x: f64, y: f64, out: &mut Vec<f32>) {
-        let axis = |value: f64, length: usize| {
-            let value = value.clamp(0.0, (length - 1) as f64);
-            let low = (value as usize).min(length.saturating_sub(2));
-            (low, (low + 1).min(length - 1), (value - low as f64) as f32)
-        };
-        let ((x0, x1, tx), (y0, y1, ty)) = (axis(x, self.width), axis(y, self.height));
-        let at = |column: usize, row: usize| &self.values[(row * self.width + column) * self.channels..];
-        let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
-        for channel in 0..self.channels {
-            let top = a[channel] + tx * (b[channel] - a[channel]);
-            let bottom = c[channel] + tx * (d[channel] - c[channel]);
-            out.push(top + ty * (bottom - top));
+    let mut values = Vec::with_capacity(image.values.len());
+    for row in 0..target.height {
+        for column in 0..target.width {
+            let pixel = lens.pixel(plane_point(target, column, row));
+            append_bilinear(&image, pixel.x - 0.5, pixel.y - 0.5, &mut values);
         }
     }
-
-    /// The raster at another size: separable, with the filter widened by the reduction, so that nothing aliases.
-    pub fn resized(self, width: usize, height: usize, filter: Resize) -> Self {
-        if (width, height) == (self.width, self.height) {
-            return self;
-        }
-        let channels = self.channels;
-        let columns = weights(self.width, width, filter);
-        let mut narrow: Vec<f32> = Vec::with_capacity(self.height * width * channels);
-        for row in self.values.chunks_exact(self.width * channels) {
-            for (first, taps) in &columns {
-                let mut sum = [0.0_f32; 4];
-                for (pixel, weight) in row[first * channels..].chunks_exact(channels).zip(taps) {
-                    pixel.iter().zip(&mut sum).for_each(|(value, sum)| *sum += weight * value);
-                }
-                narrow.extend(&sum[..channels]);
-            }
-        }
-        let stride = width * channels;
-        let mut values = vec![0.0; height * stride];
-        for (row, (first, taps)) in values.chunks_exact_mut(stride).zip(weights(self.height, height, filter)) {
-            for (source, weight) in narrow[first * stride..].chunks_exact(stride).zip(taps) {
-                row.iter_mut().zip(source).for_each(|(sum, value)| *sum += weight * value);
-            }
-        }
-        Self { width, height, channels, values }
-    }
-
-    /// Rounded half up and clamped.
-    fn bytes(&self) -> Vec<u8> {
-        self.values.iter().map(|value| (value + 0.5).floor().clamp(0.0, 255.0) as u8).collect()
-    }
-
-    /// As an 8-bit colour image.
-    pub fn into_rgb(self) -> RgbImage {
-        let image = RgbImage::from_raw(self.width as u32, self.height as u32, self.bytes());
-        image.expect("a raster with three channels has three values per pixel")
-    }
-
-    /// As an 8-bit grey image.
-    pub fn into_grey(self) -> GrayImage {
-        let image = GrayImage::from_raw(self.width as u32, self.height as u32, self.bytes());
-        image.expect("a raster with one channel has one value per pixel")
-    }
+    FloatImage { values, ..image }
 }
 
-/// For every output position the first input position and the weights from there on, which sum to 1.
-///
-/// Area: the share of the output pixel that each input pixel covers. Lanczos3: sinc(x) sinc(x / 3) for |x| < 3, with x
-/// in output pixels when reducing.
-fn weights(from: usize, to: usize, filter: Resize) -> Vec<(usize, Vec<f32>)> {
-    let scale = from as f64 / to as f64;
-    let tap = |output: usize, input: usize| match filter {
-        Resize::Area => {
-            let (start, end) = (output as f64 * scale, (output + 1) as f64 * scale);
-            (end.min(input as f64 + 1.0) - start.max(input as f64)).max(0.0)
-        }
-        Resize::Lanczos3 => {
-            let distance = (input as f64 + 0.5 - (output as f64 + 0.5) * scale) / scale.max(1.0);
-            if distance.abs() < 3.0 { sinc(distance) * sinc(distance / 3.0) } else { 0.0 }
-        }
+/// Appends the value of every channel at (x, y) columns and rows from the centre of the first pixel.
+fn append_bilinear(image: &FloatImage, x: f64, y: f64, out: &mut Vec<f32>) {
+    let axis = |value: f64, length: u32| {
+        let last = length as usize - 1;
+        let value = value.clamp(0.0, last as f64);
+        let low = (value as usize).min(last.saturating_sub(1));
+        (low, (low + 1).min(last), (value - low as f64) as f32)
     };
-    let support = match filter {
-        Resize::Area => 0.5 * scale,
-        Resize::Lanczos3 => 3.0 * scale.max(1.0),
-    };
-    let taps = |output: usize| {
-        let center = (output as f64 + 0.5) * scale;
-        let first = (center - support).floor().max(0.0) as usize;
-        let end = ((center + support).ceil() as usize).clamp(first + 1, from);
-        let raw: Vec<f64> = (first..end).map(|input| tap(output, input)).collect();
-        let sum: f64 = raw.iter().sum();
-        (first, raw.iter().map(|weight| (weight / sum) as f32).collect())
-    };
-    (0..to).map(taps).collect()
-}
-
-fn sinc(x: f64) -> f64 {
-    let angle = std::f64::consts::PI * x;
-    if angle == 0.0 { 1.0 } else { angle.sin() / angle }
+    let ((x0, x1, tx), (y0, y1, ty)) = (axis(x, image.width), axis(y, image.height));
+    let at = |column: usize, row: usize| &image.values[(row * image.width as usize + column) * image.channels..];
+    let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
+    for channel in 0..image.channels {
+        let top = a[channel] + tx * (b[channel] - a[channel]);
+        let bottom = c[channel] + tx * (d[channel] - c[channel]);
+        out.push(top + ty * (bottom - top));
+    }
 }
 
 /// How grey values of mask files become labels: one table for a whole capture.

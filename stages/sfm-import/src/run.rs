@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use engine::{JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
 use rayon::prelude::*;
+use scene::float_image::{FloatImage, ResizeFilter};
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 
 use crate::params::{Format, Resize};
@@ -163,10 +164,14 @@ impl Conversion {
         let native = frame.camera()?;
         let (width, height) = self.size;
         let (image, alpha) = pixels::composited(&frame.image, self.background)?;
-        let finish = |raster: pixels::Raster| {
-            let undistorted = raster.undistorted(&frame.lens, &native.intrinsics);
-            undistorted.resized(width as usize, height as usize, self.filter)
+        let filter = match self.filter {
+            Resize::Area => ResizeFilter::Area,
+            Resize::Lanczos3 => ResizeFilter::Lanczos3,
         };
+        let finish = |image: FloatImage| {
+            pixels::undistorted(image, &frame.lens, &native.intrinsics).resized(width, height, filter)
+        };
+        let blame = |error: scene::Error| bad(error.message).at(&frame.image);
         let mask = frame.mask.as_ref();
         let mask = mask.map(|path| self.labels.read(path, &frame.lens, &native.intrinsics, self.size));
         Ok(scene::Frame {
@@ -176,8 +181,8 @@ impl Conversion {
             camera_index: frame.camera_index,
             frame_index: frame.frame_index,
             time_secs: frame.time_secs,
-            image: finish(image).into_rgb(),
-            alpha: alpha.map(|alpha| finish(alpha).into_grey()),
+            image: finish(image).to_rgb8().map_err(blame)?,
+            alpha: alpha.map(|alpha| finish(alpha).to_grey8()).transpose().map_err(blame)?,
             depth: None,
             flow: None,
             mask: mask.transpose()?,

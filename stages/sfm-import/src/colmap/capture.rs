@@ -7,13 +7,15 @@ use scene::{Split, TimeMap};
 
 use crate::Params;
 use crate::colmap::layout::{image_names, images_dir, mask_path, natural_order, numbered_models, sparse_dir};
-use crate::colmap::model::{Model, RegisteredImage};
+use crate::colmap::model::{Model, RegisteredImage, ReprojectionError};
 use crate::params::Format;
 use crate::source::{Frame, Quality, Result, SourceCapture, bad, image_size};
 use crate::split;
 
 /// Mean reprojection error above which poses blur what is trained on them; good models stay below 1.
 const POOR_REPROJECTION_PX: f64 = 2.0;
+/// How far the stored error may be from the recomputed one before it is worth a note.
+const STORED_TOLERANCE: f64 = 0.1;
 
 /// Reads the model and the names of the images in `dir`.
 ///
@@ -31,6 +33,9 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         reprojection: model.reprojection_error(),
     };
     let mut warnings = warnings(dir, &sparse, &model, &quality);
+    if model.cameras.len() > 1 && model.cameras.len() == model.images.len() && !params.static_scene {
+        warnings.push("every image has a calibration of its own: photos of a scene at rest want static = true".into());
+    }
     let mut registered: Vec<&RegisteredImage> = model.images.values().collect();
     registered.sort_by(|a, b| natural_order(&a.name, &b.name));
     let places = places(present.iter().map(String::as_str).chain(registered.iter().map(|image| image.name.as_str())));
@@ -91,6 +96,14 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     }
     if let Some(error) = quality.reprojection.filter(|error| !(error.recomputed_px <= POOR_REPROJECTION_PX)) {
         warnings.push(format!("points miss their keypoints by {:.1} px: poses are poor", error.recomputed_px));
+    }
+    let differs = |error: &ReprojectionError| !((error.recomputed_px / error.stored_px - 1.0).abs() <= STORED_TOLERANCE);
+    if let Some(error) = quality.reprojection.filter(|error| error.stored_px > 0.0 && differs(error)) {
+        let ReprojectionError { recomputed_px, stored_px } = error;
+        warnings.push(format!(
+            "points miss their keypoints by {recomputed_px:.2} px where COLMAP stored {stored_px:.2}: \
+             the model was resized or undistorted afterwards, or its poses were edited"
+        ));
     }
     warnings
 }

@@ -139,7 +139,7 @@ fn images_of_different_size_are_refused() {
     for index in 0..3 {
         image::RgbaImage::new(12, 8).save(dir.path().join(format!("test/r_00{index}.png"))).unwrap();
     }
-    assert_refused(dir.path(), &Params::default(), &["views differ in size: train_000 is 24×16, test_000 is 12×8"]);
+    assert_refused(dir.path(), &Params::default(), &["12×8 where 24×16", "and 2 more problems", "r_000.png"]);
 }
 
 #[test]

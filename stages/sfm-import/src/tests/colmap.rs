@@ -194,6 +194,17 @@ fn missing_and_foreign_images_are_refused() {
 }
 
 #[test]
+fn views_of_different_size_are_refused() {
+    let mut workspace = Workspace::video(4);
+    let params = vec![30.0, 12.0, 8.0];
+    workspace.cameras.push(write::StatedCamera { id: 2, model: "SIMPLE_PINHOLE", size: (20, 16), params });
+    workspace.model.images.get_mut(&3).unwrap().camera_id = 2;
+    let dir = workspace.write();
+    image::RgbImage::new(20, 16).save(dir.path().join("images/0002.png")).unwrap();
+    assert_refused(dir.path(), &colmap_params(), &["views differ in size: 0000 is 24×16, 0002 is 20×16", "0002.png"]);
+}
+
+#[test]
 fn truncated_text_names_its_line() {
     let workspace = Workspace::video(3);
     let dir = workspace.write();

@@ -22,7 +22,7 @@ fn a_blender_capture_is_described_with_a_recipe() {
 fn a_colmap_capture_shows_its_reprojection_error() {
     let dir = Workspace::video(10).write();
     let text = describe(dir.path()).unwrap();
-    assert_contains(&text, &["COLMAP", "30.0 × 31.0 px", "10 of 10 images registered", "6, reprojection error 0.00 px"]);
+    assert_contains(&text, &["COLMAP", "30.0 × 31.0 px", "10 of 10 images registered", "6, 0.00 px from their keypoints"]);
     assert_contains(&text, &["8 train, 2 test", "static = true"]);
 }
 
