@@ -2,6 +2,7 @@
 
 pub mod canonical;
 pub mod digest;
+pub mod event;
 pub mod exit;
 pub mod fingerprint;
 pub mod job;
@@ -10,6 +11,7 @@ pub mod lock;
 pub mod plan;
 pub mod recipe;
 pub mod registry;
+pub mod scheduler;
 pub mod store;
 
 mod artifact;

@@ -1,0 +1,205 @@
+//! From producers at rest and digested sources to a job's key components.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use crate::digest::{SourceDigests, SourceError};
+use crate::job::{InputSpec, SourceSpec};
+use crate::{ActionKey, Digest, Failure, FailureKind, KeyComponents, KeyInput, Node, Plan, PlanInput, Store};
+
+/// The class of machine in every key. All stages compute on the CPU.
+pub const ENVIRONMENT: &str = "cpu";
+
+/// What consumers may know of a job that has come to rest.
+#[derive(Clone, Debug)]
+pub enum Rest {
+    /// Its artifact is in the store.
+    Done(Done),
+    /// It has none.
+    Failed {
+        /// Why.
+        failure: Failure,
+        /// Its key, if it got one.
+        key: Option<ActionKey>,
+    },
+    /// Something that it needs has none.
+    Skipped {
+        /// Why the job at the root has none.
+        failure: Failure,
+        /// The job at the root.
+        because_of: String,
+    },
+}
+
+/// A job's result.
+#[derive(Clone, Debug)]
+pub struct Done {
+    /// The action key.
+    pub key: ActionKey,
+    /// The digest of the artifact.
+    pub content: Digest,
+    /// The digest of the measurements.
+    pub measurements: Digest,
+}
+
+impl Rest {
+    /// Why there is no artifact.
+    pub fn failure(&self) -> Option<&Failure> {
+        match self {
+            Self::Done(_) => None,
+            Self::Failed { failure, .. } | Self::Skipped { failure, .. } => Some(failure),
+        }
+    }
+
+    fn as_key_input(&self, producer: &Node) -> KeyInput {
+        let coordinates = producer.coordinates.clone();
+        match self {
+            Self::Done(done) => KeyInput {
+                coordinates,
+                content: Some(done.content.to_string()),
+                measurements: Some(done.measurements.to_string()),
+                failure: None,
+            },
+            Self::Failed { failure, .. } | Self::Skipped { failure, .. } => {
+                KeyInput { coordinates, content: None, measurements: None, failure: Some(failure.kind) }
+            }
+        }
+    }
+
+    fn as_input_spec(&self, producer: &Node, reads_measurements: bool) -> InputSpec {
+        let (artifact, key, measurements) = match self {
+            Self::Done(done) => (Ok(done.content), Some(&done.key), Some(done.measurements)),
+            Self::Failed { failure, key } => (Err(failure.clone()), key.as_ref(), None),
+            Self::Skipped { failure, .. } => (Err(failure.clone()), None, None),
+        };
+        InputSpec {
+            producer: producer.name.clone(),
+            coordinates: producer.coordinates.clone(),
+            artifact,
+            measurements: measurements.filter(|_| reads_measurements),
+            action_key: key.map(ToString::to_string).unwrap_or_default(),
+        }
+    }
+}
+
+/// The digests of all sources that some nodes read, by path relative to the data root.
+#[derive(Default)]
+pub struct Sources(BTreeMap<PathBuf, Result<SourceState, Failure>>);
+
+struct SourceState {
+    digest: Digest,
+    spec: SourceSpec,
+}
+
+impl Sources {
+    /// Digests every source of `nodes`, each once, in parallel, through the store's cache.
+    pub fn digest(
+        plan: &Plan,
+        nodes: &BTreeSet<usize>,
+        data_root: &Path,
+        store: &Store,
+        rehash: bool,
+    ) -> anyhow::Result<Self> {
+        let paths: BTreeSet<&PathBuf> =
+            nodes.iter().flat_map(|&index| plan.nodes[index].sources.iter().map(|source| &source.path)).collect();
+        if paths.is_empty() {
+            return Ok(Self::default());
+        }
+        let digests = SourceDigests::load(&store.stat_cache_file(), rehash);
+        let states = paths.iter().map(|path| ((*path).clone(), source_state(&digests, data_root, path))).collect();
+        digests.save()?;
+        Ok(Self(states))
+    }
+
+    fn of<'a>(&'a self, node: &'a Node) -> Result<BTreeMap<&'a str, &'a SourceState>, Failure> {
+        let state = |path: &Path| match self.0.get(path) {
+            Some(state) => state.as_ref().map_err(Clone::clone),
+            None => Err(Failure::new(FailureKind::World, "a source was not digested").at(path)),
+        };
+        node.sources.iter().map(|source| Ok((source.name.as_str(), state(&source.path)?))).collect()
+    }
+
+    /// The sources of `node` as a job needs them.
+    pub fn specs(&self, node: &Node) -> Result<BTreeMap<String, SourceSpec>, Failure> {
+        Ok(self.of(node)?.into_iter().map(|(name, state)| (name.to_owned(), state.spec.clone())).collect())
+    }
+}
+
+fn source_state(digests: &SourceDigests, data_root: &Path, path: &Path) -> Result<SourceState, Failure> {
+    // The root is the user's and may be relative; the job may run elsewhere.
+    let absolute = std::path::absolute(data_root.join(path))
+        .map_err(|error| Failure::new(FailureKind::World, error.to_string()).at(path))?;
+    let failure = |error: SourceError| match error {
+        SourceError::Missing(path) => Failure::new(FailureKind::MissingData, "the data is not there")
+            .hint("put it there or choose another folder with --data-root")
+            .at(path),
+        SourceError::Unreadable(path, error) => {
+            Failure::new(FailureKind::World, format!("cannot read the data ({error})")).at(path)
+        }
+        SourceError::Name(path) => Failure::new(FailureKind::BadInput, "a file's name is not UTF-8").at(path),
+    };
+    // Looked at before hashing, so that a change at any time from now on is seen after the job.
+    let stat = SourceDigests::stat_digest(&absolute).map_err(failure)?;
+    let digest = digests.digest(&absolute).map_err(failure)?;
+    Ok(SourceState { digest, spec: SourceSpec { path: absolute, stat } })
+}
+
+/// Whether a job can run.
+pub enum Readiness {
+    /// Some producer is not at rest.
+    Waiting,
+    /// It comes to rest without running: its data is missing, or something that it needs.
+    AtRest(Rest),
+    /// All that its result depends on is known.
+    Ready(Box<KeyComponents>),
+}
+
+/// Whether node `index` can run, given what became of the nodes so far.
+///
+/// On a port for many, producers without an artifact are outcomes that the job shows, unless all of them miss their
+/// data (a table of nothing) or one was interrupted (the table would have to be made again).
+pub fn readiness(plan: &Plan, index: usize, rests: &[Option<Rest>], sources: &Sources) -> Readiness {
+    let node = &plan.nodes[index];
+    let source_states = match sources.of(node) {
+        Ok(states) => states,
+        Err(failure) => return Readiness::AtRest(Rest::Failed { failure, key: None }),
+    };
+    if let Some(rest) = node.inputs.iter().find_map(|port| blocked_by(plan, port, rests)) {
+        return Readiness::AtRest(rest);
+    }
+    let mut inputs = BTreeMap::new();
+    for port in &node.inputs {
+        let key_input = |&producer: &usize| Some(rests[producer].as_ref()?.as_key_input(&plan.nodes[producer]));
+        let Some(producers) = port.producers.iter().map(key_input).collect() else { return Readiness::Waiting };
+        inputs.insert(port.port.clone(), producers);
+    }
+    let digests = source_states.into_iter().map(|(name, state)| (name.to_owned(), state.digest.to_string())).collect();
+    Readiness::Ready(Box::new(KeyComponents::of(node, inputs, digests, ENVIRONMENT)))
+}
+
+/// The rest that a job comes to because of a producer on this port, if one keeps it from running.
+fn blocked_by(plan: &Plan, port: &PlanInput, rests: &[Option<Rest>]) -> Option<Rest> {
+    let failure = |producer: usize| rests[producer].as_ref().and_then(Rest::failure);
+    let missing = |&producer: &usize| failure(producer).is_some_and(|failure| failure.kind == FailureKind::MissingData);
+    let all_missing = port.producers.iter().all(missing);
+    let blocks = |&producer: &usize| match failure(producer) {
+        None => false,
+        Some(failure) => !port.many || all_missing || failure.kind == FailureKind::Interrupted,
+    };
+    let producer = port.producers.iter().copied().find(blocks)?;
+    Some(match rests[producer].clone()? {
+        Rest::Failed { failure, .. } => Rest::Skipped { failure, because_of: plan.nodes[producer].name.clone() },
+        skipped => skipped,
+    })
+}
+
+/// The producers of `node`, all at rest, as its job finds them.
+pub fn input_specs(plan: &Plan, node: &Node, rests: &[Option<Rest>]) -> BTreeMap<String, Vec<InputSpec>> {
+    let specs = |port: &PlanInput| {
+        let spec = |&producer: &usize| {
+            Some(rests[producer].as_ref()?.as_input_spec(&plan.nodes[producer], port.measurements))
+        };
+        port.producers.iter().filter_map(spec).collect()
+    };
+    node.inputs.iter().map(|port| (port.port.clone(), specs(port))).collect()
+}

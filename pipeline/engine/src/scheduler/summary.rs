@@ -1,0 +1,58 @@
+//! What a run came to.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use crate::event::{Counts, NodeResult, Outcome};
+use crate::{Failure, exit};
+
+/// What a run came to; kept as `summary.json` in its folder.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RunSummary {
+    /// The run's name.
+    pub run: String,
+    /// The recipe's name.
+    pub recipe: String,
+    /// The plan ids of all its nodes: what garbage collection keeps for the sake of this run.
+    pub plan_ids: BTreeSet<String>,
+    /// How many jobs came to what.
+    pub counts: Counts,
+    /// Wall time of the run.
+    pub wall_secs: f64,
+    /// The signal that stopped it, if one did.
+    pub stopped_by: Option<String>,
+    /// The nodes that nothing reads: what the run was for.
+    pub sinks: Vec<String>,
+    /// What became of each node.
+    pub results: BTreeMap<String, NodeResult>,
+}
+
+impl RunSummary {
+    /// The program's exit code (see [`exit`]). Missing data alone is no failure while anything at the end of the
+    /// graph could be made, unless the user requires all data.
+    pub fn exit_code(&self, require_data: bool) -> u8 {
+        let counts = &self.counts;
+        if let Some(signal) = &self.stopped_by {
+            return if signal == "TERM" { exit::TERMINATED } else { exit::INTERRUPTED };
+        }
+        if counts.failed + counts.interrupted + counts.not_run > 0 {
+            return exit::FAILED;
+        }
+        let some_sink_is_done = self.sinks.iter().any(|name| self.is_done(name));
+        if counts.missing_data > 0 && some_sink_is_done && require_data {
+            return exit::FAILED;
+        }
+        if some_sink_is_done { exit::OK } else { exit::NOTHING }
+    }
+
+    /// Failed jobs with their failures, by name.
+    pub fn failures(&self) -> impl Iterator<Item = (&str, &NodeResult, &Failure)> {
+        let failed = self.results.iter().filter(|(_, result)| result.outcome == Outcome::Failed);
+        failed.filter_map(|(name, result)| Some((name.as_str(), result, result.failure.as_ref()?)))
+    }
+
+    fn is_done(&self, name: &str) -> bool {
+        self.results.get(name).is_some_and(|result| matches!(result.outcome, Outcome::Cached | Outcome::Executed))
+    }
+}
