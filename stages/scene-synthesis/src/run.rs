@@ -1,0 +1,130 @@
+//! The stage: renders every shot and writes the capture.
+
+use std::path::Path;
+
+use engine::{JobContext, ParamProblem, Port, Resources, Stage};
+use rayon::prelude::*;
+use scene::{Capture, CaptureInfo, CaptureWriter, Protocol, TimeMap};
+
+use crate::artifact::CaptureArtifact;
+use crate::params::{Background, CameraPath, Params, SceneKind, Truth};
+use crate::render::{render, surface_points};
+use crate::scenes;
+use crate::shots::{Shot, shots};
+use crate::world::World;
+
+/// Views between two reports of progress, per thread.
+const VIEWS_PER_REPORT: usize = 4;
+
+/// Makes captures of analytic scenes.
+pub struct SceneSynthesis;
+
+impl Stage for SceneSynthesis {
+    type Params = Params;
+    type Output = CaptureArtifact;
+
+    const ID: &'static str = "scene-synthesis";
+    const ABOUT: &'static str = "render an analytic dynamic scene with exact depth, flow, masks and velocity";
+
+    fn ports() -> Vec<Port> {
+        Vec::new()
+    }
+
+    fn check_params(params: &Params) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn resources(_params: &Params) -> Resources {
+        Resources { threads: 0 }
+    }
+
+    fn run(context: &JobContext, params: &Params) -> anyhow::Result<CaptureArtifact> {
+        let report = |done: usize, total: usize| {
+            context.progress(done as u64, total as u64, "views");
+            if context.should_stop() { Err(context.interrupted()) } else { Ok(()) }
+        };
+        Ok(CaptureArtifact(synthesize(params, context.output_dir(), context.threads, report)?))
+    }
+}
+
+/// Renders the capture into `dir` with `threads` threads (0: all); the bytes do not depend on their number.
+/// `report` is told how many views of how many are written, and stops the work by an error.
+pub fn synthesize(
+    params: &Params,
+    dir: &Path,
+    threads: usize,
+    report: impl Fn(usize, usize) -> anyhow::Result<()>,
+) -> anyhow::Result<Capture> {
+    if let Some(problem) = params.problems().first() {
+        anyhow::bail!("{} {}", problem.key, problem.message);
+    }
+    let world = scenes::build(params);
+    let shots = shots(params);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+    let mut writer = CaptureWriter::create(dir, info(params, &world))?;
+    let mut done = 0;
+    for some in shots.chunks(VIEWS_PER_REPORT * pool.current_num_threads()) {
+        report(done, shots.len())?;
+        let write = |shot: &Shot| writer.write_view(&render(&world, shot, params));
+        pool.install(|| some.par_iter().try_for_each(write))?;
+        done += some.len();
+    }
+    report(done, shots.len())?;
+    if params.wants(Truth::Points) {
+        let training = params.training_views();
+        writer.write_points(&surface_points(&world, &shots[..training], params))?;
+    }
+    Ok(writer.finish()?)
+}
+
+/// What is known of the capture besides its views.
+fn info(params: &Params, world: &World) -> CaptureInfo {
+    let background = match params.background {
+        Background::White => "white",
+        Background::Black => "black",
+        Background::None => "none",
+    };
+    let camera = match params.camera {
+        CameraPath::Hemisphere => "hemisphere",
+        CameraPath::Orbit => "orbit",
+        CameraPath::Arc => "arc",
+        CameraPath::Rig => "rig",
+    };
+    let (train, val, test) = (params.training_views(), params.val_views, params.test_views);
+    CaptureInfo {
+        name: params.scene.name().into(),
+        pose_source: "analytic".into(),
+        protocol: Protocol {
+            dataset: "synthetic".into(),
+            split: format!("{camera} {train}/{val}/{test}"),
+            width: params.width,
+            height: params.height,
+            resize: "analytic".into(),
+            background: background.into(),
+            time: "index / (count - 1)".into(),
+        },
+        background: [params.background.intensity() as f32; 3],
+        time_map: TimeMap { start_secs: 0.0, end_secs: params.duration_secs(), frame_secs: 1.0 / params.fps },
+        class_names: world.class_names.clone(),
+        bounds_world: Some(world.bounds_world),
+    }
+}
+
+impl Params {
+    /// Images that training may see.
+    fn training_views(&self) -> usize {
+        self.frames * if self.camera == CameraPath::Rig { self.rig_cameras } else { 1 }
+    }
+}
+
+impl SceneKind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::BouncingSpheres => "bouncing-spheres",
+            Self::SwingingArm => "swinging-arm",
+            Self::WavingCloth => "waving-cloth",
+            Self::Occluder => "occluder",
+            Self::StaticBlocks => "static-blocks",
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! The scenes: each file builds one world, about 2.6 units wide and centred at the origin, z upwards.
+
+mod bouncing_spheres;
+mod occluder;
+mod static_blocks;
+mod swinging_arm;
+mod waving_cloth;
+
+use glam::DVec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::params::{Background, Params, SceneKind};
+use crate::shape::Shape;
+use crate::texture::{Pattern, Texture};
+use crate::world::{Body, World};
+
+/// Of the dome that stands behind everything where there is no background colour: twice the cameras' distance.
+pub const DOME_RADIUS: f64 = 8.0;
+
+/// The world that the parameters ask for.
+pub fn build(params: &Params) -> World {
+    let mut random = ChaCha8Rng::seed_from_u64(params.seed);
+    let mut world = match params.scene {
+        SceneKind::BouncingSpheres => bouncing_spheres::build(&mut random),
+        SceneKind::SwingingArm => swinging_arm::build(&mut random),
+        SceneKind::WavingCloth => waving_cloth::build(&mut random),
+        SceneKind::Occluder => occluder::build(&mut random),
+        SceneKind::StaticBlocks => static_blocks::build(&mut random),
+    };
+    if params.background == Background::None {
+        let texture = Texture::new(Pattern::Noise, 0.6, [0x6f87a5, 0xc9d4dc]);
+        world.bodies.push(Body::resting(Shape::Sphere { radius: DOME_RADIUS }, texture, DVec3::ZERO));
+    }
+    world
+}
+
+/// A square plate whose upper side lies at `top`.
+fn floor(half_width: f64, top: f64, texture: Texture) -> Body {
+    let half = DVec3::new(half_width, half_width, 0.03);
+    Body::resting(Shape::Block { half }, texture, DVec3::new(0.0, 0.0, top - half.z))
+}

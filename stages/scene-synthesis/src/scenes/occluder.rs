@@ -1,0 +1,56 @@
+//! A ball that rolls along a floor, disappears in a tunnel, comes out at the other end and returns.
+
+use glam::DVec3;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use super::floor;
+use crate::placement::{Angle, Placement};
+use crate::shape::Shape;
+use crate::texture::{Pattern, Texture};
+use crate::world::{Body, World};
+
+const FLOOR_TOP: f64 = -0.45;
+const RADIUS: f64 = 0.24;
+/// The ball's centre swings between x = -REACH and x = REACH.
+const REACH: f64 = 1.0;
+/// Time to the other side and back.
+const PERIOD_SECS: f64 = 2.0;
+/// Half the length of the tunnel: longer than the ball, so that it hides it.
+const TUNNEL_HALF: f64 = 0.42;
+
+pub fn build(random: &mut ChaCha8Rng) -> World {
+    let ball = Body {
+        label: 1,
+        shape: Shape::Sphere { radius: RADIUS },
+        texture: Texture::new(Pattern::Checker, 4.5, [0xc4262e, 0xf7e7a9]),
+        motion: Box::new(rolling),
+    };
+    let stone = |color: u32| Texture::new(Pattern::Noise, 6.0, [color, 0xc7bca8]);
+    let (inner, wall, roof) = (RADIUS + 0.05, 0.06, 0.06);
+    let wall_half = DVec3::new(TUNNEL_HALF, 0.5 * wall, inner);
+    let wall_body = |side: f64, color: u32| {
+        let position = DVec3::new(0.0, side * (inner + 0.5 * wall), FLOOR_TOP + inner);
+        Body::resting(Shape::Block { half: wall_half }, stone(color), position)
+    };
+    let roof_half = DVec3::new(TUNNEL_HALF, inner + wall, 0.5 * roof);
+    let roof_position = DVec3::new(0.0, 0.0, FLOOR_TOP + 2.0 * inner + 0.5 * roof);
+    let roof_body = Body::resting(Shape::Block { half: roof_half }, stone(0x3d6b57), roof_position);
+    // A landmark that is not symmetric, drawn by the seed.
+    let mark = DVec3::new(random.random_range(-0.7..-0.3), 0.72, FLOOR_TOP + 0.2);
+    let mark_texture = Texture::new(Pattern::Checker, 5.0, [0x22577a, 0xdce9f0]);
+    let mark_body = Body::resting(Shape::Block { half: DVec3::new(0.14, 0.14, 0.2) }, mark_texture, mark);
+    let ground = Texture::new(Pattern::Checker, 2.0, [0xa59a86, 0xdcd3c1]);
+    let mut plate = floor(1.0, FLOOR_TOP, ground);
+    plate.shape = Shape::Block { half: DVec3::new(1.28, 0.95, 0.03) };
+    let bodies = vec![plate, wall_body(-1.0, 0x5b4a3f), wall_body(1.0, 0x44546a), roof_body, mark_body, ball];
+    World { bodies, class_names: vec!["ball".into()], bounds_world: [[-1.3, -1.0, -0.52], [1.3, 1.0, 0.25]] }
+}
+
+/// Rolls without slipping along x.
+fn rolling(time_secs: f64) -> Placement {
+    let along = Angle::swinging(0.0, REACH, PERIOD_SECS, std::f64::consts::FRAC_PI_2, time_secs);
+    let position = DVec3::new(along.value, 0.0, FLOOR_TOP + RADIUS);
+    let roll = Angle { value: along.value / RADIUS, rate: along.rate / RADIUS };
+    Placement::moving(position, along.rate * DVec3::X).joint(DVec3::ZERO, DVec3::Y, roll)
+}
