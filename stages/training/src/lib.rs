@@ -1,5 +1,25 @@
 //! Training: a capture becomes a [`Model`], by any of the registered methods.
 
 pub mod artifact;
+pub mod bases;
+pub mod checkpoint;
+pub mod clock;
+pub mod curve;
+pub mod dataset;
+pub mod method;
+pub mod methods;
+pub mod optimizer;
+pub mod params;
+pub mod player;
+pub mod run;
+pub mod sampler;
+pub mod schedule;
+pub mod state;
+pub mod step;
+#[cfg(test)]
+mod test_scene;
+pub mod trainer;
 
 pub use artifact::{Model, ModelHeader, NamedTensor};
+pub use params::TrainingParams;
+pub use run::{CaptureArtifact, Training};

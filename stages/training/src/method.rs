@@ -197,6 +197,8 @@ pub struct Step<'a, T: Real> {
     pub iteration: u64,
     /// Spherical-harmonics degree in use.
     pub sh_degree: usize,
+    /// How renders are rasterised.
+    pub raster: RasterSettings,
     /// The method's own random draws.
     pub random: &'a mut ChaCha8Rng,
     /// Where the time goes.
@@ -214,7 +216,7 @@ impl<T: Real> Step<'_, T> {
     /// Renders Gaussians as a view's camera sees them; `population` names the rows that the screen gradients drive.
     pub fn render(&mut self, splats: &Splats, view: &TrainingView<T>, population: Option<&str>) -> Rendered {
         self.clock.enter("render");
-        let rendered = splat::render(self.tape, splats, &view.camera, &raster_settings(self.scene, self.sh_degree));
+        let rendered = splat::render(self.tape, splats, &view.camera, &self.raster);
         if let Some(population) = population {
             self.renders.push(WatchedRender {
                 population: population.into(),

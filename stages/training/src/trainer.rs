@@ -4,6 +4,9 @@
 //! let the population controls act. Phases follow each other with fresh optimisers. Nothing depends on the thread count
 //! or the clock, so a training resumed from a checkpoint ends in the same bytes as an undisturbed one.
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::ensure;
@@ -168,6 +171,7 @@ impl<'a> Trainer<'a> {
             phase,
             iteration: self.iteration,
             sh_degree: self.sh_degree,
+            raster: raster_settings(&self.dataset.scene, self.sh_degree),
             random: &mut self.method_random,
             clock: &mut self.clock,
             losses: Vec::new(),

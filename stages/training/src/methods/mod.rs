@@ -2,6 +2,8 @@
 
 mod deformable4dgs;
 mod static3dgs;
+#[cfg(test)]
+mod tests;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -36,6 +38,12 @@ pub trait MethodFolder: 'static {
         Ok(())
     }
 
+    /// Settings so small that every gradient can be checked by differences.
+    #[cfg(test)]
+    fn tiny_settings() -> Self::Settings {
+        Self::Settings::default()
+    }
+
     /// The method in one precision.
     fn build<T: Real>(shared: &Shared, settings: Self::Settings) -> Box<dyn Method<T>>;
 }
@@ -50,6 +58,8 @@ pub struct Registration {
     pub shared_defaults: fn() -> Shared,
     /// Checks the method's table and fills in its defaults.
     pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
+    #[cfg(test)]
+    tiny_settings: fn() -> Value,
     build_f32: fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<f32>>>,
     build_f64: fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<f64>>>,
 }
@@ -61,6 +71,8 @@ impl Registration {
             about: M::ABOUT,
             shared_defaults: M::shared_defaults,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
+            #[cfg(test)]
+            tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),
             build_f32: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
             build_f64: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
         }
@@ -94,34 +106,4 @@ pub fn find(name: &str) -> Result<Registration, String> {
 /// The folders of all other methods: an edit there cannot change what this one trains.
 pub fn unused_sources(name: &str) -> Vec<String> {
     registry().iter().filter(|entry| entry.name != name).map(|entry| format!("src/methods/{}", entry.name)).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_method_has_its_folder_with_a_readme_and_a_paper() {
-        for entry in registry() {
-            let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/methods").join(entry.name);
-            for file in ["README.md", "paper.toml", "mod.rs"] {
-                assert!(folder.join(file).is_file(), "{} lacks {file}", entry.name);
-            }
-        }
-    }
-
-    #[test]
-    fn unused_sources_are_all_other_folders_and_exist() {
-        for entry in registry() {
-            let unused = unused_sources(entry.name);
-            assert_eq!(unused.len(), registry().len() - 1);
-            assert!(unused.iter().all(|path| !path.ends_with(entry.name)));
-            assert!(unused.iter().all(|path| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path).is_dir()));
-        }
-    }
-
-    #[test]
-    fn an_unknown_method_is_refused_with_the_known_ones() {
-        assert!(find("nerf").err().unwrap().contains("deformable4dgs"));
-    }
 }

@@ -126,7 +126,7 @@ fn plane_name(index: usize) -> String {
 }
 
 /// Positions [N, 3] in a box [2, 3] to [−1, 1]: 2·(x − low) / (high − low) − 1; no gradient flows to the box.
-struct ToBox;
+pub(super) struct ToBox;
 
 impl ToBox {
     /// Factor and summand of each axis.

@@ -88,6 +88,22 @@ impl Default for HexplaneSettings {
 }
 
 impl HexplaneSettings {
+    /// Small, with every head, and regularisers that weigh enough to be seen.
+    #[cfg(test)]
+    pub(crate) fn tiny() -> Self {
+        Self {
+            channels: 2,
+            spatial_resolution: 4,
+            multipliers: vec![1, 2],
+            width: 5,
+            heads: Heads { position: true, scale: true, rotation: true, opacity: true, harmonics: true },
+            spatial_smoothness: 0.1,
+            temporal_smoothness: 0.1,
+            time_to_one: 0.1,
+            ..Self::default()
+        }
+    }
+
     /// Why these settings cannot work, if so.
     pub fn check(&self) -> Result<(), String> {
         let sizes = [self.channels, self.spatial_resolution, self.width, self.time_resolution.unwrap_or(1)];

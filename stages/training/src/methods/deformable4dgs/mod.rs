@@ -30,6 +30,11 @@ impl MethodFolder for Deformable4dgs {
         settings.check()
     }
 
+    #[cfg(test)]
+    fn tiny_settings() -> HexplaneSettings {
+        HexplaneSettings::tiny()
+    }
+
     fn build<T: Real>(shared: &Shared, settings: HexplaneSettings) -> Box<dyn Method<T>> {
         Box::new(FourDGaussians { base: HexplaneGaussians::new(shared, settings) })
     }

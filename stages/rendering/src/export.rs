@@ -1,0 +1,80 @@
+//! A model as files that common viewers open: one 3DGS-layout PLY per time, proved by reading it back.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::{Context as _, bail, ensure};
+use engine::Artifact as _;
+use scene::{Capture, Gaussians, Split};
+use shaders::splat::{self, PinholeCamera, RasterSettings, Splats};
+use shaders::tape::{Device, Tape, Tensor};
+use training::Model;
+use training::player::Player;
+
+/// Times may lie outside of the capture by this share of its duration: the rounding of a range typed by hand.
+const TIME_SLACK: f64 = 1e-6;
+
+/// Writes the Gaussians at every time (seconds of the capture) as `frame_0000.ply`, …, reads each file back, renders it
+/// at the first test camera and compares the image with the model's own; the report has a line per file.
+pub fn ply_sequence(model_dir: &Path, capture_dir: &Path, times: &[f64], out: &Path) -> anyhow::Result<String> {
+    let model = Model::open(model_dir)?;
+    model.check().with_context(|| format!("not a valid model: {}", model_dir.display()))?;
+    let capture = Capture::open(capture_dir)?;
+    check_times(times, &capture)?;
+    let view = capture.views_of(Split::Test).next().or_else(|| capture.views_of(Split::Train).next());
+    let (_, view) = view.with_context(|| format!("no view to compare at: {}", capture_dir.display()))?;
+    let camera = PinholeCamera::from(&view.camera);
+    let player = Player::new(&model)?;
+    std::fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+
+    let mut report = String::new();
+    for (index, &time_secs) in times.iter().enumerate() {
+        let path = out.join(format!("frame_{index:04}.ply"));
+        player.gaussians(time_secs, &camera)?.write_ply(&path)?;
+        let from_file = render_file(&path, &camera, &player.raster_settings())?;
+        let psnr = psnr(&from_file, &player.render(time_secs, &camera)?);
+        writeln!(report, "{time_secs:.4} s  {psnr:.2} dB against the model's own render  {}", path.display())?;
+    }
+    Ok(report)
+}
+
+/// At least one time, finite, increasing, within the capture.
+fn check_times(times: &[f64], capture: &Capture) -> anyhow::Result<()> {
+    let map = &capture.time_map;
+    let slack = TIME_SLACK * (map.end_secs - map.start_secs).max(1.0);
+    ensure!(!times.is_empty(), "no times to export; give some, as 0:1:30");
+    for &time in times {
+        if !(time >= map.start_secs - slack && time <= map.end_secs + slack) {
+            bail!("time {time} s is outside of the capture, which lasts from {} to {} s", map.start_secs, map.end_secs);
+        }
+    }
+    ensure!(times.windows(2).all(|pair| pair[0] < pair[1]), "times must increase");
+    Ok(())
+}
+
+/// Renders what a PLY file holds.
+fn render_file(path: &Path, camera: &PinholeCamera, settings: &RasterSettings) -> anyhow::Result<Tensor<f32>> {
+    let gaussians = Gaussians::read_ply(path)?;
+    gaussians.check()?;
+    let settings = RasterSettings { sh_degree: gaussians.sh_degree, ..settings.clone() };
+    let (count, sh_count) = (gaussians.len(), gaussians.sh_count());
+    let mut tape = Tape::new(Device::Cpu);
+    let mut constant = |shape: &[usize], values: Vec<f32>| tape.constant(Tensor::from_vec(shape, values));
+    let splats = Splats {
+        positions: constant(&[count, 3], gaussians.positions),
+        log_scales: constant(&[count, 3], gaussians.log_scales),
+        rotations: constant(&[count, 4], gaussians.rotations),
+        opacity_logits: constant(&[count, 1], gaussians.opacity_logits),
+        sh: constant(&[count, sh_count, 3], gaussians.sh),
+        features: None,
+    };
+    let rendered = splat::render(&mut tape, &splats, camera, &settings);
+    Ok(tape.value(rendered.color).clone())
+}
+
+/// In dB, on unquantised colours in [0, 1]; infinite where they are equal.
+fn psnr(a: &Tensor<f32>, b: &Tensor<f32>) -> f64 {
+    let squared = |(&a, &b): (&f32, &f32)| (f64::from(a.clamp(0.0, 1.0)) - f64::from(b.clamp(0.0, 1.0))).powi(2);
+    let sum: f64 = a.as_slice().iter().zip(b.as_slice()).map(squared).sum();
+    -10.0 * (sum / a.len() as f64).log10()
+}

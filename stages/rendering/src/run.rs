@@ -1,0 +1,112 @@
+//! The stage: a model and a capture in, images out.
+
+use std::path::Path;
+
+use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
+use image::RgbImage;
+use scene::maps::DepthMap;
+use scene::{Capture, View, image_file};
+use shaders::splat::PinholeCamera;
+use shaders::tape::{Device, Tape, Tensor};
+use training::player::Player;
+use training::{CaptureArtifact, Model};
+
+use crate::artifact::{RenderedView, Renders};
+use crate::frame_rate::{self, FrameRate, FrameTimes};
+use crate::params::RenderingParams;
+
+/// The stage that renders.
+pub struct Rendering;
+
+impl Stage for Rendering {
+    type Params = RenderingParams;
+    type Output = Renders;
+
+    const ID: &'static str = "rendering";
+    const ABOUT: &'static str = "renders a capture's views from a trained model and measures frame rates";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<Model>("model"), Port::one::<CaptureArtifact>("capture")]
+    }
+
+    fn resources(_params: &RenderingParams) -> Resources {
+        Resources { threads: 0 }
+    }
+
+    fn run(context: &JobContext, params: &RenderingParams) -> anyhow::Result<Renders> {
+        let model = context.input::<Model>("model")?;
+        let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        let (renders, times) = pool.install(|| render(&model, &capture, params, &context.output_dir))?;
+        let rate = |secs: fn(&FrameTimes) -> f64| FrameRate::of(&times, secs);
+        context.measure("fps_raster", rate(|frame| frame.raster_secs))?;
+        context.measure("fps_model", rate(|frame| frame.motion_secs + frame.raster_secs))?;
+        context.measure("fps_delivered", rate(|frame| frame.motion_secs + frame.raster_secs + frame.delivery_secs))?;
+        context.measure("resolution", [renders.protocol.width, renders.protocol.height])?;
+        context.measure("device", "cpu")?;
+        context.measure("threads", pool.current_num_threads())?;
+        Ok(renders)
+    }
+}
+
+/// Renders the views of a split into `out` and measures frame rates on them.
+pub fn render(
+    model: &Model,
+    capture: &Capture,
+    params: &RenderingParams,
+    out: &Path,
+) -> anyhow::Result<(Renders, Vec<FrameTimes>)> {
+    let player = Player::new(model)?;
+    let views: Vec<&View> = capture.views_of(params.split).map(|(_, view)| view).collect();
+    if views.is_empty() {
+        let message = format!("capture {} has no {:?} views", capture.name, params.split).to_lowercase();
+        return Err(Failure::new(FailureKind::BadInput, message).at(&capture.dir).into());
+    }
+    std::fs::create_dir_all(out.join("images"))?;
+    if params.depth {
+        std::fs::create_dir_all(out.join("depth"))?;
+    }
+    let rendered = views.iter().map(|view| render_view(&player, view, params.depth, out)).collect::<anyhow::Result<_>>()?;
+    let moments: Vec<_> = views.iter().map(|view| (view.time_secs, PinholeCamera::from(&view.camera))).collect();
+    let times = frame_rate::measure(&player, &moments)?;
+    let renders = Renders {
+        dir: out.to_path_buf(),
+        method: model.header.method.clone(),
+        protocol: capture.protocol.clone(),
+        split: params.split,
+        views: rendered,
+        n_gaussians: model.header.n_gaussians,
+        model_size_bytes: model.size_bytes(),
+    };
+    renders.save(out)?;
+    Ok((renders, times))
+}
+
+fn render_view(player: &Player, view: &View, with_depth: bool, out: &Path) -> anyhow::Result<RenderedView> {
+    let camera = PinholeCamera::from(&view.camera);
+    let mut tape = Tape::new(Device::Cpu);
+    let splats = player.splats(&mut tape, view.time_secs, &camera)?;
+    let rendered = player.rasterize(&mut tape, &splats, &camera);
+    let color = tape.value(rendered.color);
+    if !color.is_finite() {
+        let message = format!("the render of view {} has values that are not finite", view.name);
+        return Err(Failure::new(FailureKind::Diverged, message).into());
+    }
+    let image = Path::new("images").join(format!("{}.png", view.name));
+    image_file::write_rgb(&out.join(&image), &to_image(color))?;
+    let depth = with_depth.then(|| Path::new("depth").join(format!("{}.exr", view.name)));
+    if let Some(file) = &depth {
+        let depth_view = tape.value(rendered.depth).as_slice().to_vec();
+        let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        DepthMap { width, height, depth_view }.write(&out.join(file))?;
+    }
+    let View { name, camera_index, frame_index, time_secs, .. } = view.clone();
+    Ok(RenderedView { name, camera_index, frame_index, time_secs, image, depth })
+}
+
+/// [H, W, 3] to 8 bit: clamped to [0, 1], rounded half up.
+pub(crate) fn to_image(color: &Tensor<f32>) -> RgbImage {
+    let &[height, width, 3] = color.shape() else { unreachable!("colours have shape [H, W, 3]") };
+    let bytes = training::curve::to_bytes(color);
+    RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes as the shape says")
+}

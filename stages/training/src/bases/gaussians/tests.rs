@@ -1,0 +1,185 @@
+use std::collections::BTreeMap;
+
+use scene::TimeMap;
+use scene::cloud::PointCloud;
+use shaders::check;
+use shaders::tape::Tensor;
+
+use super::*;
+use crate::method::{PopulationControl as _, ScreenGradients};
+use crate::optimizer::Optimizer;
+use crate::params::Density;
+use crate::sampler::{Stream, generator};
+use crate::state::ModelState;
+
+fn scene() -> SceneFacts {
+    let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
+    SceneFacts { extent: 1.0, time_map, background: [0.0; 3], time_count: 4 }
+}
+
+/// Four Gaussians: scales 0.001, 0.001, 0.05, 0.05.
+fn four_gaussians() -> ModelState<f32> {
+    let points = PointCloud { positions: (0..4).map(|at| [at as f32, 0.0, 0.0]).collect(), colors: vec![[99; 3]; 4] };
+    let mut state = ModelState::new();
+    insert_gaussians(&mut state, GAUSSIANS, &points, 1, 0.01);
+    let log_scales = [0.001_f32, 0.001, 0.05, 0.05].iter().flat_map(|scale| [scale.ln(); 3]).collect();
+    state.insert("gaussians.log_scales", Tensor::from_vec([4, 3], log_scales));
+    state
+}
+
+fn optimizer(state: ModelState<f32>) -> Optimizer {
+    Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)))
+}
+
+fn screen(gradients: &[f32]) -> ScreenGradients {
+    ScreenGradients {
+        population: GAUSSIANS.into(),
+        gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
+        visible: gradients.iter().map(|&gradient| gradient > 0.0).collect(),
+        radius_px: vec![3.0; gradients.len()],
+    }
+}
+
+fn density() -> Density {
+    Density { interval: 10, from: 0, until: 1000, prune_interval: 10, opacity_reset_interval: 0, ..Density::default() }
+}
+
+fn act(params: &Density, state: ModelState<f32>, gradients: &[f32], iteration: u64) -> ModelState<f32> {
+    let mut control = AdaptiveDensity::new(GAUSSIANS, params, 1.0, false);
+    let mut optimizer = optimizer(state);
+    control.observe(&screen(gradients));
+    control.act(iteration, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    optimizer.into_state()
+}
+
+fn positions(state: &ModelState<f32>) -> Vec<[f32; 3]> {
+    state.get("gaussians.positions").unwrap().as_slice().as_chunks::<3>().0.to_vec()
+}
+
+#[test]
+fn first_sizes_are_the_root_mean_square_distance_to_three_neighbours() {
+    let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [50.0, 0.0, 0.0]];
+    let points = PointCloud { colors: vec![[128; 3]; positions.len()], positions };
+    let mut state = ModelState::<f64>::new();
+    insert_gaussians(&mut state, GAUSSIANS, &points, 3, 0.01);
+    let scale = state.get("gaussians.log_scales").unwrap().as_slice()[0].exp();
+    assert!((scale - (14.0_f64 / 3.0).sqrt()).abs() <= 1e-9, "{scale}");
+    let shapes: BTreeMap<_, _> = state.iter().map(|(name, tensor)| (name.to_string(), tensor.shape().to_vec())).collect();
+    assert_eq!(shapes["gaussians.sh_rest"], [5, 15, 3]);
+    assert_eq!(shapes["gaussians.opacity_logits"], [5, 1]);
+}
+
+#[test]
+fn lone_and_doubled_points_get_finite_sizes() {
+    for positions in [vec![[0.5; 3]], vec![[0.5; 3]; 200], vec![[0.0; 3], [1.0; 3]]] {
+        let points = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
+        let mut state = ModelState::<f32>::new();
+        insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01);
+        assert!(state.get("gaussians.log_scales").unwrap().is_finite());
+    }
+}
+
+#[test]
+fn small_gaussians_are_cloned_and_large_ones_split() {
+    let state = act(&density(), four_gaussians(), &[1.0, 0.0, 1.0, 0.0], 10);
+    let positions = positions(&state);
+    // Survivors 0, 1, 3, the clone of 0, two children of 2.
+    assert_eq!(positions.len(), 6);
+    assert_eq!(positions[..4], [[0.0; 3], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0; 3]]);
+    let scales = state.get("gaussians.log_scales").unwrap();
+    for child in [4, 5] {
+        assert!((scales.row(child)[0].exp() - 0.05 / 1.6).abs() <= 1e-6);
+        assert!((positions[child][0] - 2.0).abs() <= 0.5 && positions[child] != [2.0, 0.0, 0.0]);
+    }
+    assert_ne!(positions[4], positions[5]);
+}
+
+#[test]
+fn unseen_and_quiet_gaussians_stay_as_they_are() {
+    let before = four_gaussians();
+    assert_eq!(act(&density(), before.clone(), &[0.0; 4], 10), before);
+    assert_eq!(act(&density(), before.clone(), &[1e-4; 4], 10), before);
+    // Not a round, not yet, no longer.
+    assert_eq!(act(&density(), before.clone(), &[1.0; 4], 11), before);
+    assert_eq!(act(&Density { from: 10, ..density() }, before.clone(), &[1.0; 4], 10), before);
+    assert_eq!(act(&Density { until: 10, ..density() }, before.clone(), &[1.0; 4], 10), before);
+}
+
+#[test]
+fn the_mean_runs_over_the_steps_that_saw_the_gaussian() {
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false);
+    let mut optimizer = optimizer(four_gaussians());
+    // Seen once with 3e-4 and never again: mean 3e-4. Seen three times with 1e-4 twice: mean 1.67e-4, below 2e-4.
+    for gradients in [[3e-4, 3e-4, 0.0, 0.0], [0.0, 1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0, 0.0]] {
+        control.observe(&screen(&gradients));
+    }
+    control.act(10, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    assert_eq!(positions(&optimizer.into_state()), [[0., 0., 0.], [1., 0., 0.], [2., 0., 0.], [3., 0., 0.], [0., 0., 0.]]);
+}
+
+#[test]
+fn the_cap_lets_the_largest_gradients_grow() {
+    let capped = Density { max_count: 5, ..density() };
+    let state = act(&capped, four_gaussians(), &[1.0, 2.0, 0.5, 0.5], 10);
+    assert_eq!(positions(&state).len(), 5);
+    assert_eq!(positions(&state)[4], [1.0, 0.0, 0.0]);
+}
+
+#[test]
+fn transparent_and_oversized_gaussians_are_pruned() {
+    let mut state = four_gaussians();
+    let logits = vec![logit(0.004) as f32, logit(0.006) as f32, 0.0, 0.0];
+    state.insert("gaussians.opacity_logits", Tensor::from_vec([4, 1], logits));
+    assert_eq!(positions(&act(&density(), state.clone(), &[0.0; 4], 10)).len(), 3);
+    // Sizes count only after the first opacity reset.
+    let strict = Density { max_scale: 0.04, opacity_reset_interval: 15, ..density() };
+    assert_eq!(positions(&act(&strict, state.clone(), &[0.0; 4], 10)).len(), 3);
+    assert_eq!(positions(&act(&strict, state.clone(), &[0.0; 4], 20)), [[1.0, 0.0, 0.0]]);
+    let few = Density { prune_above_count: 4, ..density() };
+    assert_eq!(positions(&act(&few, state, &[0.0; 4], 10)).len(), 4);
+}
+
+#[test]
+fn reset_lowers_opacity_and_forgets_its_moments() {
+    let resetting = Density { opacity_reset_interval: 5, ..density() };
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &resetting, 1.0, false);
+    let mut state = four_gaussians();
+    state.insert("gaussians.opacity_logits", Tensor::from_vec([4, 1], vec![-9.0_f32, 0.0, 1.0, 2.0]));
+    let mut optimizer = optimizer(state);
+    let gradient = Tensor::from_vec([4, 1], vec![0.5_f32; 4]);
+    optimizer.step(&[("gaussians.opacity_logits", gradient)].into(), 1).unwrap();
+    control.act(5, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    let ceiling = logit(0.01) as f32;
+    let logits = optimizer.tensor("gaussians.opacity_logits").unwrap().as_slice().to_vec();
+    assert_eq!(logits[1..], [ceiling; 3]);
+    assert!(logits[0] < -8.9);
+    let (saved, _) = optimizer.save();
+    let moments = saved.iter().filter(|(name, _)| name.ends_with("opacity_logits") && !name.starts_with("value"));
+    assert!(moments.clone().count() == 2 && moments.flat_map(|(_, tensor)| &tensor.values).all(|&value| value == 0.0));
+}
+
+#[test]
+fn statistics_survive_a_checkpoint() {
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false);
+    control.observe(&screen(&[0.1, 0.2, 0.0, 0.3]));
+    let mut copy = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false);
+    copy.restore(control.save()).unwrap();
+    let run = |control: &mut AdaptiveDensity| {
+        let mut optimizer = optimizer(four_gaussians());
+        control.act(10, &mut optimizer, &scene(), &mut generator(7, Stream::Density)).unwrap();
+        optimizer.into_state()
+    };
+    assert_eq!(run(&mut control), run(&mut copy));
+    assert!(copy.restore(serde_json::json!("nonsense")).is_err());
+}
+
+#[test]
+fn harmonics_in_use_have_the_right_gradients() {
+    let tensor = |shape: &[usize], seed| Tensor::from_vec(shape, check::noise(shape.iter().product(), seed));
+    let (dc, rest) = (tensor(&[5, 1, 3], 1), tensor(&[5, 15, 3], 2));
+    for degree in 0..=3 {
+        check::gradients(|tape, vars| active_harmonics(tape, vars[0], vars[1], degree), &[dc.clone(), rest.clone()], 1e-6)
+            .unwrap();
+        check::gradients(|tape, vars| leading_harmonics(tape, vars[0], degree), &[tensor(&[5, 48], 3)], 1e-6).unwrap();
+    }
+}

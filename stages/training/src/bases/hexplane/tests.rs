@@ -1,0 +1,115 @@
+use scene::TimeMap;
+use shaders::check;
+use shaders::splat::PinholeCamera;
+use shaders::tape::{Device, Op, Tensor};
+
+use super::*;
+use crate::dataset::Dataset;
+use crate::sampler::{Stream, generator};
+use crate::test_scene::TestScene;
+
+fn scene_facts() -> SceneFacts {
+    let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
+    SceneFacts { extent: 2.0, time_map, background: [1.0; 3], time_count: 9 }
+}
+
+/// A model at the start of `fine` on a few points.
+fn fine_model(settings: &HexplaneSettings) -> (HexplaneGaussians, ModelState<f64>) {
+    let base = HexplaneGaussians::new(&HexplaneSettings::shared_defaults(), settings.clone());
+    let positions: Vec<[f32; 3]> = (0..6).map(|at| [at as f32, (at * at % 5) as f32, (at % 3) as f32 - 1.0]).collect();
+    let points = PointCloud { colors: vec![[10, 200, 90]; positions.len()], positions };
+    let state = base.initialize(&scene_facts(), &points);
+    let state = base.enter_phase(FINE, state, &scene_facts(), &mut generator(3, Stream::Method));
+    (base, state)
+}
+
+fn camera() -> PinholeCamera {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
+    dataset.train[0].camera.clone()
+}
+
+/// Every attribute at a time in a phase.
+fn attributes(base: &HexplaneGaussians, state: &ModelState<f64>, phase: &str, time: f64) -> Vec<Tensor<f64>> {
+    let (scene, camera) = (scene_facts(), camera());
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let moment = Moment { scene: &scene, phase, time, camera: &camera, sh_degree: 2 };
+    let splats = base.splats(&mut tape, &model, &moment);
+    let Splats { positions, log_scales, rotations, opacity_logits, sh, .. } = splats;
+    [positions, log_scales, rotations, opacity_logits, sh].map(|var| tape.value(var).clone()).to_vec()
+}
+
+#[test]
+fn zero_heads_do_not_move_anything_at_any_time() {
+    let (base, state) = fine_model(&HexplaneSettings { zero_heads: true, ..HexplaneSettings::tiny() });
+    let canonical = attributes(&base, &state, COARSE, 0.0);
+    for time in [0.0, 0.37, 1.0] {
+        assert_eq!(attributes(&base, &state, FINE, time), canonical, "time {time}");
+    }
+    // The planted fault: heads drawn at random must be seen to move.
+    let (base, state) = fine_model(&HexplaneSettings::tiny());
+    assert_ne!(attributes(&base, &state, FINE, 0.37), attributes(&base, &state, COARSE, 0.37));
+}
+
+#[test]
+fn time_planes_start_without_change() {
+    let (base, state) = fine_model(&HexplaneSettings::tiny());
+    let at = |time| attributes(&base, &state, FINE, time);
+    for (first, second) in at(0.1).iter().zip(&at(0.9)) {
+        check::agree(first, second, 1e-12).unwrap();
+    }
+}
+
+#[test]
+fn heads_that_are_off_have_no_parameters() {
+    let heads = Heads { position: true, ..Heads::NONE };
+    let (_, state) = fine_model(&HexplaneSettings { heads, ..HexplaneSettings::tiny() });
+    let names: Vec<&str> = state.names().filter(|name| name.starts_with(network::NETWORK)).collect();
+    assert_eq!(names.len(), 6, "{names:?}");
+}
+
+#[test]
+fn time_texels_follow_the_training_times_and_the_axis() {
+    let time_texels = |settings: HexplaneSettings| fine_model(&settings).1.get("field.plane_0_xt").unwrap().rows();
+    // 9 times: 5 texels in the published counting, of which the full axis needs 3.
+    assert_eq!(time_texels(HexplaneSettings::tiny()), 3);
+    assert_eq!(time_texels(HexplaneSettings { time_axis: TimeAxis::UpperHalf, ..HexplaneSettings::tiny() }), 5);
+    assert_eq!(time_texels(HexplaneSettings { time_resolution: Some(75), ..HexplaneSettings::tiny() }), 38);
+}
+
+#[test]
+fn the_box_maps_to_the_unit_cube_with_the_right_gradient() {
+    let bounds = Tensor::from_vec([2, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5]);
+    let corners = Tensor::from_vec([3, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5, 0.0, 2.0, 2.25]);
+    let mapped = field::ToBox.forward(&[&corners, &bounds]).remove(0);
+    assert_eq!(mapped.as_slice(), [-1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+    let map = |tape: &mut Tape<f64>, vars: &[shaders::tape::Var]| {
+        let bounds = tape.constant(bounds.clone());
+        tape.apply_one(field::ToBox, &[vars[0], bounds])
+    };
+    check::gradients(map, &[corners], check::TOLERANCE).unwrap();
+}
+
+#[test]
+fn a_flat_cloud_has_a_box_with_volume() {
+    let points = PointCloud { positions: vec![[0.0, 0.0, 5.0], [2.0, 1.0, 5.0]], colors: vec![[0; 3]; 2] };
+    for points in [points, PointCloud { positions: vec![[3.0; 3]], colors: vec![[0; 3]] }] {
+        let mut state = ModelState::<f64>::new();
+        field::insert_bounds(&mut state, &points);
+        let bounds = state.get(field::BOUNDS).unwrap();
+        assert!((0..3).all(|axis| bounds.row(1)[axis] > bounds.row(0)[axis]), "{bounds:?}");
+    }
+}
+
+#[test]
+fn settings_that_cannot_work_are_refused() {
+    HexplaneSettings::default().check().unwrap();
+    let bad = [
+        HexplaneSettings { multipliers: Vec::new(), ..HexplaneSettings::default() },
+        HexplaneSettings { channels: 0, ..HexplaneSettings::default() },
+        HexplaneSettings { heads: Heads::NONE, ..HexplaneSettings::default() },
+        HexplaneSettings { time_to_one: f64::NAN, ..HexplaneSettings::default() },
+    ];
+    assert!(bad.iter().all(|settings| settings.check().is_err()));
+}

@@ -1,0 +1,191 @@
+//! Every registered method: its registration, and its gradients in f64 against central differences.
+
+use std::collections::BTreeMap;
+
+use shaders::check::noise;
+use shaders::tape::{Device, Tape, Tensor};
+
+use super::*;
+use crate::clock::{ClockReading, PhaseClock};
+use crate::dataset::Dataset;
+use crate::method::{Step, TrainingView, raster_settings};
+use crate::sampler::{Stream, generator};
+use crate::state::ModelState;
+use crate::step::{StepOutcome, run_step};
+use crate::test_scene::TestScene;
+
+/// Step of the central differences: truncation 1e-12 and rounding 1e-10 stay below [`TOLERANCE`].
+const STEP: f64 = 1e-6;
+/// Relative to the largest gradient of the tensor, with [`FLOOR`] of the largest of all.
+const TOLERANCE: f64 = 2e-5;
+/// Gradients this much smaller than the largest of all are lost in the rounding of the loss.
+const FLOOR: f64 = 1e-4;
+/// Elements per tensor that are compared.
+const SAMPLES: usize = 10;
+
+/// A method in f64 in the midst of a phase.
+struct Case {
+    method: Box<dyn Method<f64>>,
+    params: TrainingParams,
+    dataset: Dataset,
+    phase: &'static str,
+    state: ModelState<f64>,
+    view: TrainingView<f64>,
+    _dir: tempfile::TempDir,
+}
+
+impl Case {
+    /// The state at the start of `phase` with every value moved a little, so that nothing is at a special point.
+    fn new(entry: &Registration, phase_index: usize) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let dataset = Dataset::load(TestScene { size: 16, ..TestScene::default() }.write(dir.path()), 1).unwrap();
+        let mut params = TrainingParams::of(entry.name).unwrap();
+        params.settings = (entry.tiny_settings)();
+        params.shared.loss.lambda_dssim = 0.2;
+        params.shared.initial_points.max_count = 8;
+        let method = entry.build_f64(&params).unwrap();
+        let points = dataset.initial_points(&params.shared.initial_points, 0).unwrap();
+        let mut random = generator(1, Stream::Initial);
+        let phases = method.phases();
+        let mut state = method.initialize(&dataset.scene, &points, &mut random).unwrap();
+        for phase in &phases[..=phase_index] {
+            state = method.enter_phase(phase.name, state, &dataset.scene, &mut random).unwrap();
+        }
+        let mut moved = ModelState::new();
+        for (index, (name, tensor)) in state.iter().enumerate() {
+            let learnt = method.learning_rate(phases[phase_index].name, name, &dataset.scene).is_some();
+            let amount = if learnt { 0.1 } else { 0.0 };
+            let shifts = noise(tensor.len(), index as u64);
+            let values = tensor.as_slice().iter().zip(shifts).map(|(value, shift)| value + amount * shift).collect();
+            moved.insert(name, Tensor::from_vec(tensor.shape(), values));
+        }
+        let view = dataset.train[3].to_training();
+        Self { method, params, phase: phases[phase_index].name, state: moved, view, dataset, _dir: dir }
+    }
+
+    fn learns(&self, name: &str) -> bool {
+        self.method.learning_rate(self.phase, name, &self.dataset.scene).is_some()
+    }
+
+    /// The losses of one step and the gradients of all learnt tensors.
+    fn evaluate(&self, state: &ModelState<f64>) -> (f64, BTreeMap<String, Tensor<f64>>) {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |name| self.learns(name));
+        let degree = self.params.shared.harmonics.degree;
+        let mut raster = raster_settings(&self.dataset.scene, degree);
+        raster.smooth_cutoff = true;
+        let step = Step {
+            tape: &mut tape,
+            model: &model,
+            views: std::slice::from_ref(&self.view),
+            scene: &self.dataset.scene,
+            shared: &self.params.shared,
+            phase: self.phase,
+            iteration: 1,
+            sh_degree: degree,
+            raster,
+            random: &mut generator(2, Stream::Method),
+            clock: &mut PhaseClock::start("test", ClockReading::default()),
+            losses: Vec::new(),
+            renders: Vec::new(),
+        };
+        let mut outcome: StepOutcome<f64> = run_step(&*self.method, step).unwrap();
+        let total = outcome.total();
+        let take = |(name, var): (&str, _)| Some((name.to_string(), outcome.gradients.take(var)?));
+        (total, model.iter().filter_map(take).collect())
+    }
+
+    /// The loss with one element of one tensor moved.
+    fn loss_with(&self, name: &str, element: usize, shift: f64) -> f64 {
+        let mut state = self.state.clone();
+        let mut tensor = state.get(name).unwrap().clone();
+        tensor.make_mut()[element] += shift;
+        state.insert(name, tensor);
+        self.evaluate(&state).0
+    }
+
+    /// Compares a few elements of every learnt tensor with central differences; the first that disagrees is the error.
+    fn check_gradients(&self, found: &BTreeMap<String, Tensor<f64>>) -> Result<(), String> {
+        let largest = |tensor: &Tensor<f64>| tensor.as_slice().iter().fold(0.0_f64, |a, value| a.max(value.abs()));
+        let overall = found.values().map(largest).fold(0.0, f64::max);
+        for (name, gradient) in found {
+            let allowed = TOLERANCE * largest(gradient).max(FLOOR * overall);
+            let stride = gradient.len().div_ceil(SAMPLES).max(1);
+            for element in (0..gradient.len()).step_by(stride) {
+                let difference = self.loss_with(name, element, STEP) - self.loss_with(name, element, -STEP);
+                let (expected, found) = (difference / (2.0 * STEP), gradient.as_slice()[element]);
+                if !((found - expected).abs() <= allowed) {
+                    return Err(format!("{name}[{element}] is {found:e} instead of {expected:e} (allowed {allowed:e})"));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn cases() -> Vec<(String, Case)> {
+    let mut cases = Vec::new();
+    for entry in registry() {
+        let phases = entry.build_f64(&TrainingParams::of(entry.name).unwrap()).unwrap().phases();
+        for (index, phase) in phases.iter().enumerate() {
+            cases.push((format!("{} in {}", entry.name, phase.name), Case::new(&entry, index)));
+        }
+    }
+    cases
+}
+
+#[test]
+fn every_gradient_agrees_with_central_differences() {
+    for (name, case) in cases() {
+        let (_, gradients) = case.evaluate(&case.state);
+        case.check_gradients(&gradients).unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+}
+
+#[test]
+fn a_wrong_gradient_is_noticed() {
+    let case = Case::new(&find("static3dgs").unwrap(), 0);
+    let (_, gradients) = case.evaluate(&case.state);
+    for (name, wrong) in [("gaussians.positions", 1.001), ("gaussians.sh_dc", f64::NAN)] {
+        let mut gradients = gradients.clone();
+        let gradient = gradients.get_mut(name).unwrap();
+        gradient.make_mut().iter_mut().for_each(|value| *value *= wrong);
+        assert!(case.check_gradients(&gradients).is_err(), "{name} times {wrong} passed");
+    }
+}
+
+#[test]
+fn every_learnt_tensor_receives_a_gradient() {
+    for (name, case) in cases() {
+        let (_, gradients) = case.evaluate(&case.state);
+        for tensor in case.state.names().filter(|tensor| case.learns(tensor)) {
+            let gradient = gradients.get(tensor).unwrap_or_else(|| panic!("{name}: no gradient reaches {tensor}"));
+            assert!(gradient.as_slice().iter().any(|value| *value != 0.0), "{name}: the gradient of {tensor} is zero");
+        }
+    }
+}
+
+#[test]
+fn every_method_has_its_folder_with_a_readme_and_a_paper() {
+    for entry in registry() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/methods").join(entry.name);
+        for file in ["README.md", "paper.toml", "mod.rs"] {
+            assert!(folder.join(file).is_file(), "{} lacks {file}", entry.name);
+        }
+    }
+}
+
+#[test]
+fn unused_sources_are_all_other_folders_and_exist() {
+    for entry in registry() {
+        let unused = unused_sources(entry.name);
+        assert_eq!(unused.len(), registry().len() - 1);
+        assert!(unused.iter().all(|path| !path.ends_with(entry.name)));
+        assert!(unused.iter().all(|path| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path).is_dir()));
+    }
+}
+
+#[test]
+fn an_unknown_method_is_refused_with_the_known_ones() {
+    assert!(find("nerf").err().unwrap().contains("deformable4dgs"));
+}

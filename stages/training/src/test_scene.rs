@@ -1,0 +1,117 @@
+//! A tiny moving scene, rendered by the rasteriser itself, for tests.
+
+use std::path::Path;
+
+use glam::DVec3;
+use image::RgbImage;
+use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, PointCloud, Protocol, Split, TimeMap};
+use shaders::splat::{self, PinholeCamera, RasterSettings, Splats};
+use shaders::tape::{Device, Tape, Tensor};
+
+use crate::curve::to_bytes;
+
+/// Pixels per side.
+pub const SIZE: u32 = 24;
+
+/// What the capture shows.
+#[derive(Clone, Copy, Debug)]
+pub struct TestScene {
+    /// Training views, evenly over time.
+    pub train_views: usize,
+    /// How far the blobs move from start to end, scene units.
+    pub travel: f32,
+    /// Pixels per side.
+    pub size: u32,
+}
+
+impl Default for TestScene {
+    fn default() -> Self {
+        Self { train_views: 8, travel: 0.6, size: SIZE }
+    }
+}
+
+impl TestScene {
+    /// Writes the capture into `dir`: training views, two validation and two test views, points near the blobs.
+    pub fn write(&self, dir: &Path) -> Capture {
+        let protocol = Protocol {
+            dataset: "test".into(),
+            split: "official".into(),
+            width: self.size,
+            height: self.size,
+            resize: "none".into(),
+            background: "black".into(),
+            time: "analytic".into(),
+        };
+        let info = CaptureInfo {
+            name: "blobs".into(),
+            pose_source: "analytic".into(),
+            protocol,
+            background: [0.0; 3],
+            time_map: TimeMap { start_secs: 0.0, end_secs: 2.0, frame_secs: 0.25 },
+            class_names: Vec::new(),
+            bounds_world: Some([[-1.0; 3], [1.0; 3]]),
+        };
+        let mut writer = CaptureWriter::create(dir, info).unwrap();
+        for (split, name, count) in [(Split::Train, "train", self.train_views), (Split::Val, "val", 2), (Split::Test, "test", 2)] {
+            for at in 0..count {
+                let share = if count > 1 { at as f64 / (count - 1) as f64 } else { 0.0 };
+                writer.write_view(&self.frame(split, &format!("{name}_{at}"), at, share)).unwrap();
+            }
+        }
+        let points = PointCloud {
+            positions: (0..30).map(|at| blob_center(at % 6).map(|value| value + 0.1 * ((at * 7 % 5) as f32 - 2.0) / 2.0)).collect(),
+            colors: vec![[128; 3]; 30],
+        };
+        writer.write_points(&points).unwrap();
+        writer.finish().unwrap()
+    }
+
+    fn frame(&self, split: Split, name: &str, at: usize, time: f64) -> Frame {
+        let focal = 1.2 * f64::from(self.size);
+        let center = 0.5 * f64::from(self.size);
+        let (width, height) = (self.size, self.size);
+        let intrinsics = Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x: center, center_y: center };
+        let angle = if split == Split::Train { 0.7 * time } else { 0.35 };
+        let position = DVec3::new(3.0 * angle.sin(), -0.8, -3.0 * angle.cos());
+        let camera = Camera::look_at(intrinsics, position, DVec3::ZERO, DVec3::new(0.0, -1.0, 0.0));
+        let image = RgbImage::from_raw(width, height, self.render(&camera, time as f32)).unwrap();
+        Frame {
+            name: name.into(),
+            split,
+            camera,
+            camera_index: 0,
+            frame_index: at as u32,
+            time_secs: 2.0 * time,
+            image,
+            alpha: None,
+            depth: None,
+            flow: None,
+            mask: None,
+            velocity: None,
+        }
+    }
+
+    /// Six coloured blobs, every other one moving along x.
+    fn render(&self, camera: &Camera, time: f32) -> Vec<u8> {
+        let shift = |at: usize| if at.is_multiple_of(2) { self.travel * (time - 0.5) } else { 0.0 };
+        let positions = (0..6).flat_map(|at| { let [x, y, z] = blob_center(at); [x + shift(at), y, z] }).collect();
+        let colors = (0..6).flat_map(|at| [0, 1, 2].map(|channel| if (at + channel) % 3 == 0 { 1.5 } else { -0.7 })).collect();
+        let mut tape = Tape::<f32>::new(Device::Cpu);
+        let mut constant = |shape: &[usize], values: Vec<f32>| tape.constant(Tensor::from_vec(shape, values));
+        let splats = Splats {
+            positions: constant(&[6, 3], positions),
+            log_scales: constant(&[6, 3], vec![0.15_f32.ln(); 18]),
+            rotations: constant(&[6, 4], [1.0, 0.0, 0.0, 0.0].repeat(6)),
+            opacity_logits: constant(&[6, 1], vec![2.0; 6]),
+            sh: constant(&[6, 1, 3], colors),
+            features: None,
+        };
+        let settings = RasterSettings { background: [0.0; 3], sh_degree: 0, ..RasterSettings::default() };
+        let rendered = splat::render(&mut tape, &splats, &PinholeCamera::from(camera), &settings);
+        to_bytes(tape.value(rendered.color))
+    }
+}
+
+fn blob_center(at: usize) -> [f32; 3] {
+    [(at % 3) as f32 * 0.7 - 0.7, (at / 3) as f32 * 0.7 - 0.35, 0.3 * (at % 2) as f32]
+}

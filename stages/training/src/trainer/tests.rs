@@ -1,0 +1,170 @@
+use serde_json::{Value, json};
+
+use super::*;
+use crate::checkpoint::Checkpoint;
+use crate::test_scene::TestScene;
+
+fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = scene.write(dir.path());
+    (dir, Dataset::load(capture, 2).unwrap())
+}
+
+fn params(value: Value) -> TrainingParams {
+    serde_json::from_value(value).unwrap()
+}
+
+/// Every mechanism within 40 steps: two phases, density control, growing harmonics, both losses, the curve.
+fn busy_params() -> TrainingParams {
+    params(json!({
+        "method": "deformable4dgs",
+        "iterations": { "coarse": 18, "fine": 22 },
+        "harmonics": { "interval": 7 },
+        "loss": { "lambda_dssim": 0.2 },
+        "density": { "from": 3, "interval": 5, "prune_interval": 5, "prune_above_count": 0, "gradient_threshold": 1e-6,
+                     "opacity_reset_interval": 9, "max_count": 200 },
+        "curve": { "points": 3, "views": 2 },
+        "deformable4dgs": { "channels": 4, "spatial_resolution": 6, "width": 8 },
+    }))
+}
+
+fn train_to_end(mut trainer: Trainer<'_>) -> Model {
+    while !trainer.is_done() {
+        trainer.advance().unwrap();
+    }
+    trainer.finish().unwrap()
+}
+
+/// Bit patterns of every tensor, so that −0 and 0 differ.
+fn bits(model: &Model) -> BTreeMap<&str, Vec<u32>> {
+    model.tensors.iter().map(|(name, tensor)| (name.as_str(), tensor.values.iter().map(|v| v.to_bits()).collect())).collect()
+}
+
+#[test]
+fn a_training_resumed_anywhere_ends_in_the_same_bytes() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = busy_params();
+    let undisturbed = train_to_end(Trainer::new(&dataset, &params).unwrap());
+    assert!(undisturbed.header.n_gaussians > 30, "density control did nothing");
+    // In the coarse phase, on a density round, just before and after the switch of phases, and in the fine phase.
+    for stop_after in [1, 10, 17, 18, 19, 31, 39] {
+        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        (0..stop_after).for_each(|_| trainer.advance().unwrap());
+        let dir = tempfile::tempdir().unwrap();
+        trainer.checkpoint().unwrap().save(dir.path()).unwrap();
+        drop(trainer);
+        let checkpoint = Checkpoint::load(dir.path(), &serde_json::to_value(&params).unwrap()).unwrap();
+        let resumed = train_to_end(Trainer::resume(&dataset, &params, checkpoint).unwrap());
+        assert_eq!(resumed.header, undisturbed.header, "stopped after {stop_after}");
+        assert_eq!(bits(&resumed), bits(&undisturbed), "stopped after {stop_after}");
+    }
+}
+
+#[test]
+fn a_checkpoint_that_lost_its_random_state_is_noticed() {
+    // The planted fault of the test above: the comparison must see a wrong cursor.
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = busy_params();
+    let undisturbed = train_to_end(Trainer::new(&dataset, &params).unwrap());
+    let mut trainer = Trainer::new(&dataset, &params).unwrap();
+    (0..10).for_each(|_| trainer.advance().unwrap());
+    let mut checkpoint = trainer.checkpoint().unwrap();
+    checkpoint.progress.sampler = ViewSampler::new(dataset.train.len(), 99);
+    let resumed = train_to_end(Trainer::resume(&dataset, &params, checkpoint).unwrap());
+    assert_ne!(bits(&resumed), bits(&undisturbed));
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = busy_params();
+    let train = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| train_to_end(Trainer::new(&dataset, &params).unwrap()))
+    };
+    let one = train(1);
+    for threads in [2, 3] {
+        let many = train(threads);
+        assert_eq!(one.header, many.header);
+        assert_eq!(bits(&one), bits(&many), "{threads} threads");
+    }
+}
+
+#[test]
+fn another_seed_trains_another_model() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let train = |seed: u64| {
+        let params = params(json!({ "seed": seed, "iterations": { "train": 5 }, "initial_points": { "random_count": 50 } }));
+        train_to_end(Trainer::new(&dataset, &params).unwrap())
+    };
+    assert_eq!(bits(&train(1)), bits(&train(1)));
+    assert_ne!(bits(&train(1)), bits(&train(2)));
+}
+
+#[test]
+fn one_frame_is_overfitted() {
+    let (_dir, dataset) = dataset(TestScene { train_views: 1, ..TestScene::default() });
+    for method in ["static3dgs", "deformable4dgs"] {
+        let params = params(json!({
+            "method": method,
+            "iterations": if method == "static3dgs" { json!({ "train": 400 }) } else { json!({ "coarse": 200, "fine": 200 }) },
+            "density": { "from": 50, "gradient_threshold": 1e-4, "opacity_reset_interval": 0 },
+            "learning_rates": { "position": { "start": 2e-2, "end": 2e-3, "steps": 400 } },
+            "deformable4dgs": { "channels": 4, "spatial_resolution": 8, "width": 16 },
+        }));
+        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        while !trainer.is_done() {
+            trainer.advance().unwrap();
+        }
+        let view = &dataset.train[0];
+        let mut tape = Tape::new(Device::Cpu);
+        let splats = trainer.splats(&mut tape, &trainer.moment(view.time, &view.camera)).unwrap();
+        let settings = raster_settings(&dataset.scene, trainer.sh_degree);
+        let rendered = splat::render(&mut tape, &splats, &view.camera, &settings);
+        let psnr = curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
+        assert!(psnr >= 30.0, "{method} reaches {psnr:.2} dB on its only frame");
+    }
+}
+
+#[test]
+fn motion_is_learnt_where_a_static_model_cannot() {
+    let (_dir, dataset) = dataset(TestScene { train_views: 12, travel: 1.2, ..TestScene::default() });
+    let last_psnr = |value: Value| {
+        let params = params(value);
+        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        while !trainer.is_done() {
+            trainer.advance().unwrap();
+        }
+        trainer.report().curve.last().unwrap().psnr_val
+    };
+    let fixed = last_psnr(json!({ "method": "static3dgs", "iterations": { "train": 500 } }));
+    let moving = last_psnr(json!({
+        "method": "deformable4dgs",
+        "iterations": { "coarse": 100, "fine": 400 },
+        "deformable4dgs": { "channels": 8, "spatial_resolution": 16, "width": 32 },
+    }));
+    assert!(moving >= fixed + 2.0, "moving {moving:.2} dB, static {fixed:.2} dB");
+}
+
+#[test]
+fn a_value_that_is_not_finite_ends_the_training_where_it_arises() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = params(json!({ "iterations": { "train": 50 }, "learning_rates": { "sh_dc": 1e38 } }));
+    let mut trainer = Trainer::new(&dataset, &params).unwrap();
+    let error = (0..50).find_map(|_| trainer.advance().err()).expect("colours of 1e38 overflow");
+    let failure = error.downcast_ref::<Failure>().expect("a typed failure");
+    assert_eq!(failure.kind, FailureKind::Diverged);
+    assert!(failure.message.contains("iteration") && failure.message.contains("phase train"), "{failure}");
+}
+
+#[test]
+fn a_training_that_prunes_everything_says_so() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = params(json!({
+        "iterations": { "train": 50 },
+        "density": { "from": 0, "prune_interval": 10, "min_opacity": 0.999 },
+    }));
+    let mut trainer = Trainer::new(&dataset, &params).unwrap();
+    let error = (0..50).find_map(|_| trainer.advance().err()).expect("no Gaussian is that opaque");
+    assert!(error.to_string().starts_with("no Gaussians left after iteration 10"), "{error}");
+}
