@@ -1,5 +1,13 @@
 //! What the code that makes an artifact looks like: hashes of sources without comments, Merkle over the crate graph.
 
+// The build script of the binary includes these two; here they are only tested.
+#[cfg(test)]
+mod scan;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod tokens;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::canonical;
@@ -38,19 +46,29 @@ pub type Code = BTreeMap<String, String>;
 
 /// The files of this crate that can influence a stage's result. The rest plans, schedules and stores: it decides
 /// whether and where a job runs, and hands the same bytes to the stage whatever it looks like.
-const ENGINE_API: [&str; 4] = ["src/artifact.rs", "src/context.rs", "src/failure.rs", "src/stage.rs"];
+const ENGINE_API: [&str; 4] = [
+    "src/artifact.rs",
+    "src/context.rs",
+    "src/failure.rs",
+    "src/stage.rs",
+];
 
 /// The fingerprint of the stage whose crate is `stage`: its sources and those of every workspace crate below it,
 /// without the stage's own files under `unused_sources` (paths relative to the crate, files or folders).
 pub fn stage_code(table: &CodeTable, stage: &str, unused_sources: &[String]) -> Code {
     let mut code = Code::new();
     for name in closure(table, stage) {
-        let Some(part) = table.get(name) else { continue };
+        let Some(part) = table.get(name) else {
+            continue;
+        };
         let used = |path: &str| match name {
             "engine" => ENGINE_API.contains(&path),
             _ => name != stage || !unused_sources.iter().any(|unused| lies_in(path, unused)),
         };
-        code.insert(name.into(), hash_files(part.files.iter().filter(|(path, _)| used(path))));
+        code.insert(
+            name.into(),
+            hash_files(part.files.iter().filter(|(path, _)| used(path))),
+        );
         // The engine's own dependencies serve its running side; a stage that uses one names it itself.
         if name != "engine" {
             code.insert(format!("{name} dependencies"), part.external.into());
@@ -72,7 +90,8 @@ fn closure<'a>(table: &CodeTable, stage: &'a str) -> BTreeSet<&'a str> {
 
 fn lies_in(path: &str, folder: &str) -> bool {
     let folder = folder.trim_end_matches('/');
-    path.strip_prefix(folder).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+    path.strip_prefix(folder)
+        .is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
 fn hash_files<'a>(files: impl Iterator<Item = &'a (&'a str, &'a str)>) -> String {

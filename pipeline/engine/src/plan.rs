@@ -1,6 +1,8 @@
 //! The resolved recipe: every job with its parameters filled in and its producers known, before anything runs.
 
 mod select;
+#[cfg(test)]
+pub(crate) mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -86,7 +88,11 @@ pub enum Origin {
     /// A key of a node in a recipe file.
     File { file: PathBuf, line: usize },
     /// A key of the `number`-th `[[set]]` (from 1, base recipes first).
-    Set { number: usize, file: PathBuf, line: usize },
+    Set {
+        number: usize,
+        file: PathBuf,
+        line: usize,
+    },
     /// An override on the command line.
     CommandLine,
 }
@@ -96,7 +102,9 @@ impl fmt::Display for Origin {
         match self {
             Self::Default => write!(f, "default"),
             Self::File { file, line } => write!(f, "{}:{line}", file.display()),
-            Self::Set { number, file, line } => write!(f, "set #{number} {}:{line}", file.display()),
+            Self::Set { number, file, line } => {
+                write!(f, "set #{number} {}:{line}", file.display())
+            }
             Self::CommandLine => write!(f, "-s"),
         }
     }
@@ -105,7 +113,10 @@ impl fmt::Display for Origin {
 impl Node {
     /// The indices of all producers, each once, in increasing order.
     pub fn producers(&self) -> BTreeSet<usize> {
-        self.inputs.iter().flat_map(|input| input.producers.iter().copied()).collect()
+        self.inputs
+            .iter()
+            .flat_map(|input| input.producers.iter().copied())
+            .collect()
     }
 }
 
@@ -143,7 +154,11 @@ impl Plan {
     pub fn with_descendants(&self, nodes: &BTreeSet<usize>) -> BTreeSet<usize> {
         let mut found = nodes.clone();
         for (index, node) in self.nodes.iter().enumerate() {
-            if node.producers().iter().any(|producer| found.contains(producer)) {
+            if node
+                .producers()
+                .iter()
+                .any(|producer| found.contains(producer))
+            {
                 found.insert(index);
             }
         }
@@ -153,6 +168,8 @@ impl Plan {
     /// The nodes that no other node reads.
     pub fn sinks(&self) -> BTreeSet<usize> {
         let read: BTreeSet<usize> = self.nodes.iter().flat_map(Node::producers).collect();
-        (0..self.nodes.len()).filter(|index| !read.contains(index)).collect()
+        (0..self.nodes.len())
+            .filter(|index| !read.contains(index))
+            .collect()
     }
 }

@@ -18,16 +18,33 @@ pub(crate) struct Instance {
 }
 
 /// All jobs of the template called `name`, the last axis varying fastest.
-pub(crate) fn instances(recipe: &RawRecipe, name: &str, template: &Template, report: &mut Report) -> Vec<Instance> {
+pub(crate) fn instances(
+    recipe: &RawRecipe,
+    name: &str,
+    template: &Template,
+    report: &mut Report,
+) -> Vec<Instance> {
     let mut combinations = vec![Vec::new()];
     for &axis in &template.over {
         let longer = |head: &Vec<(usize, AxisValue)>| {
-            let with = |value: &AxisValue| head.iter().cloned().chain([(axis, value.clone())]).collect();
-            recipe.axes[axis].values.iter().map(with).collect::<Vec<_>>()
+            let with = |value: &AxisValue| {
+                head.iter()
+                    .cloned()
+                    .chain([(axis, value.clone())])
+                    .collect()
+            };
+            recipe.axes[axis]
+                .values
+                .iter()
+                .map(with)
+                .collect::<Vec<_>>()
         };
         combinations = combinations.iter().flat_map(longer).collect();
     }
-    combinations.into_iter().map(|values| instance(recipe, name, template, values, report)).collect()
+    combinations
+        .into_iter()
+        .map(|values| instance(recipe, name, template, values, report))
+        .collect()
 }
 
 fn instance(
@@ -37,22 +54,38 @@ fn instance(
     values: Vec<(usize, AxisValue)>,
     report: &mut Report,
 ) -> Instance {
-    let value_of = |axis: usize| values.iter().find(|(own, _)| *own == axis).map(|(_, value)| value);
+    let value_of = |axis: usize| {
+        values
+            .iter()
+            .find(|(own, _)| *own == axis)
+            .map(|(_, value)| value)
+    };
     let mut params = template.params.clone();
     for rule in &recipe.rules {
-        let holds = |(&axis, wanted): (&usize, &_)| value_of(axis).is_some_and(|value| contains(wanted, value));
+        let holds = |(&axis, wanted): (&usize, &_)| {
+            value_of(axis).is_some_and(|value| contains(wanted, value))
+        };
         if rule.when.iter().all(holds) {
             let own = rule.params.iter().filter(|(template, _)| template == name);
             own.for_each(|(_, over)| tree::merge(&mut params, over.clone()));
         }
     }
-    for item in params.values_mut() {
-        item.visit(&mut |item| substitute(item, name, recipe, &value_of, report));
+    for (key, item) in &mut params {
+        item.visit(&format!("nodes.{name}.params.{key}"), &mut |key, item| {
+            substitute(item, key, recipe, &value_of, report);
+        });
     }
     let texts = values.iter().map(|(_, value)| value.text.as_str());
     Instance {
-        name: [name].into_iter().chain(texts).collect::<Vec<_>>().join("/"),
-        coordinates: values.iter().map(|(axis, value)| (recipe.axis_name(*axis).into(), value.text.clone())).collect(),
+        name: [name]
+            .into_iter()
+            .chain(texts)
+            .collect::<Vec<_>>()
+            .join("/"),
+        coordinates: values
+            .iter()
+            .map(|(axis, value)| (recipe.axis_name(*axis).into(), value.text.clone()))
+            .collect(),
         params,
         values,
     }
@@ -65,7 +98,7 @@ fn contains(wanted: &std::collections::BTreeSet<String>, value: &AxisValue) -> b
 /// Fills `{axis}` in a string; a string that is exactly one placeholder becomes the axis value with its type.
 fn substitute<'a>(
     item: &mut Item,
-    node: &str,
+    key: &str,
     recipe: &RawRecipe,
     value_of: &impl Fn(usize) -> Option<&'a AxisValue>,
     report: &mut Report,
@@ -84,14 +117,19 @@ fn substitute<'a>(
         match recipe.axes.get_index_of(axis).map(value_of) {
             Some(Some(value)) => filled.push(value.value.clone()),
             Some(None) => {
-                let hint = format!(r#"add "{axis}" to nodes.{node}.over"#);
-                let message = format!("node `{node}` is not expanded over axis `{axis}`");
-                report.add(&item.at, format!("nodes.{node}.params"), message, Some(hint));
+                let message = format!("this node is not expanded over axis `{axis}`");
+                report.add(
+                    &item.at,
+                    key,
+                    message,
+                    Some(format!("add it to the node's `over`: \"{axis}\"")),
+                );
             }
             None => {
-                let names = names_hint(axis, recipe.axes.keys().map(String::as_str)).unwrap_or_default();
+                let names =
+                    names_hint(axis, recipe.axes.keys().map(String::as_str)).unwrap_or_default();
                 let hint = Some(format!("{names}; for a literal brace write {{{{{axis}}}}}"));
-                report.add(&item.at, format!("nodes.{node}.params"), format!("unknown axis `{axis}`"), hint);
+                report.add(&item.at, key, format!("unknown axis `{axis}`"), hint);
             }
         }
     }
@@ -99,7 +137,11 @@ fn substitute<'a>(
         let Some(value) = filled.pop() else { return };
         item.tree = Tree::Leaf(value);
     } else {
-        let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        let text = |value: &Value| {
+            value
+                .as_str()
+                .map_or_else(|| value.to_string(), str::to_owned)
+        };
         item.tree = Tree::Leaf(Value::String(filled.iter().map(text).collect()));
     }
 }

@@ -1,0 +1,200 @@
+//! The plan as a picture: Graphviz DOT or Mermaid, coloured by state.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use crate::plan::Plan;
+
+/// What is known of a job; where jobs are drawn as one, the last in this order that any of them is in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NodeState {
+    /// Nothing was looked up.
+    #[default]
+    Unknown,
+    /// Its result is in the store.
+    Cached,
+    /// It will run.
+    Planned,
+    /// It is running.
+    Running,
+    /// Data is missing, or a producer has no result.
+    Blocked,
+    /// It failed.
+    Failed,
+}
+
+impl NodeState {
+    /// Every state, in order.
+    pub const ALL: [Self; 6] = [
+        Self::Unknown,
+        Self::Cached,
+        Self::Planned,
+        Self::Running,
+        Self::Blocked,
+        Self::Failed,
+    ];
+
+    /// The state's name, as in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::Cached => "cached",
+            Self::Planned => "planned",
+            Self::Running => "running",
+            Self::Blocked => "blocked",
+            Self::Failed => "failed",
+        }
+    }
+
+    /// A fill on which black text is readable.
+    fn colour(self) -> &'static str {
+        match self {
+            Self::Unknown => "#ffffff",
+            Self::Cached => "#c8e6c9",
+            Self::Planned => "#fff9c4",
+            Self::Running => "#bbdefb",
+            Self::Blocked => "#e0e0e0",
+            Self::Failed => "#ffcdd2",
+        }
+    }
+}
+
+/// The plan in Graphviz's language. Nodes that `states` lacks are unknown; `collapse` draws one box per template.
+pub fn dot(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> String {
+    let drawing = Drawing::new(plan, states, collapse);
+    let mut text = format!("digraph {} {{\n", quoted(&plan.recipe));
+    text +=
+        "  rankdir=LR;\n  node [shape=box, style=\"rounded,filled\", fontname=\"sans-serif\"];\n";
+    for (index, (label, state)) in drawing.boxes.iter().enumerate() {
+        let (label, colour) = (
+            quoted(&label.join("\n")).replace('\n', "\\n"),
+            state.colour(),
+        );
+        text += &format!("  n{index} [label={label}, fillcolor=\"{colour}\"];\n");
+    }
+    for (from, to) in &drawing.edges {
+        text += &format!("  n{from} -> n{to};\n");
+    }
+    text + "}\n"
+}
+
+/// The plan in Mermaid's language, which GitHub draws. Arguments as for [`dot`].
+pub fn mermaid(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> String {
+    let drawing = Drawing::new(plan, states, collapse);
+    let mut text = String::from("flowchart LR\n");
+    for (index, (label, state)) in drawing.boxes.iter().enumerate() {
+        let label = label.join("<br/>").replace('"', "#quot;");
+        text += &format!("  n{index}[\"{label}\"]:::{}\n", state.name());
+    }
+    for (from, to) in &drawing.edges {
+        text += &format!("  n{from} --> n{to}\n");
+    }
+    let used: BTreeSet<NodeState> = drawing.boxes.iter().map(|(_, state)| *state).collect();
+    for state in used {
+        text += &format!(
+            "  classDef {} fill:{},stroke:#555,color:#000\n",
+            state.name(),
+            state.colour()
+        );
+    }
+    text
+}
+
+/// What is drawn, in whatever language.
+struct Drawing {
+    /// Lines of text and state.
+    boxes: Vec<(Vec<String>, NodeState)>,
+    /// Indices of boxes: from producer to consumer.
+    edges: BTreeSet<(usize, usize)>,
+}
+
+impl Drawing {
+    fn new(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> Self {
+        // The box of each node: its own, or the one of its template.
+        let mut templates: Vec<&str> = Vec::new();
+        let mut box_of = |index: usize| {
+            let template = plan.nodes[index].template.as_str();
+            match templates
+                .iter()
+                .position(|known| collapse && *known == template)
+            {
+                Some(index) => index,
+                None => {
+                    templates.push(template);
+                    templates.len() - 1
+                }
+            }
+        };
+        let box_of: Vec<usize> = (0..plan.nodes.len()).map(&mut box_of).collect();
+        let members = |drawn: usize| {
+            (0..plan.nodes.len())
+                .filter(|&index| box_of[index] == drawn)
+                .collect::<Vec<_>>()
+        };
+        let boxes = (0..templates.len())
+            .map(|drawn| {
+                let nodes = members(drawn);
+                let state = |index: &usize| states.get(index).copied().unwrap_or_default();
+                let states: Vec<NodeState> = nodes.iter().map(state).collect();
+                let worst = states.iter().copied().max().unwrap_or_default();
+                let label = if collapse {
+                    collapsed_label(plan, &nodes, &states)
+                } else {
+                    plain_label(plan, nodes[0])
+                };
+                (label, worst)
+            })
+            .collect();
+        let edge = |(consumer, node): (usize, &crate::Node)| {
+            node.producers()
+                .into_iter()
+                .map(|producer| (box_of[producer], box_of[consumer]))
+                .collect::<Vec<_>>()
+        };
+        Self {
+            boxes,
+            edges: plan.nodes.iter().enumerate().flat_map(edge).collect(),
+        }
+    }
+}
+
+fn plain_label(plan: &Plan, index: usize) -> Vec<String> {
+    vec![
+        plan.nodes[index].name.clone(),
+        plan.nodes[index].stage.clone(),
+    ]
+}
+
+/// Template, number of jobs and stage, and how many are in each known state.
+fn collapsed_label(plan: &Plan, nodes: &[usize], states: &[NodeState]) -> Vec<String> {
+    let node = &plan.nodes[nodes[0]];
+    let count = |state: NodeState| {
+        (
+            state,
+            states.iter().filter(|other| **other == state).count(),
+        )
+    };
+    let known = NodeState::ALL
+        .into_iter()
+        .filter(|state| *state != NodeState::Unknown)
+        .map(count);
+    let counts: Vec<String> = known
+        .filter(|(_, count)| *count > 0)
+        .map(|(state, count)| format!("{count} {}", state.name()))
+        .collect();
+    let mut lines = vec![
+        format!("{} × {}", node.template, nodes.len()),
+        node.stage.clone(),
+    ];
+    lines.extend((!counts.is_empty()).then(|| counts.join(", ")));
+    lines
+}
+
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""))
+}
