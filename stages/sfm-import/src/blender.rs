@@ -214,7 +214,8 @@ fn camera_from_world(rows: &[[f64; 4]; 4]) -> Result<RigidTransform> {
 /// One map over all splits; a frame lasts 1 / (training frames − 1) of it.
 fn time_map(frames: &[Frame], is_static: bool) -> TimeMap {
     let times = || frames.iter().map(|frame| frame.time_secs);
-    let (start_secs, end_secs) = times().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+    let (start_secs, end_secs) =
+        times().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
     let train = frames.iter().filter(|frame| frame.split == Split::Train).count();
     if is_static || !(end_secs > start_secs) {
         let instant_secs = if start_secs.is_finite() { start_secs } else { 0.0 };

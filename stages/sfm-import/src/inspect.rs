@@ -122,7 +122,8 @@ impl Summary {
         }
         if let Some(recipe) = &self.recipe {
             let data_root = self.path.parent().unwrap_or(&self.path).display();
-            write!(out, "\n  # recipe, with --data-root {data_root}\n{}", indented(recipe)).expect("strings do not fail");
+            write!(out, "\n  # recipe, with --data-root {data_root}\n{}", indented(recipe))
+                .expect("strings do not fail");
         }
         out
     }
@@ -160,7 +161,8 @@ impl Frames {
     fn lines(&self) -> Vec<(&'static str, String)> {
         let Intrinsics { width, height, focal_x, focal_y, .. } = self.intrinsics;
         let counts = self.counts.iter().filter(|(_, count)| **count > 0);
-        let counts: Vec<String> = counts.map(|(split, n)| format!("{n} {}", format!("{split:?}").to_lowercase())).collect();
+        let counts: Vec<String> =
+            counts.map(|(split, n)| format!("{n} {}", format!("{split:?}").to_lowercase())).collect();
         let focal = if focal_x == focal_y { format!("{focal_x:.1}") } else { format!("{focal_x:.1} × {focal_y:.1}") };
         let lens = if self.distorted { "; distorted: images are undistorted on import" } else { "" };
         let mut lines = vec![
@@ -175,7 +177,10 @@ impl Frames {
         if let Some(quality) = self.quality {
             lines.push(("poses", format!("{} of {} images registered", quality.registered, quality.images)));
             let error = quality.reprojection.map_or(String::new(), |error| {
-                format!(", {:.2} px from their keypoints on average (COLMAP stored {:.2})", error.recomputed_px, error.stored_px)
+                format!(
+                    ", {:.2} px from their keypoints on average (COLMAP stored {:.2})",
+                    error.recomputed_px, error.stored_px
+                )
             });
             lines.push(("points", format!("{}{error}", self.points)));
         } else if self.points == 0 {
@@ -220,13 +225,20 @@ fn recipe(source: &SourceCapture, frames: &Frames) -> String {
 /// A recipe node for all captures of a folder that are ready.
 fn folder_recipe(dir: &Path, summaries: &[Summary]) -> String {
     let ready = summaries.iter().filter(|summary| summary.recipe.is_some());
-    let names: Vec<String> = ready.filter_map(|summary| Some(format!("{:?}", summary.path.file_name()?.to_str()?))).collect();
+    let names: Vec<String> =
+        ready.filter_map(|summary| Some(format!("{:?}", summary.path.file_name()?.to_str()?))).collect();
     let recipe = format!(
         "[axes]\nscene = [{}]\n[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
          params = {{ source = \"{{scene}}\" }}\n",
         names.join(", ")
     );
-    format!("{} of {} captures are ready\n\n  # recipe for all of them, with --data-root {}\n{}", names.len(), summaries.len(), dir.display(), indented(&recipe))
+    format!(
+        "{} of {} captures are ready\n\n  # recipe for all of them, with --data-root {}\n{}",
+        names.len(),
+        summaries.len(),
+        dir.display(),
+        indented(&recipe)
+    )
 }
 
 fn indented(text: &str) -> String {

@@ -134,11 +134,31 @@ impl Params {
         let checks = [
             (self.source.as_os_str().is_empty(), "source", "no source folder", "source = \"dnerf/bouncingballs\""),
             (!relative(&self.source), "source", "the source must lie below the data root", "use a relative path"),
-            (self.width == Some(0), "width", "an image needs at least one pixel per row", "leave it out to keep the size"),
-            (self.resize.is_some() && self.width.is_none(), "resize", "nothing is resized", "set width, or remove resize"),
+            (
+                self.width == Some(0),
+                "width",
+                "an image needs at least one pixel per row",
+                "leave it out to keep the size",
+            ),
+            (
+                self.resize.is_some() && self.width.is_none(),
+                "resize",
+                "nothing is resized",
+                "set width, or remove resize",
+            ),
             (self.frame_step == 0, "frame_step", "must be at least 1", "1 keeps every training view"),
-            (self.train_limit == Some(0), "train_limit", "must be at least 1", "leave it out to keep every training view"),
-            (self.every_nth == 1, "every_nth", "every image would be a test view", "8 is the usual choice, 0 tests on none"),
+            (
+                self.train_limit == Some(0),
+                "train_limit",
+                "must be at least 1",
+                "leave it out to keep every training view",
+            ),
+            (
+                self.every_nth == 1,
+                "every_nth",
+                "every image would be a test view",
+                "8 is the usual choice, 0 tests on none",
+            ),
             (!(self.fps > 0.0 && self.fps.is_finite()), "fps", "must be positive and finite", "30 is a common rate"),
             (
                 !(0.0..=1.0).contains(&self.min_registered_share),

@@ -40,7 +40,8 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     registered.sort_by(|a, b| natural_order(&a.name, &b.name));
     let places = places(present.iter().map(String::as_str).chain(registered.iter().map(|image| image.name.as_str())));
     let source = FrameSource { dir, images_dir: &images_dir, sparse: &sparse, model: &model, params };
-    let frames = registered.iter().enumerate().map(|(index, image)| source.frame(index, image, places[image.name.as_str()]));
+    let frames =
+        registered.iter().enumerate().map(|(index, image)| source.frame(index, image, places[image.name.as_str()]));
     let mut frames = frames.collect::<Result<Vec<_>>>()?;
     warnings.extend(drop_misfit_masks(&mut frames));
     let mut rules = vec![split_tests(&mut frames, params)];
@@ -72,7 +73,8 @@ fn check_registered_share(model: &Model, present: &[String], params: &Params, sp
     let lost = present.iter().filter(|name| !names.contains(name.as_str()));
     let lost: Vec<&str> = lost.take(3).map(String::as_str).collect();
     let percent = 100.0 * registered as f64 / total as f64;
-    let message = format!("only {registered} of {total} images ({percent:.0} %) have a pose; none for {} …", lost.join(", "));
+    let message =
+        format!("only {registered} of {total} images ({percent:.0} %) have a pose; none for {} …", lost.join(", "));
     let hint = format!(
         "mask moving objects for structure from motion, or lower min_registered_share (now {})",
         params.min_registered_share
@@ -97,7 +99,8 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     if let Some(error) = quality.reprojection.filter(|error| !(error.recomputed_px <= POOR_REPROJECTION_PX)) {
         warnings.push(format!("points miss their keypoints by {:.1} px: poses are poor", error.recomputed_px));
     }
-    let differs = |error: &ReprojectionError| !((error.recomputed_px / error.stored_px - 1.0).abs() <= STORED_TOLERANCE);
+    let differs =
+        |error: &ReprojectionError| !((error.recomputed_px / error.stored_px - 1.0).abs() <= STORED_TOLERANCE);
     if let Some(error) = quality.reprojection.filter(|error| error.stored_px > 0.0 && differs(error)) {
         let ReprojectionError { recomputed_px, stored_px } = error;
         warnings.push(format!(
@@ -210,6 +213,7 @@ fn time_map(frames: &[Frame], params: &Params) -> TimeMap {
         return TimeMap { start_secs: 0.0, end_secs: 0.0, frame_secs: 1.0 };
     }
     let times = frames.iter().map(|frame| frame.time_secs);
-    let (start_secs, end_secs) = times.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+    let (start_secs, end_secs) =
+        times.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
     TimeMap { start_secs, end_secs, frame_secs: 1.0 / params.fps }
 }

@@ -24,7 +24,8 @@ pub fn numbered_models(dir: &Path) -> Vec<PathBuf> {
 /// Cameras beside images say that a model is meant; missing parts are an error of their own.
 fn holds_model(dir: &Path) -> bool {
     let has = |name: &str| ["bin", "txt"].iter().any(|extension| dir.join(format!("{name}.{extension}")).is_file());
-    has("cameras") && has("images") || dir.file_name().is_some_and(|name| name == "0") && (has("cameras") || has("images"))
+    has("cameras") && has("images")
+        || dir.file_name().is_some_and(|name| name == "0") && (has("cameras") || has("images"))
 }
 
 /// The folder that image names are relative to: `images` where it exists, else `dir`.

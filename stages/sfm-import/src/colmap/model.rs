@@ -146,7 +146,9 @@ impl Model {
             let distances = point.track.iter().map(|(image, at)| {
                 let image = &self.images[image];
                 let view = image.camera_from_world().apply(point.position);
-                self.cameras[&image.camera_id].pixel(view.truncate() / view.z).distance(image.observations[*at as usize].0)
+                self.cameras[&image.camera_id]
+                    .pixel(view.truncate() / view.z)
+                    .distance(image.observations[*at as usize].0)
             });
             recomputed += distances.sum::<f64>() / point.track.len() as f64;
             stored += point.error_px;

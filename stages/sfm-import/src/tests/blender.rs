@@ -13,7 +13,8 @@ fn cameras_times_and_splits_are_those_of_the_files() {
     assert_eq!(counts, [5, 2, 3]);
     assert_eq!(capture.time_map, TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.25 });
     assert_eq!(capture.bounds_world, Some([[-1.3; 3], [1.3; 3]]));
-    let expected = "dnerf · official split · 24×16 · resize none · white background · time (file time - min) / (max - min)";
+    let expected =
+        "dnerf · official split · 24×16 · resize none · white background · time (file time - min) / (max - min)";
     assert_eq!(capture.protocol.line(), expected);
     for (index, (_, view)) in capture.views_of(Split::Train).enumerate() {
         let focal = 12.0 / 0.35_f64.tan();
@@ -91,7 +92,11 @@ fn frames_without_times_are_a_scene_at_rest() {
     let dir = blender_scene();
     for label in ["train", "val", "test"] {
         edit_transforms(dir.path(), label, |json| {
-            json["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| drop(f.as_object_mut().unwrap().remove("time")));
+            json["frames"]
+                .as_array_mut()
+                .unwrap()
+                .iter_mut()
+                .for_each(|f| drop(f.as_object_mut().unwrap().remove("time")));
         });
     }
     let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
@@ -112,7 +117,8 @@ fn same_input_gives_same_bytes_for_any_number_of_threads() {
         let root = tempfile::tempdir().unwrap();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| crate::import(dir.path(), &params, root.path())).unwrap();
-        ["capture.json", "images/train_003.png", "alpha/test_001.png"].map(|f| std::fs::read(root.path().join(f)).unwrap())
+        ["capture.json", "images/train_003.png", "alpha/test_001.png"]
+            .map(|f| std::fs::read(root.path().join(f)).unwrap())
     };
     assert_eq!(bytes(1), bytes(3));
 }
@@ -162,7 +168,11 @@ fn not_a_number_is_refused() {
     let text = std::fs::read_to_string(&path).unwrap().replacen("\"time\":0.25", "\"time\":NaN", 1);
     assert!(text.contains("NaN"));
     std::fs::write(&path, text).unwrap();
-    assert_refused(dir.path(), &Params::default(), &["not a valid transforms file", "contains NaN", "transforms_train.json"]);
+    assert_refused(
+        dir.path(),
+        &Params::default(),
+        &["not a valid transforms file", "contains NaN", "transforms_train.json"],
+    );
     for angle in [0.0, -1.0, 3.2] {
         let dir = blender_scene();
         edit_transforms(dir.path(), "test", |json| json["camera_angle_x"] = json!(angle));

@@ -43,7 +43,8 @@ fn a_video_has_times_points_and_a_split() {
     assert_eq!(names(Split::Test), ["0000", "0004", "0008"]);
     assert_eq!((names(Split::Train).len(), names(Split::Val).len()), (7, 0));
     assert_eq!(capture.time_map, TimeMap { start_secs: 0.0, end_secs: 0.9, frame_secs: 0.1 });
-    let expected = "colmap · 1 of 4 images split · 24×16 · resize none · none background · time sorted frame / (frames - 1)";
+    let expected =
+        "colmap · 1 of 4 images split · 24×16 · resize none · none background · time sorted frame / (frames - 1)";
     assert_eq!(capture.protocol.line(), expected);
     let points = capture.load_points().unwrap().unwrap();
     assert_eq!((points.len(), points.colors[2]), (6, [3; 3]));
@@ -84,7 +85,8 @@ fn images_without_a_pose_leave_a_gap_in_time() {
 
 #[test]
 fn folders_are_the_cameras_of_a_rig() {
-    let workspace = Workspace::new(10, "SIMPLE_PINHOLE", &[30.0, 12.0, 8.0], |i| format!("cam{}/{}.png", i / 2, i % 2 + 9));
+    let workspace =
+        Workspace::new(10, "SIMPLE_PINHOLE", &[30.0, 12.0, 8.0], |i| format!("cam{}/{}.png", i / 2, i % 2 + 9));
     let dir = workspace.write();
     let (_root, capture) = run(dir.path(), &colmap_params()).unwrap();
     assert_eq!(capture.protocol.split, "1 of 4 cameras");
@@ -102,7 +104,8 @@ fn photos_are_one_instant() {
 
 #[test]
 fn distorted_images_are_undistorted_to_the_pinhole_that_is_declared() {
-    let workspace = Workspace::new(4, "OPENCV", &[30.0, 31.0, 12.0, 8.0, 0.2, 0.05, 0.004, -0.003], |i| format!("{i}.png"));
+    let workspace =
+        Workspace::new(4, "OPENCV", &[30.0, 31.0, 12.0, 8.0, 0.2, 0.05, 0.004, -0.003], |i| format!("{i}.png"));
     let dir = workspace.write();
     let (_root, capture) = run(dir.path(), &colmap_params()).unwrap();
     let lens = workspace.model.cameras[&1];
@@ -141,7 +144,8 @@ fn masks_of_the_right_size_are_labels() {
 
 #[test]
 fn models_without_poses_points_or_support_are_refused() {
-    let refused = |workspace: &Workspace, parts: &[&str]| assert_refused(workspace.write().path(), &colmap_params(), parts);
+    let refused =
+        |workspace: &Workspace, parts: &[&str]| assert_refused(workspace.write().path(), &colmap_params(), parts);
     refused(&Workspace::video(0), &["no image is registered", "images.bin"]);
     let mut workspace = Workspace::video(3);
     workspace.model.images.get_mut(&2).unwrap().camera_id = 7;
@@ -152,7 +156,8 @@ fn models_without_poses_points_or_support_are_refused() {
     let mut workspace = Workspace::video(3);
     workspace.model.points.get_mut(&4).unwrap().track.push((9, 0));
     refused(&workspace, &["point 4 is seen by keypoint 0 of image 9", "points3D.bin"]);
-    let fisheye = Workspace::new(3, "OPENCV_FISHEYE", &[30.0, 30.0, 12.0, 8.0, 0.0, 0.0, 0.0, 0.0], |i| format!("{i}.png"));
+    let fisheye =
+        Workspace::new(3, "OPENCV_FISHEYE", &[30.0, 30.0, 12.0, 8.0, 0.0, 0.0, 0.0, 0.0], |i| format!("{i}.png"));
     refused(&fisheye, &["camera model OPENCV_FISHEYE is not supported", "image_undistorter", "cameras.bin"]);
     let unheard = Workspace::new(3, "MIRROR_BALL", &[30.0, 30.0, 12.0, 8.0], |i| format!("{i}.png"));
     refused(&unheard, &["camera model number 99 is unknown"]);
@@ -169,7 +174,10 @@ fn wrong_numbers_are_refused() {
         edit(&mut workspace);
         assert_refused(workspace.write().path(), &colmap_params(), parts);
     };
-    refused(&|w| w.model.images.get_mut(&2).unwrap().quaternion[0] *= 1.5, &["rotation of 0001.png is a quaternion of length"]);
+    refused(
+        &|w| w.model.images.get_mut(&2).unwrap().quaternion[0] *= 1.5,
+        &["rotation of 0001.png is a quaternion of length"],
+    );
     refused(&|w| w.model.images.get_mut(&2).unwrap().quaternion[0] = f64::NAN, &["0001.png", "NaN"]);
     refused(&|w| w.model.images.get_mut(&3).unwrap().translation[1] = f64::NAN, &["0002", "not finite"]);
     refused(&|w| w.model.points.get_mut(&5).unwrap().position.y = f64::INFINITY, &["point 5 lies at", "inf"]);

@@ -13,7 +13,10 @@ fn assert_contains(text: &str, parts: &[&str]) {
 fn a_blender_capture_is_described_with_a_recipe() {
     let dir = blender_scene();
     let text = describe(dir.path()).unwrap();
-    assert_contains(&text, &["D-NeRF", "24×16; 5 train, 2 val, 3 test", "40.1° wide", "0 to 1.0000 s", "ready to import"]);
+    assert_contains(
+        &text,
+        &["D-NeRF", "24×16; 5 train, 2 val, 3 test", "40.1° wide", "0 to 1.0000 s", "ready to import"],
+    );
     let name = dir.path().file_name().unwrap().to_str().unwrap();
     assert_contains(&text, &["[nodes.capture]", "stage = \"sfm-import\"", &format!("source = {name:?}")]);
 }
@@ -22,7 +25,10 @@ fn a_blender_capture_is_described_with_a_recipe() {
 fn a_colmap_capture_shows_its_reprojection_error() {
     let dir = Workspace::video(10).write();
     let text = describe(dir.path()).unwrap();
-    assert_contains(&text, &["COLMAP", "30.0 × 31.0 px", "10 of 10 images registered", "6, 0.00 px from their keypoints"]);
+    assert_contains(
+        &text,
+        &["COLMAP", "30.0 × 31.0 px", "10 of 10 images registered", "6, 0.00 px from their keypoints"],
+    );
     assert_contains(&text, &["8 train, 2 test", "static = true"]);
 }
 
@@ -81,7 +87,11 @@ fn unknown_folders_say_what_was_found_and_what_is_supported() {
         assert_refused(dir.path(), &Params::default(), &["neither a Blender/D-NeRF nor a COLMAP capture (found", hint]);
         assert_contains(&describe(dir.path()).unwrap(), &["not recognised", hint]);
     }
-    assert_refused(blender_scene().path(), &Params { format: Format::Colmap, ..Params::default() }, &["not a COLMAP capture"]);
+    assert_refused(
+        blender_scene().path(),
+        &Params { format: Format::Colmap, ..Params::default() },
+        &["not a COLMAP capture"],
+    );
     assert!(describe(std::path::Path::new("/no/such/folder")).is_err());
     let both = blender_scene();
     let model = Workspace::video(3).write();

@@ -52,9 +52,10 @@ fn undistorted_pinhole_sees_only_what_the_lens_saw() {
         let border = |zoom: f64| {
             let k = scene::Intrinsics { focal_x: 30.0 * zoom, focal_y: 30.0 * zoom, ..lens.intrinsics };
             let corners = [(0, 0), (23, 0), (0, 15), (23, 15), (0, 8), (23, 8), (12, 0), (12, 15)];
-            corners.iter().map(|&(c, r)| lens.pixel(plane_point(&k, c, r))).any(|p| {
-                p.x < 0.5 || p.x > 23.5 || p.y < 0.5 || p.y > 15.5
-            })
+            corners
+                .iter()
+                .map(|&(c, r)| lens.pixel(plane_point(&k, c, r)))
+                .any(|p| p.x < 0.5 || p.x > 23.5 || p.y < 0.5 || p.y > 15.5)
         };
         assert!(zoom == 1.0 || border(zoom * 0.98), "zoom {zoom} is larger than needed");
     }

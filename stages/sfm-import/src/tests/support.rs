@@ -53,7 +53,8 @@ pub fn frames(dir: &Path, params: &Params) -> Vec<source::Frame> {
 /// The camera-to-world matrix (Blender axes) of the `index`-th test camera, rows first.
 pub fn blender_matrix(index: usize) -> [[f64; 4]; 4] {
     let angle = 0.4 * index as f64;
-    let camera = Camera::look_at(intrinsics(), DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0), DVec3::ZERO, DVec3::Z);
+    let camera =
+        Camera::look_at(intrinsics(), DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0), DVec3::ZERO, DVec3::Z);
     let world_from_camera = camera.camera_from_world.inverse();
     let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     let rotation = world_from_camera.rotation * flip;
@@ -182,7 +183,9 @@ pub fn write_image(path: &Path, seed: u32) {
 /// A mask whose left half is 0 and whose right half is `value`.
 pub fn write_mask(path: &Path, size: (u32, u32), value: u8) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    GrayImage::from_fn(size.0, size.1, |column, _| Luma([if column < size.0 / 2 { 0 } else { value }])).save(path).unwrap();
+    GrayImage::from_fn(size.0, size.1, |column, _| Luma([if column < size.0 / 2 { 0 } else { value }]))
+        .save(path)
+        .unwrap();
 }
 
 /// Parameters of a COLMAP import that tests on the first of every four images.
