@@ -1,0 +1,41 @@
+//! Whole runs with small stages: this binary is the tests, the scheduler process that gets killed, and the child
+//! process of every job.
+
+mod crash;
+mod outcomes;
+mod reuse;
+#[path = "../../src/test_stages.rs"]
+mod test_stages;
+mod world;
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use libtest_mimic::{Arguments, Failed, Trial};
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words[1..] {
+        ["exec-job", spec] => match engine::job::execute(Path::new(spec), &world::registry()) {
+            Ok(code) => ExitCode::from(code),
+            Err(error) => {
+                eprintln!("{error:#}");
+                ExitCode::from(engine::exit::INFRASTRUCTURE)
+            }
+        },
+        ["schedule", root] => world::schedule(Path::new(root)),
+        _ => libtest_mimic::run(&Arguments::from_args(), trials()).exit_code(),
+    }
+}
+
+fn trials() -> Vec<Trial> {
+    let tests = [reuse::TESTS, outcomes::TESTS, crash::TESTS].concat();
+    let trial = |(name, test): (&'static str, fn())| {
+        Trial::test(name, move || {
+            test();
+            Ok::<(), Failed>(())
+        })
+    };
+    tests.into_iter().map(trial).collect()
+}

@@ -1,0 +1,187 @@
+//! What becomes of jobs that do not simply succeed.
+
+use std::fs;
+use std::time::Duration;
+
+use engine::event::{Event, Outcome};
+use engine::{FailureKind, exit};
+
+use crate::world::{GRID, World, nodes};
+
+pub const TESTS: &[(&str, fn())] = &[
+    ("failures_are_typed_and_the_rest_goes_on", failures_are_typed_and_the_rest_goes_on),
+    ("invalid_artifacts_are_not_published", invalid_artifacts_are_not_published),
+    ("failing_fast_launches_nothing_more", failing_fast_launches_nothing_more),
+    ("missing_data_skips_what_needs_it", missing_data_skips_what_needs_it),
+    ("nothing_but_missing_data_is_no_success", nothing_but_missing_data_is_no_success),
+    ("jobs_past_their_time_are_stopped", jobs_past_their_time_are_stopped),
+    ("interrupted_job_resumes", interrupted_job_resumes),
+    ("second_stop_ends_jobs_that_do_not_listen", second_stop_ends_jobs_that_do_not_listen),
+    ("thread_slots_are_respected", thread_slots_are_respected),
+    ("events_are_kept_as_json_lines", events_are_kept_as_json_lines),
+];
+
+/// One text, worked on by jobs that fail in every way, each followed by more work, and a list of all.
+fn failing(ways: &str) -> World {
+    World::new(&format!(
+        r#"
+[axes]
+way = [{ways}]
+[nodes.text]
+stage = "test-write"
+params = {{ text = "t" }}
+[nodes.work]
+stage = "test-work"
+over = ["way"]
+inputs = {{ text = "text" }}
+params = {{ fail = "{{way}}", steps = 3 }}
+[nodes.more]
+stage = "test-work"
+over = ["way"]
+inputs = {{ text = "work" }}
+[nodes.list]
+stage = "test-list"
+inputs = {{ texts = "more" }}
+"#
+    ))
+}
+
+fn failures_are_typed_and_the_rest_goes_on() {
+    let world = failing(r#""no", "error", "diverged", "panic", "abort""#);
+    let summary = world.run(&[]);
+    let failure = |way: &str| summary.results[&format!("work/{way}")].failure.clone().unwrap();
+    assert_eq!(failure("error").kind, FailureKind::BadInput);
+    assert_eq!(failure("diverged").kind, FailureKind::Diverged);
+    assert_eq!(failure("panic").to_string(), "panicked: told to panic; this is a bug; the log has a backtrace");
+    assert_eq!(failure("abort").to_string(), "killed by SIGABRT");
+    assert_eq!(nodes(&summary, Outcome::Skipped), ["more/abort", "more/diverged", "more/error", "more/panic"]);
+    assert_eq!(summary.results["more/abort"].because_of.as_deref(), Some("work/abort"));
+    // The list has all five, failed ones by kind.
+    let list = world.text(&summary, "list");
+    assert!(list.contains(r#"{"way": "no"} txxxx"#) && list.contains(r#"{"way": "diverged"} Diverged"#), "{list}");
+    assert_eq!(summary.exit_code(false), exit::FAILED);
+    // A failure is no cache hit; an unchanged list is.
+    let again = world.run(&[]);
+    assert_eq!((again.counts.executed, again.counts.failed), (0, 4));
+}
+
+fn invalid_artifacts_are_not_published() {
+    let world = World::new("[nodes.text]\nstage = \"test-write\"\nparams = { text = \"invalid\" }\n");
+    let summary = world.run(&[]);
+    let message = summary.results["text"].failure.as_ref().unwrap().to_string();
+    assert!(message.contains("calls itself invalid"), "{message}");
+    assert!(world.store().records().unwrap().is_empty());
+}
+
+fn failing_fast_launches_nothing_more() {
+    let world = failing(r#""error", "no""#);
+    let one_at_a_time = |options: &mut engine::scheduler::RunOptions| {
+        options.max_failures = Some(1);
+        options.jobs = 1;
+    };
+    let summary = world.run_with(&[], one_at_a_time, |_, _| ());
+    assert_eq!(nodes(&summary, Outcome::Failed), ["work/error"]);
+    assert_eq!(nodes(&summary, Outcome::NotRun), ["list", "more/no", "work/no"]);
+    assert_eq!(summary.exit_code(false), exit::FAILED);
+}
+
+/// [`GRID`] with texts from files.
+fn from_files() -> World {
+    World::new(&GRID.replace("text = \"{scene}:\"", "source = \"{scene}.txt\""))
+}
+
+fn missing_data_skips_what_needs_it() {
+    let world = from_files();
+    fs::write(world.root.join("data/ball.txt"), "ball:").unwrap();
+    let summary = world.run(&[]);
+    assert_eq!(nodes(&summary, Outcome::MissingData), ["text/lego"]);
+    assert_eq!(nodes(&summary, Outcome::Skipped), ["work/lego/p", "work/lego/q"]);
+    let message = summary.results["text/lego"].failure.as_ref().unwrap().to_string();
+    assert!(message.contains("--data-root") && message.ends_with("data/lego.txt"), "{message}");
+    assert!(world.text(&summary, "list").contains("MissingData"));
+    assert_eq!((summary.exit_code(false), summary.exit_code(true)), (exit::OK, exit::FAILED));
+
+    fs::write(world.root.join("data/lego.txt"), "lego:").unwrap();
+    let complete = world.run(&[]);
+    assert_eq!(nodes(&complete, Outcome::Cached), ["text/ball", "work/ball/p", "work/ball/q"]);
+    assert_eq!(complete.counts.executed, 4);
+}
+
+fn nothing_but_missing_data_is_no_success() {
+    let summary = from_files().run(&[]);
+    assert_eq!((summary.counts.missing_data, summary.counts.skipped), (2, 5));
+    assert_eq!(summary.exit_code(false), exit::NOTHING);
+}
+
+fn jobs_past_their_time_are_stopped() {
+    let world = failing(r#""no""#);
+    let limit = |options: &mut engine::scheduler::RunOptions| options.timeout = Some(Duration::from_millis(300));
+    let slow = ["nodes.work.params.sleep_millis=200", "nodes.work.params.steps=50"];
+    let summary = world.run_with(&slow, limit, |_, _| ());
+    assert_eq!(summary.results["work/no"].failure.as_ref().unwrap().kind, FailureKind::Timeout);
+    assert_eq!(summary.results["more/no"].outcome, Outcome::Skipped);
+}
+
+fn interrupted_job_resumes() {
+    let world = failing(r#""no""#);
+    let slow = ["nodes.work.params.sleep_millis=30", "nodes.work.params.steps=12"];
+    let stop_after_two = |options: &engine::scheduler::RunOptions, event: &Event| {
+        let two_done = matches!(event, Event::Progress { node, progress } if node == "work/no" && progress.done >= 2);
+        if two_done && options.stop.count() == 0 {
+            options.stop.request(libc::SIGINT);
+        }
+    };
+    let stopped = world.run_with(&slow, |_| (), stop_after_two);
+    assert_eq!(nodes(&stopped, Outcome::Interrupted), ["work/no"]);
+    assert_eq!(nodes(&stopped, Outcome::Skipped), ["list", "more/no"]);
+    assert_eq!(stopped.exit_code(false), exit::INTERRUPTED);
+
+    let resumed = world.run(&slow);
+    assert_eq!(world.text(&resumed, "work/no"), "txxxxxxxxxxxx");
+    let store = world.store();
+    let records = store.records().unwrap();
+    let record = records.iter().find(|record| record.provenance.node == "work/no").unwrap();
+    let measured = store.read_measurements(&record.measurements).unwrap();
+    assert!(measured["resumed_steps"].as_u64().unwrap() >= 2, "{measured}");
+    assert!(record.provenance.peak_rss_bytes.is_none_or(|bytes| bytes > 100_000));
+    assert!(!store.checkpoint_dir(record.key.as_str()).exists(), "checkpoints go when the result is there");
+}
+
+fn second_stop_ends_jobs_that_do_not_listen() {
+    let world = failing(r#""hang""#);
+    let stop_twice = |options: &engine::scheduler::RunOptions, event: &Event| {
+        if matches!(event, Event::Started { node, .. } if node == "work/hang") {
+            options.stop.request(libc::SIGINT);
+            options.stop.request(libc::SIGINT);
+            options.stop.request(libc::SIGINT);
+        }
+    };
+    let stopped = world.run_with(&[], |_| (), stop_twice);
+    assert_eq!(nodes(&stopped, Outcome::Interrupted), ["work/hang"]);
+}
+
+fn thread_slots_are_respected() {
+    let world = World::new(GRID);
+    let (mut running, mut most) = (0_usize, 0);
+    let watch = |_: &_, event: &Event| match event {
+        Event::Started { .. } => {
+            running += 1;
+            most = most.max(running);
+        }
+        Event::Finished { .. } => running = running.saturating_sub(1),
+        _ => {}
+    };
+    let summary = world.run_with(&[], |options| (options.jobs, options.threads) = (8, 2), watch);
+    assert_eq!((most, summary.counts.executed), (2, 7));
+}
+
+fn events_are_kept_as_json_lines() {
+    let world = World::new(GRID);
+    let summary = world.run(&[]);
+    let text = fs::read_to_string(world.store().run_dir(&summary.run).join("events.jsonl")).unwrap();
+    let events: Vec<Event> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let finished = |event: &&Event| matches!(event, Event::Finished { .. });
+    assert_eq!(events.iter().filter(finished).count(), 7);
+    assert!(matches!(events.first(), Some(Event::Planned { jobs: 7, .. })));
+    assert!(matches!(events.last(), Some(Event::RunFinished { counts, .. }) if counts.executed == 7));
+}

@@ -1,0 +1,158 @@
+//! What runs again and what does not.
+
+use std::fs;
+
+use engine::event::{Event, Outcome};
+
+use crate::world::{GRID, World, contents, nodes};
+
+pub const TESTS: &[(&str, fn())] = &[
+    ("second_run_executes_nothing", second_run_executes_nothing),
+    ("changed_parameter_reruns_its_dependants", changed_parameter_reruns_its_dependants),
+    ("equal_result_cuts_the_rerun_off", equal_result_cuts_the_rerun_off),
+    ("equal_actions_run_once", equal_actions_run_once),
+    ("renamed_axis_value_reruns_only_what_shows_it", renamed_axis_value_reruns_only_what_shows_it),
+    ("damaged_blobs_are_made_again", damaged_blobs_are_made_again),
+    ("forced_jobs_run_again", forced_jobs_run_again),
+    ("selection_runs_only_what_it_needs", selection_runs_only_what_it_needs),
+    ("changed_source_reruns_and_a_moving_one_is_not_recorded", sources),
+    ("two_runs_share_one_store", two_runs_share_one_store),
+];
+
+fn second_run_executes_nothing() {
+    let world = World::new(GRID);
+    let first = world.run(&[]);
+    assert_eq!(first.counts.executed, 7);
+    assert_eq!(world.text(&first, "work/lego/q"), "lego:qqq");
+    let list = world.text(&first, "list");
+    assert_eq!(list.lines().count(), 5);
+    assert!(list.contains(r#"{"scene": "ball", "seed": "p"} ball:ppp"#), "{list}");
+    assert_eq!(first.exit_code(true), engine::exit::OK);
+
+    let second = world.run(&[]);
+    assert_eq!((second.counts.executed, second.counts.cached), (0, 7));
+    assert_eq!(contents(&second), contents(&first));
+}
+
+fn changed_parameter_reruns_its_dependants() {
+    let world = World::new(GRID);
+    world.run(&[]);
+    // The same value, written differently, is the same.
+    let same = world.run(&["nodes.work.params.rate=1e-3"]);
+    assert_eq!(same.counts.executed, 0);
+    let rule = "\n[[set]]\nwhen = { scene = \"lego\" }\nnodes.work.params.steps = 4\n";
+    fs::write(world.root.join("recipe.toml"), format!("{GRID}{rule}")).unwrap();
+    let changed = world.run(&[]);
+    assert_eq!(nodes(&changed, Outcome::Executed), ["list", "work/lego/p", "work/lego/q"]);
+    assert_eq!(world.text(&changed, "work/lego/p"), "lego:pppp");
+}
+
+fn equal_result_cuts_the_rerun_off() {
+    let world = World::new(GRID);
+    world.run(&["nodes.work.params.keep=2"]);
+    // Another letter, but only "ba" and "le" are kept: the list has nothing new to read.
+    let cut = world.run(&["nodes.work.params.keep=2", "nodes.work.params.letter='z'"]);
+    assert_eq!(nodes(&cut, Outcome::Executed), ["work/ball/p", "work/lego/p"]);
+    assert_eq!(cut.results["list"].outcome, Outcome::Cached);
+}
+
+fn equal_actions_run_once() {
+    let world = World::new(GRID);
+    let summary = world.run(&["nodes.work.params.letter='z'"]);
+    // Both seeds do the same work now; the second takes the first one's result.
+    assert_eq!(summary.counts.executed, 5);
+    assert_eq!(summary.results["work/ball/p"].content, summary.results["work/ball/q"].content);
+    assert_eq!(world.text(&summary, "list").lines().count(), 5);
+}
+
+fn renamed_axis_value_reruns_only_what_shows_it() {
+    let recipe = GRID.replace("text = \"{scene}:\"", "text = \"same\"");
+    let world = World::new(&recipe);
+    world.run(&[]);
+    fs::write(world.root.join("recipe.toml"), recipe.replace("\"lego\"", "\"brick\"")).unwrap();
+    assert_eq!(nodes(&world.run(&[]), Outcome::Executed), ["list"]);
+}
+
+fn damaged_blobs_are_made_again() {
+    let world = World::new(GRID);
+    let first = world.run(&[]);
+    let store = world.store();
+    let blob_of = |node: &str| {
+        let manifest = store.manifest(&first.results[node].content.unwrap()).unwrap();
+        store.blob_path(&manifest.files[0].sha256)
+    };
+    fs::remove_file(blob_of("work/ball/p")).unwrap();
+    let corrupt = blob_of("text/lego");
+    fs::remove_file(&corrupt).unwrap();
+    fs::write(&corrupt, "LEGO:").unwrap();
+
+    let mut warnings = Vec::new();
+    let second = world.run_with(
+        &[],
+        |_| (),
+        |_, event| {
+            if let Event::Warning { message } = event {
+                warnings.push(message.clone());
+            }
+        },
+    );
+    assert_eq!(nodes(&second, Outcome::Executed), ["text/lego", "work/ball/p"]);
+    assert_eq!(warnings, ["text/lego runs again: text.txt is corrupt", "work/ball/p runs again: text.txt is missing"]);
+    assert_eq!(contents(&second), contents(&first));
+    assert_eq!(world.run(&[]).counts.executed, 0);
+    assert!(store.root().join("quarantine").read_dir().unwrap().count() > 0);
+}
+
+fn forced_jobs_run_again() {
+    let world = World::new(GRID);
+    let first = world.run(&[]);
+    let force = world.plan(&[]).select(&["work/ball".into()]).unwrap();
+    let second = world.run_with(&[], |options| options.force = force, |_, _| ());
+    assert_eq!(nodes(&second, Outcome::Executed), ["work/ball/p", "work/ball/q"]);
+    assert_eq!(contents(&second), contents(&first));
+}
+
+fn selection_runs_only_what_it_needs() {
+    let world = World::new(GRID);
+    let targets = world.plan(&[]).select(&["work/lego/q".into()]).unwrap();
+    let summary = world.run_with(&[], |options| options.targets = targets, |_, _| ());
+    assert_eq!(nodes(&summary, Outcome::Executed), ["text/lego", "work/lego/q"]);
+    assert_eq!(summary.sinks, ["work/lego/q"]);
+}
+
+fn sources() {
+    let recipe = "[nodes.text]\nstage = \"test-write\"\nparams = { source = \"in.txt\" }\n\
+        [nodes.work]\nstage = \"test-work\"\ninputs = { text = \"text\" }\n";
+    let world = World::new(recipe);
+    let file = world.root.join("data/in.txt");
+    fs::write(&file, "one").unwrap();
+    assert_eq!(world.text(&world.run(&[]), "work"), "onex");
+    assert_eq!(world.run(&[]).counts.executed, 0);
+    fs::write(&file, "two").unwrap();
+    assert_eq!(world.text(&world.run(&[]), "work"), "twox");
+
+    // Touched between hashing and the end of the job: used, reported, not recorded.
+    fs::write(&file, "three").unwrap();
+    let touch = |_: &_, event: &Event| {
+        if matches!(event, Event::Started { node, .. } if node == "text") {
+            fs::write(&file, "four").unwrap();
+        }
+    };
+    let moved = world.run_with(&[], |_| (), touch);
+    let note = moved.results["text"].note.clone().unwrap_or_default();
+    assert!(note.contains("changed while the job ran"), "{note}");
+    fs::write(&file, "three").unwrap();
+    assert_eq!(world.text(&world.run(&[]), "work"), "threex");
+}
+
+fn two_runs_share_one_store() {
+    let world = World::new(GRID);
+    let slow = ["nodes.work.params.sleep_millis=60"];
+    let (one, two) = std::thread::scope(|scope| {
+        let one = scope.spawn(|| world.run(&slow));
+        let two = scope.spawn(|| world.run(&slow));
+        (one.join().unwrap(), two.join().unwrap())
+    });
+    assert_eq!(contents(&one), contents(&two));
+    assert_eq!(one.counts.executed + two.counts.executed, 7, "every job runs in one of the runs only");
+}

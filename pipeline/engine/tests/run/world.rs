@@ -1,0 +1,132 @@
+//! A folder with a recipe, data and a store, and runs in it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use engine::event::{Event, Outcome};
+use engine::job::StopRequests;
+use engine::scheduler::{self, RunOptions, RunSummary};
+use engine::{CodeTable, CrateCode, Digest, Plan, Registry, Store};
+use tempfile::TempDir;
+
+use crate::test_stages::{List, Work, Write};
+
+/// Two texts, worked on twice each, and a list of the four.
+pub const GRID: &str = r#"
+name = "grid"
+[axes]
+scene = ["ball", "lego"]
+seed = ["p", "q"]
+[nodes.text]
+stage = "test-write"
+over = ["scene"]
+params = { text = "{scene}:" }
+[nodes.work]
+stage = "test-work"
+over = ["scene", "seed"]
+inputs = { text = "text" }
+params = { letter = "{seed}", steps = 3, sleep_millis = 10 }
+[nodes.list]
+stage = "test-list"
+inputs = { texts = "work" }
+"#;
+
+const CODE: CodeTable = CodeTable {
+    crates: &[crate_code("test-list"), crate_code("test-work"), crate_code("test-write")],
+};
+
+const fn crate_code(name: &'static str) -> CrateCode {
+    CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], external: "0" }
+}
+
+pub fn registry() -> Registry {
+    Registry::new(CODE).with::<Write>().with::<Work>().with::<List>()
+}
+
+pub struct World {
+    _keep: Option<TempDir>,
+    pub root: PathBuf,
+}
+
+impl World {
+    pub fn new(recipe: &str) -> Self {
+        let keep = tempfile::tempdir().unwrap();
+        let world = Self { root: keep.path().to_owned(), _keep: Some(keep) };
+        std::fs::create_dir(world.root.join("data")).unwrap();
+        std::fs::write(world.root.join("recipe.toml"), recipe).unwrap();
+        world
+    }
+
+    pub fn store(&self) -> Store {
+        Store::open(&self.root.join("store")).unwrap()
+    }
+
+    pub fn plan(&self, overrides: &[&str]) -> Plan {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        engine::recipe::resolve(&self.root.join("recipe.toml"), &overrides, &registry())
+            .unwrap_or_else(|errors| panic!("{errors}"))
+    }
+
+    pub fn options(&self, plan: &Plan) -> RunOptions {
+        RunOptions {
+            data_root: self.root.join("data"),
+            targets: (0..plan.nodes.len()).collect(),
+            force: Default::default(),
+            jobs: 4,
+            threads: 4,
+            max_failures: None,
+            timeout: None,
+            rehash: false,
+            log_filter: "info".into(),
+            command: vec![std::env::current_exe().unwrap().into(), "exec-job".into()],
+            stop: StopRequests::default(),
+            heartbeat: Duration::from_secs(30),
+        }
+    }
+
+    pub fn run(&self, overrides: &[&str]) -> RunSummary {
+        self.run_with(overrides, |_| (), |_, _| ())
+    }
+
+    /// A run with other options, watched.
+    pub fn run_with(
+        &self,
+        overrides: &[&str],
+        adjust: impl FnOnce(&mut RunOptions),
+        mut watch: impl FnMut(&RunOptions, &Event),
+    ) -> RunSummary {
+        let plan = self.plan(overrides);
+        let mut options = self.options(&plan);
+        adjust(&mut options);
+        scheduler::run(&plan, &self.store(), &options, &mut |event| watch(&options, event)).unwrap()
+    }
+
+    /// The text that a node made.
+    pub fn text(&self, summary: &RunSummary, node: &str) -> String {
+        let content = summary.results[node].content.unwrap_or_else(|| panic!("{node}: {:?}", summary.results[node]));
+        std::fs::read_to_string(self.store().view(&content).unwrap().join("text.txt")).unwrap()
+    }
+}
+
+/// The nodes with this outcome.
+pub fn nodes(summary: &RunSummary, outcome: Outcome) -> Vec<&str> {
+    let found = summary.results.iter().filter(|(_, result)| result.outcome == outcome);
+    found.map(|(name, _)| name.as_str()).collect()
+}
+
+/// The artifact of every node.
+pub fn contents(summary: &RunSummary) -> BTreeMap<String, Option<Digest>> {
+    summary.results.iter().map(|(name, result)| (name.clone(), result.content)).collect()
+}
+
+/// Runs the recipe of an existing world in this process, as the program would.
+pub fn schedule(root: &Path) -> ExitCode {
+    let world = World { root: root.to_owned(), _keep: None };
+    let plan = world.plan(&[]);
+    let mut options = world.options(&plan);
+    options.stop = StopRequests::listen().unwrap();
+    let summary = scheduler::run(&plan, &world.store(), &options, &mut |_| ()).unwrap();
+    ExitCode::from(summary.exit_code(false))
+}
