@@ -268,8 +268,7 @@ impl ClaimTable {
     pub fn new(row: &Row, group: &Group, claims: &[Claim], params: &TableGenerationParams) -> Option<Self> {
         let about = |claim: &&Claim| claim.method == row.method && claim.protocol.dataset == group.protocol.dataset;
         let measured_in = |scene: &String| row.by_scene.get(scene)?.get(&Column::Psnr).cloned();
-        let mut measured: Vec<Cell> =
-            group.scenes.iter().map(|scene| measured_in(scene).unwrap_or_default()).collect();
+        let mut measured: Vec<Cell> = group.scenes.iter().map(|scene| measured_in(scene).unwrap_or_default()).collect();
         measured.push(row.headline.get(&Column::Psnr).cloned().unwrap_or_default());
         let column = |claim: &Claim| {
             let differences = claim.protocol.differences(group);
@@ -287,7 +286,7 @@ impl ClaimTable {
                 .collect();
             entries.push(claim.mean.as_ref().and_then(|mean| {
                 let same_set = mean.scenes.iter().eq(group.scenes.iter().collect::<BTreeSet<_>>());
-                mean.values.psnr.map(|psnr| (psnr, verdict(psnr, measured.last()?, same_set)))
+                mean.values.psnr.zip(measured.last()).map(|(psnr, cell)| (psnr, verdict(psnr, cell, same_set)))
             }));
             let prints_any = entries.iter().any(Option::is_some);
             prints_any.then(|| ClaimColumn { claim: claim.clone(), differences: differences.clone(), entries })
@@ -312,7 +311,6 @@ impl Verdict {
         }
     }
 }
-
 
 #[cfg(test)]
 mod tests {

@@ -131,7 +131,8 @@ pub fn collect(context: &JobContext) -> anyhow::Result<Vec<Run>> {
     // A run is the finest set of coordinates; a producer that lacks an axis belongs to all of its runs.
     let mut finest: Vec<&Coordinates> = Vec::new();
     for InputRecord { coordinates, .. } in records() {
-        let coarser = records().any(|other| other.coordinates != *coordinates && is_part(coordinates, &other.coordinates));
+        let coarser =
+            records().any(|other| other.coordinates != *coordinates && is_part(coordinates, &other.coordinates));
         if !coarser && !finest.contains(&coordinates) {
             finest.push(coordinates);
         }

@@ -85,8 +85,11 @@ fn series(label: &str, style: usize, curves: &[&[CurvePoint]]) -> Option<Series>
         let value = (point.seconds, point.psnr_val?);
         (value.0.is_finite() && value.1.is_finite()).then_some(value)
     };
-    let curves: Vec<Vec<(f64, f64)>> =
-        curves.iter().map(|curve| curve.iter().filter_map(point).collect()).filter(|c: &Vec<_>| !c.is_empty()).collect();
+    let curves: Vec<Vec<(f64, f64)>> = curves
+        .iter()
+        .map(|curve| curve.iter().filter_map(point).collect())
+        .filter(|c: &Vec<_>| !c.is_empty())
+        .collect();
     let start = curves.iter().map(|curve| curve[0].0).max_by(f64::total_cmp)?;
     let end = curves.iter().map(|curve| curve[curve.len() - 1].0).min_by(f64::total_cmp)?;
     let mut moments: Vec<f64> = curves.iter().flatten().map(|(seconds, _)| *seconds).collect();

@@ -95,10 +95,12 @@ pub struct FailedRun {
 impl Report {
     /// Groups `runs` by protocol and metric definitions, aggregates them, and finds what was published about them.
     pub fn new(runs: Vec<Run>, claims: &[Claim], params: &TableGenerationParams) -> Self {
-        let is_missing = |run: &Run| run.failure.as_ref().is_some_and(|failure| failure.kind == FailureKind::MissingData);
-        let missing_data = runs.iter().filter(|run| is_missing(run)).filter_map(|run| {
-            run.failure.as_ref().map(|failure| (run.scene.clone(), failure.message.clone()))
-        });
+        let is_missing =
+            |run: &Run| run.failure.as_ref().is_some_and(|failure| failure.kind == FailureKind::MissingData);
+        let missing_data = runs
+            .iter()
+            .filter(|run| is_missing(run))
+            .filter_map(|run| run.failure.as_ref().map(|failure| (run.scene.clone(), failure.message.clone())));
         let failed = runs.iter().filter(|run| !is_missing(run)).filter_map(|run| {
             let (scene, row, seed) = (run.scene.clone(), run.row.clone(), run.seed.clone());
             run.failure.clone().map(|failure| FailedRun { scene, row, seed, failure })
@@ -218,7 +220,10 @@ fn row(name: &str, scenes: &[String], runs: &[&Run]) -> Row {
         method: runs.first().map(|run| run.method.clone()).unwrap_or_default(),
         headline: headline.into(),
         by_scene: by_scene.collect(),
-        phases: phases.into_iter().map(|(phase, secs)| (phase, secs.iter().sum::<f64>() / n_with_phases as f64)).collect(),
+        phases: phases
+            .into_iter()
+            .map(|(phase, secs)| (phase, secs.iter().sum::<f64>() / n_with_phases as f64))
+            .collect(),
     }
 }
 
@@ -291,7 +296,10 @@ fn rank_cells(cells: Vec<&mut Cell>, column: Column) {
     }
     for cell in cells {
         let better = |mine: f64| {
-            values.iter().filter(|other| if column.higher_is_better() { **other > mine } else { **other < mine }).count()
+            values
+                .iter()
+                .filter(|other| if column.higher_is_better() { **other > mine } else { **other < mine })
+                .count()
         };
         cell.rank = rounded(cell).map(|mine| 1 + better(mine));
     }

@@ -4,12 +4,15 @@ use std::fmt::Write as _;
 
 use crate::format::number;
 
-/// A panel's outer size and the margins around its plot, in px. The right margin holds the labels of the lines.
-const SIZE: [f64; 2] = [520.0, 330.0];
+/// A panel's height, the edges of its plot, and what lies around it, in px.
+const HEIGHT: f64 = 330.0;
 const LEFT: f64 = 58.0;
-const RIGHT: f64 = 130.0;
+const RIGHT: f64 = 400.0;
 const TOP: f64 = 34.0;
-const BOTTOM: f64 = 46.0;
+const BOTTOM: f64 = HEIGHT - 46.0;
+/// Room to the right of the plot: marker and value of a label, and each character of its name (12 px sans-serif).
+const LABEL_WIDTH: f64 = 70.0;
+const CHARACTER_WIDTH: f64 = 7.0;
 /// Baseline distance at which two labels do not touch.
 const LABEL_STEP: f64 = 14.0;
 /// Markers per line: enough to tell lines apart without hiding them.
@@ -51,14 +54,15 @@ pub struct Series {
 pub fn grid(panels: &[&Panel]) -> String {
     let columns = panels.len().clamp(1, COLUMNS);
     let rows = panels.len().div_ceil(columns).max(1);
-    let (width, height) = (SIZE[0] * columns as f64, SIZE[1] * rows as f64);
+    let panel_width = panels.iter().map(|panel| panel.width()).fold(RIGHT, f64::max);
+    let (width, height) = (panel_width * columns as f64, HEIGHT * rows as f64);
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
          height=\"{height}\" font-family=\"Helvetica, Arial, sans-serif\" font-size=\"12\" fill=\"#222\">\n\
          <rect width=\"{width}\" height=\"{height}\" fill=\"#fff\"/>\n"
     );
     for (i, panel) in panels.iter().enumerate() {
-        let (x, y) = (SIZE[0] * (i % columns) as f64, SIZE[1] * (i / columns) as f64);
+        let (x, y) = (panel_width * (i % columns) as f64, HEIGHT * (i / columns) as f64);
         svg += &format!("<g transform=\"translate({x} {y})\">\n{}</g>\n", panel.draw());
     }
     if panels.is_empty() {
@@ -89,6 +93,12 @@ impl Axis {
 }
 
 impl Panel {
+    /// Outer width: the plot and the longest label.
+    fn width(&self) -> f64 {
+        let longest = self.series.iter().map(|series| series.label.chars().count()).max().unwrap_or(0);
+        RIGHT + LABEL_WIDTH + CHARACTER_WIDTH * longest as f64
+    }
+
     fn draw(&self) -> String {
         let (x, y) = self.axes();
         let mut svg = self.frame(&x, &y);
@@ -100,39 +110,39 @@ impl Panel {
 
     /// Axes that hold every point; y has some air above and below.
     fn axes(&self) -> (Axis, Axis) {
-        let points = || self.series.iter().flat_map(|series| &series.points);
-        let xs = || points().map(|(x, _)| *x).filter(|x| !self.log_x || *x > 0.0);
+        let is_drawn = |(x, _): &&(f64, [f64; 3])| !self.log_x || *x > 0.0;
+        let points = || self.series.iter().flat_map(|series| &series.points).filter(is_drawn);
+        let xs = || points().map(|(x, _)| *x);
         let ys = || points().flat_map(|(_, [low, _, high])| [*low, *high]);
         let range = |low: f64, high: f64| if high > low { (low, high) } else { (low - 0.5, low + 0.5) };
         let x_high = xs().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
         let x_low = if self.log_x { xs().fold(f64::INFINITY, f64::min).min(x_high / 2.0) } else { 0.0 };
         let (y_low, y_high) = range(ys().fold(f64::INFINITY, f64::min), ys().fold(f64::NEG_INFINITY, f64::max));
         let air = 0.05 * (y_high - y_low);
-        let x = Axis::new(x_low, x_high, [LEFT, SIZE[0] - RIGHT], self.log_x);
-        (x, Axis::new(y_low - air, y_high + air, [SIZE[1] - BOTTOM, TOP], false))
+        let x = Axis::new(x_low, x_high, [LEFT, RIGHT], self.log_x);
+        (x, Axis::new(y_low - air, y_high + air, [BOTTOM, TOP], false))
     }
 
     /// Title, grid, ticks and axis labels.
     fn frame(&self, x: &Axis, y: &Axis) -> String {
-        let [right, bottom] = [x.to[1], y.to[0]];
         let mut svg = format!("<text x=\"{LEFT}\" y=\"20\" font-weight=\"bold\">{}</text>\n", self.title);
         for &tick in &y.ticks {
             let at = number(y.pixel(tick), 1);
-            writeln!(svg, "<path d=\"M{LEFT} {at}H{right}\" stroke=\"#e3e3e3\"/>").expect("string");
+            writeln!(svg, "<path d=\"M{LEFT} {at}H{RIGHT}\" stroke=\"#e3e3e3\"/>").expect("string");
             let text = tick_text(tick, &y.ticks);
             let x = LEFT - 7.0;
             writeln!(svg, "<text x=\"{x}\" y=\"{at}\" dy=\"4\" text-anchor=\"end\">{text}</text>").expect("string");
         }
         for &tick in &x.ticks {
             let at = number(x.pixel(tick), 1);
-            writeln!(svg, "<path d=\"M{at} {TOP}V{bottom}\" stroke=\"#e3e3e3\"/>").expect("string");
+            writeln!(svg, "<path d=\"M{at} {TOP}V{BOTTOM}\" stroke=\"#e3e3e3\"/>").expect("string");
             let text = tick_text(tick, &x.ticks);
-            let y = bottom + 16.0;
+            let y = BOTTOM + 16.0;
             writeln!(svg, "<text x=\"{at}\" y=\"{y}\" text-anchor=\"middle\">{text}</text>").expect("string");
         }
-        writeln!(svg, "<path d=\"M{LEFT} {TOP}V{bottom}H{right}\" fill=\"none\" stroke=\"#555\"/>").expect("string");
-        let (middle_x, middle_y) = ((LEFT + right) / 2.0, (TOP + bottom) / 2.0);
-        let below = bottom + 36.0;
+        writeln!(svg, "<path d=\"M{LEFT} {TOP}V{BOTTOM}H{RIGHT}\" fill=\"none\" stroke=\"#555\"/>").expect("string");
+        let (middle_x, middle_y) = ((LEFT + RIGHT) / 2.0, (TOP + BOTTOM) / 2.0);
+        let below = BOTTOM + 36.0;
         let x_label = &self.x_label;
         writeln!(svg, "<text x=\"{middle_x}\" y=\"{below}\" text-anchor=\"middle\">{x_label}</text>").expect("string");
         svg + &format!(
@@ -152,13 +162,11 @@ impl Panel {
         }
         // Labels that were pushed below the plot move up together.
         let overshoot = labels.last().map_or(0.0, |last| (last.0 - y.to[0]).max(0.0));
-        let x = SIZE[0] - RIGHT + 10.0;
+        let x = RIGHT + 12.0;
         let text = |(at, series, value): &(f64, &Series, f64)| {
-            let (at, colour) = (number(at - overshoot, 1), colour(series.style));
-            let marker = marker(series.style, x, at.parse().unwrap_or(0.0));
-            let (after, label) = (x + 9.0, &series.label);
-            let value = number(*value, 1);
-            format!("{marker}<text x=\"{after}\" y=\"{at}\" dy=\"4\" fill=\"{colour}\">{label} {value}</text>\n")
+            let marker = marker(series.style, x, at - overshoot);
+            let (at, after, label) = (number(at - overshoot, 1), x + 9.0, &series.label);
+            format!("{marker}<text x=\"{after}\" y=\"{at}\" dy=\"4\">{label} {}</text>\n", number(*value, 1))
         };
         labels.iter().map(text).collect()
     }
@@ -201,7 +209,9 @@ fn marker(style: usize, x: f64, y: f64) -> String {
         _ => "M-3 -3L3 3M3 -3L-3 3",
     };
     let (x, y, colour) = (number(x, 1), number(y, 1), colour(style));
-    format!("<path transform=\"translate({x} {y})\" d=\"{shape}\" fill=\"#fff\" stroke=\"{colour}\" stroke-width=\"1.6\"/>\n")
+    format!(
+        "<path transform=\"translate({x} {y})\" d=\"{shape}\" fill=\"#fff\" stroke=\"{colour}\" stroke-width=\"1.6\"/>\n"
+    )
 }
 
 /// Four to eight multiples of 1, 2 or 5 times a power of ten.

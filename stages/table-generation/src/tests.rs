@@ -1,1 +1,85 @@
+//! Reports of synthetic runs: structure, rules and planted faults.
 
+mod content;
+mod formats;
+mod stage;
+
+use engine::FailureKind;
+use metric_evaluation::Score;
+use scene::Protocol;
+
+use crate::collect::RunFailure;
+use crate::{Column, CurvePoint, Report, Run, TableGenerationParams, built_in_claims};
+
+/// The protocol of D-NeRF at a size, as the importer names it.
+fn protocol(size: u32) -> Protocol {
+    Protocol {
+        dataset: "dnerf".into(),
+        split: "official".into(),
+        width: size,
+        height: size,
+        resize: if size == 800 { "none" } else { "area" }.into(),
+        background: "white".into(),
+        time: "file time".into(),
+    }
+}
+
+/// A measured run at 800 px.
+fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
+    let figures = [
+        (Column::Psnr, psnr),
+        (Column::Ssim, 0.9 + psnr / 1000.0),
+        (Column::TrainingSecs, 100.0 + psnr),
+        (Column::Gaussians, 12345.0),
+        (Column::SizeMb, 2.5),
+        (Column::FpsModel, 50.0),
+    ];
+    let mut run = Run {
+        scene: scene.into(),
+        row: method.into(),
+        method: method.into(),
+        seed: seed.to_string(),
+        protocol: Some(protocol(800)),
+        judged_by: Some("test images · 8-bit levels (rounded) · per-image means · metric version 1".into()),
+        figures: figures.into_iter().map(|(column, value)| (column, Score::Value(value))).collect(),
+        phases: [("blend".to_owned(), 30.0), ("custom".to_owned(), 2.0)].into(),
+        machines: vec!["training on cpu, 2 threads".into()],
+        action_keys: [("model".to_owned(), "0123456789ab".to_owned())].into(),
+        ..Run::default()
+    };
+    run.figures.insert(Column::MsSsim, Score::undefined("image smaller than 161 px"));
+    run.set_curve((0..6).map(|i| point(f64::from(i), psnr)).collect());
+    run
+}
+
+/// A curve that approaches `psnr`.
+fn point(i: f64, psnr: f64) -> CurvePoint {
+    let psnr_val = Some(psnr * (1.0 - 0.5 * (-i).exp()));
+    CurvePoint { seconds: 20.0 * i, iteration: 100 * i as u64, n_gaussians: 10, psnr_val }
+}
+
+/// A run whose training failed.
+fn failed(scene: &str, method: &str, seed: u32, kind: FailureKind) -> Run {
+    let (row, seed) = (method.to_owned(), seed.to_string());
+    let failure =
+        RunFailure { producer: format!("train/{scene}/{method}/{seed}"), kind, message: format!("{scene} went wrong") };
+    Run { scene: scene.into(), method: row.clone(), row, seed, failure: Some(failure), ..Run::default() }
+}
+
+fn report(runs: Vec<Run>) -> Report {
+    let report = Report::new(runs, &built_in_claims().expect("valid claims"), &TableGenerationParams::default());
+    report.check().expect("a valid report");
+    report
+}
+
+/// Two methods on two scenes with two seeds.
+fn two_by_two() -> Vec<Run> {
+    let mut runs = Vec::new();
+    for (seed, shift) in [(0, 0.0), (1, 0.2)] {
+        runs.push(run("bouncingballs", "static3dgs", seed, 25.0 + shift));
+        runs.push(run("bouncingballs", "deformable4dgs", seed, 40.5 + shift));
+        runs.push(run("trex", "static3dgs", seed, 23.0 + shift));
+        runs.push(run("trex", "deformable4dgs", seed, 33.0 + shift));
+    }
+    runs
+}

@@ -119,11 +119,17 @@ fn scene_cell_text(cell: &Cell) -> Text {
 
 /// Published values in columns of their own, each with its source, protocol and verdict.
 fn claim_table(claims: &ClaimTable) -> Table {
-    let marks = (1..=claims.columns.len()).map(|i| format!("published [{i}]"));
+    let heading = |(i, column): (usize, &ClaimColumn)| {
+        let comparable = if column.differences.is_empty() { "" } else { ", not comparable" };
+        format!("published [{}]{comparable}", i + 1)
+    };
+    let marks = claims.columns.iter().enumerate().map(heading);
     let header = ["scene".into(), "measured".into()].into_iter().chain(marks).collect();
     let mut table = Table::new(format!("{}: PSNR (dB) beside published values", claims.row), header);
     for (i, (line, measured)) in claims.lines.iter().zip(&claims.measured).enumerate() {
-        let mut cells = vec![Text::plain(line), Text { rank: 0, ..scene_cell_text(measured) }];
+        let is_mean = i + 1 == claims.lines.len();
+        let ours = if is_mean { cell_text(measured, Column::Psnr) } else { scene_cell_text(measured) };
+        let mut cells = vec![Text::plain(line), Text { rank: 0, ..ours }];
         cells.extend(claims.columns.iter().map(|column| Text::plain(claim_text(column, i, claims))));
         table.rows.push(cells);
     }
@@ -140,7 +146,8 @@ fn claim_text(column: &ClaimColumn, line: usize, claims: &ClaimTable) -> String 
         Verdict::Reproduced { delta_db } => format!(", reproduced ({})", signed(*delta_db, 2)),
         Verdict::Below { delta_db } => format!(", measured below ({})", signed(*delta_db, 2)),
         Verdict::Above { delta_db } => format!(", measured above ({})", signed(*delta_db, 2)),
-        Verdict::NotComparable => ", not comparable".into(),
+        // The column's heading says so, or the mean is visibly one over another set of scenes.
+        Verdict::NotComparable => String::new(),
         Verdict::NotMeasured => ", not measured".into(),
     };
     published + &of + &judged
@@ -152,7 +159,8 @@ fn claim_note(number_of_source: usize, column: &ClaimColumn) -> String {
         Kind::Quoted => "quoted",
         Kind::ReMeasured => "re-measured by others",
     };
-    let mut note = format!("[{number_of_source}] {kind}, {} ({}): {}.", claim.source, claim.label, claim.protocol.line());
+    let mut note =
+        format!("[{number_of_source}] {kind}, {} ({}): {}.", claim.source, claim.label, claim.protocol.line());
     if !column.differences.is_empty() {
         note += &format!(" Not comparable because: {}.", column.differences.join("; "));
     }
@@ -169,7 +177,8 @@ fn claim_note(number_of_source: usize, column: &ClaimColumn) -> String {
 fn time_table(group: &Group) -> Option<Table> {
     let columns = Column::TIME_TO_QUALITY;
     let header = ["method · scene".into()].into_iter().chain(columns.map(Column::heading)).collect();
-    let caption = format!("Protocol {}: seconds of training to 90, 95 and 99 % of the last validation PSNR", group.name);
+    let caption =
+        format!("Protocol {}: seconds of training to 90, 95 and 99 % of the last validation PSNR", group.name);
     let mut table = Table::new(caption, header);
     for row in &group.rows {
         for scene in &group.scenes {
@@ -191,7 +200,8 @@ fn phase_table(group: &Group) -> Option<Table> {
     let known = PHASES.into_iter().filter(|phase| names.contains(phase));
     let phases: Vec<&str> = known.chain(names.iter().copied().filter(|name| !PHASES.contains(name))).collect();
     let header = ["method"].into_iter().chain(phases.iter().copied()).map(String::from).collect();
-    let mut table = Table::new(format!("Protocol {}: seconds per phase of training, mean over runs", group.name), header);
+    let mut table =
+        Table::new(format!("Protocol {}: seconds per phase of training, mean over runs", group.name), header);
     for row in measured {
         let secs = |phase: &&str| Text::plain(row.phases.get(*phase).map_or(NONE.into(), |secs| number(*secs, 1)));
         table.rows.push([Text::plain(&row.name)].into_iter().chain(phases.iter().map(secs)).collect());

@@ -1,0 +1,146 @@
+//! The stage on real artifacts.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use engine::{Artifact, Coordinates, Failure, InputRecord, JobContext, Stage};
+use metric_evaluation::evaluate_folders;
+use rendering::{RenderedView, Renders};
+use scene::{Split, TimeMap};
+use serde_json::{Value, json};
+use training::{Model, ModelHeader, NamedTensor};
+
+use super::*;
+use crate::{ReportFolder, TableGeneration};
+
+fn coordinates(method: &str) -> Coordinates {
+    [("scene", "trex"), ("method", method), ("seed", "0")].map(|(axis, value)| (axis.into(), value.into())).into()
+}
+
+fn record(node: &str, method: &str, artifact: Result<&Path, Failure>, measurements: Value) -> InputRecord {
+    InputRecord {
+        producer: format!("{node}/trex/{method}/0"),
+        coordinates: coordinates(method),
+        artifact: artifact.map(Path::to_path_buf),
+        measurements,
+        action_key: format!("{node}-0123456789abcdef"),
+    }
+}
+
+/// Writes a model, renders and metrics that belong together.
+fn write_artifacts(root: &Path) {
+    let [model, renders, metrics] = ["model", "renders", "metrics"].map(|name| root.join(name));
+    [&model, &renders.join("images"), &metrics]
+        .into_iter()
+        .for_each(|dir| std::fs::create_dir_all(dir).expect("folder"));
+    let header = ModelHeader {
+        method: "static3dgs".into(),
+        method_params: json!({}),
+        protocol: protocol(8),
+        background: [1.0; 3],
+        time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
+        scene_extent: 1.0,
+        sh_degree: 0,
+        n_gaussians: 7,
+        iterations: vec![("train".into(), 10)],
+        seed: 0,
+        skipped: BTreeMap::new(),
+    };
+    let tensor = NamedTensor { shape: vec![7, 3], values: vec![0.5; 21] };
+    Model { header, tensors: [("gaussians.positions".to_owned(), tensor)].into() }.save(&model).expect("written");
+    image(&renders.join("images/test_0.png"), 100);
+    let view = RenderedView {
+        name: "test_0".into(),
+        camera_index: 0,
+        frame_index: 0,
+        time_secs: 0.0,
+        image: "images/test_0.png".into(),
+        depth: None,
+    };
+    let rendered = Renders {
+        dir: renders.clone(),
+        method: "static3dgs".into(),
+        protocol: protocol(8),
+        split: Split::Test,
+        views: vec![view],
+        n_gaussians: 7,
+        model_size_bytes: 84,
+    };
+    rendered.save(&renders).expect("written");
+    let truth = root.join("truth");
+    std::fs::create_dir(&truth).expect("folder");
+    image(&truth.join("test_0.png"), 90);
+    let mut judged = evaluate_folders(&renders.join("images"), &truth).expect("judged");
+    (judged.method, judged.protocol) = ("static3dgs".into(), protocol(8));
+    judged.write(&metrics).expect("written");
+}
+
+/// A plain PNG of 8×8 px.
+fn image(path: &Path, level: u8) {
+    let capture_image = image::RgbImage::from_pixel(8, 8, image::Rgb([level; 3]));
+    capture_image.save(path).expect("image written");
+}
+
+#[test]
+fn artifacts_and_failures_become_a_report() {
+    let root = tempfile::tempdir().expect("folder");
+    write_artifacts(root.path());
+    let mut context = JobContext::detached(root.path()).expect("context");
+    let failure = Failure::new(FailureKind::OutOfMemory, "out of memory").at("/some/path");
+    let rate = |median: f64| json!({ "median": median, "mean": median, "p95_ms": 1.0, "frames": 5 });
+    let trained = json!({
+        "training_secs": 12.5, "total_secs": 20.0, "peak_memory_bytes": 3_000_000_u64, "ms_per_iteration": 4.5,
+        "curve": [{ "seconds": 1.0, "iteration": 10, "n_gaussians": 7, "psnr_val": 20.0, "loss": 0.1 }],
+        "phases": { "blend": 3.0 }, "device": "cpu", "threads": 2
+    });
+    let rendered = json!({ "fps_raster": rate(90.0), "fps_model": rate(80.0), "fps_delivered": rate(60.0) });
+    for (port, node, measured) in
+        [("model", "train", trained), ("renders", "render", rendered), ("metrics", "metrics", Value::Null)]
+    {
+        let dir = root.path().join(port);
+        let records = vec![
+            record(node, "static3dgs", Ok(&dir), measured),
+            record(node, "deformable4dgs", Err(failure.clone()), Value::Null),
+        ];
+        context.inputs.insert(port.into(), records);
+    }
+    let folder = TableGeneration::run(&context, &TableGenerationParams::default()).expect("a report");
+    assert_eq!(ReportFolder::open(&root.path().join("output")).expect("opened"), folder);
+    let [good, bad] = folder.report.runs.as_slice() else { panic!("two runs") };
+    let figure = |column| good.figures[&column].value();
+    assert_eq!(figure(Column::TrainingSecs), Some(12.5));
+    assert_eq!(figure(Column::PeakMemoryMb), Some(3.0));
+    assert_eq!(figure(Column::Gaussians), Some(7.0));
+    assert_eq!(figure(Column::SizeMb), Some(84e-6));
+    assert_eq!(figure(Column::FpsDelivered), Some(60.0));
+    assert!(figure(Column::Psnr).is_some_and(|psnr| (psnr - 28.13).abs() <= 0.01));
+    assert_eq!(good.action_keys["model"], "train-012345");
+    let failure = bad.failure.as_ref().expect("a failure");
+    assert_eq!((failure.producer.as_str(), failure.message.as_str()), ("train/trex/deformable4dgs/0", "out of memory"));
+    let text = folder.markdown().expect("read");
+    assert!(text.contains("| deformable4dgs | OOM |"), "{text}");
+    assert!(!text.contains("/some/path"), "paths differ between machines");
+}
+
+#[test]
+fn unreadable_measurements_blame_their_producer() {
+    let root = tempfile::tempdir().expect("folder");
+    write_artifacts(root.path());
+    let mut context = JobContext::detached(root.path()).expect("context");
+    let dir = root.path().join("model");
+    let wrong = json!({ "training_secs": "fast" });
+    context.inputs.insert("model".into(), vec![record("train", "static3dgs", Ok(&dir), wrong)]);
+    context.inputs.extend(["renders", "metrics"].map(|port| (port.to_owned(), Vec::new())));
+    let error = TableGeneration::run(&context, &TableGenerationParams::default()).expect_err("must be refused");
+    assert!(error.to_string().contains("train/trex/static3dgs/0"), "{error:#}");
+}
+
+#[test]
+fn a_tolerance_that_is_none_is_refused() {
+    for tolerance in [f64::NAN, 0.0, -1.0] {
+        let params = TableGenerationParams { reproduced_within_db: tolerance, ..Default::default() };
+        assert_eq!(TableGeneration::check_params(&params).len(), 1);
+    }
+    assert!(TableGeneration::check_params(&TableGenerationParams::default()).is_empty());
+    assert!(serde_json::from_str::<TableGenerationParams>(r#"{ "titel": "x" }"#).is_err());
+}
