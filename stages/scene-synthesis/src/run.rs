@@ -59,7 +59,7 @@ pub fn synthesize(
         anyhow::bail!("{} {}", problem.key, problem.message);
     }
     let world = scenes::build(params);
-    let shots = shots(params);
+    let shots = shots(params, world.center_world);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     let mut writer = CaptureWriter::create(dir, info(params, &world))?;
     let mut done = 0;

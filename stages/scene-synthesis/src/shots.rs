@@ -39,11 +39,12 @@ pub struct Shot {
     pub time_secs: f64,
 }
 
-/// All images of the capture.
-pub fn shots(params: &Params) -> Vec<Shot> {
+/// All images of the capture, with cameras about the point `center_world`.
+pub fn shots(params: &Params, center_world: DVec3) -> Vec<Shot> {
     let mut shots = training_shots(params);
     shots.extend(held_out_shots(params, Split::Val, params.val_views));
     shots.extend(held_out_shots(params, Split::Test, params.test_views));
+    shots.iter_mut().for_each(|shot| shot.camera = centred(shot.camera, center_world));
     shots
 }
 
@@ -129,7 +130,7 @@ fn rig(params: &Params, position: f64) -> (f64, f64) {
     (-PI + PI * share, ELEVATION + 0.15 * (PI * position).cos())
 }
 
-/// A camera in the given direction from the centre, looking at it.
+/// A camera in the given direction from the origin, looking at it.
 fn camera(params: &Params, azimuth: f64, elevation: f64) -> Camera {
     let (width, height) = (f64::from(params.width), f64::from(params.height));
     let focal = 0.5 * width / (0.5 * params.field_of_view_degrees.to_radians()).tan();
@@ -144,4 +145,11 @@ fn camera(params: &Params, azimuth: f64, elevation: f64) -> Camera {
     let (sin, cos) = elevation.sin_cos();
     let direction = DVec3::new(cos * azimuth.cos(), cos * azimuth.sin(), sin);
     Camera::look_at(intrinsics, DISTANCE * direction, DVec3::ZERO, DVec3::Z)
+}
+
+/// The camera, moved with the origin that it looks at to `center_world`.
+fn centred(mut camera: Camera, center_world: DVec3) -> Camera {
+    let pose = &mut camera.camera_from_world;
+    pose.translation -= pose.rotation * center_world;
+    camera
 }

@@ -1,1 +1,369 @@
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
+use engine::{JobContext, Stage};
+use glam::{DVec2, DVec3};
+use scene::{Camera, Capture, Frame, Split, View};
+
+use crate::params::*;
+use crate::render::{centre_hits, ray_world, render};
+use crate::run::{SceneSynthesis, synthesize};
+use crate::scenes;
+use crate::shape::{Ray, Shape};
+use crate::shots::{Shot, shots};
+use crate::wave::Wave;
+use crate::world::World;
+
+const SCENES: [SceneKind; 5] = [
+    SceneKind::BouncingSpheres,
+    SceneKind::SwingingArm,
+    SceneKind::WavingCloth,
+    SceneKind::Occluder,
+    SceneKind::StaticBlocks,
+];
+const TRUTHS: [Truth; 6] = [Truth::Alpha, Truth::Depth, Truth::Flow, Truth::Masks, Truth::Velocity, Truth::Points];
+
+fn small(scene: SceneKind) -> Params {
+    Params {
+        scene,
+        width: 40,
+        height: 32,
+        frames: 6,
+        val_views: 2,
+        test_views: 2,
+        samples_per_pixel: 4,
+        truths: TRUTHS.into(),
+        points: 50,
+        ..Params::default()
+    }
+}
+
+fn scene_and_shots(params: &Params) -> (World, Vec<Shot>) {
+    let world = scenes::build(params);
+    let shots = shots(params, world.center_world);
+    (world, shots)
+}
+
+/// The world point that a pixel's centre sees, from its depth alone.
+fn unprojected(camera: &Camera, index: usize, depth_view: f32) -> DVec3 {
+    let width = camera.intrinsics.width as usize;
+    let centre = DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
+    camera.camera_from_world.inverse().apply(camera.ray_view(centre) * f64::from(depth_view))
+}
+
+fn centre_of(camera: &Camera, index: usize) -> DVec2 {
+    let width = camera.intrinsics.width as usize;
+    DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5)
+}
+
+/// Largest distance in pixels between the flow and where depth and velocity say that the pixel goes, over pixels with
+/// flow; the number of those that move by more than a hundredth of a pixel.
+fn flow_error_px(frame: &Frame, frame_secs: f64) -> (f64, usize) {
+    let (depth, flow) = (frame.depth.as_ref().unwrap(), frame.flow.as_ref().unwrap());
+    let velocity = &frame.velocity.as_ref().unwrap().velocity_world;
+    let (mut worst, mut moving) = (0.0_f64, 0);
+    for (index, flow) in flow.flow_px.iter().enumerate().filter(|(_, flow)| !flow[0].is_nan()) {
+        let [x, y, z] = velocity[index].map(f64::from);
+        let moved = unprojected(&frame.camera, index, depth.depth_view[index]) + DVec3::new(x, y, z) * frame_secs;
+        let expected = frame.camera.project(moved).unwrap().0 - centre_of(&frame.camera, index);
+        let flow = DVec2::new(f64::from(flow[0]), f64::from(flow[1]));
+        worst = worst.max(flow.distance(expected));
+        moving += usize::from(flow.length() > 0.01);
+    }
+    (worst, moving)
+}
+
+#[test]
+fn flow_is_where_depth_and_velocity_lead() {
+    for scene in SCENES {
+        // A short time step, in which every motion is nearly straight; three tenths of a second into the scene.
+        let fps = 2000.0;
+        let params = Params { fps, frames: 700, width: 80, height: 64, ..small(scene) };
+        let (world, shots) = scene_and_shots(&params);
+        let mut frame = render(&world, &shots[600], &params);
+        let (worst, moving) = flow_error_px(&frame, 1.0 / fps);
+        assert!(worst <= 2e-3, "{scene:?}: {worst} px");
+        assert!((moving > 20) == (scene != SceneKind::StaticBlocks), "{scene:?}: {moving} pixels move");
+        // Planted fault: the comparison must notice one velocity that points elsewhere.
+        let flow = &frame.flow.as_ref().unwrap().flow_px;
+        let seen = flow.iter().position(|flow| !flow[0].is_nan()).unwrap();
+        frame.velocity.as_mut().unwrap().velocity_world[seen] = [9.0, -9.0, 9.0];
+        assert!(flow_error_px(&frame, 1.0 / fps).0 > 2e-3, "{scene:?}: the comparison is blind");
+    }
+}
+
+#[test]
+fn velocity_is_the_derivative_of_position() {
+    for scene in SCENES {
+        let params = small(scene);
+        let (world, shots) = scene_and_shots(&params);
+        let mut compared = 0;
+        for shot in &shots {
+            let (now, step) = (world.at(shot.time_secs), 1e-5);
+            let (before, after) = (world.at(shot.time_secs - step), world.at(shot.time_secs + step));
+            for hit in centre_hits(&now, &shot.camera).into_iter().flatten() {
+                let [a, b] = [&before, &after].map(|instant| instant.position_world(hit.body, hit.material));
+                let velocity = now.velocity_world(hit.body, hit.material);
+                let error = velocity.distance((b - a) / (2.0 * step));
+                assert!(error <= 1e-7 * (1.0 + velocity.length()), "{scene:?}: {velocity} is off by {error}");
+                compared += 1;
+            }
+        }
+        assert!(compared > 1000);
+    }
+}
+
+#[test]
+fn hits_lie_on_their_surface_and_nothing_lies_before_them() {
+    for scene in SCENES {
+        let params = small(scene);
+        let (world, shots) = scene_and_shots(&params);
+        for shot in &shots[..3] {
+            let instant = world.at(shot.time_secs);
+            for (index, hit) in centre_hits(&instant, &shot.camera).into_iter().enumerate() {
+                let Some(hit) = hit else { continue };
+                let ray = ray_world(&shot.camera, centre_of(&shot.camera, index));
+                let (pixel, depth_view) = shot.camera.project(ray.at(hit.distance)).unwrap();
+                assert!((depth_view - hit.distance).abs() <= 1e-12, "distances along rays are depths");
+                assert!(pixel.distance(centre_of(&shot.camera, index)) <= 1e-9);
+                let surface = instant.position_world(hit.body, hit.material);
+                assert!(surface.distance(ray.at(hit.distance)) <= 1e-9, "{scene:?}");
+                assert!((hit.normal_world.length() - 1.0).abs() <= 1e-9);
+                assert!(hit.normal_world.dot(ray.direction) <= 0.0, "normals face the camera");
+            }
+        }
+    }
+}
+
+#[test]
+fn depth_of_a_sphere_is_that_of_geometry() {
+    let sphere = Shape::Sphere { radius: 0.5 };
+    let through_centre = Ray { origin: DVec3::new(0.0, 0.0, -3.0), direction: DVec3::Z };
+    assert_eq!(sphere.hit(&through_centre, 0.0).unwrap(), (2.5, -DVec3::Z));
+    // At the height h above the axis the surface is sqrt(r² - h²) before the centre.
+    let beside = Ray { origin: DVec3::new(0.0, 0.3, -3.0), direction: 2.0 * DVec3::Z };
+    assert!((sphere.hit(&beside, 0.0).unwrap().0 - 0.5 * (3.0 - 0.4)).abs() <= 1e-15);
+    assert!(sphere.hit(&Ray { origin: DVec3::new(0.0, 0.51, -3.0), direction: DVec3::Z }, 0.0).is_none());
+    assert!(sphere.hit(&Ray { origin: DVec3::new(0.0, 0.0, 3.0), direction: DVec3::Z }, 0.0).is_none(), "behind");
+    let inside = Ray { origin: DVec3::ZERO, direction: DVec3::X };
+    assert_eq!(sphere.hit(&inside, 0.0).unwrap().0, 0.5, "domes are seen from inside");
+}
+
+/// Distance of a point from a shape's surface, by its definition and not by the intersection formulas.
+fn distance_from(shape: &Shape, point: DVec3) -> f64 {
+    match shape {
+        Shape::Sphere { radius } => point.length() - radius,
+        Shape::Block { half } => (point.abs() - half).max_element(),
+        Shape::Capsule { length, radius } => point.distance(DVec3::Z * point.z.clamp(0.0, *length)) - radius,
+        Shape::Cloth(wave) => point.z - wave.height(point.x, point.y, 0.3).value,
+    }
+}
+
+#[test]
+fn no_shape_is_passed_through() {
+    let shapes = [
+        Shape::Sphere { radius: 0.7 },
+        Shape::Block { half: DVec3::new(0.3, 0.8, 0.5) },
+        Shape::Capsule { length: 0.9, radius: 0.25 },
+        Shape::Cloth(Wave::new(DVec2::new(0.85, 0.75), 0.24, 1.0)),
+    ];
+    for shape in shapes {
+        let mut hits = 0;
+        for index in 0..400 {
+            let angle = f64::from(index) * 2.399;
+            let height = f64::from(index % 20) / 10.0 - 0.95;
+            let origin = DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), height);
+            let target = DVec3::new(0.3 * (angle * 1.7).sin(), 0.3 * (angle * 2.3).cos(), 0.4 * (angle * 3.1).sin());
+            let ray = Ray { origin, direction: (target - origin) * 0.7 };
+            let end = match shape.hit(&ray, 0.3) {
+                Some((s, _)) => {
+                    hits += 1;
+                    assert!(distance_from(&shape, ray.at(s)).abs() <= 1e-11, "{shape:?}");
+                    s
+                }
+                None => 6.0,
+            };
+            // Marching along the ray meets no earlier change of sides within the shape's bounds.
+            let (center, radius) = shape.bounding_sphere();
+            let within = |point: DVec3| match &shape {
+                Shape::Cloth(wave) => point.abs().cmple(wave.half_box()).all(),
+                _ => point.distance(center) <= radius,
+            };
+            let samples =
+                (0..3000).map(|step| ray.at((end - 1e-6) * f64::from(step) / 3000.0)).filter(|at| within(*at));
+            let sides: Vec<bool> = samples.map(|point| distance_from(&shape, point) > 0.0).collect();
+            assert!(sides.windows(2).all(|pair| pair[0] == pair[1]), "{shape:?}: ray {index} passes through");
+        }
+        assert!(hits > 100, "{shape:?}: {hits} rays meet it");
+    }
+}
+
+#[test]
+fn masks_name_what_is_seen() {
+    let params = small(SceneKind::BouncingSpheres);
+    let (world, shots) = scene_and_shots(&params);
+    let frame = render(&world, &shots[0], &params);
+    let (labels, depth) = (&frame.mask.unwrap().labels, &frame.depth.unwrap().depth_view);
+    for (index, label) in labels.iter().enumerate().filter(|(_, label)| **label > 0) {
+        let point = unprojected(&frame.camera, index, depth[index]);
+        let ball = &world.bodies[usize::from(*label)];
+        let Shape::Sphere { radius } = ball.shape else { panic!("label {label} is not a ball") };
+        let center = (ball.motion)(frame.time_secs).world_from_object.translation;
+        assert!((point.distance(center) - radius).abs() <= 1e-5, "label {label} at {point}");
+    }
+    assert!(world.class_names.len() == 4 && labels.iter().any(|label| *label > 0));
+}
+
+#[test]
+fn what_stands_still_has_no_flow_and_no_velocity() {
+    let params = small(SceneKind::StaticBlocks);
+    let (world, shots) = scene_and_shots(&params);
+    let frame = render(&world, &shots[1], &params);
+    assert!(frame.velocity.unwrap().velocity_world.iter().flatten().all(|value| *value == 0.0));
+    let flow = frame.flow.unwrap().flow_px;
+    let seen: Vec<_> = flow.iter().flatten().filter(|value| !value.is_nan()).collect();
+    assert!(seen.len() > 200 && seen.iter().all(|value| value.abs() <= 1e-5));
+    assert!(frame.mask.unwrap().labels.iter().all(|label| *label == 0));
+}
+
+#[test]
+fn the_tunnel_hides_the_ball_and_lets_it_out_again() {
+    // Half a second is a quarter of the ball's way: from the end to the middle of the tunnel.
+    let params = Params { camera: CameraPath::Rig, rig_cameras: 3, fps: 2.0, frames: 3, ..small(SceneKind::Occluder) };
+    let (world, shots) = scene_and_shots(&params);
+    let front = |frame: u32| {
+        let shot = shots.iter().find(|shot| shot.camera_index == 1 && shot.frame_index == frame).unwrap();
+        render(&world, shot, &params)
+    };
+    let ball_pixels = |frame: &Frame| frame.mask.as_ref().unwrap().labels.iter().filter(|label| **label == 1).count();
+    let [start, middle, end] = [0, 1, 2].map(front);
+    let counts = [ball_pixels(&start), ball_pixels(&middle), ball_pixels(&end)];
+    assert!(counts[0] > 10 && counts[1] == 0 && counts[2] > 10, "{counts:?}");
+    let hidden = start.mask.unwrap().labels.into_iter().zip(start.flow.unwrap().flow_px);
+    assert!(hidden.filter(|(label, _)| *label == 1).all(|(_, flow)| flow[0].is_nan()), "hidden at the next frame");
+    assert!(end.flow.is_none(), "the last frame has no next one");
+}
+
+/// Every file below a folder.
+fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let (mut files, mut folders) = (BTreeMap::new(), vec![dir.to_path_buf()]);
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.insert(path.strip_prefix(dir).unwrap().to_owned(), std::fs::read(&path).unwrap());
+            }
+        }
+    }
+    files
+}
+
+fn capture_files(params: &Params, threads: usize) -> BTreeMap<PathBuf, Vec<u8>> {
+    let dir = tempfile::tempdir().unwrap();
+    synthesize(params, dir.path(), threads, |_, _| Ok(())).unwrap();
+    files(dir.path())
+}
+
+#[test]
+fn bytes_depend_on_the_seed_and_not_on_threads() {
+    for scene in SCENES {
+        let params = small(scene);
+        let one = capture_files(&params, 1);
+        assert!(one == capture_files(&params, 3), "{scene:?}");
+        assert!(one != capture_files(&Params { seed: 1, ..params }, 1), "{scene:?}: the seed has no effect");
+    }
+}
+
+#[test]
+fn the_stage_writes_a_valid_capture() {
+    for camera in [CameraPath::Hemisphere, CameraPath::Orbit, CameraPath::Arc, CameraPath::Rig] {
+        let dir = tempfile::tempdir().unwrap();
+        let context = JobContext::detached(dir.path()).unwrap();
+        let params = Params { camera, rig_cameras: 3, ..small(SceneKind::WavingCloth) };
+        SceneSynthesis::run(&context, &params).unwrap();
+        let capture = Capture::open(context.output_dir()).unwrap();
+        capture.check().unwrap();
+        let count = |split| capture.views_of(split).count();
+        let train = if camera == CameraPath::Rig { 18 } else { 6 };
+        assert_eq!([count(Split::Train), count(Split::Val), count(Split::Test)], [train, 2, 2], "{camera:?}");
+        let distinct = |a: &View, b: &View| a.camera.camera_from_world != b.camera.camera_from_world;
+        for (_, test) in capture.views_of(Split::Test) {
+            let others = capture.views.iter().filter(|view| view.split != Split::Test);
+            assert!(others.into_iter().all(|view| distinct(test, view)), "{camera:?}: {} is not held out", test.name);
+            let instants = capture.views_of(Split::Train).filter(|(_, view)| view.time_secs == test.time_secs);
+            assert_eq!(instants.count() > 0, camera == CameraPath::Rig, "{camera:?}: {}", test.name);
+        }
+        assert_eq!(capture.load_points().unwrap().unwrap().len(), 50);
+        let labels = capture.views.iter().flat_map(|view| capture.load_mask(view).unwrap().unwrap().labels);
+        assert_eq!(labels.max(), Some(1));
+        let flows = capture.views_of(Split::Train).filter(|(_, view)| view.flow.is_some()).count();
+        assert_eq!(flows, train / 6 * 5, "all but the last frame");
+        assert!(capture.scene_extent() > 0.5);
+    }
+}
+
+#[test]
+fn truths_that_are_off_write_nothing() {
+    let params = Params { truths: Default::default(), ..small(SceneKind::SwingingArm) };
+    let dir = tempfile::tempdir().unwrap();
+    synthesize(&params, dir.path(), 1, |_, _| Ok(())).unwrap();
+    let files = files(dir.path());
+    assert_eq!(files.len(), 11, "ten images and their description: {:?}", files.keys());
+    // What is off has no influence on what is on.
+    let with = tempfile::tempdir().unwrap();
+    synthesize(&small(SceneKind::SwingingArm), with.path(), 1, |_, _| Ok(())).unwrap();
+    let image = |dir: &Path| std::fs::read(dir.join("images/train_0003.png")).unwrap();
+    assert!(image(dir.path()) == image(with.path()));
+}
+
+#[test]
+fn backgrounds_are_what_they_are_called() {
+    let corner = |background| {
+        let params = Params { background, ..small(SceneKind::SwingingArm) };
+        let (world, shots) = scene_and_shots(&params);
+        let frame = render(&world, &shots[0], &params);
+        (frame.image.get_pixel(0, 0).0, frame.alpha.unwrap().get_pixel(0, 0).0[0])
+    };
+    assert_eq!(corner(Background::White), ([255; 3], 0));
+    assert_eq!(corner(Background::Black), ([0; 3], 0));
+    let (dome, covered) = corner(Background::None);
+    assert!(covered == 255 && dome != [0; 3] && dome != [255; 3], "{dome:?}");
+}
+
+#[test]
+fn shadows_darken_and_highlights_brighten() {
+    let params = small(SceneKind::StaticBlocks);
+    let (world, shots) = scene_and_shots(&params);
+    let image = |params: &Params| render(&world, &shots[0], params).image.into_raw();
+    let plain = image(&params);
+    let shadowed = image(&Params { shadows: true, ..params.clone() });
+    let glossy = image(&Params { specular: 0.8, ..params.clone() });
+    let darker = plain.iter().zip(&shadowed).filter(|(plain, shadowed)| shadowed < plain).count();
+    assert!(darker > 50 && plain.iter().zip(&shadowed).all(|(plain, shadowed)| shadowed <= plain));
+    assert!(plain != glossy && plain.iter().zip(&glossy).all(|(plain, glossy)| glossy >= plain));
+}
+
+#[test]
+fn parameters_out_of_range_are_all_named() {
+    assert!(Params::default().problems().is_empty());
+    let wrong =
+        Params { width: 0, fps: f64::NAN, samples_per_pixel: 5, specular: -1.0, frames: 0, ..Params::default() };
+    let keys: Vec<_> = SceneSynthesis::check_params(&wrong).into_iter().map(|problem| problem.key).collect();
+    assert_eq!(keys, ["width", "frames", "fps", "samples_per_pixel", "specular"]);
+    assert!(synthesize(&wrong, Path::new("unused"), 1, |_, _| Ok(())).is_err());
+    let json =
+        serde_json::from_str::<Params>(r#"{"scene": "swinging-arm", "truths": ["flow", "depth"], "camera": "arc"}"#);
+    assert_eq!(json.unwrap().truths, [Truth::Depth, Truth::Flow].into());
+    assert!(serde_json::from_str::<Params>(r#"{"framez": 3}"#).is_err());
+}
+
+#[test]
+fn a_stopped_job_ends_early() {
+    let dir = tempfile::tempdir().unwrap();
+    let context = JobContext::detached(dir.path()).unwrap();
+    context.stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    assert!(SceneSynthesis::run(&context, &small(SceneKind::Occluder)).is_err());
+    assert!(!context.output_dir().join("capture.json").exists());
+}

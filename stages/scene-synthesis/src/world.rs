@@ -35,7 +35,9 @@ pub struct World {
     pub bodies: Vec<Body>,
     /// Names of the moving instances.
     pub class_names: Vec<String>,
-    /// Min and max corner of what the bodies reach (without a surrounding dome).
+    /// What cameras look at.
+    pub center_world: DVec3,
+    /// Min and max corner of what the bodies reach.
     pub bounds_world: [[f64; 3]; 2],
 }
 

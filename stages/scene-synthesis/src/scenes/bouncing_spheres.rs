@@ -46,7 +46,12 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
             motion: Box::new(move |time_secs| hops.at(time_secs)),
         });
     }
-    World { bodies, class_names, bounds_world: [[-1.0, -1.0, -0.82], [1.0, 1.0, 0.8]] }
+    World {
+        bodies,
+        class_names,
+        center_world: DVec3::new(0.0, 0.0, -0.25),
+        bounds_world: [[-1.0, -1.0, -0.82], [1.0, 1.0, 0.8]],
+    }
 }
 
 impl Hops {

@@ -15,8 +15,8 @@ use crate::shape::Shape;
 use crate::texture::{Pattern, Texture};
 use crate::world::{Body, World};
 
-/// Of the dome that stands behind everything where there is no background colour: twice the cameras' distance.
-pub const DOME_RADIUS: f64 = 8.0;
+/// Of the dome that stands behind everything where there is no background colour: one and a half times the cameras' distance.
+pub const DOME_RADIUS: f64 = 6.0;
 
 /// The world that the parameters ask for.
 pub fn build(params: &Params) -> World {
@@ -31,6 +31,7 @@ pub fn build(params: &Params) -> World {
     if params.background == Background::None {
         let texture = Texture::new(Pattern::Noise, 0.6, [0x6f87a5, 0xc9d4dc]);
         world.bodies.push(Body::resting(Shape::Sphere { radius: DOME_RADIUS }, texture, DVec3::ZERO));
+        world.bounds_world = [[-DOME_RADIUS; 3], [DOME_RADIUS; 3]];
     }
     world
 }

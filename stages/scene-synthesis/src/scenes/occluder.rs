@@ -13,7 +13,7 @@ use crate::world::{Body, World};
 const FLOOR_TOP: f64 = -0.45;
 const RADIUS: f64 = 0.24;
 /// The ball's centre swings between x = -REACH and x = REACH.
-const REACH: f64 = 1.0;
+const REACH: f64 = 0.95;
 /// Time to the other side and back.
 const PERIOD_SECS: f64 = 2.0;
 /// Half the length of the tunnel: longer than the ball, so that it hides it.
@@ -37,14 +37,19 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
     let roof_position = DVec3::new(0.0, 0.0, FLOOR_TOP + 2.0 * inner + 0.5 * roof);
     let roof_body = Body::resting(Shape::Block { half: roof_half }, stone(0x3d6b57), roof_position);
     // A landmark that is not symmetric, drawn by the seed.
-    let mark = DVec3::new(random.random_range(-0.7..-0.3), 0.72, FLOOR_TOP + 0.2);
+    let mark = DVec3::new(random.random_range(-0.8..-0.5), 0.46, FLOOR_TOP + 0.16);
     let mark_texture = Texture::new(Pattern::Checker, 5.0, [0x22577a, 0xdce9f0]);
-    let mark_body = Body::resting(Shape::Block { half: DVec3::new(0.14, 0.14, 0.2) }, mark_texture, mark);
+    let mark_body = Body::resting(Shape::Block { half: DVec3::new(0.11, 0.11, 0.16) }, mark_texture, mark);
     let ground = Texture::new(Pattern::Checker, 2.0, [0xa59a86, 0xdcd3c1]);
     let mut plate = floor(1.0, FLOOR_TOP, ground);
-    plate.shape = Shape::Block { half: DVec3::new(1.28, 0.95, 0.03) };
+    plate.shape = Shape::Block { half: DVec3::new(1.22, 0.62, 0.03) };
     let bodies = vec![plate, wall_body(-1.0, 0x5b4a3f), wall_body(1.0, 0x44546a), roof_body, mark_body, ball];
-    World { bodies, class_names: vec!["ball".into()], bounds_world: [[-1.3, -1.0, -0.52], [1.3, 1.0, 0.25]] }
+    World {
+        bodies,
+        class_names: vec!["ball".into()],
+        center_world: DVec3::new(0.0, 0.0, -0.3),
+        bounds_world: [[-1.25, -0.65, -0.52], [1.25, 0.65, 0.25]],
+    }
 }
 
 /// Rolls without slipping along x.

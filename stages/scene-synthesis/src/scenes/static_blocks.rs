@@ -29,5 +29,10 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
     let column = Texture::new(Pattern::Noise, 8.0, [0x7a5a12, 0xf5d76e]);
     let column_shape = Shape::Capsule { length: 0.75, radius: 0.13 };
     bodies.push(Body::resting(column_shape, column, DVec3::new(0.0, 0.0, FLOOR_TOP)));
-    World { bodies, class_names: Vec::new(), bounds_world: [[-1.0, -1.0, -0.68], [1.0, 1.0, 0.65]] }
+    World {
+        bodies,
+        class_names: Vec::new(),
+        center_world: DVec3::new(0.0, 0.0, -0.2),
+        bounds_world: [[-1.0, -1.0, -0.68], [1.0, 1.0, 0.65]],
+    }
 }

@@ -40,11 +40,11 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
     let pedestal = Texture::new(Pattern::Noise, 9.0, [0x3b3f45, 0x8b9097]);
     let foot = DVec3::new(0.0, 0.0, -0.74);
     let mut bodies =
-        vec![floor(0.9, -0.75, texture), Body::resting(Shape::Capsule { length: 0.28, radius: 0.2 }, pedestal, foot)];
+        vec![floor(0.9, -0.75, texture), Body::resting(Shape::Capsule { length: 0.28, radius: 0.24 }, pedestal, foot)];
     let looks = [
-        (0.14, Texture::new(Pattern::Stripes, 2.4, [0xc8451b, 0xf5c33b])),
-        (0.115, Texture::new(Pattern::Checker, 5.0, [0x1d5c8a, 0xe6eff5])),
-        (0.09, Texture::new(Pattern::Noise, 8.0, [0x6a1b7a, 0xf0a6c8])),
+        (0.17, Texture::new(Pattern::Stripes, 2.4, [0xc8451b, 0xf5c33b])),
+        (0.145, Texture::new(Pattern::Checker, 5.0, [0x1d5c8a, 0xe6eff5])),
+        (0.12, Texture::new(Pattern::Noise, 8.0, [0x6a1b7a, 0xf0a6c8])),
     ];
     for (index, (radius, texture)) in looks.into_iter().enumerate() {
         let count = index + 2;
@@ -55,7 +55,12 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
             motion: Box::new(move |time_secs| placement(&chain[..count], time_secs)),
         });
     }
-    World { bodies, class_names: vec!["arm".into()], bounds_world: [[-1.3, -1.3, -0.82], [1.3, 1.3, 1.2]] }
+    World {
+        bodies,
+        class_names: vec!["arm".into()],
+        center_world: DVec3::new(0.0, 0.0, -0.1),
+        bounds_world: [[-1.3, -1.3, -0.82], [1.3, 1.3, 1.2]],
+    }
 }
 
 /// The last link of a chain, joint by joint.

@@ -46,5 +46,10 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
     };
     let ground = floor(0.95, -0.78, Texture::new(Pattern::Noise, 5.0, [0x6d7f52, 0xb7c08c]));
     let bodies = vec![ground, post(-1.0), post(1.0), rod, sheet];
-    World { bodies, class_names: vec!["cloth".into()], bounds_world: [[-1.05, -1.0, -0.85], [1.1, 1.0, 0.85]] }
+    World {
+        bodies,
+        class_names: vec!["cloth".into()],
+        center_world: DVec3::new(0.0, 0.0, -0.25),
+        bounds_world: [[-1.05, -1.0, -0.85], [1.1, 1.0, 0.85]],
+    }
 }
