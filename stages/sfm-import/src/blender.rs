@@ -84,6 +84,7 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         name: dir.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         format: Format::Blender,
         dataset: if timed > 0 { "dnerf" } else { "blender" },
+        wants_test: true,
         split_rule: rules.join(", "),
         time_rule: if is_static { "one instant".into() } else { "(file time - min) / (max - min)".into() },
         time_map,

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use engine::{JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
+use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
 use rayon::prelude::*;
 use scene::float_image::{FloatImage, ResizeFilter};
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
@@ -56,10 +56,8 @@ impl Stage for SfmImport {
             !stop.load(Ordering::Relaxed)
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        match pool.install(|| convert(&source, params, output_dir, &on_view))? {
-            Some(capture) => Ok(CaptureArtifact(capture)),
-            None => Err(context.interrupted()),
-        }
+        let capture = pool.install(|| convert(&source, params, output_dir, &on_view))?;
+        Ok(CaptureArtifact(capture))
     }
 }
 
@@ -67,8 +65,7 @@ impl Stage for SfmImport {
 pub fn import(dir: &Path, params: &Params, output_dir: &Path) -> anyhow::Result<Capture> {
     let source = source::read(dir, params)?;
     refuse(&source)?;
-    let capture = convert(&source, params, output_dir, &|_, _| true)?;
-    Ok(capture.expect("nobody asks it to stop"))
+    convert(&source, params, output_dir, &|_, _| true)
 }
 
 /// Fails with the first problem and the number of others.
@@ -85,27 +82,33 @@ fn refuse(source: &SourceCapture) -> Result<()> {
     Err(first)
 }
 
-/// Writes all views and points; `None` when `on_view(done, total)` says stop.
+/// Writes all views and points; interrupted once `on_view(done, total)` says no.
 fn convert(
     source: &SourceCapture,
     params: &Params,
     output_dir: &Path,
     on_view: &(dyn Fn(u64, u64) -> bool + Sync),
-) -> anyhow::Result<Option<Capture>> {
+) -> anyhow::Result<Capture> {
     let conversion = Conversion::plan(source, params)?;
-    let mut writer = CaptureWriter::create(output_dir, conversion.info(source, params))?;
+    let mut writer = CaptureWriter::create(output_dir, conversion.info(source, params)).map_err(not_written)?;
     if !source.points.is_empty() {
         let positions = source.points.iter().map(|(position, _)| position.map(|value| value as f32)).collect();
         let colors = source.points.iter().map(|(_, rgb)| *rgb).collect();
-        writer.write_points(&PointCloud { positions, colors })?;
+        writer.write_points(&PointCloud { positions, colors }).map_err(not_written)?;
     }
     let (done, total) = (AtomicU64::new(0), source.frames.len() as u64);
-    let views = source.frames.par_iter().map(|frame| -> anyhow::Result<bool> {
-        writer.write_view(&conversion.view(frame)?)?;
-        Ok(on_view(done.fetch_add(1, Ordering::Relaxed) + 1, total))
-    });
-    let go_on = views.try_reduce(|| true, |left, right| Ok(left && right))?;
-    Ok(if go_on { Some(writer.finish()?) } else { None })
+    source.frames.par_iter().try_for_each(|frame| -> anyhow::Result<()> {
+        writer.write_view(&conversion.view(frame)?).map_err(not_written)?;
+        let go_on = on_view(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        let stopped = || Failure::new(FailureKind::Interrupted, "stopped on request");
+        if go_on { Ok(()) } else { Err(stopped().into()) }
+    })?;
+    Ok(writer.finish()?)
+}
+
+/// What was read is good, so what cannot be written is the machine's fault.
+fn not_written(error: scene::Error) -> Failure {
+    Failure { kind: FailureKind::World, message: error.message, hint: error.hint, path: error.path }
 }
 
 /// What is the same for every image of a capture.

@@ -26,6 +26,8 @@ pub struct SourceCapture {
     pub dataset: &'static str,
     /// How views became train, val and test.
     pub split_rule: String,
+    /// Whether test views are wanted.
+    pub wants_test: bool,
     /// How times became [0, 1].
     pub time_rule: String,
     /// Over all splits, before any subsampling.
@@ -181,7 +183,7 @@ impl SourceCapture {
         };
         let train = empty(Split::Train, "nothing can be trained: change every_nth, val_count or the split files");
         let test = empty(Split::Test, "nothing could be measured: change every_nth or test_split");
-        train.into_iter().chain(test).collect()
+        train.into_iter().chain(test.filter(|_| self.wants_test)).collect()
     }
 
     fn name_problems(&self) -> Vec<Failure> {

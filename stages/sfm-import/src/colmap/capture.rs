@@ -36,13 +36,8 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     if model.cameras.len() > 1 && model.cameras.len() == model.images.len() && !params.static_scene {
         warnings.push("every image has a calibration of its own: photos of a scene at rest want static = true".into());
     }
-    let mut registered: Vec<&RegisteredImage> = model.images.values().collect();
-    registered.sort_by(|a, b| natural_order(&a.name, &b.name));
-    let places = places(present.iter().map(String::as_str).chain(registered.iter().map(|image| image.name.as_str())));
     let source = FrameSource { dir, images_dir: &images_dir, sparse: &sparse, model: &model, params };
-    let frames =
-        registered.iter().enumerate().map(|(index, image)| source.frame(index, image, places[image.name.as_str()]));
-    let mut frames = frames.collect::<Result<Vec<_>>>()?;
+    let mut frames = source.frames(&present)?;
     warnings.extend(drop_misfit_masks(&mut frames));
     let mut rules = vec![split_tests(&mut frames, params)];
     let time_map = time_map(&frames, params);
@@ -51,6 +46,7 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         name: dir.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         format: Format::Colmap,
         dataset: "colmap",
+        wants_test: params.every_nth > 0,
         split_rule: rules.join(", "),
         time_rule: if params.static_scene { "one instant".into() } else { "sorted frame / (frames - 1)".into() },
         time_map,
@@ -140,6 +136,16 @@ struct FrameSource<'a> {
 }
 
 impl FrameSource<'_> {
+    /// All registered images in natural order of their names; `present` are the names of all images.
+    fn frames(&self, present: &[String]) -> Result<Vec<Frame>> {
+        let mut registered: Vec<&RegisteredImage> = self.model.images.values().collect();
+        registered.sort_by(|a, b| natural_order(&a.name, &b.name));
+        let names = registered.iter().map(|image| image.name.as_str());
+        let places = places(present.iter().map(String::as_str).chain(names));
+        let frame = |(index, image): (usize, &&RegisteredImage)| self.frame(index, image, places[image.name.as_str()]);
+        registered.iter().enumerate().map(frame).collect()
+    }
+
     /// The `index`-th registered image, all of them training views for now.
     fn frame(&self, index: usize, image: &RegisteredImage, (camera, frame): (u32, u32)) -> Result<Frame> {
         let is_static = self.params.static_scene;

@@ -5,27 +5,31 @@ use std::path::{Path, PathBuf};
 
 use walkdir::WalkDir;
 
-/// The folder of the sparse model: `sparse/0`, the first numbered model where there is no 0, `sparse`, or `dir`.
+/// The folder of the sparse model: the first of `sparse/0`, `sparse/1`, …, else `sparse`, else `dir`.
+///
+/// Below `sparse` one file of a model is enough, so that the missing ones are named by whoever reads it.
 pub fn sparse_dir(dir: &Path) -> Option<PathBuf> {
-    let sparse = dir.join("sparse");
-    let candidates = numbered_models(dir).into_iter().chain([sparse, dir.to_owned()]);
-    candidates.into_iter().find(|candidate| holds_model(candidate))
+    let below = numbered_models(dir).into_iter().chain([dir.join("sparse")]);
+    let here = (has(dir, "cameras") && has(dir, "images")).then(|| dir.to_owned());
+    below.into_iter().find(|candidate| is_model(candidate)).or(here)
 }
 
 /// `sparse/N`, by number. More than one means that structure from motion broke the scene into parts.
 pub fn numbered_models(dir: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(dir.join("sparse")).into_iter().flatten().flatten().map(|entry| entry.path());
     let number = |path: &Path| path.file_name()?.to_str()?.parse::<u32>().ok();
-    let mut models: Vec<_> = entries.filter(|path| holds_model(path)).filter_map(|p| Some((number(&p)?, p))).collect();
+    let mut models: Vec<_> = entries.filter(|path| is_model(path)).filter_map(|p| Some((number(&p)?, p))).collect();
     models.sort();
     models.into_iter().map(|(_, path)| path).collect()
 }
 
-/// Cameras beside images say that a model is meant; missing parts are an error of their own.
-fn holds_model(dir: &Path) -> bool {
-    let has = |name: &str| ["bin", "txt"].iter().any(|extension| dir.join(format!("{name}.{extension}")).is_file());
-    has("cameras") && has("images")
-        || dir.file_name().is_some_and(|name| name == "0") && (has("cameras") || has("images"))
+fn is_model(dir: &Path) -> bool {
+    has(dir, "cameras") || has(dir, "images")
+}
+
+/// Whether one of a model's files is there, binary or text.
+fn has(dir: &Path, name: &str) -> bool {
+    ["bin", "txt"].iter().any(|extension| dir.join(format!("{name}.{extension}")).is_file())
 }
 
 /// The folder that image names are relative to: `images` where it exists, else `dir`.

@@ -207,3 +207,16 @@ fn damaged_images_are_refused() {
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     assert_refused(dir.path(), &Params::default(), &["image cannot be read", "val/r_000.png"]);
 }
+
+#[test]
+fn stop_requests_interrupt_the_import() {
+    let dir = blender_scene();
+    let root = tempfile::tempdir().unwrap();
+    let mut context = engine::JobContext::detached(root.path()).unwrap();
+    context.sources.insert("source".into(), dir.path().into());
+    context.stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    let error = <crate::SfmImport as engine::Stage>::run(&context, &Params::default()).err().unwrap();
+    let failure = error.downcast_ref::<engine::Failure>().unwrap();
+    assert_eq!(failure.kind, engine::FailureKind::Interrupted);
+    assert!(!root.path().join("output/capture.json").exists());
+}

@@ -57,6 +57,18 @@ fn a_video_has_times_points_and_a_split() {
 }
 
 #[test]
+fn no_test_views_are_made_only_when_asked() {
+    let dir = Workspace::video(5).write();
+    let params = Params { every_nth: 0, val_count: Some(2), ..colmap_params() };
+    let (_root, capture) = run(dir.path(), &params).unwrap();
+    let counts = [Split::Train, Split::Val, Split::Test].map(|split| capture.views_of(split).count());
+    assert_eq!(counts, [3, 2, 0]);
+    assert_eq!(capture.protocol.split, "no test, 2 training views held out for validation");
+    let single = Workspace::video(1).write();
+    assert_refused(single.path(), &colmap_params(), &["the train split of", "is empty"]);
+}
+
+#[test]
 fn text_models_import_as_binary_ones_do() {
     let workspace = Workspace::video(6);
     let dir = workspace.write();
@@ -197,8 +209,11 @@ fn missing_and_foreign_images_are_refused() {
     assert_refused(dir.path(), &colmap_params(), &["leads out of the images' folder"]);
     let twice = Workspace::new(2, "SIMPLE_PINHOLE", &[30.0, 12.0, 8.0], |i| ["a b.png", "a_b.png"][i as usize].into());
     assert_refused(twice.write().path(), &Params::default(), &["would both be called a_b"]);
-    std::fs::remove_file(dir.path().join("sparse/0/points3D.bin")).unwrap();
-    assert_refused(dir.path(), &colmap_params(), &["cannot read the file", "points3D.bin"]);
+    for file in ["points3D.bin", "images.bin", "cameras.bin"] {
+        let dir = Workspace::video(3).write();
+        std::fs::remove_file(dir.path().join("sparse/0").join(file)).unwrap();
+        assert_refused(dir.path(), &colmap_params(), &["cannot read the file", file.trim_end_matches("bin")]);
+    }
 }
 
 #[test]
