@@ -39,36 +39,21 @@ pub enum Component {
 
 impl Change {
     pub fn new(component: Component, sentence: impl Into<String>) -> Self {
-        Self {
-            component,
-            sentence: sentence.into(),
-        }
+        Self { component, sentence: sentence.into() }
     }
 }
 
 /// Everything in which `new` differs from `old`; empty for equal keys.
 pub fn diff(old: &KeyComponents, new: &KeyComponents) -> Vec<Change> {
     // Named one by one, so that no component is forgotten.
-    let KeyComponents {
-        stage,
-        code,
-        params,
-        inputs,
-        sources,
-        output,
-        environment,
-    } = new;
+    let KeyComponents { stage, code, params, inputs, sources, output, environment } = new;
     let mut changes = Vec::new();
     let mut add = |component, sentence| changes.push(Change::new(component, sentence));
     if old.stage != *stage {
         add(Component::Stage, format!("stage {} → {stage}", old.stage));
     }
-    diff_code(&old.code, code)
-        .into_iter()
-        .for_each(|sentence| add(Component::Code, sentence));
-    diff_values("params", Some(&old.params), Some(params), &mut |sentence| {
-        add(Component::Params, sentence)
-    });
+    diff_code(&old.code, code).into_iter().for_each(|sentence| add(Component::Code, sentence));
+    diff_values("params", Some(&old.params), Some(params), &mut |sentence| add(Component::Params, sentence));
     for name in keys(&old.sources, sources) {
         if let Some(how) = how(old.sources.get(name), sources.get(name)) {
             add(Component::Source, format!("source {name} {how}"));
@@ -76,28 +61,15 @@ pub fn diff(old: &KeyComponents, new: &KeyComponents) -> Vec<Change> {
     }
     if old.output != *output {
         let (old, new) = (&old.output, output);
-        add(
-            Component::Output,
-            format!(
-                "output {} schema {} → {} schema {}",
-                old.0, old.1, new.0, new.1
-            ),
-        );
+        add(Component::Output, format!("output {} schema {} → {} schema {}", old.0, old.1, new.0, new.1));
     }
     if old.environment != *environment {
-        add(
-            Component::Environment,
-            format!("environment {} → {environment}", old.environment),
-        );
+        add(Component::Environment, format!("environment {} → {environment}", old.environment));
     }
     for port in keys(&old.inputs, inputs) {
-        let producers = |inputs: &BTreeMap<String, Vec<KeyInput>>| {
-            inputs.get(port).cloned().unwrap_or_default()
-        };
+        let producers = |inputs: &BTreeMap<String, Vec<KeyInput>>| inputs.get(port).cloned().unwrap_or_default();
         let sentences = diff_inputs(port, &producers(&old.inputs), &producers(inputs));
-        sentences
-            .into_iter()
-            .for_each(|sentence| add(Component::Input, sentence));
+        sentences.into_iter().for_each(|sentence| add(Component::Input, sentence));
     }
     changes
 }
@@ -120,17 +92,10 @@ fn diff_values(key: &str, old: Option<&Value>, new: Option<&Value>, add: &mut im
             let names: BTreeSet<&String> = old.keys().chain(new.keys()).collect();
             let child = |map: &Map<String, Value>, name: &str| map.get(name).cloned();
             for name in names {
-                diff_values(
-                    &format!("{key}.{name}"),
-                    child(old, name).as_ref(),
-                    child(new, name).as_ref(),
-                    add,
-                );
+                diff_values(&format!("{key}.{name}"), child(old, name).as_ref(), child(new, name).as_ref(), add);
             }
         }
-        (Some(old), Some(new)) if old != new => {
-            add(format!("{key} {} → {}", shown(old), shown(new)))
-        }
+        (Some(old), Some(new)) if old != new => add(format!("{key} {} → {}", shown(old), shown(new))),
         (Some(old), None) => add(format!("{key} {} removed", shown(old))),
         (None, Some(new)) => add(format!("{key} {} added", shown(new))),
         _ => (),
@@ -151,31 +116,17 @@ fn shown(value: &Value) -> String {
 fn diff_inputs(port: &str, old: &[KeyInput], new: &[KeyInput]) -> Vec<String> {
     let by_coordinates = |inputs: &[KeyInput]| -> BTreeMap<String, KeyInput> {
         let name = |(index, input): (usize, &KeyInput)| {
-            let values: Vec<String> = input
-                .coordinates
-                .iter()
-                .map(|(axis, value)| format!("{axis}={value}"))
-                .collect();
+            let values: Vec<String> = input.coordinates.iter().map(|(axis, value)| format!("{axis}={value}")).collect();
             // Several templates may hand over the same coordinates.
-            let twins = inputs[..index]
-                .iter()
-                .filter(|other| other.coordinates == input.coordinates)
-                .count();
-            (
-                format!("{}{}", values.join(" "), " again".repeat(twins)),
-                input.clone(),
-            )
+            let twins = inputs[..index].iter().filter(|other| other.coordinates == input.coordinates).count();
+            (format!("{}{}", values.join(" "), " again".repeat(twins)), input.clone())
         };
         inputs.iter().enumerate().map(name).collect()
     };
     let (old_named, new_named) = (by_coordinates(old), by_coordinates(new));
     let mut sentences = Vec::new();
     for name in keys(&old_named, &new_named) {
-        let label = if name.is_empty() {
-            format!("input {port}")
-        } else {
-            format!("input {port} ({name})")
-        };
+        let label = if name.is_empty() { format!("input {port}") } else { format!("input {port} ({name})") };
         match (old_named.get(name), new_named.get(name)) {
             (Some(old), Some(new)) => sentences.extend(diff_input(&label, old, new)),
             (Some(_), None) => sentences.push(format!("{label}: gone")),
@@ -189,19 +140,12 @@ fn diff_inputs(port: &str, old: &[KeyInput], new: &[KeyInput]) -> Vec<String> {
 }
 
 fn diff_input(label: &str, old: &KeyInput, new: &KeyInput) -> Vec<String> {
-    let KeyInput {
-        coordinates: _,
-        content,
-        measurements,
-        failure,
-    } = new;
+    let KeyInput { coordinates: _, content, measurements, failure } = new;
     let mut sentences = Vec::new();
     match (&old.failure, failure) {
         (None, Some(failure)) => sentences.push(format!("{label}: failed ({failure:?})")),
         (Some(_), None) => sentences.push(format!("{label}: no longer failed")),
-        (Some(old), Some(new)) if old != new => {
-            sentences.push(format!("{label}: failure {old:?} → {new:?}"))
-        }
+        (Some(old), Some(new)) if old != new => sentences.push(format!("{label}: failure {old:?} → {new:?}")),
         _ if old.content != *content => sentences.push(format!("{label}: content changed")),
         _ => (),
     }
@@ -243,31 +187,18 @@ pub fn root_causes(plan: &Plan, changes: &BTreeMap<usize, Vec<Change>>) -> Vec<R
     let is_changed = |node: &usize| changes.get(node).is_some_and(|changes| !changes.is_empty());
     let mut causes: BTreeMap<(&str, Vec<Change>), BTreeSet<usize>> = BTreeMap::new();
     let mut consequences = BTreeSet::new();
-    for (&index, all) in changes
-        .iter()
-        .filter(|(index, _)| is_changed(index) && **index < plan.nodes.len())
-    {
+    for (&index, all) in changes.iter().filter(|(index, _)| is_changed(index) && **index < plan.nodes.len()) {
         let node = &plan.nodes[index];
         let is_below = node.producers().iter().any(is_changed);
-        let own = all
-            .iter()
-            .filter(|change| !is_below || change.component != Component::Input)
-            .cloned();
+        let own = all.iter().filter(|change| !is_below || change.component != Component::Input).cloned();
         let own: Vec<Change> = own.collect();
         if own.is_empty() {
             consequences.insert(index);
         } else {
-            causes
-                .entry((&node.template, own))
-                .or_default()
-                .insert(index);
+            causes.entry((&node.template, own)).or_default().insert(index);
         }
     }
-    let count = |nodes: &BTreeSet<usize>| {
-        plan.with_descendants(nodes)
-            .intersection(&consequences)
-            .count()
-    };
+    let count = |nodes: &BTreeSet<usize>| plan.with_descendants(nodes).intersection(&consequences).count();
     let mut roots: Vec<RootCause> = causes
         .into_iter()
         .map(|((_, changes), nodes)| RootCause {

@@ -46,12 +46,7 @@ pub type Code = BTreeMap<String, String>;
 
 /// The files of this crate that can influence a stage's result. The rest plans, schedules and stores: it decides
 /// whether and where a job runs, and hands the same bytes to the stage whatever it looks like.
-const ENGINE_API: [&str; 4] = [
-    "src/artifact.rs",
-    "src/context.rs",
-    "src/failure.rs",
-    "src/stage.rs",
-];
+const ENGINE_API: [&str; 4] = ["src/artifact.rs", "src/context.rs", "src/failure.rs", "src/stage.rs"];
 
 /// The fingerprint of the stage whose crate is `stage`: its sources and those of every workspace crate below it,
 /// without the stage's own files under `unused_sources` (paths relative to the crate, files or folders).
@@ -65,10 +60,7 @@ pub fn stage_code(table: &CodeTable, stage: &str, unused_sources: &[String]) -> 
             "engine" => ENGINE_API.contains(&path),
             _ => name != stage || !unused_sources.iter().any(|unused| lies_in(path, unused)),
         };
-        code.insert(
-            name.into(),
-            hash_files(part.files.iter().filter(|(path, _)| used(path))),
-        );
+        code.insert(name.into(), hash_files(part.files.iter().filter(|(path, _)| used(path))));
         // The engine's own dependencies serve its running side; a stage that uses one names it itself.
         if name != "engine" {
             code.insert(format!("{name} dependencies"), part.external.into());
@@ -90,8 +82,7 @@ fn closure<'a>(table: &CodeTable, stage: &'a str) -> BTreeSet<&'a str> {
 
 fn lies_in(path: &str, folder: &str) -> bool {
     let folder = folder.trim_end_matches('/');
-    path.strip_prefix(folder)
-        .is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+    path.strip_prefix(folder).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
 fn hash_files<'a>(files: impl Iterator<Item = &'a (&'a str, &'a str)>) -> String {

@@ -30,14 +30,7 @@ pub enum NodeState {
 
 impl NodeState {
     /// Every state, in order.
-    pub const ALL: [Self; 6] = [
-        Self::Unknown,
-        Self::Cached,
-        Self::Planned,
-        Self::Running,
-        Self::Blocked,
-        Self::Failed,
-    ];
+    pub const ALL: [Self; 6] = [Self::Unknown, Self::Cached, Self::Planned, Self::Running, Self::Blocked, Self::Failed];
 
     /// The state's name, as in JSON.
     pub fn name(self) -> &'static str {
@@ -68,13 +61,9 @@ impl NodeState {
 pub fn dot(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> String {
     let drawing = Drawing::new(plan, states, collapse);
     let mut text = format!("digraph {} {{\n", quoted(&plan.recipe));
-    text +=
-        "  rankdir=LR;\n  node [shape=box, style=\"rounded,filled\", fontname=\"sans-serif\"];\n";
+    text += "  rankdir=LR;\n  node [shape=box, style=\"rounded,filled\", fontname=\"sans-serif\"];\n";
     for (index, (label, state)) in drawing.boxes.iter().enumerate() {
-        let (label, colour) = (
-            quoted(&label.join("\n")).replace('\n', "\\n"),
-            state.colour(),
-        );
+        let (label, colour) = (quoted(&label.join("\n")).replace('\n', "\\n"), state.colour());
         text += &format!("  n{index} [label={label}, fillcolor=\"{colour}\"];\n");
     }
     for (from, to) in &drawing.edges {
@@ -96,11 +85,7 @@ pub fn mermaid(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool)
     }
     let used: BTreeSet<NodeState> = drawing.boxes.iter().map(|(_, state)| *state).collect();
     for state in used {
-        text += &format!(
-            "  classDef {} fill:{},stroke:#555,color:#000\n",
-            state.name(),
-            state.colour()
-        );
+        text += &format!("  classDef {} fill:{},stroke:#555,color:#000\n", state.name(), state.colour());
     }
     text
 }
@@ -119,10 +104,7 @@ impl Drawing {
         let mut templates: Vec<&str> = Vec::new();
         let mut box_of = |index: usize| {
             let template = plan.nodes[index].template.as_str();
-            match templates
-                .iter()
-                .position(|known| collapse && *known == template)
-            {
+            match templates.iter().position(|known| collapse && *known == template) {
                 Some(index) => index,
                 None => {
                     templates.push(template);
@@ -131,66 +113,36 @@ impl Drawing {
             }
         };
         let box_of: Vec<usize> = (0..plan.nodes.len()).map(&mut box_of).collect();
-        let members = |drawn: usize| {
-            (0..plan.nodes.len())
-                .filter(|&index| box_of[index] == drawn)
-                .collect::<Vec<_>>()
-        };
+        let members = |drawn: usize| (0..plan.nodes.len()).filter(|&index| box_of[index] == drawn).collect::<Vec<_>>();
         let boxes = (0..templates.len())
             .map(|drawn| {
                 let nodes = members(drawn);
                 let state = |index: &usize| states.get(index).copied().unwrap_or_default();
                 let states: Vec<NodeState> = nodes.iter().map(state).collect();
                 let worst = states.iter().copied().max().unwrap_or_default();
-                let label = if collapse {
-                    collapsed_label(plan, &nodes, &states)
-                } else {
-                    plain_label(plan, nodes[0])
-                };
+                let label = if collapse { collapsed_label(plan, &nodes, &states) } else { plain_label(plan, nodes[0]) };
                 (label, worst)
             })
             .collect();
         let edge = |(consumer, node): (usize, &crate::Node)| {
-            node.producers()
-                .into_iter()
-                .map(|producer| (box_of[producer], box_of[consumer]))
-                .collect::<Vec<_>>()
+            node.producers().into_iter().map(|producer| (box_of[producer], box_of[consumer])).collect::<Vec<_>>()
         };
-        Self {
-            boxes,
-            edges: plan.nodes.iter().enumerate().flat_map(edge).collect(),
-        }
+        Self { boxes, edges: plan.nodes.iter().enumerate().flat_map(edge).collect() }
     }
 }
 
 fn plain_label(plan: &Plan, index: usize) -> Vec<String> {
-    vec![
-        plan.nodes[index].name.clone(),
-        plan.nodes[index].stage.clone(),
-    ]
+    vec![plan.nodes[index].name.clone(), plan.nodes[index].stage.clone()]
 }
 
 /// Template, number of jobs and stage, and how many are in each known state.
 fn collapsed_label(plan: &Plan, nodes: &[usize], states: &[NodeState]) -> Vec<String> {
     let node = &plan.nodes[nodes[0]];
-    let count = |state: NodeState| {
-        (
-            state,
-            states.iter().filter(|other| **other == state).count(),
-        )
-    };
-    let known = NodeState::ALL
-        .into_iter()
-        .filter(|state| *state != NodeState::Unknown)
-        .map(count);
-    let counts: Vec<String> = known
-        .filter(|(_, count)| *count > 0)
-        .map(|(state, count)| format!("{count} {}", state.name()))
-        .collect();
-    let mut lines = vec![
-        format!("{} × {}", node.template, nodes.len()),
-        node.stage.clone(),
-    ];
+    let count = |state: NodeState| (state, states.iter().filter(|other| **other == state).count());
+    let known = NodeState::ALL.into_iter().filter(|state| *state != NodeState::Unknown).map(count);
+    let counts: Vec<String> =
+        known.filter(|(_, count)| *count > 0).map(|(state, count)| format!("{count} {}", state.name())).collect();
+    let mut lines = vec![format!("{} × {}", node.template, nodes.len()), node.stage.clone()];
     lines.extend((!counts.is_empty()).then(|| counts.join(", ")));
     lines
 }

@@ -89,19 +89,9 @@ impl ActionKey {
     /// SHA-256 over the canonical bytes of the components.
     pub fn new(components: &KeyComponents) -> Self {
         // Named one by one, so that a new component cannot be left out of the key by accident.
-        let KeyComponents {
-            stage,
-            code,
-            params,
-            inputs,
-            sources,
-            output,
-            environment,
-        } = components;
-        let inputs: BTreeMap<&String, Vec<Value>> = inputs
-            .iter()
-            .map(|(port, producers)| (port, producers.iter().map(input_value).collect()))
-            .collect();
+        let KeyComponents { stage, code, params, inputs, sources, output, environment } = components;
+        let inputs: BTreeMap<&String, Vec<Value>> =
+            inputs.iter().map(|(port, producers)| (port, producers.iter().map(input_value).collect())).collect();
         Self(canonical::sha256_hex(
             "pipeline/action/1",
             &json!({
@@ -124,12 +114,7 @@ impl fmt::Display for ActionKey {
 }
 
 fn input_value(input: &KeyInput) -> Value {
-    let KeyInput {
-        coordinates,
-        content,
-        measurements,
-        failure,
-    } = input;
+    let KeyInput { coordinates, content, measurements, failure } = input;
     json!({ "coordinates": coordinates, "content": content, "measurements": measurements, "failure": failure })
 }
 
@@ -149,14 +134,10 @@ pub fn plan_id(node: &Node, producers: &[Node]) -> String {
         code,
         plan_id: _,
     } = node;
-    let inputs: BTreeMap<&String, Value> = inputs
-        .iter()
-        .map(|input| (&input.port, plan_input_value(input, producers)))
-        .collect();
-    let sources: BTreeMap<&String, String> = sources
-        .iter()
-        .map(|PlanSource { name, path }| (name, path.to_string_lossy().replace('\\', "/")))
-        .collect();
+    let inputs: BTreeMap<&String, Value> =
+        inputs.iter().map(|input| (&input.port, plan_input_value(input, producers))).collect();
+    let sources: BTreeMap<&String, String> =
+        sources.iter().map(|PlanSource { name, path }| (name, path.to_string_lossy().replace('\\', "/"))).collect();
     canonical::sha256_hex(
         "pipeline/plan/1",
         &json!({ "stage": stage, "code": code, "params": params, "inputs": inputs, "sources": sources, "output": output }),
@@ -164,13 +145,7 @@ pub fn plan_id(node: &Node, producers: &[Node]) -> String {
 }
 
 fn plan_input_value(input: &PlanInput, nodes: &[Node]) -> Value {
-    let PlanInput {
-        port: _,
-        artifact,
-        many,
-        measurements,
-        producers,
-    } = input;
+    let PlanInput { port: _, artifact, many, measurements, producers } = input;
     let producer = |&index: &usize| {
         let coordinates = many.then_some(&nodes[index].coordinates);
         json!({ "coordinates": coordinates, "plan_id": nodes[index].plan_id })

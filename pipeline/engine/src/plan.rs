@@ -88,11 +88,7 @@ pub enum Origin {
     /// A key of a node in a recipe file.
     File { file: PathBuf, line: usize },
     /// A key of the `number`-th `[[set]]` (from 1, base recipes first).
-    Set {
-        number: usize,
-        file: PathBuf,
-        line: usize,
-    },
+    Set { number: usize, file: PathBuf, line: usize },
     /// An override on the command line.
     CommandLine,
 }
@@ -113,10 +109,7 @@ impl fmt::Display for Origin {
 impl Node {
     /// The indices of all producers, each once, in increasing order.
     pub fn producers(&self) -> BTreeSet<usize> {
-        self.inputs
-            .iter()
-            .flat_map(|input| input.producers.iter().copied())
-            .collect()
+        self.inputs.iter().flat_map(|input| input.producers.iter().copied()).collect()
     }
 }
 
@@ -154,11 +147,7 @@ impl Plan {
     pub fn with_descendants(&self, nodes: &BTreeSet<usize>) -> BTreeSet<usize> {
         let mut found = nodes.clone();
         for (index, node) in self.nodes.iter().enumerate() {
-            if node
-                .producers()
-                .iter()
-                .any(|producer| found.contains(producer))
-            {
+            if node.producers().iter().any(|producer| found.contains(producer)) {
                 found.insert(index);
             }
         }
@@ -168,8 +157,6 @@ impl Plan {
     /// The nodes that no other node reads.
     pub fn sinks(&self) -> BTreeSet<usize> {
         let read: BTreeSet<usize> = self.nodes.iter().flat_map(Node::producers).collect();
-        (0..self.nodes.len())
-            .filter(|index| !read.contains(index))
-            .collect()
+        (0..self.nodes.len()).filter(|index| !read.contains(index)).collect()
     }
 }

@@ -46,10 +46,7 @@ pub trait AnyStage: Send + Sync {
 impl Registry {
     /// A registry without stages; `code` is the table of sources that the binary was built from.
     pub fn new(code: CodeTable) -> Self {
-        Self {
-            code,
-            stages: BTreeMap::new(),
-        }
+        Self { code, stages: BTreeMap::new() }
     }
 
     /// The same registry with one more stage.
@@ -58,14 +55,8 @@ impl Registry {
     ///
     /// If the id is taken or no crate of that name is in the code table: a mistake in the one list of stages.
     pub fn with<S: Stage>(mut self) -> Self {
-        assert!(
-            self.code.get(S::ID).is_some(),
-            "no crate in the code table is named like the stage {}",
-            S::ID
-        );
-        let taken = self
-            .stages
-            .insert(S::ID, Box::new(Erased::<S>(PhantomData)));
+        assert!(self.code.get(S::ID).is_some(), "no crate in the code table is named like the stage {}", S::ID);
+        let taken = self.stages.insert(S::ID, Box::new(Erased::<S>(PhantomData)));
         assert!(taken.is_none(), "two stages are called {}", S::ID);
         self
     }
@@ -123,28 +114,16 @@ impl<S: Stage> AnyStage for Erased<S> {
 
     fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()> {
         let made = S::run(context, &typed::<S>(params)?)?;
-        made.check()
-            .with_context(|| format!("{} made a {} that is not valid", S::ID, S::Output::NAME))?;
+        made.check().with_context(|| format!("{} made a {} that is not valid", S::ID, S::Output::NAME))?;
         drop(made);
-        let read = S::Output::open(context.output_dir()).with_context(|| {
-            format!(
-                "cannot read back the {} that {} wrote",
-                S::Output::NAME,
-                S::ID
-            )
-        })?;
-        read.check().with_context(|| {
-            format!(
-                "the {} that {} wrote is not valid when read back",
-                S::Output::NAME,
-                S::ID
-            )
-        })
+        let read = S::Output::open(context.output_dir())
+            .with_context(|| format!("cannot read back the {} that {} wrote", S::Output::NAME, S::ID))?;
+        read.check()
+            .with_context(|| format!("the {} that {} wrote is not valid when read back", S::Output::NAME, S::ID))
     }
 }
 
 /// Canonical parameters as the stage's type.
 fn typed<S: Stage>(params: &Value) -> anyhow::Result<S::Params> {
-    serde_json::from_value(params.clone())
-        .with_context(|| format!("parameters that {} does not understand", S::ID))
+    serde_json::from_value(params.clone()).with_context(|| format!("parameters that {} does not understand", S::ID))
 }

@@ -11,10 +11,7 @@ use crate::{FailureKind, KeyComponents, KeyInput};
 fn sentences(edit: impl FnOnce(&mut KeyComponents)) -> Vec<String> {
     let (old, mut new) = (components(), components());
     edit(&mut new);
-    diff(&old, &new)
-        .into_iter()
-        .map(|change| change.sentence)
-        .collect()
+    diff(&old, &new).into_iter().map(|change| change.sentence).collect()
 }
 
 #[test]
@@ -24,86 +21,34 @@ fn equal_keys_have_no_difference() {
 
 #[test]
 fn every_component_has_its_sentence() {
-    assert_eq!(
-        sentences(|key| key.stage = "b".into()),
-        ["stage training → b"]
-    );
-    assert_eq!(
-        sentences(|key| key.environment = "gpu".into()),
-        ["environment cpu → gpu"]
-    );
-    assert_eq!(
-        sentences(|key| key.output.1 = 2),
-        ["output model schema 1 → model schema 2"]
-    );
-    assert_eq!(
-        sentences(|key| key.params["rate"] = json!(0.0002)),
-        ["params.rate 0.00016 → 0.0002"]
-    );
-    assert_eq!(
-        sentences(|key| key.params["rate"] = json!(f64::from(0.1f32))),
-        ["params.rate 0.00016 → 0.1"]
-    );
-    assert_eq!(
-        sentences(|key| key.params["grid"]["levels"] = json!([1, 2])),
-        ["params.grid.levels [1] → [1,2]"]
-    );
-    assert_eq!(
-        sentences(|key| key.params["new"] = json!("x")),
-        ["params.new \"x\" added"]
-    );
+    assert_eq!(sentences(|key| key.stage = "b".into()), ["stage training → b"]);
+    assert_eq!(sentences(|key| key.environment = "gpu".into()), ["environment cpu → gpu"]);
+    assert_eq!(sentences(|key| key.output.1 = 2), ["output model schema 1 → model schema 2"]);
+    assert_eq!(sentences(|key| key.params["rate"] = json!(0.0002)), ["params.rate 0.00016 → 0.0002"]);
+    assert_eq!(sentences(|key| key.params["rate"] = json!(f64::from(0.1f32))), ["params.rate 0.00016 → 0.1"]);
+    assert_eq!(sentences(|key| key.params["grid"]["levels"] = json!([1, 2])), ["params.grid.levels [1] → [1,2]"]);
+    assert_eq!(sentences(|key| key.params["new"] = json!("x")), ["params.new \"x\" added"]);
     let code = |key: &mut KeyComponents| {
         key.code.insert("shaders".into(), "x".into());
         key.code.insert("training dependencies".into(), "x".into());
     };
-    assert_eq!(
-        sentences(code),
-        [
-            "code: crate shaders changed",
-            "code: external dependencies of training added"
-        ]
-    );
-    assert_eq!(
-        sentences(|key| drop(key.sources.insert("images".into(), "x".into()))),
-        ["source images changed"]
-    );
-    assert_eq!(
-        sentences(|key| key.sources.clear()),
-        ["source images removed"]
-    );
+    assert_eq!(sentences(code), ["code: crate shaders changed", "code: external dependencies of training added"]);
+    assert_eq!(sentences(|key| drop(key.sources.insert("images".into(), "x".into()))), ["source images changed"]);
+    assert_eq!(sentences(|key| key.sources.clear()), ["source images removed"]);
 }
 
 #[test]
 fn inputs_are_compared_producer_by_producer() {
-    let one = |key: &mut KeyComponents| {
-        key.inputs.get_mut("capture").unwrap()[0].content = Some("x".into())
-    };
+    let one = |key: &mut KeyComponents| key.inputs.get_mut("capture").unwrap()[0].content = Some("x".into());
     assert_eq!(sentences(one), ["input capture: content changed"]);
-    let many =
-        |edit: fn(&mut Vec<KeyInput>)| sentences(|key| edit(key.inputs.get_mut("runs").unwrap()));
-    assert_eq!(
-        many(|runs| runs[1].measurements = Some("x".into())),
-        ["input runs (scene=lego): measurements changed"]
-    );
-    assert_eq!(
-        many(|runs| drop(runs.remove(0))),
-        ["input runs (scene=ball): gone"]
-    );
-    assert_eq!(
-        many(|runs| runs.push(KeyInput::default())),
-        ["input runs: new"]
-    );
-    assert_eq!(
-        many(|runs| runs.push(runs[0].clone())),
-        ["input runs (scene=ball again): new"]
-    );
+    let many = |edit: fn(&mut Vec<KeyInput>)| sentences(|key| edit(key.inputs.get_mut("runs").unwrap()));
+    assert_eq!(many(|runs| runs[1].measurements = Some("x".into())), ["input runs (scene=lego): measurements changed"]);
+    assert_eq!(many(|runs| drop(runs.remove(0))), ["input runs (scene=ball): gone"]);
+    assert_eq!(many(|runs| runs.push(KeyInput::default())), ["input runs: new"]);
+    assert_eq!(many(|runs| runs.push(runs[0].clone())), ["input runs (scene=ball again): new"]);
     assert_eq!(many(|runs| runs.swap(0, 1)), ["input runs: order changed"]);
     let failed = |runs: &mut Vec<KeyInput>| {
-        runs[0] = KeyInput {
-            content: None,
-            failure: Some(FailureKind::Diverged),
-            ..runs[0].clone()
-        };
+        runs[0] = KeyInput { content: None, failure: Some(FailureKind::Diverged), ..runs[0].clone() };
     };
     assert_eq!(many(failed), ["input runs (scene=ball): failed (Diverged)"]);
 }
@@ -117,25 +62,11 @@ fn first_causes_are_grouped_and_their_consequences_counted() {
     // Nodes: 0 1 captures, 2 3 trainings, 4 5 renderings, 6 the table.
     let (params, input) = (change(Component::Params), change(Component::Input));
     let both = [input.clone(), change(Component::Environment)].concat();
-    let changes = BTreeMap::from([
-        (2, params.clone()),
-        (3, params.clone()),
-        (4, input.clone()),
-        (5, both),
-        (6, input),
-    ]);
+    let changes = BTreeMap::from([(2, params.clone()), (3, params.clone()), (4, input.clone()), (5, both), (6, input)]);
     let found = root_causes(&diamond(), &changes);
     let expected = [
-        RootCause {
-            nodes: vec![2, 3],
-            changes: params,
-            consequences: 2,
-        },
-        RootCause {
-            nodes: vec![5],
-            changes: change(Component::Environment),
-            consequences: 1,
-        },
+        RootCause { nodes: vec![2, 3], changes: params, consequences: 2 },
+        RootCause { nodes: vec![5], changes: change(Component::Environment), consequences: 1 },
     ];
     assert_eq!(found, expected);
 }
@@ -143,11 +74,7 @@ fn first_causes_are_grouped_and_their_consequences_counted() {
 #[test]
 fn an_input_that_changed_without_a_cause_above_is_one() {
     let changes = BTreeMap::from([(4, change(Component::Input)), (2, Vec::new())]);
-    let expected = RootCause {
-        nodes: vec![4],
-        changes: change(Component::Input),
-        consequences: 0,
-    };
+    let expected = RootCause { nodes: vec![4], changes: change(Component::Input), consequences: 0 };
     assert_eq!(root_causes(&diamond(), &changes), [expected]);
     assert!(root_causes(&diamond(), &BTreeMap::new()).is_empty());
 }

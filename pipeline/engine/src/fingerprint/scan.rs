@@ -28,76 +28,25 @@ pub struct ScannedCrate {
     pub external: String,
 }
 
-/// Scans all workspace crates below the crate `binary` of the workspace at `root` (without that crate itself).
-pub fn scan_workspace(root: &Path, binary: &str) -> Result<BTreeMap<String, ScannedCrate>> {
+/// Scans all workspace crates that the crate in `binary` depends on, of the workspace at `root`.
+pub fn scan_workspace(root: &Path, binary: &Path) -> Result<BTreeMap<String, ScannedCrate>> {
     let manifest = read_toml(&root.join("Cargo.toml"))?;
-    let shared = table_at(&manifest, &["workspace", "dependencies"])
-        .cloned()
-        .unwrap_or_default();
+    let shared = table_at(&manifest, &["workspace", "dependencies"]).cloned().unwrap_or_default();
     let lock = Lock::new(&read_toml(&root.join("Cargo.lock"))?);
     // Workspace crates are the shared dependencies that have a path.
-    let paths: BTreeMap<&str, &str> = shared
-        .iter()
-        .filter_map(|(name, entry)| Some((name.as_str(), entry.get("path")?.as_str()?)))
-        .collect();
-    let binary_root = find_crate(root, &manifest, binary)?;
-    let binary = Manifest::read(&binary_root, &shared)?;
-    let (mut open, mut found) = (binary.workspace_crates(&paths), BTreeMap::new());
+    let paths: BTreeMap<&str, &str> =
+        shared.iter().filter_map(|(name, entry)| Some((name.as_str(), entry.get("path")?.as_str()?))).collect();
+    let (mut open, mut found) = (Manifest::read(binary, &shared)?.workspace_crates(&paths), BTreeMap::new());
     while let Some(name) = open.pop_first() {
         let crate_root = root.join(paths[name.as_str()]);
         let manifest = Manifest::read(&crate_root, &shared)?;
         let dependencies = manifest.workspace_crates(&paths);
-        open.extend(
-            dependencies
-                .iter()
-                .filter(|name| !found.contains_key(*name))
-                .cloned(),
-        );
+        open.extend(dependencies.iter().filter(|name| !found.contains_key(*name)).cloned());
         let external = manifest.hash(&paths, &lock);
         let files = hash_files(&crate_root)?;
-        open.remove(&name);
-        found.insert(
-            name.clone(),
-            ScannedCrate {
-                name,
-                root: crate_root,
-                files,
-                dependencies,
-                external,
-            },
-        );
+        found.insert(name.clone(), ScannedCrate { name, root: crate_root, files, dependencies, external });
     }
     Ok(found)
-}
-
-/// The member of the workspace whose package is called `name`.
-fn find_crate(root: &Path, manifest: &Table, name: &str) -> Result<PathBuf> {
-    let members =
-        table_at(manifest, &["workspace"]).and_then(|table| table.get("members")?.as_array());
-    for member in members.into_iter().flatten().filter_map(Value::as_str) {
-        let folders = match member.strip_suffix("/*") {
-            Some(parent) => sorted_entries(&root.join(parent))?,
-            None => vec![root.join(member)],
-        };
-        for folder in folders
-            .into_iter()
-            .filter(|folder| folder.join("Cargo.toml").is_file())
-        {
-            let package = read_toml(&folder.join("Cargo.toml"))?;
-            if package
-                .get("package")
-                .and_then(|table| table.get("name")?.as_str())
-                == Some(name)
-            {
-                return Ok(folder);
-            }
-        }
-    }
-    Err(format!(
-        "no member of the workspace is called {name}: {}",
-        root.display()
-    )
-    .into())
 }
 
 /// The hashes of all files of a crate that can influence what it does.
@@ -105,10 +54,7 @@ pub fn hash_files(crate_root: &Path) -> Result<BTreeMap<String, String>> {
     let (mut open, mut hashes) = (vec![crate_root.to_owned()], BTreeMap::new());
     while let Some(folder) = open.pop() {
         for path in sorted_entries(&folder)? {
-            let relative = path
-                .strip_prefix(crate_root)?
-                .to_string_lossy()
-                .replace('\\', "/");
+            let relative = path.strip_prefix(crate_root)?.to_string_lossy().replace('\\', "/");
             if !counts(&relative) {
                 continue;
             }
@@ -116,10 +62,7 @@ pub fn hash_files(crate_root: &Path) -> Result<BTreeMap<String, String>> {
                 open.push(path);
             } else {
                 let hash = hash_file(&relative, &std::fs::read(&path)?);
-                hashes.insert(
-                    relative,
-                    hash.map_err(|error| format!("{error}: {}", path.display()))?,
-                );
+                hashes.insert(relative, hash.map_err(|error| format!("{error}: {}", path.display()))?);
             }
         }
     }
@@ -130,38 +73,25 @@ pub fn hash_files(crate_root: &Path) -> Result<BTreeMap<String, String>> {
 /// through its dependencies.
 fn counts(relative: &str) -> bool {
     let name = relative.rsplit('/').next().unwrap_or(relative);
-    let never = [
-        "tests",
-        "tests.rs",
-        "benches",
-        "examples",
-        "Cargo.toml",
-        "target",
-    ];
+    let never = ["tests", "tests.rs", "benches", "examples", "Cargo.toml", "target"];
     !(never.contains(&name)
         || name.starts_with('.')
         || name.ends_with('~')
-        || name.ends_with(".md"))
+        || name.ends_with(".md")
+        || name.ends_with("_tests.rs"))
 }
 
 /// Hashes one file by kind: Rust as tokens, WGSL without comments, anything else (embedded data) byte by byte.
 pub fn hash_file(path: &str, content: &[u8]) -> Result<String> {
     match path.rsplit('.').next() {
-        Some("rs") => Ok(sha256_hex(
-            rust_tokens(std::str::from_utf8(content)?)?.as_bytes(),
-        )),
-        Some("wgsl") => Ok(sha256_hex(
-            wgsl_tokens(std::str::from_utf8(content)?).as_bytes(),
-        )),
+        Some("rs") => Ok(sha256_hex(rust_tokens(std::str::from_utf8(content)?)?.as_bytes())),
+        Some("wgsl") => Ok(sha256_hex(wgsl_tokens(std::str::from_utf8(content)?).as_bytes())),
         _ => Ok(sha256_hex(content)),
     }
 }
 
 fn sha256_hex(bytes: &[u8]) -> String {
-    Sha256::digest(bytes)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The dependencies of one crate, with what it inherits from the workspace filled in.
@@ -176,25 +106,11 @@ impl Manifest {
         let manifest = read_toml(&crate_root.join("Cargo.toml"))?;
         let mut dependencies = BTreeMap::new();
         add_dependencies(&mut dependencies, "", &manifest, shared);
-        for (target, table) in manifest
-            .get("target")
-            .and_then(Value::as_table)
-            .into_iter()
-            .flatten()
-        {
-            table
-                .as_table()
-                .into_iter()
-                .for_each(|table| add_dependencies(&mut dependencies, target, table, shared));
+        for (target, table) in manifest.get("target").and_then(Value::as_table).into_iter().flatten() {
+            table.as_table().into_iter().for_each(|table| add_dependencies(&mut dependencies, target, table, shared));
         }
-        let features = manifest
-            .get("features")
-            .cloned()
-            .unwrap_or(Value::Boolean(false));
-        Ok(Self {
-            dependencies,
-            features,
-        })
+        let features = manifest.get("features").cloned().unwrap_or(Value::Boolean(false));
+        Ok(Self { dependencies, features })
     }
 
     fn entries(&self) -> impl Iterator<Item = (&String, &Table)> {
@@ -202,28 +118,14 @@ impl Manifest {
     }
 
     fn workspace_crates(&self, paths: &BTreeMap<&str, &str>) -> BTreeSet<String> {
-        self.entries()
-            .map(|(name, _)| name.clone())
-            .filter(|name| paths.contains_key(name.as_str()))
-            .collect()
+        self.entries().map(|(name, _)| name.clone()).filter(|name| paths.contains_key(name.as_str())).collect()
     }
 
     /// Hash of dependencies, features, and name, version and checksum of all external crates below.
     fn hash(&self, paths: &BTreeMap<&str, &str>, lock: &Lock) -> String {
-        let external = self
-            .entries()
-            .filter(|(name, _)| !paths.contains_key(name.as_str()));
-        let packages = external
-            .map(|(name, entry)| entry.get("package").and_then(Value::as_str).unwrap_or(name));
-        sha256_hex(
-            format!(
-                "{:?}\n{}\n{:?}",
-                self.dependencies,
-                self.features,
-                lock.closure(packages)
-            )
-            .as_bytes(),
-        )
+        let external = self.entries().filter(|(name, _)| !paths.contains_key(name.as_str()));
+        let packages = external.map(|(name, entry)| entry.get("package").and_then(Value::as_str).unwrap_or(name));
+        sha256_hex(format!("{:?}\n{}\n{:?}", self.dependencies, self.features, lock.closure(packages)).as_bytes())
     }
 }
 
@@ -235,12 +137,7 @@ fn add_dependencies(
     shared: &Table,
 ) {
     for kind in ["dependencies", "build-dependencies"] {
-        for (name, entry) in manifest
-            .get(kind)
-            .and_then(Value::as_table)
-            .into_iter()
-            .flatten()
-        {
+        for (name, entry) in manifest.get(kind).and_then(Value::as_table).into_iter().flatten() {
             let entries = found.entry(format!("{target} {kind}")).or_default();
             entries.insert(name.clone(), full_entry(name, entry, shared));
         }
@@ -258,10 +155,7 @@ fn full_entry(name: &str, entry: &Value, shared: &Table) -> Table {
         full = inherited;
         if let Some(Value::Array(own)) = own_features {
             let features = full.entry("features").or_insert(Value::Array(Vec::new()));
-            features
-                .as_array_mut()
-                .into_iter()
-                .for_each(|all| all.extend(own.clone()));
+            features.as_array_mut().into_iter().for_each(|all| all.extend(own.clone()));
         }
     }
     full.remove("version");
@@ -277,35 +171,13 @@ struct Lock {
 
 impl Lock {
     fn new(lock: &Table) -> Self {
-        let text = |package: &Value, key: &str| {
-            package
-                .get(key)
-                .and_then(Value::as_str)
-                .unwrap_or("")
-                .to_owned()
-        };
+        let text = |package: &Value, key: &str| package.get(key).and_then(Value::as_str).unwrap_or("").to_owned();
         let read = |package: &Value| {
-            let dependencies = package
-                .get("dependencies")
-                .and_then(Value::as_array)
-                .into_iter()
-                .flatten();
-            let names = dependencies
-                .filter_map(Value::as_str)
-                .map(str::to_owned)
-                .collect();
-            (
-                format!("{} {}", text(package, "name"), text(package, "version")),
-                (text(package, "checksum"), names),
-            )
+            let dependencies = package.get("dependencies").and_then(Value::as_array).into_iter().flatten();
+            let names = dependencies.filter_map(Value::as_str).map(str::to_owned).collect();
+            (format!("{} {}", text(package, "name"), text(package, "version")), (text(package, "checksum"), names))
         };
-        let packages = lock
-            .get("package")
-            .and_then(Value::as_array)
-            .into_iter()
-            .flatten()
-            .map(read)
-            .collect();
+        let packages = lock.get("package").and_then(Value::as_array).into_iter().flatten().map(read).collect();
         Self { packages }
     }
 
@@ -315,15 +187,8 @@ impl Lock {
         let mut found = BTreeMap::new();
         while let Some(name) = open.pop() {
             // Where several versions are locked, a bare name (from a manifest) takes them all.
-            let is_named = |id: &str| {
-                id == name
-                    || id
-                        .strip_prefix(name)
-                        .is_some_and(|rest| rest.starts_with(' '))
-            };
-            for (id, (checksum, dependencies)) in
-                self.packages.iter().filter(|(id, _)| is_named(id))
-            {
+            let is_named = |id: &str| id == name || id.strip_prefix(name).is_some_and(|rest| rest.starts_with(' '));
+            for (id, (checksum, dependencies)) in self.packages.iter().filter(|(id, _)| is_named(id)) {
                 if found.insert(id.as_str(), checksum.as_str()).is_none() {
                     open.extend(dependencies.iter().map(String::as_str));
                 }
@@ -337,14 +202,7 @@ impl Lock {
 pub fn code_table(crates: &BTreeMap<String, ScannedCrate>) -> String {
     let mut source = String::from("/// The hashed sources that this binary was built from.\n");
     source += "pub const CODE: engine::CodeTable = engine::CodeTable { crates: &[\n";
-    for ScannedCrate {
-        name,
-        root: _,
-        files,
-        dependencies,
-        external,
-    } in crates.values()
-    {
+    for ScannedCrate { name, root: _, files, dependencies, external } in crates.values() {
         let files: Vec<(&String, &String)> = files.iter().collect();
         let dependencies: Vec<&String> = dependencies.iter().collect();
         source += &format!(
@@ -355,23 +213,17 @@ pub fn code_table(crates: &BTreeMap<String, ScannedCrate>) -> String {
 }
 
 fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let entries =
-        std::fs::read_dir(folder).map_err(|error| format!("{error}: {}", folder.display()))?;
-    let mut paths = entries
-        .map(|entry| Ok(entry?.path()))
-        .collect::<Result<Vec<PathBuf>>>()?;
+    let entries = std::fs::read_dir(folder).map_err(|error| format!("{error}: {}", folder.display()))?;
+    let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<PathBuf>>>()?;
     paths.sort();
     Ok(paths)
 }
 
 fn read_toml(path: &Path) -> Result<Table> {
-    let text =
-        std::fs::read_to_string(path).map_err(|error| format!("{error}: {}", path.display()))?;
-    text.parse::<Table>()
-        .map_err(|error| format!("{error}: {}", path.display()).into())
+    let text = std::fs::read_to_string(path).map_err(|error| format!("{error}: {}", path.display()))?;
+    text.parse::<Table>().map_err(|error| format!("{error}: {}", path.display()).into())
 }
 
 fn table_at<'a>(table: &'a Table, path: &[&str]) -> Option<&'a Table> {
-    path.iter()
-        .try_fold(table, |table, key| table.get(*key)?.as_table())
+    path.iter().try_fold(table, |table, key| table.get(*key)?.as_table())
 }

@@ -50,11 +50,7 @@ fn test_items_do_not_change_the_hash() {
     ];
     for test in tests {
         assert_eq!(rust(&format!("{SOURCE}{test}")), rust(SOURCE), "{test}");
-        assert_eq!(
-            rust(&SOURCE.replace("#[inline]", &format!("{test} #[inline]"))),
-            rust(SOURCE),
-            "{test}"
-        );
+        assert_eq!(rust(&SOURCE.replace("#[inline]", &format!("{test} #[inline]"))), rust(SOURCE), "{test}");
     }
 }
 
@@ -74,11 +70,7 @@ fn edits_of_code_change_the_hash() {
         format!("{SOURCE}const S: &str = \"// text\";"),
         format!("{SOURCE}const S: &str = \"// other\";"),
     ];
-    let mut hashes: Vec<String> = edits
-        .iter()
-        .map(|edit| rust(edit))
-        .chain([rust(SOURCE)])
-        .collect();
+    let mut hashes: Vec<String> = edits.iter().map(|edit| rust(edit)).chain([rust(SOURCE)]).collect();
     hashes.sort();
     hashes.dedup();
     assert_eq!(hashes.len(), edits.len() + 1);
@@ -87,10 +79,7 @@ fn edits_of_code_change_the_hash() {
 #[test]
 fn wgsl_counts_without_comments_and_spacing() {
     let source = "fn f(x: f32) -> f32 {\n  return x / 2.0; // half\n}\n";
-    assert_eq!(
-        wgsl(source),
-        wgsl("/* a /* b */ c */ fn f(x: f32) -> f32 { return x / 2.0;\n}")
-    );
+    assert_eq!(wgsl(source), wgsl("/* a /* b */ c */ fn f(x: f32) -> f32 { return x / 2.0;\n}"));
     assert_eq!(wgsl("a/*x*/b"), wgsl("a b"));
     assert_ne!(wgsl(source), wgsl(&source.replace("2.0", "4.0")));
     assert_ne!(wgsl("a b"), wgsl("ab"));
@@ -112,37 +101,17 @@ fn files_that_cannot_matter_are_left_out() {
         "src/a/tests.rs",
         "src/tests/x.rs",
         "benches/b.rs",
+        "src/run_tests.rs",
     ] {
         write(path, "fn f() {}");
     }
-    for path in [
-        "README.md",
-        "Cargo.toml",
-        "src/.lib.rs.swp",
-        "src/lib.rs~",
-        "src/a/paper.toml",
-        "src/a/k.wgsl",
-    ] {
+    for path in ["README.md", "Cargo.toml", "src/.lib.rs.swp", "src/lib.rs~", "src/a/paper.toml", "src/a/k.wgsl"] {
         write(path, "x = 1");
     }
     let paths: Vec<String> = hash_files(folder.path()).unwrap().into_keys().collect();
-    assert_eq!(
-        paths,
-        [
-            "build.rs",
-            "src/a/k.wgsl",
-            "src/a/mod.rs",
-            "src/a/paper.toml",
-            "src/lib.rs"
-        ]
-    );
+    assert_eq!(paths, ["build.rs", "src/a/k.wgsl", "src/a/mod.rs", "src/a/paper.toml", "src/lib.rs"]);
     write("src/lib.rs", "fn f( {}");
-    assert!(
-        hash_files(folder.path())
-            .unwrap_err()
-            .to_string()
-            .contains("lib.rs")
-    );
+    assert!(hash_files(folder.path()).unwrap_err().to_string().contains("lib.rs"));
 }
 
 const fn crate_code(
@@ -151,128 +120,68 @@ const fn crate_code(
     dependencies: &'static [&'static str],
     external: &'static str,
 ) -> CrateCode {
-    CrateCode {
-        name,
-        files,
-        dependencies,
-        external,
-    }
+    CrateCode { name, files, dependencies, external }
 }
 
-const ENGINE: CrateCode = crate_code(
-    "engine",
-    &[("src/stage.rs", "1"), ("src/store.rs", "2")],
-    &[],
-    "3",
-);
+const ENGINE: CrateCode = crate_code("engine", &[("src/stage.rs", "1"), ("src/store.rs", "2")], &[], "3");
 const SHADERS: CrateCode = crate_code("shaders", &[("src/lib.rs", "4")], &[], "5");
 const TRAINING: CrateCode = crate_code(
     "training",
-    &[
-        ("src/lib.rs", "6"),
-        ("src/methods/mcgs/mod.rs", "7"),
-        ("src/methods/mcgs2.rs", "8"),
-    ],
+    &[("src/lib.rs", "6"), ("src/methods/mcgs/mod.rs", "7"), ("src/methods/mcgs2.rs", "8")],
     &["engine", "shaders"],
     "9",
 );
 
 fn code(crates: &[CrateCode], unused: &[&str]) -> Code {
     let unused: Vec<String> = unused.iter().map(|path| path.to_string()).collect();
-    stage_code(
-        &CodeTable {
-            crates: Box::leak(crates.into()),
-        },
-        "training",
-        &unused,
-    )
+    stage_code(&CodeTable { crates: Box::leak(crates.into()) }, "training", &unused)
 }
 
 /// The parts of the fingerprint that differ from the one of the three crates above.
 fn changed(crates: &[CrateCode], unused: &[&str]) -> Vec<String> {
-    let (before, after) = (
-        code(&[ENGINE, SHADERS, TRAINING], unused),
-        code(crates, unused),
-    );
-    before
-        .into_iter()
-        .filter(|(part, hash)| after.get(part) != Some(hash))
-        .map(|(part, _)| part)
-        .collect()
+    let (before, after) = (code(&[ENGINE, SHADERS, TRAINING], unused), code(crates, unused));
+    before.into_iter().filter(|(part, hash)| after.get(part) != Some(hash)).map(|(part, _)| part).collect()
 }
 
 #[test]
 fn a_fingerprint_covers_the_crate_and_those_below_it() {
-    let parts: Vec<String> = code(&[ENGINE, SHADERS, TRAINING], &[])
-        .into_keys()
-        .collect();
-    assert_eq!(
-        parts,
-        [
-            "engine",
-            "shaders",
-            "shaders dependencies",
-            "training",
-            "training dependencies"
-        ]
-    );
-    let shaders = CrateCode {
-        files: &[("src/lib.rs", "x")],
-        ..SHADERS
-    };
+    let parts: Vec<String> = code(&[ENGINE, SHADERS, TRAINING], &[]).into_keys().collect();
+    assert_eq!(parts, ["engine", "shaders", "shaders dependencies", "training", "training dependencies"]);
+    let shaders = CrateCode { files: &[("src/lib.rs", "x")], ..SHADERS };
     assert_eq!(changed(&[ENGINE, shaders, TRAINING], &[]), ["shaders"]);
-    let external = CrateCode {
-        external: "x",
-        ..TRAINING
-    };
-    assert_eq!(
-        changed(&[ENGINE, SHADERS, external], &[]),
-        ["training dependencies"]
-    );
-    let moved = CrateCode {
-        files: &[("src/moved.rs", "4")],
-        ..SHADERS
-    };
+    let external = CrateCode { external: "x", ..TRAINING };
+    assert_eq!(changed(&[ENGINE, SHADERS, external], &[]), ["training dependencies"]);
+    let moved = CrateCode { files: &[("src/moved.rs", "4")], ..SHADERS };
     assert_eq!(changed(&[ENGINE, moved, TRAINING], &[]), ["shaders"]);
     let other = crate_code("rendering", &[("src/lib.rs", "x")], &["training"], "x");
     assert!(changed(&[ENGINE, SHADERS, TRAINING, other], &[]).is_empty());
 }
 
 #[test]
+fn the_files_of_the_stage_api_exist() {
+    for path in super::ENGINE_API {
+        assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(path).is_file(), "{path}");
+    }
+}
+
+#[test]
 fn only_the_stage_api_of_the_engine_counts() {
-    let store = CrateCode {
-        files: &[("src/stage.rs", "1"), ("src/store.rs", "x")],
-        external: "x",
-        ..ENGINE
-    };
+    let store = CrateCode { files: &[("src/stage.rs", "1"), ("src/store.rs", "x")], external: "x", ..ENGINE };
     assert!(changed(&[store, SHADERS, TRAINING], &[]).is_empty());
-    let api = CrateCode {
-        files: &[("src/stage.rs", "x"), ("src/store.rs", "2")],
-        ..ENGINE
-    };
+    let api = CrateCode { files: &[("src/stage.rs", "x"), ("src/store.rs", "2")], ..ENGINE };
     assert_eq!(changed(&[api, SHADERS, TRAINING], &[]), ["engine"]);
 }
 
 #[test]
 fn edits_under_an_unused_path_do_not_count_for_that_job() {
     let edited = CrateCode {
-        files: &[
-            ("src/lib.rs", "6"),
-            ("src/methods/mcgs/mod.rs", "x"),
-            ("src/methods/mcgs2.rs", "8"),
-        ],
+        files: &[("src/lib.rs", "6"), ("src/methods/mcgs/mod.rs", "x"), ("src/methods/mcgs2.rs", "8")],
         ..TRAINING
     };
     assert!(changed(&[ENGINE, SHADERS, edited], &["src/methods/mcgs"]).is_empty());
     assert!(changed(&[ENGINE, SHADERS, edited], &["src/methods/mcgs/"]).is_empty());
     assert_eq!(changed(&[ENGINE, SHADERS, edited], &[]), ["training"]);
-    assert_eq!(
-        changed(
-            &[ENGINE, SHADERS, edited],
-            &["src/methods/mc", "src/methods/mcgs2.rs"]
-        ),
-        ["training"]
-    );
+    assert_eq!(changed(&[ENGINE, SHADERS, edited], &["src/methods/mc", "src/methods/mcgs2.rs"]), ["training"]);
 }
 
 /// A workspace of a binary and two crates, with one external crate below another.
@@ -312,10 +221,8 @@ fn workspace(edits: &[(&str, &str, &str)]) -> BTreeMap<String, ScannedCrate> {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(path, text).unwrap();
     }
-    let mut crates = scan_workspace(folder.path(), "bin").unwrap();
-    crates
-        .values_mut()
-        .for_each(|scanned| scanned.root = Path::new("").into());
+    let mut crates = scan_workspace(folder.path(), &folder.path().join("crates/bin")).unwrap();
+    crates.values_mut().for_each(|scanned| scanned.root = Path::new("").into());
     crates
 }
 
@@ -326,11 +233,7 @@ fn a_workspace_is_scanned_with_its_external_crates() {
     assert!(plain["high"].dependencies.contains("low") && plain["low"].dependencies.is_empty());
     let changed = |path: &str, from: &str, to: &str| -> Vec<String> {
         let edited = workspace(&[(path, from, to)]);
-        plain
-            .keys()
-            .filter(|name| plain[*name] != edited[*name])
-            .cloned()
-            .collect()
+        plain.keys().filter(|name| plain[*name] != edited[*name]).cloned().collect()
     };
     assert_eq!(changed("crates/low/lib.rs", "low", "lower"), ["low"]);
     assert!(changed("crates/low/lib.rs", "fn", "// note\nfn").is_empty());
@@ -348,8 +251,5 @@ fn the_code_table_is_rust() {
     let table = code_table(&workspace(&[]));
     let parsed: proc_macro2::TokenStream = table.parse().unwrap();
     assert!(!parsed.is_empty());
-    assert!(
-        table.contains("name: \"high\"") && table.contains("dependencies: &[\"low\"]"),
-        "{table}"
-    );
+    assert!(table.contains("name: \"high\"") && table.contains("dependencies: &[\"low\"]"), "{table}");
 }

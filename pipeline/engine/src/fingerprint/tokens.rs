@@ -32,11 +32,7 @@ fn append_tokens(text: &mut String, stream: TokenStream) {
             TokenTree::Punct(punct) => {
                 text.push(punct.as_char());
                 // `&&` is not `& &`.
-                text.push_str(if punct.spacing() == Spacing::Joint {
-                    ""
-                } else {
-                    "\n"
-                });
+                text.push_str(if punct.spacing() == Spacing::Joint { "" } else { "\n" });
             }
             TokenTree::Ident(ident) => *text += &format!("{ident}\n"),
             TokenTree::Literal(literal) => *text += &format!("{literal}\n"),
@@ -53,9 +49,7 @@ fn end_of_ignored(tokens: &[TokenTree], at: usize) -> Option<usize> {
     if compact.starts_with("doc=") {
         return Some(end);
     }
-    (compact == "cfg(test)" && !is_inner)
-        .then(|| end_of_item(tokens, end))
-        .flatten()
+    (compact == "cfg(test)" && !is_inner).then(|| end_of_item(tokens, end)).flatten()
 }
 
 /// The end and the inside of the attribute (`#[…]` or `#![…]`) at `at`.
@@ -65,9 +59,7 @@ fn attribute(tokens: &[TokenTree], at: usize) -> Option<(usize, TokenStream)> {
     }
     let open = at + 1 + usize::from(is_punct(tokens.get(at + 1), '!'));
     match tokens.get(open) {
-        Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Bracket => {
-            Some((open + 1, group.stream()))
-        }
+        Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Bracket => Some((open + 1, group.stream())),
         _ => None,
     }
 }
@@ -79,25 +71,13 @@ fn end_of_item(tokens: &[TokenTree], mut at: usize) -> Option<usize> {
     }
     if is_ident(tokens.get(at), &["pub"]) {
         at += 1;
-        let is_scope = |token: &TokenTree| matches!(token, TokenTree::Group(group) if group.delimiter() == Delimiter::Parenthesis);
+        let is_scope =
+            |token: &TokenTree| matches!(token, TokenTree::Group(group) if group.delimiter() == Delimiter::Parenthesis);
         at += usize::from(tokens.get(at).is_some_and(is_scope));
     }
     let to_semicolon = is_ident(tokens.get(at), &["use", "static", "type", "extern"])
-        || (is_ident(tokens.get(at), &["const"])
-            && !is_ident(tokens.get(at + 1), &["fn", "unsafe", "extern"]));
-    let to_brace = [
-        "mod",
-        "fn",
-        "impl",
-        "struct",
-        "enum",
-        "trait",
-        "unsafe",
-        "const",
-        "async",
-        "macro_rules",
-        "union",
-    ];
+        || (is_ident(tokens.get(at), &["const"]) && !is_ident(tokens.get(at + 1), &["fn", "unsafe", "extern"]));
+    let to_brace = ["mod", "fn", "impl", "struct", "enum", "trait", "unsafe", "const", "async", "macro_rules", "union"];
     if !to_semicolon && !is_ident(tokens.get(at), &to_brace) {
         return None;
     }
@@ -105,10 +85,7 @@ fn end_of_item(tokens: &[TokenTree], mut at: usize) -> Option<usize> {
         TokenTree::Group(group) => !to_semicolon && group.delimiter() == Delimiter::Brace,
         token => is_punct(Some(token), ';'),
     };
-    tokens[at..]
-        .iter()
-        .position(ends)
-        .map(|length| at + length + 1)
+    tokens[at..].iter().position(ends).map(|length| at + length + 1)
 }
 
 fn is_punct(token: Option<&TokenTree>, wanted: char) -> bool {

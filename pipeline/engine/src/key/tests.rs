@@ -9,10 +9,7 @@ use crate::registry::tests::registry;
 use crate::{Coordinates, FailureKind, canonical};
 
 fn coordinates(pairs: &[(&str, &str)]) -> Coordinates {
-    pairs
-        .iter()
-        .map(|(axis, value)| (axis.to_string(), value.to_string()))
-        .collect()
+    pairs.iter().map(|(axis, value)| (axis.to_string(), value.to_string())).collect()
 }
 
 /// A key with something in every component.
@@ -23,16 +20,10 @@ pub(crate) fn components() -> KeyComponents {
         measurements: Some(format!("m{content}")),
         failure: None,
     };
-    let capture = KeyInput {
-        content: Some("c0".into()),
-        ..KeyInput::default()
-    };
+    let capture = KeyInput { content: Some("c0".into()), ..KeyInput::default() };
     KeyComponents {
         stage: "training".into(),
-        code: BTreeMap::from([
-            ("shaders".into(), "s0".into()),
-            ("training".into(), "t0".into()),
-        ]),
+        code: BTreeMap::from([("shaders".into(), "s0".into()), ("training".into(), "t0".into())]),
         params: json!({ "rate": 0.00016, "steps": 300, "grid": { "levels": [1] } }),
         inputs: BTreeMap::from([
             ("capture".into(), vec![capture]),
@@ -49,46 +40,23 @@ type Edit = fn(&mut KeyComponents);
 /// One edit of every part of a key.
 const EDITS: [(&str, Edit); 22] = [
     ("stage", |key| key.stage += "x"),
-    ("code of a crate", |key| {
-        drop(key.code.insert("shaders".into(), "s1".into()))
-    }),
-    ("another crate", |key| {
-        drop(key.code.insert("scene".into(), "s0".into()))
-    }),
+    ("code of a crate", |key| drop(key.code.insert("shaders".into(), "s1".into()))),
+    ("another crate", |key| drop(key.code.insert("scene".into(), "s0".into()))),
     ("a crate less", |key| drop(key.code.remove("shaders"))),
     ("a parameter", |key| key.params["rate"] = json!(0.0002)),
-    ("a nested parameter", |key| {
-        key.params["grid"]["levels"] = json!([2])
-    }),
-    ("a longer array", |key| {
-        key.params["grid"]["levels"] = json!([1, 1])
-    }),
-    ("an integer as float", |key| {
-        key.params["steps"] = json!(300.0)
-    }),
-    ("an integer as text", |key| {
-        key.params["steps"] = json!("300")
-    }),
+    ("a nested parameter", |key| key.params["grid"]["levels"] = json!([2])),
+    ("a longer array", |key| key.params["grid"]["levels"] = json!([1, 1])),
+    ("an integer as float", |key| key.params["steps"] = json!(300.0)),
+    ("an integer as text", |key| key.params["steps"] = json!("300")),
     ("a parameter more", |key| key.params["x"] = json!(null)),
-    (
-        "a moved parameter",
-        |key| key.params = json!({ "rate": 0.00016, "steps": 300, "levels": [1], "grid": {} }),
-    ),
-    ("a source", |key| {
-        drop(key.sources.insert("images".into(), "i1".into()))
-    }),
-    ("a source's name", |key| {
-        key.sources = BTreeMap::from([("masks".into(), "i0".into())])
-    }),
+    ("a moved parameter", |key| key.params = json!({ "rate": 0.00016, "steps": 300, "levels": [1], "grid": {} })),
+    ("a source", |key| drop(key.sources.insert("images".into(), "i1".into()))),
+    ("a source's name", |key| key.sources = BTreeMap::from([("masks".into(), "i0".into())])),
     ("output type", |key| key.output.0 = "video".into()),
     ("output schema", |key| key.output.1 = 2),
     ("environment", |key| key.environment = "gpu".into()),
-    ("an input's content", |key| {
-        key.inputs.get_mut("capture").unwrap()[0].content = Some("c1".into())
-    }),
-    ("an input's measurements", |key| {
-        key.inputs.get_mut("runs").unwrap()[0].measurements = None
-    }),
+    ("an input's content", |key| key.inputs.get_mut("capture").unwrap()[0].content = Some("c1".into())),
+    ("an input's measurements", |key| key.inputs.get_mut("runs").unwrap()[0].measurements = None),
     ("an input's coordinates", |key| {
         key.inputs.get_mut("runs").unwrap()[0].coordinates = coordinates(&[("scene", "x")])
     }),
@@ -96,9 +64,7 @@ const EDITS: [(&str, Edit); 22] = [
         let input = &mut key.inputs.get_mut("runs").unwrap()[0];
         (input.content, input.failure) = (None, Some(FailureKind::Diverged));
     }),
-    ("the order of inputs", |key| {
-        key.inputs.get_mut("runs").unwrap().swap(0, 1)
-    }),
+    ("the order of inputs", |key| key.inputs.get_mut("runs").unwrap().swap(0, 1)),
     ("a port's name", |key| {
         let runs = key.inputs.remove("runs").unwrap();
         key.inputs.insert("walks".into(), runs);
@@ -119,8 +85,7 @@ fn every_edit_of_every_component_changes_the_key() {
 
 #[test]
 fn keys_survive_json() {
-    let copy: KeyComponents =
-        serde_json::from_str(&serde_json::to_string(&components()).unwrap()).unwrap();
+    let copy: KeyComponents = serde_json::from_str(&serde_json::to_string(&components()).unwrap()).unwrap();
     assert_eq!(copy, components());
     assert_eq!(ActionKey::new(&copy), ActionKey::new(&components()));
 }
@@ -160,21 +125,13 @@ fn the_canonical_bytes_are_tagged_and_delimited() {
 }
 
 fn any_json() -> impl Strategy<Value = Value> {
-    let number = prop_oneof![
-        any::<i64>().prop_map(Value::from),
-        (-1e9..1e9).prop_map(|float: f64| json!(float))
-    ];
-    let leaf = prop_oneof![
-        Just(Value::Null),
-        any::<bool>().prop_map(Value::Bool),
-        number,
-        ".{0,6}".prop_map(Value::String)
-    ];
+    let number = prop_oneof![any::<i64>().prop_map(Value::from), (-1e9..1e9).prop_map(|float: f64| json!(float))];
+    let leaf =
+        prop_oneof![Just(Value::Null), any::<bool>().prop_map(Value::Bool), number, ".{0,6}".prop_map(Value::String)];
     leaf.prop_recursive(3, 24, 5, |inner| {
         prop_oneof![
             prop::collection::vec(inner.clone(), 0..5).prop_map(Value::Array),
-            prop::collection::btree_map(".{0,4}", inner, 0..5)
-                .prop_map(|map| Value::Object(map.into_iter().collect())),
+            prop::collection::btree_map(".{0,4}", inner, 0..5).prop_map(|map| Value::Object(map.into_iter().collect())),
         ]
     })
 }
@@ -229,10 +186,7 @@ fn plan(recipe: &str) -> Plan {
 }
 
 fn ids(plan: &Plan, names: &[&str]) -> Vec<String> {
-    names
-        .iter()
-        .map(|name| plan.nodes[plan.index_of(name).unwrap()].plan_id.clone())
-        .collect()
+    names.iter().map(|name| plan.nodes[plan.index_of(name).unwrap()].plan_id.clone()).collect()
 }
 
 fn plan_of(names: &[&str]) -> Vec<String> {
@@ -253,20 +207,12 @@ fn spelling_layout_and_names_do_not_change_plan_ids() {
     ];
     for (from, to) in edits {
         assert!(RECIPE.contains(from));
-        let edited = plan(&RECIPE.replace(from, to).replace(
-            "[\"train\"]",
-            if to.contains("training]") {
-                "[\"training\"]"
-            } else {
-                "[\"train\"]"
-            },
-        ));
-        let all = |plan: &Plan| {
-            plan.nodes
-                .iter()
-                .map(|node| node.plan_id.clone())
-                .collect::<Vec<_>>()
-        };
+        let edited = plan(
+            &RECIPE
+                .replace(from, to)
+                .replace("[\"train\"]", if to.contains("training]") { "[\"training\"]" } else { "[\"train\"]" }),
+        );
+        let all = |plan: &Plan| plan.nodes.iter().map(|node| node.plan_id.clone()).collect::<Vec<_>>();
         assert_eq!(all(&edited), all(&plan(RECIPE)), "{from} → {to}");
     }
 }
@@ -274,10 +220,7 @@ fn spelling_layout_and_names_do_not_change_plan_ids() {
 #[test]
 fn a_new_name_of_an_axis_value_reaches_only_those_who_see_it() {
     let renamed = plan(&RECIPE.replace("\"ball\"", "\"sphere\""));
-    assert_eq!(
-        ids(&renamed, &["write/sphere", "train/sphere/0"]),
-        plan_of(&["write/ball", "train/ball/0"])
-    );
+    assert_eq!(ids(&renamed, &["write/sphere", "train/sphere/0"]), plan_of(&["write/ball", "train/ball/0"]));
     assert_ne!(ids(&renamed, &["list"]), plan_of(&["list"]));
 }
 
@@ -285,18 +228,8 @@ fn a_new_name_of_an_axis_value_reaches_only_those_who_see_it() {
 fn a_changed_value_reaches_everything_below_it() {
     let rule = "[[set]]\nwhen.scene = \"ball\"\nnodes.write.params.text = \"y\"\n";
     let edited = plan(&format!("{RECIPE}{rule}"));
-    let names = [
-        "write/ball",
-        "write/lego",
-        "train/ball/0",
-        "train/lego/0",
-        "list",
-    ];
-    let changed: Vec<bool> = ids(&edited, &names)
-        .iter()
-        .zip(plan_of(&names))
-        .map(|(new, old)| *new != old)
-        .collect();
+    let names = ["write/ball", "write/lego", "train/ball/0", "train/lego/0", "list"];
+    let changed: Vec<bool> = ids(&edited, &names).iter().zip(plan_of(&names)).map(|(new, old)| *new != old).collect();
     assert_eq!(changed, [true, false, true, false, true]);
 }
 
@@ -313,12 +246,7 @@ fn every_part_of_a_node_that_counts_changes_its_plan_id() {
         |node| node.inputs[0].artifact.1 += 1,
         |node| node.inputs[0].measurements = true,
         |node| node.inputs[0].producers.reverse(),
-        |node| {
-            node.sources.push(PlanSource {
-                name: "a".into(),
-                path: "b".into(),
-            })
-        },
+        |node| node.sources.push(PlanSource { name: "a".into(), path: "b".into() }),
     ];
     let mut ids = BTreeSet::from([node.plan_id.clone()]);
     for edit in edits {
@@ -351,31 +279,11 @@ fn a_key_leaves_out_what_the_stage_does_not_see() {
     };
     let key = |name: &str, port: &str| {
         let node = &plan.nodes[plan.index_of(name).unwrap()];
-        KeyComponents::of(
-            node,
-            BTreeMap::from([(port.into(), vec![input.clone()])]),
-            BTreeMap::new(),
-            "cpu",
-        )
+        KeyComponents::of(node, BTreeMap::from([(port.into(), vec![input.clone()])]), BTreeMap::new(), "cpu")
     };
     let one = key("train/ball/0", "text");
-    assert_eq!(
-        one.inputs["text"],
-        [KeyInput {
-            content: Some("c".into()),
-            ..KeyInput::default()
-        }]
-    );
+    assert_eq!(one.inputs["text"], [KeyInput { content: Some("c".into()), ..KeyInput::default() }]);
     let many = key("list", "texts");
-    assert_eq!(
-        many.inputs["texts"],
-        [KeyInput {
-            measurements: None,
-            ..input.clone()
-        }]
-    );
-    assert_eq!(
-        (one.stage.as_str(), one.params["rate"].as_f64()),
-        ("test-work", Some(0.001))
-    );
+    assert_eq!(many.inputs["texts"], [KeyInput { measurements: None, ..input.clone() }]);
+    assert_eq!((one.stage.as_str(), one.params["rate"].as_f64()), ("test-work", Some(0.001)));
 }

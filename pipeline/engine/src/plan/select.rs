@@ -24,18 +24,11 @@ impl Plan {
         }
         let mut selected = BTreeSet::new();
         for pattern in patterns {
-            let found: Vec<usize> = (0..self.nodes.len())
-                .filter(|&index| matches_pattern(pattern, &self.nodes[index].name))
-                .collect();
+            let found: Vec<usize> =
+                (0..self.nodes.len()).filter(|&index| matches_pattern(pattern, &self.nodes[index].name)).collect();
             if found.is_empty() {
-                let names = self
-                    .nodes
-                    .iter()
-                    .flat_map(|node| [node.template.as_str(), node.name.as_str()]);
-                return Err(NothingSelected {
-                    pattern: pattern.clone(),
-                    nearest: nearest(pattern, names),
-                });
+                let names = self.nodes.iter().flat_map(|node| [node.template.as_str(), node.name.as_str()]);
+                return Err(NothingSelected { pattern: pattern.clone(), nearest: nearest(pattern, names) });
             }
             selected.extend(found);
         }
@@ -47,10 +40,7 @@ impl Plan {
 /// `*` for any characters and `?` for one.
 pub fn matches_pattern(pattern: &str, name: &str) -> bool {
     let mut parts = name.split('/');
-    pattern
-        .trim_end_matches('/')
-        .split('/')
-        .all(|wanted| parts.next().is_some_and(|part| matches_part(wanted, part)))
+    pattern.trim_end_matches('/').split('/').all(|wanted| parts.next().is_some_and(|part| matches_part(wanted, part)))
 }
 
 fn matches_part(pattern: &str, text: &str) -> bool {
@@ -58,16 +48,13 @@ fn matches_part(pattern: &str, text: &str) -> bool {
     match rest.next() {
         None => text.is_empty(),
         // A star takes the empty string or one character more.
-        Some('*') => text
-            .char_indices()
-            .map(|(at, _)| at)
-            .chain([text.len()])
-            .any(|at| matches_part(rest.as_str(), &text[at..])),
+        Some('*') => {
+            text.char_indices().map(|(at, _)| at).chain([text.len()]).any(|at| matches_part(rest.as_str(), &text[at..]))
+        }
         Some(wanted) => {
             let mut text = text.chars();
-            text.next().is_some_and(|got| {
-                (wanted == '?' || wanted == got) && matches_part(rest.as_str(), text.as_str())
-            })
+            text.next()
+                .is_some_and(|got| (wanted == '?' || wanted == got) && matches_part(rest.as_str(), text.as_str()))
         }
     }
 }

@@ -38,11 +38,7 @@ pub(crate) fn diamond() -> Plan {
         node("render/lego/mcgs", &[1, 3]),
         node("table", &[4, 5]),
     ];
-    Plan {
-        recipe: "diamond".into(),
-        nodes,
-        origins: BTreeMap::new(),
-    }
+    Plan { recipe: "diamond".into(), nodes, origins: BTreeMap::new() }
 }
 
 fn set(indices: &[usize]) -> BTreeSet<usize> {
@@ -66,43 +62,17 @@ fn the_graph_has_all_nodes_and_edges_from_producer_to_consumer() {
     assert_eq!((graph.node_count(), graph.edge_count()), (7, 8));
     let order = petgraph::algo::toposort(&graph, None).unwrap();
     assert_eq!(graph[order[6]], 6);
-    assert!(graph.edge_indices().all(|edge| {
-        graph
-            .edge_endpoints(edge)
-            .is_some_and(|(from, to)| from < to)
-    }));
+    assert!(graph.edge_indices().all(|edge| { graph.edge_endpoints(edge).is_some_and(|(from, to)| from < to) }));
 }
 
 #[test]
 fn patterns_match_whole_parts_from_the_front() {
     let name = "train/lego/mcgs/0";
-    let matching = [
-        "train",
-        "train/",
-        "train/lego",
-        "train/*/mcgs*",
-        "*/lego",
-        "tr*n/l?go/*/0",
-        "train/lego/mcgs/0",
-        "*",
-        "t**n",
-    ];
-    let others = [
-        "trai",
-        "train/leg",
-        "lego",
-        "train/*/mc",
-        "train/lego/mcgs/0/x",
-        "train//mcgs",
-        "",
-        "tr?n",
-        "train/?",
-    ];
-    assert!(
-        matching
-            .iter()
-            .all(|pattern| matches_pattern(pattern, name))
-    );
+    let matching =
+        ["train", "train/", "train/lego", "train/*/mcgs*", "*/lego", "tr*n/l?go/*/0", "train/lego/mcgs/0", "*", "t**n"];
+    let others =
+        ["trai", "train/leg", "lego", "train/*/mc", "train/lego/mcgs/0/x", "train//mcgs", "", "tr?n", "train/?"];
+    assert!(matching.iter().all(|pattern| matches_pattern(pattern, name)));
     assert!(!others.iter().any(|pattern| matches_pattern(pattern, name)));
     assert!(matches_pattern("*é?", "caféx"));
 }
@@ -110,18 +80,10 @@ fn patterns_match_whole_parts_from_the_front() {
 #[test]
 fn selections_name_the_nearest_node_when_nothing_matches() {
     let plan = diamond();
-    let select = |patterns: &[&str]| {
-        plan.select(&patterns.iter().map(|p| p.to_string()).collect::<Vec<_>>())
-    };
+    let select = |patterns: &[&str]| plan.select(&patterns.iter().map(|p| p.to_string()).collect::<Vec<_>>());
     assert_eq!(select(&[]).unwrap().len(), 7);
     assert_eq!(select(&["train/*/mcgs", "table"]).unwrap(), set(&[2, 3, 6]));
     let error = select(&["table", "trian"]).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "no job matches `trian`; did you mean `train`?"
-    );
-    assert_eq!(
-        select(&["zzz"]).unwrap_err().to_string(),
-        "no job matches `zzz`"
-    );
+    assert_eq!(error.to_string(), "no job matches `trian`; did you mean `train`?");
+    assert_eq!(select(&["zzz"]).unwrap_err().to_string(), "no job matches `zzz`");
 }

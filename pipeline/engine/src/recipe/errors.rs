@@ -48,30 +48,11 @@ impl fmt::Display for RecipeErrors {
 impl fmt::Display for RecipeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "error: {}", self.message)?;
-        write!(
-            f,
-            "  at {}:{}:{}",
-            self.file.display(),
-            self.line,
-            self.column
-        )?;
-        writeln!(
-            f,
-            "{}",
-            if self.key.is_empty() {
-                String::new()
-            } else {
-                format!(", key {}", self.key)
-            }
-        )?;
+        write!(f, "  at {}:{}:{}", self.file.display(), self.line, self.column)?;
+        writeln!(f, "{}", if self.key.is_empty() { String::new() } else { format!(", key {}", self.key) })?;
         if !self.source_line.trim().is_empty() {
             writeln!(f, "  | {}", self.source_line.replace('\t', " "))?;
-            writeln!(
-                f,
-                "  | {}{}",
-                " ".repeat(self.column - 1),
-                "^".repeat(self.width)
-            )?;
+            writeln!(f, "  | {}{}", " ".repeat(self.column - 1), "^".repeat(self.width))?;
         }
         if let Some(hint) = &self.hint {
             writeln!(f, "  hint: {hint}")?;
@@ -89,20 +70,11 @@ pub(crate) struct Report {
 
 impl Report {
     /// Adds an error; the same one of several jobs counts once.
-    pub fn add(
-        &mut self,
-        place: &Place,
-        key: impl Into<String>,
-        message: impl Into<String>,
-        hint: Option<String>,
-    ) {
+    pub fn add(&mut self, place: &Place, key: impl Into<String>, message: impl Into<String>, hint: Option<String>) {
         let (line, column, source_line) = self.texts.line(place);
         let left = source_line.chars().count().saturating_sub(column - 1);
         let text = self.texts.get(place.text);
-        let marked = text
-            .text
-            .get(place.start..place.end)
-            .map_or(0, |text| text.chars().count());
+        let marked = text.text.get(place.start..place.end).map_or(0, |text| text.chars().count());
         let error = RecipeError {
             file: text.path.clone(),
             line,
@@ -134,10 +106,7 @@ impl Report {
 }
 
 /// "did you mean `x`? allowed: x, y", from what the user wrote and what would have been right.
-pub(crate) fn names_hint<'a>(
-    wrong: &str,
-    allowed: impl IntoIterator<Item = &'a str>,
-) -> Option<String> {
+pub(crate) fn names_hint<'a>(wrong: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<String> {
     let allowed: Vec<&str> = allowed.into_iter().collect();
     let list = match allowed.is_empty() {
         true => "none is allowed here".into(),

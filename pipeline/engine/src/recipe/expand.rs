@@ -18,33 +18,16 @@ pub(crate) struct Instance {
 }
 
 /// All jobs of the template called `name`, the last axis varying fastest.
-pub(crate) fn instances(
-    recipe: &RawRecipe,
-    name: &str,
-    template: &Template,
-    report: &mut Report,
-) -> Vec<Instance> {
+pub(crate) fn instances(recipe: &RawRecipe, name: &str, template: &Template, report: &mut Report) -> Vec<Instance> {
     let mut combinations = vec![Vec::new()];
     for &axis in &template.over {
         let longer = |head: &Vec<(usize, AxisValue)>| {
-            let with = |value: &AxisValue| {
-                head.iter()
-                    .cloned()
-                    .chain([(axis, value.clone())])
-                    .collect()
-            };
-            recipe.axes[axis]
-                .values
-                .iter()
-                .map(with)
-                .collect::<Vec<_>>()
+            let with = |value: &AxisValue| head.iter().cloned().chain([(axis, value.clone())]).collect();
+            recipe.axes[axis].values.iter().map(with).collect::<Vec<_>>()
         };
         combinations = combinations.iter().flat_map(longer).collect();
     }
-    combinations
-        .into_iter()
-        .map(|values| instance(recipe, name, template, values, report))
-        .collect()
+    combinations.into_iter().map(|values| instance(recipe, name, template, values, report)).collect()
 }
 
 fn instance(
@@ -54,17 +37,10 @@ fn instance(
     values: Vec<(usize, AxisValue)>,
     report: &mut Report,
 ) -> Instance {
-    let value_of = |axis: usize| {
-        values
-            .iter()
-            .find(|(own, _)| *own == axis)
-            .map(|(_, value)| value)
-    };
+    let value_of = |axis: usize| values.iter().find(|(own, _)| *own == axis).map(|(_, value)| value);
     let mut params = template.params.clone();
     for rule in &recipe.rules {
-        let holds = |(&axis, wanted): (&usize, &_)| {
-            value_of(axis).is_some_and(|value| contains(wanted, value))
-        };
+        let holds = |(&axis, wanted): (&usize, &_)| value_of(axis).is_some_and(|value| contains(wanted, value));
         if rule.when.iter().all(holds) {
             let own = rule.params.iter().filter(|(template, _)| template == name);
             own.for_each(|(_, over)| tree::merge(&mut params, over.clone()));
@@ -77,15 +53,8 @@ fn instance(
     }
     let texts = values.iter().map(|(_, value)| value.text.as_str());
     Instance {
-        name: [name]
-            .into_iter()
-            .chain(texts)
-            .collect::<Vec<_>>()
-            .join("/"),
-        coordinates: values
-            .iter()
-            .map(|(axis, value)| (recipe.axis_name(*axis).into(), value.text.clone()))
-            .collect(),
+        name: [name].into_iter().chain(texts).collect::<Vec<_>>().join("/"),
+        coordinates: values.iter().map(|(axis, value)| (recipe.axis_name(*axis).into(), value.text.clone())).collect(),
         params,
         values,
     }
@@ -118,16 +87,10 @@ fn substitute<'a>(
             Some(Some(value)) => filled.push(value.value.clone()),
             Some(None) => {
                 let message = format!("this node is not expanded over axis `{axis}`");
-                report.add(
-                    &item.at,
-                    key,
-                    message,
-                    Some(format!("add it to the node's `over`: \"{axis}\"")),
-                );
+                report.add(&item.at, key, message, Some(format!("add it to the node's `over`: \"{axis}\"")));
             }
             None => {
-                let names =
-                    names_hint(axis, recipe.axes.keys().map(String::as_str)).unwrap_or_default();
+                let names = names_hint(axis, recipe.axes.keys().map(String::as_str)).unwrap_or_default();
                 let hint = Some(format!("{names}; for a literal brace write {{{{{axis}}}}}"));
                 report.add(&item.at, key, format!("unknown axis `{axis}`"), hint);
             }
@@ -137,11 +100,7 @@ fn substitute<'a>(
         let Some(value) = filled.pop() else { return };
         item.tree = Tree::Leaf(value);
     } else {
-        let text = |value: &Value| {
-            value
-                .as_str()
-                .map_or_else(|| value.to_string(), str::to_owned)
-        };
+        let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
         item.tree = Tree::Leaf(Value::String(filled.iter().map(text).collect()));
     }
 }

@@ -34,10 +34,7 @@ pub(crate) fn load(path: &Path, overrides: &[String], report: &mut Report) -> Op
         })
         .collect();
     loaded.root = root?;
-    tables
-        .into_iter()
-        .flatten()
-        .for_each(|table| add_override(&mut loaded, table));
+    tables.into_iter().flatten().for_each(|table| add_override(&mut loaded, table));
     Some(loaded)
 }
 
@@ -52,45 +49,24 @@ fn read(
     let identity = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let content = std::fs::read_to_string(path);
     // A file that cannot be read is blamed on the line that names it, or on itself.
-    let text = report
-        .texts
-        .add(path, content.as_deref().unwrap_or("").into(), false);
+    let text = report.texts.add(path, content.as_deref().unwrap_or("").into(), false);
     let place = named_at.map_or(Place::new(text, 0..0), |item| item.at);
     if let Err(error) = content {
-        report.add(
-            &place,
-            "",
-            format!("cannot read the recipe ({error}): {}", path.display()),
-            None,
-        );
+        report.add(&place, "", format!("cannot read the recipe ({error}): {}", path.display()), None);
         return None;
     }
     if let Some(first) = stack.iter().position(|open| *open == identity) {
-        let names = stack[first..]
-            .iter()
-            .chain([&identity])
-            .map(|path| path.display().to_string());
-        report.add(
-            &place,
-            "extends",
-            format!("recipes extend each other: {}", join_arrows(names)),
-            None,
-        );
+        let names = stack[first..].iter().chain([&identity]).map(|path| path.display().to_string());
+        report.add(&place, "extends", format!("recipes extend each other: {}", join_arrows(names)), None);
         return None;
     }
     let mut own = tree::parse(text, report)?;
     let extends = own.shift_remove("extends");
     stack.push(identity);
     let (mut merged, mut is_whole) = (Table::new(), true);
-    let bases = extends
-        .as_ref()
-        .map(|item| extended(item, report))
-        .unwrap_or_default();
+    let bases = extends.as_ref().map(|item| extended(item, report)).unwrap_or_default();
     for item in bases {
-        let base = path
-            .parent()
-            .unwrap_or(Path::new(""))
-            .join(item.as_str().unwrap_or_default());
+        let base = path.parent().unwrap_or(Path::new("")).join(item.as_str().unwrap_or_default());
         match read(&base, Some(item), stack, report, loaded) {
             Some(mut base) => {
                 // A name is that of one file.
@@ -111,12 +87,7 @@ fn extended<'a>(item: &'a Item, report: &mut Report) -> &'a [Item] {
     match &item.tree {
         Tree::Array(items) if items.iter().all(|item| item.as_str().is_some()) => items,
         _ => {
-            report.add(
-                &item.at,
-                "extends",
-                "`extends` must be an array of file names",
-                None,
-            );
+            report.add(&item.at, "extends", "`extends` must be an array of file names", None);
             &[]
         }
     }
@@ -125,30 +96,13 @@ fn extended<'a>(item: &'a Item, report: &mut Report) -> &'a [Item] {
 /// Takes the rules out of a layer and notes its axis values.
 fn add_layer(layer: &mut Table, loaded: &mut Loaded, report: &mut Report) {
     match layer.shift_remove("set") {
-        Some(Item {
-            tree: Tree::Array(rules),
-            ..
-        }) => loaded.rules.extend(rules),
-        Some(item) => report.add(
-            &item.key_at,
-            "set",
-            "`set` must be an array of tables: [[set]]",
-            None,
-        ),
+        Some(Item { tree: Tree::Array(rules), .. }) => loaded.rules.extend(rules),
+        Some(item) => report.add(&item.key_at, "set", "`set` must be an array of tables: [[set]]", None),
         None => (),
     }
-    for (axis, item) in layer
-        .get("axes")
-        .and_then(Item::as_table)
-        .into_iter()
-        .flatten()
-    {
+    for (axis, item) in layer.get("axes").and_then(Item::as_table).into_iter().flatten() {
         if let Tree::Array(values) = &item.tree {
-            loaded
-                .axis_values
-                .entry(axis.clone())
-                .or_default()
-                .extend(values.iter().filter_map(axis_text));
+            loaded.axis_values.entry(axis.clone()).or_default().extend(values.iter().filter_map(axis_text));
         }
     }
 }
@@ -157,12 +111,7 @@ fn read_override(text: usize, report: &mut Report) -> Option<Table> {
     let content = report.texts.get(text).text.clone();
     if toml::de::DeTable::parse(&content).is_err() {
         let hint = r#"write key.path=VALUE; strings need quotes, as -s 'name="x"'"#.to_owned();
-        report.add(
-            &Place::new(text, 0..content.len()),
-            "",
-            "this override is not a TOML assignment",
-            Some(hint),
-        );
+        report.add(&Place::new(text, 0..content.len()), "", "this override is not a TOML assignment", Some(hint));
         return None;
     }
     tree::parse(text, report)
@@ -178,19 +127,11 @@ fn add_override(loaded: &mut Loaded, mut table: Table) {
             };
             if let Some(item) = fields.shift_remove("params") {
                 let only_params = Table::from([("params".to_owned(), item)]);
-                params.insert(
-                    name.clone(),
-                    Item {
-                        tree: Tree::Table(only_params),
-                        ..*node
-                    },
-                );
+                params.insert(name.clone(), Item { tree: Tree::Table(only_params), ..*node });
             }
         }
         nodes.retain(|_, node| node.as_table().is_none_or(|fields| !fields.is_empty()));
-        loaded
-            .overrides
-            .extend((!params.is_empty()).then(|| rule(params)));
+        loaded.overrides.extend((!params.is_empty()).then(|| rule(params)));
     }
     // An override may add values to an axis, but rules need not know them.
     tree::merge(&mut loaded.root, table);
@@ -199,16 +140,8 @@ fn add_override(loaded: &mut Loaded, mut table: Table) {
 /// `{ nodes = … }`, the shape of a rule without a condition.
 fn rule(nodes: Table) -> Item {
     let place = nodes[0].key_at;
-    let nodes = Item {
-        tree: Tree::Table(nodes),
-        key_at: place,
-        at: place,
-    };
-    Item {
-        tree: Tree::Table(Table::from([("nodes".to_owned(), nodes)])),
-        key_at: place,
-        at: place,
-    }
+    let nodes = Item { tree: Tree::Table(nodes), key_at: place, at: place };
+    Item { tree: Tree::Table(Table::from([("nodes".to_owned(), nodes)])), key_at: place, at: place }
 }
 
 /// "a → b → a".

@@ -27,22 +27,13 @@ pub(crate) struct Place {
 
 impl Place {
     pub fn new(text: usize, span: Range<usize>) -> Self {
-        Self {
-            text,
-            start: span.start,
-            end: span.end,
-            rule: None,
-        }
+        Self { text, start: span.start, end: span.end, rule: None }
     }
 }
 
 impl Texts {
     pub fn add(&mut self, path: &Path, text: String, is_override: bool) -> usize {
-        self.0.push(Text {
-            path: path.to_owned(),
-            text,
-            is_override,
-        });
+        self.0.push(Text { path: path.to_owned(), text, is_override });
         self.0.len() - 1
     }
 
@@ -53,17 +44,10 @@ impl Texts {
     /// The line number from 1, the column in characters from 1, and the whole line around the start of `place`.
     pub fn line(&self, place: &Place) -> (usize, usize, &str) {
         let text = &self.get(place.text).text;
-        let start = (0..=place.start.min(text.len()))
-            .rev()
-            .find(|&at| text.is_char_boundary(at))
-            .unwrap_or(0);
+        let start = (0..=place.start.min(text.len())).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
         let line_start = text[..start].rfind('\n').map_or(0, |at| at + 1);
         let line = text[line_start..].lines().next().unwrap_or("");
-        (
-            text[..line_start].matches('\n').count() + 1,
-            text[line_start..start].chars().count() + 1,
-            line,
-        )
+        (text[..line_start].matches('\n').count() + 1, text[line_start..start].chars().count() + 1, line)
     }
 
     /// How a value at `place` came into the plan.
@@ -71,15 +55,8 @@ impl Texts {
         let (text, line) = (self.get(place.text), self.line(place).0);
         match place.rule {
             _ if text.is_override => Origin::CommandLine,
-            Some(number) => Origin::Set {
-                number,
-                file: text.path.clone(),
-                line,
-            },
-            None => Origin::File {
-                file: text.path.clone(),
-                line,
-            },
+            Some(number) => Origin::Set { number, file: text.path.clone(), line },
+            None => Origin::File { file: text.path.clone(), line },
         }
     }
 }

@@ -78,11 +78,7 @@ const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 pub(crate) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
     let mut recipe = RawRecipe::default();
     refuse_unknown(&loaded.root, "", &ROOT_KEYS, report);
-    recipe.name = loaded
-        .root
-        .get("name")
-        .and_then(|item| name(item, "name", report))
-        .map(|named| named.name);
+    recipe.name = loaded.root.get("name").and_then(|item| name(item, "name", report)).map(|named| named.name);
     for (key, item) in table_at(&loaded.root, "axes", "axes", report) {
         let values = axis_values(key, item, report);
         recipe.axes.insert(key.clone(), Axis { values });
@@ -92,19 +88,10 @@ pub(crate) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
             recipe.templates.insert(key.clone(), template);
         }
     }
-    let numbered = loaded
-        .rules
-        .into_iter()
-        .enumerate()
-        .map(|(index, item)| (Some(index + 1), item));
-    for (number, mut item) in numbered.chain(loaded.overrides.into_iter().map(|item| (None, item)))
-    {
-        item.visit("set", &mut |_, item| {
-            (item.at.rule, item.key_at.rule) = (number, number)
-        });
-        recipe
-            .rules
-            .extend(rule(&item, &recipe, &loaded.axis_values, report));
+    let numbered = loaded.rules.into_iter().enumerate().map(|(index, item)| (Some(index + 1), item));
+    for (number, mut item) in numbered.chain(loaded.overrides.into_iter().map(|item| (None, item))) {
+        item.visit("set", &mut |_, item| (item.at.rule, item.key_at.rule) = (number, number));
+        recipe.rules.extend(rule(&item, &recipe, &loaded.axis_values, report));
     }
     recipe
 }
@@ -122,12 +109,7 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
     let key = format!("axes.{axis}");
     check_name(axis, item.key_at, &key, report);
     let Tree::Array(items) = &item.tree else {
-        report.add(
-            &item.at,
-            key,
-            "an axis is an array of strings or integers",
-            None,
-        );
+        report.add(&item.at, key, "an axis is an array of strings or integers", None);
         return Vec::new();
     };
     if items.is_empty() {
@@ -141,28 +123,15 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
         };
         check_name(&text, item.at, &key, report);
         if values.iter().any(|known| known.text == text) {
-            report.add(
-                &item.at,
-                &key,
-                format!("axis value `{text}` is there twice"),
-                None,
-            );
+            report.add(&item.at, &key, format!("axis value `{text}` is there twice"), None);
         } else {
-            values.push(AxisValue {
-                text,
-                value: item.to_json(),
-            });
+            values.push(AxisValue { text, value: item.to_json() });
         }
     }
     values
 }
 
-fn template(
-    name: &str,
-    item: &Item,
-    axes: &IndexMap<String, Axis>,
-    report: &mut Report,
-) -> Option<Template> {
+fn template(name: &str, item: &Item, axes: &IndexMap<String, Axis>, report: &mut Report) -> Option<Template> {
     let key = format!("nodes.{name}");
     check_name(name, item.key_at, &key, report);
     let fields = as_table(item, &key, report)?;
@@ -170,12 +139,7 @@ fn template(
     let stage = match fields.get("stage") {
         Some(item) => self::name(item, &format!("{key}.stage"), report),
         None => {
-            report.add(
-                &item.key_at,
-                &key,
-                format!("node `{name}` has no stage"),
-                Some(r#"add stage = "…""#.into()),
-            );
+            report.add(&item.key_at, &key, format!("node `{name}` has no stage"), Some(r#"add stage = "…""#.into()));
             None
         }
     };
@@ -185,43 +149,21 @@ fn template(
         stage: stage?,
         over: over(fields, &key, axes, report),
         inputs: wires(fields, &key, report),
-        params: params
-            .and_then(|item| as_table(item, &format!("{key}.params"), report))
-            .cloned()
-            .unwrap_or_default(),
+        params: params.and_then(|item| as_table(item, &format!("{key}.params"), report)).cloned().unwrap_or_default(),
         params_at: params.map_or(item.key_at, |item| item.key_at),
     })
 }
 
-fn over(
-    fields: &Table,
-    key: &str,
-    axes: &IndexMap<String, Axis>,
-    report: &mut Report,
-) -> Vec<usize> {
+fn over(fields: &Table, key: &str, axes: &IndexMap<String, Axis>, report: &mut Report) -> Vec<usize> {
     let key = format!("{key}.over");
     let mut over = BTreeSet::new();
-    for axis in fields
-        .get("over")
-        .map(|item| names(item, &key, report))
-        .unwrap_or_default()
-    {
+    for axis in fields.get("over").map(|item| names(item, &key, report)).unwrap_or_default() {
         match axes.get_index_of(&axis.name) {
             Some(index) if over.insert(index) => (),
-            Some(_) => report.add(
-                &axis.at,
-                &key,
-                format!("axis `{}` is there twice", axis.name),
-                None,
-            ),
+            Some(_) => report.add(&axis.at, &key, format!("axis `{}` is there twice", axis.name), None),
             None => {
                 let hint = names_hint(&axis.name, axes.keys().map(String::as_str));
-                report.add(
-                    &axis.at,
-                    &key,
-                    format!("unknown axis `{}`", axis.name),
-                    hint,
-                );
+                report.add(&axis.at, &key, format!("unknown axis `{}`", axis.name), hint);
             }
         }
     }
@@ -234,17 +176,9 @@ fn wires(fields: &Table, key: &str, report: &mut Report) -> Vec<Wire> {
     for (port, item) in table_at(fields, "inputs", &key, report) {
         let from = match &item.tree {
             Tree::Array(_) => names(item, &format!("{key}.{port}"), report),
-            _ => name(item, &format!("{key}.{port}"), report)
-                .into_iter()
-                .collect(),
+            _ => name(item, &format!("{key}.{port}"), report).into_iter().collect(),
         };
-        wires.push(Wire {
-            port: Named {
-                name: port.clone(),
-                at: item.key_at,
-            },
-            from,
-        });
+        wires.push(Wire { port: Named { name: port.clone(), at: item.key_at }, from });
     }
     wires
 }
@@ -268,19 +202,14 @@ fn rule(
         };
         if let Some((&axis, _)) = when.iter().find(|(axis, _)| !template.over.contains(axis)) {
             let axis = recipe.axis_name(axis);
-            let message = format!(
-                "node `{name}` is not expanded over axis `{axis}`, which this rule asks for"
-            );
+            let message = format!("node `{name}` is not expanded over axis `{axis}`, which this rule asks for");
             report.add(&item.key_at, &key, message, None);
         }
         let Some(fields) = as_table(item, &key, report) else {
             continue;
         };
         refuse_unknown(fields, &format!("{key}."), &["params"], report);
-        params.push((
-            name.clone(),
-            table_at(fields, "params", &format!("{key}.params"), report).clone(),
-        ));
+        params.push((name.clone(), table_at(fields, "params", &format!("{key}.params"), report).clone()));
     }
     Some(Rule { when, params })
 }
@@ -299,27 +228,14 @@ fn conditions(
             report.add(&item.key_at, key, format!("unknown axis `{axis}`"), hint);
             continue;
         };
-        let mut allowed: BTreeSet<&str> = values
-            .values
-            .iter()
-            .map(|value| value.text.as_str())
-            .collect();
+        let mut allowed: BTreeSet<&str> = values.values.iter().map(|value| value.text.as_str()).collect();
         allowed.extend(known.get(axis).into_iter().flatten().map(String::as_str));
-        let wanted = if let Tree::Array(items) = &item.tree {
-            items.as_slice()
-        } else {
-            std::slice::from_ref(item)
-        };
+        let wanted = if let Tree::Array(items) = &item.tree { items.as_slice() } else { std::slice::from_ref(item) };
         for item in wanted {
             let text = axis_text(item).unwrap_or_default();
             if !allowed.contains(text.as_str()) {
                 let hint = names_hint(&text, allowed.iter().copied());
-                report.add(
-                    &item.at,
-                    &key,
-                    format!("axis `{axis}` has no value `{text}`"),
-                    hint,
-                );
+                report.add(&item.at, &key, format!("axis `{axis}` has no value `{text}`"), hint);
             }
         }
         when.insert(index, wanted.iter().filter_map(axis_text).collect());
@@ -332,80 +248,43 @@ fn check_name(name: &str, at: Place, key: &str, report: &mut Report) {
     let plain = |c: char| c.is_ascii_alphanumeric() || "._+-".contains(c);
     if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
         let message = format!("`{name}` cannot be part of a job's name");
-        report.add(
-            &at,
-            key,
-            message,
-            Some("use letters, digits, `_`, `-`, `+` and `.`".into()),
-        );
+        report.add(&at, key, message, Some("use letters, digits, `_`, `-`, `+` and `.`".into()));
     }
 }
 
 fn refuse_unknown(table: &Table, prefix: &str, allowed: &[&str], report: &mut Report) {
-    for (key, item) in table
-        .iter()
-        .filter(|(key, _)| !allowed.contains(&key.as_str()))
-    {
+    for (key, item) in table.iter().filter(|(key, _)| !allowed.contains(&key.as_str())) {
         let hint = names_hint(key, allowed.iter().copied());
-        report.add(
-            &item.key_at,
-            format!("{prefix}{key}"),
-            format!("unknown key `{key}`"),
-            hint,
-        );
+        report.add(&item.key_at, format!("{prefix}{key}"), format!("unknown key `{key}`"), hint);
     }
 }
 
 /// The table under `key`; empty if there is none.
 fn table_at<'a>(parent: &'a Table, key: &str, dotted: &str, report: &mut Report) -> &'a Table {
     static NONE: std::sync::LazyLock<Table> = std::sync::LazyLock::new(Table::new);
-    parent
-        .get(key)
-        .and_then(|item| as_table(item, dotted, report))
-        .unwrap_or(&NONE)
+    parent.get(key).and_then(|item| as_table(item, dotted, report)).unwrap_or(&NONE)
 }
 
 fn as_table<'a>(item: &'a Item, key: &str, report: &mut Report) -> Option<&'a Table> {
     if item.as_table().is_none() {
-        report.add(
-            &item.at,
-            key,
-            format!("`{}` must be a table", last(key)),
-            None,
-        );
+        report.add(&item.at, key, format!("`{}` must be a table", last(key)), None);
     }
     item.as_table()
 }
 
 fn name(item: &Item, key: &str, report: &mut Report) -> Option<Named> {
     if item.as_str().is_none() {
-        report.add(
-            &item.at,
-            key,
-            format!("`{}` must be a string", last(key)),
-            None,
-        );
+        report.add(&item.at, key, format!("`{}` must be a string", last(key)), None);
     }
-    Some(Named {
-        name: item.as_str()?.into(),
-        at: item.at,
-    })
+    Some(Named { name: item.as_str()?.into(), at: item.at })
 }
 
 fn names(item: &Item, key: &str, report: &mut Report) -> Vec<Named> {
     let Tree::Array(items) = &item.tree else {
-        report.add(
-            &item.at,
-            key,
-            format!("`{}` must be an array of strings", last(key)),
-            None,
-        );
+        report.add(&item.at, key, format!("`{}` must be an array of strings", last(key)), None);
         return Vec::new();
     };
-    items
-        .iter()
-        .filter_map(|item| name(item, key, report))
-        .collect()
+    items.iter().filter_map(|item| name(item, key, report)).collect()
 }
 
 fn last(key: &str) -> &str {

@@ -30,26 +30,14 @@ impl Recipes {
 }
 
 fn plan(text: &str, overrides: &[&str]) -> Plan {
-    Recipes::new(&[("recipe.toml", text)])
-        .resolve("recipe.toml", overrides)
-        .unwrap_or_else(|errors| panic!("{errors}"))
+    Recipes::new(&[("recipe.toml", text)]).resolve("recipe.toml", overrides).unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 /// One "LINE: KEY: MESSAGE (HINT)" per error.
 fn errors(text: &str, overrides: &[&str]) -> Vec<String> {
-    let errors = Recipes::new(&[("recipe.toml", text)])
-        .resolve("recipe.toml", overrides)
-        .expect_err("must fail");
-    let hint = |hint: &Option<String>| {
-        hint.as_ref()
-            .map(|hint| format!(" ({hint})"))
-            .unwrap_or_default()
-    };
-    errors
-        .0
-        .iter()
-        .map(|e| format!("{}: {}: {}{}", e.line, e.key, e.message, hint(&e.hint)))
-        .collect()
+    let errors = Recipes::new(&[("recipe.toml", text)]).resolve("recipe.toml", overrides).expect_err("must fail");
+    let hint = |hint: &Option<String>| hint.as_ref().map(|hint| format!(" ({hint})")).unwrap_or_default();
+    errors.0.iter().map(|e| format!("{}: {}: {}{}", e.line, e.key, e.message, hint(&e.hint))).collect()
 }
 
 const GRID: &str = r#"
@@ -104,19 +92,14 @@ fn a_recipe_becomes_jobs_in_topological_order() {
     let train = &plan.nodes[5];
     assert_eq!(
         train.coordinates,
-        [("method", "b"), ("scene", "ball"), ("seed", "1")]
-            .map(|(k, v)| (k.into(), v.into()))
-            .into()
+        [("method", "b"), ("scene", "ball"), ("seed", "1")].map(|(k, v)| (k.into(), v.into())).into()
     );
     assert_eq!(train.params["steps"], json!(5));
     assert_eq!(train.params["keep"], json!(7));
     assert_eq!(train.params["rate"], json!(1.0));
     assert_eq!(train.inputs[0].producers, [0]);
     assert_eq!(plan.nodes[8].params["steps"], json!(3));
-    assert_eq!(
-        plan.nodes[10].inputs[0].producers,
-        [2, 3, 4, 5, 6, 7, 8, 9, 0, 1]
-    );
+    assert_eq!(plan.nodes[10].inputs[0].producers, [2, 3, 4, 5, 6, 7, 8, 9, 0, 1]);
     assert_eq!(plan.nodes[0].params["text"], json!("ball: {scene} {:03}"));
     assert_eq!(plan.nodes[1].sources[0].path, Path::new("in/lego"));
 }
@@ -138,31 +121,14 @@ fn plans_survive_json_and_do_not_depend_on_the_run() {
 
 #[test]
 fn overrides_win_and_every_value_knows_its_origin() {
-    let plan = plan(
-        GRID,
-        &[
-            "nodes.train.params.keep=9",
-            "axes.scene=[\"ball\"]",
-            r#"name = "mine""#,
-        ],
-    );
+    let plan = plan(GRID, &["nodes.train.params.keep=9", "axes.scene=[\"ball\"]", r#"name = "mine""#]);
     assert_eq!((plan.recipe.as_str(), plan.nodes.len()), ("mine", 6));
     let origins = |node: &str, key: &str| plan.origins[node][key].clone();
     assert_eq!(plan.nodes[1].params["keep"], json!(9));
     assert_eq!(origins("train/ball/a/1", "keep"), Origin::CommandLine);
     assert_eq!(origins("train/ball/a/1", "sleep_millis"), Origin::Default);
-    assert!(matches!(
-        origins("train/ball/a/1", "steps"),
-        Origin::File { line: 20, .. }
-    ));
-    assert!(matches!(
-        origins("train/ball/b/0", "steps"),
-        Origin::Set {
-            number: 1,
-            line: 24,
-            ..
-        }
-    ));
+    assert!(matches!(origins("train/ball/a/1", "steps"), Origin::File { line: 20, .. }));
+    assert!(matches!(origins("train/ball/b/0", "steps"), Origin::Set { number: 1, line: 24, .. }));
 }
 
 #[test]
@@ -191,87 +157,36 @@ when.scene = "ball"
 nodes.capture.params.text = "round"
 "#;
     let recipes = Recipes::new(&[("base.toml", base), ("main.toml", main)]);
-    let plan = recipes
-        .resolve("main.toml", &[])
-        .unwrap_or_else(|errors| panic!("{errors}"));
+    let plan = recipes.resolve("main.toml", &[]).unwrap_or_else(|errors| panic!("{errors}"));
     assert_eq!(plan.recipe, "main");
-    assert_eq!(
-        plan.nodes.iter().map(|node| &node.name).collect::<Vec<_>>(),
-        ["capture/ball", "capture/hook"]
-    );
-    assert_eq!(
-        plan.nodes[0].params,
-        json!({ "text": "round", "source": "in/ball" })
-    );
-    assert_eq!(
-        plan.nodes[1].params,
-        json!({ "text": "base", "source": null })
-    );
+    assert_eq!(plan.nodes.iter().map(|node| &node.name).collect::<Vec<_>>(), ["capture/ball", "capture/hook"]);
+    assert_eq!(plan.nodes[0].params, json!({ "text": "round", "source": "in/ball" }));
+    assert_eq!(plan.nodes[1].params, json!({ "text": "base", "source": null }));
     let origin = &plan.origins["capture/ball"];
-    assert_eq!(
-        origin["text"],
-        Origin::Set {
-            number: 3,
-            file: recipes.path("main.toml"),
-            line: 7
-        }
-    );
-    assert_eq!(
-        origin["source"],
-        Origin::Set {
-            number: 2,
-            file: recipes.path("base.toml"),
-            line: 14
-        }
-    );
+    assert_eq!(origin["text"], Origin::Set { number: 3, file: recipes.path("main.toml"), line: 7 });
+    assert_eq!(origin["source"], Origin::Set { number: 2, file: recipes.path("base.toml"), line: 14 });
 }
 
 #[test]
 fn errors_of_a_base_name_its_file() {
     let recipes = Recipes::new(&[
-        (
-            "base.toml",
-            "[nodes.capture]\nstage = \"test-write\"\nparams.txt = \"x\"\n",
-        ),
+        ("base.toml", "[nodes.capture]\nstage = \"test-write\"\nparams.txt = \"x\"\n"),
         ("main.toml", "extends = [\"base.toml\"]\nnodse = 1\n"),
     ]);
     let errors = recipes.resolve("main.toml", &[]).unwrap_err();
-    let found: Vec<_> = errors
-        .0
-        .iter()
-        .map(|error| (error.file.clone(), error.line, error.column))
-        .collect();
-    assert_eq!(
-        found,
-        [
-            (recipes.path("main.toml"), 2, 1),
-            (recipes.path("base.toml"), 3, 8)
-        ]
-    );
+    let found: Vec<_> = errors.0.iter().map(|error| (error.file.clone(), error.line, error.column)).collect();
+    assert_eq!(found, [(recipes.path("main.toml"), 2, 1), (recipes.path("base.toml"), 3, 8)]);
 }
 
 #[test]
 fn recipes_that_extend_each_other_are_refused() {
-    let recipes = Recipes::new(&[
-        ("a.toml", "extends = [\"b.toml\"]"),
-        ("b.toml", "extends = [\"a.toml\"]"),
-    ]);
+    let recipes = Recipes::new(&[("a.toml", "extends = [\"b.toml\"]"), ("b.toml", "extends = [\"a.toml\"]")]);
     let errors = recipes.resolve("a.toml", &[]).unwrap_err();
     assert_eq!(errors.0.len(), 1);
-    assert!(
-        errors.0[0]
-            .message
-            .starts_with("recipes extend each other: "),
-        "{errors}"
-    );
+    assert!(errors.0[0].message.starts_with("recipes extend each other: "), "{errors}");
     assert!(errors.0[0].message.ends_with("a.toml"), "{errors}");
-    let missing = Recipes::new(&[("a.toml", "extends = [\"nowhere.toml\"]")])
-        .resolve("a.toml", &[])
-        .unwrap_err();
-    assert!(
-        missing.0[0].message.contains("cannot read the recipe"),
-        "{missing}"
-    );
+    let missing = Recipes::new(&[("a.toml", "extends = [\"nowhere.toml\"]")]).resolve("a.toml", &[]).unwrap_err();
+    assert!(missing.0[0].message.contains("cannot read the recipe"), "{missing}");
 }
 
 #[test]
@@ -350,33 +265,14 @@ stage = "test-work"
 
 #[test]
 fn cycles_are_printed_as_a_path() {
-    let node = |name: &str, from: &str| {
-        format!("[nodes.{name}]\nstage = \"test-work\"\ninputs.text = \"{from}\"\n")
-    };
-    let text = [
-        node("start", "a"),
-        node("a", "c"),
-        node("b", "a"),
-        node("c", "b"),
-    ]
-    .concat();
-    assert_eq!(
-        errors(&text, &[]),
-        ["4: nodes.a.inputs: nodes need each other: a → b → c → a"]
-    );
+    let node = |name: &str, from: &str| format!("[nodes.{name}]\nstage = \"test-work\"\ninputs.text = \"{from}\"\n");
+    let text = [node("start", "a"), node("a", "c"), node("b", "a"), node("c", "b")].concat();
+    assert_eq!(errors(&text, &[]), ["4: nodes.a.inputs: nodes need each other: a → b → c → a"]);
 }
 
 #[test]
 fn overrides_are_checked_like_files() {
-    let found = errors(
-        GRID,
-        &[
-            "nodes.train.params.stesp=1",
-            "nodes.trian.params.steps=1",
-            "name=mine",
-            "nodse.x=1",
-        ],
-    );
+    let found = errors(GRID, &["nodes.train.params.stesp=1", "nodes.trian.params.steps=1", "name=mine", "nodse.x=1"]);
     let expected = [
         "1: nodes.train.params.stesp: unknown key `stesp` (did you mean `steps`? allowed: letter, steps, sleep_millis, rate, keep, fail)",
         "1: set.nodes.trian: unknown node `trian` (did you mean `train`? allowed: table, capture, train)",
@@ -388,13 +284,9 @@ fn overrides_are_checked_like_files() {
 
 #[test]
 fn rules_must_be_able_to_hold() {
-    let text = GRID.replace(
-        "nodes.train.params.steps = 5",
-        "nodes.capture.params.text = \"x\"",
-    );
-    let expected = [
-        "24: set.nodes.capture: node `capture` is not expanded over axis `method`, which this rule asks for",
-    ];
+    let text = GRID.replace("nodes.train.params.steps = 5", "nodes.capture.params.text = \"x\"");
+    let expected =
+        ["24: set.nodes.capture: node `capture` is not expanded over axis `method`, which this rule asks for"];
     assert_eq!(errors(&text, &[]), expected);
 }
 
@@ -403,20 +295,15 @@ fn sources_outside_the_data_root_are_refused() {
     let text = "[nodes.a]\nstage = \"test-write\"\nparams.source = \"../x\"\n[nodes.b]\nstage = \"test-write\"\nparams.source = \"/x\"\n";
     let found = errors(text, &[]);
     assert_eq!(found.len(), 2);
-    assert!(
-        found[0].starts_with("3: nodes.a.params: source `text` must lie under the data root: ../x"),
-        "{found:?}"
-    );
+    assert!(found[0].starts_with("3: nodes.a.params: source `text` must lie under the data root: ../x"), "{found:?}");
 }
 
 #[test]
 fn all_syntax_errors_come_at_once_with_a_caret() {
     let found = errors("a = \n[nodes\nb = 1 2\n", &[]);
     assert!(found.len() >= 2, "{found:#?}");
-    let recipes = Recipes::new(&[(
-        "recipe.toml",
-        "[nodes.capture]\nstage = \"test-write\"\n\tparams = { \"tüxt\" = 1 }\n",
-    )]);
+    let recipes =
+        Recipes::new(&[("recipe.toml", "[nodes.capture]\nstage = \"test-write\"\n\tparams = { \"tüxt\" = 1 }\n")]);
     let rendered = recipes.resolve("recipe.toml", &[]).unwrap_err().to_string();
     let expected = format!(
         "error: unknown key `tüxt`\n  at {}:3:13, key nodes.capture.params.tüxt\n  |  params = {{ \"tüxt\" = 1 }}\n  |             ^^^^^^\n  hint: did you mean `text`? allowed: text, source\n\n1 error in the recipe",
@@ -427,8 +314,5 @@ fn all_syntax_errors_come_at_once_with_a_caret() {
 
 #[test]
 fn a_recipe_without_nodes_is_refused() {
-    assert_eq!(
-        errors("", &[]),
-        ["1: nodes: the recipe has no nodes (add [nodes.NAME] with a stage)"]
-    );
+    assert_eq!(errors("", &[]), ["1: nodes: the recipe has no nodes (add [nodes.NAME] with a stage)"]);
 }

@@ -37,19 +37,11 @@ impl Item {
     }
 
     pub fn as_table(&self) -> Option<&Table> {
-        if let Tree::Table(table) = &self.tree {
-            Some(table)
-        } else {
-            None
-        }
+        if let Tree::Table(table) = &self.tree { Some(table) } else { None }
     }
 
     pub fn as_str(&self) -> Option<&str> {
-        if let Tree::Leaf(Value::String(text)) = &self.tree {
-            Some(text)
-        } else {
-            None
-        }
+        if let Tree::Leaf(Value::String(text)) = &self.tree { Some(text) } else { None }
     }
 
     /// Calls `f` with this item and all below it, each with its dotted key; this one's is `key`.
@@ -58,18 +50,13 @@ impl Item {
         match &mut self.tree {
             Tree::Leaf(_) => (),
             Tree::Array(items) => items.iter_mut().for_each(|item| item.visit(key, f)),
-            Tree::Table(table) => table
-                .iter_mut()
-                .for_each(|(name, item)| item.visit(&format!("{key}.{name}"), f)),
+            Tree::Table(table) => table.iter_mut().for_each(|(name, item)| item.visit(&format!("{key}.{name}"), f)),
         }
     }
 }
 
 pub(crate) fn table_to_json(table: &Table) -> Value {
-    table
-        .iter()
-        .map(|(key, item)| (key.clone(), item.to_json()))
-        .collect()
+    table.iter().map(|(key, item)| (key.clone(), item.to_json())).collect()
 }
 
 /// Lays `over` over `base`: tables merge, everything else is replaced.
@@ -91,9 +78,7 @@ pub(crate) fn find<'a>(table: &'a Table, key: &str) -> Option<(&'a Item, bool)> 
     if rest.is_empty() {
         return Some((item, true));
     }
-    item.as_table()
-        .and_then(|table| find(table, rest))
-        .or(Some((item, false)))
+    item.as_table().and_then(|table| find(table, rest)).or(Some((item, false)))
 }
 
 /// Parses text number `text`; all syntax errors are reported, and then there is no tree.
@@ -104,9 +89,7 @@ pub(crate) fn parse(text: usize, report: &mut Report) -> Option<Table> {
         let place = Place::new(text, error.span().unwrap_or(0..0));
         report.add(&place, "", error.message().replace('\n', ", "), None);
     }
-    errors
-        .is_empty()
-        .then(|| table(root.get_ref(), text, "", report))
+    errors.is_empty().then(|| table(root.get_ref(), text, "", report))
 }
 
 fn table(table: &DeTable, text: usize, prefix: &str, report: &mut Report) -> Table {
@@ -117,36 +100,22 @@ fn table(table: &DeTable, text: usize, prefix: &str, report: &mut Report) -> Tab
     for (key, value) in entries {
         let dotted = format!("{prefix}{}", key.get_ref());
         let key_at = Place::new(text, key.span());
-        found.extend(
-            item(value, key_at, &dotted, report).map(|item| (key.get_ref().to_string(), item)),
-        );
+        found.extend(item(value, key_at, &dotted, report).map(|item| (key.get_ref().to_string(), item)));
     }
     found
 }
 
 /// The item, unless its value is one that recipes cannot have.
-fn item(
-    value: &Spanned<DeValue>,
-    key_at: Place,
-    dotted: &str,
-    report: &mut Report,
-) -> Option<Item> {
+fn item(value: &Spanned<DeValue>, key_at: Place, dotted: &str, report: &mut Report) -> Option<Item> {
     let at = Place::new(key_at.text, value.span());
     let tree = match value.get_ref() {
-        DeValue::Array(items) => Tree::Array(
-            items
-                .iter()
-                .filter_map(|value| item(value, at, dotted, report))
-                .collect(),
-        ),
+        DeValue::Array(items) => {
+            Tree::Array(items.iter().filter_map(|value| item(value, at, dotted, report)).collect())
+        }
         DeValue::Table(inner) => Tree::Table(table(inner, at.text, &format!("{dotted}."), report)),
         leaf => {
             let value = leaf_value(leaf);
-            Tree::Leaf(
-                value
-                    .map_err(|problem| report.add(&at, dotted, problem, None))
-                    .ok()?,
-            )
+            Tree::Leaf(value.map_err(|problem| report.add(&at, dotted, problem, None)).ok()?)
         }
     };
     Some(Item { tree, key_at, at })
@@ -156,15 +125,10 @@ fn leaf_value(value: &DeValue) -> Result<Value, &'static str> {
     match value {
         DeValue::String(text) => Ok(Value::String(text.to_string())),
         DeValue::Boolean(value) => Ok(Value::Bool(*value)),
-        DeValue::Integer(digits) => i64::from_str_radix(digits.as_str(), digits.radix())
-            .map(Value::from)
-            .map_err(|_| "integer out of range"),
-        DeValue::Float(digits) => match digits
-            .as_str()
-            .parse::<f64>()
-            .ok()
-            .and_then(serde_json::Number::from_f64)
-        {
+        DeValue::Integer(digits) => {
+            i64::from_str_radix(digits.as_str(), digits.radix()).map(Value::from).map_err(|_| "integer out of range")
+        }
+        DeValue::Float(digits) => match digits.as_str().parse::<f64>().ok().and_then(serde_json::Number::from_f64) {
             Some(number) => Ok(Value::Number(number)),
             None => Err("numbers must be finite"),
         },

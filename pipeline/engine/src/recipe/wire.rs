@@ -8,35 +8,19 @@ use super::load::join_arrows;
 use super::raw::{Named, RawRecipe, Template, Wire};
 
 /// Checks all templates; their indices with producers first (ties in the order of the file), unless there is a cycle.
-pub(crate) fn check(
-    recipe: &RawRecipe,
-    registry: &Registry,
-    report: &mut Report,
-) -> Option<Vec<usize>> {
+pub(crate) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report) -> Option<Vec<usize>> {
     for (name, template) in &recipe.templates {
         let key = format!("nodes.{name}");
         match registry.get(&template.stage.name) {
-            Some(stage) => Checker {
-                recipe,
-                registry,
-                name,
-                template,
-                stage,
-            }
-            .check(report),
+            Some(stage) => Checker { recipe, registry, name, template, stage }.check(report),
             None => {
-                let hint = names_hint(
-                    &template.stage.name,
-                    registry.stages().map(|stage| stage.id()),
-                );
+                let hint = names_hint(&template.stage.name, registry.stages().map(|stage| stage.id()));
                 let message = format!("unknown stage `{}`", template.stage.name);
                 report.add(&template.stage.at, format!("{key}.stage"), message, hint);
             }
         }
     }
-    order(recipe)
-        .map_err(|cycle| report_cycle(recipe, &cycle, report))
-        .ok()
+    order(recipe).map_err(|cycle| report_cycle(recipe, &cycle, report)).ok()
 }
 
 /// One template with its stage.
@@ -55,39 +39,19 @@ impl Checker<'_> {
             match ports.iter().find(|port| port.name == wire.port.name) {
                 Some(port) => self.check_wire(port, wire, report),
                 None => {
-                    let message = format!(
-                        "stage `{}` has no port `{}`",
-                        self.stage.id(),
-                        wire.port.name
-                    );
+                    let message = format!("stage `{}` has no port `{}`", self.stage.id(), wire.port.name);
                     let hint = names_hint(&wire.port.name, ports.iter().map(|port| port.name));
                     report.add(&wire.port.at, self.key(&wire.port.name), message, hint);
                 }
             }
         }
-        let wired = |port: &Port| {
-            self.template
-                .inputs
-                .iter()
-                .any(|wire| wire.port.name == port.name)
-        };
-        for port in ports
-            .iter()
-            .filter(|port| port.arity == Arity::One && !wired(port))
-        {
-            let message = format!(
-                "stage `{}` needs an input on port `{}`",
-                self.stage.id(),
-                port.name
-            );
+        let wired = |port: &Port| self.template.inputs.iter().any(|wire| wire.port.name == port.name);
+        for port in ports.iter().filter(|port| port.arity == Arity::One && !wired(port)) {
+            let message = format!("stage `{}` needs an input on port `{}`", self.stage.id(), port.name);
             let makers = self.makers(port);
             let hint = match makers.is_empty() {
                 true => format!("no node of this recipe makes a {}", port.artifact.0),
-                false => format!(
-                    "nodes that make a {}: {}",
-                    port.artifact.0,
-                    makers.join(", ")
-                ),
+                false => format!("nodes that make a {}: {}", port.artifact.0, makers.join(", ")),
             };
             report.add(&self.template.at, self.key(port.name), message, Some(hint));
         }
@@ -96,36 +60,18 @@ impl Checker<'_> {
     fn check_wire(&self, port: &Port, wire: &Wire, report: &mut Report) {
         let key = self.key(port.name);
         if port.arity == Arity::One && wire.from.len() != 1 {
-            let message = format!(
-                "port `{}` takes one producer, not {}",
-                port.name,
-                wire.from.len()
-            );
+            let message = format!("port `{}` takes one producer, not {}", port.name, wire.from.len());
             report.add(&wire.port.at, &key, message, None);
         }
         for (index, from) in wire.from.iter().enumerate() {
-            if wire.from[..index]
-                .iter()
-                .any(|known| known.name == from.name)
-            {
-                report.add(
-                    &from.at,
-                    &key,
-                    format!("node `{}` is there twice", from.name),
-                    None,
-                );
+            if wire.from[..index].iter().any(|known| known.name == from.name) {
+                report.add(&from.at, &key, format!("node `{}` is there twice", from.name), None);
             }
             match self.recipe.templates.get(&from.name) {
                 Some(producer) => self.check_producer(port, from, producer, report),
                 None => {
-                    let hint =
-                        names_hint(&from.name, self.recipe.templates.keys().map(String::as_str));
-                    report.add(
-                        &from.at,
-                        &key,
-                        format!("unknown node `{}`", from.name),
-                        hint,
-                    );
+                    let hint = names_hint(&from.name, self.recipe.templates.keys().map(String::as_str));
+                    report.add(&from.at, &key, format!("unknown node `{}`", from.name), hint);
                 }
             }
         }
@@ -142,8 +88,7 @@ impl Checker<'_> {
                 port.name, from.name
             );
             let makers = self.makers(port);
-            let hint = (!makers.is_empty())
-                .then(|| format!("nodes that make a {read}: {}", makers.join(", ")));
+            let hint = (!makers.is_empty()).then(|| format!("nodes that make a {read}: {}", makers.join(", ")));
             report.add(&from.at, &key, message, hint);
         }
         let lacking: Vec<&str> = producer
@@ -167,16 +112,9 @@ impl Checker<'_> {
     /// The nodes whose artifacts fit the port.
     fn makers(&self, port: &Port) -> Vec<&str> {
         let fits = |template: &Template| {
-            self.registry
-                .get(&template.stage.name)
-                .is_some_and(|stage| stage.output() == port.artifact)
+            self.registry.get(&template.stage.name).is_some_and(|stage| stage.output() == port.artifact)
         };
-        self.recipe
-            .templates
-            .iter()
-            .filter(|(_, template)| fits(template))
-            .map(|(name, _)| name.as_str())
-            .collect()
+        self.recipe.templates.iter().filter(|(_, template)| fits(template)).map(|(name, _)| name.as_str()).collect()
     }
 
     fn key(&self, port: &str) -> String {
@@ -186,10 +124,7 @@ impl Checker<'_> {
 
 /// The templates that a template reads, by index.
 fn producers(recipe: &RawRecipe, template: usize) -> impl Iterator<Item = usize> {
-    let wires = recipe.templates[template]
-        .inputs
-        .iter()
-        .flat_map(|wire| &wire.from);
+    let wires = recipe.templates[template].inputs.iter().flat_map(|wire| &wire.from);
     wires.filter_map(|from| recipe.templates.get_index_of(&from.name))
 }
 
@@ -198,19 +133,15 @@ fn order(recipe: &RawRecipe) -> Result<Vec<usize>, Vec<usize>> {
     let mut order = Vec::new();
     while order.len() < recipe.templates.len() {
         let open = |index: &usize| !order.contains(index);
-        let ready = |index: &usize| {
-            open(index) && producers(recipe, *index).all(|producer| !open(&producer))
-        };
+        let ready = |index: &usize| open(index) && producers(recipe, *index).all(|producer| !open(&producer));
         match (0..recipe.templates.len()).find(ready) {
             Some(next) => order.push(next),
             None => {
                 // Every open template reads an open one: following them must come back somewhere.
-                let mut path: Vec<usize> =
-                    (0..recipe.templates.len()).find(open).into_iter().collect();
+                let mut path: Vec<usize> = (0..recipe.templates.len()).find(open).into_iter().collect();
                 loop {
-                    let next = producers(recipe, path[path.len() - 1])
-                        .find(open)
-                        .expect("open templates read open ones");
+                    let next =
+                        producers(recipe, path[path.len() - 1]).find(open).expect("open templates read open ones");
                     if let Some(start) = path.iter().position(|&known| known == next) {
                         return Err(path[start..].to_vec());
                     }
@@ -223,12 +154,7 @@ fn order(recipe: &RawRecipe) -> Result<Vec<usize>, Vec<usize>> {
 }
 
 fn report_cycle(recipe: &RawRecipe, cycle: &[usize], report: &mut Report) {
-    let name = |&index: &usize| {
-        recipe
-            .templates
-            .get_index(index)
-            .map_or(String::new(), |(name, _)| name.clone())
-    };
+    let name = |&index: &usize| recipe.templates.get_index(index).map_or(String::new(), |(name, _)| name.clone());
     // From consumer to producer the path runs against the data; readers expect data to flow along arrows.
     let names = cycle.iter().chain(cycle.first()).rev().map(name);
     let message = format!("nodes need each other: {}", join_arrows(names));

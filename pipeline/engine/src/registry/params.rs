@@ -16,11 +16,7 @@ pub(super) fn canonical<S: Stage>(raw: &Value) -> Result<Value, Vec<ParamProblem
     };
     // A check of a value that was repaired above may complain of what nobody wrote, but not of the same key twice.
     let reported: BTreeSet<String> = problems.iter().map(|problem| problem.key.clone()).collect();
-    problems.extend(
-        S::check_params(&params)
-            .into_iter()
-            .filter(|problem| !reported.contains(&problem.key)),
-    );
+    problems.extend(S::check_params(&params).into_iter().filter(|problem| !reported.contains(&problem.key)));
     if !problems.is_empty() {
         return Err(problems);
     }
@@ -31,27 +27,17 @@ pub(super) fn canonical<S: Stage>(raw: &Value) -> Result<Value, Vec<ParamProblem
 pub(super) fn written_back<P: serde::Serialize + serde::de::DeserializeOwned>(
     params: &P,
 ) -> Result<Value, ParamProblem> {
-    let lost = |error: serde_json::Error| {
-        problem(
-            "",
-            format!("parameters do not survive being written: {error}"),
-        )
-    };
+    let lost = |error: serde_json::Error| problem("", format!("parameters do not survive being written: {error}"));
     let value = serde_json::to_value(params).map_err(lost)?;
     let again: P = serde_json::from_value(value.clone()).map_err(lost)?;
     match serde_json::to_value(&again).map_err(lost)? == value {
         true => Ok(value),
-        false => Err(problem(
-            "",
-            "parameters change when they are written and read again",
-        )),
+        false => Err(problem("", "parameters change when they are written and read again")),
     }
 }
 
 /// Reads the value, and after each error goes on without the part that caused it.
-fn deserialize_all<P: serde::de::DeserializeOwned>(
-    mut raw: Value,
-) -> (Option<P>, Vec<ParamProblem>) {
+fn deserialize_all<P: serde::de::DeserializeOwned>(mut raw: Value) -> (Option<P>, Vec<ParamProblem>) {
     let mut problems = Vec::new();
     loop {
         match serde_path_to_error::deserialize::<_, P>(&raw) {
@@ -80,9 +66,7 @@ fn segment(segment: &Segment) -> Option<String> {
 /// The path of the culprit and the problem in the user's terms: serde's words for an unknown key name all valid ones.
 fn explained(mut path: Vec<String>, message: &str) -> (Vec<String>, ParamProblem) {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    let what = ["field", "variant"]
-        .iter()
-        .position(|word| message.starts_with(&format!("unknown {word} `")));
+    let what = ["field", "variant"].iter().position(|word| message.starts_with(&format!("unknown {word} `")));
     let (Some(what), Some((&wrong, allowed))) = (what, quoted.split_first()) else {
         return (path.clone(), problem(&path.join("."), message));
     };
@@ -97,14 +81,7 @@ fn explained(mut path: Vec<String>, message: &str) -> (Vec<String>, ParamProblem
         (None, _) => format!("allowed: {}", allowed.join(", ")),
     };
     let key = path.join(".");
-    (
-        path,
-        ParamProblem {
-            key,
-            message: format!("unknown {noun} `{wrong}`"),
-            hint: Some(hint),
-        },
-    )
+    (path, ParamProblem { key, message: format!("unknown {noun} `{wrong}`"), hint: Some(hint) })
 }
 
 /// Removes the value at `path`; an element of an array takes the array with it, since its neighbours would move.
@@ -123,9 +100,5 @@ fn remove(value: &mut Value, path: &[String]) -> bool {
 }
 
 fn problem(key: &str, message: impl Into<String>) -> ParamProblem {
-    ParamProblem {
-        key: key.into(),
-        message: message.into(),
-        hint: None,
-    }
+    ParamProblem { key: key.into(), message: message.into(), hint: None }
 }

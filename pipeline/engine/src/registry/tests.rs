@@ -12,43 +12,24 @@ pub(crate) const CODE: CodeTable = CodeTable {
     crates: &[
         crate_code("test-list", &[("src/lib.rs", "f1")]),
         crate_code("test-nested", &[("src/lib.rs", "f2")]),
-        crate_code(
-            "test-work",
-            &[("src/lib.rs", "f3"), ("src/methods/mcgs/mod.rs", "f4")],
-        ),
+        crate_code("test-work", &[("src/lib.rs", "f3"), ("src/methods/mcgs/mod.rs", "f4")]),
         crate_code("test-write", &[("src/lib.rs", "f5")]),
     ],
 };
 
-const fn crate_code(
-    name: &'static str,
-    files: &'static [(&'static str, &'static str)],
-) -> CrateCode {
-    CrateCode {
-        name,
-        files,
-        dependencies: &[],
-        external: "e0",
-    }
+const fn crate_code(name: &'static str, files: &'static [(&'static str, &'static str)]) -> CrateCode {
+    CrateCode { name, files, dependencies: &[], external: "e0" }
 }
 
 /// The three test stages.
 pub(crate) fn registry() -> Registry {
-    Registry::new(CODE)
-        .with::<Write>()
-        .with::<Work>()
-        .with::<List>()
+    Registry::new(CODE).with::<Write>().with::<Work>().with::<List>()
 }
 
 fn canonical(stage: &str, raw: Value) -> Result<Value, Vec<(String, String)>> {
     let registry = registry().with::<Nested>();
-    let pairs =
-        |problems: Vec<ParamProblem>| problems.into_iter().map(|p| (p.key, p.message)).collect();
-    registry
-        .get(stage)
-        .unwrap()
-        .canonical_params(&raw)
-        .map_err(pairs)
+    let pairs = |problems: Vec<ParamProblem>| problems.into_iter().map(|p| (p.key, p.message)).collect();
+    registry.get(stage).unwrap().canonical_params(&raw).map_err(pairs)
 }
 
 /// A stage with parameters of every awkward kind.
@@ -73,10 +54,7 @@ struct Rates {
 
 impl Default for Rates {
     fn default() -> Self {
-        Self {
-            start: 1e-3,
-            end: 1e-5,
-        }
+        Self { start: 1e-3, end: 1e-5 }
     }
 }
 
@@ -99,27 +77,15 @@ impl Stage for Nested {
     }
 
     fn check_params(params: &NestedParams) -> Vec<ParamProblem> {
-        let problem = ParamProblem {
-            key: "rates.start".into(),
-            message: "must be above rates.end".into(),
-            hint: None,
-        };
-        if params.rates.start > params.rates.end {
-            Vec::new()
-        } else {
-            vec![problem]
-        }
+        let problem = ParamProblem { key: "rates.start".into(), message: "must be above rates.end".into(), hint: None };
+        if params.rates.start > params.rates.end { Vec::new() } else { vec![problem] }
     }
 
     fn run(context: &JobContext, params: &NestedParams) -> anyhow::Result<Text> {
         // `square` returns a value that is not what it wrote.
         match params.shape {
-            Shape::Round => {
-                Text::write(context.output_dir(), "invalid").map(|_| Text("fine".into()))
-            }
-            Shape::RatherSquare => {
-                Text::write(context.output_dir(), "fine").map(|_| Text("invalid".into()))
-            }
+            Shape::Round => Text::write(context.output_dir(), "invalid").map(|_| Text("fine".into())),
+            Shape::RatherSquare => Text::write(context.output_dir(), "fine").map(|_| Text("invalid".into())),
         }
     }
 }
@@ -127,15 +93,11 @@ impl Stage for Nested {
 #[test]
 fn spelling_does_not_change_canonical_parameters() {
     let plain = canonical("test-nested", json!({})).unwrap();
-    let spelled =
-        json!({ "shape": "round", "rates": { "end": 0.00001, "start": 1e-3 }, "steps": [] });
+    let spelled = json!({ "shape": "round", "rates": { "end": 0.00001, "start": 1e-3 }, "steps": [] });
     assert_eq!(canonical("test-nested", spelled).unwrap(), plain);
     assert_eq!(plain["rates"], json!({ "start": 0.001, "end": 0.00001 }));
     let whole = canonical("test-nested", json!({ "rates": { "start": 1 } })).unwrap();
-    assert_eq!(
-        whole,
-        canonical("test-nested", json!({ "rates": { "start": 1.0 } })).unwrap()
-    );
+    assert_eq!(whole, canonical("test-nested", json!({ "rates": { "start": 1.0 } })).unwrap());
     assert_ne!(whole, plain);
 }
 
@@ -145,47 +107,20 @@ fn all_problems_of_nested_parameters_come_at_once() {
         "rates": { "strat": 1, "end": "x" }, "shape": "squaer", "steps": [1, -2], "by_name": { "a": { "x": 1 } },
         "maybe": { "start": true }, "more": 1,
     });
-    let mut keys: Vec<String> = canonical("test-nested", raw)
-        .unwrap_err()
-        .into_iter()
-        .map(|(key, _)| key)
-        .collect();
+    let mut keys: Vec<String> = canonical("test-nested", raw).unwrap_err().into_iter().map(|(key, _)| key).collect();
     keys.sort();
-    assert_eq!(
-        keys,
-        [
-            "by_name.a.x",
-            "maybe.start",
-            "more",
-            "rates.end",
-            "rates.strat",
-            "shape",
-            "steps.1"
-        ]
-    );
+    assert_eq!(keys, ["by_name.a.x", "maybe.start", "more", "rates.end", "rates.strat", "shape", "steps.1"]);
 }
 
 #[test]
 fn problems_name_the_nearest_word_and_all_allowed_ones() {
     let registry = registry().with::<Nested>();
-    let problems = |raw: Value| {
-        registry
-            .get("test-nested")
-            .unwrap()
-            .canonical_params(&raw)
-            .unwrap_err()
-    };
+    let problems = |raw: Value| registry.get("test-nested").unwrap().canonical_params(&raw).unwrap_err();
     let shape = &problems(json!({ "shape": "ruond" }))[0];
     assert_eq!(shape.message, "unknown value `ruond`");
-    assert_eq!(
-        shape.hint.as_deref(),
-        Some("did you mean `round`? allowed: round, rather-square")
-    );
+    assert_eq!(shape.hint.as_deref(), Some("did you mean `round`? allowed: round, rather-square"));
     let own = &problems(json!({ "rates": { "start": 0 } }))[0];
-    assert_eq!(
-        (own.key.as_str(), own.message.as_str()),
-        ("rates.start", "must be above rates.end")
-    );
+    assert_eq!((own.key.as_str(), own.message.as_str()), ("rates.start", "must be above rates.end"));
 }
 
 #[test]
@@ -200,12 +135,7 @@ fn an_infinite_parameter_is_refused() {
         range: f64,
     }
     assert!(super::params::written_back(&Infinite { range: 1.0 }).is_ok());
-    assert!(
-        super::params::written_back(&Infinite {
-            range: f64::INFINITY
-        })
-        .is_err()
-    );
+    assert!(super::params::written_back(&Infinite { range: f64::INFINITY }).is_err());
     assert!(super::params::written_back(&Infinite { range: f64::NAN }).is_err());
 }
 
@@ -216,15 +146,9 @@ fn a_stage_that_returns_or_writes_something_invalid_fails() {
         let context = JobContext::detached(folder.path()).unwrap();
         let registry = registry().with::<Nested>();
         let stage: &dyn AnyStage = registry.get("test-nested").unwrap();
-        format!(
-            "{:#}",
-            stage.run(&context, &json!({ "shape": shape })).unwrap_err()
-        )
+        format!("{:#}", stage.run(&context, &json!({ "shape": shape })).unwrap_err())
     };
-    assert_eq!(
-        run("rather-square"),
-        "test-nested made a text that is not valid: the text calls itself invalid"
-    );
+    assert_eq!(run("rather-square"), "test-nested made a text that is not valid: the text calls itself invalid");
     let read_back = "the text that test-nested wrote is not valid when read back: the text calls itself invalid";
     assert_eq!(run("round"), read_back);
 }
