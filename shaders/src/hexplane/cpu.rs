@@ -3,12 +3,12 @@
 //! The backward pass runs one task per scale and channel block. Tasks own disjoint channels of the plane gradients and go
 //! through the points in order, so that nothing is shared and nothing depends on scheduling.
 
-use pulp::Arch;
 use rayon::prelude::*;
 
 use super::lookup::Lookup;
 use super::{Field, PAIRS, TIME};
 use crate::tape::Real;
+use crate::tape::simd::multiversion;
 
 /// The planes over two spatial axes, and those over a spatial axis and time, as indices into [`PAIRS`].
 const SPATIAL: [usize; 3] = [0, 1, 3];
@@ -44,23 +44,27 @@ impl<'a> Forward<'a> {
     /// Features of `positions` [n, 3] into `out` [n, C·scales].
     pub fn run(&self, positions: &[f32], out: &mut [f32]) {
         match self.channels {
-            channels if channels % 16 == 0 => Arch::new().dispatch(|| self.run_lanes::<16>(positions, out)),
-            channels if channels % 8 == 0 => Arch::new().dispatch(|| self.run_lanes::<8>(positions, out)),
-            _ => Arch::new().dispatch(|| self.run_lanes::<4>(positions, out)),
+            channels if channels % 16 == 0 => sample::<16>(self, positions, out),
+            channels if channels % 8 == 0 => sample::<8>(self, positions, out),
+            _ => sample::<4>(self, positions, out),
         }
     }
+}
 
-    #[inline(always)]
-    fn run_lanes<const L: usize>(&self, positions: &[f32], out: &mut [f32]) {
-        for (point, out) in positions.chunks_exact(3).zip(out.chunks_exact_mut(self.channels * self.scales.len())) {
-            for (scale, out) in self.scales.iter().zip(out.chunks_exact_mut(self.channels)) {
-                let taps = Taps::new(scale, point, self.channels);
-                for (block, out) in out.as_chunks_mut::<L>().0.iter_mut().enumerate() {
-                    *out = Corners::<L>::read(scale, &taps, block * L)
-                        .values(&taps)
-                        .into_iter()
-                        .reduce(multiply)
-                        .expect("six planes");
+multiversion! {
+    fn sample<const L: usize>(field: &Forward, positions: &[f32], out: &mut [f32]) = sample_body
+}
+
+#[inline(always)]
+fn sample_body<const L: usize>(field: &Forward, positions: &[f32], out: &mut [f32]) {
+    for (point, out) in positions.chunks_exact(3).zip(out.chunks_exact_mut(field.channels * field.scales.len())) {
+        for (scale, out) in field.scales.iter().zip(out.chunks_exact_mut(field.channels)) {
+            let taps = Taps::new(scale, point, field.channels);
+            for (block, out) in out.as_chunks_mut::<L>().0.iter_mut().enumerate() {
+                let values = values::<L>(scale, &taps, block * L);
+                for lane in 0..L {
+                    let spatial = values[0][lane] * values[1][lane] * values[2][lane];
+                    out[lane] = spatial * (values[3][lane] * values[4][lane] * values[5][lane]);
                 }
             }
         }
@@ -84,74 +88,76 @@ impl<'a> Scale<'a> {
 
 /// Where and with which weights one point reads one scale.
 struct Taps {
-    lookups: [Lookup<f32>; 3],
-    /// Texels (low b, low a), (low b, high a), (high b, low a), (high b, high a) of each spatial plane.
-    texels: [[usize; 4]; 3],
     channels: usize,
+    lookups: [Lookup<f32>; 3],
+    /// Texels (low b, low a), (low b, high a), (high b, low a), (high b, high a) of each spatial plane, and their weights.
+    texels: [[usize; 4]; 3],
+    weights: [[f32; 4]; 3],
 }
 
 impl Taps {
     #[inline(always)]
     fn new(scale: &Scale, point: &[f32], channels: usize) -> Self {
-        let lookups: [Lookup<f32>; 3] = std::array::from_fn(|axis| Lookup::new(point[axis], scale.resolution[axis]));
-        let texels = SPATIAL.map(|plane| {
-            let ((a, b), width) = (PAIRS[plane], scale.resolution[PAIRS[plane].0]);
-            let (x, y) = (&lookups[a], &lookups[b]);
-            [y.low * width + x.low, y.low * width + x.high, y.high * width + x.low, y.high * width + x.high]
-        });
-        Self { lookups, texels, channels }
+        let lookup = |axis: usize| Lookup::new(point[axis], scale.resolution[axis]);
+        let lookups = [lookup(0), lookup(1), lookup(2)];
+        let mut taps = Self { channels, lookups, texels: [[0; 4]; 3], weights: [[0.0; 4]; 3] };
+        for (plane, &index) in SPATIAL.iter().enumerate() {
+            let (x, y) = (&lookups[PAIRS[index].0], &lookups[PAIRS[index].1]);
+            let (low, high) = (y.low * scale.resolution[PAIRS[index].0], y.high * scale.resolution[PAIRS[index].0]);
+            let (fx, fy) = (x.fraction, y.fraction);
+            taps.texels[plane] = [low + x.low, low + x.high, high + x.low, high + x.high];
+            taps.weights[plane] = [(1.0 - fy) * (1.0 - fx), (1.0 - fy) * fx, fy * (1.0 - fx), fy * fx];
+        }
+        taps
     }
 
-    /// The lookups along a and b of a spatial plane.
+    /// `L` channels of one texel.
     #[inline(always)]
-    fn axes(&self, plane: usize) -> (&Lookup<f32>, &Lookup<f32>) {
-        let (a, b) = PAIRS[SPATIAL[plane]];
-        (&self.lookups[a], &self.lookups[b])
+    fn lanes<'a, const L: usize>(&self, data: &'a [f32], texel: usize, first_channel: usize) -> &'a [f32; L] {
+        data[texel * self.channels + first_channel..][..L].try_into().expect("L lanes")
+    }
+
+    /// `L` channels of the four texels around the point on a spatial plane.
+    #[inline(always)]
+    fn corners<'a, const L: usize>(&self, scale: &'a Scale, plane: usize, first_channel: usize) -> [&'a [f32; L]; 4] {
+        let [t00, t01, t10, t11] = self.texels[plane];
+        let data = scale.planes[plane];
+        let lanes = |texel| self.lanes(data, texel, first_channel);
+        [lanes(t00), lanes(t01), lanes(t10), lanes(t11)]
+    }
+
+    /// `L` channels of the two texels around the point on a row.
+    #[inline(always)]
+    fn ends<'a, const L: usize>(&self, scale: &'a Scale, axis: usize, first_channel: usize) -> [&'a [f32; L]; 2] {
+        let (row, lookup) = (&scale.rows[axis], &self.lookups[axis]);
+        [self.lanes(row, lookup.low, first_channel), self.lanes(row, lookup.high, first_channel)]
     }
 }
 
-/// The texels around one point, `L` channels each.
-struct Corners<'a, const L: usize> {
-    planes: [[&'a [f32; L]; 4]; 3],
-    rows: [[&'a [f32; L]; 2]; 3],
-}
-
-impl<'a, const L: usize> Corners<'a, L> {
-    #[inline(always)]
-    fn read(scale: &'a Scale, taps: &Taps, first_channel: usize) -> Self {
-        let lanes = |data: &'a [f32], texel: usize| -> &'a [f32; L] {
-            data[texel * taps.channels + first_channel..][..L].try_into().expect("L lanes")
-        };
-        Self {
-            planes: std::array::from_fn(|plane| taps.texels[plane].map(|texel| lanes(scale.planes[plane], texel))),
-            rows: std::array::from_fn(|axis| {
-                [taps.lookups[axis].low, taps.lookups[axis].high].map(|texel| lanes(&scale.rows[axis], texel))
-            }),
+/// The interpolated values of xy, xz, yz and of the rows along x, y, z.
+#[inline(always)]
+fn values<const L: usize>(scale: &Scale, taps: &Taps, first_channel: usize) -> [[f32; L]; 6] {
+    let mut values = [[0.0; L]; 6];
+    for index in 0..3 {
+        let [p00, p01, p10, p11] = taps.corners::<L>(scale, index, first_channel);
+        let [w00, w01, w10, w11] = taps.weights[index];
+        let [low, high] = taps.ends::<L>(scale, index, first_channel);
+        let fraction = taps.lookups[index].fraction;
+        for lane in 0..L {
+            values[index][lane] = (p00[lane] * w00 + p01[lane] * w01) + (p10[lane] * w10 + p11[lane] * w11);
+            values[3 + index][lane] = low[lane] * (1.0 - fraction) + high[lane] * fraction;
         }
     }
-
-    /// The interpolated values of xy, xz, yz and of the rows along x, y, z.
-    #[inline(always)]
-    fn values(&self, taps: &Taps) -> [[f32; L]; 6] {
-        let plane = |plane: usize| {
-            let (x, y) = taps.axes(plane);
-            let [p00, p01, p10, p11] = self.planes[plane];
-            let (low, high) = (mix(p00, p01, x.fraction), mix(p10, p11, x.fraction));
-            mix(&low, &high, y.fraction)
-        };
-        let row = |axis: usize| mix(self.rows[axis][0], self.rows[axis][1], taps.lookups[axis].fraction);
-        [plane(0), plane(1), plane(2), row(0), row(1), row(2)]
-    }
-}
-
-#[inline(always)]
-fn mix<const L: usize>(low: &[f32; L], high: &[f32; L], fraction: f32) -> [f32; L] {
-    std::array::from_fn(|lane| low[lane] * (1.0 - fraction) + high[lane] * fraction)
+    values
 }
 
 #[inline(always)]
 fn multiply<const L: usize>(a: [f32; L], b: [f32; L]) -> [f32; L] {
-    std::array::from_fn(|lane| a[lane] * b[lane])
+    let mut product = [0.0; L];
+    for lane in 0..L {
+        product[lane] = a[lane] * b[lane];
+    }
+    product
 }
 
 /// Adds the gradients of `dy` to those of positions and planes; `false`, with nothing done, where the reference must run.
@@ -192,7 +198,7 @@ impl Forward<'_> {
         position_gradients: &mut [f32],
         planes: Vec<&mut [f32]>,
     ) {
-        let run = |mut task: Task<L>| Arch::new().dispatch(|| self.run_task(&mut task, positions, dy));
+        let run = |mut task: Task<L>| run_task(self, &mut task, positions, dy);
         let parts: Vec<Vec<f32>> = self.tasks(planes).into_par_iter().map(run).collect();
         for part in parts {
             position_gradients.iter_mut().zip(part).for_each(|(total, term)| *total += term);
@@ -214,31 +220,35 @@ impl Forward<'_> {
         }
         tasks
     }
+}
 
+multiversion! {
     /// Fills the plane gradients of one task; returns its part of the position gradients.
-    #[inline(always)]
-    fn run_task<const L: usize>(&self, task: &mut Task<L>, positions: &[f32], dy: &[f32]) -> Vec<f32> {
-        let scale = &self.scales[task.scale];
-        let mut row_gradients: [Vec<[f32; L]>; 3] = std::array::from_fn(|axis| vec![[0.0; L]; scale.resolution[axis]]);
-        let mut position_gradients = vec![0.0; positions.len()];
-        let first = task.scale * self.channels + task.first_channel;
-        for (n, dy) in dy.chunks_exact(self.channels * self.scales.len()).enumerate() {
-            let dy: &[f32; L] = dy[first..first + L].try_into().expect("L lanes");
-            // Points that no pixel sees have no gradient: nothing to add.
-            if dy.iter().all(|&dy| dy == 0.0) {
-                continue;
-            }
-            let taps = Taps::new(scale, &positions[3 * n..3 * n + 3], self.channels);
-            let corners = Corners::<L>::read(scale, &taps, task.first_channel);
-            let dvalues = value_gradients(&corners.values(&taps), dy);
-            scatter(&taps, &dvalues, task, &mut row_gradients);
-            position_gradients[3 * n..3 * n + 3].copy_from_slice(&coordinate_gradients(&corners, &taps, &dvalues));
+    fn run_task<const L: usize>(field: &Forward, task: &mut Task<L>, positions: &[f32], dy: &[f32]) -> Vec<f32> = run_task_body
+}
+
+#[inline(always)]
+fn run_task_body<const L: usize>(field: &Forward, task: &mut Task<L>, positions: &[f32], dy: &[f32]) -> Vec<f32> {
+    let scale = &field.scales[task.scale];
+    let mut row_gradients = [0, 1, 2].map(|axis| vec![[0.0; L]; scale.resolution[axis]]);
+    let mut position_gradients = vec![0.0; positions.len()];
+    let first = task.scale * field.channels + task.first_channel;
+    for (n, dy) in dy.chunks_exact(field.channels * field.scales.len()).enumerate() {
+        let dy: &[f32; L] = dy[first..first + L].try_into().expect("L lanes");
+        // Points that no pixel sees have no gradient: nothing to add.
+        if *dy == [0.0; L] {
+            continue;
         }
-        for (axis, plane) in TEMPORAL.into_iter().enumerate() {
-            spread_row(&row_gradients[axis], &scale.time, &mut task.texels[plane]);
-        }
-        position_gradients
+        let taps = Taps::new(scale, &positions[3 * n..3 * n + 3], field.channels);
+        let dvalues = value_gradients(&values::<L>(scale, &taps, task.first_channel), dy);
+        scatter(&taps, &dvalues, task, &mut row_gradients);
+        let of_position = coordinate_gradients(scale, &taps, &dvalues, task.first_channel);
+        position_gradients[3 * n..3 * n + 3].copy_from_slice(&of_position);
     }
+    for (axis, plane) in TEMPORAL.into_iter().enumerate() {
+        spread_row(&row_gradients[axis], &scale.time, &mut task.texels[plane]);
+    }
+    position_gradients
 }
 
 /// dy times the product of the other five values, for each of the six.
@@ -260,15 +270,9 @@ fn value_gradients<const L: usize>(values: &[[f32; L]; 6], dy: &[f32; L]) -> [[f
 #[inline(always)]
 fn scatter<const L: usize>(taps: &Taps, dvalues: &[[f32; L]; 6], task: &mut Task<L>, rows: &mut [Vec<[f32; L]>; 3]) {
     for plane in 0..3 {
-        let (x, y) = taps.axes(plane);
-        let weights = [
-            (1.0 - y.fraction) * (1.0 - x.fraction),
-            (1.0 - y.fraction) * x.fraction,
-            y.fraction * (1.0 - x.fraction),
-            y.fraction * x.fraction,
-        ];
-        for (texel, weight) in taps.texels[plane].into_iter().zip(weights) {
-            add_scaled(task.texels[SPATIAL[plane]][texel], &dvalues[plane], weight);
+        for corner in 0..4 {
+            let texel = &mut *task.texels[SPATIAL[plane]][taps.texels[plane][corner]];
+            add_scaled(texel, &dvalues[plane], taps.weights[plane][corner]);
         }
     }
     for (axis, row) in rows.iter_mut().enumerate() {
@@ -280,25 +284,49 @@ fn scatter<const L: usize>(taps: &Taps, dvalues: &[[f32; L]; 6], task: &mut Task
 
 /// Gradient of the point's x, y, z.
 #[inline(always)]
-fn coordinate_gradients<const L: usize>(corners: &Corners<L>, taps: &Taps, dvalues: &[[f32; L]; 6]) -> [f32; 3] {
-    let mut lanes = [[0.0; L]; 3];
+fn coordinate_gradients<const L: usize>(
+    scale: &Scale,
+    taps: &Taps,
+    dvalues: &[[f32; L]; 6],
+    first_channel: usize,
+) -> [f32; 3] {
+    let (mut along_a, mut along_b, mut along_row) = ([[0.0; L]; 3], [[0.0; L]; 3], [[0.0; L]; 3]);
     for plane in 0..3 {
-        let ((a, b), (x, y)) = (PAIRS[SPATIAL[plane]], taps.axes(plane));
-        let [p00, p01, p10, p11] = corners.planes[plane];
-        let (low_b, high_b) = (mix(p00, p01, x.fraction), mix(p10, p11, x.fraction));
-        let (low_a, high_a) = (mix(p00, p10, y.fraction), mix(p01, p11, y.fraction));
+        let (a, b) = PAIRS[SPATIAL[plane]];
+        let (fx, fy) = (taps.lookups[a].fraction, taps.lookups[b].fraction);
+        let [p00, p01, p10, p11] = taps.corners::<L>(scale, plane, first_channel);
+        let [low, high] = taps.ends::<L>(scale, plane, first_channel);
         for lane in 0..L {
-            lanes[a][lane] += dvalues[plane][lane] * (high_a[lane] - low_a[lane]);
-            lanes[b][lane] += dvalues[plane][lane] * (high_b[lane] - low_b[lane]);
+            let slope_a = (p01[lane] - p00[lane]) * (1.0 - fy) + (p11[lane] - p10[lane]) * fy;
+            let slope_b = (p10[lane] - p00[lane]) * (1.0 - fx) + (p11[lane] - p01[lane]) * fx;
+            along_a[plane][lane] = dvalues[plane][lane] * slope_a;
+            along_b[plane][lane] = dvalues[plane][lane] * slope_b;
+            along_row[plane][lane] = dvalues[3 + plane][lane] * (high[lane] - low[lane]);
         }
     }
-    for axis in 0..3 {
-        let [low, high] = corners.rows[axis];
-        for lane in 0..L {
-            lanes[axis][lane] += dvalues[3 + axis][lane] * (high[lane] - low[lane]);
-        }
+    // x is the a of xy and xz, y the b of xy and the a of yz, z the b of xz and yz.
+    [
+        sum_lanes(&along_a[0], &along_a[1], &along_row[0]) * taps.lookups[0].slope,
+        sum_lanes(&along_b[0], &along_a[2], &along_row[1]) * taps.lookups[1].slope,
+        sum_lanes(&along_b[1], &along_b[2], &along_row[2]) * taps.lookups[2].slope,
+    ]
+}
+
+/// Σ of three vectors and their lanes, by halving, which the compiler can do within vector registers.
+#[inline(always)]
+fn sum_lanes<const L: usize>(a: &[f32; L], b: &[f32; L], c: &[f32; L]) -> f32 {
+    let mut lanes = [0.0; L];
+    for lane in 0..L {
+        lanes[lane] = a[lane] + b[lane] + c[lane];
     }
-    std::array::from_fn(|axis| lanes[axis].iter().sum::<f32>() * taps.lookups[axis].slope)
+    let mut half = L / 2;
+    while half > 0 {
+        for lane in 0..half {
+            lanes[lane] += lanes[lane + half];
+        }
+        half /= 2;
+    }
+    lanes[0]
 }
 
 /// Adds the gradient of a row blended at a time to the two rows of its time plane.

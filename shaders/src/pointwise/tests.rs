@@ -2,6 +2,11 @@ use super::*;
 use crate::check::{self, agree, gradients};
 use crate::tape::{Device, Tape, Tensor, Var};
 
+/// Every expression of this crate.
+fn all() -> impl Iterator<Item = &'static &'static Expression> {
+    EXPRESSIONS.iter().chain(crate::losses::EXPRESSIONS)
+}
+
 /// Inputs in [−3, 3] and constants in [−1, 1] for any expression.
 fn arguments(expression: &Expression, len: usize) -> (Vec<Tensor<f64>>, Vec<f64>) {
     let input = |seed| Tensor::from_vec([len], check::noise(len, seed).iter().map(|x| 3.0 * x).collect());
@@ -10,7 +15,7 @@ fn arguments(expression: &Expression, len: usize) -> (Vec<Tensor<f64>>, Vec<f64>
 
 #[test]
 fn gradients_equal_central_differences() {
-    for expression in EXPRESSIONS {
+    for expression in all() {
         let (inputs, constants) = arguments(expression, 31);
         let result = gradients(|tape, vars| expression.apply(tape, vars, &constants), &inputs, check::TOLERANCE);
         result.unwrap_or_else(|mismatch| panic!("{}: {mismatch}", expression.name));
@@ -19,7 +24,7 @@ fn gradients_equal_central_differences() {
 
 #[test]
 fn f32_agrees_with_f64() {
-    for expression in EXPRESSIONS {
+    for expression in all() {
         let (inputs, constants) = arguments(expression, 20_000);
         let mut tapes = (Tape::<f32>::new(Device::Cpu), Tape::<f64>::new(Device::Cpu));
         let vars32: Vec<Var> = inputs.iter().map(|input| tapes.0.leaf(input.cast())).collect();
@@ -47,7 +52,7 @@ fn sigmoid_is_stable_at_the_extremes() {
 
 #[test]
 fn every_expression_is_valid_wgsl() {
-    for expression in EXPRESSIONS {
+    for expression in all() {
         validate(&compute_shader(expression)).unwrap_or_else(|error| panic!("{}: {error}", expression.name));
     }
 }

@@ -7,6 +7,7 @@
 pub mod chunks;
 mod profile;
 mod real;
+pub(crate) mod simd;
 mod tensor;
 #[cfg(test)]
 mod tests;

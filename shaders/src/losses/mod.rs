@@ -1,0 +1,66 @@
+//! Photometric losses of a rendered image.
+
+#[cfg(test)]
+mod tests;
+
+use crate::pointwise;
+use crate::pointwise::abs_difference;
+use crate::ssim::{Window, ssim};
+use crate::tape::chunks::sum;
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+pointwise! {
+    /// y = (1 − λ)·l1 + λ·(1 − ssim)
+    fn l1_dssim_mix(l1, similarity) with(lambda) -> y {
+        return (1.0 - lambda) * l1 + lambda * (1.0 - similarity);
+    }
+    gradients(dy) {
+        l1: { return (1.0 - lambda) * dy; }
+        similarity: { return -lambda * dy; }
+    }
+}
+
+/// Mean |render − target| over all elements, shape [1]; the gradient where they are equal is 0.
+pub fn l1<T: Real>(tape: &mut Tape<T>, render: Var, target: Var) -> Var {
+    let difference = abs_difference(tape, render, target);
+    mean(tape, difference)
+}
+
+/// (1 − λ)·L1 + λ·(1 − SSIM), shape [1], for images [H, W, channels] (Kerbl et al. 2023); λ = 0 does not evaluate SSIM.
+pub fn l1_dssim<T: Real>(tape: &mut Tape<T>, render: Var, target: Var, lambda: f64) -> Var {
+    let l1 = l1(tape, render, target);
+    if lambda == 0.0 {
+        return l1;
+    }
+    let similarity = ssim(tape, render, target, Window::ZeroPadded);
+    l1_dssim_mix(tape, l1, similarity, lambda)
+}
+
+/// The mean of all elements, shape [1]; summed in f64.
+pub fn mean<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
+    tape.apply_one(Mean, &[x])
+}
+
+struct Mean;
+
+impl<T: Real> Op<T> for Mean {
+    fn name(&self) -> &'static str {
+        "mean"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let x = inputs[0].as_slice();
+        vec![Tensor::scalar(T::from_f64(sum(x.len(), |index| x[index].to_f64()) / x.len() as f64))]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let count = T::from_f64(inputs[0].len() as f64);
+        vec![output_grads[0].map(|dy| Tensor::full(inputs[0].shape(), dy.as_slice()[0] / count))]
+    }
+}
