@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use engine::{Artifact, Coordinates, FailureKind, Input, InputRecord, JobContext};
 use metric_evaluation::{Metrics, Score};
 use rendering::Renders;
-use scene::Protocol;
+use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 use training::{Model, ModelHeader};
 
@@ -35,6 +35,8 @@ pub struct Run {
     pub figures: BTreeMap<Column, Score>,
     /// Quality over training time.
     pub curve: Vec<CurvePoint>,
+    /// The split whose views the curve was measured on.
+    pub curve_split: Option<Split>,
     /// Seconds per phase of training.
     pub phases: BTreeMap<String, f64>,
     /// `training on cpu, 2 threads`, `rendering on cpu, 2 threads`.
@@ -55,7 +57,7 @@ pub struct CurvePoint {
     /// Gaussians at that moment.
     #[serde(default)]
     pub n_gaussians: u64,
-    /// PSNR on the validation views in dB; none where there are no such views.
+    /// PSNR in dB on a few views of the run's `curve_split`.
     pub psnr_val: Option<f64>,
 }
 
@@ -78,6 +80,7 @@ struct TrainingMeasurements {
     ms_per_iteration: Option<f64>,
     peak_memory_bytes: Option<f64>,
     curve: Vec<CurvePoint>,
+    curve_split: Option<Split>,
     phases: BTreeMap<String, f64>,
     device: Option<String>,
     threads: Option<u64>,
@@ -176,6 +179,7 @@ impl Run {
         self.set(Column::PeakMemoryMb, measured.peak_memory_bytes.map(|bytes| bytes / 1e6));
         self.machines.extend(machine("training", measured.device, measured.threads));
         self.phases = measured.phases;
+        self.curve_split = measured.curve_split;
         self.set_curve(measured.curve);
         Ok(())
     }

@@ -29,7 +29,7 @@ pub enum Column {
     FpsModel,
     /// Frames per second of delivered images: motion model, rasteriser, 8-bit conversion and encoding (median).
     FpsDelivered,
-    /// Seconds of training until the validation PSNR first reached 90 % of its last value.
+    /// Seconds of training until the PSNR of the curve (in dB) first reached 90 % of its last value.
     #[serde(rename = "secs_to_90")]
     SecsTo90,
     /// The same for 95 %.

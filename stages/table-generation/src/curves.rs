@@ -1,5 +1,7 @@
 //! Quality over seconds: one panel per scene and protocol, one line per method.
 
+use scene::Split;
+
 use crate::collect::{CurvePoint, Run};
 use crate::document::Block;
 use crate::report::{Group, Report};
@@ -27,8 +29,8 @@ pub fn figures(report: &Report, params: &TableGenerationParams) -> Vec<Block> {
     }
     let files: Vec<&str> = panels.iter().map(|(name, _)| name.as_str()).collect();
     let caption = format!(
-        "Quality on the validation views over seconds of training (evaluation excluded): median over seeds, band from \
-         the lowest to the highest. One file per scene: {}.",
+        "Quality over seconds of training (evaluation excluded): median over seeds, band from the lowest to the \
+         highest. One file per scene: {}.",
         files.join(", ")
     );
     let all: Vec<&Panel> = panels.iter().map(|(_, panel)| panel).collect();
@@ -66,9 +68,19 @@ fn panel(report: &Report, group: &Group, scene: &str, series: Vec<Series>, param
     Panel {
         title: html::escape(&format!("{scene}{protocol}, {}×{} px", group.protocol.width, group.protocol.height)),
         x_label: "training time (s)".into(),
-        y_label: "PSNR (dB)".into(),
+        y_label: format!("PSNR on {} views (dB)", curve_split(report, group, scene)),
         log_x: params.log_time,
         series,
+    }
+}
+
+/// The views that a scene's curves were measured on; a capture without validation views has training views only.
+fn curve_split(report: &Report, group: &Group, scene: &str) -> &'static str {
+    let belongs = |run: &&Run| run.scene == scene && run.protocol.as_ref() == Some(&group.protocol);
+    match report.runs.iter().filter(belongs).find_map(|run| run.curve_split) {
+        Some(Split::Train) => "training",
+        Some(Split::Test) => "test",
+        Some(Split::Val) | None => "validation",
     }
 }
 

@@ -177,13 +177,12 @@ fn claim_note(number_of_source: usize, column: &ClaimColumn) -> String {
 fn time_table(group: &Group) -> Option<Table> {
     let columns = Column::TIME_TO_QUALITY;
     let header = ["method · scene".into()].into_iter().chain(columns.map(Column::heading)).collect();
-    let caption =
-        format!("Protocol {}: seconds of training to 90, 95 and 99 % of the last validation PSNR", group.name);
+    let caption = format!("Protocol {}: seconds of training to 90, 95 and 99 % of the curve's last PSNR", group.name);
     let mut table = Table::new(caption, header);
     for row in &group.rows {
         for scene in &group.scenes {
             let Some(cells) = row.by_scene.get(scene) else { continue };
-            if !cells.get(&Column::SecsTo99).is_some_and(|cell| cell.mean.is_some()) {
+            if cells.get(&Column::SecsTo99).is_none_or(|cell| cell.mean.is_none()) {
                 continue;
             }
             let text = |column| cells.get(&column).map(|cell| cell_text(cell, column)).unwrap_or_default();

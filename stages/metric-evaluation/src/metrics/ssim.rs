@@ -20,25 +20,25 @@ pub struct SsimMeans {
     pub contrast_structure_valid: Option<f64>,
 }
 
+/// Window means of a, b, a² + b² and ab. The variances only occur as a sum, which saves one of five window means.
+type Moments = [f64; 4];
+
 /// SSIM of two channels in [0, 1], row-major with `width` pixels per row.
 pub fn ssim_means(a: &[f64], b: &[f64], width: usize) -> SsimMeans {
     let height = a.len() / width;
-    let moments = horizontal_moments(a, b, width);
+    let filtered = horizontal_moments(a, b, width);
     let window = gaussian_window();
     let (mut total, mut valid, mut contrast_structure) = (0.0, 0.0, 0.0);
-    let mut sums: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; width]);
+    let mut row = vec![Moments::default(); width];
     for y in 0..height {
-        // Vertical half of the window sums; rows beyond the border are zero and drop out.
-        sums.iter_mut().for_each(|row| row.fill(0.0));
+        // Vertical half of the window means; rows beyond the border are zero and drop out.
+        row.fill(Moments::default());
         for source in y.saturating_sub(RADIUS)..(y + RADIUS + 1).min(height) {
-            let weight = window[source + RADIUS - y];
-            for (sum, moment) in sums.iter_mut().zip(&moments) {
-                add_scaled(sum, &moment[source * width..][..width], weight);
-            }
+            add_scaled(&mut row, &filtered[source * width..][..width], window[source + RADIUS - y]);
         }
         let row_is_valid = y >= RADIUS && y + RADIUS < height;
-        for x in 0..width {
-            let (ssim, cs) = ssim_of_window(sums[0][x], sums[1][x], sums[2][x], sums[3][x]);
+        for (x, &moments) in row.iter().enumerate() {
+            let (ssim, cs) = ssim_of_window(moments);
             total += ssim;
             if row_is_valid && x >= RADIUS && x + RADIUS < width {
                 valid += ssim;
@@ -55,10 +55,8 @@ pub fn ssim_means(a: &[f64], b: &[f64], width: usize) -> SsimMeans {
     }
 }
 
-/// SSIM and its contrast-structure factor from the window means of a, b, a² + b² and ab.
-///
-/// The two variances only occur as a sum, which saves one of five window sums.
-fn ssim_of_window(mean_a: f64, mean_b: f64, mean_squares: f64, mean_product: f64) -> (f64, f64) {
+/// SSIM and its contrast-structure factor.
+fn ssim_of_window([mean_a, mean_b, mean_squares, mean_product]: Moments) -> (f64, f64) {
     let luminance_product = mean_a * mean_b;
     let luminance_squares = mean_a * mean_a + mean_b * mean_b;
     let covariance = mean_product - luminance_product;
@@ -67,29 +65,28 @@ fn ssim_of_window(mean_a: f64, mean_b: f64, mean_squares: f64, mean_product: f64
     ((2.0 * luminance_product + C1) / (luminance_squares + C1) * contrast_structure, contrast_structure)
 }
 
-/// Horizontally filtered a, b, a² + b² and ab, padded with zeros beyond the border.
-fn horizontal_moments(a: &[f64], b: &[f64], width: usize) -> [Vec<f64>; 4] {
+/// The horizontal half of the window means, padded with zeros beyond the border.
+fn horizontal_moments(a: &[f64], b: &[f64], width: usize) -> Vec<Moments> {
     let window = gaussian_window();
-    let mut moments: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; a.len()]);
-    let mut padded = vec![0.0; width + 2 * RADIUS];
-    for start in (0..a.len()).step_by(width) {
-        let (row_a, row_b) = (&a[start..start + width], &b[start..start + width]);
-        for (which, moment) in moments.iter_mut().enumerate() {
-            for ((slot, &a), &b) in padded[RADIUS..].iter_mut().zip(row_a).zip(row_b) {
-                *slot = [a, b, a * a + b * b, a * b][which];
-            }
-            for (tap, &weight) in window.iter().enumerate() {
-                add_scaled(&mut moment[start..start + width], &padded[tap..tap + width], weight);
-            }
+    let mut filtered = vec![Moments::default(); a.len()];
+    let mut padded = vec![Moments::default(); width + 2 * RADIUS];
+    for (start, row) in filtered.chunks_exact_mut(width).enumerate().map(|(y, row)| (y * width, row)) {
+        for ((slot, &a), &b) in padded[RADIUS..].iter_mut().zip(&a[start..start + width]).zip(&b[start..]) {
+            *slot = [a, b, a * a + b * b, a * b];
+        }
+        for (tap, &weight) in window.iter().enumerate() {
+            add_scaled(row, &padded[tap..tap + width], weight);
         }
     }
-    moments
+    filtered
 }
 
 /// `sum += weight * row`.
-fn add_scaled(sum: &mut [f64], row: &[f64], weight: f64) {
-    for (sum, value) in sum.iter_mut().zip(row) {
-        *sum += weight * value;
+fn add_scaled(sum: &mut [Moments], row: &[Moments], weight: f64) {
+    for (sum, moments) in sum.iter_mut().zip(row) {
+        for (sum, moment) in sum.iter_mut().zip(moments) {
+            *sum += weight * moment;
+        }
     }
 }
 

@@ -114,7 +114,13 @@ fn curves_have_a_line_a_label_and_a_band_per_method() {
         let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["curves.svg", "curves-bouncingballs.svg", "curves-trex.svg"]);
         let svg = &files[1].1;
-        for part in [">static3dgs ", ">deformable4dgs ", "stroke-dasharray=\"7 3\"", "training time (s)", "PSNR (dB)"] {
+        for part in [
+            ">static3dgs ",
+            ">deformable4dgs ",
+            "stroke-dasharray=\"7 3\"",
+            "training time (s)",
+            "PSNR on validation views (dB)",
+        ] {
             assert!(svg.contains(part), "{part} is missing: {svg}");
         }
         assert_eq!(svg.matches("opacity=\"0.15\"").count(), 2, "a band per method with two seeds");
