@@ -241,7 +241,7 @@ impl Frame {
         Ok(Camera { intrinsics, camera_from_world: self.camera_from_world })
     }
 
-    /// A finite pose and time, and an image file of the stated size.
+    /// A finite pose and time, an image file of the stated size, and a distortion that can be undone.
     fn check(&self) -> Result<()> {
         let pinhole = Camera { intrinsics: self.lens.intrinsics, camera_from_world: self.camera_from_world };
         pinhole.check().map_err(|error| bad(format!("{}: {}", self.name, error.message)).at(&self.stated_in))?;
@@ -257,7 +257,7 @@ impl Frame {
             );
             return Err(bad(message).hint("use the images that the poses were computed from").at(&self.image));
         }
-        Ok(())
+        self.camera().map(|_| ())
     }
 }
 

@@ -171,6 +171,8 @@ fn models_without_poses_points_or_support_are_refused() {
     let fisheye =
         Workspace::new(3, "OPENCV_FISHEYE", &[30.0, 30.0, 12.0, 8.0, 0.0, 0.0, 0.0, 0.0], |i| format!("{i}.png"));
     refused(&fisheye, &["camera model OPENCV_FISHEYE is not supported", "image_undistorter", "cameras.bin"]);
+    let folding = Workspace::new(3, "SIMPLE_RADIAL", &[30.0, 12.0, 8.0, -40.0], |i| format!("{i}.png"));
+    refused(&folding, &["folds the image over", "calibrate again", "sparse/0"]);
     let unheard = Workspace::new(3, "MIRROR_BALL", &[30.0, 30.0, 12.0, 8.0], |i| format!("{i}.png"));
     refused(&unheard, &["camera model number 99 is unknown"]);
     let dir = unheard.write();

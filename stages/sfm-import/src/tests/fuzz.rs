@@ -1,5 +1,7 @@
 //! Damaged files give errors, never panics.
 
+use std::path::Path;
+
 use super::support::*;
 use crate::colmap::{Model, write};
 use crate::{Params, source};
@@ -8,6 +10,12 @@ use crate::{Params, source};
 fn random(state: &mut u64) -> usize {
     *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*state >> 33) as usize
+}
+
+/// Writes a new file: cutting an existing one short makes some file systems wait for the disk.
+fn overwrite(path: &Path, bytes: impl AsRef<[u8]>) {
+    std::fs::remove_file(path).unwrap();
+    std::fs::write(path, bytes).unwrap();
 }
 
 #[test]
@@ -20,14 +28,14 @@ fn every_truncation_of_binary_models_is_an_error() {
         let path = dir.path().join(file);
         let bytes = std::fs::read(&path).unwrap();
         for length in 0..bytes.len() {
-            std::fs::write(&path, &bytes[..length]).unwrap();
+            overwrite(&path, &bytes[..length]);
             let message = Model::read(dir.path()).unwrap_err().to_string();
             assert!(message.contains("the file ends inside") && message.contains(file), "{message}");
         }
-        std::fs::write(&path, [&bytes[..], &[0]].concat()).unwrap();
+        overwrite(&path, [&bytes[..], &[0]].concat());
         let message = Model::read(dir.path()).unwrap_err().to_string();
         assert!(message.contains("1 bytes after the last of"), "{message}");
-        std::fs::write(&path, &bytes).unwrap();
+        overwrite(&path, &bytes);
     }
 }
 
@@ -49,10 +57,10 @@ fn mangled_models_never_panic() {
                 let at = random(&mut state) % bytes.len();
                 bytes[at] = random(&mut state) as u8;
             }
-            std::fs::write(&path, bytes).unwrap();
+            overwrite(&path, bytes);
             let result = source::read(dir.path(), &colmap_params());
             refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
-            std::fs::write(&path, good).unwrap();
+            overwrite(&path, good);
         }
         assert!(refused > 100, "only {refused} of 600 mangled models were refused: is the file read at all?");
     }
@@ -73,7 +81,7 @@ fn mangled_transforms_never_panic() {
             let at = random(&mut state) % bytes.len();
             bytes[at] = random(&mut state) as u8;
         }
-        std::fs::write(&path, bytes).unwrap();
+        overwrite(&path, bytes);
         let result = source::read(dir.path(), &Params::default());
         refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
     }
@@ -86,7 +94,7 @@ fn truncated_images_never_panic() {
     let path = dir.path().join("test/r_002.png");
     let good = std::fs::read(&path).unwrap();
     for length in (0..good.len() - 12).step_by(7) {
-        std::fs::write(&path, &good[..length]).unwrap();
+        overwrite(&path, &good[..length]);
         assert_refused(dir.path(), &Params::default(), &["image cannot be read", "r_002.png"]);
     }
 }
