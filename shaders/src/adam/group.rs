@@ -1,0 +1,115 @@
+use crate::tape::Tensor;
+
+/// A parameter tensor with its Adam moments; rows (the first dimension) are what density control adds and removes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    name: String,
+    tensor: Tensor<f32>,
+    first_moment: Vec<f32>,
+    second_moment: Vec<f32>,
+    step: u64,
+}
+
+/// Everything a [`Group`] consists of, for checkpoints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroupState {
+    pub name: String,
+    pub shape: Vec<usize>,
+    pub values: Vec<f32>,
+    pub first_moment: Vec<f32>,
+    pub second_moment: Vec<f32>,
+    pub step: u64,
+}
+
+impl Group {
+    /// A group that has not been updated yet.
+    pub fn new(name: impl Into<String>, tensor: Tensor<f32>) -> Self {
+        let zeros = vec![0.0; tensor.len()];
+        Self { name: name.into(), tensor, first_moment: zeros.clone(), second_moment: zeros, step: 0 }
+    }
+
+    /// The group that [`Group::state`] described. Panics if the lengths do not fit together.
+    pub fn from_state(state: GroupState) -> Self {
+        let GroupState { name, shape, values, first_moment, second_moment, step } = state;
+        assert_eq!(first_moment.len(), values.len(), "adam: first moment of group {name:?}");
+        assert_eq!(second_moment.len(), values.len(), "adam: second moment of group {name:?}");
+        Self { name, tensor: Tensor::from_vec(shape, values), first_moment, second_moment, step }
+    }
+
+    pub fn state(&self) -> GroupState {
+        GroupState {
+            name: self.name.clone(),
+            shape: self.tensor.shape().to_vec(),
+            values: self.tensor.as_slice().to_vec(),
+            first_moment: self.first_moment.clone(),
+            second_moment: self.second_moment.clone(),
+            step: self.step,
+        }
+    }
+
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub fn tensor(&self) -> &Tensor<f32> {
+        &self.tensor
+    }
+
+    /// The values for writing, as for an opacity reset; the moments stay (see [`Group::reset_moments`]).
+    pub fn values_mut(&mut self) -> &mut [f32] {
+        self.tensor.make_mut()
+    }
+
+    pub fn rows(&self) -> usize {
+        self.tensor.rows()
+    }
+
+    pub fn row_len(&self) -> usize {
+        self.tensor.row_len()
+    }
+
+    /// Updates so far.
+    pub fn step(&self) -> u64 {
+        self.step
+    }
+
+    /// Zero moments; the step count, and with it the bias correction, goes on.
+    pub fn reset_moments(&mut self) {
+        self.first_moment.fill(0.0);
+        self.second_moment.fill(0.0);
+    }
+
+    /// Drops the rows whose flag is false, with their moments.
+    pub fn keep_rows(&mut self, keep: &[bool]) {
+        assert_eq!(keep.len(), self.rows(), "adam: one flag per row of group {:?}", self.name);
+        let row_len = self.row_len();
+        let kept = |data: &[f32]| -> Vec<f32> {
+            let rows = data.chunks_exact(row_len).zip(keep).filter(|&(_, &keep)| keep);
+            rows.flat_map(|(row, _)| row).copied().collect()
+        };
+        (self.first_moment, self.second_moment) = (kept(&self.first_moment), kept(&self.second_moment));
+        let values = kept(self.tensor.as_slice());
+        self.replace_rows(values);
+    }
+
+    /// Adds rows with zero moments; `rows` holds a whole number of rows.
+    pub fn append_rows(&mut self, rows: &[f32]) {
+        assert_eq!(rows.len() % self.row_len(), 0, "adam: incomplete row for group {:?}", self.name);
+        let values = [self.tensor.as_slice(), rows].concat();
+        self.first_moment.resize(values.len(), 0.0);
+        self.second_moment.resize(values.len(), 0.0);
+        self.replace_rows(values);
+    }
+
+    fn replace_rows(&mut self, values: Vec<f32>) {
+        let mut shape = self.tensor.shape().to_vec();
+        shape[0] = values.len() / self.row_len();
+        self.tensor = Tensor::from_vec(shape, values);
+    }
+
+    /// Counts one more update; the new count, the values and the two moments.
+    pub(super) fn advance(&mut self) -> (u64, &mut [f32], &mut [f32], &mut [f32]) {
+        self.step += 1;
+        (self.step, self.tensor.make_mut(), &mut self.first_moment, &mut self.second_moment)
+    }
+}

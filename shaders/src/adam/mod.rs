@@ -1,0 +1,117 @@
+//! The Adam optimiser (Kingma and Ba 2015) over named parameter groups, with the row operations of density control.
+//!
+//! Dense: a row whose gradient is zero is updated like any other, its moments decay and may still move it.
+
+mod group;
+#[cfg(test)]
+mod tests;
+
+pub use group::{Group, GroupState};
+
+use rayon::prelude::*;
+
+use crate::tape::Tensor;
+use crate::tape::chunks::CHUNK;
+use crate::tape::simd::multiversion;
+
+/// m ← β1·m + (1 − β1)·g, v ← β2·v + (1 − β2)·g², p ← p − rate·(m / (1 − β1ᵗ)) / (√(v / (1 − β2ᵗ)) + ε).
+#[derive(Copy, Clone, Debug, PartialEq)]
+pub struct Adam {
+    pub beta1: f64,
+    pub beta2: f64,
+    /// Gradients of losses that are means over pixels go down to 1e-10: the customary 1e-8 would freeze them.
+    pub epsilon: f64,
+}
+
+impl Default for Adam {
+    fn default() -> Self {
+        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-15 }
+    }
+}
+
+/// One group to update.
+pub struct Update<'a> {
+    pub group: &'a mut Group,
+    /// Of the group's shape. `None`: the group took no part in the loss and stays as it is, moments and step included.
+    pub gradient: Option<&'a Tensor<f32>>,
+    pub learning_rate: f64,
+}
+
+/// The scalars of one update of one group, bias corrections included.
+#[derive(Copy, Clone)]
+struct Coefficients {
+    beta1: f32,
+    beta2: f32,
+    /// learning rate / (1 − β1ᵗ)
+    step_size: f32,
+    /// 1 / √(1 − β2ᵗ)
+    second_moment_scale: f32,
+    epsilon: f32,
+}
+
+/// One chunk of one group.
+struct Chunk<'a> {
+    coefficients: Coefficients,
+    gradient: &'a [f32],
+    values: &'a mut [f32],
+    first_moment: &'a mut [f32],
+    second_moment: &'a mut [f32],
+}
+
+impl Adam {
+    /// Updates all groups in one parallel pass over fixed chunks.
+    pub fn step(&self, updates: &mut [Update]) {
+        let mut chunks = Vec::new();
+        for update in updates {
+            if let Some(gradient) = update.gradient {
+                self.push_chunks(update.group, gradient, update.learning_rate, &mut chunks);
+            }
+        }
+        chunks.into_par_iter().for_each(|mut chunk| advance(&mut chunk));
+    }
+
+    fn push_chunks<'a>(
+        &self,
+        group: &'a mut Group,
+        gradient: &'a Tensor<f32>,
+        learning_rate: f64,
+        chunks: &mut Vec<Chunk<'a>>,
+    ) {
+        assert_eq!(gradient.shape(), group.tensor().shape(), "adam: gradient of group {:?}", group.name());
+        let (step, values, first_moment, second_moment) = group.advance();
+        let correction = |beta: f64| 1.0 - beta.powf(step as f64);
+        let coefficients = Coefficients {
+            beta1: self.beta1 as f32,
+            beta2: self.beta2 as f32,
+            step_size: (learning_rate / correction(self.beta1)) as f32,
+            second_moment_scale: (1.0 / correction(self.beta2).sqrt()) as f32,
+            epsilon: self.epsilon as f32,
+        };
+        let moments = first_moment.chunks_mut(CHUNK).zip(second_moment.chunks_mut(CHUNK));
+        let parts = gradient.as_slice().chunks(CHUNK).zip(values.chunks_mut(CHUNK)).zip(moments);
+        chunks.extend(parts.map(|((gradient, values), (first_moment, second_moment))| Chunk {
+            coefficients,
+            gradient,
+            values,
+            first_moment,
+            second_moment,
+        }));
+    }
+}
+
+multiversion! {
+    fn advance(chunk: &mut Chunk) = advance_body
+}
+
+#[inline(always)]
+fn advance_body(chunk: &mut Chunk) {
+    let Coefficients { beta1, beta2, step_size, second_moment_scale, epsilon } = chunk.coefficients;
+    let len = chunk.values.len();
+    let (gradient, values) = (&chunk.gradient[..len], &mut chunk.values[..len]);
+    let (first, second) = (&mut chunk.first_moment[..len], &mut chunk.second_moment[..len]);
+    for i in 0..len {
+        first[i] = beta1 * first[i] + (1.0 - beta1) * gradient[i];
+        second[i] = beta2 * second[i] + (1.0 - beta2) * (gradient[i] * gradient[i]);
+        values[i] -= step_size * first[i] / (second[i].sqrt() * second_moment_scale + epsilon);
+    }
+}
