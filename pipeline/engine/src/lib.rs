@@ -4,14 +4,18 @@ pub mod canonical;
 pub mod digest;
 pub mod event;
 pub mod exit;
+pub mod explain;
 pub mod fingerprint;
+pub mod graph;
 pub mod job;
 pub mod key;
 pub mod lock;
 pub mod plan;
 pub mod recipe;
 pub mod registry;
+pub mod runs;
 pub mod scheduler;
+pub mod status;
 pub mod store;
 
 mod artifact;

@@ -119,6 +119,12 @@ impl Sources {
         node.sources.iter().map(|source| Ok((source.name.as_str(), state(&source.path)?))).collect()
     }
 
+    /// The digests of the sources of `node` by name.
+    pub fn digests(&self, node: &Node) -> Result<BTreeMap<String, String>, Failure> {
+        let states = self.of(node)?.into_iter();
+        Ok(states.map(|(name, state)| (name.to_owned(), state.digest.to_string())).collect())
+    }
+
     /// The sources of `node` as a job needs them.
     pub fn specs(&self, node: &Node) -> Result<BTreeMap<String, SourceSpec>, Failure> {
         Ok(self.of(node)?.into_iter().map(|(name, state)| (name.to_owned(), state.spec.clone())).collect())
@@ -160,8 +166,8 @@ pub enum Readiness {
 /// data (a table of nothing) or one was interrupted (the table would have to be made again).
 pub fn readiness(plan: &Plan, index: usize, rests: &[Option<Rest>], sources: &Sources) -> Readiness {
     let node = &plan.nodes[index];
-    let source_states = match sources.of(node) {
-        Ok(states) => states,
+    let digests = match sources.digests(node) {
+        Ok(digests) => digests,
         Err(failure) => return Readiness::AtRest(Rest::Failed { failure, key: None }),
     };
     if let Some(rest) = node.inputs.iter().find_map(|port| blocked_by(plan, port, rests)) {
@@ -173,7 +179,6 @@ pub fn readiness(plan: &Plan, index: usize, rests: &[Option<Rest>], sources: &So
         let Some(producers) = port.producers.iter().map(key_input).collect() else { return Readiness::Waiting };
         inputs.insert(port.port.clone(), producers);
     }
-    let digests = source_states.into_iter().map(|(name, state)| (name.to_owned(), state.digest.to_string())).collect();
     Readiness::Ready(Box::new(KeyComponents::of(node, inputs, digests, ENVIRONMENT)))
 }
 

@@ -330,7 +330,6 @@ impl<'a> Scheduler<'a> {
         Ok(RunSummary {
             run: self.run.clone(),
             recipe: self.plan.recipe.clone(),
-            plan_ids: self.selected.iter().map(|&index| self.plan.nodes[index].plan_id.clone()).collect(),
             counts: self.counts,
             wall_secs,
             stopped_by: self.stopped_by(),

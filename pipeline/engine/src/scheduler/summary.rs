@@ -1,6 +1,6 @@
 //! What a run came to.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
@@ -14,8 +14,6 @@ pub struct RunSummary {
     pub run: String,
     /// The recipe's name.
     pub recipe: String,
-    /// The plan ids of all its nodes: what garbage collection keeps for the sake of this run.
-    pub plan_ids: BTreeSet<String>,
     /// How many jobs came to what.
     pub counts: Counts,
     /// Wall time of the run.

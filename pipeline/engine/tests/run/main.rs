@@ -3,6 +3,7 @@
 
 mod crash;
 mod outcomes;
+mod predict;
 mod reuse;
 #[path = "../../src/test_stages.rs"]
 mod test_stages;
@@ -30,7 +31,7 @@ fn main() -> ExitCode {
 }
 
 fn trials() -> Vec<Trial> {
-    let tests = [reuse::TESTS, outcomes::TESTS, crash::TESTS].concat();
+    let tests = [reuse::TESTS, outcomes::TESTS, predict::TESTS, crash::TESTS].concat();
     let trial = |(name, test): (&'static str, fn())| {
         Trial::test(name, move || {
             test();

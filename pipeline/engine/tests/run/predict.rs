@@ -1,0 +1,73 @@
+//! What is foretold is what happens.
+
+use std::collections::BTreeSet;
+use std::fs;
+
+use engine::event::Outcome;
+use engine::scheduler::Sources;
+use engine::status::{Prediction, State, predict};
+
+use crate::world::{GRID, World, nodes};
+
+pub const TESTS: &[(&str, fn())] = &[
+    ("new_plan_will_run_throughout", new_plan_will_run_throughout),
+    ("changes_are_named_and_consequences_may_be_cut_off", changes_are_named_and_consequences_may_be_cut_off),
+    ("missing_data_and_failures_are_foretold", missing_data_and_failures_are_foretold),
+];
+
+/// Every node's prediction in few words, in plan order.
+fn foretell(world: &World, overrides: &[&str]) -> Vec<String> {
+    let plan = world.plan(overrides);
+    let all: BTreeSet<usize> = (0..plan.nodes.len()).collect();
+    let store = world.store();
+    let sources = Sources::digest(&plan, &all, &world.root.join("data"), &store, false).unwrap();
+    let predictions = predict(&plan, &store, &all, &BTreeSet::new(), &sources).unwrap();
+    predictions.iter().map(|(&index, prediction)| format!("{}: {}", plan.nodes[index].name, words(prediction))).collect()
+}
+
+fn words(prediction: &Prediction) -> String {
+    let sentences: Vec<&str> = prediction.changes().iter().map(|change| change.sentence.as_str()).collect();
+    let sentences = sentences.join(", ");
+    match &prediction.state {
+        State::Cached { .. } => "cached".into(),
+        State::WillRun { last_failure: Some(record), .. } => format!("failed before ({:?})", record.failure.kind),
+        State::WillRun { .. } => format!("will run ({sentences})"),
+        State::Pending { may_be_cut_off: true, .. } => format!("may be cut off ({sentences})"),
+        State::Pending { .. } => format!("will run later ({sentences})"),
+        State::MissingData { .. } => "missing data".into(),
+        State::Blocked { because_of, .. } => format!("blocked by {because_of}"),
+    }
+}
+
+fn new_plan_will_run_throughout() {
+    let told = foretell(&World::new(GRID), &[]);
+    assert_eq!(told.iter().filter(|line| line.ends_with(": will run (never ran)")).count(), 2);
+    assert_eq!(told.iter().filter(|line| line.ends_with(": will run later (never ran)")).count(), 5);
+}
+
+fn changes_are_named_and_consequences_may_be_cut_off() {
+    let world = World::new(GRID);
+    world.run(&["nodes.work.params.keep=4"]);
+    assert!(foretell(&world, &["nodes.work.params.keep=4"]).iter().all(|line| line.ends_with(": cached")));
+    let change = ["nodes.work.params.keep=4", "nodes.work.params.steps=5"];
+    let told = foretell(&world, &change);
+    assert!(told.contains(&"text/ball: cached".into()), "{told:?}");
+    assert!(told.contains(&"work/lego/p: will run (params.steps 3 → 5)".into()), "{told:?}");
+    assert!(told.contains(&"list: may be cut off (reads work/ball/p and 3 more)".into()), "{told:?}");
+    // "ball" has four letters and so has what is kept of "lego:ppp".
+    let summary = world.run(&change);
+    assert_eq!(summary.results["list"].outcome, Outcome::Cached);
+}
+
+fn missing_data_and_failures_are_foretold() {
+    let recipe = GRID.replace("text = \"{scene}:\"", "source = \"{scene}.txt\"");
+    let rule = "[[set]]\nwhen = { seed = \"q\" }\nnodes.work.params.fail = \"diverged\"\n";
+    let world = World::new(&format!("{recipe}{rule}"));
+    fs::write(world.root.join("data/ball.txt"), "ball").unwrap();
+    let summary = world.run(&[]);
+    assert_eq!(nodes(&summary, Outcome::Failed), ["work/ball/q"]);
+    let told = foretell(&world, &[]);
+    assert!(told.contains(&"text/lego: missing data".into()), "{told:?}");
+    assert!(told.contains(&"work/lego/p: blocked by text/lego".into()), "{told:?}");
+    assert!(told.contains(&"work/ball/q: failed before (Diverged)".into()), "{told:?}");
+}
