@@ -1,8 +1,15 @@
 //! The differentiable kernels: a tape of coarse operations ([`tape`]) and one folder per kernel with its equations, its
 //! readable reference, its fast body and its tests.
 
+pub mod adam;
+pub mod binning;
+pub mod blending;
 pub mod check;
 pub mod hexplane;
 pub mod linear;
+pub mod losses;
 pub mod pointwise;
+pub mod projection;
+pub mod splat;
+pub mod ssim;
 pub mod tape;

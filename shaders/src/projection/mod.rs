@@ -1,0 +1,166 @@
+//! Projection of 3D Gaussians to the image: means, conics, depths, opacities, colours and cutoffs.
+//!
+//! With R = camera_from_world, the covariance in px² is VVᵀ + εI, V = J·R·R_q·diag(eˢ) (Zwicker et al. 2002, EWA splatting),
+//! where J is the affine map of the perspective at the splat's centre. A pixel at distance (dx, dy) = mean − pixel sees
+//! alpha = opacity·e^(−σ), σ = ½(A(dx + k·dy)² + m·dy²): the Cholesky form of the conic, which is never negative.
+//! Colour is max(0, ½ + Σ Yₖ·shₖ) in the direction from the camera's centre (Kerbl et al. 2023).
+
+mod algebra;
+mod camera;
+mod harmonics;
+mod reference;
+mod settings;
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+
+pub use camera::PinholeCamera;
+pub use settings::RasterSettings;
+
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+use reference::{Projected, Splat, View};
+
+/// The cutoff of a splat that is culled.
+pub const CULLED: f64 = -1.0;
+
+/// Splats per parallel chunk: tens of microseconds.
+const SPLATS_PER_CHUNK: usize = 256;
+
+/// The parameters of N splats.
+#[derive(Clone, Copy, Debug)]
+pub struct SplatVars {
+    /// [N, 3] world, scene units.
+    pub positions: Var,
+    /// [N, 3] natural logarithm of the standard deviations, scene units.
+    pub log_scales: Var,
+    /// [N, 4] quaternions (w, x, y, z), normalised here.
+    pub rotations: Var,
+    /// [N, 1] or [N], before the logistic function.
+    pub opacity_logits: Var,
+    /// [N, K, 3] spherical harmonics, K ≥ (degree + 1)².
+    pub sh: Var,
+}
+
+/// N splats in the image. A culled splat has zeros everywhere, the cutoff [`CULLED`], and gets no gradient.
+#[derive(Clone, Copy, Debug)]
+pub struct ProjectedVars {
+    /// [N, 2] px.
+    pub means2d: Var,
+    /// [N, 3]: A, k, m with A and m in px⁻².
+    pub conics: Var,
+    /// [N] z in view space, scene units.
+    pub depths: Var,
+    /// [N].
+    pub opacities: Var,
+    /// [N, 3].
+    pub colors: Var,
+    /// [N]: the largest σ that is blended, ln(255·opacity); the one threshold that culling and blending share. No gradient
+    /// flows through it.
+    pub cutoffs: Var,
+}
+
+/// Projects splats. Panics if shapes disagree or `sh` has too few coefficients for the degree.
+pub fn project<T: Real>(
+    tape: &mut Tape<T>,
+    splats: &SplatVars,
+    camera: &PinholeCamera,
+    settings: &RasterSettings,
+) -> ProjectedVars {
+    assert!(settings.near_view > 0.0, "the near plane must lie in front of the camera");
+    let count = tape.value(splats.positions).rows();
+    let sh_len = tape.value(splats.sh).row_len();
+    let needed = 3 * harmonics::coefficient_count(settings.sh_degree);
+    assert!(settings.sh_degree <= 3, "spherical harmonics go up to degree 3");
+    assert!(count == 0 || sh_len >= needed, "degree {} needs {needed} coefficients, not {sh_len}", settings.sh_degree);
+    let inputs = [splats.positions, splats.log_scales, splats.rotations, splats.opacity_logits, splats.sh];
+    for (var, row_len) in inputs.into_iter().zip([3, 3, 4, 1, sh_len]) {
+        assert_eq!(tape.value(var).len(), count * row_len, "projection: a parameter has the wrong shape");
+    }
+    let outputs = tape.apply(Projection { view: View::<T>::new(camera, settings), sh_len }, &inputs);
+    let [means2d, conics, depths, opacities, colors, cutoffs] = outputs[..] else { unreachable!("six outputs") };
+    ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs }
+}
+
+struct Projection<T> {
+    view: View<T>,
+    sh_len: usize,
+}
+
+impl<T: Real> Projection<T> {
+    fn splat<'a>(&self, inputs: &[&'a Tensor<T>], index: usize) -> Splat<'a, T> {
+        Splat {
+            position: row(inputs[0], index),
+            log_scales: row(inputs[1], index),
+            rotation: row(inputs[2], index),
+            opacity_logit: inputs[3].as_slice()[index],
+            sh: &inputs[4].as_slice()[index * self.sh_len..][..self.sh_len],
+        }
+    }
+}
+
+impl<T: Real> Op<T> for Projection<T> {
+    fn name(&self) -> &'static str {
+        "projection"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let count = inputs[0].rows();
+        let project = |index| reference::project(&self.splat(inputs, index), &self.view);
+        let projected: Vec<Option<Projected<T>>> =
+            (0..count).into_par_iter().with_min_len(SPLATS_PER_CHUNK).map(project).collect();
+        let culled = Projected { cutoff: T::from_f64(CULLED), ..Projected::default() };
+        let all = || projected.iter().map(|splat| splat.as_ref().unwrap_or(&culled));
+        vec![
+            Tensor::from_vec([count, 2], all().flat_map(|splat| splat.mean2d).collect()),
+            Tensor::from_vec([count, 3], all().flat_map(|splat| splat.conic).collect()),
+            Tensor::from_vec([count], all().map(|splat| splat.depth).collect()),
+            Tensor::from_vec([count], all().map(|splat| splat.opacity).collect()),
+            Tensor::from_vec([count, 3], all().flat_map(|splat| splat.color).collect()),
+            Tensor::from_vec([count], all().map(|splat| splat.cutoff).collect()),
+        ]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let count = inputs[0].rows();
+        let mut gradients: Vec<Vec<T>> = inputs.iter().map(|input| vec![T::ZERO; input.len()]).collect();
+        let [positions, log_scales, rotations, logits, sh] = &mut gradients[..] else { unreachable!("five inputs") };
+        let rows = positions.as_chunks_mut::<3>().0.par_iter_mut();
+        let rows = rows.zip(log_scales.as_chunks_mut::<3>().0).zip(rotations.as_chunks_mut::<4>().0);
+        let rows = rows.zip(logits).zip(sh.par_chunks_exact_mut(self.sh_len.max(1)));
+        rows.with_min_len(SPLATS_PER_CHUNK).enumerate().for_each(|(index, ((((position, log_scale), rotation), logit), sh))| {
+            if outputs[5].as_slice()[index] < T::ZERO {
+                return;
+            }
+            let upstream = upstream_of(output_grads, index);
+            if let Some(gradient) = reference::backward(&self.splat(inputs, index), &self.view, &upstream, sh) {
+                (*position, *log_scale, *rotation) = (gradient.position, gradient.log_scales, gradient.rotation);
+                *logit = gradient.opacity_logit;
+            }
+        });
+        debug_assert_eq!(count, outputs[5].len());
+        gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
+    }
+}
+
+/// The gradient of one projected splat; zero where none arrives.
+fn upstream_of<T: Real>(output_grads: &[Option<&Tensor<T>>], index: usize) -> Projected<T> {
+    Projected {
+        mean2d: output_grads[0].map_or_else(Default::default, |gradient| row(gradient, index)),
+        conic: output_grads[1].map_or_else(Default::default, |gradient| row(gradient, index)),
+        depth: output_grads[2].map_or(T::ZERO, |gradient| gradient.as_slice()[index]),
+        opacity: output_grads[3].map_or(T::ZERO, |gradient| gradient.as_slice()[index]),
+        color: output_grads[4].map_or_else(Default::default, |gradient| row(gradient, index)),
+        cutoff: T::ZERO,
+    }
+}
+
+fn row<T: Real, const LEN: usize>(tensor: &Tensor<T>, index: usize) -> [T; LEN] {
+    tensor.as_slice().as_chunks::<LEN>().0[index]
+}

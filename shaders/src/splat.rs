@@ -1,0 +1,140 @@
+//! Rendering of 3D Gaussians: [`projection`](crate::projection), [`binning`](crate::binning) and
+//! [`blending`](crate::blending) composed, with or without gradients.
+
+#[cfg(test)]
+pub(crate) mod test_scene;
+#[cfg(test)]
+mod tests;
+
+pub use crate::binning::TooManyIntersections;
+use crate::binning::{self, Grid, TILE};
+use crate::blending::{self, Blended};
+pub use crate::blending::Isa;
+use crate::projection;
+pub use crate::projection::{PinholeCamera, ProjectedVars, RasterSettings, SplatVars};
+use crate::tape::{Device, Real, Tape, Tensor, Var};
+
+/// A render and what density control needs to know of it.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// [H, W, 3].
+    pub color: Var,
+    /// [H, W].
+    pub alpha: Var,
+    /// [H, W]: Σ wᵢzᵢ, not divided by alpha; present if [`RasterSettings::depth`].
+    pub depth: Option<Var>,
+    /// [H, W, F]: Σ wᵢfᵢ; present if features were given.
+    pub features: Option<Var>,
+    /// [N, 2] px: its gradient, in units of 1/px, drives density control.
+    pub means2d: Var,
+    /// [N]: whether any tile holds the splat.
+    pub visible: Vec<bool>,
+    /// [N]: three standard deviations along the longer axis, in px; 0 where invisible.
+    pub radii_px: Vec<f32>,
+    pub stats: RenderStats,
+}
+
+/// How much work a render was.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RenderStats {
+    /// Splats that some tile holds.
+    pub visible: usize,
+    /// (Tile, splat) pairs.
+    pub intersections: usize,
+    /// (Pixel, splat) pairs of all intersections: the nominal work.
+    pub nominal_pixel_splats: u64,
+    /// (Pixel, splat) pairs that were blended.
+    pub blended_pixel_splats: u64,
+}
+
+/// Renders splats and, with the same weights, their `features` [N, F]; differentiable in all parameters and features.
+pub fn render<T: Real>(
+    tape: &mut Tape<T>,
+    splats: &SplatVars,
+    features: Option<Var>,
+    camera: &PinholeCamera,
+    settings: &RasterSettings,
+) -> Result<Rendered, TooManyIntersections> {
+    let projected = projection::project(tape, splats, camera, settings);
+    let grid = Grid { width: camera.width, height: camera.height };
+    let lists = binning::bin(tape, &projected, grid)?;
+    let Blended { color, alpha, depth, features, blended_count } =
+        blending::blend(tape, &projected, features, &lists, settings);
+    let visible: Vec<bool> = lists.rank_of_splat.iter().map(|&rank| rank != binning::TileLists::NO_RANK).collect();
+    let conics = tape.value(projected.conics).as_slice().as_chunks::<3>().0;
+    let radius = |(conic, &is_visible): (&[T; 3], &bool)| if is_visible { radius_px(conic) } else { 0.0 };
+    let stats = RenderStats {
+        visible: lists.order.len(),
+        intersections: lists.ranks.len(),
+        nominal_pixel_splats: (lists.ranks.len() * TILE * TILE) as u64,
+        blended_pixel_splats: blended_count,
+    };
+    let radii_px = conics.iter().zip(&visible).map(radius).collect();
+    Ok(Rendered { color, alpha, depth, features, means2d: projected.means2d, visible, radii_px, stats })
+}
+
+/// Parameters of N splats as tensors, shaped as [`SplatVars`].
+#[derive(Clone, Debug)]
+pub struct SplatTensors<T: Real> {
+    pub positions: Tensor<T>,
+    pub log_scales: Tensor<T>,
+    pub rotations: Tensor<T>,
+    pub opacity_logits: Tensor<T>,
+    pub sh: Tensor<T>,
+}
+
+impl<T: Real> SplatTensors<T> {
+    /// The tensors as leaves of a tape.
+    pub fn leaves(&self, tape: &mut Tape<T>) -> SplatVars {
+        self.vars(|tensor| tape.leaf(tensor))
+    }
+
+    /// The tensors as constants of a tape.
+    pub fn constants(&self, tape: &mut Tape<T>) -> SplatVars {
+        self.vars(|tensor| tape.constant(tensor))
+    }
+
+    fn vars(&self, mut var: impl FnMut(Tensor<T>) -> Var) -> SplatVars {
+        SplatVars {
+            positions: var(self.positions.clone()),
+            log_scales: var(self.log_scales.clone()),
+            rotations: var(self.rotations.clone()),
+            opacity_logits: var(self.opacity_logits.clone()),
+            sh: var(self.sh.clone()),
+        }
+    }
+}
+
+/// Images without gradients.
+#[derive(Clone, Debug)]
+pub struct RenderedImage<T: Real> {
+    /// [H, W, 3].
+    pub color: Tensor<T>,
+    /// [H, W].
+    pub alpha: Tensor<T>,
+    /// [H, W]; present if [`RasterSettings::depth`].
+    pub depth: Option<Tensor<T>>,
+    pub stats: RenderStats,
+}
+
+/// As [`render`], for use at test time.
+pub fn render_image<T: Real>(
+    splats: &SplatTensors<T>,
+    camera: &PinholeCamera,
+    settings: &RasterSettings,
+) -> Result<RenderedImage<T>, TooManyIntersections> {
+    let mut tape = Tape::new(Device::Cpu);
+    let vars = splats.constants(&mut tape);
+    let rendered = render(&mut tape, &vars, None, camera, settings)?;
+    let image = |var: Var| tape.value(var).clone();
+    let (color, alpha, depth) = (image(rendered.color), image(rendered.alpha), rendered.depth.map(image));
+    Ok(RenderedImage { color, alpha, depth, stats: rendered.stats })
+}
+
+/// Three times the root of the larger eigenvalue of the covariance behind (A, k, m).
+fn radius_px<T: Real>(conic: &[T; 3]) -> f32 {
+    let [a, k, m] = conic.map(|value| value.to_f64());
+    let (variance_x, variance_y, covariance) = (1.0 / a + k * k / m, 1.0 / m, -k / m);
+    let gap = (0.5 * (variance_x - variance_y)).hypot(covariance);
+    (3.0 * (0.5 * (variance_x + variance_y) + gap).sqrt()) as f32
+}
