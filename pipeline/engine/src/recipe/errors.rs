@@ -90,6 +90,11 @@ impl Report {
         }
     }
 
+    /// Whether there is an error about `key` at `place` already.
+    pub fn has(&self, place: &Place, key: &str) -> bool {
+        self.errors.iter().any(|(known, error)| known == place && error.key == key)
+    }
+
     pub fn is_empty(&self) -> bool {
         self.errors.is_empty()
     }

@@ -136,17 +136,12 @@ fn template(name: &str, item: &Item, axes: &IndexMap<String, Axis>, report: &mut
     check_name(name, item.key_at, &key, report);
     let fields = as_table(item, &key, report)?;
     refuse_unknown(fields, &format!("{key}."), &NODE_KEYS, report);
-    let stage = match fields.get("stage") {
-        Some(item) => self::name(item, &format!("{key}.stage"), report),
-        None => {
-            report.add(&item.key_at, &key, format!("node `{name}` has no stage"), Some(r#"add stage = "…""#.into()));
-            None
-        }
-    };
+    // A node without a stage stays, so that nobody is told that it is unknown.
+    let stage = fields.get("stage").and_then(|item| self::name(item, &format!("{key}.stage"), report));
     let params = fields.get("params");
     Some(Template {
         at: item.key_at,
-        stage: stage?,
+        stage: stage.unwrap_or(Named { name: String::new(), at: item.key_at }),
         over: over(fields, &key, axes, report),
         inputs: wires(fields, &key, report),
         params: params.and_then(|item| as_table(item, &format!("{key}.params"), report)).cloned().unwrap_or_default(),

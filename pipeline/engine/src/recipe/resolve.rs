@@ -118,7 +118,10 @@ impl Resolver<'_> {
         };
         let dot = if problem.key.is_empty() { "" } else { "." };
         let key = format!("nodes.{node}.params{dot}{}", problem.key);
-        self.report.add(&place, key, problem.message.clone(), problem.hint.clone());
+        // One line of the recipe may be wrong for hundreds of jobs, each in its own words.
+        if !self.report.has(&place, &key) {
+            self.report.add(&place, key, problem.message.clone(), problem.hint.clone());
+        }
     }
 }
 

@@ -316,3 +316,21 @@ fn all_syntax_errors_come_at_once_with_a_caret() {
 fn a_recipe_without_nodes_is_refused() {
     assert_eq!(errors("", &[]), ["1: nodes: the recipe has no nodes (add [nodes.NAME] with a stage)"]);
 }
+
+#[test]
+fn a_node_without_a_stage_is_one_error() {
+    let text = "[nodes.a]\nover = []\n[nodes.b]\nstage = \"test-work\"\ninputs.text = \"a\"\n";
+    assert_eq!(
+        errors(text, &[]),
+        ["1: nodes.a.stage: node `a` has no stage (allowed: test-list, test-work, test-write)"]
+    );
+}
+
+#[test]
+fn a_line_that_is_wrong_for_many_jobs_is_one_error() {
+    let text = GRID
+        .replace("steps = 3", "steps = \"{scene}\"")
+        .replace("[[set]]\nwhen = { scene = \"ball\", method = [\"b\"] }\nnodes.train.params.steps = 5", "");
+    let found = errors(&text, &[]);
+    assert_eq!(found, ["20: nodes.train.params.steps: invalid type: string \"ball\", expected usize"]);
+}

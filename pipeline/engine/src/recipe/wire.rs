@@ -15,7 +15,10 @@ pub(crate) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report
             Some(stage) => Checker { recipe, registry, name, template, stage }.check(report),
             None => {
                 let hint = names_hint(&template.stage.name, registry.stages().map(|stage| stage.id()));
-                let message = format!("unknown stage `{}`", template.stage.name);
+                let message = match template.stage.name.as_str() {
+                    "" => format!("node `{name}` has no stage"),
+                    stage => format!("unknown stage `{stage}`"),
+                };
                 report.add(&template.stage.at, format!("{key}.stage"), message, hint);
             }
         }
