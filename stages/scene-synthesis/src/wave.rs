@@ -8,7 +8,7 @@ use crate::shape::{MIN_DISTANCE, Ray, slab};
 
 /// Height below which the search for the surface changes from safe steps to Newton's, in scene units: small against
 /// the wavelengths, so that Newton's steps stay in the basin of the nearest root.
-const NEWTON_HEIGHT: f64 = 2e-3;
+const NEWTON_HEIGHT: f64 = 5e-3;
 /// Residual height of a found point, scene units.
 const TOLERANCE: f64 = 1e-13;
 /// Safe steps before a grazing ray counts as missing the sheet.
@@ -88,17 +88,17 @@ impl Wave {
             (point.z - height.value, along, height.slope)
         };
         // Steps of height / (greatest rate of change of the height) never pass the surface.
-        let greatest_rate = ray.direction.z.abs() + self.steepest() * ray.direction.truncate().length();
+        let greatest_rate = ray.direction.z.abs() + self.steepest_along(ray.direction.truncate());
         let mut s = enter.max(MIN_DISTANCE);
         for _ in 0..MAX_STEPS {
-            let (height, along, _) = above(s);
-            if height.abs() < NEWTON_HEIGHT
-                && let Some(found) = newton(&above, s, height / along)
+            let height = above(s).0.abs();
+            if height < NEWTON_HEIGHT
+                && let Some(found) = newton(&above, s)
             {
                 let (_, _, slope) = above(found);
                 return (found <= leave).then(|| (found, (-slope).extend(1.0).normalize()));
             }
-            s += height.abs().max(1e-6) / greatest_rate;
+            s += height.max(1e-6) / greatest_rate;
             if s > leave {
                 return None;
             }
@@ -106,22 +106,25 @@ impl Wave {
         None
     }
 
-    /// A bound on the slope.
-    fn steepest(&self) -> f64 {
-        let slope = |component: &Component| component.amplitude * (component.wave_vector.length() + 0.5 / self.half.x);
+    /// A bound on the change of height per step of a direction in the plane.
+    fn steepest_along(&self, direction: DVec2) -> f64 {
+        let envelope = 0.5 / self.half.x * direction.x.abs();
+        let slope = |wave: &Component| wave.amplitude * (wave.wave_vector.dot(direction).abs() + envelope);
         self.components.iter().map(slope).sum()
     }
 }
 
-/// Newton's iteration from `s`, whose first step is `-step`; a root behind `s` or far away is none.
-fn newton(above: &impl Fn(f64) -> (f64, f64, DVec2), start: f64, step: f64) -> Option<f64> {
-    let (mut s, reach) = (start - step, 2.0 * step.abs());
+/// Newton's iteration from `start`; a root behind it, or much farther than the first step reaches, is none.
+fn newton(above: &impl Fn(f64) -> (f64, f64, DVec2), start: f64) -> Option<f64> {
+    let (mut s, mut reach) = (start, None);
     for _ in 0..8 {
         let (height, along, _) = above(s);
+        let step = -height / along;
+        let reach = *reach.get_or_insert(2.0 * step.abs());
         if height.abs() <= TOLERANCE {
             return (s >= start - 1e-12 && s - start <= reach).then_some(s);
         }
-        s -= height / along;
+        s += step;
     }
     None
 }
