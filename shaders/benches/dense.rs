@@ -3,9 +3,11 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
 use shaders::hexplane::{HexplaneShape, hexplane, is_time_plane, smoothness};
 use shaders::linear::{Activation, linear};
+use shaders::losses::l1_dssim;
 use shaders::tape::{Device, Tape, Tensor, Var};
 
 const POINTS: usize = 20_000;
@@ -59,5 +61,26 @@ fn hexplane_field(criterion: &mut Criterion) {
     forward_and_backward(criterion, "smoothness of the spatial planes", texels, &spatial, smoothness);
 }
 
-criterion_group!(benches, linear_layer, hexplane_field);
+fn photometric_loss(criterion: &mut Criterion) {
+    let [render, target] = [7, 8].map(|seed| random(&[200, 200, 3], seed));
+    forward_and_backward(criterion, "L1 and SSIM 200x200", Throughput::Elements(40_000), &[render], |tape, vars| {
+        let target = tape.constant(target.clone());
+        l1_dssim(tape, vars[0], target, 0.2)
+    });
+}
+
+fn optimiser(criterion: &mut Criterion) {
+    let mut group = Group::new("gaussians", random(&[POINTS, 59], 9));
+    let gradient = random(&[POINTS, 59], 10);
+    let mut benchmark = criterion.benchmark_group("Adam 20k x 59");
+    benchmark.sample_size(20).throughput(Throughput::Elements((POINTS * 59) as u64));
+    benchmark.bench_function("step", |bencher| {
+        bencher.iter(|| {
+            let update = Update { group: &mut group, gradient: Some(&gradient), learning_rate: 1e-3 };
+            Adam::default().step(&mut [update]);
+        })
+    });
+}
+
+criterion_group!(benches, linear_layer, hexplane_field, photometric_loss, optimiser);
 criterion_main!(benches);

@@ -36,7 +36,8 @@ impl<'a> Forward<'a> {
         let channels = field.channels();
         let time = field.time.to_f64() as f32;
         let scale_at = |scale| Scale::new(field, scale, time);
-        (channels % 4 == 0)
+        channels
+            .is_multiple_of(4)
             .then(|| (0..field.scales()).map(scale_at).collect::<Option<_>>())?
             .map(|scales| Self { channels, scales })
     }
@@ -44,8 +45,8 @@ impl<'a> Forward<'a> {
     /// Features of `positions` [n, 3] into `out` [n, C·scales].
     pub fn run(&self, positions: &[f32], out: &mut [f32]) {
         match self.channels {
-            channels if channels % 16 == 0 => sample::<16>(self, positions, out),
-            channels if channels % 8 == 0 => sample::<8>(self, positions, out),
+            channels if channels.is_multiple_of(16) => sample::<16>(self, positions, out),
+            channels if channels.is_multiple_of(8) => sample::<8>(self, positions, out),
             _ => sample::<4>(self, positions, out),
         }
     }
@@ -172,8 +173,12 @@ pub fn backward<T: Real>(
     match (Forward::new(field), T::as_f32(positions), T::as_f32(dy), T::as_f32_mut(position_gradients), planes) {
         (Some(forward), Some(positions), Some(dy), Some(position_gradients), Some(planes)) => {
             match field.channels() {
-                channels if channels % 16 == 0 => forward.backward::<16>(positions, dy, position_gradients, planes),
-                channels if channels % 8 == 0 => forward.backward::<8>(positions, dy, position_gradients, planes),
+                channels if channels.is_multiple_of(16) => {
+                    forward.backward::<16>(positions, dy, position_gradients, planes)
+                }
+                channels if channels.is_multiple_of(8) => {
+                    forward.backward::<8>(positions, dy, position_gradients, planes)
+                }
                 _ => forward.backward::<4>(positions, dy, position_gradients, planes),
             }
             true

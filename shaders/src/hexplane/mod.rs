@@ -65,7 +65,7 @@ pub fn is_time_plane(index: usize) -> bool {
 pub fn hexplane<T: Real>(tape: &mut Tape<T>, planes: &[Var], positions: Var, time: f64) -> Var {
     let shapes: Vec<&[usize]> = planes.iter().map(|&plane| tape.value(plane).shape()).collect();
     assert_eq!(tape.value(positions).row_len(), 3, "hexplane: positions must be [N, 3]");
-    assert!(!planes.is_empty() && planes.len() % 6 == 0, "hexplane: six planes per scale");
+    assert!(!planes.is_empty() && planes.len().is_multiple_of(6), "hexplane: six planes per scale");
     assert!(shapes.chunks(6).all(is_consistent), "hexplane: plane shapes do not fit together: {shapes:?}");
     assert!(shapes.iter().all(|shape| shape[2] == shapes[0][2]), "hexplane: planes differ in channels");
     let inputs: Vec<Var> = [positions].iter().chain(planes).copied().collect();

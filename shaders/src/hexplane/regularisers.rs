@@ -121,7 +121,7 @@ fn distance_gradient<T: Real>(plane: &Tensor<T>, dy: T) -> Vec<T> {
             } else if value < T::ONE {
                 -step
             } else {
-                value - value
+                T::ZERO
             };
         }
     });

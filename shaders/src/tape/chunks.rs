@@ -10,10 +10,11 @@ pub const CHUNK: usize = 8192;
 
 /// Calls `body(first element index, chunk)` for every chunk of `out`, in parallel where there are several.
 pub fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
-    if out.len() <= chunk_len {
-        return if out.is_empty() { () } else { body(0, out) };
+    if out.len() > chunk_len {
+        out.par_chunks_mut(chunk_len).enumerate().for_each(|(chunk, out)| body(chunk * chunk_len, out));
+    } else if !out.is_empty() {
+        body(0, out);
     }
-    out.par_chunks_mut(chunk_len).enumerate().for_each(|(chunk, out)| body(chunk * chunk_len, out));
 }
 
 /// `body(range)` for consecutive ranges of `chunk_len` covering `0..len`; the results in order.
