@@ -6,8 +6,8 @@ use std::path::Path;
 use anyhow::{Context as _, bail, ensure};
 use engine::Artifact as _;
 use scene::{Capture, Gaussians, Split};
-use shaders::splat::{self, PinholeCamera, RasterSettings, Splats};
-use shaders::tape::{Device, Tape, Tensor};
+use shaders::splat::{self, PinholeCamera, RasterSettings, SplatTensors};
+use shaders::tape::Tensor;
 use training::Model;
 use training::player::Player;
 
@@ -56,20 +56,16 @@ fn check_times(times: &[f64], capture: &Capture) -> anyhow::Result<()> {
 fn render_file(path: &Path, camera: &PinholeCamera, settings: &RasterSettings) -> anyhow::Result<Tensor<f32>> {
     let gaussians = Gaussians::read_ply(path)?;
     gaussians.check()?;
-    let settings = RasterSettings { sh_degree: gaussians.sh_degree, ..settings.clone() };
+    let settings = RasterSettings { sh_degree: gaussians.sh_degree, ..*settings };
     let (count, sh_count) = (gaussians.len(), gaussians.sh_count());
-    let mut tape = Tape::new(Device::Cpu);
-    let mut constant = |shape: &[usize], values: Vec<f32>| tape.constant(Tensor::from_vec(shape, values));
-    let splats = Splats {
-        positions: constant(&[count, 3], gaussians.positions),
-        log_scales: constant(&[count, 3], gaussians.log_scales),
-        rotations: constant(&[count, 4], gaussians.rotations),
-        opacity_logits: constant(&[count, 1], gaussians.opacity_logits),
-        sh: constant(&[count, sh_count, 3], gaussians.sh),
-        features: None,
+    let splats = SplatTensors {
+        positions: Tensor::from_vec([count, 3], gaussians.positions),
+        log_scales: Tensor::from_vec([count, 3], gaussians.log_scales),
+        rotations: Tensor::from_vec([count, 4], gaussians.rotations),
+        opacity_logits: Tensor::from_vec([count, 1], gaussians.opacity_logits),
+        sh: Tensor::from_vec([count, sh_count, 3], gaussians.sh),
     };
-    let rendered = splat::render(&mut tape, &splats, camera, &settings);
-    Ok(tape.value(rendered.color).clone())
+    Ok(splat::render_image(&splats, camera, &settings)?.color)
 }
 
 /// In dB, on unquantised colours in [0, 1]; infinite where they are equal.

@@ -5,7 +5,10 @@ pub mod export;
 pub mod frame_rate;
 pub mod params;
 pub mod run;
+#[cfg(test)]
+mod tests;
 
 pub use artifact::{RenderedView, Renders};
+pub use frame_rate::FrameRate;
 pub use params::RenderingParams;
 pub use run::Rendering;

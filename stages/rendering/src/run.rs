@@ -6,7 +6,7 @@ use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
 use image::RgbImage;
 use scene::maps::DepthMap;
 use scene::{Capture, View, image_file};
-use shaders::splat::PinholeCamera;
+use shaders::splat::{PinholeCamera, RasterSettings};
 use shaders::tape::{Device, Tape, Tensor};
 use training::player::Player;
 use training::{CaptureArtifact, Model};
@@ -37,7 +37,8 @@ impl Stage for Rendering {
         let model = context.input::<Model>("model")?;
         let capture = context.input::<CaptureArtifact>("capture")?.0;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        let (renders, times) = pool.install(|| render(&model, &capture, params, &context.output_dir))?;
+        let out = context.output_dir();
+        let (renders, times) = pool.install(|| render(&model, &capture, params, out))?;
         let rate = |secs: fn(&FrameTimes) -> f64| FrameRate::of(&times, secs);
         context.measure("fps_raster", rate(|frame| frame.raster_secs))?;
         context.measure("fps_model", rate(|frame| frame.motion_secs + frame.raster_secs))?;
@@ -86,7 +87,8 @@ fn render_view(player: &Player, view: &View, with_depth: bool, out: &Path) -> an
     let camera = PinholeCamera::from(&view.camera);
     let mut tape = Tape::new(Device::Cpu);
     let splats = player.splats(&mut tape, view.time_secs, &camera)?;
-    let rendered = player.rasterize(&mut tape, &splats, &camera);
+    let settings = RasterSettings { depth: with_depth, ..player.raster_settings() };
+    let rendered = player.rasterize(&mut tape, &splats, &camera, &settings)?;
     let color = tape.value(rendered.color);
     if !color.is_finite() {
         let message = format!("the render of view {} has values that are not finite", view.name);
@@ -94,9 +96,9 @@ fn render_view(player: &Player, view: &View, with_depth: bool, out: &Path) -> an
     }
     let image = Path::new("images").join(format!("{}.png", view.name));
     image_file::write_rgb(&out.join(&image), &to_image(color))?;
-    let depth = with_depth.then(|| Path::new("depth").join(format!("{}.exr", view.name)));
-    if let Some(file) = &depth {
-        let depth_view = tape.value(rendered.depth).as_slice().to_vec();
+    let depth = rendered.depth.map(|_| Path::new("depth").join(format!("{}.exr", view.name)));
+    if let (Some(file), Some(values)) = (&depth, rendered.depth) {
+        let depth_view = tape.value(values).as_slice().to_vec();
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         DepthMap { width, height, depth_view }.write(&out.join(file))?;
     }

@@ -121,11 +121,11 @@ pub(crate) fn write_tensors(
     tensors: &BTreeMap<String, NamedTensor>,
     metadata: Option<(&str, String)>,
 ) -> anyhow::Result<Vec<u8>> {
-    let view = |(name, tensor): (&'_ String, &'_ NamedTensor)| {
+    let mut views = Vec::with_capacity(tensors.len());
+    for (name, tensor) in tensors {
         let bytes = bytemuck::cast_slice(&tensor.values);
-        Ok((name.clone(), TensorView::new(Dtype::F32, tensor.shape.clone(), bytes)?))
-    };
-    let views = tensors.iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
+        views.push((name, TensorView::new(Dtype::F32, tensor.shape.clone(), bytes)?));
+    }
     Ok(safetensors::serialize(views, metadata.map(|(key, value)| [(key.to_string(), value)].into()))?)
 }
 

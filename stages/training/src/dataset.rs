@@ -90,7 +90,7 @@ impl LoadedView {
         let values = self.pixels.iter().map(|&value| levels[usize::from(value)]).collect();
         let (width, height) = (self.camera.width, self.camera.height);
         let image = Tensor::from_vec([height as usize, width as usize, 3], values);
-        TrainingView { index: self.index, camera: self.camera.clone(), time: self.time, image }
+        TrainingView { index: self.index, camera: self.camera, time: self.time, image }
     }
 }
 

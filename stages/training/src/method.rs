@@ -5,11 +5,12 @@
 
 use std::collections::BTreeMap;
 
+use engine::{Failure, FailureKind};
 use rand_chacha::ChaCha8Rng;
 use scene::TimeMap;
 use scene::cloud::PointCloud;
-use shaders::losses;
-use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, Splats};
+use shaders::losses::l1_dssim;
+use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars, TooManyIntersections};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::clock::PhaseClock;
@@ -96,7 +97,7 @@ pub trait Method<T: Real>: Send + Sync {
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear>;
 
     /// The Gaussians at one moment: the motion model.
-    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Splats>;
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars>;
 
     /// The losses of one step, given to [`Step::add_loss`]; by default the photometric loss of the step's views.
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
@@ -118,8 +119,9 @@ pub trait Method<T: Real>: Send + Sync {
 pub fn photometric_losses<T: Real, M: Method<T> + ?Sized>(method: &M, step: &mut Step<'_, T>) -> anyhow::Result<()> {
     for view in step.views {
         step.clock.enter("motion");
-        let splats = method.splats(step.tape, step.model, &step.moment(view))?;
-        let rendered = step.render(&splats, view, Some("gaussians"));
+        let moment = step.moment(view);
+        let splats = method.splats(step.tape, step.model, &moment)?;
+        let rendered = step.render(&splats, None, view, Some("gaussians"))?;
         step.photometric(rendered.color, view);
     }
     Ok(())
@@ -207,16 +209,23 @@ pub struct Step<'a, T: Real> {
     pub(crate) renders: Vec<WatchedRender>,
 }
 
-impl<T: Real> Step<'_, T> {
+impl<'a, T: Real> Step<'a, T> {
     /// The moment of a view in this step.
-    pub fn moment<'v>(&'v self, view: &'v TrainingView<T>) -> Moment<'v> {
+    pub fn moment(&self, view: &'a TrainingView<T>) -> Moment<'a> {
         Moment { scene: self.scene, phase: self.phase, time: view.time, camera: &view.camera, sh_degree: self.sh_degree }
     }
 
-    /// Renders Gaussians as a view's camera sees them; `population` names the rows that the screen gradients drive.
-    pub fn render(&mut self, splats: &Splats, view: &TrainingView<T>, population: Option<&str>) -> Rendered {
+    /// Renders Gaussians, and `features` [N, F] with them, as a view's camera sees them; `population` names the rows
+    /// that the screen gradients drive.
+    pub fn render(
+        &mut self,
+        splats: &SplatVars,
+        features: Option<Var>,
+        view: &TrainingView<T>,
+        population: Option<&str>,
+    ) -> anyhow::Result<Rendered> {
         self.clock.enter("render");
-        let rendered = splat::render(self.tape, splats, &view.camera, &self.raster);
+        let rendered = splat::render(self.tape, splats, features, &view.camera, &self.raster).map_err(too_large)?;
         if let Some(population) = population {
             self.renders.push(WatchedRender {
                 population: population.into(),
@@ -227,20 +236,15 @@ impl<T: Real> Step<'_, T> {
             });
         }
         self.clock.enter("losses");
-        rendered
+        Ok(rendered)
     }
 
     /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
     pub fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
         let share = 1.0 / self.views.len() as f64;
-        let lambda = self.shared.loss.lambda_dssim;
         let target = self.tape.constant(view.image.clone());
-        let l1 = losses::l1(self.tape, color, target);
-        self.add_loss("l1", share * (1.0 - lambda), l1);
-        if lambda > 0.0 {
-            let dssim = losses::dssim(self.tape, color, target);
-            self.add_loss("dssim", share * lambda, dssim);
-        }
+        let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
+        self.add_loss("photometric", share, value);
     }
 
     /// Adds `weight` · `value` to what is minimised.
@@ -249,7 +253,15 @@ impl<T: Real> Step<'_, T> {
     }
 }
 
+/// The failure of a render whose Gaussians cover too much of the image.
+pub fn too_large(error: TooManyIntersections) -> Failure {
+    Failure::new(FailureKind::Diverged, error.to_string())
+}
+
+/// Nearer Gaussians are not drawn, scene units (Kerbl et al. 2023).
+const NEAR_VIEW: f64 = 0.2;
+
 /// How every stage rasterises a model of this scene.
 pub fn raster_settings(scene: &SceneFacts, sh_degree: usize) -> RasterSettings {
-    RasterSettings { background: scene.background, sh_degree, ..RasterSettings::default() }
+    RasterSettings { background: scene.background, sh_degree, near_view: NEAR_VIEW, ..RasterSettings::default() }
 }

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use engine::stage::ParamProblem;
+use engine::ParamProblem;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 

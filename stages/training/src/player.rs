@@ -2,12 +2,12 @@
 
 use anyhow::Context as _;
 use scene::Gaussians;
-use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, Splats};
+use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
 use crate::artifact::Model;
 use crate::bases::gaussians::baked;
-use crate::method::{Method, Moment, SceneFacts, raster_settings};
+use crate::method::{Method, Moment, SceneFacts, raster_settings, too_large};
 use crate::methods;
 use crate::params::TrainingParams;
 use crate::state::ModelState;
@@ -48,7 +48,7 @@ impl Player {
     }
 
     /// Motion model only: the Gaussians at a time, on a tape.
-    pub fn splats(&self, tape: &mut Tape<f32>, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Splats> {
+    pub fn splats(&self, tape: &mut Tape<f32>, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<SplatVars> {
         let model = self.state.bind(tape, |_| false);
         let time = self.scene.time_map.normalized(time_secs);
         let moment = Moment { scene: &self.scene, phase: &self.phase, time, camera, sh_degree: self.sh_degree };
@@ -56,15 +56,21 @@ impl Player {
     }
 
     /// Rasterisation only.
-    pub fn rasterize(&self, tape: &mut Tape<f32>, splats: &Splats, camera: &PinholeCamera) -> Rendered {
-        splat::render(tape, splats, camera, &self.raster_settings())
+    pub fn rasterize(
+        &self,
+        tape: &mut Tape<f32>,
+        splats: &SplatVars,
+        camera: &PinholeCamera,
+        settings: &RasterSettings,
+    ) -> anyhow::Result<Rendered> {
+        Ok(splat::render(tape, splats, None, camera, settings).map_err(too_large)?)
     }
 
     /// [H, W, 3] colour at a time of the capture.
     pub fn render(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Tensor<f32>> {
         let mut tape = Tape::new(Device::Cpu);
         let splats = self.splats(&mut tape, time_secs, camera)?;
-        let rendered = self.rasterize(&mut tape, &splats, camera);
+        let rendered = self.rasterize(&mut tape, &splats, camera, &self.raster_settings())?;
         Ok(tape.value(rendered.color).clone())
     }
 

@@ -4,8 +4,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use engine::stage::ParamProblem;
-use engine::{JobContext, Port, Progress, Resources, Stage};
+use engine::{JobContext, ParamProblem, Port, Progress, Resources, Stage};
 use scene::Capture;
 
 use crate::artifact::Model;

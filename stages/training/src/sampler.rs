@@ -68,7 +68,9 @@ mod tests {
     #[test]
     fn the_state_survives_serialisation_and_the_seed_decides() {
         let mut sampler = ViewSampler::new(9, 1);
-        (0..5).for_each(|_| drop(sampler.next_view()));
+        (0..5).for_each(|_| {
+            sampler.next_view();
+        });
         let mut copy: ViewSampler = serde_json::from_str(&serde_json::to_string(&sampler).unwrap()).unwrap();
         let draw = |sampler: &mut ViewSampler| (0..30).map(|_| sampler.next_view()).collect::<Vec<_>>();
         assert_eq!(draw(&mut sampler), draw(&mut copy));

@@ -57,7 +57,16 @@ impl<T: Real> ModelState<T> {
             let var = if learns(name) { tape.leaf(tensor.clone()) } else { tape.constant(tensor.clone()) };
             (name.clone(), var)
         };
-        Variables { vars: self.tensors.iter().map(bind).collect() }
+        Variables::new(self.tensors.iter().map(bind).collect())
+    }
+}
+
+impl<T: Real> IntoIterator for ModelState<T> {
+    type Item = (String, Tensor<T>);
+    type IntoIter = std::collections::btree_map::IntoIter<String, Tensor<T>>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.tensors.into_iter()
     }
 }
 
@@ -86,6 +95,11 @@ pub struct Variables {
 }
 
 impl Variables {
+    /// Variables by name.
+    pub fn new(vars: BTreeMap<String, Var>) -> Self {
+        Self { vars }
+    }
+
     /// The variable of that name; a method asks only for tensors that it made.
     pub fn get(&self, name: &str) -> Var {
         *self.vars.get(name).unwrap_or_else(|| panic!("the model has no tensor {name}"))

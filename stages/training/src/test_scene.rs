@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use image::RgbImage;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, PointCloud, Protocol, Split, TimeMap};
-use shaders::splat::{self, PinholeCamera, RasterSettings, Splats};
+use shaders::splat::{self, PinholeCamera, RasterSettings, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
 use crate::curve::to_bytes;
@@ -98,16 +98,15 @@ impl TestScene {
         let colors = (0..6).flat_map(|at| [0, 1, 2].map(|channel| if (at + channel) % 3 == 0 { 1.5 } else { -0.7 })).collect();
         let mut tape = Tape::<f32>::new(Device::Cpu);
         let mut constant = |shape: &[usize], values: Vec<f32>| tape.constant(Tensor::from_vec(shape, values));
-        let splats = Splats {
+        let splats = SplatVars {
             positions: constant(&[6, 3], positions),
             log_scales: constant(&[6, 3], vec![0.15_f32.ln(); 18]),
             rotations: constant(&[6, 4], [1.0, 0.0, 0.0, 0.0].repeat(6)),
             opacity_logits: constant(&[6, 1], vec![2.0; 6]),
             sh: constant(&[6, 1, 3], colors),
-            features: None,
         };
         let settings = RasterSettings { background: [0.0; 3], sh_degree: 0, ..RasterSettings::default() };
-        let rendered = splat::render(&mut tape, &splats, &PinholeCamera::from(camera), &settings);
+        let rendered = splat::render(&mut tape, &splats, None, &PinholeCamera::from(camera), &settings).unwrap();
         to_bytes(tape.value(rendered.color))
     }
 }

@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::ensure;
 use engine::{Failure, FailureKind};
 use rand_chacha::ChaCha8Rng;
-use shaders::splat::{self, PinholeCamera, Splats};
+use shaders::splat::{self, PinholeCamera, SplatVars};
 use shaders::tape::{Device, Profile, Tape, Tensor};
 
 use crate::artifact::{Model, ModelHeader};
@@ -20,7 +20,7 @@ use crate::checkpoint::{Checkpoint, Progress};
 use crate::clock::{ClockReading, PhaseClock};
 use crate::curve::{self, CurvePoint};
 use crate::dataset::Dataset;
-use crate::method::{Method, Moment, Phase, PopulationControl, Step, raster_settings};
+use crate::method::{Method, Moment, Phase, PopulationControl, Step, raster_settings, too_large};
 use crate::methods;
 use crate::optimizer::Optimizer;
 use crate::params::TrainingParams;
@@ -181,19 +181,22 @@ impl<'a> Trainer<'a> {
         self.record_profile(&tape);
         self.loss = outcome.total();
         for (name, value) in &outcome.losses {
-            self.check_finite(value.is_finite(), &format!("loss {name}"), &tape)?;
+            self.check_finite(value.is_finite(), &format!("loss {name}"), Some(&tape))?;
         }
 
         self.clock.enter("optimizer");
         let screens = outcome.screen_gradients();
         let gradients: BTreeMap<&str, Tensor<f32>> =
             model.iter().filter_map(|(name, var)| Some((name, outcome.gradients.take(var)?))).collect();
-        if let Some(name) = Optimizer::first_not_finite(&gradients) {
-            self.check_finite(false, &format!("gradient of {name}"), &tape)?;
+        if let Some(name) = Optimizer::first_bad_gradient(&gradients) {
+            self.check_finite(false, &format!("gradient of {name}"), Some(&tape))?;
         }
         // The tape shares the tensors; without it they are changed in place.
         drop(tape);
         self.optimizer.step(&gradients, self.iteration)?;
+        if let Some(name) = self.optimizer.first_bad_tensor() {
+            self.check_finite(false, name, None)?;
+        }
 
         self.clock.enter("density");
         for control in &mut self.controls {
@@ -239,7 +242,7 @@ impl<'a> Trainer<'a> {
             let splats = self.splats(&mut tape, &moment)?;
             n_gaussians = tape.value(splats.positions).rows() as u64;
             let settings = raster_settings(&self.dataset.scene, self.sh_degree);
-            let rendered = splat::render(&mut tape, &splats, &view.camera, &settings);
+            let rendered = splat::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
             psnr_sum += curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
         }
         self.curve.push(CurvePoint {
@@ -258,7 +261,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// The Gaussians at a moment, without gradients.
-    fn splats(&self, tape: &mut Tape<f32>, moment: &Moment<'_>) -> anyhow::Result<Splats> {
+    fn splats(&self, tape: &mut Tape<f32>, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
         let model = self.optimizer.bind_constant(tape);
         self.method.splats(tape, &model, moment)
     }
@@ -274,14 +277,15 @@ impl<'a> Trainer<'a> {
     }
 
     /// The error that names what stopped being finite, when, and which operation made it.
-    fn check_finite(&self, finite: bool, what: &str, tape: &Tape<f32>) -> anyhow::Result<()> {
+    fn check_finite(&self, finite: bool, what: &str, tape: Option<&Tape<f32>>) -> anyhow::Result<()> {
         if finite {
             return Ok(());
         }
         let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
-        let origin = match tape.first_non_finite_op() {
-            Some(op) => format!("first in the output of {op}"),
-            None => "first in the backward pass".into(),
+        let origin = match tape.map(Tape::first_non_finite_op) {
+            Some(Some(op)) => format!("first in the output of {op}"),
+            Some(None) => "first in the backward pass".into(),
+            None => "after a finite gradient".into(),
         };
         let message = format!("{what} is not finite at iteration {iteration} of phase {phase} ({origin})");
         let hint = "lower the learning rates; the training is not restarted because that would hide the cause";

@@ -107,7 +107,7 @@ fn one_frame_is_overfitted() {
     for method in ["static3dgs", "deformable4dgs"] {
         let params = params(json!({
             "method": method,
-            "iterations": if method == "static3dgs" { json!({ "train": 400 }) } else { json!({ "coarse": 200, "fine": 200 }) },
+            "iterations": if method == "static3dgs" { json!({ "train": 700 }) } else { json!({ "coarse": 350, "fine": 350 }) },
             "density": { "from": 50, "gradient_threshold": 1e-4, "opacity_reset_interval": 0 },
             "learning_rates": { "position": { "start": 2e-2, "end": 2e-3, "steps": 400 } },
             "deformable4dgs": { "channels": 4, "spatial_resolution": 8, "width": 16 },
@@ -120,7 +120,7 @@ fn one_frame_is_overfitted() {
         let mut tape = Tape::new(Device::Cpu);
         let splats = trainer.splats(&mut tape, &trainer.moment(view.time, &view.camera)).unwrap();
         let settings = raster_settings(&dataset.scene, trainer.sh_degree);
-        let rendered = splat::render(&mut tape, &splats, &view.camera, &settings);
+        let rendered = splat::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
         let psnr = curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
         assert!(psnr >= 30.0, "{method} reaches {psnr:.2} dB on its only frame");
     }
@@ -141,7 +141,13 @@ fn motion_is_learnt_where_a_static_model_cannot() {
     let moving = last_psnr(json!({
         "method": "deformable4dgs",
         "iterations": { "coarse": 100, "fine": 400 },
-        "deformable4dgs": { "channels": 8, "spatial_resolution": 16, "width": 32 },
+        "deformable4dgs": {
+            "channels": 8,
+            "spatial_resolution": 16,
+            "width": 32,
+            "plane_rate": { "start": 1e-2, "end": 1e-3, "steps": 400 },
+            "network_rate": { "start": 2e-3, "end": 2e-4, "steps": 400 },
+        },
     }));
     assert!(moving >= fixed + 2.0, "moving {moving:.2} dB, static {fixed:.2} dB");
 }
@@ -149,12 +155,22 @@ fn motion_is_learnt_where_a_static_model_cannot() {
 #[test]
 fn a_value_that_is_not_finite_ends_the_training_where_it_arises() {
     let (_dir, dataset) = dataset(TestScene::default());
-    let params = params(json!({ "iterations": { "train": 50 }, "learning_rates": { "sh_dc": 1e38 } }));
-    let mut trainer = Trainer::new(&dataset, &params).unwrap();
-    let error = (0..50).find_map(|_| trainer.advance().err()).expect("colours of 1e38 overflow");
-    let failure = error.downcast_ref::<Failure>().expect("a typed failure");
-    assert_eq!(failure.kind, FailureKind::Diverged);
-    assert!(failure.message.contains("iteration") && failure.message.contains("phase train"), "{failure}");
+    let failure = |value: Value| {
+        let params = params(value);
+        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        let error = (0..50).find_map(|_| trainer.advance().err()).expect("an overflow within 50 steps");
+        error.downcast::<Failure>().expect("a typed failure")
+    };
+    let overflow = failure(json!({ "iterations": { "train": 50 }, "learning_rates": { "sh_dc": 1e38 } }));
+    assert_eq!(overflow.kind, FailureKind::Diverged);
+    assert!(overflow.message.starts_with("gaussians.sh_dc is not finite at iteration"), "{overflow}");
+    assert!(overflow.message.contains("phase train"), "{overflow}");
+    let rough = failure(json!({
+        "method": "deformable4dgs",
+        "iterations": { "coarse": 2, "fine": 40 },
+        "deformable4dgs": { "channels": 4, "plane_rate": { "start": 1e22, "end": 1e22, "steps": 1 } },
+    }));
+    assert!(rough.message.contains("loss") && rough.message.contains("phase fine"), "{rough}");
 }
 
 #[test]

@@ -4,9 +4,6 @@ use shaders::tape::{Op, Real, Tape, Tensor, Var};
 
 /// [N, 1, 3] and [N, R, 3] to [N, (degree + 1)², 3]: the constant coefficient followed by the first higher ones.
 pub fn active_harmonics<T: Real>(tape: &mut Tape<T>, sh_dc: Var, sh_rest: Var, degree: usize) -> Var {
-    if degree == 0 {
-        return sh_dc;
-    }
     let rest = (degree + 1).pow(2) - 1;
     let stored = tape.value(sh_rest).shape()[1];
     assert!(rest <= stored, "degree {degree} needs {rest} higher harmonics, the model stores {stored}");

@@ -1,6 +1,8 @@
 //! First values of Gaussians on a point cloud (Kerbl et al. 2023).
 
+use anyhow::Context as _;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
 use scene::cloud::PointCloud;
 use scene::gaussians::SH_C0;
 use shaders::tape::{Real, Tensor};
@@ -15,7 +17,8 @@ const NEIGHBORS: usize = 3;
 /// Smallest mean squared distance, so that doubled points do not make Gaussians of no size (published code).
 const MIN_SQUARED_DISTANCE: f64 = 1e-7;
 
-/// Adds `{population}.positions`, `.log_scales`, `.rotations`, `.opacity_logits`, `.sh_dc` and `.sh_rest`.
+/// Adds `{population}.positions`, `.log_scales`, `.rotations`, `.opacity_logits`, `.sh_dc` and, above degree 0,
+/// `.sh_rest`.
 ///
 /// Scales are the root of the mean squared distance to the three nearest points, rotations the identity, opacity 0.1,
 /// colours the points' as the constant harmonic, higher harmonics zero. `lone_scale` is the size of a point without
@@ -26,14 +29,14 @@ pub fn insert_gaussians<T: Real>(
     points: &PointCloud,
     sh_degree: usize,
     lone_scale: f64,
-) {
+) -> anyhow::Result<()> {
     let count = points.len();
     let tensor = |row: &[usize], values: Vec<f64>| {
         let shape = [&[count], row].concat();
         Tensor::from_vec(shape, values.into_iter().map(T::from_f64).collect())
     };
     let positions = points.positions.iter().flatten().map(|&value| f64::from(value)).collect();
-    let log_scales = nearest_scales(points, lone_scale).iter().flat_map(|scale| [scale.ln(); 3]).collect();
+    let log_scales = nearest_scales(points, lone_scale)?.iter().flat_map(|scale| [scale.ln(); 3]).collect();
     let color = |&value: &u8| (f64::from(value) / 255.0 - 0.5) / f64::from(SH_C0);
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{population}.{attribute}"), tensor);
     insert("positions", tensor(&[3], positions));
@@ -42,22 +45,26 @@ pub fn insert_gaussians<T: Real>(
     insert("opacity_logits", tensor(&[1], vec![logit(INITIAL_OPACITY); count]));
     insert("sh_dc", tensor(&[1, 3], points.colors.iter().flatten().map(color).collect()));
     let rest = (sh_degree + 1).pow(2) - 1;
-    insert("sh_rest", Tensor::zeros([count, rest, 3]));
+    if rest > 0 {
+        insert("sh_rest", Tensor::zeros([count, rest, 3]));
+    }
+    Ok(())
 }
 
 /// The root of the mean squared distance of each point to its nearest neighbours.
-fn nearest_scales(points: &PointCloud, lone_scale: f64) -> Vec<f64> {
+fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Result<Vec<f64>> {
     let positions: Vec<[f64; 3]> = points.positions.iter().map(|point| point.map(f64::from)).collect();
     if positions.len() < 2 {
-        return vec![lone_scale; positions.len()];
+        return Ok(vec![lone_scale; positions.len()]);
     }
-    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&positions);
+    let tree: ImmutableKdTree<f64, 3> =
+        ImmutableKdTree::new_from_slice(&positions).context("cannot index the initial points")?;
     let scale = |point: &[f64; 3]| {
         // The nearest point is the point itself (or its double, at the same distance 0).
         let wanted = std::num::NonZero::new(NEIGHBORS + 1).expect("not zero");
-        let found = tree.nearest_n::<SquaredEuclidean>(point, wanted);
+        let found = tree.query(point).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
         let squared: f64 = found.iter().skip(1).map(|neighbor| neighbor.distance).sum();
         (squared / (found.len() - 1) as f64).max(MIN_SQUARED_DISTANCE).sqrt()
     };
-    positions.iter().map(scale).collect()
+    Ok(positions.par_iter().map(scale).collect())
 }

@@ -19,7 +19,7 @@ pub use harmonics::{active_harmonics, leading_harmonics};
 pub use initial::insert_gaussians;
 
 use scene::Gaussians;
-use shaders::splat::Splats;
+use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use crate::method::SceneFacts;
@@ -51,20 +51,22 @@ pub fn learning_rate(rates: &LearningRates, population: &str, tensor: &str, scen
 }
 
 /// A population as it is stored, without motion.
-pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population: &str, sh_degree: usize) -> Splats {
+pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population: &str, sh_degree: usize) -> SplatVars {
     let var = |attribute: &str| model.get(&format!("{population}.{attribute}"));
-    Splats {
+    SplatVars {
         positions: var("positions"),
         log_scales: var("log_scales"),
         rotations: var("rotations"),
         opacity_logits: var("opacity_logits"),
-        sh: active_harmonics(tape, var("sh_dc"), var("sh_rest"), sh_degree),
-        features: None,
+        sh: match sh_degree {
+            0 => var("sh_dc"),
+            degree => active_harmonics(tape, var("sh_dc"), var("sh_rest"), degree),
+        },
     }
 }
 
 /// The values of splats on a tape, for files.
-pub fn baked(tape: &Tape<f32>, splats: &Splats, sh_degree: usize) -> Gaussians {
+pub fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> Gaussians {
     let values = |var| tape.value(var).as_slice().to_vec();
     Gaussians {
         positions: values(splats.positions),

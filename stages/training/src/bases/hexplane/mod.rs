@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
-use shaders::splat::Splats;
+use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape};
 
 pub use field::TimeAxis;
@@ -95,7 +95,7 @@ impl HexplaneSettings {
             channels: 2,
             spatial_resolution: 4,
             multipliers: vec![1, 2],
-            width: 5,
+            width: 16,
             heads: Heads { position: true, scale: true, rotation: true, opacity: true, harmonics: true },
             spatial_smoothness: 0.1,
             temporal_smoothness: 0.1,
@@ -163,12 +163,12 @@ impl HexplaneGaussians {
     }
 
     /// Gaussians on the points, and the box that the field will have.
-    pub fn initialize<T: Real>(&self, scene: &SceneFacts, points: &PointCloud) -> ModelState<T> {
+    pub fn initialize<T: Real>(&self, scene: &SceneFacts, points: &PointCloud) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         let lone_scale = gaussians::LONE_SCALE * scene.extent;
-        gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale);
+        gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)?;
         field::insert_bounds(&mut state, points);
-        state
+        Ok(state)
     }
 
     /// Adds the field and the network where `fine` begins.
@@ -203,7 +203,7 @@ impl HexplaneGaussians {
         tape: &mut Tape<T>,
         model: &Variables,
         moment: &Moment<'_>,
-    ) -> Splats {
+    ) -> SplatVars {
         let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
         if moment.phase == COARSE {
             return canonical;

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::linear::Activation;
 use shaders::pointwise::add;
-use shaders::splat::Splats;
+use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::leading_harmonics;
@@ -72,9 +72,9 @@ impl Network {
         tape: &mut Tape<T>,
         model: &Variables,
         features: Var,
-        canonical: Splats,
+        canonical: SplatVars,
         sh_degree: usize,
-    ) -> Splats {
+    ) -> SplatVars {
         // Every head begins with a ReLU, which the trunk applies once for all of them.
         let hidden = apply_layer(tape, model, "network.trunk", features, Activation::Relu);
         let Heads { position, scale, rotation, opacity, harmonics } = self.heads;
@@ -86,13 +86,12 @@ impl Network {
             let change = if head == "harmonics" { leading_harmonics(tape, change, sh_degree) } else { change };
             add(tape, attribute, change)
         };
-        Splats {
+        SplatVars {
             positions: moved(position, "position", canonical.positions),
             log_scales: moved(scale, "scale", canonical.log_scales),
             rotations: moved(rotation, "rotation", canonical.rotations),
             opacity_logits: moved(opacity, "opacity", canonical.opacity_logits),
             sh: moved(harmonics, "harmonics", canonical.sh),
-            features: canonical.features,
         }
     }
 

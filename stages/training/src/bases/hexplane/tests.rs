@@ -18,7 +18,7 @@ fn fine_model(settings: &HexplaneSettings) -> (HexplaneGaussians, ModelState<f64
     let base = HexplaneGaussians::new(&HexplaneSettings::shared_defaults(), settings.clone());
     let positions: Vec<[f32; 3]> = (0..6).map(|at| [at as f32, (at * at % 5) as f32, (at % 3) as f32 - 1.0]).collect();
     let points = PointCloud { colors: vec![[10, 200, 90]; positions.len()], positions };
-    let state = base.initialize(&scene_facts(), &points);
+    let state = base.initialize(&scene_facts(), &points).unwrap();
     let state = base.enter_phase(FINE, state, &scene_facts(), &mut generator(3, Stream::Method));
     (base, state)
 }
@@ -26,7 +26,7 @@ fn fine_model(settings: &HexplaneSettings) -> (HexplaneGaussians, ModelState<f64
 fn camera() -> PinholeCamera {
     let dir = tempfile::tempdir().unwrap();
     let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
-    dataset.train[0].camera.clone()
+    dataset.train[0].camera
 }
 
 /// Every attribute at a time in a phase.
@@ -36,7 +36,7 @@ fn attributes(base: &HexplaneGaussians, state: &ModelState<f64>, phase: &str, ti
     let model = state.bind(&mut tape, |_| false);
     let moment = Moment { scene: &scene, phase, time, camera: &camera, sh_degree: 2 };
     let splats = base.splats(&mut tape, &model, &moment);
-    let Splats { positions, log_scales, rotations, opacity_logits, sh, .. } = splats;
+    let SplatVars { positions, log_scales, rotations, opacity_logits, sh, .. } = splats;
     [positions, log_scales, rotations, opacity_logits, sh].map(|var| tape.value(var).clone()).to_vec()
 }
 

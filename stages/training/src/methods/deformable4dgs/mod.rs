@@ -1,10 +1,8 @@
 //! 4DGaussians (Wu et al. 2024): the hexplane base and nothing else.
 
-use std::collections::BTreeMap;
-
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
-use shaders::splat::Splats;
+use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
@@ -55,7 +53,7 @@ impl<T: Real> Method<T> for FourDGaussians {
         points: &PointCloud,
         _random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
-        Ok(self.base.initialize(scene, points))
+        self.base.initialize(scene, points)
     }
 
     fn enter_phase(
@@ -72,7 +70,7 @@ impl<T: Real> Method<T> for FourDGaussians {
         self.base.learning_rate(tensor, scene)
     }
 
-    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Splats> {
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
         Ok(self.base.splats(tape, model, moment))
     }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
-use shaders::splat::Splats;
+use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
@@ -58,7 +58,7 @@ impl<T: Real> Method<T> for StaticGaussians {
     ) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         let lone_scale = gaussians::LONE_SCALE * scene.extent;
-        gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale);
+        gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)?;
         Ok(state)
     }
 
@@ -66,7 +66,7 @@ impl<T: Real> Method<T> for StaticGaussians {
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
     }
 
-    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Splats> {
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
         Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree))
     }
 

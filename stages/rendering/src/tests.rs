@@ -1,0 +1,163 @@
+//! A few training steps on a tiny capture, rendered and exported.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use engine::{Artifact as _, Coordinates, InputRecord, JobContext, Stage as _};
+use glam::DVec3;
+use image::{Rgb, RgbImage};
+use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Protocol, Split, TimeMap, image_file};
+use shaders::splat::PinholeCamera;
+use training::player::Player;
+use training::run::{Watch, train};
+use training::{Model, TrainingParams};
+
+use crate::export::ply_sequence;
+use crate::run::{render, to_image};
+use crate::{FrameRate, Rendering, RenderingParams, Renders};
+
+const SIZE: u32 = 20;
+
+/// Six training and two test views of a coloured gradient.
+fn write_capture(dir: &Path) -> Capture {
+    let protocol = Protocol {
+        dataset: "test".into(),
+        split: "official".into(),
+        width: SIZE,
+        height: SIZE,
+        resize: "none".into(),
+        background: "white".into(),
+        time: "analytic".into(),
+    };
+    let info = CaptureInfo {
+        name: "gradient".into(),
+        pose_source: "analytic".into(),
+        protocol,
+        background: [1.0; 3],
+        time_map: TimeMap { start_secs: 0.0, end_secs: 2.0, frame_secs: 0.4 },
+        class_names: Vec::new(),
+        bounds_world: Some([[-1.0; 3], [1.0; 3]]),
+    };
+    let writer = CaptureWriter::create(dir, info).unwrap();
+    for (split, name, count) in [(Split::Train, "train", 6), (Split::Test, "test", 2)] {
+        for at in 0..count {
+            writer.write_view(&frame(split, format!("{name}_{at}"), at)).unwrap();
+        }
+    }
+    writer.finish().unwrap()
+}
+
+fn frame(split: Split, name: String, at: u32) -> Frame {
+    let (focal, center) = (24.0, 10.0);
+    let intrinsics =
+        Intrinsics { width: SIZE, height: SIZE, focal_x: focal, focal_y: focal, center_x: center, center_y: center };
+    let angle = f64::from(at);
+    let position = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.0);
+    Frame {
+        name,
+        split,
+        camera: Camera::look_at(intrinsics, position, DVec3::ZERO, DVec3::Z),
+        camera_index: 0,
+        frame_index: at,
+        time_secs: 0.4 * f64::from(at),
+        image: RgbImage::from_fn(SIZE, SIZE, |x, y| Rgb([10 * x as u8, 10 * y as u8, 40 * at as u8])),
+        alpha: None,
+        depth: None,
+        flow: None,
+        mask: None,
+        velocity: None,
+    }
+}
+
+/// A folder with `capture` and `model`.
+fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
+    let dir = tempfile::tempdir().unwrap();
+    let [capture_dir, model_dir, checkpoints] = ["capture", "model", "checkpoints"].map(|name| dir.path().join(name));
+    for path in [&model_dir, &checkpoints] {
+        std::fs::create_dir_all(path).unwrap();
+    }
+    let capture = write_capture(&capture_dir);
+    let params: TrainingParams = serde_json::from_value(serde_json::json!({
+        "method": method,
+        "iterations": if method == "static3dgs" { serde_json::json!({ "train": 30 }) } else { serde_json::json!({ "coarse": 10, "fine": 20 }) },
+        "initial_points": { "random_count": 60 },
+        "harmonics": { "interval": 5 },
+        "deformable4dgs": { "channels": 4, "spatial_resolution": 8, "width": 8 },
+    }))
+    .unwrap();
+    let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
+    let (model, _) = train(capture.clone(), &params, &watch).unwrap().unwrap();
+    model.save(&model_dir).unwrap();
+    (dir, model, capture)
+}
+
+#[test]
+fn images_are_the_players_images_in_the_captures_order() {
+    let (dir, model, capture) = trained("deformable4dgs");
+    let out = dir.path().join("renders");
+    let params = RenderingParams { depth: true, ..RenderingParams::default() };
+    let (renders, times) = render(&model, &capture, &params, &out).unwrap();
+    let read = Renders::open(&out).unwrap();
+    read.check().unwrap();
+    assert_eq!(read, renders);
+    assert!(FrameRate::of(&times, |frame| frame.raster_secs).median > 0.0);
+    let player = Player::new(&model).unwrap();
+    let views: Vec<_> = capture.views_of(Split::Test).map(|(_, view)| view).collect();
+    assert_eq!(renders.views.len(), views.len());
+    for (rendered, view) in renders.views.iter().zip(views) {
+        assert_eq!(rendered.name, view.name);
+        let expected = to_image(&player.render(view.time_secs, &PinholeCamera::from(&view.camera)).unwrap());
+        assert_eq!(image_file::read_rgb(&renders.image_path(rendered)).unwrap(), expected);
+        assert!(out.join(rendered.depth.as_ref().unwrap()).is_file());
+    }
+}
+
+#[test]
+fn the_stage_renders_from_the_reloaded_model_and_measures_three_rates() {
+    let (dir, ..) = trained("static3dgs");
+    let mut context = JobContext::detached(&dir.path().join("job")).unwrap();
+    for port in ["model", "capture"] {
+        let record = InputRecord {
+            producer: port.into(),
+            coordinates: Coordinates::new(),
+            artifact: Ok::<PathBuf, _>(dir.path().join(port)),
+            measurements: serde_json::Value::Null,
+            action_key: String::new(),
+        };
+        context.inputs.insert(port.into(), vec![record]);
+    }
+    let renders = Rendering::run(&context, &RenderingParams::default()).unwrap();
+    renders.check().unwrap();
+    let measured = context.measurements.borrow();
+    let median = |name: &str| measured[name]["median"].as_f64().unwrap();
+    assert!(median("fps_raster") >= median("fps_model") && median("fps_model") >= median("fps_delivered"));
+    assert!(median("fps_delivered") > 0.0);
+    // A split without views is an error that says so.
+    let error = Rendering::run(&context, &RenderingParams { split: Split::Val, depth: false }).unwrap_err();
+    assert!(error.to_string().contains("no val views"), "{error}");
+}
+
+#[test]
+fn exported_gaussians_render_as_the_model_does() {
+    let (dir, ..) = trained("deformable4dgs");
+    let [capture, model, out] = ["capture", "model", "ply"].map(|name| dir.path().join(name));
+    let report = ply_sequence(&model, &capture, &[0.0, 0.7, 2.0], &out).unwrap();
+    assert_eq!(report.lines().count(), 3);
+    for (index, line) in report.lines().enumerate() {
+        assert!(out.join(format!("frame_{index:04}.ply")).is_file());
+        let psnr: f64 = line.split_whitespace().nth(2).unwrap().parse().unwrap();
+        assert!(psnr >= 60.0, "{line}");
+    }
+    // The planted fault: another time's file must not pass for this one.
+    let read = |index: usize| std::fs::read(out.join(format!("frame_{index:04}.ply"))).unwrap();
+    assert_ne!(read(0), read(2));
+}
+
+#[test]
+fn nonsense_times_are_refused() {
+    let (dir, ..) = trained("static3dgs");
+    let [capture, model, out] = ["capture", "model", "ply"].map(|name| dir.path().join(name));
+    for times in [&[][..], &[f64::NAN], &[-1.0], &[2.5], &[1.0, 1.0], &[1.0, 0.5], &[f64::INFINITY]] {
+        assert!(ply_sequence(&model, &capture, times, &out).is_err(), "{times:?} was accepted");
+    }
+}
