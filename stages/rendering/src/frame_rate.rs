@@ -86,8 +86,9 @@ mod tests {
 
     #[test]
     fn median_mean_and_tail_of_known_times() {
-        let times: Vec<FrameTimes> =
-            (1..=20).map(|at| FrameTimes { motion_secs: 0.0, raster_secs: at as f64 * 0.01, delivery_secs: 9.0 }).collect();
+        let times: Vec<FrameTimes> = (1..=20)
+            .map(|at| FrameTimes { motion_secs: 0.0, raster_secs: at as f64 * 0.01, delivery_secs: 9.0 })
+            .collect();
         let rate = FrameRate::of(&times, |frame| frame.motion_secs + frame.raster_secs);
         assert!((rate.median - 10.0).abs() <= 1e-9, "{}", rate.median);
         assert!((rate.mean - 20.0 / 2.1).abs() <= 1e-9, "{}", rate.mean);

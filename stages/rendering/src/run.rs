@@ -67,7 +67,8 @@ pub fn render(
     if params.depth {
         std::fs::create_dir_all(out.join("depth"))?;
     }
-    let rendered = views.iter().map(|view| render_view(&player, view, params.depth, out)).collect::<anyhow::Result<_>>()?;
+    let rendered =
+        views.iter().map(|view| render_view(&player, view, params.depth, out)).collect::<anyhow::Result<_>>()?;
     let moments: Vec<_> = views.iter().map(|view| (view.time_secs, PinholeCamera::from(&view.camera))).collect();
     let times = frame_rate::measure(&player, &moments)?;
     let renders = Renders {

@@ -46,7 +46,8 @@ fn print_table(method: &str, trainer: &mut Trainer<'_>) {
     let before = trainer.report().phases;
     (0..TABLE_ITERATIONS).for_each(|_| trainer.advance().expect("a finite step"));
     let after = trainer.report();
-    let spent: BTreeMap<_, _> = after.phases.iter().map(|(name, secs)| (name, secs - before.get(name).unwrap_or(&0.0))).collect();
+    let spent: BTreeMap<_, _> =
+        after.phases.iter().map(|(name, secs)| (name, secs - before.get(name).unwrap_or(&0.0))).collect();
     println!("{method}: ms per iteration by activity");
     for (name, secs) in spent {
         println!("  {name:12} {:7.2}", 1e3 * secs / TABLE_ITERATIONS as f64);

@@ -14,6 +14,9 @@ use training::dataset::Dataset;
 use training::player::Player;
 use training::run::{Watch, train};
 
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> anyhow::Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let [capture, out, overrides @ ..] = &args[..] else { bail!("usage: train_folder CAPTURE OUT [key=value …]") };

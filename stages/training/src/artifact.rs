@@ -95,7 +95,12 @@ impl engine::Artifact for Model {
         self.header.time_map.check()?;
         for (name, tensor) in &self.tensors {
             let count: usize = tensor.shape.iter().product();
-            ensure!(count == tensor.values.len(), "{name} has {} values for shape {:?}", tensor.values.len(), tensor.shape);
+            ensure!(
+                count == tensor.values.len(),
+                "{name} has {} values for shape {:?}",
+                tensor.values.len(),
+                tensor.shape
+            );
             if let Some(at) = tensor.values.iter().position(|value| !value.is_finite()) {
                 bail!("{name}[{at}] is {}", tensor.values[at]);
             }

@@ -43,7 +43,8 @@ impl Dataset {
     pub fn load(capture: Capture, curve_views: usize) -> anyhow::Result<Self> {
         let train_views: Vec<_> = capture.views_of(Split::Train).collect();
         if train_views.is_empty() {
-            let failure = Failure::new(FailureKind::BadInput, format!("capture {} has no training views", capture.name));
+            let failure =
+                Failure::new(FailureKind::BadInput, format!("capture {} has no training views", capture.name));
             return Err(failure.at(&capture.dir).into());
         }
         let has_val = capture.views_of(Split::Val).next().is_some();

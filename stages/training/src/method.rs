@@ -212,7 +212,13 @@ pub struct Step<'a, T: Real> {
 impl<'a, T: Real> Step<'a, T> {
     /// The moment of a view in this step.
     pub fn moment(&self, view: &'a TrainingView<T>) -> Moment<'a> {
-        Moment { scene: self.scene, phase: self.phase, time: view.time, camera: &view.camera, sh_degree: self.sh_degree }
+        Moment {
+            scene: self.scene,
+            phase: self.phase,
+            time: view.time,
+            camera: &view.camera,
+            sh_degree: self.sh_degree,
+        }
     }
 
     /// Renders Gaussians, and `features` [N, F] with them, as a view's camera sees them; `population` names the rows

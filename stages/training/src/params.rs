@@ -240,7 +240,8 @@ impl TrainingParams {
     /// A method's defaults; the error names the registered methods.
     pub fn of(method: &str) -> Result<Self, String> {
         let registration = methods::find(method)?;
-        let settings = (registration.canonical_settings)(Value::Object(Map::new())).map_err(|error| error.to_string())?;
+        let settings =
+            (registration.canonical_settings)(Value::Object(Map::new())).map_err(|error| error.to_string())?;
         Ok(Self { method: method.into(), shared: (registration.shared_defaults)(), settings })
     }
 

@@ -54,11 +54,8 @@ impl Stage for Training {
     fn run(context: &JobContext, params: &TrainingParams) -> anyhow::Result<Model> {
         let capture = context.input::<CaptureArtifact>("capture")?.0;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        let watch = Watch {
-            stop: &context.stop,
-            on_progress: &*context.on_progress,
-            checkpoint_dir: context.checkpoint_dir(),
-        };
+        let watch =
+            Watch { stop: &context.stop, on_progress: &*context.on_progress, checkpoint_dir: context.checkpoint_dir() };
         let Some((model, report)) = pool.install(|| train(capture, params, &watch))? else {
             return Err(context.interrupted());
         };

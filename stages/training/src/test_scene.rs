@@ -18,6 +18,8 @@ pub const SIZE: u32 = 24;
 pub struct TestScene {
     /// Training views, evenly over time.
     pub train_views: usize,
+    /// Validation views at the first and the last time.
+    pub val_views: usize,
     /// How far the blobs move from start to end, scene units.
     pub travel: f32,
     /// Pixels per side.
@@ -26,12 +28,12 @@ pub struct TestScene {
 
 impl Default for TestScene {
     fn default() -> Self {
-        Self { train_views: 8, travel: 0.6, size: SIZE }
+        Self { train_views: 8, val_views: 2, travel: 0.6, size: SIZE }
     }
 }
 
 impl TestScene {
-    /// Writes the capture into `dir`: training views, two validation and two test views, points near the blobs.
+    /// Writes the capture into `dir`: training, validation and two test views, points near the blobs.
     pub fn write(&self, dir: &Path) -> Capture {
         let protocol = Protocol {
             dataset: "test".into(),
@@ -52,14 +54,18 @@ impl TestScene {
             bounds_world: Some([[-1.0; 3], [1.0; 3]]),
         };
         let mut writer = CaptureWriter::create(dir, info).unwrap();
-        for (split, name, count) in [(Split::Train, "train", self.train_views), (Split::Val, "val", 2), (Split::Test, "test", 2)] {
+        for (split, name, count) in
+            [(Split::Train, "train", self.train_views), (Split::Val, "val", self.val_views), (Split::Test, "test", 2)]
+        {
             for at in 0..count {
                 let share = if count > 1 { at as f64 / (count - 1) as f64 } else { 0.0 };
                 writer.write_view(&self.frame(split, &format!("{name}_{at}"), at, share)).unwrap();
             }
         }
         let points = PointCloud {
-            positions: (0..30).map(|at| blob_center(at % 6).map(|value| value + 0.1 * ((at * 7 % 5) as f32 - 2.0) / 2.0)).collect(),
+            positions: (0..30)
+                .map(|at| blob_center(at % 6).map(|value| value + 0.1 * ((at * 7 % 5) as f32 - 2.0) / 2.0))
+                .collect(),
             colors: vec![[128; 3]; 30],
         };
         writer.write_points(&points).unwrap();
@@ -70,7 +76,8 @@ impl TestScene {
         let focal = 1.2 * f64::from(self.size);
         let center = 0.5 * f64::from(self.size);
         let (width, height) = (self.size, self.size);
-        let intrinsics = Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x: center, center_y: center };
+        let intrinsics =
+            Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x: center, center_y: center };
         let angle = if split == Split::Train { 0.7 * time } else { 0.35 };
         let position = DVec3::new(3.0 * angle.sin(), -0.8, -3.0 * angle.cos());
         let camera = Camera::look_at(intrinsics, position, DVec3::ZERO, DVec3::new(0.0, -1.0, 0.0));
@@ -94,8 +101,14 @@ impl TestScene {
     /// Six coloured blobs, every other one moving along x.
     fn render(&self, camera: &Camera, time: f32) -> Vec<u8> {
         let shift = |at: usize| if at.is_multiple_of(2) { self.travel * (time - 0.5) } else { 0.0 };
-        let positions = (0..6).flat_map(|at| { let [x, y, z] = blob_center(at); [x + shift(at), y, z] }).collect();
-        let colors = (0..6).flat_map(|at| [0, 1, 2].map(|channel| if (at + channel) % 3 == 0 { 1.5 } else { -0.7 })).collect();
+        let positions = (0..6)
+            .flat_map(|at| {
+                let [x, y, z] = blob_center(at);
+                [x + shift(at), y, z]
+            })
+            .collect();
+        let colors =
+            (0..6).flat_map(|at| [0, 1, 2].map(|channel| if (at + channel) % 3 == 0 { 1.5 } else { -0.7 })).collect();
         let mut tape = Tape::<f32>::new(Device::Cpu);
         let mut constant = |shape: &[usize], values: Vec<f32>| tape.constant(Tensor::from_vec(shape, values));
         let splats = SplatVars {

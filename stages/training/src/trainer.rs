@@ -98,7 +98,8 @@ impl<'a> Trainer<'a> {
         for (control, saved) in trainer.controls.iter_mut().zip(progress.controls) {
             control.restore(saved)?;
         }
-        (trainer.phase, trainer.iteration, trainer.sh_degree) = (progress.phase, progress.iteration, progress.sh_degree);
+        (trainer.phase, trainer.iteration, trainer.sh_degree) =
+            (progress.phase, progress.iteration, progress.sh_degree);
         (trainer.sampler, trainer.curve, trainer.loss) = (progress.sampler, progress.curve, progress.loss);
         (trainer.density_random, trainer.method_random) = (progress.density_random, progress.method_random);
         trainer.clock = PhaseClock::start("load", progress.clock);

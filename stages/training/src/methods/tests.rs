@@ -115,7 +115,9 @@ impl Case {
                 let difference = self.loss_with(name, element, STEP) - self.loss_with(name, element, -STEP);
                 let (expected, found) = (difference / (2.0 * STEP), gradient.as_slice()[element]);
                 if !((found - expected).abs() <= allowed) {
-                    return Err(format!("{name}[{element}] is {found:e} instead of {expected:e} (allowed {allowed:e})"));
+                    return Err(format!(
+                        "{name}[{element}] is {found:e} instead of {expected:e} (allowed {allowed:e})"
+                    ));
                 }
             }
         }

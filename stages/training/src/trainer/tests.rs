@@ -37,7 +37,11 @@ fn train_to_end(mut trainer: Trainer<'_>) -> Model {
 
 /// Bit patterns of every tensor, so that −0 and 0 differ.
 fn bits(model: &Model) -> BTreeMap<&str, Vec<u32>> {
-    model.tensors.iter().map(|(name, tensor)| (name.as_str(), tensor.values.iter().map(|v| v.to_bits()).collect())).collect()
+    model
+        .tensors
+        .iter()
+        .map(|(name, tensor)| (name.as_str(), tensor.values.iter().map(|v| v.to_bits()).collect()))
+        .collect()
 }
 
 #[test]
@@ -94,7 +98,8 @@ fn the_number_of_threads_changes_no_bit() {
 fn another_seed_trains_another_model() {
     let (_dir, dataset) = dataset(TestScene::default());
     let train = |seed: u64| {
-        let params = params(json!({ "seed": seed, "iterations": { "train": 5 }, "initial_points": { "random_count": 50 } }));
+        let params =
+            params(json!({ "seed": seed, "iterations": { "train": 5 }, "initial_points": { "random_count": 50 } }));
         train_to_end(Trainer::new(&dataset, &params).unwrap())
     };
     assert_eq!(bits(&train(1)), bits(&train(1)));
@@ -107,9 +112,15 @@ fn one_frame_is_overfitted() {
     for method in ["static3dgs", "deformable4dgs"] {
         let params = params(json!({
             "method": method,
-            "iterations": if method == "static3dgs" { json!({ "train": 700 }) } else { json!({ "coarse": 350, "fine": 350 }) },
-            "density": { "from": 50, "gradient_threshold": 1e-4, "opacity_reset_interval": 0 },
-            "learning_rates": { "position": { "start": 2e-2, "end": 2e-3, "steps": 400 } },
+            "iterations": if method == "static3dgs" { json!({ "train": 600 }) } else { json!({ "coarse": 300, "fine": 500 }) },
+            "loss": { "lambda_dssim": 0.0 },
+            "density": { "from": 50, "until": 400, "gradient_threshold": 1e-4, "opacity_reset_interval": 0 },
+            "learning_rates": {
+                "position": { "start": 2e-3, "end": 2e-5, "steps": 600 },
+                "scale": 2e-2,
+                "rotation": 1e-2,
+                "sh_dc": 2e-2,
+            },
             "deformable4dgs": { "channels": 4, "spatial_resolution": 8, "width": 16 },
         }));
         let mut trainer = Trainer::new(&dataset, &params).unwrap();
@@ -128,7 +139,8 @@ fn one_frame_is_overfitted() {
 
 #[test]
 fn motion_is_learnt_where_a_static_model_cannot() {
-    let (_dir, dataset) = dataset(TestScene { train_views: 12, travel: 1.2, ..TestScene::default() });
+    // Without validation views the curve is measured on training views: fitting is the question here.
+    let (_dir, dataset) = dataset(TestScene { train_views: 12, val_views: 0, travel: 1.2, ..TestScene::default() });
     let last_psnr = |value: Value| {
         let params = params(value);
         let mut trainer = Trainer::new(&dataset, &params).unwrap();
@@ -137,16 +149,16 @@ fn motion_is_learnt_where_a_static_model_cannot() {
         }
         trainer.report().curve.last().unwrap().psnr_val
     };
-    let fixed = last_psnr(json!({ "method": "static3dgs", "iterations": { "train": 500 } }));
+    let fixed = last_psnr(json!({ "method": "static3dgs", "iterations": { "train": 600 } }));
     let moving = last_psnr(json!({
         "method": "deformable4dgs",
-        "iterations": { "coarse": 100, "fine": 400 },
+        "iterations": { "coarse": 100, "fine": 500 },
         "deformable4dgs": {
             "channels": 8,
             "spatial_resolution": 16,
             "width": 32,
-            "plane_rate": { "start": 1e-2, "end": 1e-3, "steps": 400 },
-            "network_rate": { "start": 2e-3, "end": 2e-4, "steps": 400 },
+            "plane_rate": { "start": 5e-3, "end": 5e-4, "steps": 500 },
+            "network_rate": { "start": 5e-4, "end": 5e-5, "steps": 500 },
         },
     }));
     assert!(moving >= fixed + 2.0, "moving {moving:.2} dB, static {fixed:.2} dB");

@@ -168,7 +168,8 @@ impl PopulationControl for AdaptiveDensity {
         scene: &SceneFacts,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()> {
-        let Density { interval, from, until, prune_interval, prune_above_count, opacity_reset_interval, .. } = self.params;
+        let Density { interval, from, until, prune_interval, prune_above_count, opacity_reset_interval, .. } =
+            self.params;
         if iteration >= until {
             return Ok(());
         }
@@ -231,7 +232,12 @@ pub fn logit(share: f64) -> f64 {
 
 /// The largest standard deviation of each Gaussian.
 fn largest_scales(log_scales: &[f32]) -> Vec<f32> {
-    log_scales.as_chunks::<3>().0.iter().map(|row| row.iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()).collect()
+    log_scales
+        .as_chunks::<3>()
+        .0
+        .iter()
+        .map(|row| row.iter().copied().fold(f32::NEG_INFINITY, f32::max).exp())
+        .collect()
 }
 
 /// The rotation of a raw quaternion (w, x, y, z); the identity where it has no direction.

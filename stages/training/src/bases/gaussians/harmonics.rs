@@ -48,10 +48,7 @@ impl<T: Real> Op<T> for ActiveHarmonics {
             to_rest.extend_from_slice(higher);
             to_rest.resize((row + 1) * stored, T::ZERO);
         }
-        vec![
-            Some(Tensor::from_vec(dc.shape().to_vec(), to_dc)),
-            Some(Tensor::from_vec(rest.shape().to_vec(), to_rest)),
-        ]
+        vec![Some(Tensor::from_vec(dc.shape().to_vec(), to_dc)), Some(Tensor::from_vec(rest.shape().to_vec(), to_rest))]
     }
 }
 

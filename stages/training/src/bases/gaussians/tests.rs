@@ -64,7 +64,8 @@ fn first_sizes_are_the_root_mean_square_distance_to_three_neighbours() {
     insert_gaussians(&mut state, GAUSSIANS, &points, 3, 0.01).unwrap();
     let scale = state.get("gaussians.log_scales").unwrap().as_slice()[0].exp();
     assert!((scale - (14.0_f64 / 3.0).sqrt()).abs() <= 1e-9, "{scale}");
-    let shapes: BTreeMap<_, _> = state.iter().map(|(name, tensor)| (name.to_string(), tensor.shape().to_vec())).collect();
+    let shapes: BTreeMap<_, _> =
+        state.iter().map(|(name, tensor)| (name.to_string(), tensor.shape().to_vec())).collect();
     assert_eq!(shapes["gaussians.sh_rest"], [5, 15, 3]);
     assert_eq!(shapes["gaussians.opacity_logits"], [5, 1]);
 }
@@ -114,7 +115,10 @@ fn the_mean_runs_over_the_steps_that_saw_the_gaussian() {
         control.observe(&screen(&gradients));
     }
     control.act(10, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
-    assert_eq!(positions(&optimizer.into_state()), [[0., 0., 0.], [1., 0., 0.], [2., 0., 0.], [3., 0., 0.], [0., 0., 0.]]);
+    assert_eq!(
+        positions(&optimizer.into_state()),
+        [[0., 0., 0.], [1., 0., 0.], [2., 0., 0.], [3., 0., 0.], [0., 0., 0.]]
+    );
 }
 
 #[test]
@@ -178,8 +182,12 @@ fn harmonics_in_use_have_the_right_gradients() {
     let tensor = |shape: &[usize], seed| Tensor::from_vec(shape, check::noise(shape.iter().product(), seed));
     let (dc, rest) = (tensor(&[5, 1, 3], 1), tensor(&[5, 15, 3], 2));
     for degree in 1..=3 {
-        check::gradients(|tape, vars| active_harmonics(tape, vars[0], vars[1], degree), &[dc.clone(), rest.clone()], 1e-6)
-            .unwrap();
+        check::gradients(
+            |tape, vars| active_harmonics(tape, vars[0], vars[1], degree),
+            &[dc.clone(), rest.clone()],
+            1e-6,
+        )
+        .unwrap();
         check::gradients(|tape, vars| leading_harmonics(tape, vars[0], degree), &[tensor(&[5, 48], 3)], 1e-6).unwrap();
     }
 }

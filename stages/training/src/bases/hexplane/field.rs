@@ -37,7 +37,13 @@ pub struct Field {
 
 impl Field {
     /// A field whose time axis has `time_resolution` texels in the published code's counting (see [`TimeAxis`]).
-    pub fn new(channels: usize, spatial: [usize; 3], time_resolution: usize, multipliers: &[usize], axis: TimeAxis) -> Self {
+    pub fn new(
+        channels: usize,
+        spatial: [usize; 3],
+        time_resolution: usize,
+        multipliers: &[usize],
+        axis: TimeAxis,
+    ) -> Self {
         let time = match axis {
             TimeAxis::Full => time_resolution.div_ceil(2),
             TimeAxis::UpperHalf => time_resolution,
@@ -113,7 +119,8 @@ pub fn insert_bounds<T: Real>(state: &mut ModelState<T>, points: &PointCloud) {
     }
     let [low, high] = corners;
     let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
-    let margin = |axis: usize| 0.5 * ((MIN_SIDE * longest).max(f64::from(f32::EPSILON)) - (high[axis] - low[axis])).max(0.0);
+    let margin =
+        |axis: usize| 0.5 * ((MIN_SIDE * longest).max(f64::from(f32::EPSILON)) - (high[axis] - low[axis])).max(0.0);
     let low = std::array::from_fn::<_, 3, _>(|axis| low[axis] - margin(axis));
     let high = std::array::from_fn::<_, 3, _>(|axis| high[axis] + margin(axis));
     let values = [low, high].concat().into_iter().map(T::from_f64).collect();

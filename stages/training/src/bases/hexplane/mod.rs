@@ -198,12 +198,7 @@ impl HexplaneGaussians {
     }
 
     /// The Gaussians at a moment: canonical ones in `coarse`, moved ones in `fine`.
-    pub fn splats<T: Real>(
-        &self,
-        tape: &mut Tape<T>,
-        model: &Variables,
-        moment: &Moment<'_>,
-    ) -> SplatVars {
+    pub fn splats<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SplatVars {
         let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
         if moment.phase == COARSE {
             return canonical;
