@@ -57,7 +57,8 @@ impl Stage for Write {
     }
 
     fn run(context: &JobContext, params: &WriteParams) -> anyhow::Result<Text> {
-        let source = if params.source.is_some() { std::fs::read_to_string(context.source("text")?)? } else { "".into() };
+        let source =
+            if params.source.is_some() { std::fs::read_to_string(context.source("text")?)? } else { "".into() };
         Text::write(context.output_dir(), &format!("{}{source}", params.text))
     }
 }

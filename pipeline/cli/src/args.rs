@@ -1,0 +1,293 @@
+//! The command line.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Trains, renders, measures and tabulates dynamic Gaussian-splatting methods, as a recipe says.
+#[derive(Debug, Parser)]
+#[command(version, propagate_version = true, after_help = EXIT_CODES)]
+pub struct Cli {
+    /// Folder that keeps results, logs and checkpoints
+    #[arg(long, global = true, env = "PIPELINE_STORE", default_value = "store", value_name = "DIR")]
+    pub store: PathBuf,
+    #[command(subcommand)]
+    pub verb: Verb,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 ok, 2 usage, 3 recipe invalid, 4 nothing selected or nothing ran, 5 --frozen would have had \
+to run, 10 some jobs failed, 11 table or check differs, 12 store damaged, 13 the machine failed, 75 checkpointed, \
+130/143 interrupted.";
+
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Runs what is not in the store yet and prints the tables
+    Run(RunArgs),
+    /// Tells what a run would do, and why
+    Plan(PlanArgs),
+    /// Tells why one job runs, and where its parameters come from
+    Explain(NodeArgs),
+    /// Tells what is done, running, failed and still to do
+    Status(StatusArgs),
+    /// Draws the job graph
+    Graph(GraphArgs),
+    /// Shows one job's result: folder, parameters, key, measurements
+    Show(ShowArgs),
+    /// Prints the last table
+    Table(TableArgs),
+    /// Writes a model in a format of other programs
+    Export(ExportArgs),
+    /// Tells what is recognised in a capture's folder
+    Inspect {
+        /// The capture's folder
+        dir: PathBuf,
+    },
+    /// Judges images, whoever made them
+    Eval(EvalArgs),
+    /// Looks after the store
+    #[command(subcommand)]
+    Cache(CacheVerb),
+    /// Looks whether this machine has what runs need
+    Doctor {
+        /// Folder that recipes' sources are relative to
+        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+        data_root: PathBuf,
+    },
+    /// Prints completions for a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+    /// Runs one job; started by `run`
+    #[command(hide = true)]
+    ExecJob {
+        /// The job's specification
+        job: PathBuf,
+    },
+}
+
+/// A recipe and what it is applied to.
+#[derive(Clone, Debug, Args)]
+pub struct RecipeArgs {
+    /// The recipe, a TOML file
+    pub recipe: PathBuf,
+    /// Folder that the recipe's sources are relative to
+    #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+    pub data_root: PathBuf,
+    /// Overrides a value of the recipe, as nodes.train.params.iterations=500; can be repeated
+    #[arg(short = 's', long = "set", value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// Which jobs of a recipe.
+#[derive(Clone, Debug, Args)]
+pub struct SelectionArgs {
+    /// Only these jobs and what they need, as train/lego or train/*/static*; can be repeated
+    #[arg(long, value_name = "PATTERN")]
+    pub only: Vec<String>,
+    /// Run these jobs even if their results are there; can be repeated
+    #[arg(long, value_name = "PATTERN")]
+    pub force: Vec<String>,
+    /// Hash all sources again, whatever their time stamps say
+    #[arg(long)]
+    pub rehash: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    #[command(flatten)]
+    pub selection: SelectionArgs,
+    /// Jobs at the same time (default: as many as there are threads)
+    #[arg(long, value_name = "N")]
+    pub jobs: Option<usize>,
+    /// Threads of all jobs together (default: all of this machine)
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Launch nothing more after the first failure
+    #[arg(long, conflicts_with = "max_failures")]
+    pub fail_fast: bool,
+    /// Launch nothing more after so many failures
+    #[arg(long, value_name = "N")]
+    pub max_failures: Option<usize>,
+    /// Stop a job that runs longer, as 2h or 30min; its progress is kept
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
+    pub timeout: Option<Duration>,
+    /// Fail, running nothing, if anything would have to run
+    #[arg(long)]
+    pub frozen: bool,
+    /// Missing data is a failure
+    #[arg(long)]
+    pub require_data: bool,
+    /// Print events as JSON lines instead of tables
+    #[arg(long)]
+    pub json: bool,
+    /// What the jobs' logs hold, as debug or training=trace
+    #[arg(long, default_value = "info", value_name = "FILTER")]
+    pub log: String,
+}
+
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    #[command(flatten)]
+    pub selection: SelectionArgs,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct NodeArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    /// The job's name, as train/lego/static3dgs/0
+    pub node: String,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct StatusArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct GraphArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    /// The language to draw in
+    #[arg(long, value_enum, default_value_t)]
+    pub format: GraphFormat,
+    /// One box per kind of job
+    #[arg(long)]
+    pub collapse: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub enum GraphFormat {
+    /// Graphviz
+    #[default]
+    Dot,
+    /// Mermaid, as Markdown pages render it
+    Mermaid,
+}
+
+#[derive(Debug, Args)]
+pub struct ShowArgs {
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// Print only the folder of the artifact
+    #[arg(long, conflicts_with = "json")]
+    pub path: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct TableArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    /// The format
+    #[arg(long, value_enum, default_value_t)]
+    pub format: TableFormat,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub enum TableFormat {
+    /// Markdown
+    #[default]
+    Md,
+    /// LaTeX
+    Latex,
+    /// Comma-separated, unrounded
+    Csv,
+    /// JSON, unrounded, with the action key of every cell
+    Json,
+}
+
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    /// The training job, as train/lego/deformable4dgs/0
+    pub node: String,
+    /// The format
+    #[arg(long, value_enum, default_value_t)]
+    pub format: ExportFormat,
+    /// Times in seconds of the capture, as FIRST:LAST:COUNT
+    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT")]
+    pub times: Times,
+    /// The folder to write into
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub enum ExportFormat {
+    /// One PLY file of Gaussians per time, as common viewers open them
+    #[default]
+    PlySeq,
+}
+
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// Folder with the images to judge
+    #[arg(long, value_name = "DIR")]
+    pub renders: PathBuf,
+    /// Folder with the true images of the same names
+    #[arg(long, value_name = "DIR")]
+    pub truth: PathBuf,
+    /// Print JSON with the values of every image
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum CacheVerb {
+    /// Hashes every file of the store
+    Verify {
+        /// Move what is damaged aside, so that the next run makes it again
+        #[arg(long)]
+        repair: bool,
+    },
+    /// Removes results that nothing recent needs
+    Gc(GcArgs),
+    /// Tells what takes how much space
+    Du,
+}
+
+#[derive(Debug, Args)]
+pub struct GcArgs {
+    /// Only tell what would go
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Keep everything that was used within this time
+    #[arg(long, value_parser = humantime::parse_duration, default_value = "30d", value_name = "TIME")]
+    pub max_age: Duration,
+    /// Keep everything that the last so many runs planned
+    #[arg(long, default_value_t = 10, value_name = "N")]
+    pub keep_runs: usize,
+}
+
+/// Times in seconds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Times(pub Vec<f64>);
+
+/// `FIRST:LAST:COUNT`: evenly spaced times with both ends.
+pub fn parse_times(text: &str) -> Result<Times, String> {
+    let wrong = || format!("expected FIRST:LAST:COUNT, as 0:1:30, not {text}");
+    let [first, last, count] = text.split(':').collect::<Vec<_>>()[..] else { return Err(wrong()) };
+    let number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(wrong);
+    let (first, last) = (number(first)?, number(last)?);
+    let count: usize = count.parse().ok().filter(|&count| count > 0).ok_or_else(wrong)?;
+    // A single time is the first one.
+    let step = if count > 1 { (last - first) / (count - 1) as f64 } else { 0.0 };
+    Ok(Times((0..count).map(|index| first + step * index as f64).collect()))
+}

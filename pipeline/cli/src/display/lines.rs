@@ -1,0 +1,76 @@
+//! One line per event, for logs: without a terminal nothing else would show that a run is alive.
+
+use engine::event::{Counts, Event, NodeResult, Outcome};
+
+use super::Display;
+use crate::output::{count, duration};
+
+#[derive(Default)]
+pub struct Lines {
+    counts: Counts,
+}
+
+impl Display for Lines {
+    fn show(&mut self, event: &Event) {
+        if let Some(line) = self.line(event) {
+            eprintln!("{line}");
+        }
+    }
+}
+
+impl Lines {
+    /// The line for an event; none for those that would only fill the log.
+    pub fn line(&mut self, event: &Event) -> Option<String> {
+        match event {
+            Event::Planned { run, recipe, jobs } => {
+                self.counts.total = *jobs;
+                Some(format!("run {run} of {recipe}: {}", count(*jobs, "job")))
+            }
+            Event::Started { node, threads, .. } => {
+                self.counts.running += 1;
+                Some(format!("{} started {node} ({})", self.place(), count(*threads, "thread")))
+            }
+            Event::Finished { node, result } => {
+                self.counts.add(result.outcome);
+                if result.wall_secs.is_some() {
+                    self.counts.running = self.counts.running.saturating_sub(1);
+                }
+                finished(node, result).map(|text| format!("{} {text}", self.place()))
+            }
+            Event::Waiting { node } => Some(format!("{} {node} waits for another run's result", self.place())),
+            Event::Heartbeat { counts, running } => Some(heartbeat(counts, running)),
+            Event::Stopping { message } => Some(format!("stopping: {message}")),
+            Event::Warning { message } => Some(format!("warning: {message}")),
+            Event::Progress { .. } | Event::RunFinished { .. } => None,
+        }
+    }
+
+    fn place(&self) -> String {
+        let rest = self.counts.done() + self.counts.failed + self.counts.missing_data + self.counts.skipped;
+        format!("[{rest}/{}]", self.counts.total)
+    }
+}
+
+/// What became of a job, in words; none for cached ones, of which there may be thousands.
+pub fn finished(node: &str, result: &NodeResult) -> Option<String> {
+    let failure = || result.failure.as_ref().map(ToString::to_string).unwrap_or_default();
+    let note = result.note.as_ref().map(|note| format!(" ({note})")).unwrap_or_default();
+    match result.outcome {
+        Outcome::Cached | Outcome::NotRun => None,
+        Outcome::Executed => Some(format!("done {node} in {}{note}", duration(result.wall_secs.unwrap_or_default()))),
+        Outcome::Failed => Some(format!("FAILED {node}: {}", failure())),
+        Outcome::MissingData => Some(format!("missing data {node}: {}", failure())),
+        Outcome::Skipped => Some(format!("skipped {node}: needs {}", result.because_of.as_deref().unwrap_or("another job"))),
+        Outcome::Interrupted => Some(format!("stopped {node}: {}", failure())),
+    }
+}
+
+/// `[12/240 done, 3 running, 1 failed] train/lego step 9000/30000 27.4 dB`
+fn heartbeat(counts: &Counts, running: &[(String, engine::Progress)]) -> String {
+    let jobs: Vec<String> = running
+        .iter()
+        .map(|(node, progress)| format!("{node} step {}/{} {}", progress.done, progress.total, progress.message))
+        .collect();
+    let head = format!("[{}/{} done, {} running, {} failed]", counts.done(), counts.total, counts.running, counts.failed);
+    format!("{head} {}", jobs.join("; "))
+}

@@ -1,0 +1,87 @@
+//! A recipe with its store: what most verbs start from.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use engine::scheduler::Sources;
+use engine::status::{History, Prediction, State, predict};
+use engine::store::ActionRecord;
+use engine::{Plan, Store};
+
+use crate::args::{RecipeArgs, SelectionArgs};
+use crate::error::CliError;
+use crate::stages::stages;
+
+/// A resolved recipe, the store, and which of its jobs are meant.
+pub struct Session {
+    pub plan: Plan,
+    pub store: Store,
+    pub data_root: PathBuf,
+    /// The jobs asked for.
+    pub targets: BTreeSet<usize>,
+    /// Jobs to run even if their results are there.
+    pub force: BTreeSet<usize>,
+    pub rehash: bool,
+}
+
+impl Session {
+    /// Resolves the recipe and opens the store; all jobs are meant.
+    pub fn open(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
+        let plan = engine::recipe::resolve(&recipe.recipe, &recipe.set, &stages())?;
+        let targets = (0..plan.nodes.len()).collect();
+        let store = Store::open(store)?;
+        let data_root = recipe.data_root.clone();
+        Ok(Self { plan, store, data_root, targets, force: BTreeSet::new(), rehash: false })
+    }
+
+    /// The same with a selection of jobs.
+    pub fn select(mut self, selection: &SelectionArgs) -> Result<Self, CliError> {
+        self.targets = self.plan.select(&selection.only)?;
+        if !selection.force.is_empty() {
+            self.force = self.plan.select(&selection.force)?;
+        }
+        self.rehash = selection.rehash;
+        Ok(self)
+    }
+
+    /// What a run of the targets would do, by node index.
+    pub fn predict(&self) -> Result<BTreeMap<usize, Prediction>, CliError> {
+        self.predict_for(&self.targets)
+    }
+
+    /// What a run of `targets` would do, by node index.
+    pub fn predict_for(&self, targets: &BTreeSet<usize>) -> Result<BTreeMap<usize, Prediction>, CliError> {
+        let nodes = self.plan.with_ancestors(targets);
+        let sources = Sources::digest(&self.plan, &nodes, &self.data_root, &self.store, self.rehash)?;
+        Ok(predict(&self.plan, &self.store, &nodes, &self.force, &sources)?)
+    }
+
+    /// The index of the job called `name`.
+    pub fn node(&self, name: &str) -> Result<usize, CliError> {
+        if let Some(index) = self.plan.index_of(name) {
+            return Ok(index);
+        }
+        let found = self.plan.select(&[name.to_owned()])?;
+        match found.iter().collect::<Vec<_>>()[..] {
+            [&only] => Ok(only),
+            _ => {
+                let names: Vec<&str> = found.iter().map(|&index| self.plan.nodes[index].name.as_str()).collect();
+                Err(CliError::nothing(format!("{} jobs match `{name}`", found.len()), format!("choose one: {}", names.join(", "))))
+            }
+        }
+    }
+
+    /// The record of one job's result: the current one or, with a warning, the last that there is.
+    pub fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
+        if let Some(Prediction { state: State::Cached { record }, .. }) = self.predict_for(&BTreeSet::from([index]))?.remove(&index) {
+            return Ok(*record);
+        }
+        let node = &self.plan.nodes[index];
+        let history = History::read(&self.store)?;
+        let last = history.newest(&self.plan.recipe, node).ok_or_else(|| {
+            CliError::nothing(format!("{} has no result", node.name), "run the recipe first")
+        })?;
+        eprintln!("warning: the recipe, its data or the code changed since {} ran; this is the last result", node.name);
+        Ok(last.clone())
+    }
+}

@@ -1,0 +1,51 @@
+//! `explain`: why one job runs, and where its parameters come from.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde_json::json;
+
+use crate::args::NodeArgs;
+use crate::error::CliError;
+use crate::output::{print, print_json};
+use crate::session::Session;
+use crate::verbs::plan;
+
+pub fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
+    let session = Session::open(store, &args.recipe)?;
+    let index = session.node(&args.node)?;
+    let node = &session.plan.nodes[index];
+    let predictions = session.predict_for(&BTreeSet::from([index]))?;
+    let causes = plan::causes(&session.plan, &predictions);
+    let own = &predictions[&index];
+    let origins = session.plan.origins.get(&node.name);
+    if args.json {
+        let name = |index: &usize| session.plan.nodes[*index].name.as_str();
+        let causes: Vec<_> = causes
+            .iter()
+            .map(|cause| json!({ "nodes": cause.nodes.iter().map(name).collect::<Vec<_>>(), "changes": cause.changes }))
+            .collect();
+        let params = json!({ "values": node.params, "origins": origins });
+        print_json(&json!({ "node": node.name, "prediction": own, "first_causes": causes, "params": params }))?;
+        return Ok(engine::exit::OK);
+    }
+    let mut text = plan::line(&node.name, own);
+    for cause in &causes {
+        for change in &cause.changes {
+            text += &format!("first cause: {}: {}\n", session.plan.nodes[cause.nodes[0]].name, change.sentence);
+        }
+    }
+    text += "parameters:\n";
+    for (key, origin) in origins.into_iter().flatten() {
+        let value = value_at(&node.params, key).map_or_else(|| "–".to_owned(), ToString::to_string);
+        text += &format!("  {key} = {value}  ({origin})\n");
+    }
+    text += &format!("stage {}, plan id {}\n", node.stage, node.plan_id);
+    print(&text)?;
+    Ok(engine::exit::OK)
+}
+
+/// The value at a dotted key.
+fn value_at<'a>(params: &'a serde_json::Value, key: &str) -> Option<&'a serde_json::Value> {
+    key.split('.').try_fold(params, |value, part| value.get(part))
+}

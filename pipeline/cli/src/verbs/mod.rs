@@ -1,0 +1,10 @@
+//! One function per verb, returning the exit code.
+
+pub mod cache;
+pub mod explain;
+pub mod graph;
+pub mod plan;
+pub mod results;
+pub mod run;
+pub mod status;
+pub mod tools;

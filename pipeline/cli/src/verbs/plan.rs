@@ -1,0 +1,104 @@
+//! `plan`: what a run would do, and why.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use engine::Plan;
+use engine::explain::{Change, RootCause, root_causes};
+use engine::status::{Prediction, State};
+use serde_json::json;
+
+use crate::args::PlanArgs;
+use crate::error::CliError;
+use crate::output::{count, duration, print, print_json};
+use crate::session::Session;
+
+pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
+    let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
+    let predictions = session.predict()?;
+    let causes = causes(&session.plan, &predictions);
+    if args.json {
+        let name = |index: &usize| &session.plan.nodes[*index].name;
+        let jobs: BTreeMap<&String, &Prediction> = predictions.iter().map(|(index, told)| (name(index), told)).collect();
+        let causes: Vec<_> = causes
+            .iter()
+            .map(|cause| {
+                let nodes: Vec<&String> = cause.nodes.iter().map(name).collect();
+                json!({ "nodes": nodes, "changes": cause.changes, "consequences": cause.consequences })
+            })
+            .collect();
+        print_json(&json!({ "recipe": session.plan.recipe, "jobs": jobs, "causes": causes }))?;
+        return Ok(engine::exit::OK);
+    }
+    let mut text = String::new();
+    for (&index, prediction) in &predictions {
+        text += &line(&session.plan.nodes[index].name, prediction);
+    }
+    text += &totals(&predictions);
+    text += &render_causes(&session.plan, &causes);
+    print(&text)?;
+    Ok(engine::exit::OK)
+}
+
+/// The first causes of everything that would run.
+pub fn causes(plan: &Plan, predictions: &BTreeMap<usize, Prediction>) -> Vec<RootCause> {
+    let changes: BTreeMap<usize, Vec<Change>> =
+        predictions.iter().map(|(&index, told)| (index, told.changes().to_vec())).collect();
+    root_causes(plan, &changes)
+}
+
+/// One job in one line.
+pub fn line(name: &str, prediction: &Prediction) -> String {
+    let secs = prediction.expected_secs.filter(|_| prediction.may_run());
+    let secs = secs.map(|secs| format!("  (about {})", duration(secs))).unwrap_or_default();
+    let (word, reason) = describe(prediction);
+    format!("{word:<12} {name}{}{reason}{secs}\n", if reason.is_empty() { "" } else { ": " })
+}
+
+/// A job's state in one or two words, and the reason.
+pub fn describe(prediction: &Prediction) -> (&'static str, String) {
+    let sentences: Vec<&str> = prediction.changes().iter().map(|change| change.sentence.as_str()).collect();
+    let sentences = sentences.join("; ");
+    match &prediction.state {
+        State::Cached { .. } => ("cached", String::new()),
+        State::WillRun { running: true, .. } => ("running", sentences),
+        State::WillRun { last_failure: Some(record), .. } => {
+            ("will rerun", format!("failed before ({})", record.failure.message))
+        }
+        State::WillRun { .. } => ("will run", sentences),
+        State::Pending { may_be_cut_off: true, .. } => ("may run", sentences),
+        State::Pending { .. } => ("will run", sentences),
+        State::MissingData { failure } => ("missing data", failure.to_string()),
+        State::Blocked { because_of, failure } => ("blocked", format!("needs {because_of} ({})", failure.message)),
+    }
+}
+
+fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {
+    let mut words: BTreeMap<&str, usize> = BTreeMap::new();
+    for prediction in predictions.values() {
+        *words.entry(describe(prediction).0).or_default() += 1;
+    }
+    let words: Vec<String> = words.iter().map(|(word, count)| format!("{count} {word}")).collect();
+    let to_run = predictions.values().filter(|prediction| prediction.may_run());
+    let known: f64 = to_run.clone().filter_map(|prediction| prediction.expected_secs).sum();
+    let unknown = to_run.filter(|prediction| prediction.expected_secs.is_none()).count();
+    let unknown = if unknown > 0 { format!(" and {} never timed", count(unknown, "job")) } else { String::new() };
+    let time = if known > 0.0 { format!("; about {} of work{unknown}", duration(known)) } else { String::new() };
+    format!("\n{}: {}{time}\n", count(predictions.len(), "job"), words.join(", "))
+}
+
+fn render_causes(plan: &Plan, causes: &[RootCause]) -> String {
+    let mut text = String::new();
+    for cause in causes {
+        let first = plan.nodes[cause.nodes[0]].name.as_str();
+        let others = if cause.nodes.len() > 1 { format!(" and {} more", cause.nodes.len() - 1) } else { String::new() };
+        let sentences: Vec<&str> = cause.changes.iter().map(|change| change.sentence.as_str()).collect();
+        let after = if cause.consequences > 0 {
+            format!(" → {} in consequence", count(cause.consequences, "job"))
+        } else {
+            String::new()
+        };
+        text += &format!("because {first}{others}: {}{after}\n", sentences.join("; "));
+    }
+    text
+}

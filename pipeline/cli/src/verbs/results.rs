@@ -1,0 +1,88 @@
+//! `show`, `table`, `export`: what jobs made.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde_json::json;
+
+use crate::args::{ExportArgs, ExportFormat, ShowArgs, TableArgs, TableFormat};
+use crate::error::CliError;
+use crate::output::{bytes, duration, print, print_json, print_line};
+use crate::session::Session;
+
+pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
+    let session = Session::open(store, &args.node.recipe)?;
+    let record = session.record(session.node(&args.node.node)?)?;
+    let view = session.store.view(&record.content)?;
+    let measurements = session.store.read_measurements(&record.measurements)?;
+    if args.path {
+        print_line(&view.display().to_string())?;
+    } else if args.node.json {
+        print_json(&json!({ "path": view, "record": record, "measurements": measurements }))?;
+    } else {
+        let made = &record.provenance;
+        let pretty = |value: &serde_json::Value| serde_json::to_string_pretty(value);
+        print(&format!(
+            "{}\n  folder       {}\n  size         {} in {} files\n  key          {}\n  content      {}\n  \
+             made         by run {} on {} in {}\nparams {}\nmeasurements {}\n",
+            made.node,
+            view.display(),
+            bytes(record.size_bytes),
+            record.files,
+            record.key,
+            record.content,
+            made.run,
+            made.host,
+            duration(made.wall_secs),
+            pretty(&record.components.params)?,
+            pretty(&measurements)?,
+        ))?;
+    }
+    Ok(engine::exit::OK)
+}
+
+pub fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
+    let session = Session::open(store, &args.recipe)?;
+    let file = match args.format {
+        TableFormat::Md => "report.md",
+        TableFormat::Latex => "report.tex",
+        TableFormat::Csv => "report.csv",
+        TableFormat::Json => "report.json",
+    };
+    let tables = table_nodes(&session);
+    if tables.is_empty() {
+        return Err(CliError::nothing("the recipe makes no table", "add a node with stage = \"table-generation\""));
+    }
+    for index in tables {
+        let record = session.record(index)?;
+        let path = session.store.view(&record.content)?.join(file);
+        print(&std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?)?;
+    }
+    Ok(engine::exit::OK)
+}
+
+/// The jobs of the recipe that make tables.
+pub fn table_nodes(session: &Session) -> Vec<usize> {
+    let nodes = session.plan.nodes.iter().enumerate();
+    nodes.filter(|(_, node)| node.stage == "table-generation").map(|(index, _)| index).collect()
+}
+
+pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
+    let session = Session::open(store, &args.recipe)?;
+    let index = session.node(&args.node)?;
+    let node = &session.plan.nodes[index];
+    let capture = node.inputs.iter().find(|input| input.port == "capture").and_then(|input| input.producers.first());
+    let (true, Some(&capture)) = (node.stage == "training", capture) else {
+        return Err(CliError::nothing(format!("{} does not train a model", node.name), "name a training job"));
+    };
+    let folder = |index: usize| -> Result<PathBuf, CliError> {
+        Ok(session.store.view(&session.record(index)?.content)?)
+    };
+    let report = match args.format {
+        ExportFormat::PlySeq => {
+            rendering::export::ply_sequence(&folder(index)?, &folder(capture)?, &args.times.0, &args.out)?
+        }
+    };
+    print_line(report.trim_end())?;
+    Ok(engine::exit::OK)
+}

@@ -1,0 +1,62 @@
+//! `run`: everything that is not in the store yet.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::Context;
+use engine::event::Event;
+use engine::job::StopRequests;
+use engine::scheduler::{self, RunOptions};
+
+use crate::args::RunArgs;
+use crate::display::{self, summary};
+use crate::error::CliError;
+use crate::session::Session;
+
+/// Without a terminal, a line at least this often says that the run is alive.
+const HEARTBEAT: Duration = Duration::from_secs(30);
+
+pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
+    let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
+    if args.frozen {
+        refuse_to_run(&session)?;
+    }
+    let options = options(&session, args)?;
+    let mut display = display::choose(args.json);
+    let watch = &mut |event: &Event| display.show(event);
+    let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
+    drop(display);
+    summary::print(&session, &result)?;
+    if !args.json {
+        summary::print_tables(&session, &result)?;
+    }
+    Ok(result.exit_code(args.require_data))
+}
+
+fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
+    let available = || std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = args.threads.unwrap_or_else(available);
+    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    Ok(RunOptions {
+        data_root: session.data_root.clone(),
+        targets: session.targets.clone(),
+        force: session.force.clone(),
+        jobs: args.jobs.unwrap_or(threads),
+        threads,
+        max_failures: if args.fail_fast { Some(1) } else { args.max_failures },
+        timeout: args.timeout,
+        rehash: session.rehash,
+        log_filter: args.log.clone(),
+        command: vec![program.into(), "exec-job".into()],
+        stop: StopRequests::listen().context("cannot listen to signals")?,
+        heartbeat: HEARTBEAT,
+    })
+}
+
+/// With `--frozen`: an error that names the jobs, if any would have to run.
+fn refuse_to_run(session: &Session) -> Result<(), CliError> {
+    let predictions = session.predict()?;
+    let stale = predictions.iter().filter(|(_, prediction)| prediction.may_run());
+    let names: Vec<String> = stale.map(|(&index, _)| session.plan.nodes[index].name.clone()).collect();
+    if names.is_empty() { Ok(()) } else { Err(CliError::Frozen(names)) }
+}

@@ -1,0 +1,65 @@
+//! `inspect`, `eval`, `doctor`, `completions`: without a recipe.
+
+use std::path::Path;
+
+use clap::CommandFactory;
+use engine::{Store, exit};
+
+use crate::args::{Cli, EvalArgs};
+use crate::error::CliError;
+use crate::output::{print, print_json, print_line};
+use crate::stages::stages;
+
+pub fn inspect(dir: &Path) -> Result<u8, CliError> {
+    print_line(sfm_import::inspect::describe(dir)?.trim_end())?;
+    Ok(exit::OK)
+}
+
+pub fn eval(args: &EvalArgs) -> Result<u8, CliError> {
+    let metrics = metric_evaluation::evaluate_folders(&args.renders, &args.truth)?;
+    if args.json {
+        print_json(&metrics)?;
+    } else {
+        print_line(metrics.summary().trim_end())?;
+    }
+    Ok(exit::OK)
+}
+
+/// Looks at everything that a run needs; an exit code other than 0 if something is missing.
+pub fn doctor(store: &Path, data_root: &Path) -> Result<u8, CliError> {
+    let mut text = format!("pipeline {}\n", env!("CARGO_PKG_VERSION"));
+    text += &format!("threads      {}\n", std::thread::available_parallelism().map_or(1, usize::from));
+    let sound = match try_store(store) {
+        Ok(message) => {
+            text += &format!("store        {message}\n");
+            true
+        }
+        Err(error) => {
+            text += &format!("store        NOT USABLE: {error:#}\n");
+            false
+        }
+    };
+    let data = if data_root.is_dir() { "there" } else { "not there (sources of recipes will be missing data)" };
+    text += &format!("data root    {}: {data}\n", data_root.display());
+    for stage in stages().stages() {
+        text += &format!("stage        {:<18} {}\n", stage.id(), stage.about());
+    }
+    print(&text)?;
+    Ok(if sound { exit::OK } else { exit::INFRASTRUCTURE })
+}
+
+/// Opens the store and writes a file in it, to see that it can be written.
+fn try_store(path: &Path) -> anyhow::Result<String> {
+    let store = Store::open(path)?;
+    let scratch = store.scratch("doctor")?;
+    std::fs::write(scratch.path().join("probe"), "probe")?;
+    let busy = if store.try_lock_exclusive()?.is_some() { "idle" } else { "in use by a run" };
+    Ok(format!("{}: writable, {busy}", store.root().display()))
+}
+
+pub fn completions(shell: clap_complete::Shell) -> Result<u8, CliError> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Cli::command(), "pipeline", &mut script);
+    print(&String::from_utf8_lossy(&script))?;
+    Ok(exit::OK)
+}
