@@ -284,7 +284,9 @@ fn exp2<V: Lanes>(x: V) -> V {
 fn start<V: Lanes>(tile: &Tile, transmittance: &mut Plane) -> [u32; 2] {
     let [width, height] = tile.extent;
     for (y, row) in transmittance.iter_mut().enumerate() {
-        *row = std::array::from_fn(|x| if x < width && y < height { 1.0 } else { -1.0 });
+        for (x, value) in row.iter_mut().enumerate() {
+            *value = if x < width && y < height { 1.0 } else { -1.0 };
+        }
     }
     let alive_rows = (1 << height) - 1;
     [alive_rows, if V::WIDTH < width && V::WIDTH < TILE { alive_rows } else { 0 }]
@@ -360,7 +362,7 @@ fn backward<V: Lanes, const EXTRAS: bool>(
                 let weight = attempt.weight.keep(attempt.is_blended);
 
                 // φ = value·gradient over all channels.
-                let [g_r, g_g, g_b] = [&*red, &*green, &*blue].map(|plane| V::load(&plane[row], part));
+                let (g_r, g_g, g_b) = (V::load(&red[row], part), V::load(&green[row], part), V::load(&blue[row], part));
                 let [r, g, b] = constants.color;
                 let mut phi = r.mul(g_r);
                 phi = g.mul_add(g_g, phi);

@@ -263,11 +263,11 @@ mod x86 {
         }
         #[inline(always)]
         fn sum8(left: &[Self; 8], right: &[Self; 8]) -> [f32; 8] {
-            let mut x = *left;
+            let mut x = [left[0].0; 8];
             for row in 0..8 {
-                x[row] = left[row].add(right[row]);
+                x[row] = left[row].add(right[row]).0;
             }
-            unsafe { sum8(x.map(|lanes| lanes.0)) }
+            unsafe { sum8(x) }
         }
         #[inline(always)]
         fn sum(left: Self, right: Self) -> f32 {
@@ -337,7 +337,12 @@ mod x86 {
         }
         #[inline(always)]
         fn sum8(row: &[Self; 8], _right: &[Self; 8]) -> [f32; 8] {
-            unsafe { sum8(row.map(|lanes| fold(lanes.0))) }
+            // A loop, not `map`: closures are not compiled for the caller's instruction set.
+            let mut x = [unsafe { fold(row[0].0) }; 8];
+            for index in 1..8 {
+                x[index] = unsafe { fold(row[index].0) };
+            }
+            unsafe { sum8(x) }
         }
         #[inline(always)]
         fn sum(row: Self, _right: Self) -> f32 {
