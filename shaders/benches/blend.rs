@@ -120,8 +120,8 @@ fn project_and_bin(criterion: &mut Criterion) {
     });
     let mut prepared = prepare(800);
     let ProjectedVars { means2d, conics, opacities, colors, .. } = prepared.projected;
-    let seeds = [means2d, conics, opacities, colors]
-        .map(|var| (var, Tensor::full(prepared.tape.value(var).shape(), 1e-3_f32)));
+    let seeds =
+        [means2d, conics, opacities, colors].map(|var| (var, Tensor::full(prepared.tape.value(var).shape(), 1e-3_f32)));
     group.bench_function("projection backward", |bencher| {
         bencher.iter(|| black_box(prepared.tape.backward(&seeds).take(prepared.splats.positions)));
     });

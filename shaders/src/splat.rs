@@ -8,8 +8,8 @@ mod tests;
 
 pub use crate::binning::TooManyIntersections;
 use crate::binning::{self, Grid, TILE};
-use crate::blending::{self, Blended};
 pub use crate::blending::Isa;
+use crate::blending::{self, Blended};
 use crate::projection;
 pub use crate::projection::{PinholeCamera, ProjectedVars, RasterSettings, SplatVars};
 use crate::tape::{Device, Real, Tape, Tensor, Var};

@@ -206,7 +206,8 @@ fn depth_order<T: Real>(splats: &Splats<T>) -> Vec<u32> {
     let count = u32::try_from(splats.depths.len()).expect("more than 2³² splats");
     let is_visible = |&splat: &u32| splats.cutoffs[splat as usize] >= T::ZERO;
     // The bits of positive floats sort as the numbers do; the index makes every key unique.
-    let key = |splat: u32| u64::from((splats.depths[splat as usize].to_f64() as f32).to_bits()) << 32 | u64::from(splat);
+    let key =
+        |splat: u32| u64::from((splats.depths[splat as usize].to_f64() as f32).to_bits()) << 32 | u64::from(splat);
     let mut keys: Vec<u64> = (0..count).filter(is_visible).map(key).collect();
     keys.par_sort_unstable();
     keys.into_iter().map(|key| key as u32).collect()

@@ -279,6 +279,14 @@ fn exp2<V: Lanes>(x: V) -> V {
     polynomial.scale_by_power_of_two(n)
 }
 
+/// [`exp2`] of one number.
+#[cfg(test)]
+pub fn exp2_of(x: f32) -> f32 {
+    let mut row = [0.0; TILE];
+    exp2(Portable::splat(x)).store(&mut row, 0);
+    row[0]
+}
+
 /// Transmittance 1 inside the image and "stopped" outside; per part, the rows that have a pixel inside.
 #[inline(always)]
 fn start<V: Lanes>(tile: &Tile, transmittance: &mut Plane) -> [u32; 2] {

@@ -131,7 +131,9 @@ struct RankedSplats<T> {
 
 impl<T: Real> RankedSplats<T> {
     fn new(inputs: &[&Tensor<T>], order: &[u32]) -> Self {
-        let &[means2d, conics, opacities, colors, cutoffs, ref extras @ ..] = inputs else { unreachable!("five inputs") };
+        let &[means2d, conics, opacities, colors, cutoffs, ref extras @ ..] = inputs else {
+            unreachable!("five inputs")
+        };
         let (means2d, conics) = (means2d.as_slice().as_chunks().0, conics.as_slice().as_chunks().0);
         let colors = colors.as_slice().as_chunks().0;
         let record = |&splat: &u32| {

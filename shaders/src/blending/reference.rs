@@ -18,7 +18,12 @@ struct Sample<T> {
 }
 
 /// `None` if σ is above the cutoff.
-fn sample<T: Real>(splats: &RankedSplats<T>, rank: usize, [x, y]: [T; 2], constants: &Constants<T>) -> Option<Sample<T>> {
+fn sample<T: Real>(
+    splats: &RankedSplats<T>,
+    rank: usize,
+    [x, y]: [T; 2],
+    constants: &Constants<T>,
+) -> Option<Sample<T>> {
     let [u, v, a, k, m, opacity, cutoff, ..] = splats.records[rank];
     let dy = v - y;
     let e = u - x + k * dy;

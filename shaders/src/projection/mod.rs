@@ -134,16 +134,18 @@ impl<T: Real> Op<T> for Projection<T> {
         let rows = positions.as_chunks_mut::<3>().0.par_iter_mut();
         let rows = rows.zip(log_scales.as_chunks_mut::<3>().0).zip(rotations.as_chunks_mut::<4>().0);
         let rows = rows.zip(logits).zip(sh.par_chunks_exact_mut(self.sh_len.max(1)));
-        rows.with_min_len(SPLATS_PER_CHUNK).enumerate().for_each(|(index, ((((position, log_scale), rotation), logit), sh))| {
-            if outputs[5].as_slice()[index] < T::ZERO {
-                return;
-            }
-            let upstream = upstream_of(output_grads, index);
-            if let Some(gradient) = reference::backward(&self.splat(inputs, index), &self.view, &upstream, sh) {
-                (*position, *log_scale, *rotation) = (gradient.position, gradient.log_scales, gradient.rotation);
-                *logit = gradient.opacity_logit;
-            }
-        });
+        rows.with_min_len(SPLATS_PER_CHUNK).enumerate().for_each(
+            |(index, ((((position, log_scale), rotation), logit), sh))| {
+                if outputs[5].as_slice()[index] < T::ZERO {
+                    return;
+                }
+                let upstream = upstream_of(output_grads, index);
+                if let Some(gradient) = reference::backward(&self.splat(inputs, index), &self.view, &upstream, sh) {
+                    (*position, *log_scale, *rotation) = (gradient.position, gradient.log_scales, gradient.rotation);
+                    *logit = gradient.opacity_logit;
+                }
+            },
+        );
         debug_assert_eq!(count, outputs[5].len());
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
     }

@@ -1,7 +1,9 @@
 //! One splat through one camera, forward and backward, for f32 and f64.
 
-use super::algebra::{Mat3, Vec3, apply, column, combine, cross, dot, product, rotation, rotation_backward, scale_columns};
 use super::algebra::transposed;
+use super::algebra::{
+    Mat3, Vec3, apply, column, combine, cross, dot, product, rotation, rotation_backward, scale_columns,
+};
 use super::harmonics::{self, MAX_COEFFICIENTS};
 use super::{PinholeCamera, RasterSettings};
 use crate::tape::Real;
@@ -224,7 +226,9 @@ impl<T: Real> Geometry<T> {
         let mut g_view = [magnification_x * g_u, magnification_y * g_v, upstream.depth];
         g_view[2] += (-x * magnification_x * g_u - y * magnification_y * g_v) / z;
         g_view[2] += magnification_x / z * (slope_x * g_j02 - g_j00) + magnification_y / z * (slope_y * g_j12 - g_j11);
-        for (axis, is_free, g_slope) in [(0, x_is_free, -magnification_x * g_j02), (1, y_is_free, -magnification_y * g_j12)] {
+        for (axis, is_free, g_slope) in
+            [(0, x_is_free, -magnification_x * g_j02), (1, y_is_free, -magnification_y * g_j12)]
+        {
             if is_free {
                 g_view[axis] += g_slope / z;
                 g_view[2] += -g_slope * self.slopes[axis].0 / z;
@@ -303,12 +307,13 @@ impl<T: Real> Color<T> {
     fn new(splat: &Splat<T>, view: &View<T>) -> Self {
         let offset = combine(T::ONE, splat.position, -T::ONE, view.position_world);
         let distance = dot(offset, offset).sqrt();
-        let inverse_distance =
-            if distance >= T::from_f64(MIN_DISTANCE) { T::ONE / distance } else { T::ZERO };
+        let inverse_distance = if distance >= T::from_f64(MIN_DISTANCE) { T::ONE / distance } else { T::ZERO };
         let direction = offset.map(|value| value * inverse_distance);
         let basis = harmonics::basis(view.sh_degree, direction);
         let mut unclamped = [T::from_f64(0.5); 3];
-        for (&value, coefficients) in basis[..harmonics::coefficient_count(view.sh_degree)].iter().zip(splat.sh.as_chunks::<3>().0) {
+        for (&value, coefficients) in
+            basis[..harmonics::coefficient_count(view.sh_degree)].iter().zip(splat.sh.as_chunks::<3>().0)
+        {
             unclamped = combine(T::ONE, unclamped, value, *coefficients);
         }
         Self { direction, inverse_distance, basis, unclamped }

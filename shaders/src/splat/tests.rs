@@ -205,11 +205,13 @@ fn culled_and_poisoned_splats_change_nothing_else() {
     // Every parameter in turn; −∞ as a scale or an opacity is a legal limit (a point, nothing) that need not be culled.
     let poisoned = (0..5).flat_map(|field| {
         let scene = &scene;
-        poisons.into_iter().filter(move |poison| *poison != f32::NEG_INFINITY || ![1, 3].contains(&field)).map(move |poison| {
-            let mut tensors = tensors(scene);
-            tensors[field].make_mut()[0] = poison;
-            (from_tensors(&tensors), format!("field {field} = {poison}"))
-        })
+        poisons.into_iter().filter(move |poison| *poison != f32::NEG_INFINITY || ![1, 3].contains(&field)).map(
+            move |poison| {
+                let mut tensors = tensors(scene);
+                tensors[field].make_mut()[0] = poison;
+                (from_tensors(&tensors), format!("field {field} = {poison}"))
+            },
+        )
     });
     let others: Vec<usize> = (1..60).collect();
     let (expected_image, expected) = color_run(&select(&scene, &others), &camera, Isa::best());
@@ -266,7 +268,8 @@ fn means_receive_the_gradient_that_moves_the_splats() {
     // A shift of the principal point moves every splat by the same number of pixels.
     let (mut camera, scene) = (camera(24, 24), splats(5, -1.5, 14));
     let objective = |camera: &PinholeCamera| {
-        let (images, gradients) = render_and_gradients(&scene, None, camera, &RasterSettings { depth: false, ..smooth() });
+        let (images, gradients) =
+            render_and_gradients(&scene, None, camera, &RasterSettings { depth: false, ..smooth() });
         let weights = |index: usize| noise(images[index].len(), 77 + index as u64);
         let dot = |index: usize| {
             weights(index).iter().zip(images[index].as_slice()).map(|(weight, value)| weight * value).sum::<f64>()
