@@ -90,7 +90,7 @@ impl LoadedView {
         let levels: Vec<T> = (0..=255).map(|level| T::from_f64(f64::from(level) / 255.0)).collect();
         let values = self.pixels.iter().map(|&value| levels[usize::from(value)]).collect();
         let (width, height) = (self.camera.width, self.camera.height);
-        let image = Tensor::from_vec([height as usize, width as usize, 3], values);
+        let image = Tensor::from_vec([height, width, 3], values);
         TrainingView { index: self.index, camera: self.camera, time: self.time, image }
     }
 }

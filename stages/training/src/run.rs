@@ -124,3 +124,55 @@ pub fn peak_memory_bytes() -> Option<u64> {
     let kibibytes: u64 = line.split_whitespace().next()?.parse().ok()?;
     Some(1024 * kibibytes)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use engine::{Artifact as _, Coordinates, Failure, FailureKind, InputRecord};
+    use serde_json::json;
+
+    use super::*;
+    use crate::test_scene::TestScene;
+
+    fn context(root: &Path, capture: &Path) -> JobContext {
+        let mut context = JobContext::detached(root).unwrap();
+        let record = InputRecord {
+            producer: "capture".into(),
+            coordinates: Coordinates::new(),
+            artifact: Ok::<PathBuf, _>(capture.into()),
+            measurements: serde_json::Value::Null,
+            action_key: String::new(),
+        };
+        context.inputs.insert("capture".into(), vec![record]);
+        context
+    }
+
+    #[test]
+    fn an_interrupted_job_resumes_from_its_checkpoint_to_the_same_bytes() {
+        let dir = tempfile::tempdir().unwrap();
+        let capture = dir.path().join("capture");
+        TestScene::default().write(&capture);
+        let params: TrainingParams =
+            serde_json::from_value(json!({ "iterations": { "train": 12 }, "initial_points": { "random_count": 40 } }))
+                .unwrap();
+        let undisturbed = context(&dir.path().join("undisturbed"), &capture);
+        Training::run(&undisturbed, &params).unwrap();
+        assert!(undisturbed.measurements.borrow()["training_secs"].as_f64().unwrap() > 0.0);
+
+        // Asked to stop, every run makes one step, saves it, and says that it was interrupted.
+        let disturbed = context(&dir.path().join("disturbed"), &capture);
+        for _ in 0..5 {
+            disturbed.stop.store(true, Ordering::Relaxed);
+            let failure = Training::run(&disturbed, &params).unwrap_err().downcast::<Failure>().unwrap();
+            assert_eq!(failure.kind, FailureKind::Interrupted);
+        }
+        disturbed.stop.store(false, Ordering::Relaxed);
+        Training::run(&disturbed, &params).unwrap();
+        for file in ["model.json", "model.safetensors"] {
+            let read = |context: &JobContext| std::fs::read(context.output_dir().join(file)).unwrap();
+            assert_eq!(read(&undisturbed), read(&disturbed), "{file}");
+        }
+        Model::open(disturbed.output_dir()).unwrap().check().unwrap();
+    }
+}

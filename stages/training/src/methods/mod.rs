@@ -48,6 +48,9 @@ pub trait MethodFolder: 'static {
     fn build<T: Real>(shared: &Shared, settings: Self::Settings) -> Box<dyn Method<T>>;
 }
 
+/// Makes a method from what all methods understand and its own table.
+type Build<T> = fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<T>>>;
+
 /// One method, its types erased.
 pub struct Registration {
     /// The name in recipes and tables.
@@ -60,8 +63,8 @@ pub struct Registration {
     pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
     #[cfg(test)]
     tiny_settings: fn() -> Value,
-    build_f32: fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<f32>>>,
-    build_f64: fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<f64>>>,
+    build_f32: Build<f32>,
+    build_f64: Build<f64>,
 }
 
 impl Registration {

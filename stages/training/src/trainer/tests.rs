@@ -19,6 +19,7 @@ fn busy_params() -> TrainingParams {
     params(json!({
         "method": "deformable4dgs",
         "iterations": { "coarse": 18, "fine": 22 },
+        "batch": 2,
         "harmonics": { "interval": 7 },
         "loss": { "lambda_dssim": 0.2 },
         "density": { "from": 3, "interval": 5, "prune_interval": 5, "prune_above_count": 0, "gradient_threshold": 1e-6,
