@@ -66,21 +66,26 @@ impl Session {
             [&only] => Ok(only),
             _ => {
                 let names: Vec<&str> = found.iter().map(|&index| self.plan.nodes[index].name.as_str()).collect();
-                Err(CliError::nothing(format!("{} jobs match `{name}`", found.len()), format!("choose one: {}", names.join(", "))))
+                Err(CliError::nothing(
+                    format!("{} jobs match `{name}`", found.len()),
+                    format!("choose one: {}", names.join(", ")),
+                ))
             }
         }
     }
 
     /// The record of one job's result: the current one or, with a warning, the last that there is.
     pub fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
-        if let Some(Prediction { state: State::Cached { record }, .. }) = self.predict_for(&BTreeSet::from([index]))?.remove(&index) {
+        if let Some(Prediction { state: State::Cached { record }, .. }) =
+            self.predict_for(&BTreeSet::from([index]))?.remove(&index)
+        {
             return Ok(*record);
         }
         let node = &self.plan.nodes[index];
         let history = History::read(&self.store)?;
-        let last = history.newest(&self.plan.recipe, node).ok_or_else(|| {
-            CliError::nothing(format!("{} has no result", node.name), "run the recipe first")
-        })?;
+        let last = history
+            .newest(&self.plan.recipe, node)
+            .ok_or_else(|| CliError::nothing(format!("{} has no result", node.name), "run the recipe first"))?;
         eprintln!("warning: the recipe, its data or the code changed since {} ran; this is the last result", node.name);
         Ok(last.clone())
     }

@@ -49,8 +49,5 @@ fn logs_have_a_line_per_change_and_none_per_cached_job() {
     let counts = Counts { total: 240, cached: 11, executed: 1, running: 3, failed: 1, ..Counts::default() };
     let progress = engine::Progress { done: 9000, total: 30000, message: "27.4 dB".into() };
     let alive = line(Event::Heartbeat { counts, running: vec![("train/lego".into(), progress)] });
-    assert_eq!(
-        alive.as_deref(),
-        Some("[12/240 done, 3 running, 1 failed] train/lego step 9000/30000 27.4 dB")
-    );
+    assert_eq!(alive.as_deref(), Some("[12/240 done, 3 running, 1 failed] train/lego step 9000/30000 27.4 dB"));
 }

@@ -60,7 +60,9 @@ pub fn finished(node: &str, result: &NodeResult) -> Option<String> {
         Outcome::Executed => Some(format!("done {node} in {}{note}", duration(result.wall_secs.unwrap_or_default()))),
         Outcome::Failed => Some(format!("FAILED {node}: {}", failure())),
         Outcome::MissingData => Some(format!("missing data {node}: {}", failure())),
-        Outcome::Skipped => Some(format!("skipped {node}: needs {}", result.because_of.as_deref().unwrap_or("another job"))),
+        Outcome::Skipped => {
+            Some(format!("skipped {node}: needs {}", result.because_of.as_deref().unwrap_or("another job")))
+        }
         Outcome::Interrupted => Some(format!("stopped {node}: {}", failure())),
     }
 }
@@ -71,6 +73,7 @@ fn heartbeat(counts: &Counts, running: &[(String, engine::Progress)]) -> String 
         .iter()
         .map(|(node, progress)| format!("{node} step {}/{} {}", progress.done, progress.total, progress.message))
         .collect();
-    let head = format!("[{}/{} done, {} running, {} failed]", counts.done(), counts.total, counts.running, counts.failed);
+    let head =
+        format!("[{}/{} done, {} running, {} failed]", counts.done(), counts.total, counts.running, counts.failed);
     format!("{head} {}", jobs.join("; "))
 }

@@ -21,7 +21,10 @@ pub fn print(session: &Session, summary: &RunSummary) -> Result<(), CliError> {
     let sinks: Vec<&String> = summary.sinks.iter().filter(done).collect();
     for name in sinks.iter().take(MAX_LISTED) {
         if let Some(content) = summary.results[*name].content {
-            eprintln!("{name}: {}", session.store.view(&content)?.display());
+            let view = session.store.view(&content)?;
+            // A report is a file to open; any other artifact is a folder.
+            let report = view.join("report.md");
+            eprintln!("{name}: {}", if report.exists() { report } else { view }.display());
         }
     }
     if sinks.len() > MAX_LISTED {

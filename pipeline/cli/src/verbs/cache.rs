@@ -17,7 +17,9 @@ pub fn verify(store: &Path, repair: bool) -> Result<u8, CliError> {
     }
     match (damages.len(), repair) {
         (0, _) => eprintln!("the store is sound"),
-        (number, true) => eprintln!("{} moved to quarantine; the next run makes the results again", count(number, "file")),
+        (number, true) => {
+            eprintln!("{} moved to quarantine; the next run makes the results again", count(number, "file"))
+        }
         (number, false) => eprintln!("{} damaged; hint: pipeline cache verify --repair", count(number, "file")),
     }
     Ok(if damages.is_empty() || repair { exit::OK } else { exit::DAMAGED })

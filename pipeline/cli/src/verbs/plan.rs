@@ -19,7 +19,8 @@ pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     let causes = causes(&session.plan, &predictions);
     if args.json {
         let name = |index: &usize| &session.plan.nodes[*index].name;
-        let jobs: BTreeMap<&String, &Prediction> = predictions.iter().map(|(index, told)| (name(index), told)).collect();
+        let jobs: BTreeMap<&String, &Prediction> =
+            predictions.iter().map(|(index, told)| (name(index), told)).collect();
         let causes: Vec<_> = causes
             .iter()
             .map(|cause| {

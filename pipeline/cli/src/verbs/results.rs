@@ -75,9 +75,8 @@ pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
     let (true, Some(&capture)) = (node.stage == "training", capture) else {
         return Err(CliError::nothing(format!("{} does not train a model", node.name), "name a training job"));
     };
-    let folder = |index: usize| -> Result<PathBuf, CliError> {
-        Ok(session.store.view(&session.record(index)?.content)?)
-    };
+    let folder =
+        |index: usize| -> Result<PathBuf, CliError> { Ok(session.store.view(&session.record(index)?.content)?) };
     let report = match args.format {
         ExportFormat::PlySeq => {
             rendering::export::ply_sequence(&folder(index)?, &folder(capture)?, &args.times.0, &args.out)?

@@ -1,6 +1,6 @@
 //! `run`: everything that is not in the store yet.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
@@ -36,7 +36,6 @@ pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
 fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
     let available = || std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.unwrap_or_else(available);
-    let program = std::env::current_exe().context("cannot find this program's own file")?;
     Ok(RunOptions {
         data_root: session.data_root.clone(),
         targets: session.targets.clone(),
@@ -47,10 +46,17 @@ fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
         timeout: args.timeout,
         rehash: session.rehash,
         log_filter: args.log.clone(),
-        command: vec![program.into(), "exec-job".into()],
+        command: vec![own_program()?.into(), "exec-job".into()],
         stop: StopRequests::listen().context("cannot listen to signals")?,
         heartbeat: HEARTBEAT,
     })
+}
+
+/// The file of this very program. On Linux a link to the running image, which stays what it is when a build replaces
+/// the file: all jobs of a run run the code that the plan was made with.
+fn own_program() -> anyhow::Result<PathBuf> {
+    let image = PathBuf::from("/proc/self/exe");
+    if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find this program's own file") }
 }
 
 /// With `--frozen`: an error that names the jobs, if any would have to run.

@@ -18,8 +18,22 @@ use crate::{Failure, FailureKind, Progress};
 /// What a job may see of the user's environment: enough to find programs, drivers and temporary space, and nothing
 /// that could change a result behind the key's back.
 const ENVIRONMENT: [&str; 16] = [
-    "PATH", "HOME", "USER", "TMPDIR", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "RUST_BACKTRACE",
-    "XDG_RUNTIME_DIR", "XDG_DATA_DIRS", "CUDA_VISIBLE_DEVICES", "VK_ICD_FILENAMES", "VK_DRIVER_FILES", "WGPU_ADAPTER_NAME",
+    "PATH",
+    "HOME",
+    "USER",
+    "TMPDIR",
+    "LANG",
+    "LC_ALL",
+    "TZ",
+    "LD_LIBRARY_PATH",
+    "DYLD_LIBRARY_PATH",
+    "RUST_BACKTRACE",
+    "XDG_RUNTIME_DIR",
+    "XDG_DATA_DIRS",
+    "CUDA_VISIBLE_DEVICES",
+    "VK_ICD_FILENAMES",
+    "VK_DRIVER_FILES",
+    "WGPU_ADAPTER_NAME",
 ];
 
 /// How a child ended.

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use super::{InputSpec, JobSpec, JobStatus, Line, failure, log, signals};
 use crate::digest::SourceDigests;
 use crate::store::{ActionRecord, Provenance, Publication, Store, write_atomic};
-use crate::{ActionKey, FailureKind, InputRecord, JobContext, Progress, Registry, exit};
+use crate::{ActionKey, AnyStage, Failure, FailureKind, InputRecord, JobContext, Progress, Registry, exit};
 
 /// Progress is reported at most this often: faster than the eye, slower than any pipe.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
@@ -57,6 +57,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
     let context = job_context(spec, &store, &key, scratch.path(), stop)?;
     let stage = registry.get(&spec.components.stage);
     let stage = stage.with_context(|| format!("this program has no stage {}", spec.components.stage))?;
+    check_code(spec, registry, stage)?;
 
     let (started_at, clock) = (SystemTime::now(), Instant::now());
     stage.run(&context, &spec.components.params)?;
@@ -82,6 +83,16 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error).context("cannot remove checkpoints"),
         _ => Ok(status),
     }
+}
+
+/// Refuses to run with other code than the key names: the program may have been built anew since the plan was made.
+fn check_code(spec: &JobSpec, registry: &Registry, stage: &dyn AnyStage) -> anyhow::Result<()> {
+    let unused_sources = stage.unused_sources(&spec.components.params)?;
+    if registry.code(stage.id(), &unused_sources) == spec.components.code {
+        return Ok(());
+    }
+    let changed = Failure::new(FailureKind::World, "the program was built anew while the run was going on");
+    Err(changed.hint("run again").into())
 }
 
 /// Writes the action record, unless a source moved under the job or somebody else's record was first.

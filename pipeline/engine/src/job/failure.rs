@@ -41,9 +41,8 @@ pub(super) struct Death<'a> {
 
 /// The failure of a child that left no status.
 pub(super) fn of_death(death: &Death<'_>) -> Failure {
-    let out_of_memory = |message: &str| {
-        Failure::new(FailureKind::OutOfMemory, message).hint("run fewer jobs at once with --jobs 1")
-    };
+    let out_of_memory =
+        |message: &str| Failure::new(FailureKind::OutOfMemory, message).hint("run fewer jobs at once with --jobs 1");
     if death.timed_out {
         return Failure::new(FailureKind::Timeout, "ran past its time limit and was stopped");
     }

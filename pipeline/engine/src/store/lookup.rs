@@ -43,7 +43,12 @@ impl Store {
             None => Lookup::Hit(Box::new(record)),
             Some((_, reason)) => Lookup::Damaged {
                 reason: reason.clone(),
-                paths: faults.iter().filter(|(file, _)| file.exists()).map(|(file, _)| file.clone()).chain([path]).collect(),
+                paths: faults
+                    .iter()
+                    .filter(|(file, _)| file.exists())
+                    .map(|(file, _)| file.clone())
+                    .chain([path])
+                    .collect(),
             },
         }
     }
@@ -72,7 +77,8 @@ impl Store {
             Some((path, format!("{} {fault}", file.path)))
         };
         let unverified = |file: &super::ManifestFile| {
-            fs::symlink_metadata(self.blob_path(&file.sha256)).map_or(true, |meta| blob::changed_ns(&meta) >= verified_ns)
+            fs::symlink_metadata(self.blob_path(&file.sha256))
+                .map_or(true, |meta| blob::changed_ns(&meta) >= verified_ns)
         };
         if !manifest.files.iter().any(unverified) {
             return manifest.files.iter().filter_map(check).collect();

@@ -5,8 +5,8 @@ use std::io::{self, ErrorKind};
 use std::path::PathBuf;
 
 use anyhow::Context;
-use serde::{Deserialize, Serialize};
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use super::{Store, write_atomic, write_new};
 use crate::{ActionKey, Digest, Failure, KeyComponents};

@@ -150,19 +150,17 @@ fn truncated_and_scrambled_records_are_misses() {
 
 #[test]
 fn folders_that_would_not_travel_are_refused() {
-    let make: [(&str, &dyn Fn(&Path)); 3] = [
-        ("no file", &|_| ()),
-        ("links", &|dir| symlink("/etc/passwd", dir.join("link")).unwrap()),
-        ("case", &|dir| ["a.png", "A.png"].iter().for_each(|name| fs::write(dir.join(name), "").unwrap())),
-    ];
-    with_store(|store| {
-        for (reason, make) in make {
+    let refused = |reason: &str, fill: &dyn Fn(&Path)| {
+        with_store(|store| {
             let scratch = store.scratch("test").unwrap();
-            make(scratch.path());
+            fill(scratch.path());
             let error = store.publish(scratch.path(), &json!({})).unwrap_err();
             assert!(format!("{error:#}").contains(reason), "{error:#}");
-        }
-    });
+        });
+    };
+    refused("no file", &|_| ());
+    refused("links", &|dir| symlink("/etc/passwd", dir.join("link")).unwrap());
+    refused("case", &|dir| ["a.png", "A.png"].iter().for_each(|name| fs::write(dir.join(name), "").unwrap()));
 }
 
 #[test]

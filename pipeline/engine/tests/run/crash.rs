@@ -49,7 +49,8 @@ fn killed_jobs_are_run_again() {
 }
 
 fn orphaned_jobs_stop() {
-    let world = World::new(&GRID.replace("sleep_millis = 10", "sleep_millis = 20").replace("steps = 3", "steps = 5000"));
+    let world =
+        World::new(&GRID.replace("sleep_millis = 10", "sleep_millis = 20").replace("steps = 3", "steps = 5000"));
     let mut scheduler = start(&world);
     let wait_until = |what: &dyn Fn() -> bool| {
         for _ in 0..400 {

@@ -18,15 +18,20 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[1..] {
-        ["exec-job", spec] => match engine::job::execute(Path::new(spec), &world::registry()) {
-            Ok(code) => ExitCode::from(code),
-            Err(error) => {
-                eprintln!("{error:#}");
-                ExitCode::from(engine::exit::INFRASTRUCTURE)
-            }
-        },
+        ["exec-job", spec] => execute(spec, &world::registry()),
+        ["exec-rebuilt-job", spec] => execute(spec, &world::rebuilt_registry()),
         ["schedule", root] => world::schedule(Path::new(root)),
         _ => libtest_mimic::run(&Arguments::from_args(), trials()).exit_code(),
+    }
+}
+
+fn execute(spec: &str, registry: &engine::Registry) -> ExitCode {
+    match engine::job::execute(Path::new(spec), registry) {
+        Ok(code) => ExitCode::from(code),
+        Err(error) => {
+            eprintln!("{error:#}");
+            ExitCode::from(engine::exit::INFRASTRUCTURE)
+        }
     }
 }
 

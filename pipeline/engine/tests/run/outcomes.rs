@@ -11,6 +11,7 @@ use crate::world::{GRID, World, nodes};
 pub const TESTS: &[(&str, fn())] = &[
     ("failures_are_typed_and_the_rest_goes_on", failures_are_typed_and_the_rest_goes_on),
     ("invalid_artifacts_are_not_published", invalid_artifacts_are_not_published),
+    ("code_that_changed_since_the_plan_is_refused", code_that_changed_since_the_plan_is_refused),
     ("failing_fast_launches_nothing_more", failing_fast_launches_nothing_more),
     ("missing_data_skips_what_needs_it", missing_data_skips_what_needs_it),
     ("nothing_but_missing_data_is_no_success", nothing_but_missing_data_is_no_success),
@@ -71,6 +72,15 @@ fn invalid_artifacts_are_not_published() {
     let message = summary.results["text"].failure.as_ref().unwrap().to_string();
     assert!(message.contains("calls itself invalid"), "{message}");
     assert!(world.store().records().unwrap().is_empty());
+}
+
+fn code_that_changed_since_the_plan_is_refused() {
+    let world = failing(r#""no""#);
+    let rebuilt = |options: &mut engine::scheduler::RunOptions| options.command[1] = "exec-rebuilt-job".into();
+    let summary = world.run_with(&[], rebuilt, |_, _| ());
+    assert_eq!(nodes(&summary, Outcome::Executed), ["list", "text"]);
+    let message = summary.results["work/no"].failure.as_ref().unwrap().to_string();
+    assert!(message.contains("built anew") && message.contains("run again"), "{message}");
 }
 
 fn failing_fast_launches_nothing_more() {

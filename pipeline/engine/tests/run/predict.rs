@@ -22,7 +22,10 @@ fn foretell(world: &World, overrides: &[&str]) -> Vec<String> {
     let store = world.store();
     let sources = Sources::digest(&plan, &all, &world.root.join("data"), &store, false).unwrap();
     let predictions = predict(&plan, &store, &all, &BTreeSet::new(), &sources).unwrap();
-    predictions.iter().map(|(&index, prediction)| format!("{}: {}", plan.nodes[index].name, words(prediction))).collect()
+    predictions
+        .iter()
+        .map(|(&index, prediction)| format!("{}: {}", plan.nodes[index].name, words(prediction)))
+        .collect()
 }
 
 fn words(prediction: &Prediction) -> String {

@@ -33,16 +33,31 @@ stage = "test-list"
 inputs = { texts = "work" }
 "#;
 
-const CODE: CodeTable = CodeTable {
-    crates: &[crate_code("test-list"), crate_code("test-work"), crate_code("test-write")],
-};
+const CODE: CodeTable =
+    CodeTable { crates: &[crate_code("test-list"), crate_code("test-work"), crate_code("test-write")] };
 
 const fn crate_code(name: &'static str) -> CrateCode {
     CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], external: "0" }
 }
 
 pub fn registry() -> Registry {
-    Registry::new(CODE).with::<Write>().with::<Work>().with::<List>()
+    with_stages(CODE)
+}
+
+/// The same stages, as another build would have them.
+pub fn rebuilt_registry() -> Registry {
+    const REBUILT: CodeTable = CodeTable {
+        crates: &[
+            crate_code("test-list"),
+            CrateCode { files: &[("src/lib.rs", "1")], ..crate_code("test-work") },
+            crate_code("test-write"),
+        ],
+    };
+    with_stages(REBUILT)
+}
+
+fn with_stages(code: CodeTable) -> Registry {
+    Registry::new(code).with::<Write>().with::<Work>().with::<List>()
 }
 
 pub struct World {
