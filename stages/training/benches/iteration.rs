@@ -12,6 +12,10 @@ use training::TrainingParams;
 use training::dataset::Dataset;
 use training::trainer::Trainer;
 
+/// As the program has it: the system's allocator hands tens of megabytes per step back to the kernel.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 const SIZE: u32 = 200;
 const GAUSSIANS: usize = 20_000;
 const VIEWS: usize = 8;
