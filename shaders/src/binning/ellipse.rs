@@ -87,10 +87,11 @@ fn tiles_between<T: Real>(low: T, high: T, size: usize) -> Range<usize> {
     if !(high >= T::from_f64(0.5) && low <= last_center) {
         return 0..0;
     }
-    // Clamped as floats before they become integers: coordinates may be anything.
+    // Clamped as floats before they become integers: coordinates may be anything. Truncation is floor from here on.
     let tile = T::from_f64(TILE as f64);
-    let before_last = T::from_f64(TILE as f64 - 0.5);
-    let first = -((before_last - low.max(T::ZERO)) / tile).floor();
-    let last = ((high.min(last_center) - T::from_f64(0.5)) / tile).floor();
-    first.max(T::ZERO).to_f64() as usize..last.to_f64() as usize + 1
+    let low = low.max(T::ZERO);
+    let containing_low = (low / tile).to_f64() as usize;
+    let is_past_its_centers = low > T::from_f64((containing_low * TILE + TILE) as f64 - 0.5);
+    let containing_high = ((high.min(last_center) - T::from_f64(0.5)) / tile).to_f64() as usize;
+    containing_low + usize::from(is_past_its_centers)..containing_high + 1
 }

@@ -213,12 +213,13 @@ fn depth_order<T: Real>(splats: &Splats<T>) -> Vec<u32> {
     keys.into_iter().map(|key| key as u32).collect()
 }
 
-/// Refuses more than [`MAX_INTERSECTIONS`], counted exactly only if the bounding boxes do not rule it out.
+/// Refuses more than [`MAX_INTERSECTIONS`], counted exactly only if neither the tiles nor the bounding boxes rule it out.
 fn check_capacity<T: Real>(splats: &Splats<T>, order: &[u32], grid: Grid) -> Result<(), TooManyIntersections> {
     let total = |count_tiles: fn(&Ellipse<T>, Grid) -> u64| -> u64 {
         order.par_iter().map(|&splat| count_tiles(&splats.ellipse(splat), grid)).sum()
     };
-    if total(Ellipse::box_tiles) <= MAX_INTERSECTIONS {
+    let is_impossible = (order.len() * grid.tiles()) as u64 <= MAX_INTERSECTIONS;
+    if is_impossible || total(Ellipse::box_tiles) <= MAX_INTERSECTIONS {
         return Ok(());
     }
     let count = total(|ellipse, grid| ellipse.tile_spans(grid).map(|(_, columns)| columns.len() as u64).sum());

@@ -168,12 +168,9 @@ fn bounding_boxes_are_tight() {
             [(radius / a.sqrt() * angle.cos() - k * dy).abs(), dy.abs()]
         });
         let extent = points.fold([0.0_f64; 2], |extent, point| [extent[0].max(point[0]), extent[1].max(point[1])]);
-        for axis in 0..2 {
-            let (found, expected) = (f64::from(ellipse.half_extents()[axis]), extent[axis]);
-            assert!(
-                found >= expected * (1.0 - 1e-5) && found <= expected * 1.001 + 0.02 * expected.max(1.0),
-                "{found} {expected}"
-            );
+        for (found, expected) in ellipse.half_extents().map(f64::from).into_iter().zip(extent) {
+            let is_tight = found >= expected * (1.0 - 1e-5) && found <= expected * 1.001 + 0.02 * expected.max(1.0);
+            assert!(is_tight, "{found} {expected}");
         }
     }
 }

@@ -32,7 +32,7 @@ pub trait Lanes: Copy {
     fn neg_mul_add(self, factor: Self, summand: Self) -> Self;
     /// To the nearest integer, ties to even.
     fn round(self) -> Self;
-    /// self·2ⁿ for integral n where the result is a normal number; anything elsewhere.
+    /// self·2ⁿ for integral n where self and the result are normal numbers.
     fn scale_by_power_of_two(self, n: Self) -> Self;
     fn negate(self) -> Self;
     /// self ≤ other.

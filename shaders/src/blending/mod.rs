@@ -11,6 +11,7 @@
 
 mod cpu;
 mod isa;
+mod kernel;
 mod lanes;
 mod reference;
 #[cfg(test)]
