@@ -33,7 +33,8 @@ pub fn ply_sequence(model_dir: &Path, capture_dir: &Path, times: &[f64], out: &P
         player.gaussians(time_secs, &camera)?.write_ply(&path)?;
         let from_file = render_file(&path, &camera, &player.raster_settings())?;
         let psnr = psnr(&from_file, &player.render(time_secs, &camera)?);
-        writeln!(report, "{time_secs:.4} s  {psnr:.2} dB against the model's own render  {}", path.display())?;
+        let agreement = if psnr.is_infinite() { "equal".into() } else { format!("{psnr:.2} dB") };
+        writeln!(report, "{time_secs:.4} s  file against the model's own render: {agreement}  {}", path.display())?;
     }
     Ok(report)
 }
