@@ -1,11 +1,12 @@
 //! The fast f32 body: channels in blocks of `L` lanes, time planes blended once per call.
 //!
 //! The backward pass runs one task per scale and channel block. Tasks own disjoint channels of the plane gradients and go
-//! through the points in order, so that nothing is shared and nothing depends on scheduling.
+//! through the points in one order (see [`points_by_cell`]), so that nothing is shared and nothing depends on scheduling.
 
 use rayon::prelude::*;
 
 use super::lookup::Lookup;
+use super::order::points_by_cell;
 use super::{Field, PAIRS, TIME};
 use crate::tape::Real;
 use crate::tape::simd::multiversion;
@@ -13,6 +14,9 @@ use crate::tape::simd::multiversion;
 /// The planes over two spatial axes, and those over a spatial axis and time, as indices into [`PAIRS`].
 const SPATIAL: [usize; 3] = [0, 1, 3];
 const TEMPORAL: [usize; 3] = [2, 4, 5];
+
+/// Channels of a task of the backward pass, which then owns whole cache lines.
+const CACHE_LINE: usize = 16;
 
 /// One scale of a field at one time.
 struct Scale<'a> {
@@ -167,19 +171,14 @@ pub fn backward<T: Real>(
     positions: &[T],
     dy: &[T],
     position_gradients: &mut [T],
-    plane_gradients: &mut [Vec<T>],
+    plane_gradients: &mut [&mut [T]],
 ) -> bool {
     let planes: Option<Vec<&mut [f32]>> = plane_gradients.iter_mut().map(|plane| T::as_f32_mut(plane)).collect();
     match (Forward::new(field), T::as_f32(positions), T::as_f32(dy), T::as_f32_mut(position_gradients), planes) {
         (Some(forward), Some(positions), Some(dy), Some(position_gradients), Some(planes)) => {
-            match field.channels() {
-                channels if channels.is_multiple_of(16) => {
-                    forward.backward::<16>(positions, dy, position_gradients, planes)
-                }
-                channels if channels.is_multiple_of(8) => {
-                    forward.backward::<8>(positions, dy, position_gradients, planes)
-                }
-                _ => forward.backward::<4>(positions, dy, position_gradients, planes),
+            match field.channels().is_multiple_of(8) {
+                true => forward.backward::<8>(positions, dy, position_gradients, planes),
+                false => forward.backward::<4>(positions, dy, position_gradients, planes),
             }
             true
         }
@@ -187,12 +186,13 @@ pub fn backward<T: Real>(
     }
 }
 
-/// Gradients of `L` channels of the six planes of a scale.
-struct Task<'a, const L: usize> {
+/// Gradients of some channels of the six planes of a scale.
+struct Task<'a> {
     scale: usize,
     first_channel: usize,
-    /// Per plane in the order of [`PAIRS`], the lanes of every texel.
-    texels: [Vec<&'a mut [f32; L]>; 6],
+    channels: usize,
+    /// Per plane in the order of [`PAIRS`], the channels of every texel.
+    texels: [Vec<&'a mut [f32]>; 6],
 }
 
 impl Forward<'_> {
@@ -203,24 +203,27 @@ impl Forward<'_> {
         position_gradients: &mut [f32],
         planes: Vec<&mut [f32]>,
     ) {
-        let run = |mut task: Task<L>| run_task(self, &mut task, positions, dy);
+        let order = points_by_cell(positions, dy, self.channels * self.scales.len());
+        let run = |mut task: Task| run_task::<L>(self, &mut task, &order, positions, dy);
         let parts: Vec<Vec<f32>> = self.tasks(planes).into_par_iter().map(run).collect();
         for part in parts {
             position_gradients.iter_mut().zip(part).for_each(|(total, term)| *total += term);
         }
     }
 
-    fn tasks<'a, const L: usize>(&self, planes: Vec<&'a mut [f32]>) -> Vec<Task<'a, L>> {
-        let blocks = self.channels / L;
+    fn tasks<'a>(&self, planes: Vec<&'a mut [f32]>) -> Vec<Task<'a>> {
+        let channels = if self.channels.is_multiple_of(CACHE_LINE) { CACHE_LINE } else { self.channels };
+        let parts = self.channels / channels;
         let new_task = |index: usize| Task {
-            scale: index / blocks,
-            first_channel: index % blocks * L,
+            scale: index / parts,
+            first_channel: index % parts * channels,
+            channels,
             texels: std::array::from_fn(|_| Vec::new()),
         };
-        let mut tasks: Vec<Task<L>> = (0..self.scales.len() * blocks).map(new_task).collect();
+        let mut tasks: Vec<Task> = (0..self.scales.len() * parts).map(new_task).collect();
         for (index, plane) in planes.into_iter().enumerate() {
-            for (chunk, lanes) in plane.as_chunks_mut::<L>().0.iter_mut().enumerate() {
-                tasks[index / 6 * blocks + chunk % blocks].texels[index % 6].push(lanes);
+            for (chunk, lanes) in plane.chunks_exact_mut(channels).enumerate() {
+                tasks[index / 6 * parts + chunk % parts].texels[index % 6].push(lanes);
             }
         }
         tasks
@@ -228,102 +231,131 @@ impl Forward<'_> {
 }
 
 multiversion! {
-    /// Fills the plane gradients of one task; returns its part of the position gradients.
-    fn run_task<const L: usize>(field: &Forward, task: &mut Task<L>, positions: &[f32], dy: &[f32]) -> Vec<f32> = run_task_body
+    /// Adds the gradients of the planes of one task; returns its part of the position gradients.
+    fn run_task<const L: usize>(field: &Forward, task: &mut Task, order: &[u32], positions: &[f32], dy: &[f32]) -> Vec<f32> = run_task_body
 }
 
 #[inline(always)]
-fn run_task_body<const L: usize>(field: &Forward, task: &mut Task<L>, positions: &[f32], dy: &[f32]) -> Vec<f32> {
+fn run_task_body<const L: usize>(
+    field: &Forward,
+    task: &mut Task,
+    order: &[u32],
+    positions: &[f32],
+    dy: &[f32],
+) -> Vec<f32> {
     let scale = &field.scales[task.scale];
-    let mut row_gradients = [0, 1, 2].map(|axis| vec![[0.0; L]; scale.resolution[axis]]);
+    let mut rows = [0, 1, 2].map(|axis| vec![0.0; scale.resolution[axis] * task.channels]);
     let mut position_gradients = vec![0.0; positions.len()];
-    let first = task.scale * field.channels + task.first_channel;
-    for (n, dy) in dy.chunks_exact(field.channels * field.scales.len()).enumerate() {
-        let dy: &[f32; L] = dy[first..first + L].try_into().expect("L lanes");
-        // Points that no pixel sees have no gradient: nothing to add.
-        if *dy == [0.0; L] {
-            continue;
-        }
+    let features = field.channels * field.scales.len();
+    for n in order.iter().map(|&n| n as usize) {
         let taps = Taps::new(scale, &positions[3 * n..3 * n + 3], field.channels);
-        let dvalues = value_gradients(&values::<L>(scale, &taps, task.first_channel), dy);
-        scatter(&taps, &dvalues, task, &mut row_gradients);
-        let of_position = coordinate_gradients(scale, &taps, &dvalues, task.first_channel);
-        position_gradients[3 * n..3 * n + 3].copy_from_slice(&of_position);
+        let dy = &dy[n * features + task.scale * field.channels + task.first_channel..][..task.channels];
+        let mut along = [[0.0; L]; 3];
+        // One register per plane and block: nothing of the chain rule goes through memory.
+        for (block, dy) in dy.as_chunks::<L>().0.iter().enumerate() {
+            let readings = read::<L>(scale, &taps, task.first_channel + block * L);
+            let dvalues = value_gradients(&readings, dy);
+            scatter(&taps, &dvalues, task, &mut rows, block * L);
+            add_slopes(&readings, &dvalues, &mut along);
+        }
+        for axis in 0..3 {
+            position_gradients[3 * n + axis] = sum_lanes(along[axis]) * taps.lookups[axis].slope;
+        }
     }
     for (axis, plane) in TEMPORAL.into_iter().enumerate() {
-        spread_row(&row_gradients[axis], &scale.time, &mut task.texels[plane]);
+        spread_row::<L>(&rows[axis], &scale.time, task.channels, &mut task.texels[plane]);
     }
     position_gradients
 }
 
+/// What a point reads from a plane: the value and its derivatives along the plane's two axes, in texels. On a row, only
+/// the first axis exists.
+#[derive(Copy, Clone)]
+struct Reading<const L: usize> {
+    value: [f32; L],
+    along_a: [f32; L],
+    along_b: [f32; L],
+}
+
+/// Readings of xy, xz, yz and of the rows along x, y, z.
+#[inline(always)]
+fn read<const L: usize>(scale: &Scale, taps: &Taps, first_channel: usize) -> [Reading<L>; 6] {
+    let zero = [0.0; L];
+    let mut readings = [Reading { value: zero, along_a: zero, along_b: zero }; 6];
+    for index in 0..3 {
+        let (a, b) = PAIRS[SPATIAL[index]];
+        let (fx, fy) = (taps.lookups[a].fraction, taps.lookups[b].fraction);
+        let [p00, p01, p10, p11] = taps.corners::<L>(scale, index, first_channel);
+        let [low, high] = taps.ends::<L>(scale, index, first_channel);
+        let [on_plane, on_row] = [index, 3 + index];
+        for lane in 0..L {
+            let (step_low, step_high) = (p01[lane] - p00[lane], p11[lane] - p10[lane]);
+            let (at_low, at_high) = (p00[lane] + step_low * fx, p10[lane] + step_high * fx);
+            readings[on_plane].along_a[lane] = step_low + (step_high - step_low) * fy;
+            readings[on_plane].along_b[lane] = at_high - at_low;
+            readings[on_plane].value[lane] = at_low + (at_high - at_low) * fy;
+            readings[on_row].along_a[lane] = high[lane] - low[lane];
+            readings[on_row].value[lane] = low[lane] + (high[lane] - low[lane]) * taps.lookups[index].fraction;
+        }
+    }
+    readings
+}
+
 /// dy times the product of the other five values, for each of the six.
 #[inline(always)]
-fn value_gradients<const L: usize>(values: &[[f32; L]; 6], dy: &[f32; L]) -> [[f32; L]; 6] {
+fn value_gradients<const L: usize>(readings: &[Reading<L>; 6], dy: &[f32; L]) -> [[f32; L]; 6] {
     let mut gradients = [*dy; 6];
     for plane in 1..6 {
-        gradients[plane] = multiply(gradients[plane - 1], values[plane - 1]);
+        gradients[plane] = multiply(gradients[plane - 1], readings[plane - 1].value);
     }
-    let mut after = values[5];
+    let mut after = readings[5].value;
     for plane in (0..5).rev() {
         gradients[plane] = multiply(gradients[plane], after);
-        after = multiply(after, values[plane]);
+        after = multiply(after, readings[plane].value);
     }
     gradients
 }
 
 /// Adds the gradients of the six values to the texels they were read from.
 #[inline(always)]
-fn scatter<const L: usize>(taps: &Taps, dvalues: &[[f32; L]; 6], task: &mut Task<L>, rows: &mut [Vec<[f32; L]>; 3]) {
+fn scatter<const L: usize>(
+    taps: &Taps,
+    dvalues: &[[f32; L]; 6],
+    task: &mut Task,
+    rows: &mut [Vec<f32>; 3],
+    first: usize,
+) {
     for plane in 0..3 {
+        let texels = &mut task.texels[SPATIAL[plane]];
         for corner in 0..4 {
-            let texel = &mut *task.texels[SPATIAL[plane]][taps.texels[plane][corner]];
+            let texel = &mut texels[taps.texels[plane][corner]][first..];
             add_scaled(texel, &dvalues[plane], taps.weights[plane][corner]);
         }
     }
     for (axis, row) in rows.iter_mut().enumerate() {
-        let lookup = &taps.lookups[axis];
-        add_scaled(&mut row[lookup.low], &dvalues[3 + axis], 1.0 - lookup.fraction);
-        add_scaled(&mut row[lookup.high], &dvalues[3 + axis], lookup.fraction);
-    }
-}
-
-/// Gradient of the point's x, y, z.
-#[inline(always)]
-fn coordinate_gradients<const L: usize>(
-    scale: &Scale,
-    taps: &Taps,
-    dvalues: &[[f32; L]; 6],
-    first_channel: usize,
-) -> [f32; 3] {
-    let (mut along_a, mut along_b, mut along_row) = ([[0.0; L]; 3], [[0.0; L]; 3], [[0.0; L]; 3]);
-    for plane in 0..3 {
-        let (a, b) = PAIRS[SPATIAL[plane]];
-        let (fx, fy) = (taps.lookups[a].fraction, taps.lookups[b].fraction);
-        let [p00, p01, p10, p11] = taps.corners::<L>(scale, plane, first_channel);
-        let [low, high] = taps.ends::<L>(scale, plane, first_channel);
-        for lane in 0..L {
-            let slope_a = (p01[lane] - p00[lane]) * (1.0 - fy) + (p11[lane] - p10[lane]) * fy;
-            let slope_b = (p10[lane] - p00[lane]) * (1.0 - fx) + (p11[lane] - p01[lane]) * fx;
-            along_a[plane][lane] = dvalues[plane][lane] * slope_a;
-            along_b[plane][lane] = dvalues[plane][lane] * slope_b;
-            along_row[plane][lane] = dvalues[3 + plane][lane] * (high[lane] - low[lane]);
+        let Lookup { low, high, fraction, .. } = taps.lookups[axis];
+        for (texel, weight) in [(low, 1.0 - fraction), (high, fraction)] {
+            add_scaled(&mut row[texel * task.channels + first..], &dvalues[3 + axis], weight);
         }
     }
-    // x is the a of xy and xz, y the b of xy and the a of yz, z the b of xz and yz.
-    [
-        sum_lanes(&along_a[0], &along_a[1], &along_row[0]) * taps.lookups[0].slope,
-        sum_lanes(&along_b[0], &along_a[2], &along_row[1]) * taps.lookups[1].slope,
-        sum_lanes(&along_b[1], &along_b[2], &along_row[2]) * taps.lookups[2].slope,
-    ]
 }
 
-/// Σ of three vectors and their lanes, by halving, which the compiler can do within vector registers.
+/// Adds, lane by lane, the derivatives along x, y and z in texels.
 #[inline(always)]
-fn sum_lanes<const L: usize>(a: &[f32; L], b: &[f32; L], c: &[f32; L]) -> f32 {
-    let mut lanes = [0.0; L];
+fn add_slopes<const L: usize>(readings: &[Reading<L>; 6], dvalues: &[[f32; L]; 6], along: &mut [[f32; L]; 3]) {
+    let [xy, xz, yz, x, y, z] = readings;
+    let [dxy, dxz, dyz, dx, dy, dz] = dvalues;
     for lane in 0..L {
-        lanes[lane] = a[lane] + b[lane] + c[lane];
+        let (dxy, dxz, dyz, dx, dy, dz) = (dxy[lane], dxz[lane], dyz[lane], dx[lane], dy[lane], dz[lane]);
+        along[0][lane] += (dxy * xy.along_a[lane] + dxz * xz.along_a[lane]) + dx * x.along_a[lane];
+        along[1][lane] += (dxy * xy.along_b[lane] + dyz * yz.along_a[lane]) + dy * y.along_a[lane];
+        along[2][lane] += (dxz * xz.along_b[lane] + dyz * yz.along_b[lane]) + dz * z.along_a[lane];
     }
+}
+
+/// The sum by halving, which the compiler can do within vector registers.
+#[inline(always)]
+fn sum_lanes<const L: usize>(mut lanes: [f32; L]) -> f32 {
     let mut half = L / 2;
     while half > 0 {
         for lane in 0..half {
@@ -336,15 +368,20 @@ fn sum_lanes<const L: usize>(a: &[f32; L], b: &[f32; L], c: &[f32; L]) -> f32 {
 
 /// Adds the gradient of a row blended at a time to the two rows of its time plane.
 #[inline(always)]
-fn spread_row<const L: usize>(row: &[[f32; L]], time: &Lookup<f32>, texels: &mut [&mut [f32; L]]) {
-    for (texel, gradient) in row.iter().enumerate() {
-        add_scaled(texels[time.low * row.len() + texel], gradient, 1.0 - time.fraction);
-        add_scaled(texels[time.high * row.len() + texel], gradient, time.fraction);
+fn spread_row<const L: usize>(row: &[f32], time: &Lookup<f32>, channels: usize, texels: &mut [&mut [f32]]) {
+    let width = row.len() / channels;
+    for (texel, gradient) in row.chunks_exact(channels).enumerate() {
+        for (block, gradient) in gradient.as_chunks::<L>().0.iter().enumerate() {
+            add_scaled(&mut texels[time.low * width + texel][block * L..], gradient, 1.0 - time.fraction);
+            add_scaled(&mut texels[time.high * width + texel][block * L..], gradient, time.fraction);
+        }
     }
 }
 
+/// Adds to the first `L` elements.
 #[inline(always)]
-fn add_scaled<const L: usize>(total: &mut [f32; L], term: &[f32; L], factor: f32) {
+fn add_scaled<const L: usize>(total: &mut [f32], term: &[f32; L], factor: f32) {
+    let total: &mut [f32; L] = (&mut total[..L]).try_into().expect("L lanes");
     for lane in 0..L {
         total[lane] += term[lane] * factor;
     }

@@ -10,6 +10,7 @@
 
 mod cpu;
 mod lookup;
+mod order;
 mod reference;
 mod regularisers;
 #[cfg(test)]
@@ -128,18 +129,37 @@ impl<T: Real> Op<T> for Hexplane<T> {
     fn backward(
         &mut self,
         inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let mut totals = vec![None; inputs.len()];
+        self.accumulate(inputs, outputs, output_grads, needs, &mut totals);
+        totals
+    }
+
+    fn accumulate(
+        &mut self,
+        inputs: &[&Tensor<T>],
         _outputs: &[&Tensor<T>],
         output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
+        needs: &[bool],
+        totals: &mut [Option<Tensor<T>>],
+    ) {
+        let Some(dy) = output_grads[0] else { return };
         let field = Field { planes: &inputs[1..], time: self.time };
-        let mut gradients: Vec<Vec<T>> = inputs.iter().map(|input| vec![T::ZERO; input.len()]).collect();
-        let (positions, planes) = gradients.split_first_mut().expect("positions come first");
-        if !cpu::backward(&field, inputs[0].as_slice(), dy.as_slice(), positions, planes) {
-            reference::backward(&field, inputs[0].as_slice(), dy.as_slice(), positions, planes);
+        let start = |(total, input): (&mut Option<Tensor<T>>, &&Tensor<T>)| {
+            total.take().unwrap_or_else(|| Tensor::zeros(input.shape()))
+        };
+        let mut sums: Vec<Tensor<T>> = totals.iter_mut().zip(inputs).map(start).collect();
+        let mut gradients = sums.iter_mut().map(Tensor::make_mut);
+        let positions = gradients.next().expect("positions come first");
+        let mut planes: Vec<&mut [T]> = gradients.collect();
+        if !cpu::backward(&field, inputs[0].as_slice(), dy.as_slice(), positions, &mut planes) {
+            reference::backward(&field, inputs[0].as_slice(), dy.as_slice(), positions, &mut planes);
         }
-        let with_shape = |(gradient, input): (_, &&Tensor<T>)| Some(Tensor::from_vec(input.shape(), gradient));
-        gradients.into_iter().zip(inputs).map(with_shape).collect()
+        for ((total, sum), &needed) in totals.iter_mut().zip(sums).zip(needs) {
+            *total = needed.then_some(sum);
+        }
     }
 }

@@ -22,7 +22,7 @@ pub fn backward<T: Real>(
     positions: &[T],
     dy: &[T],
     position_gradients: &mut [T],
-    plane_gradients: &mut [Vec<T>],
+    plane_gradients: &mut [&mut [T]],
 ) {
     let (channels, scales) = (field.channels(), field.scales());
     for (n, dy) in dy.chunks_exact(channels * scales).enumerate() {

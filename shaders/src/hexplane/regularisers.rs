@@ -57,6 +57,20 @@ fn rows_per_chunk(row_len: usize) -> usize {
     (CHUNK / row_len).max(1)
 }
 
+/// Σ `term(i)` over `0..len` in partial sums that do not wait for each other, added in order.
+#[inline(always)]
+fn sum_in_lanes<T: Real>(len: usize, term: impl Fn(usize) -> T) -> T {
+    const LANES: usize = 16;
+    let mut lanes = [T::ZERO; LANES];
+    let whole = len / LANES * LANES;
+    for first in (0..whole).step_by(LANES) {
+        for (lane, sum) in lanes.iter_mut().enumerate() {
+            *sum += term(first + lane);
+        }
+    }
+    lanes.into_iter().sum::<T>() + (whole..len).map(term).sum::<T>()
+}
+
 /// Second differences of a plane: rows, or 0.
 fn second_differences<T: Real>(plane: &Tensor<T>) -> usize {
     plane.rows().saturating_sub(2)
@@ -69,11 +83,11 @@ fn mean_square_second_difference<T: Real>(plane: &Tensor<T>) -> f64 {
     }
     let sum_of_row = |row: usize| -> f64 {
         let [above, center, below] = [0, 1, 2].map(|offset| plane.row(row + offset));
-        let squares = (0..row_len).map(|i| {
+        let square = |i: usize| {
             let difference = above[i] - center[i] - center[i] + below[i];
             difference * difference
-        });
-        squares.sum::<T>().to_f64()
+        };
+        sum_in_lanes(row_len, square).to_f64()
     };
     let sums = map_chunks(count, rows_per_chunk(row_len), |rows| rows.map(sum_of_row).sum::<f64>());
     sums.into_iter().sum::<f64>() / (count * row_len) as f64
@@ -89,25 +103,42 @@ fn smoothness_gradient<T: Real>(plane: &Tensor<T>, dy: T) -> Vec<T> {
     let factor = T::from_f64(2.0 / (count * row_len) as f64) * dy;
     for_each_chunk(&mut gradient, rows_per_chunk(row_len) * row_len, |first, chunk| {
         for (index, out) in chunk.chunks_exact_mut(row_len).enumerate() {
-            let row = first / row_len + index;
-            // The second difference that starts `offset` rows above this row has it as first, middle or last term.
-            for (offset, coefficient) in [(0, T::ONE), (1, T::from_f64(-2.0)), (2, T::ONE)] {
-                if row < offset || row - offset >= count {
-                    continue;
-                }
-                let [above, center, below] = [0, 1, 2].map(|term| plane.row(row - offset + term));
-                for i in 0..row_len {
-                    out[i] += factor * coefficient * (above[i] - center[i] - center[i] + below[i]);
-                }
-            }
+            gradient_of_row(plane, first / row_len + index, factor, out);
         }
     });
     gradient
 }
 
+/// Into `out`, `factor` times Σ over second differences that contain the row of coefficient · difference.
+fn gradient_of_row<T: Real>(plane: &Tensor<T>, row: usize, factor: T, out: &mut [T]) {
+    let (row_len, last) = (plane.row_len(), plane.rows() - 1);
+    if row >= 2 && row + 2 <= last {
+        let rows: [&[T]; 5] = std::array::from_fn(|term| &plane.row(row + term - 2)[..row_len]);
+        let (four, six) = (T::from_f64(4.0), T::from_f64(6.0));
+        for (i, out) in out.iter_mut().enumerate() {
+            let (outer, inner) = (rows[0][i] + rows[4][i], rows[1][i] + rows[3][i]);
+            *out = factor * ((outer - four * inner) + six * rows[2][i]);
+        }
+        return;
+    }
+    // The second difference that starts `offset` rows above this row has it as first, middle or last term.
+    for (offset, coefficient) in [(0, T::ONE), (1, T::from_f64(-2.0)), (2, T::ONE)] {
+        if row < offset || row - offset + 2 > last {
+            continue;
+        }
+        let [above, center, below] = [0, 1, 2].map(|term| plane.row(row - offset + term));
+        for i in 0..row_len {
+            out[i] += factor * coefficient * (above[i] - center[i] - center[i] + below[i]);
+        }
+    }
+}
+
 fn mean_distance_to_one<T: Real>(plane: &Tensor<T>) -> f64 {
     let values = plane.as_slice();
-    let sum_of = |range: std::ops::Range<usize>| values[range].iter().map(|&value| (T::ONE - value).abs()).sum::<T>();
+    let sum_of = |range: std::ops::Range<usize>| {
+        let values = &values[range];
+        sum_in_lanes(values.len(), |i| (T::ONE - values[i]).abs())
+    };
     map_chunks(values.len(), CHUNK, |range| sum_of(range).to_f64()).into_iter().sum::<f64>() / values.len() as f64
 }
 

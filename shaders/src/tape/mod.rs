@@ -42,6 +42,26 @@ pub trait Op<T: Real>: Send {
         output_grads: &[Option<&Tensor<T>>],
         needs: &[bool],
     ) -> Vec<Option<Tensor<T>>>;
+
+    /// Adds what [`Op::backward`] returns to `totals`, the gradients of the inputs so far (`None`: zero).
+    ///
+    /// For an operation that touches little of a large input: adding in place saves it a pass over all of that input.
+    fn accumulate(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+        totals: &mut [Option<Tensor<T>>],
+    ) {
+        let terms = self.backward(inputs, outputs, output_grads, needs);
+        assert_eq!(terms.len(), totals.len(), "{}: one gradient per input", self.name());
+        for ((total, term), &needed) in totals.iter_mut().zip(terms).zip(needs) {
+            if let (true, Some(term)) = (needed, term) {
+                add_to(total, term);
+            }
+        }
+    }
 }
 
 struct Value<T: Real> {
@@ -157,22 +177,25 @@ impl<T: Real> Tape<T> {
 impl<T: Real> Node<T> {
     /// Adds this node's contribution to the gradients of its inputs; skipped if no gradient reached its outputs.
     fn backward(&mut self, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
-        let output_grads: Vec<_> = gradients.tensors[self.outputs.clone()].iter().map(Option::as_ref).collect();
+        // Inputs were created before outputs.
+        let (of_inputs, of_outputs) = gradients.tensors.split_at_mut(self.outputs.start);
+        let output_grads: Vec<_> = of_outputs[..self.outputs.len()].iter().map(Option::as_ref).collect();
         if output_grads.iter().all(Option::is_none) {
             return;
         }
         let inputs: Vec<_> = self.inputs.iter().map(|var| &values[var.0].tensor).collect();
         let outputs: Vec<_> = values[self.outputs.clone()].iter().map(|value| &value.tensor).collect();
         let needs: Vec<bool> = self.inputs.iter().map(|var| values[var.0].needs_gradient).collect();
+        // Moved out so that the operation can add in place; an input that occurs twice is given once.
+        let mut totals: Vec<_> = self.inputs.iter().map(|var| of_inputs[var.0].take()).collect();
 
         let start = Instant::now();
-        let input_grads = self.op.backward(&inputs, &outputs, &output_grads, &needs);
+        self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals);
         profile.entry(self.op.name()).backward.add(start.elapsed());
 
-        assert_eq!(input_grads.len(), self.inputs.len(), "{}: one gradient per input", self.op.name());
-        for ((&var, needed), gradient) in self.inputs.iter().zip(needs).zip(input_grads) {
-            if let (true, Some(gradient)) = (needed, gradient) {
-                gradients.accumulate(self.op.name(), var, &values[var.0].tensor, gradient);
+        for (&var, total) in self.inputs.iter().zip(totals) {
+            if let Some(total) = total {
+                gradients.accumulate(self.op.name(), var, &values[var.0].tensor, total);
             }
         }
     }
@@ -196,15 +219,20 @@ impl<T: Real> Gradients<T> {
 
     fn accumulate(&mut self, source: &str, var: Var, value: &Tensor<T>, gradient: Tensor<T>) {
         assert_eq!(gradient.shape(), value.shape(), "{source}: gradient and value differ in shape");
-        let slot = &mut self.tensors[var.0];
-        match slot {
-            None => *slot = Some(gradient),
-            Some(total) => {
-                let term = gradient.as_slice();
-                chunks::for_each_chunk(total.make_mut(), chunks::CHUNK, |first, total| {
-                    total.iter_mut().zip(&term[first..]).for_each(|(total, &term)| *total += term);
-                });
-            }
+        add_to(&mut self.tensors[var.0], gradient);
+    }
+}
+
+/// total += term, where an absent total is zero.
+fn add_to<T: Real>(total: &mut Option<Tensor<T>>, term: Tensor<T>) {
+    match total {
+        None => *total = Some(term),
+        Some(total) => {
+            assert_eq!(term.shape(), total.shape(), "two gradients of one value differ in shape");
+            let term = term.as_slice();
+            chunks::for_each_chunk(total.make_mut(), chunks::CHUNK, |first, total| {
+                total.iter_mut().zip(&term[first..]).for_each(|(total, &term)| *total += term);
+            });
         }
     }
 }

@@ -1,6 +1,9 @@
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::Real;
+use super::chunks::CHUNK;
 
 /// Where values live and operations run.
 #[derive(Copy, Clone, Debug, Default, PartialEq, Eq)]
@@ -108,8 +111,14 @@ impl<T: Real> Tensor<T> {
         Tensor::from_vec(self.shape.clone(), self.as_slice().iter().map(|value| U::from_f64(value.to_f64())).collect())
     }
 
+    /// Whether no element is infinite or NaN.
     pub fn is_finite(&self) -> bool {
-        self.as_slice().iter().all(|value| value.is_finite())
+        // Without an early exit, which would keep the loop from being vectorised.
+        let finite = |part: &[T]| part.iter().fold(true, |finite, value| finite & value.is_finite());
+        match self.len() {
+            ..=CHUNK => finite(self.as_slice()),
+            _ => self.as_slice().par_chunks(CHUNK).all(finite),
+        }
     }
 }
 

@@ -1,0 +1,49 @@
+//! The order in which the backward pass visits points.
+
+use crate::tape::chunks::map_chunks;
+
+/// Cells per axis as a power of two: the texels of one cell and their gradients fill about a first-level cache at the
+/// usual 64 to 128 texels per axis.
+const CELL_BITS: u32 = 4;
+const CELLS: usize = 1 << (3 * CELL_BITS);
+/// The cell of points without a gradient.
+const SKIPPED: u16 = CELLS as u16;
+/// Points per chunk when cells are looked up.
+const POINTS_PER_CHUNK: usize = 2048;
+
+/// The points whose row of `dy` [N, features] is not zero, cell by cell in Morton order: neighbours in the list use
+/// neighbouring texels. Points that no pixel sees have no gradient and are left out.
+///
+/// Within a cell points keep their order; the list depends on positions [N, 3] and `dy` alone.
+pub fn points_by_cell(positions: &[f32], dy: &[f32], features: usize) -> Vec<u32> {
+    let points = positions.len() / 3;
+    let cell_of = |n: usize| match has_gradient(&dy[n * features..(n + 1) * features]) {
+        true => morton_cell(&positions[3 * n..3 * n + 3]),
+        false => SKIPPED,
+    };
+    let cells = map_chunks(points, POINTS_PER_CHUNK, |range| range.map(cell_of).collect::<Vec<u16>>()).concat();
+
+    // A counting sort: first place of every cell, then every point to the next place of its cell.
+    let mut next = vec![0u32; CELLS + 2];
+    cells.iter().for_each(|&cell| next[cell as usize + 1] += 1);
+    (1..next.len()).for_each(|cell| next[cell] += next[cell - 1]);
+    let mut order = vec![0; next[CELLS] as usize];
+    for (n, &cell) in cells.iter().enumerate().filter(|&(_, &cell)| cell != SKIPPED) {
+        order[next[cell as usize] as usize] = n as u32;
+        next[cell as usize] += 1;
+    }
+    order
+}
+
+/// Whether any element differs from zero; NaN does.
+fn has_gradient(dy: &[f32]) -> bool {
+    dy.iter().fold(false, |any, &value| any | (value != 0.0))
+}
+
+/// Interleaved bits of the cell of a point in [−1, 1]³; points outside belong to the border, NaN to the first cell.
+fn morton_cell(point: &[f32]) -> u16 {
+    let half_cells = (1 << (CELL_BITS - 1)) as f32;
+    let cell = |axis: usize| (((point[axis] + 1.0) * half_cells) as u16).min((1 << CELL_BITS) - 1);
+    let bits = |axis: usize| (0..CELL_BITS).map(|bit| (cell(axis) >> bit & 1) << (3 * bit + axis as u32)).sum::<u16>();
+    (0..3).map(bits).sum()
+}
