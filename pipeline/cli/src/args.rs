@@ -7,7 +7,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 /// Trains, renders, measures and tabulates dynamic Gaussian-splatting methods, as a recipe says.
 #[derive(Debug, Parser)]
-#[command(version, propagate_version = true, after_help = EXIT_CODES)]
+#[command(name = "pipeline", version, propagate_version = true, after_help = EXIT_CODES)]
 pub struct Cli {
     /// Folder that keeps results, logs and checkpoints
     #[arg(long, global = true, env = "PIPELINE_STORE", default_value = "store", value_name = "DIR")]

@@ -1,12 +1,17 @@
 //! The one list of stages. A new stage is one line here.
 
-use engine::Registry;
+use engine::{CodeTable, Registry};
 
 include!(concat!(env!("OUT_DIR"), "/code.rs"));
 
-/// Every stage that recipes can name.
+/// Every stage that recipes can name, with the code that this program was built from.
 pub fn stages() -> Registry {
-    Registry::new(CODE)
+    stages_of(CODE)
+}
+
+/// Every stage that recipes can name, as if it had been built from other sources.
+pub fn stages_of(code: CodeTable) -> Registry {
+    Registry::new(code)
         .with::<scene_synthesis::SceneSynthesis>()
         .with::<sfm_import::SfmImport>()
         .with::<training::Training>()

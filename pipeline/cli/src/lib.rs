@@ -1,0 +1,62 @@
+//! `pipeline`: trains, renders, measures and tabulates what a recipe says. Data goes to standard output, everything
+//! else to standard error; exit codes are those of [`engine::exit`]. A library, so that the tests of the whole can
+//! build the very same program.
+
+mod args;
+mod display;
+mod error;
+mod output;
+mod session;
+mod stages;
+mod verbs;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use args::{CacheVerb, Cli, Verb};
+use error::CliError;
+
+pub use stages::{stages, stages_of};
+
+/// Keeps freed pages: a training step takes and frees tens of megabytes, which the system's allocator hands back to the
+/// kernel and faults in anew, at half of the step's time.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// The program: parses the command line, does what it says, and returns the exit code.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    match dispatch(cli) {
+        Ok(code) => ExitCode::from(code),
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+fn dispatch(cli: Cli) -> Result<u8, CliError> {
+    let store = cli.store;
+    match cli.verb {
+        Verb::Run(args) => verbs::run::run(&store, &args),
+        Verb::Plan(args) => verbs::plan::plan(&store, &args),
+        Verb::Explain(args) => verbs::explain::explain(&store, &args),
+        Verb::Status(args) => verbs::status::status(&store, &args),
+        Verb::Graph(args) => verbs::graph::graph(&store, &args),
+        Verb::Show(args) => verbs::results::show(&store, &args),
+        Verb::Table(args) => verbs::results::table(&store, &args),
+        Verb::Export(args) => verbs::results::export(&store, &args),
+        Verb::Inspect { dir } => verbs::tools::inspect(&dir),
+        Verb::Eval(args) => verbs::tools::eval(&args),
+        Verb::Cache(CacheVerb::Verify { repair }) => verbs::cache::verify(&store, repair),
+        Verb::Cache(CacheVerb::Gc(args)) => verbs::cache::gc(&store, &args),
+        Verb::Cache(CacheVerb::Du) => verbs::cache::du(&store),
+        Verb::Doctor { data_root } => verbs::tools::doctor(&store, &data_root),
+        Verb::Completions { shell } => verbs::tools::completions(shell),
+        Verb::ExecJob { job } => Ok(engine::job::execute(&job, &stages())?),
+    }
+}
+
+#[cfg(test)]
+mod tests;
