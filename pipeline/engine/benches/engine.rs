@@ -19,7 +19,7 @@ use test_stages::{List, Work, Write};
 const CODE: CodeTable = CodeTable { crates: &[crate_code("test-list"), crate_code("test-work"), crate_code("test-write")] };
 
 const fn crate_code(name: &'static str) -> CrateCode {
-    CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], external: "0" }
+    CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], reads_artifacts_of: &[], external: "0" }
 }
 
 /// Hashing: 64 MiB in memory, and a folder of 256 files of 256 KiB with and without the cache of digests.

@@ -8,7 +8,7 @@ mod tests;
 #[cfg(test)]
 mod tokens;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use crate::canonical;
 
@@ -28,6 +28,9 @@ pub struct CrateCode {
     pub files: &'static [(&'static str, &'static str)],
     /// Names of the workspace crates that this one depends on directly.
     pub dependencies: &'static [&'static str],
+    /// Those of them that it uses for nothing but the type of an artifact, by its manifest's
+    /// `package.metadata.pipeline.reads-artifacts-of`.
+    pub reads_artifacts_of: &'static [&'static str],
     /// Hash of the dependencies and features that the manifest names, and of name, version and checksum of every
     /// external crate below them.
     pub external: &'static str,
@@ -48,17 +51,33 @@ pub type Code = BTreeMap<String, String>;
 /// whether and where a job runs, and hands the same bytes to the stage whatever it looks like.
 const ENGINE_API: [&str; 4] = ["src/artifact.rs", "src/context.rs", "src/failure.rs", "src/stage.rs"];
 
+/// The files of a stage's crate that its readers run: the type, and the exports that lead to it.
+const ARTIFACT: [&str; 3] = ["src/artifact.rs", "src/artifact", "src/lib.rs"];
+
+/// How much of a crate another one runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Extent {
+    /// The type of its artifact.
+    Artifact,
+    /// Anything.
+    Whole,
+}
+
+/// Crate → its files and folders (relative to the crate) that a job provably does not use.
+pub type UnusedSources = BTreeMap<String, Vec<String>>;
+
 /// The fingerprint of the stage whose crate is `stage`: its sources and those of every workspace crate below it,
-/// without the stage's own files under `unused_sources` (paths relative to the crate, files or folders).
-pub fn stage_code(table: &CodeTable, stage: &str, unused_sources: &[String]) -> Code {
+/// without those that are `unused`.
+pub fn stage_code(table: &CodeTable, stage: &str, unused: &UnusedSources) -> Code {
     let mut code = Code::new();
-    for name in closure(table, stage) {
+    for (name, extent) in closure(table, stage) {
         let Some(part) = table.get(name) else {
             continue;
         };
-        let used = |path: &str| match name {
-            "engine" => ENGINE_API.contains(&path),
-            _ => name != stage || !unused_sources.iter().any(|unused| lies_in(path, unused)),
+        let used = |path: &str| match (name, extent) {
+            ("engine", _) => ENGINE_API.contains(&path),
+            (_, Extent::Artifact) => ARTIFACT.iter().any(|kept| lies_in(path, kept)),
+            _ => !unused.get(name).is_some_and(|unused| unused.iter().any(|unused| lies_in(path, unused))),
         };
         code.insert(name.into(), hash_files(part.files.iter().filter(|(path, _)| used(path))));
         // The engine's own dependencies serve its running side; a stage that uses one names it itself.
@@ -69,12 +88,22 @@ pub fn stage_code(table: &CodeTable, stage: &str, unused_sources: &[String]) -> 
     code
 }
 
-/// The crate and all workspace crates below it.
-fn closure<'a>(table: &CodeTable, stage: &'a str) -> BTreeSet<&'a str> {
-    let (mut found, mut open) = (BTreeSet::new(), vec![stage]);
-    while let Some(name) = open.pop() {
-        if found.insert(name) {
-            open.extend(table.get(name).map_or(&[][..], |code| code.dependencies));
+/// The crate and all workspace crates below it. What lies below a crate that is only there for its artifact does not
+/// count: the type uses the vocabulary and the engine, and these its reader uses too.
+fn closure<'a>(table: &CodeTable, stage: &'a str) -> BTreeMap<&'a str, Extent> {
+    let (mut found, mut open) = (BTreeMap::new(), vec![(stage, Extent::Whole)]);
+    while let Some((name, extent)) = open.pop() {
+        let known = found.get(name).is_some_and(|known| *known >= extent);
+        if !known {
+            found.insert(name, extent);
+            let below = table.get(name).filter(|_| extent == Extent::Whole);
+            open.extend(below.into_iter().flat_map(|code| {
+                let extent_of = |name| match code.reads_artifacts_of.contains(&name) {
+                    true => Extent::Artifact,
+                    false => Extent::Whole,
+                };
+                code.dependencies.iter().map(move |&name| (name, extent_of(name)))
+            }));
         }
     }
     found

@@ -131,6 +131,7 @@ pub fn plan_id(node: &Node, producers: &[Node]) -> String {
         sources,
         threads: _,
         output,
+        unused_sources: _,
         code,
         plan_id: _,
     } = node;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::Coordinates;
-use crate::fingerprint::Code;
+use crate::fingerprint::{Code, UnusedSources};
 
 pub use select::{NothingSelected, matches_pattern};
 
@@ -49,6 +49,8 @@ pub struct Node {
     pub threads: usize,
     /// Name and schema version of the artifact type that the job makes.
     pub output: (String, u32),
+    /// The sources below the stage that cannot influence the result.
+    pub unused_sources: UnusedSources,
     /// The fingerprint of the code that can influence the result.
     pub code: Code,
     /// SHA-256 over everything above that can influence the result, in hex; known before anything runs.

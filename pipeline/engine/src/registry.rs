@@ -10,7 +10,7 @@ use std::marker::PhantomData;
 use anyhow::Context as _;
 use serde_json::Value;
 
-use crate::fingerprint::{Code, CodeTable, stage_code};
+use crate::fingerprint::{Code, CodeTable, UnusedSources, stage_code};
 use crate::{Artifact, JobContext, ParamProblem, Port, Resources, Source, Stage};
 
 /// All stages by id. The one list of stages builds it: `Registry::new(CODE).with::<Training>()`.
@@ -71,9 +71,9 @@ impl Registry {
         self.stages.values().map(Box::as_ref)
     }
 
-    /// The fingerprint of the code that can influence a result of the stage `id`, without its `unused_sources`.
-    pub fn code(&self, id: &str, unused_sources: &[String]) -> Code {
-        stage_code(&self.code, id, unused_sources)
+    /// The fingerprint of the code that can influence a result of the stage `id`, without what is `unused`.
+    pub fn code(&self, id: &str, unused: &UnusedSources) -> Code {
+        stage_code(&self.code, id, unused)
     }
 }
 

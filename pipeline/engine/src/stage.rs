@@ -38,7 +38,8 @@ pub trait Stage: 'static {
     }
 
     /// Source folders of the stage's own crate (relative to the crate, as `src/methods/mcgs`) that these
-    /// parameters provably do not use, so that an edit there does not rerun the job.
+    /// parameters provably do not use, so that an edit there does not rerun the job. This holds for readers too: a stage
+    /// that runs code of this crate on the one artifact that it reads must not need them either.
     fn unused_sources(_params: &Self::Params) -> Vec<String> {
         Vec::new()
     }

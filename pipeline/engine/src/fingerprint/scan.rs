@@ -24,6 +24,8 @@ pub struct ScannedCrate {
     pub files: BTreeMap<String, String>,
     /// Workspace crates that it depends on directly.
     pub dependencies: BTreeSet<String>,
+    /// Those of them that it uses for nothing but the type of an artifact.
+    pub reads_artifacts_of: BTreeSet<String>,
     /// Hash of the manifest's dependencies and features and of all external crates below them.
     pub external: String,
 }
@@ -41,10 +43,15 @@ pub fn scan_workspace(root: &Path, binary: &Path) -> Result<BTreeMap<String, Sca
         let crate_root = root.join(paths[name.as_str()]);
         let manifest = Manifest::read(&crate_root, &shared)?;
         let dependencies = manifest.workspace_crates(&paths);
+        let reads_artifacts_of = manifest.reads_artifacts_of.clone();
+        if let Some(stranger) = reads_artifacts_of.difference(&dependencies).next() {
+            return Err(format!("reads-artifacts-of names {stranger}, which {name} does not depend on").into());
+        }
         open.extend(dependencies.iter().filter(|name| !found.contains_key(*name)).cloned());
         let external = manifest.hash(&paths, &lock);
         let files = hash_files(&crate_root)?;
-        found.insert(name.clone(), ScannedCrate { name, root: crate_root, files, dependencies, external });
+        let scanned = ScannedCrate { name, root: crate_root, files, dependencies, reads_artifacts_of, external };
+        found.insert(scanned.name.clone(), scanned);
     }
     Ok(found)
 }
@@ -99,6 +106,8 @@ struct Manifest {
     /// Kind and target (`"dependencies"`, `"target.'cfg(unix)'.dependencies"`) → name → entry.
     dependencies: BTreeMap<String, BTreeMap<String, Table>>,
     features: Value,
+    /// Workspace crates that this one uses for nothing but the type of an artifact.
+    reads_artifacts_of: BTreeSet<String>,
 }
 
 impl Manifest {
@@ -110,7 +119,10 @@ impl Manifest {
             table.as_table().into_iter().for_each(|table| add_dependencies(&mut dependencies, target, table, shared));
         }
         let features = manifest.get("features").cloned().unwrap_or(Value::Boolean(false));
-        Ok(Self { dependencies, features })
+        let readings = table_at(&manifest, &["package", "metadata", "pipeline"]);
+        let names = readings.and_then(|table| table.get("reads-artifacts-of")?.as_array()).into_iter().flatten();
+        let reads_artifacts_of = names.filter_map(Value::as_str).map(str::to_owned).collect();
+        Ok(Self { dependencies, features, reads_artifacts_of })
     }
 
     fn entries(&self) -> impl Iterator<Item = (&String, &Table)> {
@@ -202,11 +214,13 @@ impl Lock {
 pub fn code_table(crates: &BTreeMap<String, ScannedCrate>) -> String {
     let mut source = String::from("/// The hashed sources that this binary was built from.\n");
     source += "pub const CODE: engine::CodeTable = engine::CodeTable { crates: &[\n";
-    for ScannedCrate { name, root: _, files, dependencies, external } in crates.values() {
+    for ScannedCrate { name, root: _, files, dependencies, reads_artifacts_of, external } in crates.values() {
         let files: Vec<(&String, &String)> = files.iter().collect();
         let dependencies: Vec<&String> = dependencies.iter().collect();
+        let artifacts: Vec<&String> = reads_artifacts_of.iter().collect();
         source += &format!(
-            "    engine::CrateCode {{ name: {name:?}, files: &{files:?}, dependencies: &{dependencies:?}, external: {external:?} }},\n"
+            "    engine::CrateCode {{ name: {name:?}, files: &{files:?}, dependencies: &{dependencies:?}, \
+             reads_artifacts_of: &{artifacts:?}, external: {external:?} }},\n"
         );
     }
     source + "] };\n"

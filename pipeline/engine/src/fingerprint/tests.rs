@@ -120,7 +120,7 @@ const fn crate_code(
     dependencies: &'static [&'static str],
     external: &'static str,
 ) -> CrateCode {
-    CrateCode { name, files, dependencies, external }
+    CrateCode { name, files, dependencies, reads_artifacts_of: &[], external }
 }
 
 const ENGINE: CrateCode = crate_code("engine", &[("src/stage.rs", "1"), ("src/store.rs", "2")], &[], "3");
@@ -133,7 +133,7 @@ const TRAINING: CrateCode = crate_code(
 );
 
 fn code(crates: &[CrateCode], unused: &[&str]) -> Code {
-    let unused: Vec<String> = unused.iter().map(|path| path.to_string()).collect();
+    let unused = [("training".to_owned(), unused.iter().map(|path| path.to_string()).collect())].into();
     stage_code(&CodeTable { crates: Box::leak(crates.into()) }, "training", &unused)
 }
 
@@ -184,6 +184,33 @@ fn edits_under_an_unused_path_do_not_count_for_that_job() {
     assert_eq!(changed(&[ENGINE, SHADERS, edited], &["src/methods/mc", "src/methods/mcgs2.rs"]), ["training"]);
 }
 
+#[test]
+fn of_a_crate_that_is_there_for_its_artifact_only_the_type_counts() {
+    const TABLES: CrateCode = crate_code("tables", &[("src/lib.rs", "t")], &["engine", "training"], "t");
+    const READER: CrateCode = CrateCode { reads_artifacts_of: &["training"], ..TABLES };
+    const TRAINER: CrateCode = CrateCode { files: &[("src/artifact.rs", "a"), ("src/run.rs", "r")], ..TRAINING };
+    let code = |crates: &[CrateCode]| {
+        stage_code(&CodeTable { crates: Box::leak(crates.into()) }, "tables", &Default::default())
+    };
+    let before = code(&[ENGINE, SHADERS, TRAINER, READER]);
+    let parts: Vec<&String> = before.keys().collect();
+    assert_eq!(parts, ["engine", "tables", "tables dependencies", "training", "training dependencies"]);
+    let body = CrateCode { files: &[("src/artifact.rs", "a"), ("src/run.rs", "x")], ..TRAINER };
+    assert_eq!(code(&[ENGINE, SHADERS, body, READER]), before);
+    for path in ["src/artifact.rs", "src/artifact/tensors.rs", "src/lib.rs"] {
+        let files: &'static [(&str, &str)] = Box::leak(Box::new([(path, "x")]));
+        assert_ne!(code(&[ENGINE, SHADERS, CrateCode { files, ..TRAINER }, READER]), before, "{path}");
+    }
+    // A second way to the same crate that runs all of it makes all of it count.
+    const PLAYER: CrateCode = crate_code("player", &[], &["training"], "p");
+    const BOTH: CrateCode = CrateCode { dependencies: &["engine", "training", "player"], ..READER };
+    assert_ne!(
+        code(&[ENGINE, SHADERS, body, BOTH, PLAYER])["training"],
+        code(&[ENGINE, SHADERS, TRAINER, BOTH, PLAYER])["training"]
+    );
+    assert!(code(&[ENGINE, SHADERS, TRAINER, BOTH, PLAYER]).contains_key("shaders"));
+}
+
 /// A workspace of a binary and two crates, with one external crate below another.
 fn workspace(edits: &[(&str, &str, &str)]) -> BTreeMap<String, ScannedCrate> {
     let mut files: BTreeMap<&str, String> = [
@@ -231,6 +258,9 @@ fn a_workspace_is_scanned_with_its_external_crates() {
     let plain = workspace(&[]);
     assert_eq!(plain.keys().collect::<Vec<_>>(), ["high", "low"]);
     assert!(plain["high"].dependencies.contains("low") && plain["low"].dependencies.is_empty());
+    let reader = "[package.metadata.pipeline]\nreads-artifacts-of = [\"low\"]\n[dependencies]";
+    let reading = workspace(&[("crates/high/Cargo.toml", "[dependencies]", reader)]);
+    assert!(plain["high"].reads_artifacts_of.is_empty() && reading["high"].reads_artifacts_of.contains("low"));
     let changed = |path: &str, from: &str, to: &str| -> Vec<String> {
         let edited = workspace(&[(path, from, to)]);
         plain.keys().filter(|name| plain[*name] != edited[*name]).cloned().collect()

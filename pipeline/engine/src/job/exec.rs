@@ -87,8 +87,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
 
 /// Refuses to run with other code than the key names: the program may have been built anew since the plan was made.
 fn check_code(spec: &JobSpec, registry: &Registry, stage: &dyn AnyStage) -> anyhow::Result<()> {
-    let unused_sources = stage.unused_sources(&spec.components.params)?;
-    if registry.code(stage.id(), &unused_sources) == spec.components.code {
+    if registry.code(stage.id(), &spec.unused_sources) == spec.components.code {
         return Ok(());
     }
     let changed = Failure::new(FailureKind::World, "the program was built anew while the run was going on");

@@ -11,6 +11,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::fingerprint::UnusedSources;
 use crate::{Coordinates, Digest, Failure, KeyComponents, Progress};
 
 pub use child::{Ended, ProcessHandle, supervise};
@@ -34,6 +35,8 @@ pub struct JobSpec {
     pub coordinates: Coordinates,
     /// What the result depends on; its digest is the action key.
     pub components: KeyComponents,
+    /// The sources below the stage that cannot influence the result.
+    pub unused_sources: UnusedSources,
     /// Producers by port.
     pub inputs: BTreeMap<String, Vec<InputSpec>>,
     /// Sources by name.

@@ -22,6 +22,7 @@ pub(crate) fn node(name: &str, producers: &[usize]) -> Node {
         sources: Vec::new(),
         threads: 1,
         output: ("text".into(), 1),
+        unused_sources: Default::default(),
         code: BTreeMap::new(),
         plan_id: name.into(),
     }

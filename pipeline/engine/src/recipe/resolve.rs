@@ -10,7 +10,7 @@ use super::expand::{Instance, instances};
 use super::raw::{RawRecipe, Template};
 use super::tree::{self, Table};
 use super::{load, raw, wire};
-use crate::fingerprint::Code;
+use crate::fingerprint::{Code, UnusedSources};
 use crate::key::plan_id;
 use crate::plan::{Node, Origin, Plan, PlanInput, PlanSource};
 use crate::registry::AnyStage;
@@ -25,7 +25,7 @@ pub fn resolve(path: &Path, overrides: &[String], registry: &Registry) -> Result
     };
     let recipe = raw::read(loaded, &mut report);
     let order = wire::check(&recipe, registry, &mut report);
-    let mut resolver = Resolver { recipe: &recipe, registry, report, codes: BTreeMap::new() };
+    let mut resolver = Resolver { recipe: &recipe, registry, report };
     let drafts: Vec<Vec<Draft>> = (0..recipe.templates.len()).map(|template| resolver.drafts(template)).collect();
     if recipe.templates.is_empty() {
         let place = super::places::Place::default();
@@ -47,7 +47,8 @@ struct Draft {
     params: Value,
     sources: Vec<PlanSource>,
     threads: usize,
-    code: Code,
+    /// Files and folders of the stage's own crate.
+    unused_sources: Vec<String>,
     origins: BTreeMap<String, Origin>,
 }
 
@@ -55,8 +56,6 @@ struct Resolver<'a> {
     recipe: &'a RawRecipe,
     registry: &'a Registry,
     report: Report,
-    /// Fingerprints by stage and unused sources: many jobs share one.
-    codes: BTreeMap<(&'static str, Vec<String>), Code>,
 }
 
 impl Resolver<'_> {
@@ -78,8 +77,7 @@ impl Resolver<'_> {
                 return None;
             }
         };
-        let known = self.known_of(stage, &params);
-        let (sources, threads, code) = known
+        let (sources, threads, unused_sources) = known_of(stage, &params)
             .map_err(|error| self.report.add(&template.at, format!("nodes.{name}"), format!("{error:#}"), None))
             .ok()?;
         for source in &sources {
@@ -96,17 +94,7 @@ impl Resolver<'_> {
             Some((item, true)) => self.report.texts.origin(&item.key_at),
             _ => Origin::Default,
         });
-        Some(Draft { instance, params, sources, threads, code, origins })
-    }
-
-    /// What the stage says of a job with these parameters.
-    fn known_of(&mut self, stage: &dyn AnyStage, params: &Value) -> anyhow::Result<(Vec<PlanSource>, usize, Code)> {
-        let source = |source: crate::Source| PlanSource { name: source.name.into(), path: source.path };
-        let sources = stage.sources(params)?.into_iter().map(source).collect();
-        let unused = stage.unused_sources(params)?;
-        let code =
-            self.codes.entry((stage.id(), unused)).or_insert_with_key(|(id, unused)| self.registry.code(id, unused));
-        Ok((sources, stage.resources(params)?.threads, code.clone()))
+        Some(Draft { instance, params, sources, threads, unused_sources, origins })
     }
 
     /// Reports a problem with a parameter where the recipe sets it, or at the parameters as a whole.
@@ -123,6 +111,13 @@ impl Resolver<'_> {
             self.report.add(&place, key, problem.message.clone(), problem.hint.clone());
         }
     }
+}
+
+/// What the stage says of a job with these parameters: its sources, its threads and what it does not use.
+fn known_of(stage: &dyn AnyStage, params: &Value) -> anyhow::Result<(Vec<PlanSource>, usize, Vec<String>)> {
+    let source = |source: crate::Source| PlanSource { name: source.name.into(), path: source.path };
+    let sources = stage.sources(params)?.into_iter().map(source).collect();
+    Ok((sources, stage.resources(params)?.threads, stage.unused_sources(params)?))
 }
 
 /// Notes where each value comes from: tables are entered, everything else has one origin.
@@ -147,6 +142,8 @@ fn link(recipe: &RawRecipe, registry: &Registry, order: &[usize], mut drafts: Ve
     let mut plan = Plan { recipe: name, nodes: Vec::new(), origins: BTreeMap::new() };
     // Template → the nodes made of it, each with the axis values that tell it from the others.
     let mut made: Vec<Vec<(usize, Values)>> = (0..drafts.len()).map(|_| Vec::new()).collect();
+    // Fingerprints by stage and unused sources: many jobs share one.
+    let mut codes: BTreeMap<(&str, UnusedSources), Code> = BTreeMap::new();
     for &index in order {
         let (template_name, template) = recipe.templates.get_index(index).expect("an index of the recipe");
         let stage = registry.get(&template.stage.name).expect("checked before");
@@ -154,17 +151,22 @@ fn link(recipe: &RawRecipe, registry: &Registry, order: &[usize], mut drafts: Ve
             let values: Values =
                 draft.instance.values.iter().map(|(axis, value)| (*axis, value.text.clone())).collect();
             let input = |port: &Port| plan_input(recipe, template, port, &values, &made);
+            let inputs: Vec<PlanInput> = stage.ports().iter().map(input).collect();
+            let unused_sources = unused_sources(stage, draft.unused_sources, &inputs, &plan.nodes);
+            let code = codes.entry((stage.id(), unused_sources.clone()));
+            let code = code.or_insert_with(|| registry.code(stage.id(), &unused_sources)).clone();
             let mut node = Node {
                 name: draft.instance.name,
                 template: template_name.clone(),
                 stage: stage.id().into(),
                 coordinates: draft.instance.coordinates,
                 params: draft.params,
-                inputs: stage.ports().iter().map(input).collect(),
+                inputs,
                 sources: draft.sources,
                 threads: draft.threads,
                 output: (stage.output().0.into(), stage.output().1),
-                code: draft.code,
+                unused_sources,
+                code,
                 plan_id: String::new(),
             };
             node.plan_id = plan_id(&node, &plan.nodes);
@@ -174,6 +176,24 @@ fn link(recipe: &RawRecipe, registry: &Registry, order: &[usize], mut drafts: Ve
         }
     }
     plan
+}
+
+/// What a job does not use: files of its own crate, and of the crates of the producers whose one artifact it reads (what
+/// made the artifact did not use them, so that whoever plays it back does not either).
+fn unused_sources(stage: &dyn AnyStage, own: Vec<String>, inputs: &[PlanInput], nodes: &[Node]) -> UnusedSources {
+    let mut unused = UnusedSources::new();
+    for input in inputs.iter().filter(|input| !input.many) {
+        for producer in input.producers.iter().map(|&index| &nodes[index]) {
+            let theirs = producer.unused_sources.get(&producer.stage).cloned().unwrap_or_default();
+            // Two producers of one stage use what either uses.
+            unused
+                .entry(producer.stage.clone())
+                .and_modify(|both| both.retain(|path| theirs.contains(path)))
+                .or_insert(theirs);
+        }
+    }
+    unused.insert(stage.id().into(), own);
+    unused
 }
 
 /// The producers on one port: of each template wired to it, the nodes that agree on all shared axes.

@@ -63,6 +63,7 @@ impl Scheduler<'_> {
             plan_id: node.plan_id.clone(),
             coordinates: node.coordinates.clone(),
             components,
+            unused_sources: node.unused_sources.clone(),
             inputs: inputs::input_specs(self.plan, node, &self.rests),
             sources,
             threads,

@@ -37,7 +37,7 @@ const CODE: CodeTable =
     CodeTable { crates: &[crate_code("test-list"), crate_code("test-work"), crate_code("test-write")] };
 
 const fn crate_code(name: &'static str) -> CrateCode {
-    CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], external: "0" }
+    CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], reads_artifacts_of: &[], external: "0" }
 }
 
 pub fn registry() -> Registry {
