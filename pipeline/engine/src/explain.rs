@@ -56,7 +56,7 @@ pub fn diff(old: &KeyComponents, new: &KeyComponents) -> Vec<Change> {
     diff_values("params", Some(&old.params), Some(params), &mut |sentence| add(Component::Params, sentence));
     for name in keys(&old.sources, sources) {
         if let Some(how) = how(old.sources.get(name), sources.get(name)) {
-            add(Component::Source, format!("source {name} {how}"));
+            add(Component::Source, format!("the files of `{name}` {how}"));
         }
     }
     if old.output != *output {

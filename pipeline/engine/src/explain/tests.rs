@@ -33,8 +33,11 @@ fn every_component_has_its_sentence() {
         key.code.insert("training dependencies".into(), "x".into());
     };
     assert_eq!(sentences(code), ["code: crate shaders changed", "code: external dependencies of training added"]);
-    assert_eq!(sentences(|key| drop(key.sources.insert("images".into(), "x".into()))), ["source images changed"]);
-    assert_eq!(sentences(|key| key.sources.clear()), ["source images removed"]);
+    assert_eq!(
+        sentences(|key| drop(key.sources.insert("images".into(), "x".into()))),
+        ["the files of `images` changed"]
+    );
+    assert_eq!(sentences(|key| key.sources.clear()), ["the files of `images` removed"]);
 }
 
 #[test]

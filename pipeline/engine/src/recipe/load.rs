@@ -114,7 +114,16 @@ fn read_override(text: usize, report: &mut Report) -> Option<Table> {
         report.add(&Place::new(text, 0..content.len()), "", "this override is not a TOML assignment", Some(hint));
         return None;
     }
-    tree::parse(text, report)
+    let table = tree::parse(text, report)?;
+    let place = Place::new(text, 0..content.len());
+    let unusable = table.keys().find(|key| ["extends", "set"].contains(&key.as_str()));
+    if let Some(key) = unusable {
+        let hint = "override the values themselves, or write a recipe that extends this one";
+        report.add(&place, key, format!("`{key}` cannot be overridden"), Some(hint.into()));
+    } else if table.is_empty() {
+        report.add(&place, "", "this override is empty", Some("write key.path=VALUE".into()));
+    }
+    Some(table)
 }
 
 /// Parameters of nodes wait until all rules are applied; everything else belongs to the recipe itself.

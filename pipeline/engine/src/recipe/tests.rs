@@ -271,6 +271,14 @@ fn cycles_are_printed_as_a_path() {
 }
 
 #[test]
+fn overrides_without_effect_are_refused() {
+    let found = errors(GRID, &["", "extends=[\"x.toml\"]", "set=[]", "# nothing"]);
+    let messages = ["this override is empty", "`extends` cannot be", "`set` cannot be", "this override is empty"];
+    assert_eq!(found.len(), messages.len(), "{found:?}");
+    assert!(found.iter().zip(messages).all(|(error, message)| error.contains(message)), "{found:?}");
+}
+
+#[test]
 fn overrides_are_checked_like_files() {
     let found = errors(GRID, &["nodes.train.params.stesp=1", "nodes.trian.params.steps=1", "name=mine", "nodse.x=1"]);
     let expected = [

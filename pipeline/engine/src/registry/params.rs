@@ -37,14 +37,20 @@ pub(super) fn written_back<P: serde::Serialize + serde::de::DeserializeOwned>(
 }
 
 /// Reads the value, and after each error goes on without the part that caused it.
-fn deserialize_all<P: serde::de::DeserializeOwned>(mut raw: Value) -> (Option<P>, Vec<ParamProblem>) {
+pub(super) fn deserialize_all<P: serde::de::DeserializeOwned>(mut raw: Value) -> (Option<P>, Vec<ParamProblem>) {
     let mut problems = Vec::new();
     loop {
         match serde_path_to_error::deserialize::<_, P>(&raw) {
             Ok(params) => return (Some(params), problems),
             Err(error) => {
-                let path: Vec<String> = error.path().iter().filter_map(segment).collect();
-                let (path, found) = explained(path, &error.inner().to_string());
+                let message = error.inner().to_string();
+                let told: Vec<String> = error.path().iter().filter_map(segment).collect();
+                let (mut path, mut found) = explained(told.clone(), &message);
+                // A type that deserialises by hand does not tell where.
+                if told.is_empty() && (path.len() != 1 || at(&raw, &path).is_none()) {
+                    path = culprit::<P>(&raw, &message);
+                    found.key = path.join(".");
+                }
                 problems.push(found);
                 if !remove(&mut raw, &path) {
                     return (None, problems);
@@ -82,6 +88,29 @@ fn explained(mut path: Vec<String>, message: &str) -> (Vec<String>, ParamProblem
     };
     let key = path.join(".");
     (path, ParamProblem { key, message: format!("unknown {noun} `{wrong}`"), hint: Some(hint) })
+}
+
+/// The deepest value without which an error is no longer `message`; empty if no single one is to blame.
+fn culprit<P: serde::de::DeserializeOwned>(raw: &Value, message: &str) -> Vec<String> {
+    let is_cause = |path: &[String]| {
+        let mut without = raw.clone();
+        remove(&mut without, path);
+        serde_json::from_value::<P>(without).err().is_none_or(|error| error.to_string() != message)
+    };
+    let mut path: Vec<String> = Vec::new();
+    while let Some(Value::Object(map)) = at(raw, &path) {
+        let child = |name: &String| [path.as_slice(), std::slice::from_ref(name)].concat();
+        match map.keys().map(child).find(|path| is_cause(path)) {
+            Some(deeper) => path = deeper,
+            None => break,
+        }
+    }
+    path
+}
+
+/// The value at `path`.
+fn at<'a>(value: &'a Value, path: &[String]) -> Option<&'a Value> {
+    path.iter().try_fold(value, |value, key| value.get(key))
 }
 
 /// Removes the value at `path`; an element of an array takes the array with it, since its neighbours would move.

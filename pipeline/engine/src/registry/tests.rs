@@ -18,7 +18,7 @@ pub(crate) const CODE: CodeTable = CodeTable {
 };
 
 const fn crate_code(name: &'static str, files: &'static [(&'static str, &'static str)]) -> CrateCode {
-    CrateCode { name, files, dependencies: &[], reads_artifacts_of: &[], external: "e0" }
+    CrateCode { name, files, dependencies: &[], external: "e0" }
 }
 
 /// The three test stages.
@@ -121,6 +121,32 @@ fn problems_name_the_nearest_word_and_all_allowed_ones() {
     assert_eq!(shape.hint.as_deref(), Some("did you mean `round`? allowed: round, rather-square"));
     let own = &problems(json!({ "rates": { "start": 0 } }))[0];
     assert_eq!((own.key.as_str(), own.message.as_str()), ("rates.start", "must be above rates.end"));
+}
+
+/// Parameters that deserialise by hand and lose the place of every error on the way.
+#[derive(Serialize)]
+#[serde(transparent)]
+struct ByHand(NestedParams);
+
+impl<'de> Deserialize<'de> for ByHand {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let value = Value::deserialize(deserializer)?;
+        serde_json::from_value(value).map(Self).map_err(serde::de::Error::custom)
+    }
+}
+
+#[test]
+fn problems_of_parameters_read_by_hand_are_found_too() {
+    let raw = json!({
+        "rates": { "strat": 1, "end": "x", "start": 1.0 }, "shape": "squaer", "steps": [1, -2], "maybe": { "start": true },
+        "by_name": 3,
+    });
+    let mut keys: Vec<String> =
+        super::params::deserialize_all::<ByHand>(raw).1.into_iter().map(|problem| problem.key).collect();
+    keys.sort();
+    assert_eq!(keys, ["by_name", "maybe.start", "rates.end", "rates.strat", "shape", "steps"]);
+    // What is wrong as a whole has no key.
+    assert_eq!(super::params::deserialize_all::<ByHand>(json!(3)).1[0].key, "");
 }
 
 #[test]
