@@ -91,6 +91,9 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 
 /// The format of `dir`: what its files say, which must be `wanted` unless that is [`Format::Auto`].
 pub fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
+    if dir.is_file() {
+        return Err(bad("a capture is a folder, this is a file").hint("name the folder that the file lies in").at(dir));
+    }
     if !dir.is_dir() {
         let hint = "is --data-root right, and is the data downloaded?";
         return Err(Failure::new(FailureKind::MissingData, "no such data folder").hint(hint).at(dir));

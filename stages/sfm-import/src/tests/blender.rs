@@ -134,6 +134,8 @@ fn missing_files_are_named() {
     std::fs::remove_file(transforms_path(dir.path(), "test")).unwrap();
     assert_refused(dir.path(), &Params::default(), &["cannot read the file", "transforms_test.json"]);
     assert_refused(&dir.path().join("nowhere"), &Params::default(), &["no such data folder", "--data-root", "nowhere"]);
+    let file = dir.path().join("transforms_train.json");
+    assert_refused(&file, &Params::default(), &["a capture is a folder", "transforms_train.json"]);
 }
 
 #[test]
