@@ -14,7 +14,9 @@ pub fn mean_squared_error(render: &Image, truth: &Image) -> f64 {
     (plane_sum(0) + plane_sum(1) + plane_sum(2)) / (3 * render.width * render.height) as f64
 }
 
-/// `-10 log10(mse)` in dB for a peak of 1, at most [`PSNR_CAP_DB`].
+/// `-10 log10(mse)` in dB for a peak of 1, at most [`PSNR_CAP_DB`]; NaN stays NaN.
 pub fn psnr_from_mse(mse: f64) -> f64 {
-    (-10.0 * mse.log10()).min(PSNR_CAP_DB)
+    let psnr_db = -10.0 * mse.log10();
+    // Not `min`, which would turn NaN into the best score there is.
+    if psnr_db > PSNR_CAP_DB { PSNR_CAP_DB } else { psnr_db }
 }

@@ -117,3 +117,10 @@ fn constant_and_identical_images_have_finite_scores() {
     assert_score(&scores(200, 170, [noise, noise]), Metric::MsSsim, 1.0);
     assert_score(&scores(200, 170, [black, white]), Metric::Psnr, 0.0);
 }
+
+#[test]
+fn an_undefined_error_is_no_perfect_score() {
+    assert!(psnr_from_mse(f64::NAN).is_nan());
+    assert_eq!(psnr_from_mse(f64::INFINITY), f64::NEG_INFINITY);
+    assert_eq!(psnr_from_mse(0.0), PSNR_CAP_DB);
+}
