@@ -47,3 +47,32 @@ fn morton_cell(point: &[f32]) -> u16 {
     let bits = |axis: usize| (0..CELL_BITS).map(|bit| (cell(axis) >> bit & 1) << (3 * bit + axis as u32)).sum::<u16>();
     (0..3).map(bits).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::check::noise;
+
+    #[test]
+    fn every_point_with_a_gradient_is_listed_once_and_cells_are_contiguous() {
+        let positions: Vec<f32> = noise(3 * 5000, 1).iter().map(|&x| 1.2 * x as f32).collect();
+        let dy: Vec<f32> = (0..2 * 5000).map(|i| if i / 2 % 7 == 0 { 0.0 } else { i as f32 }).collect();
+        let order = points_by_cell(&positions, &dy, 2);
+        let cells: Vec<u16> =
+            order.iter().map(|&n| morton_cell(&positions[3 * n as usize..3 * n as usize + 3])).collect();
+        assert!(cells.is_sorted() && cells[0] < cells[cells.len() - 1]);
+        let mut listed = order.clone();
+        listed.sort_unstable();
+        let live: Vec<u32> = (0..5000).filter(|n| n % 7 != 0).collect();
+        assert_eq!(listed, live);
+    }
+
+    #[test]
+    fn cells_interleave_bits_and_hold_what_lies_outside() {
+        assert_eq!(morton_cell(&[-1.0, -1.0, -1.0]), 0);
+        assert_eq!(morton_cell(&[-0.8, -1.0, -1.0]), 1);
+        assert_eq!(morton_cell(&[-1.0, -0.8, -1.0]), 2);
+        assert_eq!(morton_cell(&[9.0, 9.0, 9.0]), SKIPPED - 1);
+        assert_eq!(morton_cell(&[f32::NAN, -9.0, -9.0]), 0);
+    }
+}

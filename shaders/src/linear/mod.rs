@@ -18,6 +18,9 @@ use matrix::Matrix;
 /// channels stay in the second-level cache.
 const ROWS_PER_CHUNK: usize = 512;
 
+/// Rows without a gradient are left out where they are at least one in so many.
+const WORTH_COPYING: usize = 8;
+
 /// What follows the affine map.
 #[derive(Copy, Clone, Debug, PartialEq, Eq)]
 pub enum Activation {
@@ -77,7 +80,7 @@ impl<T: Real> Op<T> for Linear {
                 let rows = chunk * ROWS_PER_CHUNK..((chunk + 1) * ROWS_PER_CHUNK).min(x.rows());
                 let of_rows = |tensor: &'_ Tensor<T>| rows.start * tensor.row_len()..rows.end * tensor.row_len();
                 let dz = self.through_activation(&outputs[0].as_slice()[of_rows(dy)], &dy.as_slice()[of_rows(dy)]);
-                self.backward_rows(&dz, &x.as_slice()[of_rows(x)], weight.as_slice(), dx, needs)
+                self.backward_live_rows(&dz, &x.as_slice()[of_rows(x)], weight.as_slice(), dx, needs)
             })
             .collect();
         let total = |part: fn(&WeightGradients<T>) -> &[T], like: &Tensor<T>| {
@@ -113,6 +116,37 @@ impl Linear {
             Activation::Identity => dy.to_vec(),
             Activation::Relu => y.iter().zip(dy).map(|(&y, &dy)| if y <= T::ZERO { T::ZERO } else { dy }).collect(),
         }
+    }
+
+    /// As [`Linear::backward_rows`], on the rows of `dz` that are not zero alone: a Gaussian that no pixel sees has no
+    /// gradient. `dx` must be zero.
+    fn backward_live_rows<T: Real>(
+        &self,
+        dz: &[T],
+        x: &[T],
+        weight: &[T],
+        dx: Option<&mut [T]>,
+        needs: &[bool],
+    ) -> WeightGradients<T> {
+        let is_live = |row: &[T]| row.iter().fold(false, |live, &value| live | (value != T::ZERO));
+        let rows = dz.chunks_exact(self.outputs).enumerate();
+        let live: Vec<usize> = rows.filter(|(_, row)| is_live(row)).map(|(index, _)| index).collect();
+        // Copying pays where it leaves out enough.
+        if live.len() * self.outputs > dz.len() - dz.len() / WORTH_COPYING {
+            return self.backward_rows(dz, x, weight, dx, needs);
+        }
+        let compact = |data: &[T], row_len: usize| -> Vec<T> {
+            live.iter().flat_map(|&row| &data[row * row_len..(row + 1) * row_len]).copied().collect()
+        };
+        let mut live_dx = dx.is_some().then(|| vec![T::ZERO; live.len() * self.inputs]);
+        let (live_dz, live_x) = (compact(dz, self.outputs), compact(x, self.inputs));
+        let sums = self.backward_rows(&live_dz, &live_x, weight, live_dx.as_deref_mut(), needs);
+        if let (Some(dx), Some(live_dx)) = (dx, live_dx) {
+            for (row, live_dx) in live.iter().zip(live_dx.chunks_exact(self.inputs)) {
+                dx[row * self.inputs..(row + 1) * self.inputs].copy_from_slice(live_dx);
+            }
+        }
+        sums
     }
 
     /// dx = dz·W, dW = dzᵀ·x, db = Σ dz for one chunk of rows.

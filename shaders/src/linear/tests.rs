@@ -84,3 +84,27 @@ fn no_rows_give_no_output_and_zero_gradients() {
     assert_eq!(results[0].shape(), [0, 3]);
     assert!(results[2..].iter().all(|gradient| gradient.as_slice().iter().all(|&value| value == 0.0)));
 }
+
+#[test]
+fn rows_without_a_gradient_add_nothing() {
+    const ROWS: usize = 1300;
+    let [x, weight, bias] = arguments(ROWS, 16, 8);
+    let is_live = |row: usize| row % 3 == 0;
+    let live_rows = |tensor: &Tensor<f64>| {
+        let rows: Vec<f64> = (0..ROWS).filter(|&row| is_live(row)).flat_map(|row| tensor.row(row)).copied().collect();
+        Tensor::from_vec([rows.len() / tensor.row_len(), tensor.row_len()], rows)
+    };
+    let mut dy = Tensor::from_vec([ROWS, 8], noise(ROWS * 8, 4));
+    (0..ROWS).filter(|&row| !is_live(row)).for_each(|row| dy.make_mut()[8 * row..8 * (row + 1)].fill(0.0));
+    let backward = |x: &Tensor<f64>, dy: &Tensor<f64>| {
+        let mut tape = Tape::new(Device::Cpu);
+        let vars = [x, &weight, &bias].map(|tensor| tape.leaf(tensor.clone()));
+        let y = linear(&mut tape, vars[0], vars[1], vars[2], Activation::Identity);
+        let gradients = tape.backward(&[(y, dy.clone())]);
+        vars.map(|var| gradients.get(var).unwrap().clone())
+    };
+    let (all, live) = (backward(&x, &dy), backward(&live_rows(&x), &live_rows(&dy)));
+    assert_eq!(live_rows(&all[0]), live[0]);
+    assert!((0..ROWS).all(|row| is_live(row) || all[0].row(row) == [0.0; 16]));
+    (1..3).for_each(|index| agree(&all[index], &live[index], 1e-13).unwrap());
+}
