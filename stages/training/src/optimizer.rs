@@ -3,16 +3,12 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context as _, ensure};
-use rayon::prelude::*;
 use shaders::adam::{Adam, Group, GroupState, Update};
 use shaders::tape::{Tape, Tensor};
 
 use crate::artifact::NamedTensor;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
-
-/// Values per chunk of the check for values that are not finite: small enough to share the work, large enough to hide it.
-const CHUNK: usize = 1 << 16;
 
 /// All tensors of a model in one phase, those that learn with their step sizes.
 #[derive(Default)]
@@ -67,12 +63,12 @@ impl Optimizer {
 
     /// The first tensor, in alphabetical order, whose gradient has a value that is not finite.
     pub fn first_bad_gradient<'a>(gradients: &BTreeMap<&'a str, Tensor<f32>>) -> Option<&'a str> {
-        gradients.iter().find(|(_, gradient)| !is_finite(gradient)).map(|(name, _)| *name)
+        gradients.iter().find(|(_, gradient)| !gradient.is_finite()).map(|(name, _)| *name)
     }
 
     /// The first tensor, in alphabetical order, that learns and has a value that is not finite.
     pub fn first_bad_tensor(&self) -> Option<&str> {
-        let bad = |learner: &Learner| learner.rate.is_some() && !is_finite(learner.group.tensor());
+        let bad = |learner: &Learner| learner.rate.is_some() && !learner.group.tensor().is_finite();
         self.learners.iter().find(|(_, learner)| bad(learner)).map(|(name, _)| name.as_str())
     }
 
@@ -189,12 +185,6 @@ impl Optimizer {
     fn learner_mut(&mut self, name: &str) -> anyhow::Result<&mut Learner> {
         self.learners.get_mut(name).with_context(|| format!("the model has no tensor {name}"))
     }
-}
-
-/// Whether every value is finite: x·0 is 0 for finite x and NaN otherwise, which makes a sum without branches.
-fn is_finite(tensor: &Tensor<f32>) -> bool {
-    let finite = |chunk: &[f32]| chunk.iter().map(|value| value * 0.0).sum::<f32>() == 0.0;
-    tensor.as_slice().par_chunks(CHUNK).all(finite)
 }
 
 /// Prefixes of the tensors in a checkpoint.
