@@ -219,9 +219,8 @@ impl History {
 
     /// The newest record of the same job: same name and stage, in this recipe if it ran there, or else in any.
     pub fn newest(&self, recipe: &str, node: &Node) -> Option<&ActionRecord> {
-        let same = |record: &&ActionRecord| {
-            record.provenance.node == node.name && record.components.stage == node.stage
-        };
+        let same =
+            |record: &&ActionRecord| record.provenance.node == node.name && record.components.stage == node.stage;
         let here = |record: &&ActionRecord| record.provenance.recipe == recipe;
         let newest_here = self.records.iter().rev().find(|record| same(record) && here(record));
         newest_here.or_else(|| self.records.iter().rev().find(same))

@@ -51,8 +51,9 @@ pub fn doctor(store: &Path, data_root: &Path) -> Result<u8, CliError> {
 /// Opens the store and writes a file in it, to see that it can be written.
 fn try_store(path: &Path) -> anyhow::Result<String> {
     let store = Store::open(path)?;
-    let scratch = store.scratch("doctor")?;
-    std::fs::write(scratch.path().join("probe"), "probe")?;
+    let in_use = store.lock_shared()?;
+    std::fs::write(store.scratch("doctor")?.path().join("probe"), "probe")?;
+    drop(in_use);
     let busy = if store.try_lock_exclusive()?.is_some() { "idle" } else { "in use by a run" };
     Ok(format!("{}: writable, {busy}", store.root().display()))
 }

@@ -76,7 +76,6 @@ impl Row {
 pub struct SourceDigests {
     rows: Mutex<BTreeMap<PathBuf, Row>>,
     changed: Mutex<bool>,
-    cache_file: PathBuf,
 }
 
 impl SourceDigests {
@@ -84,24 +83,13 @@ impl SourceDigests {
     pub fn load(cache_file: &Path, rehash: bool) -> Self {
         let read = || serde_json::from_slice(&std::fs::read(cache_file).ok()?).ok();
         let rows = if rehash { None } else { read() };
-        Self {
-            rows: Mutex::new(rows.unwrap_or_default()),
-            changed: Mutex::new(false),
-            cache_file: cache_file.to_owned(),
-        }
+        Self { rows: Mutex::new(rows.unwrap_or_default()), changed: Mutex::new(false) }
     }
 
-    /// Writes the cache (whole, atomically), if it changed.
-    pub fn save(&self) -> io::Result<()> {
-        let mut changed = lock(&self.changed);
-        if !std::mem::take(&mut *changed) {
-            return Ok(());
-        }
-        let parent = self.cache_file.parent().unwrap_or(Path::new("."));
-        let mut file = tempfile::NamedTempFile::new_in(parent)?;
-        serde_json::to_writer(io::BufWriter::new(&mut file), &*lock(&self.rows))?;
-        file.persist(&self.cache_file)?;
-        Ok(())
+    /// The cache's new contents, if they changed since it was loaded or last asked for.
+    pub fn changed_cache(&self) -> serde_json::Result<Option<Vec<u8>>> {
+        let changed = std::mem::take(&mut *lock(&self.changed));
+        changed.then(|| serde_json::to_vec(&*lock(&self.rows))).transpose()
     }
 
     /// The digest of a file's contents, or of a folder's sorted relative paths and contents.

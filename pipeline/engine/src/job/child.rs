@@ -7,7 +7,7 @@ use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid};
@@ -47,25 +47,50 @@ pub struct Ended {
     pub log_tail: Vec<String>,
 }
 
+/// How urgently a child should end; later ones outdo earlier ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stop {
+    /// Save the progress and stop.
+    Save,
+    /// End at once, with everything it started.
+    Terminate,
+    /// Be ended.
+    Kill,
+}
+
 /// A running child, for whoever wants to stop it.
 #[derive(Clone, Debug, Default)]
 pub struct ProcessHandle {
-    pid: Arc<Mutex<Option<Pid>>>,
-    told_to_stop: Arc<AtomicBool>,
+    process: Arc<Mutex<Process>>,
     timed_out: Arc<AtomicBool>,
 }
 
-impl ProcessHandle {
-    /// Asks the child to save its progress and stop.
-    pub fn ask_to_stop(&self) {
-        self.told_to_stop.store(true, Ordering::SeqCst);
-        self.signal(|pid| kill_process(pid, Signal::INT));
-    }
+#[derive(Debug, Default)]
+struct Process {
+    pid: Option<Pid>,
+    /// Kept, since it may be asked for before the process is there.
+    stop: Option<Stop>,
+}
 
-    /// Ends the child and everything it started: TERM, or KILL.
-    pub fn end(&self, signal: Signal) {
-        self.told_to_stop.store(true, Ordering::SeqCst);
-        self.signal(|pid| kill_process_group(pid, signal));
+impl Process {
+    fn send(&self) {
+        let (Some(pid), Some(stop)) = (self.pid, self.stop) else { return };
+        // Fails only if the process has ended already, which is what was wanted.
+        let _ = match stop {
+            Stop::Save => kill_process(pid, Signal::INT),
+            Stop::Terminate => kill_process_group(pid, Signal::TERM),
+            Stop::Kill => kill_process_group(pid, Signal::KILL),
+        };
+    }
+}
+
+impl ProcessHandle {
+    /// Asks the child to stop, now or as soon as it is there.
+    pub fn stop(&self, stop: Stop) {
+        // The lock is held while sending: the id cannot be reaped and given to another process meanwhile.
+        let mut process = self.lock();
+        process.stop = process.stop.max(Some(stop));
+        process.send();
     }
 
     /// Notes that what follows is due to the time limit.
@@ -75,20 +100,21 @@ impl ProcessHandle {
 
     /// Whether it was asked to stop.
     pub fn told_to_stop(&self) -> bool {
-        self.told_to_stop.load(Ordering::SeqCst)
+        self.lock().stop.is_some()
     }
 
-    /// The process's id while it runs.
-    pub fn pid(&self) -> Option<i32> {
-        self.pid.lock().unwrap_or_else(PoisonError::into_inner).map(|pid| pid.as_raw_nonzero().get())
+    fn has_started(&self, pid: Pid) {
+        let mut process = self.lock();
+        process.pid = Some(pid);
+        process.send();
     }
 
-    fn signal(&self, send: impl Fn(Pid) -> rustix::io::Result<()>) {
-        // The lock is held while sending: the id cannot be reaped and given to another process meanwhile.
-        if let Some(pid) = *self.pid.lock().unwrap_or_else(PoisonError::into_inner) {
-            // Fails only if the process has ended already, which is what was wanted.
-            let _ = send(pid);
-        }
+    fn has_ended(&self) {
+        self.lock().pid = None;
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Process> {
+        self.process.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -109,10 +135,7 @@ pub fn supervise(
     let memory_kills = failure::kernel_memory_kills();
     let mut child = start(command, spec, &spec_file, lock)?;
     let pid = Pid::from_child(&child);
-    *handle.pid.lock().unwrap_or_else(PoisonError::into_inner) = Some(pid);
-    if handle.told_to_stop() {
-        handle.ask_to_stop();
-    }
+    handle.has_started(pid);
     let stdout = child.stdout.take().context("the child has no output")?;
     let (exit, peak_rss_bytes) = std::thread::scope(|scope| {
         let reader = scope.spawn(|| pass_on(stdout, &spec.dir.join("stdout"), on_progress));
@@ -159,7 +182,7 @@ fn reap(pid: Pid, handle: &ProcessHandle) -> io::Result<(ExitStatus, Option<u64>
             return Err(error.into());
         }
     }
-    *handle.pid.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    handle.has_ended();
     // Fails if the group is empty, as it usually is.
     let _ = kill_process_group(pid, Signal::KILL);
     let mut status = 0;

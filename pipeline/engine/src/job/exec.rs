@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use super::{InputSpec, JobSpec, JobStatus, Line, failure, log, signals};
 use crate::digest::SourceDigests;
-use crate::store::{ActionRecord, Provenance, Publication, Store, write_atomic};
+use crate::store::{ActionRecord, Provenance, Publication, Store};
 use crate::{ActionKey, AnyStage, Failure, FailureKind, InputRecord, JobContext, Progress, Registry, exit};
 
 /// Progress is reported at most this often: faster than the eye, slower than any pipe.
@@ -40,7 +40,7 @@ pub fn execute(spec_file: &Path, registry: &Registry) -> anyhow::Result<u8> {
         Err(payload) => JobStatus::Failed(failure::of_panic(payload.as_ref())),
     };
     tracing::info!(?status, "finished");
-    write_atomic(&spec.dir.join("status.json"), &serde_json::to_vec_pretty(&status)?)?;
+    Store::open(&spec.store)?.write_over(&spec.dir.join("status.json"), &serde_json::to_vec_pretty(&status)?)?;
     Ok(match status {
         JobStatus::Published { .. } => exit::OK,
         JobStatus::Failed(failure) if failure.kind == FailureKind::Interrupted => exit::CHECKPOINTED,

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::fingerprint::UnusedSources;
 use crate::{Coordinates, Digest, Failure, KeyComponents, Progress};
 
-pub use child::{Ended, ProcessHandle, supervise};
+pub use child::{Ended, ProcessHandle, Stop, supervise};
 pub use exec::execute;
 pub use signals::StopRequests;
 

@@ -107,7 +107,9 @@ impl Sources {
         }
         let digests = SourceDigests::load(&store.stat_cache_file(), rehash);
         let states = paths.iter().map(|path| ((*path).clone(), source_state(&digests, data_root, path))).collect();
-        digests.save()?;
+        if let Some(cache) = digests.changed_cache()? {
+            store.write_over(&store.stat_cache_file(), &cache)?;
+        }
         Ok(Self(states))
     }
 
@@ -201,9 +203,8 @@ fn blocked_by(plan: &Plan, port: &PlanInput, rests: &[Option<Rest>]) -> Option<R
 /// The producers of `node`, all at rest, as its job finds them.
 pub fn input_specs(plan: &Plan, node: &Node, rests: &[Option<Rest>]) -> BTreeMap<String, Vec<InputSpec>> {
     let specs = |port: &PlanInput| {
-        let spec = |&producer: &usize| {
-            Some(rests[producer].as_ref()?.as_input_spec(&plan.nodes[producer], port.measurements))
-        };
+        let spec =
+            |&producer: &usize| Some(rests[producer].as_ref()?.as_input_spec(&plan.nodes[producer], port.measurements));
         port.producers.iter().filter_map(spec).collect()
     };
     node.inputs.iter().map(|port| (port.port.clone(), specs(port))).collect()

@@ -2,10 +2,9 @@
 
 use std::time::Duration;
 
-use rustix::process::Signal;
-
 use super::Scheduler;
 use crate::event::Event;
+use crate::job::Stop;
 
 /// After its time limit a job has so long to save its progress, and as long again after TERM.
 const TIME_LIMIT_GRACE: Duration = Duration::from_secs(10);
@@ -19,15 +18,15 @@ impl Scheduler<'_> {
             let handles = self.running.values().map(|job| &job.handle);
             let message = match self.stops_seen {
                 1 => {
-                    handles.for_each(|handle| handle.ask_to_stop());
+                    handles.for_each(|handle| handle.stop(Stop::Save));
                     "launching nothing more; running jobs save their progress (again: end them)"
                 }
                 2 => {
-                    handles.for_each(|handle| handle.end(Signal::TERM));
+                    handles.for_each(|handle| handle.stop(Stop::Terminate));
                     "ending running jobs (again: kill them)"
                 }
                 _ => {
-                    handles.for_each(|handle| handle.end(Signal::KILL));
+                    handles.for_each(|handle| handle.stop(Stop::Kill));
                     "killing running jobs"
                 }
             };
@@ -52,9 +51,9 @@ impl Scheduler<'_> {
             }
             job.handle.mark_timed_out();
             match job.time_warnings {
-                0 => job.handle.ask_to_stop(),
-                1 => job.handle.end(Signal::TERM),
-                _ => job.handle.end(Signal::KILL),
+                0 => job.handle.stop(Stop::Save),
+                1 => job.handle.stop(Stop::Terminate),
+                _ => job.handle.stop(Stop::Kill),
             }
             job.time_warnings += 1;
         }

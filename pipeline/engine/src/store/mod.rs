@@ -83,9 +83,9 @@ impl Store {
     }
 
     /// Marks the store as in use until the returned file is dropped: nothing is swept away meanwhile.
-    pub fn lock_shared(&self) -> anyhow::Result<fs::File> {
+    pub fn lock_shared(&self) -> io::Result<fs::File> {
         let file = crate::lock::open(&self.root.join("LOCK"))?;
-        file.lock_shared().context("cannot lock the store")?;
+        file.lock_shared()?;
         Ok(file)
     }
 
@@ -104,12 +104,32 @@ impl Store {
                 removed.with_context(|| format!("cannot remove {}", path.display()))?;
             }
         }
-        self.lock_shared()
+        self.lock_shared().context("cannot lock the store")
     }
 
-    /// A fresh folder on the store's file system; removed when dropped.
+    /// A fresh folder on the store's file system; removed when dropped. The caller holds the lock, shared.
     pub fn scratch(&self, purpose: &str) -> io::Result<tempfile::TempDir> {
         tempfile::Builder::new().prefix(&format!("{purpose}-")).tempdir_in(self.root.join("tmp"))
+    }
+
+    /// Writes a file that must not exist yet, durably: temporary file (where the next run sweeps, if this process is
+    /// killed), fsync, rename that never replaces.
+    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let _in_use = self.lock_shared()?;
+        let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        file.persist_noclobber(path).map_err(|error| error.error)?;
+        sync_dir(path.parent().unwrap_or(&self.root))
+    }
+
+    /// Writes a file, replacing what is there in one step.
+    pub(crate) fn write_over(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let _in_use = self.lock_shared()?;
+        let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
+        file.write_all(bytes)?;
+        file.persist(path)?;
+        Ok(())
     }
 
     fn check_format(&self) -> anyhow::Result<()> {
@@ -117,7 +137,7 @@ impl Store {
         match fs::read_to_string(&path) {
             Err(error) if error.kind() == ErrorKind::NotFound => {
                 // Two processes may make the same store at once; both write the same line.
-                match write_new(&path, format!("{FORMAT}\n").as_bytes()) {
+                match self.write_new(&path, format!("{FORMAT}\n").as_bytes()) {
                     Err(error) if error.kind() != ErrorKind::AlreadyExists => Err(error).context("cannot write FORMAT"),
                     _ => Ok(()),
                 }
@@ -139,24 +159,6 @@ impl Store {
             },
         }
     }
-}
-
-/// Writes a file that must not exist yet, durably: temporary file, fsync, rename that never replaces.
-fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let parent = path.parent().unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(parent)?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist_noclobber(path).map_err(|error| error.error)?;
-    sync_dir(parent)
-}
-
-/// Writes a file, replacing what is there in one step.
-pub(crate) fn write_atomic(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = tempfile::NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
-    file.write_all(bytes)?;
-    file.persist(path)?;
-    Ok(())
 }
 
 fn sync_dir(dir: &Path) -> io::Result<()> {

@@ -8,7 +8,7 @@ use anyhow::Context;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{Store, write_atomic, write_new};
+use super::Store;
 use crate::{ActionKey, Digest, Failure, KeyComponents};
 
 /// The version of both record types. A record of another version is a miss.
@@ -101,7 +101,7 @@ impl Store {
     /// Commits a publication. The first record of a key wins: `false` if one was there already.
     pub fn put_record(&self, record: &ActionRecord) -> anyhow::Result<bool> {
         let bytes = serde_json::to_vec_pretty(record)?;
-        match write_new(&self.record_path(&record.key), &bytes) {
+        match self.write_new(&self.record_path(&record.key), &bytes) {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => Ok(false),
             other => other.map(|()| true).context("cannot write the action record"),
         }
@@ -118,7 +118,7 @@ impl Store {
     /// Remembers why an action failed; the latest failure replaces earlier ones.
     pub fn put_failure(&self, record: &FailureRecord) -> anyhow::Result<()> {
         let bytes = serde_json::to_vec_pretty(record)?;
-        write_atomic(&self.failure_path(&record.key), &bytes).context("cannot write the failure record")
+        self.write_over(&self.failure_path(&record.key), &bytes).context("cannot write the failure record")
     }
 
     /// The last failure of this action, if it is newer than nothing else: a success removes it.

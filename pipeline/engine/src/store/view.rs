@@ -27,6 +27,7 @@ impl Store {
     }
 
     fn build_view(&self, view: &Path, manifest: &Manifest) -> io::Result<()> {
+        let _in_use = self.lock_shared()?;
         let scratch = self.scratch("view")?;
         let building = scratch.path().join("view");
         fs::create_dir(&building)?;
