@@ -18,7 +18,7 @@ pub(crate) const CODE: CodeTable = CodeTable {
 };
 
 const fn crate_code(name: &'static str, files: &'static [(&'static str, &'static str)]) -> CrateCode {
-    CrateCode { name, files, dependencies: &[], external: "e0" }
+    CrateCode { name, files, dependencies: &[], reads_artifacts_of: &[], external: "e0" }
 }
 
 /// The three test stages.
