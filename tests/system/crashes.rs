@@ -1,0 +1,90 @@
+//! Killed or interrupted at any moment: the next run completes and makes what an undisturbed run makes.
+
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Child, Stdio};
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rustix::process::{Pid, Signal, kill_process};
+use walkdir::WalkDir;
+
+use crate::product::World;
+
+const ROUNDS: usize = 6;
+/// An undisturbed run takes about a second.
+const MOMENTS_MILLIS: std::ops::Range<u64> = 10..500;
+
+#[test]
+fn killed_schedulers_and_jobs_change_nothing() {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let (world, undisturbed) = (World::tiny(), World::tiny().run(&[]));
+    let (mut schedulers, mut jobs) = (0, 0);
+    for round in 0..ROUNDS {
+        let mut scheduler = world.start_run();
+        std::thread::sleep(Duration::from_millis(random.random_range(MOMENTS_MILLIS)));
+        if round % 2 == 0 {
+            scheduler.kill().unwrap();
+            schedulers += usize::from(scheduler.wait().unwrap().signal().is_some());
+        } else {
+            // Some job runs at nearly every moment.
+            for _ in 0..100 {
+                let running = children(&scheduler);
+                jobs += running.iter().filter(|job| kill_process(**job, Signal::KILL).is_ok()).count();
+                if !running.is_empty() || scheduler.try_wait().unwrap().is_some() {
+                    break;
+                }
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            // A killed job is a failure of the run, which goes on without it.
+            scheduler.wait().unwrap();
+        }
+    }
+    println!("killed {schedulers} schedulers and {jobs} jobs");
+    assert!(schedulers + jobs >= 3, "too few were hit: {schedulers} schedulers, {jobs} jobs");
+    let completed = world.run(&[]);
+    assert_eq!(completed.timeless(), undisturbed.timeless());
+    assert_eq!(world.run(&[]).counts["executed"], 0);
+    let store = world.path("store").display().to_string();
+    crate::product::Ended::of(crate::product::program(&["cache", "verify", "--store", &store])).ok();
+}
+
+/// The jobs of a scheduler: children of any of its threads.
+fn children(scheduler: &Child) -> Vec<Pid> {
+    let tasks = std::fs::read_dir(format!("/proc/{}/task", scheduler.id())).into_iter().flatten().flatten();
+    let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
+    let pids: Vec<i32> =
+        lists.flat_map(|list| list.split_whitespace().map(str::parse).collect::<Vec<_>>()).flatten().collect();
+    pids.into_iter().filter_map(Pid::from_raw).collect()
+}
+
+#[test]
+fn an_interrupted_run_stops_and_the_next_one_resumes() {
+    const ONLY: [&str; 2] = ["--only", "train/bouncing-spheres/static3dgs/0"];
+    const TRAIN: &str = "train/bouncing-spheres/static3dgs/0";
+    let longer = || World::with_edit("{ train = 40 }", "{ train = 4000 }");
+    let world = longer();
+    let mut run = world.command("run", &["--json", ONLY[0], ONLY[1]]);
+    let mut run = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(run.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let mut interrupted_at = None;
+    for line in lines {
+        let event: serde_json::Value = serde_json::from_str(&line).unwrap();
+        // The first word of progress: the training is under way and far from its end.
+        if interrupted_at.is_none() && event["event"] == "progress" && event["node"] == TRAIN {
+            interrupted_at = event["progress"]["done"].as_u64();
+            kill_process(Pid::from_child(&run), Signal::INT).unwrap();
+        }
+    }
+    let status = run.wait().unwrap();
+    assert_eq!(status.code(), Some(130), "interrupted at {interrupted_at:?}");
+    let checkpoints = || WalkDir::new(world.path("store/checkpoints")).into_iter().flatten();
+    let saved = checkpoints().filter(|entry| entry.file_type().is_file()).count();
+    assert!(saved > 0, "no checkpoint was saved at step {interrupted_at:?}");
+
+    let resumed = world.run(&ONLY);
+    assert_eq!((resumed.counts["executed"], resumed.counts["cached"]), (1, 1), "the capture was there already");
+    assert_eq!(resumed.contents, longer().run(&ONLY).contents);
+    assert_eq!(checkpoints().filter(|entry| entry.file_type().is_file()).count(), 0, "checkpoints are left behind");
+}

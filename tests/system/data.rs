@@ -1,0 +1,40 @@
+//! Recipes on data that is not there, or only in part.
+
+use std::path::Path;
+
+use crate::product::{Ended, program, root};
+
+fn dnerf(verb: &str, data_root: &Path, store: &Path) -> Ended {
+    let mut command = program(&[verb]);
+    command.arg(root().join("recipes/dnerf.toml")).arg("--data-root").arg(data_root).arg("--store").arg(store);
+    Ended::of(command)
+}
+
+#[test]
+fn missing_data_is_named_with_what_to_do_about_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dnerf("run", dir.path(), &dir.path().join("store"));
+    assert_eq!(run.code, 4, "{}", run.stderr);
+    let missing = dir.path().join("dnerf/bouncingballs").display().to_string();
+    for expected in ["8 missing data", "capture/trex: the data is not there", "--data-root", &missing] {
+        assert!(run.stderr.contains(expected), "no {expected} in\n{}", run.stderr);
+    }
+    let plan = dnerf("plan", dir.path(), &dir.path().join("store")).ok();
+    assert!(plan.contains("missing data capture/lego") && plan.contains("8 missing data"), "{plan}");
+}
+
+#[test]
+fn present_scenes_run_and_absent_ones_are_missing() {
+    let Some(data) = std::env::var_os("PIPELINE_DATA") else {
+        println!("skipped: no PIPELINE_DATA");
+        return;
+    };
+    let data = root().join("tests").join(data);
+    let dir = tempfile::tempdir().unwrap();
+    let plan = dnerf("plan", &data, &dir.path().join("store")).ok();
+    for scene in ["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex"] {
+        let word = if data.join("dnerf").join(scene).exists() { "will run" } else { "missing data" };
+        let line = format!("{word:<12} capture/{scene}");
+        assert!(plan.lines().any(|found| found.starts_with(&line)), "no `{line}` in\n{plan}");
+    }
+}

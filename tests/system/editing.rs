@@ -1,0 +1,113 @@
+//! An edit reruns what it can influence, and nothing else.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use engine::{CodeTable, Plan};
+
+use crate::product::root;
+use crate::sources::{Sources, read};
+
+/// The quickstart with this code and these overrides.
+fn quickstart(code: CodeTable, overrides: &[&str]) -> Plan {
+    plan(&root().join("recipes/quickstart.toml"), code, overrides)
+}
+
+fn plan(recipe: &Path, code: CodeTable, overrides: &[&str]) -> Plan {
+    let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+    engine::recipe::resolve(recipe, &overrides, &cli::stages_of(code)).unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+/// The jobs that would have to run after a change: those whose plan ids differ.
+fn rerun(before: &Plan, after: &Plan) -> BTreeSet<String> {
+    let ids: BTreeMap<&str, &str> = before.nodes.iter().map(|node| (&*node.name, &*node.plan_id)).collect();
+    assert_eq!(before.nodes.len(), after.nodes.len());
+    let changed = after.nodes.iter().filter(|node| ids[&*node.name] != node.plan_id);
+    changed.map(|node| node.name.clone()).collect()
+}
+
+/// The stages whose own code differs: these rerun even if all that they read stays the same.
+fn recoded(before: &Plan, after: &Plan) -> BTreeSet<String> {
+    let changed = before.nodes.iter().zip(&after.nodes).filter(|(before, after)| before.code != after.code);
+    changed.map(|(node, _)| node.stage.clone()).collect()
+}
+
+/// The jobs of a plan for which `wanted` holds.
+fn jobs(plan: &Plan, wanted: impl Fn(&str) -> bool) -> BTreeSet<String> {
+    plan.nodes.iter().map(|node| node.name.clone()).filter(|name| wanted(name)).collect()
+}
+
+/// A new item of code at the end of a file.
+fn more_code(text: &str) -> String {
+    format!("{text}\npub const EDITED: u8 = 1;\n")
+}
+
+#[test]
+fn a_comment_reruns_nothing() {
+    let sources = Sources::copy();
+    let before = quickstart(sources.code(), &[]);
+    let (rust, wgsl) = (sources.files("rs"), sources.files("wgsl"));
+    assert!(rust.len() > 100, "{} files", rust.len());
+    for file in rust.iter().chain(&wgsl) {
+        std::fs::write(file, format!("// A comment /* of some */ words.\n\n{}\n// and\n", read(file))).unwrap();
+    }
+    for file in sources.files("md") {
+        std::fs::write(&file, read(&file) + "\nMore to read.\n").unwrap();
+    }
+    assert_eq!(rerun(&before, &quickstart(sources.code(), &[])), BTreeSet::new());
+}
+
+#[test]
+fn an_edit_reruns_what_it_can_influence() {
+    let sources = Sources::copy();
+    let before = quickstart(sources.code(), &[]);
+    let after = |file: &str| rerun(&before, &quickstart(sources.code_with(file, more_code), &[]));
+    let is_static = |name: &str| name.contains("/static3dgs/") || name == "report";
+    assert_eq!(after("shaders/src/blending/mod.rs"), jobs(&before, |name| !name.starts_with("capture")));
+    assert_eq!(after("stages/training/src/methods/static3dgs/mod.rs"), jobs(&before, is_static));
+    assert_eq!(after("stages/table-generation/src/markdown.rs"), jobs(&before, |name| name == "report"));
+    assert_eq!(after("stages/sfm-import/src/run.rs"), BTreeSet::new());
+    assert_eq!(after("stages/scene-synthesis/src/world.rs"), jobs(&before, |_| true));
+    assert_eq!(after("pipeline/engine/src/scheduler/mod.rs"), BTreeSet::new());
+    assert_eq!(after("pipeline/cli/src/lib.rs"), BTreeSet::new());
+
+    let loss = |text: &str| text.replace("lambda_dssim: 0.2", "lambda_dssim: 0.3");
+    let edited = quickstart(sources.code_with("stages/training/src/params.rs", loss), &[]);
+    assert_eq!(rerun(&before, &edited), jobs(&before, |name| !name.starts_with("capture")));
+}
+
+/// Early cutoff: a job whose inputs turn out to be the same is spared, unless its own code changed.
+#[test]
+fn an_edit_changes_the_code_of_those_stages_only_that_run_it() {
+    let sources = Sources::copy();
+    let before = quickstart(sources.code(), &[]);
+    let after = |file: &str| recoded(&before, &quickstart(sources.code_with(file, more_code), &[]));
+    let stages = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<BTreeSet<_>>();
+    assert_eq!(after("stages/training/src/trainer.rs"), stages(&["training", "rendering"]));
+    assert_eq!(after("stages/training/src/artifact.rs"), stages(&["training", "rendering", "table-generation"]));
+    assert_eq!(after("stages/rendering/src/run.rs"), stages(&["rendering"]));
+    assert_eq!(after("stages/scene-synthesis/src/artifact.rs"), stages(&["scene-synthesis"]));
+    assert_eq!(after("stages/metric-evaluation/src/run.rs"), stages(&["metric-evaluation", "table-generation"]));
+    let readers = stages(&["rendering", "metric-evaluation", "table-generation"]);
+    assert_eq!(after("stages/rendering/src/artifact.rs"), readers);
+}
+
+#[test]
+fn a_value_of_the_recipe_reruns_what_depends_on_it() {
+    let code = Sources::copy().code();
+    let before = quickstart(code, &[]);
+    let after = |overrides: &[&str]| rerun(&before, &quickstart(code, overrides));
+    let deformable = |name: &str| name.contains("/deformable4dgs/") || name == "report";
+    assert_eq!(after(&["nodes.train.params.deformable4dgs.channels=8"]), jobs(&before, deformable));
+    let from_render = |name: &str| !name.starts_with("capture") && !name.starts_with("train");
+    assert_eq!(after(&["nodes.render.params.depth=true"]), jobs(&before, from_render));
+    assert_eq!(after(&["nodes.train.params.loss.lambda_dssim=0.2"]), BTreeSet::new(), "a default spelled out");
+
+    let dir = tempfile::tempdir().unwrap();
+    let recipe = dir.path().join("edited.toml");
+    let quickstart_path = root().join("recipes/quickstart.toml");
+    let rule = "[[set]]\nwhen = { scene = \"swinging-arm\" }\nnodes.train.params.density.max_count = 5000\n";
+    std::fs::write(&recipe, format!("extends = [{quickstart_path:?}]\n{rule}")).unwrap();
+    let of_scene = |name: &str| name.contains("/swinging-arm/") || name == "report";
+    assert_eq!(rerun(&before, &plan(&recipe, code, &[])), jobs(&before, of_scene));
+}

@@ -1,0 +1,14 @@
+//! What holds of the whole: the crate graph, the house rules, every recipe, and the product as its users run it.
+
+mod architecture;
+mod command_line;
+mod crashes;
+mod data;
+mod editing;
+mod product;
+mod readings;
+mod recipes;
+mod repetition;
+mod sources;
+mod tidy;
+mod verbs;

@@ -1,0 +1,166 @@
+//! The product and a small recipe to run it on.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Two small scenes and both methods; density control and the harmonics' growth happen within the few iterations.
+const TINY: &str = r#"
+extends = ["@RECIPES@/common/benchmark.toml"]
+name = "tiny"
+[axes]
+scene = ["bouncing-spheres", "swinging-arm"]
+method = ["static3dgs", "deformable4dgs"]
+seed = [0]
+[nodes.capture]
+stage = "scene-synthesis"
+over = ["scene"]
+params = { scene = "{scene}", width = 32, height = 32, frames = 8, val_views = 2, test_views = 2, samples_per_pixel = 4 }
+[nodes.train.params]
+initial_points = { random_count = 200 }
+harmonics = { interval = 10 }
+density = { from = 10, interval = 10, prune_interval = 10, opacity_reset_interval = 25 }
+curve = { points = 3, views = 1 }
+deformable4dgs = { channels = 4, spatial_resolution = 8, time_resolution = 4 }
+[[set]]
+when = { method = "static3dgs" }
+nodes.train.params.iterations = { train = 40 }
+[[set]]
+when = { method = "deformable4dgs" }
+nodes.train.params.iterations = { coarse = 10, fine = 30 }
+"#;
+
+/// Jobs of [`TINY`]: 2 captures, 4 of each other kind, and the report.
+pub const TINY_JOBS: usize = 2 + 3 * 4 + 1;
+
+/// The folder of the workspace.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the workspace").to_owned()
+}
+
+/// The program with these arguments, and without what the environment would add.
+pub fn program(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pipeline-under-test"));
+    command.args(arguments).env_remove("PIPELINE_STORE").env_remove("PIPELINE_DATA").stdin(Stdio::null());
+    command
+}
+
+/// What a finished program left, as text.
+pub struct Ended {
+    pub code: i32,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Ended {
+    /// Waits for the program; a death by signal has no code and is an error.
+    pub fn of(mut command: Command) -> Self {
+        Self::from(command.output().expect("the program starts"))
+    }
+
+    /// Standard output, if the program succeeded.
+    pub fn ok(self) -> String {
+        assert_eq!(self.code, 0, "{}\n{}", self.stderr, self.stdout);
+        self.stdout
+    }
+}
+
+impl From<Output> for Ended {
+    fn from(output: Output) -> Self {
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("the program prints UTF-8");
+        let code = output.status.code().expect("the program was not killed");
+        Self { code, stdout: text(output.stdout), stderr: text(output.stderr) }
+    }
+}
+
+/// A folder with a recipe and a store.
+pub struct World {
+    dir: TempDir,
+}
+
+impl World {
+    /// [`TINY`] and an empty store.
+    pub fn tiny() -> Self {
+        Self::with_edit("", "")
+    }
+
+    /// [`TINY`] with some text replaced, and an empty store.
+    pub fn with_edit(from: &str, to: &str) -> Self {
+        assert!(TINY.contains(from), "the recipe lacks {from}");
+        let recipes = root().join("recipes").display().to_string();
+        let world = Self { dir: TempDir::new().expect("a folder for the test") };
+        let text = if from.is_empty() { TINY.to_owned() } else { TINY.replace(from, to) };
+        std::fs::write(world.recipe(), text.replace("@RECIPES@", &recipes)).expect("the recipe is written");
+        world
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    pub fn recipe(&self) -> PathBuf {
+        self.path("tiny.toml")
+    }
+
+    /// `VERB RECIPE ARGUMENTS…` on this world's store.
+    pub fn command(&self, verb: &str, arguments: &[&str]) -> Command {
+        let mut command = program(&[verb]);
+        command.arg(self.recipe()).args(arguments).arg("--store").arg(self.path("store"));
+        command.current_dir(self.dir.path());
+        command
+    }
+
+    /// Waits for `VERB RECIPE ARGUMENTS…`.
+    pub fn call(&self, verb: &str, arguments: &[&str]) -> Ended {
+        Ended::of(self.command(verb, arguments))
+    }
+
+    /// Starts a run and does not wait.
+    pub fn start_run(&self) -> Child {
+        self.command("run", &[]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
+    }
+
+    /// Runs everything, which must succeed.
+    pub fn run(&self, arguments: &[&str]) -> RunEvents {
+        let mut all = vec!["--json"];
+        all.extend(arguments);
+        RunEvents::read(&self.call("run", &all).ok())
+    }
+}
+
+/// What a run with `--json` printed.
+pub struct RunEvents {
+    /// Job → digest of its artifact.
+    pub contents: BTreeMap<String, String>,
+    /// Counts at the end, as `executed`.
+    pub counts: BTreeMap<String, u64>,
+}
+
+impl RunEvents {
+    fn read(lines: &str) -> Self {
+        let (mut contents, mut counts) = (BTreeMap::new(), BTreeMap::new());
+        for line in lines.lines() {
+            let event: Value = serde_json::from_str(line).expect("a line of JSON");
+            match event["event"].as_str() {
+                Some("finished") => {
+                    let content = event["content"].as_str().expect("a finished job has an artifact");
+                    contents.insert(event["node"].as_str().expect("a job's name").into(), content.into());
+                }
+                Some("run-finished") => counts = serde_json::from_value(event["counts"].clone()).expect("counts"),
+                _ => (),
+            }
+        }
+        Self { contents, counts }
+    }
+
+    /// The artifacts that no clock can influence: all but the report, which prints times.
+    pub fn timeless(&self) -> BTreeMap<&str, &str> {
+        let timeless = self.contents.iter().filter(|(node, _)| !node.starts_with("report"));
+        let timeless: BTreeMap<&str, &str> = timeless.map(|(node, content)| (&**node, &**content)).collect();
+        assert_eq!(timeless.len(), TINY_JOBS - 1);
+        timeless
+    }
+}

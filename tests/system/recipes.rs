@@ -1,0 +1,73 @@
+//! Every recipe can be planned, and a wrong one is refused with everything that is wrong with it.
+
+use std::path::PathBuf;
+
+use walkdir::WalkDir;
+
+use crate::product::{Ended, World, program, root};
+
+/// All recipes that can be run; `recipes/common` holds parts of recipes.
+fn recipes() -> Vec<PathBuf> {
+    let entries =
+        WalkDir::new(root().join("recipes")).sort_by_file_name().into_iter().map(|entry| entry.expect("readable"));
+    let paths = entries.map(walkdir::DirEntry::into_path);
+    paths
+        .filter(|path| {
+            path.extension().is_some_and(|it| it == "toml") && !path.components().any(|it| it.as_os_str() == "common")
+        })
+        .collect()
+}
+
+#[test]
+fn every_recipe_plans() {
+    let recipes = recipes();
+    assert!(recipes.len() >= 3, "{recipes:?}");
+    for recipe in recipes {
+        let plan = engine::recipe::resolve(&recipe, &[], &cli::stages());
+        let plan = plan.unwrap_or_else(|errors| panic!("{}:\n{errors}", recipe.display()));
+        assert!(plan.nodes.iter().any(|node| node.stage == "table-generation"), "{} has no table", recipe.display());
+    }
+}
+
+#[test]
+fn all_errors_of_a_recipe_come_at_once_with_line_and_suggestion() {
+    let world = World::with_edit("density = { from = 10, interval = 10,", "density = { from = 10, intervall = 10,");
+    let text = std::fs::read_to_string(world.recipe()).unwrap();
+    std::fs::write(
+        world.recipe(),
+        text.replace("width = 32", "widht = 32").replace("\"scene-synthesis\"", "\"scene-synthesys\""),
+    )
+    .unwrap();
+    let line_of = |needle: &str| text.lines().position(|line| line.contains(needle)).unwrap() + 1;
+    let refused = world.call("run", &[]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    let expected = [
+        (line_of("density ="), "intervall", "interval"),
+        (line_of("stage = \"scene"), "scene-synthesys", "scene-synthesis"),
+    ];
+    for (line, wrong, right) in expected {
+        let place = format!("tiny.toml:{line}:");
+        assert!(refused.stderr.contains(&place), "no {place} in\n{}", refused.stderr);
+        assert!(refused.stderr.contains(wrong) && refused.stderr.contains(right), "{}", refused.stderr);
+    }
+
+    // With the stage spelled right, its parameters are checked too.
+    std::fs::write(world.recipe(), text.replace("width = 32", "widht = 32")).unwrap();
+    let refused = world.call("plan", &[]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    for expected in [&*format!("tiny.toml:{}:", line_of("width = 32")), "`width`", "intervall", "2 errors"] {
+        assert!(refused.stderr.contains(expected), "no {expected} in\n{}", refused.stderr);
+    }
+    assert!(!world.path("store/records").exists() || world.path("store/records").read_dir().unwrap().count() == 0);
+}
+
+#[test]
+fn a_wrong_override_is_refused() {
+    let world = World::tiny();
+    let refused = world.call("run", &["-s", "nodes.train.params.desnity.from=5"]);
+    assert_eq!(refused.code, 3);
+    assert!(refused.stderr.contains("desnity") && refused.stderr.contains("density"), "{}", refused.stderr);
+    let missing = Ended::of(program(&["plan", "no-such-recipe.toml"]));
+    assert_eq!(missing.code, 3);
+    assert!(missing.stderr.contains("no-such-recipe.toml"), "{}", missing.stderr);
+}

@@ -1,0 +1,137 @@
+//! A tiny recipe from end to end: run, run again, and every verb that looks at the result.
+
+use std::time::Instant;
+
+use serde_json::Value;
+
+use crate::product::{Ended, TINY_JOBS, World, program};
+
+const TRAINING: &str = "train/bouncing-spheres/deformable4dgs/0";
+
+#[test]
+fn a_recipe_runs_once_and_every_verb_understands_the_result() {
+    let world = World::tiny();
+    let first = world.run(&[]);
+    assert_eq!(first.counts["executed"], TINY_JOBS as u64);
+    second_run_executes_nothing(&world);
+    looking_at_the_plan(&world);
+    looking_at_results(&world);
+    tables(&world);
+    judging_and_exporting(&world);
+    the_store_is_sound(&world);
+}
+
+fn second_run_executes_nothing(world: &World) {
+    let clock = Instant::now();
+    let second = world.run(&[]);
+    let secs = clock.elapsed().as_secs_f64();
+    println!("the second run of {TINY_JOBS} jobs took {secs:.3} s");
+    assert_eq!((second.counts["executed"], second.counts["cached"]), (0, TINY_JOBS as u64));
+    // A few hundredths of a second; the limit is for machines that do much else.
+    assert!(secs < 5.0, "{secs} s");
+    world.call("run", &["--frozen"]).ok();
+
+    let changed = world.call("run", &["--frozen", "-s", "nodes.render.params.depth=true"]);
+    assert_eq!(changed.code, 5, "{}", changed.stderr);
+    assert!(changed.stderr.contains("render/bouncing-spheres/static3dgs/0"), "{}", changed.stderr);
+}
+
+fn looking_at_the_plan(world: &World) {
+    let plan = world.call("plan", &[]).ok();
+    assert!(plan.contains(&format!("{TINY_JOBS} jobs: {TINY_JOBS} cached")), "{plan}");
+    let changed = world.call("plan", &["-s", "nodes.train.params.loss.lambda_dssim=0.5", "--only", TRAINING]).ok();
+    assert!(changed.contains("lambda_dssim 0.2 → 0.5"), "{changed}");
+    let json: Value = serde_json::from_str(&world.call("plan", &["--json"]).ok()).unwrap();
+    assert_eq!(json["jobs"][TRAINING]["state"], "cached");
+
+    let status = world.call("status", &[]).ok();
+    assert!(status.lines().any(|line| line.starts_with("train") && line.contains("4 cached")), "{status}");
+    let explained = world.call("explain", &[TRAINING, "-s", "nodes.train.params.seed=1"]).ok();
+    assert!(explained.contains("seed 0 → 1") && explained.contains("(default)"), "{explained}");
+    let dot = world.call("graph", &[]).ok();
+    assert!(dot.starts_with("digraph") && dot.contains(TRAINING), "{dot}");
+    let mermaid = world.call("graph", &["--format", "mermaid", "--collapse"]).ok();
+    assert!(mermaid.starts_with("flowchart") && mermaid.contains("training"), "{mermaid}");
+}
+
+fn looking_at_results(world: &World) {
+    let shown: Value = serde_json::from_str(&world.call("show", &[TRAINING, "--json"]).ok()).unwrap();
+    assert!(shown["measurements"]["training_secs"].as_f64().is_some_and(|secs| secs > 0.0), "{shown}");
+    assert_eq!(shown["record"]["components"]["params"]["method"], "deformable4dgs");
+    let path = world.call("show", &[TRAINING, "--path"]).ok();
+    assert!(std::path::Path::new(path.trim()).join("model.safetensors").is_file(), "{path}");
+    let nothing = world.call("show", &["train/no-such-job"]);
+    assert_eq!(nothing.code, 4, "{}", nothing.stderr);
+    assert!(nothing.stderr.contains("hint"), "{}", nothing.stderr);
+}
+
+fn tables(world: &World) {
+    let table = |format: &str| world.call("table", &["--format", format]).ok();
+    let markdown = table("md");
+    for expected in ["| method | PSNR (dB) |", "| static3dgs |", "| deformable4dgs |", "swinging-arm"] {
+        assert!(markdown.contains(expected), "no {expected} in\n{markdown}");
+    }
+    let latex = table("latex");
+    assert!(latex.contains("\\toprule") && latex.contains("deformable4dgs"), "{latex}");
+    let csv = table("csv");
+    let columns = csv.lines().next().unwrap_or_default().split(',').count();
+    assert!(columns > 3 && csv.lines().count() > 4, "{csv}");
+    let json: Value = serde_json::from_str(&table("json")).unwrap();
+    assert!(json.to_string().contains("static3dgs"), "{json}");
+}
+
+fn judging_and_exporting(world: &World) {
+    let folder = |job: &str| world.call("show", &[job, "--path"]).ok().trim().to_owned();
+    let renders = folder("render/bouncing-spheres/static3dgs/0") + "/images";
+    let against = |truth: &str| -> Value {
+        let arguments = ["eval", "--renders", &renders, "--truth", truth, "--json"];
+        serde_json::from_str(&Ended::of(program(&arguments)).ok()).unwrap()
+    };
+    // Images equal themselves, and differ from those of another method.
+    let same = against(&renders);
+    assert_eq!(same["n_images"], 2);
+    assert!((same["means"]["ssim"].as_f64().unwrap() - 1.0).abs() <= 1e-12, "{same}");
+    let other = against(&(folder("render/bouncing-spheres/deformable4dgs/0") + "/images"));
+    assert!(other["means"]["ssim"].as_f64().unwrap() < 1.0, "{other}");
+
+    let out = world.path("ply").display().to_string();
+    let report = world.call("export", &[TRAINING, "--times", "0:0.2:3", "--out", &out]).ok();
+    assert_eq!(report.lines().count(), 3, "{report}");
+    for (index, line) in report.lines().enumerate() {
+        // Infinite PSNR is printed as a word.
+        assert!(line.contains("dB") || line.contains("equal"), "{line}");
+        let ply = std::fs::read(world.path(&format!("ply/frame_{index:04}.ply"))).unwrap();
+        assert!(ply.starts_with(b"ply\nformat binary_little_endian 1.0\n"), "{line}");
+    }
+
+    let unknown = Ended::of(program(&["inspect", &out]));
+    assert_ne!(unknown.code, 0, "a folder of PLY files was taken for a capture: {}", unknown.stdout);
+    assert!(unknown.stderr.contains("ply"), "{}", unknown.stderr);
+}
+
+fn the_store_is_sound(world: &World) {
+    let store = world.path("store").display().to_string();
+    let cache = |verb: &str| Ended::of(program(&["cache", verb, "--store", &store]));
+    cache("verify").ok();
+    assert!(cache("du").ok().contains("files"));
+    cache("gc").ok();
+    assert_eq!(world.run(&[]).counts["executed"], 0, "gc removed what the last run needs");
+
+    // A damaged blob is noticed, and its producer runs again.
+    let blob = walkdir::WalkDir::new(world.path("store/cas")).into_iter().map(Result::unwrap);
+    let blob = blob.filter(|entry| entry.file_type().is_file()).max_by_key(|entry| entry.metadata().unwrap().len());
+    let blob = blob.expect("the store has blobs").into_path();
+    let mut bytes = std::fs::read(&blob).unwrap();
+    bytes[0] ^= 1;
+    make_writable(&blob);
+    std::fs::write(&blob, bytes).unwrap();
+    assert_eq!(cache("verify").code, 12);
+    Ended::of(program(&["cache", "verify", "--repair", "--store", &store])).ok();
+    assert!(world.run(&[]).counts["executed"] > 0);
+    cache("verify").ok();
+}
+
+fn make_writable(path: &std::path::Path) {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o644)).unwrap();
+}
