@@ -147,13 +147,10 @@ fn distance_gradient<T: Real>(plane: &Tensor<T>, dy: T) -> Vec<T> {
     let mut gradient = vec![T::ZERO; values.len()];
     for_each_chunk(&mut gradient, CHUNK, |first, out| {
         for (out, &value) in out.iter_mut().zip(&values[first..]) {
-            *out = if value > T::ONE {
-                step
-            } else if value < T::ONE {
-                -step
-            } else {
-                T::ZERO
-            };
+            // Two selections, which become vector instructions; a chain of branches does not.
+            let above = if value > T::ONE { step } else { T::ZERO };
+            let below = if value < T::ONE { step } else { T::ZERO };
+            *out = above - below;
         }
     });
     gradient

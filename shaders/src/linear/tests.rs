@@ -89,7 +89,7 @@ fn no_rows_give_no_output_and_zero_gradients() {
 fn rows_without_a_gradient_add_nothing() {
     const ROWS: usize = 1300;
     let [x, weight, bias] = arguments(ROWS, 16, 8);
-    let is_live = |row: usize| row % 3 == 0;
+    let is_live = |row: usize| row.is_multiple_of(3);
     let live_rows = |tensor: &Tensor<f64>| {
         let rows: Vec<f64> = (0..ROWS).filter(|&row| is_live(row)).flat_map(|row| tensor.row(row)).copied().collect();
         Tensor::from_vec([rows.len() / tensor.row_len(), tensor.row_len()], rows)
