@@ -276,27 +276,57 @@ impl TrainingParams {
         let phases = (methods::find(&self.method).expect("checked when read").shared_defaults)().iterations;
         let unknown_phase = shared.iterations.keys().find(|phase| !phases.contains_key(*phase));
         let known = phases.keys().cloned().collect::<Vec<_>>().join(", ");
+        let Shared { initial_points, harmonics, loss, learning_rates, density, curve, .. } = shared;
+        let steps = shared.iterations.values().fold(0.0, |sum, &steps| sum + steps as f64) * shared.schedule_scale;
+        let positive_rate = "must be positive";
         let checks = [
             (unknown_phase.is_none(), "iterations", format!("{} has the phases {known}", self.method)),
             (shared.iterations.values().any(|&n| n > 0), "iterations", "nothing to train for".into()),
             (positive(shared.schedule_scale), "schedule_scale", "must be positive".into()),
-            (shared.batch > 0, "batch", "must be at least 1".into()),
-            (shared.harmonics.degree <= 3, "harmonics.degree", "must be 0 to 3".into()),
-            (shared.harmonics.interval > 0, "harmonics.interval", "must be at least 1".into()),
-            (shared.initial_points.random_count > 0, "initial_points.random_count", "must be at least 1".into()),
-            (shared.initial_points.max_count > 0, "initial_points.max_count", "must be at least 1".into()),
-            ((0.0..=1.0).contains(&shared.loss.lambda_dssim), "loss.lambda_dssim", "must be in [0, 1]".into()),
-            (shared.learning_rates.position.is_valid(), "learning_rates.position", "must be positive".into()),
-            (shared.density.interval > 0, "density.interval", "must be at least 1".into()),
-            (shared.density.prune_interval > 0, "density.prune_interval", "must be at least 1".into()),
-            (positive(shared.density.gradient_threshold), "density.gradient_threshold", "must be positive".into()),
-            (open_share(shared.density.min_opacity), "density.min_opacity", "must be in (0, 1)".into()),
-            (open_share(shared.density.opacity_reset_to), "density.opacity_reset_to", "must be in (0, 1)".into()),
-            (shared.curve.points == 0 || shared.curve.views > 0, "curve.views", "must be at least 1".into()),
+            (!(steps > MOST_STEPS), "schedule_scale", format!("{steps:e} iterations are more than {MOST_STEPS:e}")),
+            (within(shared.batch, MOST_VIEWS), "batch", format!("must be 1 to {MOST_VIEWS}")),
+            (harmonics.degree <= 3, "harmonics.degree", "must be 0 to 3".into()),
+            (harmonics.interval > 0, "harmonics.interval", "must be at least 1".into()),
+            (within(initial_points.random_count, MOST_GAUSSIANS), "initial_points.random_count", few_gaussians()),
+            (within(initial_points.max_count, MOST_GAUSSIANS), "initial_points.max_count", few_gaussians()),
+            ((0.0..=1.0).contains(&loss.lambda_dssim), "loss.lambda_dssim", "must be in [0, 1]".into()),
+            (learning_rates.position.is_valid(), "learning_rates.position", positive_rate.into()),
+            (positive(learning_rates.sh_dc), "learning_rates.sh_dc", positive_rate.into()),
+            (positive(learning_rates.sh_rest), "learning_rates.sh_rest", positive_rate.into()),
+            (positive(learning_rates.opacity), "learning_rates.opacity", positive_rate.into()),
+            (positive(learning_rates.scale), "learning_rates.scale", positive_rate.into()),
+            (positive(learning_rates.rotation), "learning_rates.rotation", positive_rate.into()),
+            (density.interval > 0, "density.interval", "must be at least 1".into()),
+            (density.prune_interval > 0, "density.prune_interval", "must be at least 1".into()),
+            (positive(density.gradient_threshold), "density.gradient_threshold", "must be positive".into()),
+            (positive(density.split_above), "density.split_above", "must be positive".into()),
+            (positive(density.max_radius_px), "density.max_radius_px", "must be positive".into()),
+            (positive(density.max_scale), "density.max_scale", "must be positive".into()),
+            (within(density.max_count, MOST_GAUSSIANS), "density.max_count", few_gaussians()),
+            (open_share(density.min_opacity), "density.min_opacity", "must be in (0, 1)".into()),
+            (open_share(density.opacity_reset_to), "density.opacity_reset_to", "must be in (0, 1)".into()),
+            (curve.points == 0 || curve.views > 0, "curve.views", "must be at least 1".into()),
         ];
         let problem = |(_, key, message): (bool, &str, String)| ParamProblem { key: key.into(), message, hint: None };
         checks.into_iter().filter(|(good, ..)| !good).map(problem).collect()
     }
+}
+
+/// More optimiser steps than any schedule has: beyond it, a factor was mistyped.
+const MOST_STEPS: f64 = 1e8;
+
+/// More views per step than any published batch (24) by far.
+const MOST_VIEWS: usize = 1024;
+
+/// More Gaussians than memory holds: with their moments 50 million take 35 GB.
+const MOST_GAUSSIANS: usize = 50_000_000;
+
+fn few_gaussians() -> String {
+    format!("must be 1 to {MOST_GAUSSIANS}")
+}
+
+fn within(count: usize, most: usize) -> bool {
+    (1..=most).contains(&count)
 }
 
 fn positive(value: f64) -> bool {
@@ -384,7 +414,22 @@ mod tests {
         }
         let params = read(json!({ "iterations": { "fine": 5 } })).unwrap();
         assert!(params.problems().iter().any(|problem| problem.key == "iterations"));
-        let params = read(json!({ "schedule_scale": -1.0 })).unwrap();
-        assert!(params.problems().iter().any(|problem| problem.key == "schedule_scale"));
+    }
+
+    #[test]
+    fn values_that_cannot_work_are_refused_by_key() {
+        let bad = [
+            ("schedule_scale", json!({ "schedule_scale": -1.0 })),
+            ("schedule_scale", json!({ "schedule_scale": 1e300 })),
+            ("batch", json!({ "batch": 1_000_000 })),
+            ("initial_points.random_count", json!({ "initial_points": { "random_count": u64::MAX } })),
+            ("learning_rates.opacity", json!({ "learning_rates": { "opacity": -1.0 } })),
+            ("density.max_scale", json!({ "density": { "max_scale": -1.0 } })),
+            ("density.split_above", json!({ "density": { "split_above": -3.0 } })),
+        ];
+        for (key, table) in bad {
+            let problems = read(table).unwrap().problems();
+            assert_eq!(problems.iter().map(|problem| problem.key.as_str()).collect::<Vec<_>>(), [key]);
+        }
     }
 }

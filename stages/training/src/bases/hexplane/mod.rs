@@ -87,6 +87,9 @@ impl Default for HexplaneSettings {
     }
 }
 
+/// A plane of 4096² texels with 32 channels takes 2 GB; whoever asks for more mistyped.
+const MOST_TEXELS: usize = 4096;
+
 impl HexplaneSettings {
     /// Small, with every head, and regularisers that weigh enough to be seen.
     #[cfg(test)]
@@ -108,9 +111,10 @@ impl HexplaneSettings {
     pub fn check(&self) -> Result<(), String> {
         let sizes = [self.channels, self.spatial_resolution, self.width, self.time_resolution.unwrap_or(1)];
         let weights = [self.spatial_smoothness, self.temporal_smoothness, self.time_to_one];
+        let few = |size: &usize| (1..=MOST_TEXELS).contains(size);
         let good = [
-            (sizes.iter().all(|&size| size > 0), "channels, resolutions and width must be at least 1"),
-            (!self.multipliers.is_empty() && !self.multipliers.contains(&0), "multipliers must be positive"),
+            (sizes.iter().all(few), "channels, resolutions and width must be 1 to 4096"),
+            (!self.multipliers.is_empty() && self.multipliers.iter().all(few), "multipliers must be 1 to 4096"),
             (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
             (self.heads != Heads::NONE, "a deformation without heads moves nothing"),
