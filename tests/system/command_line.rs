@@ -4,11 +4,12 @@ use std::collections::BTreeSet;
 
 use crate::product::{Ended, program, root};
 
-/// The verbs that `--help` lists.
+/// The verbs that `--help` lists, without `help` itself.
 fn verbs() -> BTreeSet<String> {
     let help = Ended::of(program(&["--help"])).ok();
     let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| line.starts_with("  "));
-    listed.filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect()
+    let words = listed.filter_map(|line| line.split_whitespace().next());
+    words.filter(|verb| *verb != "help").map(str::to_owned).collect()
 }
 
 #[test]

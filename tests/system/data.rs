@@ -36,5 +36,9 @@ fn present_scenes_run_and_absent_ones_are_missing() {
         let word = if data.join("dnerf").join(scene).exists() { "will run" } else { "missing data" };
         let line = format!("{word:<12} capture/{scene}");
         assert!(plan.lines().any(|found| found.starts_with(&line)), "no `{line}` in\n{plan}");
+        if word == "will run" {
+            let told = Ended::of(program(&["inspect", &data.join("dnerf").join(scene).display().to_string()])).ok();
+            assert!(told.contains("lender") && told.contains("800"), "{told}");
+        }
     }
 }

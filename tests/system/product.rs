@@ -22,7 +22,7 @@ params = { scene = "{scene}", width = 32, height = 32, frames = 8, val_views = 2
 [nodes.train.params]
 initial_points = { random_count = 200 }
 harmonics = { interval = 10 }
-density = { from = 10, interval = 10, prune_interval = 10, opacity_reset_interval = 25 }
+density = { from = 10, interval = 10, prune_interval = 10, opacity_reset_interval = 25, max_count = 400 }
 curve = { points = 3, views = 1 }
 deformable4dgs = { channels = 4, spatial_resolution = 8, time_resolution = 4 }
 [[set]]
