@@ -16,9 +16,9 @@ pub struct Cli {
     pub verb: Verb,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 ok, 2 usage, 3 recipe invalid, 4 nothing selected or nothing ran, 5 --frozen would have had \
+const EXIT_CODES: &str = "Exit codes: 0 ok, 2 usage, 3 recipe or other input invalid, 4 nothing selected or nothing ran, 5 --frozen would have had \
 to run, 10 some jobs failed, 11 table or check differs, 12 store damaged, 13 the machine failed, 75 checkpointed, \
-130/143 interrupted.";
+130/143 interrupted, 141 the reader of the output went away.";
 
 #[derive(Debug, Subcommand)]
 pub enum Verb {
@@ -75,7 +75,7 @@ pub struct RecipeArgs {
     /// Folder that the recipe's sources are relative to
     #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
     pub data_root: PathBuf,
-    /// Overrides a value of the recipe, as nodes.train.params.iterations=500; can be repeated
+    /// Overrides a value of the recipe, as nodes.train.params.schedule_scale=0.5; can be repeated
     #[arg(short = 's', long = "set", value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 }
@@ -101,16 +101,16 @@ pub struct RunArgs {
     #[command(flatten)]
     pub selection: SelectionArgs,
     /// Jobs at the same time (default: as many as there are threads)
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub jobs: Option<usize>,
     /// Threads of all jobs together (default: all of this machine)
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub threads: Option<usize>,
     /// Launch nothing more after the first failure
     #[arg(long, conflicts_with = "max_failures")]
     pub fail_fast: bool,
     /// Launch nothing more after so many failures
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub max_failures: Option<usize>,
     /// Stop a job that runs longer, as 2h or 30min; its progress is kept
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
@@ -125,7 +125,7 @@ pub struct RunArgs {
     #[arg(long)]
     pub json: bool,
     /// What the jobs' logs hold, as debug or training=trace
-    #[arg(long, default_value = "info", value_name = "FILTER")]
+    #[arg(long, default_value = "info", value_parser = log_filter, value_name = "FILTER")]
     pub log: String,
 }
 
@@ -280,6 +280,19 @@ pub struct GcArgs {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f64>);
 
+/// A count of which 0 makes no sense.
+fn at_least_one(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|&count| count > 0).ok_or_else(|| "expected a number from 1 on".to_owned())
+}
+
+/// A filter that the jobs will understand.
+fn log_filter(text: &str) -> Result<String, String> {
+    engine::job::check_log_filter(text).map(|()| text.to_owned())
+}
+
+/// More files than this in one folder are a slip of the finger: an hour at 25 per second is 90,000.
+const MAX_TIMES: usize = 100_000;
+
 /// `FIRST:LAST:COUNT`: evenly spaced times with both ends.
 pub fn parse_times(text: &str) -> Result<Times, String> {
     let wrong = || format!("expected FIRST:LAST:COUNT, as 0:1:30, not {text}");
@@ -287,6 +300,9 @@ pub fn parse_times(text: &str) -> Result<Times, String> {
     let number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(wrong);
     let (first, last) = (number(first)?, number(last)?);
     let count: usize = count.parse().ok().filter(|&count| count > 0).ok_or_else(wrong)?;
+    if count > MAX_TIMES {
+        return Err(format!("at most {MAX_TIMES} times, not {count}"));
+    }
     // A single time is the first one.
     let step = if count > 1 { (last - first) / (count - 1) as f64 } else { 0.0 };
     Ok(Times((0..count).map(|index| first + step * index as f64).collect()))

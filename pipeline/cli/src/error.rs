@@ -1,10 +1,11 @@
 //! What goes wrong on the command line, each with its exit code; printed once.
 
 use std::fmt;
+use std::io::{self, ErrorKind};
 
 use engine::plan::NothingSelected;
 use engine::recipe::RecipeErrors;
-use engine::{Failure, exit};
+use engine::{Failure, FailureKind, exit};
 
 /// An error that ends the program.
 #[derive(Debug)]
@@ -15,6 +16,10 @@ pub enum CliError {
     Nothing { message: String, hint: Option<String> },
     /// With `--frozen`: these jobs would have to run.
     Frozen(Vec<String>),
+    /// What the user gave to read is wrong.
+    Input(anyhow::Error),
+    /// Standard output could not be written.
+    Output(io::Error),
     /// The machine or the store failed.
     Other(anyhow::Error),
 }
@@ -24,12 +29,23 @@ impl CliError {
         Self::Nothing { message: message.into(), hint: Some(hint.into()) }
     }
 
+    /// An error of something that reads what the user names: the input's fault unless the machine failed.
+    pub fn of_input(error: anyhow::Error) -> Self {
+        if is_of_machine(&error) { Self::Other(error) } else { Self::Input(error) }
+    }
+
+    /// Whether whoever read the output went away, as `head` does; nobody wants to be told.
+    pub fn reader_is_gone(&self) -> bool {
+        matches!(self, Self::Output(error) if error.kind() == ErrorKind::BrokenPipe)
+    }
+
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Recipe(_) => exit::RECIPE,
+            Self::Recipe(_) | Self::Input(_) => exit::INPUT,
             Self::Nothing { .. } => exit::NOTHING,
             Self::Frozen(_) => exit::FROZEN,
-            Self::Other(_) => exit::INFRASTRUCTURE,
+            Self::Output(_) if self.reader_is_gone() => exit::READER_GONE,
+            Self::Output(_) | Self::Other(_) => exit::INFRASTRUCTURE,
         }
     }
 }
@@ -48,9 +64,18 @@ impl fmt::Display for CliError {
                 write!(f, "error: {} jobs would have to run: {}{more}", jobs.len(), some.join(", "))?;
                 write!(f, "\nhint: run without --frozen, or see `pipeline plan` for the reasons")
             }
-            Self::Other(error) => write_failure(f, error),
+            Self::Output(error) => write!(f, "error: cannot write to standard output ({error})"),
+            Self::Input(error) | Self::Other(error) => write_failure(f, error),
         }
     }
+}
+
+/// Whether the machine failed, as opposed to what the user gave us.
+fn is_of_machine(error: &anyhow::Error) -> bool {
+    let failure = error.chain().find_map(|cause| cause.downcast_ref::<Failure>());
+    let of_failure = failure.map(|failure| !matches!(failure.kind, FailureKind::BadInput | FailureKind::MissingData));
+    let io_error = error.chain().find_map(|cause| cause.downcast_ref::<io::Error>());
+    of_failure.or(io_error.map(|error| error.kind() != ErrorKind::NotFound)).unwrap_or(false)
 }
 
 /// The message in one line, path last, then the hint if the error has one.
@@ -78,7 +103,8 @@ impl From<NothingSelected> for CliError {
 
 impl From<anyhow::Error> for CliError {
     fn from(error: anyhow::Error) -> Self {
-        Self::Other(error)
+        let bad_input = |failure: &Failure| failure.kind == FailureKind::BadInput;
+        if error.downcast_ref::<Failure>().is_some_and(bad_input) { Self::Input(error) } else { Self::Other(error) }
     }
 }
 

@@ -30,7 +30,9 @@ pub fn main() -> ExitCode {
     match dispatch(cli) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
-            eprintln!("{error}");
+            if !error.reader_is_gone() {
+                output::tell(&error.to_string());
+            }
             ExitCode::from(error.exit_code())
         }
     }

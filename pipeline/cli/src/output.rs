@@ -1,25 +1,30 @@
 //! Standard output, and how numbers look for people.
 
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, Write};
 
 use serde::Serialize;
 
-/// Writes text to standard output; a reader that went away (as `head` does) ends the program quietly.
-pub fn print(text: &str) -> io::Result<()> {
+use crate::error::CliError;
+
+/// Writes text to standard output.
+pub fn print(text: &str) -> Result<(), CliError> {
     let mut stdout = io::stdout().lock();
-    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => std::process::exit(engine::exit::OK.into()),
-        other => other,
-    }
+    stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()).map_err(CliError::Output)
+}
+
+/// Writes a line to standard error, if anybody can be told: a message that is lost changes nothing.
+pub fn tell(line: &str) {
+    // One write per line, so that lines of several programs do not mix.
+    let _ = io::stderr().lock().write_all(format!("{line}\n").as_bytes());
 }
 
 /// Writes one line to standard output.
-pub fn print_line(line: &str) -> io::Result<()> {
+pub fn print_line(line: &str) -> Result<(), CliError> {
     print(&format!("{line}\n"))
 }
 
 /// Writes readable JSON to standard output.
-pub fn print_json(value: &impl Serialize) -> io::Result<()> {
+pub fn print_json(value: &impl Serialize) -> Result<(), CliError> {
     print_line(&serde_json::to_string_pretty(value)?)
 }
 

@@ -10,6 +10,7 @@ use engine::{Plan, Store};
 
 use crate::args::{RecipeArgs, SelectionArgs};
 use crate::error::CliError;
+use crate::output::tell;
 use crate::stages::stages;
 
 /// A resolved recipe, the store, and which of its jobs are meant.
@@ -25,11 +26,20 @@ pub struct Session {
 }
 
 impl Session {
-    /// Resolves the recipe and opens the store; all jobs are meant.
+    /// Resolves the recipe and opens the store, making it if needed; all jobs are meant.
     pub fn open(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
+        Self::with(|| Store::open(store), recipe)
+    }
+
+    /// The same for verbs that only look: no store is made.
+    pub fn look(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
+        Self::with(|| Store::look(store), recipe)
+    }
+
+    fn with(store: impl FnOnce() -> anyhow::Result<Store>, recipe: &RecipeArgs) -> Result<Self, CliError> {
         let plan = engine::recipe::resolve(&recipe.recipe, &recipe.set, &stages())?;
         let targets = (0..plan.nodes.len()).collect();
-        let store = Store::open(store)?;
+        let store = store()?;
         let data_root = recipe.data_root.clone();
         Ok(Self { plan, store, data_root, targets, force: BTreeSet::new(), rehash: false })
     }
@@ -86,7 +96,10 @@ impl Session {
         let last = history
             .newest(&self.plan.recipe, node)
             .ok_or_else(|| CliError::nothing(format!("{} has no result", node.name), "run the recipe first"))?;
-        eprintln!("warning: the recipe, its data or the code changed since {} ran; this is the last result", node.name);
+        tell(&format!(
+            "warning: the recipe, its data or the code changed since {} ran; this is the last result",
+            node.name
+        ));
         Ok(last.clone())
     }
 }

@@ -1,8 +1,12 @@
+use std::io::ErrorKind;
+
 use clap::{CommandFactory, Parser};
+use engine::FailureKind;
 use engine::event::{Counts, Event, NodeResult, Outcome};
 
 use crate::args::{Cli, parse_times};
 use crate::display::lines::Lines;
+use crate::error::CliError;
 use crate::output::{count, duration};
 use crate::stages::stages;
 
@@ -15,6 +19,27 @@ fn the_command_line_is_consistent() {
 }
 
 #[test]
+fn options_that_make_no_sense_are_usage_errors() {
+    for wrong in ["--jobs=0", "--threads=0", "--max-failures=0", "--jobs=-1", "--log=foo=bar=baz"] {
+        assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", wrong]).is_err(), "{wrong}");
+    }
+    for right in ["--jobs=1", "--log=debug", "--log=training=trace,info"] {
+        assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", right]).is_ok(), "{right}");
+    }
+}
+
+#[test]
+fn exit_codes_tell_the_users_errors_from_the_machines() {
+    let code = |kind| CliError::of_input(engine::Failure::new(kind, "").into()).exit_code();
+    let of_io = |kind: ErrorKind| CliError::of_input(std::io::Error::from(kind).into()).exit_code();
+    let of_output = |kind: ErrorKind| CliError::Output(kind.into()).exit_code();
+    assert_eq!([code(FailureKind::BadInput), code(FailureKind::MissingData), code(FailureKind::World)], [3, 3, 13]);
+    assert_eq!([of_io(ErrorKind::NotFound), of_io(ErrorKind::StorageFull)], [3, 13]);
+    assert_eq!(CliError::of_input(anyhow::anyhow!("time 2 s is outside")).exit_code(), 3);
+    assert_eq!([of_output(ErrorKind::BrokenPipe), of_output(ErrorKind::StorageFull)], [141, 13]);
+}
+
+#[test]
 fn every_stage_is_registered_under_its_crate() {
     // Building the registry checks that each id is a crate in the table of sources.
     assert!(stages().stages().count() >= 6);
@@ -24,7 +49,7 @@ fn every_stage_is_registered_under_its_crate() {
 fn times_have_both_ends() {
     assert_eq!(parse_times("0:1:3").unwrap().0, [0.0, 0.5, 1.0]);
     assert_eq!(parse_times("2:9:1").unwrap().0, [2.0]);
-    for wrong in ["", "0:1", "0:1:0", "0:1:-2", "0:nan:3", "0:1:2:3", "a:1:2"] {
+    for wrong in ["", "0:1", "0:1:0", "0:1:-2", "0:nan:3", "0:1:2:3", "a:1:2", "0:1:99999999999999"] {
         assert!(parse_times(wrong).is_err(), "{wrong}");
     }
 }

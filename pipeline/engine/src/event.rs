@@ -7,6 +7,7 @@ use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
+use crate::store::naming;
 use crate::{Digest, Failure, Progress};
 
 /// One thing that happened.
@@ -194,23 +195,36 @@ pub fn json_line(event: &Event) -> serde_json::Result<String> {
 /// Writes events to a file and shows them to whoever watches.
 pub(crate) struct EventLog<'a> {
     file: BufWriter<File>,
+    path: PathBuf,
+    /// The first error of writing the file. What a run makes matters more than its diary: the run goes on.
+    fault: Option<io::Error>,
     watcher: &'a mut dyn FnMut(&Event),
 }
 
 impl<'a> EventLog<'a> {
     pub(crate) fn create(path: &Path, watcher: &'a mut dyn FnMut(&Event)) -> io::Result<Self> {
-        let file = File::options().create(true).append(true).open(path)?;
-        Ok(Self { file: BufWriter::new(file), watcher })
+        let file = File::options().create(true).append(true).open(path).map_err(naming(path))?;
+        Ok(Self { file: BufWriter::new(file), path: path.to_owned(), fault: None, watcher })
     }
 
-    pub(crate) fn emit(&mut self, event: &Event) -> io::Result<()> {
-        writeln!(self.file, "{}", json_line(event)?)?;
+    pub(crate) fn emit(&mut self, event: &Event) {
+        let written = json_line(event).map_err(io::Error::from).and_then(|line| writeln!(self.file, "{line}"));
+        self.note(written);
         (self.watcher)(event);
-        Ok(())
     }
 
     /// Hands what was written to the system, so that others can follow the file.
-    pub(crate) fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+    pub(crate) fn flush(&mut self) {
+        let flushed = self.file.flush();
+        self.note(flushed);
+    }
+
+    /// Why the file is not complete, if so.
+    pub(crate) fn fault(&self) -> Option<String> {
+        self.fault.as_ref().map(|error| format!("cannot write the run's events ({error}): {}", self.path.display()))
+    }
+
+    fn note(&mut self, written: io::Result<()>) {
+        self.fault = self.fault.take().or(written.err());
     }
 }

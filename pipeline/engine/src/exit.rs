@@ -4,8 +4,8 @@
 pub const OK: u8 = 0;
 /// The command line is wrong.
 pub const USAGE: u8 = 2;
-/// The recipe is invalid.
-pub const RECIPE: u8 = 3;
+/// The recipe, or what else the user gave to read (folders of images, a capture, a store), is invalid.
+pub const INPUT: u8 = 3;
 /// Nothing was selected, or nothing could run.
 pub const NOTHING: u8 = 4;
 /// With `--frozen`, some job would have had to run.
@@ -20,6 +20,8 @@ pub const DAMAGED: u8 = 12;
 pub const INFRASTRUCTURE: u8 = 13;
 /// A job saved its progress and wants to be run again.
 pub const CHECKPOINTED: u8 = 75;
+/// Whoever read our output went away before the end, as `head` does.
+pub const READER_GONE: u8 = 141;
 /// Stopped by INT (Ctrl-C).
 pub const INTERRUPTED: u8 = 130;
 /// Stopped by TERM.

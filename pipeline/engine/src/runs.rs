@@ -4,11 +4,16 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use crate::scheduler::RunSummary;
+use crate::store::naming;
 use crate::{Plan, Store};
 
 /// Folders of all runs, oldest first (their names begin with the time).
 pub fn run_dirs(store: &Store) -> anyhow::Result<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(store.root().join("runs"))?;
+    if !store.exists() {
+        return Ok(Vec::new());
+    }
+    let folder = store.root().join("runs");
+    let entries = std::fs::read_dir(&folder).map_err(naming(&folder))?;
     let mut dirs: Vec<PathBuf> = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>()?;
     dirs.sort();
     Ok(dirs)

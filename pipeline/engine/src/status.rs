@@ -27,6 +27,8 @@ pub enum State {
         last_failure: Option<Box<FailureRecord>>,
         /// Whether some process works on it now.
         running: bool,
+        /// Whether it was interrupted and left a checkpoint to continue from.
+        has_checkpoint: bool,
     },
     /// Something above it will run. Without changes of its own it may be cut off, if that gives what it gave before.
     Pending {
@@ -143,15 +145,20 @@ impl Predictor<'_> {
         let last_failure = self.store.failure(&key).map(Box::new);
         let node = &self.plan.nodes[index];
         let recipe = &self.plan.recipe;
+        let running = self.is_running(&key);
+        let has_checkpoint = !running && self.store.has_checkpoint(&key);
         let changes = match (found.is_empty(), self.history()?.newest(recipe, node)) {
             (false, _) => found,
+            (true, _) if has_checkpoint => {
+                vec![Change::new(Component::Record, "interrupted, continues from a checkpoint")]
+            }
             (true, None) => vec![Change::new(Component::Record, "never ran")],
             (true, Some(previous)) if previous.key == key => {
                 vec![Change::new(Component::Record, "its record is gone")]
             }
             (true, Some(previous)) => diff(&previous.components, components),
         };
-        Ok(State::WillRun { changes, last_failure, running: self.is_running(&key) })
+        Ok(State::WillRun { changes, last_failure, running, has_checkpoint })
     }
 
     /// A job whose inputs are not known: what is known of it is compared, as if its inputs stayed the same.

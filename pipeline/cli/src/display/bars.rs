@@ -7,6 +7,7 @@ use engine::event::{Event, Outcome};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
 use super::{Display, lines};
+use crate::error::CliError;
 
 pub struct Bars {
     all: MultiProgress,
@@ -30,7 +31,7 @@ impl Bars {
 }
 
 impl Display for Bars {
-    fn show(&mut self, event: &Event) {
+    fn show(&mut self, event: &Event) -> Result<(), CliError> {
         match event {
             Event::Planned { jobs, .. } => self.run.set_length(*jobs as u64),
             Event::Started { node, .. } => {
@@ -65,6 +66,7 @@ impl Display for Bars {
             Event::Heartbeat { .. } => {}
             Event::RunFinished { .. } => self.run.finish_and_clear(),
         }
+        Ok(())
     }
 }
 

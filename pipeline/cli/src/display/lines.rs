@@ -3,7 +3,8 @@
 use engine::event::{Counts, Event, NodeResult, Outcome};
 
 use super::Display;
-use crate::output::{count, duration};
+use crate::error::CliError;
+use crate::output::{count, duration, tell};
 
 #[derive(Default)]
 pub struct Lines {
@@ -11,10 +12,11 @@ pub struct Lines {
 }
 
 impl Display for Lines {
-    fn show(&mut self, event: &Event) {
+    fn show(&mut self, event: &Event) -> Result<(), CliError> {
         if let Some(line) = self.line(event) {
-            eprintln!("{line}");
+            tell(&line);
         }
+        Ok(())
     }
 }
 

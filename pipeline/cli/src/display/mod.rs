@@ -9,9 +9,12 @@ use std::io::IsTerminal;
 
 use engine::event::Event;
 
+use crate::error::CliError;
+
 /// Shows events as they happen.
 pub trait Display {
-    fn show(&mut self, event: &Event);
+    /// An error if nobody will see any event any more; for standard error, where messages may get lost, there is none.
+    fn show(&mut self, event: &Event) -> Result<(), CliError>;
 }
 
 /// JSON if asked for; bars on a terminal; lines otherwise.

@@ -5,7 +5,7 @@ use engine::event::{NodeResult, Outcome};
 use engine::scheduler::RunSummary;
 
 use crate::error::CliError;
-use crate::output::{self, duration};
+use crate::output::{self, duration, tell};
 use crate::session::Session;
 use crate::verbs::results::table_nodes;
 
@@ -13,24 +13,26 @@ use crate::verbs::results::table_nodes;
 const MAX_LISTED: usize = 20;
 
 /// Counts, failures and folders of results, to standard error.
-pub fn print(session: &Session, summary: &RunSummary) -> Result<(), CliError> {
-    eprintln!("{}", headline(summary));
+pub fn print(session: &Session, summary: &RunSummary) {
+    tell(&headline(summary));
     list(summary, Outcome::Failed, "failed");
     list(summary, Outcome::MissingData, "MISSING DATA");
     let done = |name: &&String| summary.results.get(*name).is_some_and(|result| result.content.is_some());
     let sinks: Vec<&String> = summary.sinks.iter().filter(done).collect();
+    let contents = summary.results.iter().filter_map(|(name, result)| Some((name.as_str(), result.content.as_ref()?)));
+    if let Err(error) = session.store.link_results(&summary.recipe, contents) {
+        tell(&format!("warning: cannot link results to their names: {error:#}"));
+    }
     for name in sinks.iter().take(MAX_LISTED) {
-        if let Some(content) = summary.results[*name].content {
-            let view = session.store.view(&content)?;
-            // A report is a file to open; any other artifact is a folder.
-            let report = view.join("report.md");
-            eprintln!("{name}: {}", if report.exists() { report } else { view }.display());
-        }
+        // A report is a file to open; any other artifact is a folder.
+        let folder = session.store.result_link(&summary.recipe, name);
+        let report = folder.join("report.md");
+        tell(&format!("{name}: {}", if report.exists() { report } else { folder }.display()));
     }
     if sinks.len() > MAX_LISTED {
-        eprintln!("… and {} more; see `pipeline show`", sinks.len() - MAX_LISTED);
+        tell(&format!("… and {} more; see `pipeline show`", sinks.len() - MAX_LISTED));
     }
-    Ok(())
+    summary.not_kept.iter().for_each(|reason| tell(&format!("warning: {reason}")));
 }
 
 /// `run …: 7 executed, 2 cached, 1 failed in 12 s`, without what did not occur.
@@ -52,14 +54,14 @@ fn list(summary: &RunSummary, outcome: Outcome, title: &str) {
     let found: Vec<(&String, &NodeResult)> =
         summary.results.iter().filter(|(_, result)| result.outcome == outcome).collect();
     if !found.is_empty() {
-        eprintln!("{title}:");
+        tell(&format!("{title}:"));
     }
     for (name, result) in found {
         if let Some(failure) = &result.failure {
-            eprintln!("  {name}: {failure}");
+            tell(&format!("  {name}: {failure}"));
         }
         if let Some(dir) = &result.log_dir {
-            eprintln!("    logs: {}", dir.display());
+            tell(&format!("    logs: {}", dir.display()));
         }
     }
 }

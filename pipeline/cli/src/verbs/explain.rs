@@ -12,7 +12,7 @@ use crate::session::Session;
 use crate::verbs::plan;
 
 pub fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.recipe)?;
+    let session = Session::look(store, &args.recipe)?;
     let index = session.node(&args.node)?;
     let node = &session.plan.nodes[index];
     let predictions = session.predict_for(&BTreeSet::from([index]))?;

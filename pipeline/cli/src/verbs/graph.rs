@@ -10,7 +10,7 @@ use crate::output::print;
 use crate::session::Session;
 
 pub fn graph(store: &Path, args: &GraphArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.recipe)?;
+    let session = Session::look(store, &args.recipe)?;
     let states = session.predict()?.into_iter().map(|(index, told)| (index, told.node_state())).collect();
     print(&match args.format {
         GraphFormat::Dot => dot(&session.plan, &states, args.collapse),

@@ -14,7 +14,7 @@ use crate::output::{count, duration, print, print_json};
 use crate::session::Session;
 
 pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
+    let session = Session::look(store, &args.recipe)?.select(&args.selection)?;
     let predictions = session.predict()?;
     let causes = causes(&session.plan, &predictions);
     if args.json {

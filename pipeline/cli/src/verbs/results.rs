@@ -11,7 +11,7 @@ use crate::output::{bytes, duration, print, print_json, print_line};
 use crate::session::Session;
 
 pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.node.recipe)?;
+    let session = Session::look(store, &args.node.recipe)?;
     let record = session.record(session.node(&args.node.node)?)?;
     let view = session.store.view(&record.content)?;
     let measurements = session.store.read_measurements(&record.measurements)?;
@@ -42,7 +42,7 @@ pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
 }
 
 pub fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.recipe)?;
+    let session = Session::look(store, &args.recipe)?;
     let file = match args.format {
         TableFormat::Md => "report.md",
         TableFormat::Latex => "report.tex",
@@ -68,7 +68,7 @@ pub fn table_nodes(session: &Session) -> Vec<usize> {
 }
 
 pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.recipe)?;
+    let session = Session::look(store, &args.recipe)?;
     let index = session.node(&args.node)?;
     let node = &session.plan.nodes[index];
     let capture = node.inputs.iter().find(|input| input.port == "capture").and_then(|input| input.producers.first());
@@ -79,7 +79,8 @@ pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
         |index: usize| -> Result<PathBuf, CliError> { Ok(session.store.view(&session.record(index)?.content)?) };
     let report = match args.format {
         ExportFormat::PlySeq => {
-            rendering::export::ply_sequence(&folder(index)?, &folder(capture)?, &args.times.0, &args.out)?
+            rendering::export::ply_sequence(&folder(index)?, &folder(capture)?, &args.times.0, &args.out)
+                .map_err(CliError::of_input)?
         }
     };
     print_line(report.trim_end())?;

@@ -17,16 +17,28 @@ use crate::session::Session;
 const HEARTBEAT: Duration = Duration::from_secs(30);
 
 pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
     if args.frozen {
-        refuse_to_run(&session)?;
+        refuse_to_run(&Session::look(store, &args.recipe)?.select(&args.selection)?)?;
     }
+    let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
     let options = options(&session, args)?;
     let mut display = display::choose(args.json);
-    let watch = &mut |event: &Event| display.show(event);
+    let mut unseen = None;
+    let watch = &mut |event: &Event| {
+        if unseen.is_none()
+            && let Err(error) = display.show(event)
+        {
+            // Whoever wanted the events is gone: the jobs save their progress and stop.
+            options.stop.reader_is_gone();
+            unseen = Some(error);
+        }
+    };
     let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
     drop(display);
-    summary::print(&session, &result)?;
+    summary::print(&session, &result);
+    if let Some(error) = unseen {
+        return Err(error);
+    }
     if !args.json {
         summary::print_tables(&session, &result)?;
     }

@@ -13,7 +13,7 @@ use crate::session::Session;
 use crate::verbs::plan;
 
 pub fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
-    let session = Session::open(store, &args.recipe)?;
+    let session = Session::look(store, &args.recipe)?;
     let predictions = session.predict()?;
     if args.json {
         let named: BTreeMap<&str, _> =
@@ -33,6 +33,9 @@ pub fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
     }
     for (&index, prediction) in &predictions {
         if matches!(prediction.node_state(), NodeState::Failed | NodeState::Running | NodeState::Blocked) {
+            text += &plan::line(&session.plan.nodes[index].name, prediction);
+        }
+        if let State::WillRun { has_checkpoint: true, last_failure: None, .. } = &prediction.state {
             text += &plan::line(&session.plan.nodes[index].name, prediction);
         }
         if let State::WillRun { last_failure: Some(failed), .. } = &prediction.state {

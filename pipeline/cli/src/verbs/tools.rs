@@ -3,20 +3,35 @@
 use std::path::Path;
 
 use clap::CommandFactory;
-use engine::{Store, exit};
+use engine::{Failure, FailureKind, Store, exit};
 
 use crate::args::{Cli, EvalArgs};
 use crate::error::CliError;
 use crate::output::{print, print_json, print_line};
 use crate::stages::stages;
 
+/// An error if the user named a folder that is none.
+fn require_folder(path: &Path) -> Result<(), CliError> {
+    let no_folder = || Failure::new(FailureKind::BadInput, "no such folder").at(path);
+    if path.is_dir() { Ok(()) } else { Err(anyhow::Error::from(no_folder()).into()) }
+}
+
+/// Describes a capture; an exit code other than 0 if it cannot be imported.
 pub fn inspect(dir: &Path) -> Result<u8, CliError> {
-    print_line(sfm_import::inspect::describe(dir)?.trim_end())?;
-    Ok(exit::OK)
+    require_folder(dir)?;
+    let text = sfm_import::inspect::describe(dir).map_err(CliError::of_input)?;
+    print_line(text.trim_end())?;
+    let found = sfm_import::inspect::inspect(dir).map_err(CliError::of_input)?;
+    if found.iter().all(|capture| capture.problems.is_empty()) {
+        return Ok(exit::OK);
+    }
+    Err(CliError::of_input(anyhow::anyhow!("not everything can be imported; see the problems: {}", dir.display())))
 }
 
 pub fn eval(args: &EvalArgs) -> Result<u8, CliError> {
-    let metrics = metric_evaluation::evaluate_folders(&args.renders, &args.truth)?;
+    require_folder(&args.renders)?;
+    require_folder(&args.truth)?;
+    let metrics = metric_evaluation::evaluate_folders(&args.renders, &args.truth).map_err(CliError::of_input)?;
     if args.json {
         print_json(&metrics)?;
     } else {
@@ -50,7 +65,10 @@ pub fn doctor(store: &Path, data_root: &Path) -> Result<u8, CliError> {
 
 /// Opens the store and writes a file in it, to see that it can be written.
 fn try_store(path: &Path) -> anyhow::Result<String> {
-    let store = Store::open(path)?;
+    let store = Store::look(path)?;
+    if !store.exists() {
+        return Ok(format!("{}: not there yet; the first run makes it", store.root().display()));
+    }
     let in_use = store.lock_shared()?;
     std::fs::write(store.scratch("doctor")?.path().join("probe"), "probe")?;
     drop(in_use);

@@ -13,6 +13,7 @@ use anyhow::Context;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid};
 
 use super::{JobSpec, JobStatus, Line, failure, log};
+use crate::store::naming;
 use crate::{Failure, FailureKind, Progress};
 
 /// What a job may see of the user's environment: enough to find programs, drivers and temporary space, and nothing
@@ -129,9 +130,11 @@ pub fn supervise(
     handle: &ProcessHandle,
     on_progress: &(dyn Fn(Progress) + Sync),
 ) -> anyhow::Result<Ended> {
-    fs::create_dir_all(&spec.dir).context("cannot make the job's folder")?;
+    fs::create_dir_all(&spec.dir).map_err(naming(&spec.dir)).context("cannot make the job's folder")?;
     let spec_file = spec.dir.join("job.json");
-    fs::write(&spec_file, serde_json::to_vec_pretty(spec)?).context("cannot write the job")?;
+    fs::write(&spec_file, serde_json::to_vec_pretty(spec)?)
+        .map_err(naming(&spec_file))
+        .context("cannot write the job")?;
     let memory_kills = failure::kernel_memory_kills();
     let mut child = start(command, spec, &spec_file, lock)?;
     let pid = Pid::from_child(&child);

@@ -15,6 +15,11 @@ pub(super) fn init(dir: &Path, filter: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Whether jobs would understand `filter`; the error says what is wrong.
+pub fn check_filter(filter: &str) -> Result<(), String> {
+    EnvFilter::builder().parse(filter).map(|_| ()).map_err(|error| error.to_string())
+}
+
 /// The last lines of `log` and of `stderr` in `dir`.
 pub(super) fn tail(dir: &Path) -> Vec<String> {
     ["log", "stderr"].iter().flat_map(|name| last_lines(&dir.join(name)).unwrap_or_default()).collect()

@@ -16,6 +16,7 @@ use crate::{Coordinates, Digest, Failure, KeyComponents, Progress};
 
 pub use child::{Ended, ProcessHandle, Stop, supervise};
 pub use exec::execute;
+pub use log::check_filter as check_log_filter;
 pub use signals::StopRequests;
 
 /// Everything that a child needs to know, written to `job.json` in the job's folder.

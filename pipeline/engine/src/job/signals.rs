@@ -4,7 +4,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGUSR1};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGPIPE, SIGTERM, SIGUSR1};
 use signal_hook::flag;
 use signal_hook::iterator::Signals;
 
@@ -40,9 +40,18 @@ impl StopRequests {
         self.count.load(Ordering::SeqCst)
     }
 
-    /// Whether the last request was TERM.
-    pub fn by_term(&self) -> bool {
-        i32::try_from(self.signal.load(Ordering::SeqCst)) == Ok(SIGTERM)
+    /// Asks to stop since nobody reads the output any more.
+    pub fn reader_is_gone(&self) {
+        self.request(SIGPIPE);
+    }
+
+    /// What asked last: `INT`, `TERM` or `PIPE`.
+    pub fn last_signal(&self) -> &'static str {
+        match i32::try_from(self.signal.load(Ordering::SeqCst)) {
+            Ok(SIGTERM) => "TERM",
+            Ok(SIGPIPE) => "PIPE",
+            _ => "INT",
+        }
     }
 }
 

@@ -108,7 +108,8 @@ impl Sources {
         let digests = SourceDigests::load(&store.stat_cache_file(), rehash);
         let states = paths.iter().map(|path| ((*path).clone(), source_state(&digests, data_root, path))).collect();
         if let Some(cache) = digests.changed_cache()? {
-            store.write_over(&store.stat_cache_file(), &cache)?;
+            // Without the cache the next run hashes again, which is only slower.
+            let _ = store.exists().then(|| store.write_over(&store.stat_cache_file(), &cache));
         }
         Ok(Self(states))
     }

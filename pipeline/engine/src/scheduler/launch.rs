@@ -8,7 +8,7 @@ use anyhow::Context;
 
 use super::{Message, RunOptions, Scheduler, inputs};
 use crate::job::{Ended, JobSpec, JobStatus, ProcessHandle, supervise};
-use crate::store::{FailureRecord, Lookup, Provenance, Store};
+use crate::store::{FailureRecord, Lookup, Provenance, Store, naming};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents, Progress, lock};
 
 /// A job with a thread of its own.
@@ -116,7 +116,8 @@ impl Watch {
 
     /// Takes the action's lock, then the result that another run made meanwhile, or else runs the child.
     fn find_or_run(&self) -> anyhow::Result<Result<Box<crate::store::ActionRecord>, Ended>> {
-        let lock = lock::open(&self.store.lock_file(self.key.as_str())).context("cannot open a lock")?;
+        let lock_file = self.store.lock_file(self.key.as_str());
+        let lock = lock::open(&lock_file).map_err(naming(&lock_file)).context("cannot open a lock")?;
         if !lock::try_exclusive(&lock)? {
             self.tell(Message::Waiting(self.index));
             if !lock::wait_exclusive(&lock, || self.handle.told_to_stop())? {

@@ -19,7 +19,7 @@ use anyhow::Context;
 
 use crate::event::{Counts, Event, EventLog, NodeResult, Outcome};
 use crate::job::{Ended, JobStatus, StopRequests};
-use crate::store::{ActionRecord, Lookup};
+use crate::store::{ActionRecord, Lookup, naming};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents, Plan, Progress, Store};
 
 pub use inputs::{Done, ENVIRONMENT, Readiness, Rest, Sources, readiness};
@@ -72,16 +72,22 @@ pub fn run(
     let _in_use = store.enter()?;
     let selected = plan.with_ancestors(&options.targets);
     let (run, run_dir) = new_run(store)?;
-    std::fs::write(run_dir.join("plan.json"), serde_json::to_vec(plan)?).context("cannot write the plan")?;
+    let plan_file = run_dir.join("plan.json");
+    std::fs::write(&plan_file, serde_json::to_vec(plan)?)
+        .map_err(naming(&plan_file))
+        .context("cannot write the plan")?;
     let mut events = EventLog::create(&run_dir.join("events.jsonl"), watcher)?;
-    events.emit(&Event::Planned { run: run.clone(), recipe: plan.recipe.clone(), jobs: selected.len() })?;
+    events.emit(&Event::Planned { run: run.clone(), recipe: plan.recipe.clone(), jobs: selected.len() });
     let sources = Sources::digest(plan, &selected, &options.data_root, store, options.rehash)?;
 
     let mut scheduler = Scheduler::new(plan, store, options, run.clone(), selected, sources, events);
     scheduler.run()?;
-    let summary = scheduler.finish(clock.elapsed().as_secs_f64())?;
-    std::fs::write(run_dir.join("summary.json"), serde_json::to_vec_pretty(&summary)?)
-        .context("cannot write the summary")?;
+    let mut summary = scheduler.finish(clock.elapsed().as_secs_f64());
+    let path = run_dir.join("summary.json");
+    if let Err(error) = std::fs::write(&path, serde_json::to_vec_pretty(&summary)?) {
+        // The caller still learns what came of the jobs.
+        summary.not_kept.get_or_insert(format!("cannot write the run's summary ({error}): {}", path.display()));
+    }
     Ok(summary)
 }
 
@@ -90,7 +96,7 @@ fn new_run(store: &Store) -> anyhow::Result<(String, PathBuf)> {
     let now = humantime::format_rfc3339_millis(SystemTime::now()).to_string();
     let name = format!("{}-{}", now.replace(['-', ':'], ""), std::process::id());
     let dir = store.run_dir(&name);
-    std::fs::create_dir_all(&dir).context("cannot make the run's folder")?;
+    std::fs::create_dir_all(&dir).map_err(naming(&dir)).context("cannot make the run's folder")?;
     Ok((name, dir))
 }
 
@@ -181,13 +187,13 @@ impl<'a> Scheduler<'a> {
             while let Some(index) = self.fresh.pop_first() {
                 self.look_at(index)?;
             }
-            self.watch_stop_requests()?;
+            self.watch_stop_requests();
             self.launch_what_fits()?;
             if self.running.is_empty() {
                 // Nothing runs and nothing fits: nothing is left, or launching has ended.
                 return Ok(());
             }
-            self.events.flush()?;
+            self.events.flush();
             match self.receiver.recv_timeout(TICK) {
                 Ok(message) => self.receive(message)?,
                 Err(RecvTimeoutError::Timeout) => {}
@@ -215,7 +221,7 @@ impl<'a> Scheduler<'a> {
                 Lookup::Hit(record) => return self.settle_from(index, &record),
                 Lookup::Damaged { reason, paths } => {
                     let message = format!("{} runs again: {reason}", self.plan.nodes[index].name);
-                    self.events.emit(&Event::Warning { message })?;
+                    self.events.emit(&Event::Warning { message });
                     self.store.discard(&paths).context("cannot move damaged files to quarantine")?;
                 }
                 Lookup::Miss => {}
@@ -229,17 +235,26 @@ impl<'a> Scheduler<'a> {
     fn receive(&mut self, message: Message) -> anyhow::Result<()> {
         let name = |index: usize| self.plan.nodes[index].name.clone();
         match message {
-            Message::Waiting(index) => Ok(self.events.emit(&Event::Waiting { node: name(index) })?),
+            Message::Waiting(index) => {
+                self.events.emit(&Event::Waiting { node: name(index) });
+                Ok(())
+            }
             Message::Started(index) => {
                 let Some(job) = self.running.get_mut(&index) else { return Ok(()) };
                 job.process_started = Some(Instant::now());
                 let (key, threads) = (job.key.to_string(), job.threads);
-                Ok(self.events.emit(&Event::Started { node: name(index), key, threads })?)
+                {
+                    self.events.emit(&Event::Started { node: name(index), key, threads });
+                    Ok(())
+                }
             }
             Message::Progress(index, progress) => {
                 let Some(job) = self.running.get_mut(&index) else { return Ok(()) };
                 job.progress = progress.clone();
-                Ok(self.events.emit(&Event::Progress { node: name(index), progress })?)
+                {
+                    self.events.emit(&Event::Progress { node: name(index), progress });
+                    Ok(())
+                }
             }
             Message::Found(index, record) => {
                 let Some(job) = self.running.remove(&index) else { return Ok(()) };
@@ -294,7 +309,7 @@ impl<'a> Scheduler<'a> {
         self.counts.add(result.outcome);
         self.rests[index] = Some(rest);
         let node = self.plan.nodes[index].name.clone();
-        self.events.emit(&Event::Finished { node, result: result.clone() })?;
+        self.events.emit(&Event::Finished { node, result: result.clone() });
         self.results.insert(index, result);
         for &consumer in &self.consumers[index] {
             self.unfinished_producers[consumer] -= 1;
@@ -313,29 +328,33 @@ impl<'a> Scheduler<'a> {
         let counts = Counts { running: self.running.len(), ..self.counts };
         let running =
             self.running.iter().map(|(&index, job)| (self.plan.nodes[index].name.clone(), job.progress.clone()));
-        Ok(self.events.emit(&Event::Heartbeat { counts, running: running.collect() })?)
+        {
+            self.events.emit(&Event::Heartbeat { counts, running: running.collect() });
+            Ok(())
+        }
     }
 
     /// Counts what never got its turn, and closes the books.
-    fn finish(mut self, wall_secs: f64) -> anyhow::Result<RunSummary> {
+    fn finish(mut self, wall_secs: f64) -> RunSummary {
         for &index in &self.selected {
             if self.rests[index].is_none() {
                 self.counts.add(Outcome::NotRun);
                 self.results.insert(index, NodeResult::new(Outcome::NotRun));
             }
         }
-        self.events.emit(&Event::RunFinished { counts: self.counts, wall_secs })?;
-        self.events.flush()?;
+        self.events.emit(&Event::RunFinished { counts: self.counts, wall_secs });
+        self.events.flush();
         let named = self.results.iter().map(|(&index, result)| (self.plan.nodes[index].name.clone(), result.clone()));
-        Ok(RunSummary {
+        RunSummary {
             run: self.run.clone(),
             recipe: self.plan.recipe.clone(),
             counts: self.counts,
             wall_secs,
             stopped_by: self.stopped_by(),
             sinks: self.selected_sinks(),
+            not_kept: self.events.fault(),
             results: named.collect(),
-        })
+        }
     }
 
     /// Names of the selected nodes that no selected node reads.

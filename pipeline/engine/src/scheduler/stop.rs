@@ -11,7 +11,7 @@ const TIME_LIMIT_GRACE: Duration = Duration::from_secs(10);
 
 impl Scheduler<'_> {
     /// Acts on each request to stop once: ask the jobs to save their progress, then TERM, then KILL.
-    pub(super) fn watch_stop_requests(&mut self) -> anyhow::Result<()> {
+    pub(super) fn watch_stop_requests(&mut self) {
         let requests = self.options.stop.count();
         while self.stops_seen < requests {
             self.stops_seen += 1;
@@ -30,9 +30,8 @@ impl Scheduler<'_> {
                     "killing running jobs"
                 }
             };
-            self.events.emit(&Event::Stopping { message: message.into() })?;
+            self.events.emit(&Event::Stopping { message: message.into() });
         }
-        Ok(())
     }
 
     /// Whether nothing more is to be launched.
@@ -61,7 +60,6 @@ impl Scheduler<'_> {
 
     /// The exit code's reason, if the run was stopped on request.
     pub(super) fn stopped_by(&self) -> Option<String> {
-        let by = if self.options.stop.by_term() { "TERM" } else { "INT" };
-        (self.stops_seen > 0).then(|| by.to_owned())
+        (self.stops_seen > 0).then(|| self.options.stop.last_signal().to_owned())
     }
 }

@@ -22,6 +22,9 @@ pub struct RunSummary {
     pub stopped_by: Option<String>,
     /// The nodes that nothing reads: what the run was for.
     pub sinks: Vec<String>,
+    /// Why events or this summary could not be kept in the run's folder, if so.
+    #[serde(default)]
+    pub not_kept: Option<String>,
     /// What became of each node.
     pub results: BTreeMap<String, NodeResult>,
 }
@@ -32,15 +35,22 @@ impl RunSummary {
     pub fn exit_code(&self, require_data: bool) -> u8 {
         let counts = &self.counts;
         if let Some(signal) = &self.stopped_by {
-            return if signal == "TERM" { exit::TERMINATED } else { exit::INTERRUPTED };
+            return match signal.as_str() {
+                "TERM" => exit::TERMINATED,
+                "PIPE" => exit::READER_GONE,
+                _ => exit::INTERRUPTED,
+            };
+        }
+        if self.not_kept.is_some() {
+            return exit::INFRASTRUCTURE;
         }
         if counts.failed + counts.interrupted + counts.not_run > 0 {
             return exit::FAILED;
         }
-        let some_sink_is_done = self.sinks.iter().any(|name| self.is_done(name));
-        if counts.missing_data > 0 && some_sink_is_done && require_data {
+        if counts.missing_data > 0 && require_data {
             return exit::FAILED;
         }
+        let some_sink_is_done = self.sinks.iter().any(|name| self.is_done(name));
         if some_sink_is_done { exit::OK } else { exit::NOTHING }
     }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempPath;
 
-use super::Store;
+use super::{Store, naming};
 use crate::Digest;
 
 impl Store {
@@ -28,10 +28,11 @@ impl Store {
     /// Adds bytes as a blob, durably.
     pub(super) fn put_bytes(&self, bytes: &[u8]) -> io::Result<Digest> {
         let digest = Digest::of(bytes);
-        let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
-        file.write_all(bytes)?;
-        file.as_file().set_permissions(fs::Permissions::from_mode(0o444))?;
-        file.as_file().sync_all()?;
+        let file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
+        let mut open = file.as_file();
+        let written = open.write_all(bytes);
+        let protected = written.and_then(|()| open.set_permissions(fs::Permissions::from_mode(0o444)));
+        protected.and_then(|()| open.sync_all()).map_err(naming(file.path()))?;
         self.place(file.into_temp_path(), &digest, bytes.len() as u64)?;
         Ok(digest)
     }
@@ -41,12 +42,13 @@ impl Store {
     /// A blob that is already there and whole stays, and the file is removed; a damaged one goes to quarantine.
     pub(super) fn place(&self, file: TempPath, digest: &Digest, size_bytes: u64) -> io::Result<()> {
         let path = self.blob_path(digest);
-        fs::create_dir_all(path.parent().unwrap_or(&self.root))?;
+        let folder = path.parent().unwrap_or(&self.root);
+        fs::create_dir_all(folder).map_err(naming(folder))?;
         if path.exists() && !is_whole(&path, digest, size_bytes) {
             self.quarantine(&path)?;
         }
         match file.persist_noclobber(&path) {
-            Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(error.error),
+            Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(naming(&path)(error.error)),
             _ => Ok(()),
         }
     }

@@ -96,7 +96,7 @@ impl Store {
     /// Removes records that neither one of `keep_plan_ids` names nor a run made or used within `max_age`, then
     /// everything that no record needs. The caller holds the store's exclusive lock.
     ///
-    /// Removed besides: views, markers, locks and failures without a record, scratch, old checkpoints and quarantine.
+    /// Removed besides: views, links to results, markers, locks and failures without a record, scratch, old checkpoints and quarantine.
     pub fn gc(&self, keep_plan_ids: &BTreeSet<String>, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
         let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {
@@ -145,6 +145,12 @@ impl Store {
         for folder in ["views", "verified"] {
             files.extend(files_below(&self.root.join(folder))?.into_iter().filter(|path| !shown(folder, path)));
         }
+        let leads_to_kept = |link: &PathBuf| {
+            let target = fs::read_link(link).ok();
+            let name = target.as_deref().and_then(Path::file_name);
+            name.is_some_and(|name| contents.contains(name.to_string_lossy().as_ref()))
+        };
+        files.extend(files_below(&self.root.join("results"))?.into_iter().filter(|link| !leads_to_kept(link)));
         files.extend(files_below(&self.root.join("tmp"))?);
         files.extend(files_below(&self.root.join("locks"))?);
         for folder in ["checkpoints", "failures", "quarantine", "runs"] {
@@ -155,8 +161,12 @@ impl Store {
     }
 
     fn remove_empty_folders(&self) -> io::Result<()> {
-        for folder in ["cas", "views", "tmp", "checkpoints", "runs"] {
-            for entry in WalkDir::new(self.root.join(folder)).min_depth(1).contents_first(true) {
+        for folder in ["cas", "views", "results", "tmp", "checkpoints", "runs"] {
+            let path = self.root.join(folder);
+            if !path.exists() {
+                continue;
+            }
+            for entry in WalkDir::new(path).min_depth(1).contents_first(true) {
                 let entry = entry?;
                 if entry.file_type().is_dir() {
                     // Fails, as it should, where something is left.
@@ -189,7 +199,7 @@ impl Store {
 }
 
 /// All files and links below `dir`, sorted; none if there is no such folder.
-fn files_below(dir: &Path) -> io::Result<Vec<PathBuf>> {
+pub(super) fn files_below(dir: &Path) -> io::Result<Vec<PathBuf>> {
     if !dir.exists() {
         return Ok(Vec::new());
     }

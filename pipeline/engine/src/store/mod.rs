@@ -5,6 +5,7 @@
 //! cas/ab/cdef…                blobs, read-only
 //! verified/<manifest>         marker: the manifest's blobs matched their names at this file's time
 //! views/<manifest>/…          a folder of links into cas, for reading in place
+//! results/<recipe>/<node>     link to the view of the node's last result, for people
 //! records/<action key>.json   what a job made and from what: the commit point of a publication
 //! failures/<action key>.json  the last failure of an action; never a cache hit
 //! checkpoints/<action key>/   what an interrupted job saved
@@ -19,6 +20,7 @@ mod maintenance;
 mod manifest;
 mod publish;
 mod record;
+mod results;
 mod view;
 
 use std::fs;
@@ -38,6 +40,12 @@ pub use record::{ActionRecord, FailureRecord, Provenance};
 /// The version of the layout. A store of a newer version is refused, since this binary cannot know its rules.
 const FORMAT: u32 = 1;
 
+/// What the temporary file is called that becomes FORMAT.
+const NEW_FORMAT_PREFIX: &str = ".FORMAT-";
+
+/// The folders of a store; those that are not there from the start are made when needed.
+const FOLDERS: [&str; 9] = ["cas", "verified", "views", "records", "failures", "checkpoints", "runs", "locks", "tmp"];
+
 /// A store on a local disk; cheap to clone, holds no lock and no open file.
 #[derive(Clone, Debug)]
 pub struct Store {
@@ -45,16 +53,38 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the store in `root`, making it if nothing is there.
+    /// Opens the store in `root`, making it if there is nothing or an empty folder. A folder with anything else in it
+    /// is refused: collections would take foreign files for garbage.
     pub fn open(root: &Path) -> anyhow::Result<Self> {
         let make = |error| Failure::new(FailureKind::World, format!("cannot make the store ({error})")).at(root);
         fs::create_dir_all(root).map_err(make)?;
         let store = Self { root: fs::canonicalize(root).map_err(make)? };
-        for folder in ["cas", "verified", "views", "records", "failures", "checkpoints", "runs", "locks", "tmp"] {
-            fs::create_dir_all(store.root.join(folder)).map_err(make)?;
+        if !store.exists() {
+            store.refuse_foreign_folder()?;
+            store.write_format().map_err(make)?;
         }
         store.check_format()?;
+        for folder in FOLDERS {
+            fs::create_dir_all(store.root.join(folder)).map_err(make)?;
+        }
         Ok(store)
+    }
+
+    /// Opens the store in `root` to look at it and makes nothing: where there is no store, it reads as an empty one.
+    pub fn look(root: &Path) -> anyhow::Result<Self> {
+        let absolute = if root.exists() { fs::canonicalize(root) } else { std::path::absolute(root) };
+        let store = Self { root: absolute.map_err(naming(root)).context("cannot open the store")? };
+        if store.exists() {
+            store.check_format()?;
+        } else if store.root.exists() {
+            store.refuse_foreign_folder()?;
+        }
+        Ok(store)
+    }
+
+    /// Whether there is a store, or only the place for one.
+    pub fn exists(&self) -> bool {
+        self.format_file().exists()
     }
 
     /// The store's folder, absolute.
@@ -72,6 +102,12 @@ impl Store {
         self.root.join("checkpoints").join(action_key)
     }
 
+    /// Whether an interrupted job of `action_key` left anything to continue from.
+    pub fn has_checkpoint(&self, action_key: &crate::ActionKey) -> bool {
+        let entries = fs::read_dir(self.checkpoint_dir(action_key.as_str()));
+        entries.is_ok_and(|mut entries| entries.next().is_some())
+    }
+
     /// The file whose lock a runner of `action_key` holds.
     pub fn lock_file(&self, action_key: &str) -> PathBuf {
         self.root.join("locks").join(action_key)
@@ -84,15 +120,17 @@ impl Store {
 
     /// Marks the store as in use until the returned file is dropped: nothing is swept away meanwhile.
     pub fn lock_shared(&self) -> io::Result<fs::File> {
-        let file = crate::lock::open(&self.root.join("LOCK"))?;
-        file.lock_shared()?;
+        let path = self.root.join("LOCK");
+        let file = crate::lock::open(&path).map_err(naming(&path))?;
+        file.lock_shared().map_err(naming(&path))?;
         Ok(file)
     }
 
     /// The store for this process alone, or nothing if anybody uses it.
     pub fn try_lock_exclusive(&self) -> anyhow::Result<Option<fs::File>> {
-        let file = crate::lock::open(&self.root.join("LOCK"))?;
-        Ok(crate::lock::try_exclusive(&file).context("cannot lock the store")?.then_some(file))
+        let path = self.root.join("LOCK");
+        let file = crate::lock::open(&path).map_err(naming(&path)).context("cannot lock the store")?;
+        Ok(crate::lock::try_exclusive(&file).map_err(naming(&path)).context("cannot lock the store")?.then_some(file))
     }
 
     /// Marks the store as in use, after sweeping away what crashed runs left in `tmp`, if nobody else is there.
@@ -117,9 +155,9 @@ impl Store {
     fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
         let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
-        file.write_all(bytes)?;
-        file.as_file().sync_all()?;
-        file.persist_noclobber(path).map_err(|error| error.error)?;
+        file.write_all(bytes).map_err(naming(path))?;
+        file.as_file().sync_all().map_err(naming(path))?;
+        file.persist_noclobber(path).map_err(|error| naming(path)(error.error))?;
         sync_dir(path.parent().unwrap_or(&self.root))
     }
 
@@ -127,21 +165,43 @@ impl Store {
     pub(crate) fn write_over(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
         let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
-        file.write_all(bytes)?;
-        file.persist(path)?;
+        file.write_all(bytes).map_err(naming(path))?;
+        file.persist(path).map_err(|error| naming(path)(error.error))?;
         Ok(())
     }
 
-    fn check_format(&self) -> anyhow::Result<()> {
-        let path = self.root.join("FORMAT");
-        match fs::read_to_string(&path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => {
-                // Two processes may make the same store at once; both write the same line.
-                match self.write_new(&path, format!("{FORMAT}\n").as_bytes()) {
-                    Err(error) if error.kind() != ErrorKind::AlreadyExists => Err(error).context("cannot write FORMAT"),
-                    _ => Ok(()),
-                }
+    fn format_file(&self) -> PathBuf {
+        self.root.join("FORMAT")
+    }
+
+    /// An error if the folder, which has no FORMAT, holds anything but another process's beginnings of a store.
+    fn refuse_foreign_folder(&self) -> anyhow::Result<()> {
+        let entries = fs::read_dir(&self.root).map_err(naming(&self.root)).context("cannot open the store")?;
+        for entry in entries {
+            let begun = entry?.file_name().to_string_lossy().starts_with(NEW_FORMAT_PREFIX);
+            // Another process may have made the whole store since it was looked for.
+            if !begun && !self.exists() {
+                let foreign = Failure::new(FailureKind::BadInput, "this folder is not a store and is not empty");
+                return Err(foreign.hint("give another folder with --store").at(&self.root).into());
             }
+        }
+        Ok(())
+    }
+
+    /// Makes FORMAT, the first file of a store. Two processes may do so at once; both write the same line.
+    fn write_format(&self) -> io::Result<()> {
+        let mut file = tempfile::Builder::new().prefix(NEW_FORMAT_PREFIX).tempfile_in(&self.root)?;
+        file.write_all(format!("{FORMAT}\n").as_bytes())?;
+        file.as_file().sync_all()?;
+        match file.persist_noclobber(self.format_file()) {
+            Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(error.error),
+            _ => sync_dir(&self.root),
+        }
+    }
+
+    fn check_format(&self) -> anyhow::Result<()> {
+        let path = self.format_file();
+        match fs::read_to_string(&path) {
             Err(error) => Err(error).with_context(|| format!("cannot read {}", path.display())),
             Ok(text) => match text.trim().parse::<u32>() {
                 Ok(FORMAT) => Ok(()),
@@ -161,8 +221,13 @@ impl Store {
     }
 }
 
+/// The same error, with the file that it is about at the end of its message.
+pub(crate) fn naming(path: &Path) -> impl Fn(io::Error) -> io::Error {
+    move |error| io::Error::new(error.kind(), format!("{error}: {}", path.display()))
+}
+
 fn sync_dir(dir: &Path) -> io::Result<()> {
-    fs::File::open(dir)?.sync_all()
+    fs::File::open(dir).and_then(|file| file.sync_all()).map_err(naming(dir))
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 use tempfile::TempPath;
 
-use super::{Manifest, Store, sync_dir};
+use super::{Manifest, Store, naming, sync_dir};
 use crate::Digest;
 
 /// Up to so many files and folders are synced one by one (about 4 ms each on a slow disk); above, one `syncfs` of the
@@ -40,7 +40,8 @@ impl Store {
         self.place_files(dir, &manifest).context("cannot store the artifact")?;
         let content = self.put_bytes(&manifest.bytes()?).context("cannot store the manifest")?;
         let measurements = self.put_bytes(&measurement_bytes(measurements)?).context("cannot store measurements")?;
-        File::create(self.root.join("verified").join(content.to_string()))?;
+        let marker = self.root.join("verified").join(content.to_string());
+        File::create(&marker).map_err(naming(&marker))?;
         Ok(Publication { content, measurements, size_bytes: manifest.size_bytes(), files: manifest.files.len() })
     }
 

@@ -8,7 +8,7 @@ use anyhow::Context;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::Store;
+use super::{Store, naming};
 use crate::{ActionKey, Digest, Failure, KeyComponents};
 
 /// The version of both record types. A record of another version is a miss.
@@ -140,8 +140,12 @@ impl Store {
 
     /// All readable records, in no particular order of meaning but always the same one (by key).
     pub fn records(&self) -> io::Result<Vec<ActionRecord>> {
-        let mut paths: Vec<PathBuf> =
-            fs::read_dir(self.root.join("records"))?.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
+        let folder = self.root.join("records");
+        if !self.exists() {
+            return Ok(Vec::new());
+        }
+        let entries = fs::read_dir(&folder).map_err(naming(&folder))?;
+        let mut paths: Vec<PathBuf> = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
         paths.sort();
         Ok(paths.iter().filter_map(|path| read_record(&fs::read(path).ok()?)).collect())
     }

@@ -182,6 +182,71 @@ fn newer_store_is_refused() {
 }
 
 #[test]
+fn foreign_folders_are_refused_and_left_alone() {
+    let root = tempfile::tempdir().unwrap();
+    let foreign = root.path().join("runs/my results.txt");
+    fs::create_dir_all(foreign.parent().unwrap()).unwrap();
+    fs::write(&foreign, "years of work").unwrap();
+    for message in [Store::open(root.path()), Store::look(root.path())].map(|opened| opened.unwrap_err().to_string()) {
+        assert!(message.contains("not a store and is not empty") && message.contains("--store"), "{message}");
+    }
+    assert_eq!(super::maintenance::files_below(root.path()).unwrap(), [foreign]);
+}
+
+#[test]
+fn looking_makes_nothing_and_reads_as_an_empty_store() {
+    let root = tempfile::tempdir().unwrap();
+    let place = root.path().join("store");
+    let store = Store::look(&place).unwrap();
+    assert!(!store.exists() && store.records().unwrap().is_empty() && matches!(store.lookup(&key("a")), Lookup::Miss));
+    assert!(crate::runs::run_dirs(&store).unwrap().is_empty());
+    assert!(!place.exists());
+    // An empty folder becomes a store, and one that another process has begun.
+    fs::create_dir(&place).unwrap();
+    fs::write(place.join(".FORMAT-begun"), "").unwrap();
+    assert!(Store::open(&place).unwrap().exists() && Store::look(&place).unwrap().exists());
+}
+
+#[test]
+fn stores_are_made_by_many_at_once() {
+    let root = tempfile::tempdir().unwrap();
+    let place = root.path().join("store");
+    std::thread::scope(|scope| {
+        let openers: Vec<_> = (0..8).map(|_| scope.spawn(|| Store::open(&place).map(|_| ()))).collect();
+        openers.into_iter().for_each(|opener| opener.join().unwrap().unwrap());
+    });
+}
+
+#[test]
+fn results_are_linked_by_name_and_links_go_with_them() {
+    with_store(|store| {
+        let (old, new) = (publish(store, "a", "old"), publish(store, "b", "new"));
+        let text = |name: &str| fs::read_to_string(store.result_link("r", name).join("text.txt")).ok();
+        store.link_results("r", [("train/lego", &old.content), ("table", &old.content)]).unwrap();
+        assert_eq!(text("train/lego").as_deref(), Some("old"));
+        // A job becomes many, and many become one, without a trace in the artifacts.
+        store.link_results("r", [("train", &new.content), ("table/lego", &new.content)]).unwrap();
+        assert_eq!([text("train"), text("table/lego")], [Some("new".to_owned()), Some("new".to_owned())]);
+        assert!(store.verify(false).unwrap().is_empty());
+        assert!(!store.view(&old.content).unwrap().join("lego").exists());
+
+        store.link_results("r", [("old", &old.content)]).unwrap();
+        store.gc(&BTreeSet::from(["plan of b".to_owned()]), Duration::ZERO, false).unwrap();
+        assert!(!store.result_link("r", "old").is_symlink());
+        assert_eq!(text("train").as_deref(), Some("new"));
+    });
+}
+
+#[test]
+fn errors_of_the_machine_name_the_file() {
+    with_store(|store| {
+        fs::remove_dir(store.root().join("runs")).unwrap();
+        let message = crate::runs::run_dirs(store).unwrap_err().to_string();
+        assert!(message.ends_with("/runs"), "{message}");
+    });
+}
+
+#[test]
 fn verify_finds_what_was_planted_and_repair_removes_it() {
     with_store(|store| {
         let record = publish(store, "a", "hello");

@@ -17,6 +17,7 @@ pub const TESTS: &[(&str, fn())] = &[
     ("nothing_but_missing_data_is_no_success", nothing_but_missing_data_is_no_success),
     ("jobs_past_their_time_are_stopped", jobs_past_their_time_are_stopped),
     ("interrupted_job_resumes", interrupted_job_resumes),
+    ("runs_whose_reader_is_gone_stop", runs_whose_reader_is_gone_stop),
     ("second_stop_ends_jobs_that_do_not_listen", second_stop_ends_jobs_that_do_not_listen),
     ("thread_slots_are_respected", thread_slots_are_respected),
     ("events_are_kept_as_json_lines", events_are_kept_as_json_lines),
@@ -146,6 +147,10 @@ fn interrupted_job_resumes() {
     assert_eq!(nodes(&stopped, Outcome::Skipped), ["list", "more/no"]);
     assert_eq!(stopped.exit_code(false), exit::INTERRUPTED);
 
+    let told = crate::predict::foretell(&world, &slow);
+    let expected = "work/no: will run (interrupted, continues from a checkpoint)";
+    assert!(told.iter().any(|line| line == expected), "{told:?}");
+
     let resumed = world.run(&slow);
     assert_eq!(world.text(&resumed, "work/no"), "txxxxxxxxxxxx");
     let store = world.store();
@@ -155,6 +160,19 @@ fn interrupted_job_resumes() {
     assert!(measured["resumed_steps"].as_u64().unwrap() >= 2, "{measured}");
     assert!(record.provenance.peak_rss_bytes.is_none_or(|bytes| bytes > 100_000));
     assert!(!store.checkpoint_dir(record.key.as_str()).exists(), "checkpoints go when the result is there");
+}
+
+fn runs_whose_reader_is_gone_stop() {
+    let world = failing(r#""no""#);
+    let slow = ["nodes.work.params.sleep_millis=30", "nodes.work.params.steps=100"];
+    let stop_at_start = |options: &engine::scheduler::RunOptions, event: &Event| {
+        if matches!(event, Event::Started { node, .. } if node == "work/no") {
+            options.stop.reader_is_gone();
+        }
+    };
+    let stopped = world.run_with(&slow, |_| (), stop_at_start);
+    assert_eq!(nodes(&stopped, Outcome::Interrupted), ["work/no"]);
+    assert_eq!(stopped.exit_code(false), exit::READER_GONE);
 }
 
 fn second_stop_ends_jobs_that_do_not_listen() {

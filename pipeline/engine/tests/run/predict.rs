@@ -16,7 +16,7 @@ pub const TESTS: &[(&str, fn())] = &[
 ];
 
 /// Every node's prediction in few words, in plan order.
-fn foretell(world: &World, overrides: &[&str]) -> Vec<String> {
+pub fn foretell(world: &World, overrides: &[&str]) -> Vec<String> {
     let plan = world.plan(overrides);
     let all: BTreeSet<usize> = (0..plan.nodes.len()).collect();
     let store = world.store();
