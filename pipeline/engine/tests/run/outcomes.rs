@@ -121,7 +121,7 @@ fn missing_data_skips_what_needs_it() {
 fn nothing_but_missing_data_is_no_success() {
     let summary = from_files().run(&[]);
     assert_eq!((summary.counts.missing_data, summary.counts.skipped), (2, 5));
-    assert_eq!(summary.exit_code(false), exit::NOTHING);
+    assert_eq!((summary.exit_code(false), summary.exit_code(true)), (exit::NOTHING, exit::FAILED));
 }
 
 fn jobs_past_their_time_are_stopped() {
