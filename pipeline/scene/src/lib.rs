@@ -24,7 +24,7 @@ pub use cloud::PointCloud;
 pub use error::{Error, Result};
 pub use float_image::{FloatImage, ResizeFilter};
 pub use gaussians::Gaussians;
-pub use maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
+pub use maps::{DepthMap, FlowMap, LabelMap, NormalMap, VelocityMap};
 pub use protocol::Protocol;
 pub use time::TimeMap;
 

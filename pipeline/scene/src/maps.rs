@@ -1,4 +1,4 @@
-//! Per-pixel quantities beside colour: depth, optical flow, velocity and instance labels.
+//! Per-pixel quantities beside colour: depth, optical flow, velocity, normals and instance labels.
 
 use std::path::Path;
 
@@ -38,6 +38,17 @@ pub struct VelocityMap {
     pub velocity_world: Vec<[f32; 3]>,
 }
 
+/// The normal of the surface point that each pixel sees.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NormalMap {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// [H, W] of unit vectors (right, down, forward) in the camera's frame, towards the camera; 0 where nothing is seen.
+    pub normals_view: Vec<[f32; 3]>,
+}
+
 /// An instance label per pixel; 0 is the static background.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LabelMap {
@@ -48,6 +59,9 @@ pub struct LabelMap {
     /// [H, W].
     pub labels: Vec<u8>,
 }
+
+/// Names of the channels of vectors.
+const VECTOR_CHANNELS: [&str; 3] = ["X", "Y", "Z"];
 
 impl DepthMap {
     /// Names that depth channels have in the wild, most specific first.
@@ -94,25 +108,48 @@ impl FlowMap {
 
 impl VelocityMap {
     /// Names of the channels.
-    pub const CHANNELS: [&str; 3] = ["X", "Y", "Z"];
+    pub const CHANNELS: [&str; 3] = VECTOR_CHANNELS;
 
     /// Reads an EXR file; values must be finite.
     pub fn read(path: &Path) -> Result<Self> {
-        let image = exr_file::read(path)?;
-        let [x, y, z] = Self::CHANNELS.map(|name| image.channel(&[name]).ok_or_else(|| no_channel(&[name], path)));
-        let velocity_world: Vec<_> = x?.iter().zip(y?).zip(z?).map(|((x, y), z)| [*x, *y, *z]).collect();
-        if !velocity_world.iter().flatten().all(|value| value.is_finite()) {
-            return Err(Error::new("velocity that is not finite").at(path));
-        }
-        Ok(Self { width: image.width, height: image.height, velocity_world })
+        let (width, height, velocity_world) = read_vectors(path, "velocity")?;
+        Ok(Self { width, height, velocity_world })
     }
 
     /// Writes an EXR file with the channels X, Y and Z.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let channel = |axis: usize| self.velocity_world.iter().map(|velocity| velocity[axis]).collect();
-        let channels = [("X", channel(0)), ("Y", channel(1)), ("Z", channel(2))];
-        exr_file::write(path, self.width, self.height, &channels)
+        write_vectors(path, self.width, self.height, &self.velocity_world)
     }
+}
+
+impl NormalMap {
+    /// Reads an EXR file with the channels X, Y and Z; values must be finite.
+    pub fn read(path: &Path) -> Result<Self> {
+        let (width, height, normals_view) = read_vectors(path, "normal")?;
+        Ok(Self { width, height, normals_view })
+    }
+
+    /// Writes an EXR file with the channels X, Y and Z.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_vectors(path, self.width, self.height, &self.normals_view)
+    }
+}
+
+/// Width, height and finite vectors of an EXR file with the channels X, Y and Z.
+fn read_vectors(path: &Path, what: &str) -> Result<(u32, u32, Vec<[f32; 3]>)> {
+    let image = exr_file::read(path)?;
+    let [x, y, z] = VECTOR_CHANNELS.map(|name| image.channel(&[name]).ok_or_else(|| no_channel(&[name], path)));
+    let vectors: Vec<_> = x?.iter().zip(y?).zip(z?).map(|((x, y), z)| [*x, *y, *z]).collect();
+    if !vectors.iter().flatten().all(|value| value.is_finite()) {
+        return Err(Error::new(format!("{what} that is not finite")).at(path));
+    }
+    Ok((image.width, image.height, vectors))
+}
+
+fn write_vectors(path: &Path, width: u32, height: u32, vectors: &[[f32; 3]]) -> Result<()> {
+    let channel = |axis: usize| vectors.iter().map(|vector| vector[axis]).collect();
+    let channels = [0, 1, 2].map(|axis| (VECTOR_CHANNELS[axis], channel(axis)));
+    exr_file::write(path, width, height, &channels)
 }
 
 impl LabelMap {

@@ -10,6 +10,7 @@ use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Prot
 use serde_json::json;
 use training::TrainingParams;
 use training::dataset::Dataset;
+use training::supplements::NOTHING;
 use training::trainer::Trainer;
 
 /// As the program has it: the system's allocator hands tens of megabytes per step back to the kernel.
@@ -36,7 +37,7 @@ fn iterations(criterion: &mut Criterion) {
             "curve": { "points": 0 },
         }))
         .expect("valid parameters");
-        let mut trainer = Trainer::new(&dataset, &params).expect("a trainer");
+        let mut trainer = Trainer::new(&dataset, &NOTHING, &params).expect("a trainer");
         criterion.bench_function(&format!("{method} iteration at 20k Gaussians, 200×200"), |bencher| {
             bencher.iter(|| trainer.advance().expect("a finite step"));
         });

@@ -13,6 +13,7 @@ use training::curve::{psnr, to_bytes};
 use training::dataset::Dataset;
 use training::player::Player;
 use training::run::{Watch, train};
+use training::supplements::NOTHING;
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -26,7 +27,7 @@ fn main() -> anyhow::Result<()> {
     let checkpoints = Path::new(out).join("checkpoint");
     std::fs::create_dir_all(&checkpoints)?;
     let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
-    let (model, report) = train(capture.clone(), &params, &watch)?.context("nobody asked to stop")?;
+    let (model, report) = train(capture.clone(), &NOTHING, &params, &watch)?.context("nobody asked to stop")?;
     model.save(Path::new(out))?;
 
     for point in &report.curve {

@@ -6,6 +6,7 @@ pub mod checkpoint;
 pub mod clock;
 pub mod curve;
 pub mod dataset;
+pub mod effects;
 pub mod method;
 pub mod methods;
 pub mod optimizer;
@@ -16,6 +17,7 @@ pub mod sampler;
 pub mod schedule;
 pub mod state;
 pub mod step;
+pub mod supplements;
 #[cfg(test)]
 mod test_scene;
 pub mod trainer;

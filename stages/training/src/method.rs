@@ -14,10 +14,12 @@ use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars, T
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::clock::PhaseClock;
+use crate::dataset::Dataset;
 use crate::optimizer::Optimizer;
 use crate::params::Shared;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables};
+use crate::supplements::Supplements;
 
 /// One phase of a training: it starts with a fresh optimiser and ends with a [`ModelState`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -69,6 +71,22 @@ pub struct TrainingView<T: Real> {
     pub image: Tensor<T>,
 }
 
+/// What a training starts from.
+#[derive(Clone, Copy)]
+pub struct Start<'a> {
+    /// The training views and the scene's facts.
+    pub dataset: &'a Dataset,
+    /// What the optional inputs gave.
+    pub supplements: &'a Supplements,
+}
+
+impl<'a> Start<'a> {
+    /// What a method may know of the scene.
+    pub fn scene(&self) -> &'a SceneFacts {
+        &self.dataset.scene
+    }
+}
+
 /// A method of dynamic (or static) Gaussian splatting.
 pub trait Method<T: Real>: Send + Sync {
     /// The phases in order.
@@ -77,7 +95,7 @@ pub trait Method<T: Real>: Send + Sync {
     /// The first values of every tensor.
     fn initialize(
         &self,
-        scene: &SceneFacts,
+        start: &Start<'_>,
         points: &PointCloud,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>>;
@@ -87,7 +105,7 @@ pub trait Method<T: Real>: Send + Sync {
         &self,
         _phase: &str,
         state: ModelState<T>,
-        _scene: &SceneFacts,
+        _start: &Start<'_>,
         _random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
         Ok(state)
@@ -191,6 +209,10 @@ pub struct Step<'a, T: Real> {
     pub views: &'a [TrainingView<T>],
     /// The scene.
     pub scene: &'a SceneFacts,
+    /// All training views, for what looks at more than this step's.
+    pub dataset: &'a Dataset,
+    /// What the optional inputs gave.
+    pub supplements: &'a Supplements,
     /// The tables that every method understands.
     pub shared: &'a Shared,
     /// The phase's name.
@@ -207,7 +229,11 @@ pub struct Step<'a, T: Real> {
     pub clock: &'a mut PhaseClock,
     pub(crate) losses: Vec<NamedLoss>,
     pub(crate) renders: Vec<WatchedRender>,
+    pub(crate) skipped: SkippedWork,
 }
+
+/// Work left out because nothing called for it: by name, how much of how much.
+pub type SkippedWork = BTreeMap<&'static str, [u64; 2]>;
 
 impl<'a, T: Real> Step<'a, T> {
     /// The moment of a view in this step.
@@ -251,6 +277,13 @@ impl<'a, T: Real> Step<'a, T> {
         let target = self.tape.constant(view.image.clone());
         let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
         self.add_loss("photometric", share, value);
+    }
+
+    /// Counts work that was left out because nothing called for it, as `("motion of static Gaussians", 900, 1000)`.
+    pub fn count_skipped(&mut self, what: &'static str, skipped: usize, of: usize) {
+        let count = self.skipped.entry(what).or_default();
+        count[0] += skipped as u64;
+        count[1] += of as u64;
     }
 
     /// Adds `weight` · `value` to what is minimised.

@@ -10,6 +10,7 @@ use engine::ParamProblem;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
+use crate::effects::Effects;
 use crate::methods;
 use crate::schedule::LogLinear;
 
@@ -39,6 +40,8 @@ pub struct Shared {
     pub iterations: BTreeMap<String, u64>,
     /// Views per optimiser step.
     pub batch: usize,
+    /// What is simulated beyond a static scene.
+    pub effects: Effects,
     /// Where the first Gaussians are.
     pub initial_points: InitialPoints,
     /// Spherical harmonics.
@@ -163,6 +166,7 @@ impl Default for Shared {
             schedule_scale: 1.0,
             iterations: BTreeMap::new(),
             batch: 1,
+            effects: Effects::Auto,
             initial_points: InitialPoints::default(),
             harmonics: Harmonics::default(),
             loss: Loss::default(),

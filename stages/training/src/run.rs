@@ -12,6 +12,7 @@ use crate::checkpoint::Checkpoint;
 use crate::dataset::Dataset;
 use crate::methods;
 use crate::params::TrainingParams;
+use crate::supplements::{NOTHING, Supplements};
 use crate::trainer::{Report, Trainer};
 
 /// A minute of lost work at most; a checkpoint of 100k Gaussians takes a fraction of a second. Not a parameter: it
@@ -56,7 +57,7 @@ impl Stage for Training {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let watch =
             Watch { stop: &context.stop, on_progress: &*context.on_progress, checkpoint_dir: context.checkpoint_dir() };
-        let Some((model, report)) = pool.install(|| train(capture, params, &watch))? else {
+        let Some((model, report)) = pool.install(|| train(capture, &NOTHING, params, &watch))? else {
             return Err(context.interrupted());
         };
         measure(context, &report, pool.current_num_threads())?;
@@ -76,11 +77,16 @@ pub struct Watch<'a> {
 }
 
 /// Trains to the end, from the newest checkpoint if there is one; `None` if it was asked to stop (a checkpoint is saved).
-pub fn train(capture: Capture, params: &TrainingParams, watch: &Watch<'_>) -> anyhow::Result<Option<(Model, Report)>> {
+pub fn train(
+    capture: Capture,
+    supplements: &Supplements,
+    params: &TrainingParams,
+    watch: &Watch<'_>,
+) -> anyhow::Result<Option<(Model, Report)>> {
     let dataset = Dataset::load(capture, params.shared.curve.views)?;
     let mut trainer = match Checkpoint::load(watch.checkpoint_dir, &serde_json::to_value(params)?) {
-        Some(checkpoint) => Trainer::resume(&dataset, params, checkpoint)?,
-        None => Trainer::new(&dataset, params)?,
+        Some(checkpoint) => Trainer::resume(&dataset, supplements, params, checkpoint)?,
+        None => Trainer::new(&dataset, supplements, params)?,
     };
     let (mut saved, mut told) = (Instant::now(), Instant::now());
     while !trainer.is_done() {
@@ -110,6 +116,7 @@ fn measure(context: &JobContext, report: &Report, threads: usize) -> anyhow::Res
     context.measure("ms_per_iteration", report.ms_per_iteration)?;
     context.measure("phases", &report.phases)?;
     context.measure("kernels_ms", &report.kernels)?;
+    context.measure("skipped_work", &report.skipped)?;
     context.measure("curve", &report.curve)?;
     context.measure("curve_split", report.curve_split)?;
     context.measure("peak_memory_bytes", peak_memory_bytes())?;

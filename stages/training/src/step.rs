@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use shaders::tape::{Gradients, Real, Tensor};
 
-use crate::method::{Method, NamedLoss, ScreenGradients, Step, WatchedRender};
+use crate::method::{Method, NamedLoss, ScreenGradients, SkippedWork, Step, WatchedRender};
 
 /// What a step computed: its losses, its gradients and what its renders saw.
 pub struct StepOutcome<T: Real> {
@@ -12,6 +12,8 @@ pub struct StepOutcome<T: Real> {
     pub losses: BTreeMap<&'static str, f64>,
     /// Gradients of the sum of the weighted losses by everything on the tape.
     pub gradients: Gradients<T>,
+    /// What the step left out.
+    pub skipped: SkippedWork,
     renders: Vec<WatchedRender>,
 }
 
@@ -29,7 +31,7 @@ pub fn run_step<T: Real>(method: &dyn Method<T>, mut step: Step<'_, T>) -> anyho
     };
     let seeds: Vec<_> = step.losses.iter().map(seed).collect();
     let gradients = step.tape.backward(&seeds);
-    Ok(StepOutcome { losses, gradients, renders: step.renders })
+    Ok(StepOutcome { losses, gradients, skipped: step.skipped, renders: step.renders })
 }
 
 impl<T: Real> StepOutcome<T> {

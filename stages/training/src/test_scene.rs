@@ -4,11 +4,17 @@ use std::path::Path;
 
 use glam::DVec3;
 use image::RgbImage;
-use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, PointCloud, Protocol, Split, TimeMap};
-use shaders::splat::{self, PinholeCamera, RasterSettings, SplatVars};
+use scene::{
+    Camera, Capture, CaptureInfo, CaptureWriter, DepthMap, FlowMap, Frame, Intrinsics, LabelMap, NormalMap, PointCloud,
+    Protocol, Split, TimeMap,
+};
+use shaders::check::noise;
+use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
 use crate::curve::to_bytes;
+use crate::dataset::Dataset;
+use crate::supplements::{BackgroundView, FeatureTokens, FlowPrior, ParticleSeeds, Supplements, ViewPriors};
 
 /// Pixels per side.
 pub const SIZE: u32 = 24;
@@ -98,8 +104,67 @@ impl TestScene {
         }
     }
 
+    /// Everything that the optional inputs of a training can give, of the training views: exact depth, flow to half a
+    /// second later as the same camera sees it, what moves, and made-up features.
+    pub fn supplements(&self, dataset: &Dataset) -> Supplements {
+        let views = &dataset.capture.views;
+        let mut found = Supplements { features: Some(test_features(views.len())), ..Supplements::default() };
+        let (width, height) = (self.size, self.size);
+        for view in views {
+            let camera = &view.camera;
+            let time = (0.5 * view.time_secs) as f32;
+            let (tape, rendered, moving) = self.blobs(camera, time, true);
+            let image = |var| tape.value(var).as_slice();
+            let (alpha, depth) = (image(rendered.alpha), image(rendered.depth.unwrap()));
+            let known = |value: f32, alpha: f32| if alpha > 0.5 { value / alpha } else { 0.0 };
+            let depth_view: Vec<f32> = depth.iter().zip(alpha).map(|(&depth, &alpha)| known(depth, alpha)).collect();
+            let is_moving: Vec<bool> =
+                moving.iter().zip(alpha).map(|(&moving, &alpha)| moving > 0.5 * alpha && alpha > 0.5).collect();
+            let pixels_per_unit = 1.2 * self.size as f32;
+            let step = 0.25 * self.travel;
+            let flow = |(&depth, &moving): (&f32, &bool)| match (depth > 0.0, moving) {
+                (false, _) => [f32::NAN; 2],
+                (true, true) => [step * pixels_per_unit / depth, 0.0],
+                (true, false) => [0.0; 2],
+            };
+            let flow_px = depth_view.iter().zip(&is_moving).map(flow).collect();
+            let labels = is_moving.iter().map(|&moving| u8::from(moving)).collect();
+            let normal = |&depth: &f32| if depth > 0.0 { [0.0, 0.0, -1.0] } else { [0.0; 3] };
+            let normals_view = depth_view.iter().map(normal).collect();
+            found.priors.push(ViewPriors {
+                flow: Some(FlowPrior {
+                    map: FlowMap { width, height, flow_px },
+                    camera_to: *camera,
+                    time_to_secs: view.time_secs + 0.5,
+                    view_to: None,
+                }),
+                normals: Some(NormalMap { width, height, normals_view }),
+                depth: Some(DepthMap { width, height, depth_view: depth_view.clone() }),
+            });
+            found.moving.push(Some(LabelMap { width, height, labels }));
+            found.background.push(Some(BackgroundView {
+                image: dataset.capture.load_image(view).unwrap(),
+                depth: Some(DepthMap { width, height, depth_view }),
+                unfilled: LabelMap { width, height, labels: vec![0; (width * height) as usize] },
+            }));
+        }
+        let moving: Vec<[f32; 3]> = (0..6)
+            .step_by(2)
+            .map(|at| [blob_center(at)[0] - 0.5 * self.travel, blob_center(at)[1], blob_center(at)[2]])
+            .collect();
+        let points = PointCloud { colors: vec![[128; 3]; moving.len()], positions: moving };
+        found.particles = Some(ParticleSeeds { energies: vec![1.0 / 3.0; 3], points });
+        found
+    }
+
     /// Six coloured blobs, every other one moving along x.
     fn render(&self, camera: &Camera, time: f32) -> Vec<u8> {
+        let (tape, rendered, _) = self.blobs(camera, time, false);
+        to_bytes(tape.value(rendered.color))
+    }
+
+    /// The render, with depth if asked for, and per pixel the weight of what moves.
+    fn blobs(&self, camera: &Camera, time: f32, depth: bool) -> (Tape<f32>, Rendered, Vec<f32>) {
         let shift = |at: usize| if at.is_multiple_of(2) { self.travel * (time - 0.5) } else { 0.0 };
         let positions = (0..6)
             .flat_map(|at| {
@@ -118,9 +183,25 @@ impl TestScene {
             opacity_logits: constant(&[6, 1], vec![2.0; 6]),
             sh: constant(&[6, 1, 3], colors),
         };
-        let settings = RasterSettings { background: [0.0; 3], sh_degree: 0, ..RasterSettings::default() };
-        let rendered = splat::render(&mut tape, &splats, None, &PinholeCamera::from(camera), &settings).unwrap();
-        to_bytes(tape.value(rendered.color))
+        let moves = tape.constant(Tensor::from_vec([6, 1], (0..6).map(|at| f32::from(at % 2 == 0)).collect()));
+        let settings = RasterSettings { background: [0.0; 3], sh_degree: 0, depth, ..RasterSettings::default() };
+        let camera = PinholeCamera::from(camera);
+        let rendered = splat::render(&mut tape, &splats, Some(moves), &camera, &settings).unwrap();
+        let moving = tape.value(rendered.features.unwrap()).as_slice().to_vec();
+        (tape, rendered, moving)
+    }
+}
+
+/// Noise on a grid of 4×4 tokens per view, and three prompts.
+fn test_features(views: usize) -> FeatureTokens {
+    let tensor = |shape: &[usize], seed| {
+        let values = noise(shape.iter().product(), seed).iter().map(|&value| value as f32).collect();
+        Tensor::from_vec(shape, values)
+    };
+    FeatureTokens {
+        visual: (0..views).map(|view| Some(tensor(&[4, 4, 8], view as u64))).collect(),
+        text: tensor(&[3, 8], 1000),
+        prompts: ["left", "middle", "right"].map(String::from).to_vec(),
     }
 }
 

@@ -20,7 +20,7 @@ use crate::checkpoint::{Checkpoint, Progress};
 use crate::clock::{ClockReading, PhaseClock};
 use crate::curve::{self, CurvePoint};
 use crate::dataset::Dataset;
-use crate::method::{Method, Moment, Phase, PopulationControl, Step, raster_settings, too_large};
+use crate::method::{Method, Moment, Phase, PopulationControl, SkippedWork, Start, Step, raster_settings, too_large};
 use crate::methods;
 use crate::optimizer::Optimizer;
 use crate::params::TrainingParams;
@@ -28,12 +28,14 @@ use crate::sampler::{Stream, ViewSampler, generator};
 use crate::schedule::{LogLinear, stretch};
 use crate::state::ModelState;
 use crate::step::run_step;
+use crate::supplements::Supplements;
 
 /// The activity that the training clock leaves out.
 pub const EVALUATION: &str = "evaluation";
 
 /// A training between two steps.
 pub struct Trainer<'a> {
+    start: Start<'a>,
     dataset: &'a Dataset,
     params: &'a TrainingParams,
     method: Box<dyn Method<f32>>,
@@ -51,18 +53,21 @@ pub struct Trainer<'a> {
     loss: f64,
     clock: PhaseClock,
     profile: Profile,
+    skipped: SkippedWork,
 }
 
 impl<'a> Trainer<'a> {
     /// A training before its first step.
-    pub fn new(dataset: &'a Dataset, params: &'a TrainingParams) -> anyhow::Result<Self> {
+    pub fn new(dataset: &'a Dataset, supplements: &'a Supplements, params: &'a TrainingParams) -> anyhow::Result<Self> {
+        let start = Start { dataset, supplements };
         let method = methods::find(&params.method).map_err(anyhow::Error::msg)?.build_f32(params)?;
         let seed = params.shared.seed;
         let points = dataset.initial_points(&params.shared.initial_points, seed)?;
-        let state = method.initialize(&dataset.scene, &points, &mut generator(seed, Stream::Initial))?;
+        let state = method.initialize(&start, &points, &mut generator(seed, Stream::Initial))?;
         let phases = method.phases();
         let total = phases.iter().map(|phase| phase.iterations).sum();
         let mut trainer = Self {
+            start,
             dataset,
             params,
             method,
@@ -80,6 +85,7 @@ impl<'a> Trainer<'a> {
             loss: f64::NAN,
             clock: PhaseClock::start("load", ClockReading::default()),
             profile: Profile::default(),
+            skipped: SkippedWork::new(),
         };
         trainer.enter_phase(0, state)?;
         trainer.skip_finished_phases()?;
@@ -87,8 +93,13 @@ impl<'a> Trainer<'a> {
     }
 
     /// The training that a checkpoint was taken of, with the same data and parameters.
-    pub fn resume(dataset: &'a Dataset, params: &'a TrainingParams, checkpoint: Checkpoint) -> anyhow::Result<Self> {
-        let mut trainer = Self::new(dataset, params)?;
+    pub fn resume(
+        dataset: &'a Dataset,
+        supplements: &'a Supplements,
+        params: &'a TrainingParams,
+        checkpoint: Checkpoint,
+    ) -> anyhow::Result<Self> {
+        let mut trainer = Self::new(dataset, supplements, params)?;
         let Checkpoint { progress, tensors } = checkpoint;
         ensure!(progress.phase < trainer.phases.len(), "the checkpoint has more phases than the method");
         let rates = trainer.learning_rates(progress.phase);
@@ -168,6 +179,8 @@ impl<'a> Trainer<'a> {
             model: &model,
             views: &views,
             scene: &self.dataset.scene,
+            dataset: self.dataset,
+            supplements: self.start.supplements,
             shared: &self.params.shared,
             phase,
             iteration: self.iteration,
@@ -177,9 +190,15 @@ impl<'a> Trainer<'a> {
             clock: &mut self.clock,
             losses: Vec::new(),
             renders: Vec::new(),
+            skipped: SkippedWork::new(),
         };
         let mut outcome = run_step(&*self.method, step)?;
         self.record_profile(&tape);
+        for (what, [skipped, of]) in &outcome.skipped {
+            let count = self.skipped.entry(what).or_default();
+            count[0] += skipped;
+            count[1] += of;
+        }
         self.loss = outcome.total();
         for (name, value) in &outcome.losses {
             self.check_finite(value.is_finite(), &format!("loss {name}"), Some(&tape))?;
@@ -210,7 +229,7 @@ impl<'a> Trainer<'a> {
     /// Starts a phase on the state that the one before ended with.
     fn enter_phase(&mut self, phase: usize, state: ModelState<f32>) -> anyhow::Result<()> {
         let name = self.phases[phase].name;
-        let state = self.method.enter_phase(name, state, &self.dataset.scene, &mut self.method_random)?;
+        let state = self.method.enter_phase(name, state, &self.start, &mut self.method_random)?;
         self.optimizer = Optimizer::new(state, self.learning_rates(phase));
         self.controls = self.method.population_controls(name, &self.dataset.scene);
         (self.phase, self.iteration) = (phase, 0);
@@ -325,6 +344,7 @@ impl<'a> Trainer<'a> {
             curve: self.curve.clone(),
             curve_split: self.dataset.curve_split,
             kernels: kernel_milliseconds(&self.profile),
+            skipped: self.skipped.clone(),
         }
     }
 
@@ -373,6 +393,8 @@ pub struct Report {
     pub curve_split: scene::Split,
     /// Milliseconds per call of every kernel, forward and backward, since the last resumption.
     pub kernels: BTreeMap<String, [f64; 2]>,
+    /// Work left out because nothing called for it, since the last resumption.
+    pub skipped: SkippedWork,
 }
 
 fn kernel_milliseconds(profile: &Profile) -> BTreeMap<String, [f64; 2]> {

@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use shaders::tape::Real;
 
+use crate::effects::Effect;
 use crate::method::Method;
 use crate::params::{Shared, TrainingParams};
 
@@ -32,6 +33,11 @@ pub trait MethodFolder: 'static {
 
     /// The method's own defaults of what all methods understand.
     fn shared_defaults() -> Shared;
+
+    /// What the method can simulate or leave out, in the order of its README.
+    fn effects() -> Vec<Effect> {
+        Vec::new()
+    }
 
     /// Why these settings cannot work, if so.
     fn check(_settings: &Self::Settings) -> Result<(), String> {
@@ -59,6 +65,8 @@ pub struct Registration {
     pub about: &'static str,
     /// The method's own defaults of what all methods understand.
     pub shared_defaults: fn() -> Shared,
+    /// What the method can simulate or leave out.
+    pub effects: fn() -> Vec<Effect>,
     /// Checks the method's table and fills in its defaults.
     pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
     #[cfg(test)]
@@ -73,6 +81,7 @@ impl Registration {
             name: M::NAME,
             about: M::ABOUT,
             shared_defaults: M::shared_defaults,
+            effects: M::effects,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
             #[cfg(test)]
             tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),

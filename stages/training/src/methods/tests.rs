@@ -8,10 +8,11 @@ use shaders::tape::{Device, Tape, Tensor};
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::dataset::Dataset;
-use crate::method::{Step, TrainingView, raster_settings};
+use crate::method::{SkippedWork, Start, Step, TrainingView, raster_settings};
 use crate::sampler::{Stream, generator};
 use crate::state::ModelState;
 use crate::step::{StepOutcome, run_step};
+use crate::supplements::Supplements;
 use crate::test_scene::TestScene;
 
 /// Step of the central differences: truncation 1e-12 and rounding 1e-10 stay below [`TOLERANCE`].
@@ -28,6 +29,7 @@ struct Case {
     method: Box<dyn Method<f64>>,
     params: TrainingParams,
     dataset: Dataset,
+    supplements: Supplements,
     phase: &'static str,
     state: ModelState<f64>,
     view: TrainingView<f64>,
@@ -38,18 +40,21 @@ impl Case {
     /// The state at the start of `phase` with every value moved a little, so that nothing is at a special point.
     fn new(entry: &Registration, phase_index: usize) -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let dataset = Dataset::load(TestScene { size: 16, ..TestScene::default() }.write(dir.path()), 1).unwrap();
+        let test_scene = TestScene { size: 16, ..TestScene::default() };
+        let dataset = Dataset::load(test_scene.write(dir.path()), 1).unwrap();
         let mut params = TrainingParams::of(entry.name).unwrap();
         params.settings = (entry.tiny_settings)();
         params.shared.loss.lambda_dssim = 0.2;
         params.shared.initial_points.max_count = 8;
         let method = entry.build_f64(&params).unwrap();
         let points = dataset.initial_points(&params.shared.initial_points, 0).unwrap();
+        let supplements = test_scene.supplements(&dataset);
+        let start = Start { dataset: &dataset, supplements: &supplements };
         let mut random = generator(1, Stream::Initial);
         let phases = method.phases();
-        let mut state = method.initialize(&dataset.scene, &points, &mut random).unwrap();
+        let mut state = method.initialize(&start, &points, &mut random).unwrap();
         for phase in &phases[..=phase_index] {
-            state = method.enter_phase(phase.name, state, &dataset.scene, &mut random).unwrap();
+            state = method.enter_phase(phase.name, state, &start, &mut random).unwrap();
         }
         let mut moved = ModelState::new();
         for (index, (name, tensor)) in state.iter().enumerate() {
@@ -60,7 +65,7 @@ impl Case {
             moved.insert(name, Tensor::from_vec(tensor.shape(), values));
         }
         let view = dataset.train[3].to_training();
-        Self { method, params, phase: phases[phase_index].name, state: moved, view, dataset, _dir: dir }
+        Self { method, params, phase: phases[phase_index].name, state: moved, view, dataset, supplements, _dir: dir }
     }
 
     fn learns(&self, name: &str) -> bool {
@@ -79,6 +84,8 @@ impl Case {
             model: &model,
             views: std::slice::from_ref(&self.view),
             scene: &self.dataset.scene,
+            dataset: &self.dataset,
+            supplements: &self.supplements,
             shared: &self.params.shared,
             phase: self.phase,
             iteration: 1,
@@ -88,6 +95,7 @@ impl Case {
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             losses: Vec::new(),
             renders: Vec::new(),
+            skipped: SkippedWork::new(),
         };
         let mut outcome: StepOutcome<f64> = run_step(&*self.method, step).unwrap();
         let total = outcome.total();

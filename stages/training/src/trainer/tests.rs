@@ -2,6 +2,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::checkpoint::Checkpoint;
+use crate::supplements::NOTHING;
 use crate::test_scene::TestScene;
 
 fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
@@ -49,17 +50,17 @@ fn bits(model: &Model) -> BTreeMap<&str, Vec<u32>> {
 fn a_training_resumed_anywhere_ends_in_the_same_bytes() {
     let (_dir, dataset) = dataset(TestScene::default());
     let params = busy_params();
-    let undisturbed = train_to_end(Trainer::new(&dataset, &params).unwrap());
+    let undisturbed = train_to_end(Trainer::new(&dataset, &NOTHING, &params).unwrap());
     assert!(undisturbed.header.n_gaussians > 30, "density control did nothing");
     // In the coarse phase, on a density round, just before and after the switch of phases, and in the fine phase.
     for stop_after in [1, 10, 17, 18, 19, 31, 39] {
-        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
         (0..stop_after).for_each(|_| trainer.advance().unwrap());
         let dir = tempfile::tempdir().unwrap();
         trainer.checkpoint().unwrap().save(dir.path()).unwrap();
         drop(trainer);
         let checkpoint = Checkpoint::load(dir.path(), &serde_json::to_value(&params).unwrap()).unwrap();
-        let resumed = train_to_end(Trainer::resume(&dataset, &params, checkpoint).unwrap());
+        let resumed = train_to_end(Trainer::resume(&dataset, &NOTHING, &params, checkpoint).unwrap());
         assert_eq!(resumed.header, undisturbed.header, "stopped after {stop_after}");
         assert_eq!(bits(&resumed), bits(&undisturbed), "stopped after {stop_after}");
     }
@@ -70,12 +71,12 @@ fn a_checkpoint_that_lost_its_random_state_is_noticed() {
     // The planted fault of the test above: the comparison must see a wrong cursor.
     let (_dir, dataset) = dataset(TestScene::default());
     let params = busy_params();
-    let undisturbed = train_to_end(Trainer::new(&dataset, &params).unwrap());
-    let mut trainer = Trainer::new(&dataset, &params).unwrap();
+    let undisturbed = train_to_end(Trainer::new(&dataset, &NOTHING, &params).unwrap());
+    let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
     (0..10).for_each(|_| trainer.advance().unwrap());
     let mut checkpoint = trainer.checkpoint().unwrap();
     checkpoint.progress.sampler = ViewSampler::new(dataset.train.len(), 99);
-    let resumed = train_to_end(Trainer::resume(&dataset, &params, checkpoint).unwrap());
+    let resumed = train_to_end(Trainer::resume(&dataset, &NOTHING, &params, checkpoint).unwrap());
     assert_ne!(bits(&resumed), bits(&undisturbed));
 }
 
@@ -85,7 +86,7 @@ fn the_number_of_threads_changes_no_bit() {
     let params = busy_params();
     let train = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| train_to_end(Trainer::new(&dataset, &params).unwrap()))
+        pool.install(|| train_to_end(Trainer::new(&dataset, &NOTHING, &params).unwrap()))
     };
     let one = train(1);
     for threads in [2, 3] {
@@ -101,7 +102,7 @@ fn another_seed_trains_another_model() {
     let train = |seed: u64| {
         let params =
             params(json!({ "seed": seed, "iterations": { "train": 5 }, "initial_points": { "random_count": 50 } }));
-        train_to_end(Trainer::new(&dataset, &params).unwrap())
+        train_to_end(Trainer::new(&dataset, &NOTHING, &params).unwrap())
     };
     assert_eq!(bits(&train(1)), bits(&train(1)));
     assert_ne!(bits(&train(1)), bits(&train(2)));
@@ -124,7 +125,7 @@ fn one_frame_is_overfitted() {
             },
             "deformable4dgs": { "channels": 4, "spatial_resolution": 8, "width": 16 },
         }));
-        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
         while !trainer.is_done() {
             trainer.advance().unwrap();
         }
@@ -144,7 +145,7 @@ fn motion_is_learnt_where_a_static_model_cannot() {
     let (_dir, dataset) = dataset(TestScene { train_views: 12, val_views: 0, travel: 1.2, ..TestScene::default() });
     let last_psnr = |value: Value| {
         let params = params(value);
-        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
         while !trainer.is_done() {
             trainer.advance().unwrap();
         }
@@ -170,7 +171,7 @@ fn a_value_that_is_not_finite_ends_the_training_where_it_arises() {
     let (_dir, dataset) = dataset(TestScene::default());
     let failure = |value: Value| {
         let params = params(value);
-        let mut trainer = Trainer::new(&dataset, &params).unwrap();
+        let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
         let error = (0..50).find_map(|_| trainer.advance().err()).expect("an overflow within 50 steps");
         error.downcast::<Failure>().expect("a typed failure")
     };
@@ -193,7 +194,7 @@ fn a_training_that_prunes_everything_says_so() {
         "iterations": { "train": 50 },
         "density": { "from": 0, "prune_interval": 10, "min_opacity": 0.999 },
     }));
-    let mut trainer = Trainer::new(&dataset, &params).unwrap();
+    let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
     let error = (0..50).find_map(|_| trainer.advance().err()).expect("no Gaussian is that opaque");
     assert!(error.to_string().starts_with("no Gaussians left after iteration 10"), "{error}");
 }

@@ -7,7 +7,7 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Step, photometric_losses};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
 use crate::params::Shared;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables};
@@ -49,21 +49,21 @@ impl<T: Real> Method<T> for FourDGaussians {
 
     fn initialize(
         &self,
-        scene: &SceneFacts,
+        start: &Start<'_>,
         points: &PointCloud,
         _random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
-        self.base.initialize(scene, points)
+        self.base.initialize(start.scene(), points)
     }
 
     fn enter_phase(
         &self,
         phase: &str,
         state: ModelState<T>,
-        scene: &SceneFacts,
+        start: &Start<'_>,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
-        Ok(self.base.enter_phase(phase, state, scene, random))
+        Ok(self.base.enter_phase(phase, state, start.scene(), random))
     }
 
     fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {

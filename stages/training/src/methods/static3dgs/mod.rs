@@ -10,7 +10,7 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
 use crate::params::Shared;
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables};
@@ -52,12 +52,12 @@ impl<T: Real> Method<T> for StaticGaussians {
 
     fn initialize(
         &self,
-        scene: &SceneFacts,
+        start: &Start<'_>,
         points: &PointCloud,
         _random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        let lone_scale = gaussians::LONE_SCALE * scene.extent;
+        let lone_scale = gaussians::LONE_SCALE * start.scene().extent;
         gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)?;
         Ok(state)
     }

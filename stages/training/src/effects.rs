@@ -1,0 +1,82 @@
+//! Effects: what costs time beyond a static Gaussian scene, and whether a scene calls for it.
+//!
+//! A method declares its effects ([`crate::methods::MethodFolder::effects`]). A recipe says `effects = "auto"`, or names
+//! some, or changes the automatic choice with `+name` and `-name`. What is off is not read, not allocated, not computed.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+
+/// Something that a method can simulate or leave out.
+#[derive(Clone, Copy, Debug)]
+pub struct Effect {
+    /// As `flow`; the name in recipes and tables.
+    pub name: &'static str,
+    /// One line: what it does to the model.
+    pub about: &'static str,
+    /// What a scene must have so that the effect is worth its time; all of it.
+    pub needs: &'static [Need],
+    /// Whether `"auto"` switches it on where its needs are met.
+    pub by_default: bool,
+}
+
+/// Evidence that an effect asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// At least so many different training times.
+    Times(usize),
+    /// Something moves.
+    Motion,
+    /// Colours depend on the viewpoint.
+    ViewDependence,
+    /// Depth maps on the port `priors`.
+    Depth,
+    /// Optical flow on the port `priors`.
+    Flow,
+    /// Tokens and embeddings on the port `features`.
+    Features,
+    /// Particles on the port `particles`.
+    Particles,
+    /// Moving parts on the port `layers`.
+    Layers,
+    /// A filled static video on the port `background`.
+    Background,
+}
+
+/// What a recipe says about effects, or what that came to.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Effects {
+    /// Not resolved: every effect whose needs are met.
+    #[default]
+    #[serde(with = "auto")]
+    Auto,
+    /// These and no others; or, where all begin with `+` or `-`, changes of the automatic choice.
+    Named(BTreeSet<String>),
+}
+
+impl Effects {
+    /// Whether an effect is on. Before resolution everything is.
+    pub fn has(&self, name: &str) -> bool {
+        match self {
+            Self::Auto => true,
+            Self::Named(names) => names.contains(name),
+        }
+    }
+}
+
+/// The word `"auto"`.
+mod auto {
+    use serde::{Deserialize as _, Deserializer, Serializer, de};
+
+    pub fn serialize<S: Serializer>(serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str("auto")
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(), D::Error> {
+        match String::deserialize(deserializer)?.as_str() {
+            "auto" => Ok(()),
+            other => Err(de::Error::custom(format!("effects must be \"auto\" or a list of names, not {other:?}"))),
+        }
+    }
+}
