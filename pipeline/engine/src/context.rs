@@ -114,6 +114,11 @@ impl JobContext {
         open_checked(record.artifact.as_ref().map_err(Clone::clone)?, &record.producer)
     }
 
+    /// Opens and checks the artifact on a port that may have none.
+    pub fn optional_input<A: Artifact>(&self, port: &str) -> anyhow::Result<Option<A>> {
+        if self.records(port)?.is_empty() { Ok(None) } else { self.input(port).map(Some) }
+    }
+
     /// The one producer on `port`, unopened: for its coordinates, measurements and action key.
     pub fn input_record(&self, port: &str) -> anyhow::Result<&InputRecord> {
         self.records(port)?.first().with_context(|| format!("port {port} of {} has no producer", self.name))

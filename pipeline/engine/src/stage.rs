@@ -67,6 +67,11 @@ impl Port {
         Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::One, measurements: false }
     }
 
+    /// A port that reads one artifact `A` where the recipe wires it to a producer, and none where it does not.
+    pub fn optional<A: Artifact>(name: &'static str) -> Self {
+        Self { arity: Arity::Optional, ..Self::one::<A>(name) }
+    }
+
     /// A port that reads any number of artifacts `A`; failed producers are handed over as outcomes.
     pub fn many<A: Artifact>(name: &'static str) -> Self {
         Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::Many, measurements: false }
@@ -84,6 +89,8 @@ impl Port {
 pub enum Arity {
     /// Exactly one; the job is skipped if it failed.
     One,
+    /// One or none, as the recipe says; the job is skipped if there is one and it failed.
+    Optional,
     /// All instances of the producer; failed ones appear as outcomes, and the job runs.
     Many,
 }

@@ -1,4 +1,4 @@
-//! Three small stages for the engine's own tests: a text, work on a text, and a list of texts.
+//! Small stages for the engine's own tests: a text, work on a text, two texts joined, and a list of texts.
 //! Names the crate `engine`, so that the integration test can include this file as well.
 
 use std::path::{Path, PathBuf};
@@ -132,6 +132,30 @@ fn fail_as_told(how: &str) -> anyhow::Result<()> {
             std::thread::sleep(Duration::from_secs(1));
         },
         _ => Ok(()),
+    }
+}
+
+/// Appends a second text to a first one, where there is a second one.
+pub struct Join;
+
+#[derive(Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JoinParams {}
+
+impl Stage for Join {
+    type Params = JoinParams;
+    type Output = Text;
+    const ID: &'static str = "test-join";
+    const ABOUT: &'static str = "joins two texts";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<Text>("text"), Port::optional::<Text>("suffix")]
+    }
+
+    fn run(context: &JobContext, _params: &JoinParams) -> anyhow::Result<Text> {
+        let suffix = context.optional_input::<Text>("suffix")?;
+        let text = context.input::<Text>("text")?.0 + &suffix.map(|text| text.0).unwrap_or_default();
+        Text::write(context.output_dir(), &text)
     }
 }
 

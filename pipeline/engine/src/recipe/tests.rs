@@ -213,7 +213,7 @@ nodes.trian.params.steps = 1
         "3: axes.scene: axis value `ball` is there twice",
         "3: axes.scene: axis values are strings or integers",
         "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`)",
-        "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-list, test-work, test-write)",
+        "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-join, test-list, test-work, test-write)",
         "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, inputs, params)",
         "9: nodes.other.over: unknown axis `scen` (did you mean `scene`? allowed: scene)",
         "10: nodes.other.params.text: unknown axis `sene` (did you mean `scene`? allowed: scene; for a literal brace write {{sene}})",
@@ -261,6 +261,34 @@ stage = "test-work"
         "13: nodes.three.inputs.text: stage `test-work` needs an input on port `text` (nodes that make a text: capture, one, two, three)",
     ];
     assert_eq!(errors(text, &[]), expected);
+}
+
+/// Two texts joined; `inputs` are those of the join beside its first text.
+fn join(inputs: &str) -> String {
+    let writer = |name: &str| format!("[nodes.{name}]\nstage = \"test-write\"\nover = [\"seed\"]\n");
+    format!(
+        "[axes]\nseed = [0, 1]\n{}{}[nodes.joined]\nstage = \"test-join\"\nover = [\"seed\"]\ninputs.text = \"a\"\n{inputs}\n",
+        writer("a"),
+        writer("b")
+    )
+}
+
+#[test]
+fn an_optional_port_has_one_producer_or_none() {
+    let producers = |inputs: &str| plan(&join(inputs), &[]).nodes[5].inputs[1].producers.clone();
+    assert_eq!(producers("inputs.suffix = \"b\""), [3]);
+    assert!(producers("inputs.suffix = []").is_empty());
+    assert!(producers("").is_empty());
+    let plan_id = |inputs: &str| plan(&join(inputs), &[]).nodes[5].plan_id.clone();
+    assert_eq!(plan_id(""), plan_id("inputs.suffix = []"));
+    assert_ne!(plan_id(""), plan_id("inputs.suffix = \"b\""));
+    assert_eq!(
+        errors(&join("inputs.suffix = [\"a\", \"b\"]"), &[]),
+        ["13: nodes.joined.inputs.suffix: port `suffix` takes at most one producer, not 2"]
+    );
+    let of_all =
+        join("inputs.suffix = \"b\"").replace("stage = \"test-join\"\nover = [\"seed\"]", "stage = \"test-join\"");
+    assert!(errors(&of_all, &[]).iter().any(|error| error.contains("there is one `b` for each seed")));
 }
 
 #[test]
@@ -330,7 +358,7 @@ fn a_node_without_a_stage_is_one_error() {
     let text = "[nodes.a]\nover = []\n[nodes.b]\nstage = \"test-work\"\ninputs.text = \"a\"\n";
     assert_eq!(
         errors(text, &[]),
-        ["1: nodes.a.stage: node `a` has no stage (allowed: test-list, test-work, test-write)"]
+        ["1: nodes.a.stage: node `a` has no stage (allowed: test-join, test-list, test-work, test-write)"]
     );
 }
 

@@ -62,8 +62,14 @@ impl Checker<'_> {
 
     fn check_wire(&self, port: &Port, wire: &Wire, report: &mut Report) {
         let key = self.key(port.name);
-        if port.arity == Arity::One && wire.from.len() != 1 {
-            let message = format!("port `{}` takes one producer, not {}", port.name, wire.from.len());
+        let (fits, wanted) = match port.arity {
+            Arity::One => (wire.from.len() == 1, "one producer"),
+            // An empty array takes back what a base recipe wires.
+            Arity::Optional => (wire.from.len() <= 1, "at most one producer"),
+            Arity::Many => (true, "any number"),
+        };
+        if !fits {
+            let message = format!("port `{}` takes {wanted}, not {}", port.name, wire.from.len());
             report.add(&wire.port.at, &key, message, None);
         }
         for (index, from) in wire.from.iter().enumerate() {
@@ -100,7 +106,7 @@ impl Checker<'_> {
             .filter(|axis| !self.template.over.contains(axis))
             .map(|&axis| self.recipe.axis_name(axis))
             .collect();
-        if port.arity == Arity::One && !lacking.is_empty() {
+        if port.arity != Arity::Many && !lacking.is_empty() {
             let message = format!(
                 "port `{}` takes one producer, but there is one `{}` for each {}",
                 port.name,

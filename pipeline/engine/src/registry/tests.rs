@@ -4,12 +4,13 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::{AnyStage, Registry};
-use crate::test_stages::{List, Text, Work, Write};
+use crate::test_stages::{Join, List, Text, Work, Write};
 use crate::{CodeTable, CrateCode, JobContext, ParamProblem, Port, Stage};
 
 /// The code of the test stages: made up, so that keys in tests do not move with the sources.
 pub(crate) const CODE: CodeTable = CodeTable {
     crates: &[
+        crate_code("test-join", &[("src/lib.rs", "f0")]),
         crate_code("test-list", &[("src/lib.rs", "f1")]),
         crate_code("test-nested", &[("src/lib.rs", "f2")]),
         crate_code("test-work", &[("src/lib.rs", "f3"), ("src/methods/mcgs/mod.rs", "f4")]),
@@ -21,9 +22,9 @@ const fn crate_code(name: &'static str, files: &'static [(&'static str, &'static
     CrateCode { name, files, dependencies: &[], reads_artifacts_of: &[], external: "e0" }
 }
 
-/// The three test stages.
+/// The test stages.
 pub(crate) fn registry() -> Registry {
-    Registry::new(CODE).with::<Write>().with::<Work>().with::<List>()
+    Registry::new(CODE).with::<Write>().with::<Work>().with::<Join>().with::<List>()
 }
 
 fn canonical(stage: &str, raw: Value) -> Result<Value, Vec<(String, String)>> {

@@ -11,6 +11,7 @@ pub const TESTS: &[(&str, fn())] = &[
     ("changed_parameter_reruns_its_dependants", changed_parameter_reruns_its_dependants),
     ("equal_result_cuts_the_rerun_off", equal_result_cuts_the_rerun_off),
     ("equal_actions_run_once", equal_actions_run_once),
+    ("an_optional_input_is_read_where_it_is_wired", an_optional_input_is_read_where_it_is_wired),
     ("renamed_axis_value_reruns_only_what_shows_it", renamed_axis_value_reruns_only_what_shows_it),
     ("damaged_blobs_are_made_again", damaged_blobs_are_made_again),
     ("forced_jobs_run_again", forced_jobs_run_again),
@@ -54,6 +55,26 @@ fn equal_result_cuts_the_rerun_off() {
     let cut = world.run(&["nodes.work.params.keep=2", "nodes.work.params.letter='z'"]);
     assert_eq!(nodes(&cut, Outcome::Executed), ["work/ball/p", "work/lego/p"]);
     assert_eq!(cut.results["list"].outcome, Outcome::Cached);
+}
+
+fn an_optional_input_is_read_where_it_is_wired() {
+    const JOIN: &str = r#"
+[nodes.a]
+stage = "test-write"
+params.text = "a"
+[nodes.b]
+stage = "test-write"
+params.text = "b"
+[nodes.joined]
+stage = "test-join"
+inputs = { text = "a" }
+"#;
+    let world = World::new(JOIN);
+    let alone = world.run(&[]);
+    assert_eq!(world.text(&alone, "joined"), "a");
+    let both = world.run(&["nodes.joined.inputs.suffix='b'"]);
+    assert_eq!(nodes(&both, Outcome::Executed), ["joined"]);
+    assert_eq!(world.text(&both, "joined"), "ab");
 }
 
 fn equal_actions_run_once() {

@@ -11,7 +11,7 @@ use engine::scheduler::{self, RunOptions, RunSummary};
 use engine::{CodeTable, CrateCode, Digest, Plan, Registry, Store};
 use tempfile::TempDir;
 
-use crate::test_stages::{List, Work, Write};
+use crate::test_stages::{Join, List, Work, Write};
 
 /// Two texts, worked on twice each, and a list of the four.
 pub const GRID: &str = r#"
@@ -33,8 +33,9 @@ stage = "test-list"
 inputs = { texts = "work" }
 "#;
 
-const CODE: CodeTable =
-    CodeTable { crates: &[crate_code("test-list"), crate_code("test-work"), crate_code("test-write")] };
+const CODE: CodeTable = CodeTable {
+    crates: &[crate_code("test-join"), crate_code("test-list"), crate_code("test-work"), crate_code("test-write")],
+};
 
 const fn crate_code(name: &'static str) -> CrateCode {
     CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], reads_artifacts_of: &[], external: "0" }
@@ -48,6 +49,7 @@ pub fn registry() -> Registry {
 pub fn rebuilt_registry() -> Registry {
     const REBUILT: CodeTable = CodeTable {
         crates: &[
+            crate_code("test-join"),
             crate_code("test-list"),
             CrateCode { files: &[("src/lib.rs", "1")], ..crate_code("test-work") },
             crate_code("test-write"),
@@ -57,7 +59,7 @@ pub fn rebuilt_registry() -> Registry {
 }
 
 fn with_stages(code: CodeTable) -> Registry {
-    Registry::new(code).with::<Write>().with::<Work>().with::<List>()
+    Registry::new(code).with::<Write>().with::<Work>().with::<Join>().with::<List>()
 }
 
 pub struct World {
