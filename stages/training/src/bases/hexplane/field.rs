@@ -1,22 +1,20 @@
 //! The hexplane field as tensors of a model: planes over pairs of (x, y, z, t) in a box (Wu et al. 2024, section 4.2).
 
 use rand_chacha::ChaCha8Rng;
-use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::hexplane::{HexplaneShape, distance_to_one, hexplane, is_time_plane, smoothness};
 use shaders::tape::{Op, Real, Tape, Tensor, Var};
 
 use crate::bases::layers::uniform;
+use crate::method::Step;
 use crate::state::{ModelState, Variables};
 
 /// First values of the spatial planes (published code); time planes start at 1, which means "no change".
 const SPATIAL_START: [f64; 2] = [0.1, 0.5];
+/// What a plane's name has after its field's.
+const PLANE: &str = ".plane_";
 /// The thinnest box, as a share of its longest side, so that a planar cloud does not divide by zero.
 const MIN_SIDE: f64 = 1e-3;
-/// The box of the field: [2, 3], smallest and largest corner, world.
-pub const BOUNDS: &str = "field.bounds";
-/// The planes are called `field.plane_{scale}_{pair}`.
-pub const PLANES: &str = "field.plane_";
 
 /// Where normalised time in [0, 1] falls on the time axis of the planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,9 +26,25 @@ pub enum TimeAxis {
     UpperHalf,
 }
 
+/// Weights of the regularisers of a field's planes; 0 leaves one out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PlaneWeights {
+    /// Of Σ over spatial planes of the mean squared second difference along the height axis.
+    pub spatial_smoothness: f64,
+    /// Of Σ over time planes of the mean squared second difference along time.
+    pub temporal_smoothness: f64,
+    /// Of Σ over time planes of mean |1 − P|.
+    pub time_to_one: f64,
+}
+
 /// A field's planes: sizes, and the names of their tensors.
+///
+/// A field called `field` has the box `field.bounds` ([2, 3], smallest and largest corner, world; it never learns) and
+/// the planes `field.plane_{scale}_{pair}`.
 #[derive(Clone, Debug)]
 pub struct Field {
+    name: &'static str,
     shape: HexplaneShape,
     time_axis: TimeAxis,
 }
@@ -38,6 +52,7 @@ pub struct Field {
 impl Field {
     /// A field whose time axis has `time_resolution` texels in the published code's counting (see [`TimeAxis`]).
     pub fn new(
+        name: &'static str,
         channels: usize,
         spatial: [usize; 3],
         time_resolution: usize,
@@ -50,7 +65,7 @@ impl Field {
         };
         let [x, y, z] = spatial;
         let shape = HexplaneShape { channels, resolution: [x, y, z, time.max(1)], multipliers: multipliers.to_vec() };
-        Self { shape, time_axis: axis }
+        Self { name, shape, time_axis: axis }
     }
 
     /// Features per point.
@@ -58,17 +73,22 @@ impl Field {
         self.shape.features()
     }
 
+    /// Whether a tensor is one of the planes of the field of that name.
+    pub fn is_plane(name: &str, tensor: &str) -> bool {
+        tensor.strip_prefix(name).is_some_and(|rest| rest.starts_with(PLANE))
+    }
+
     /// Adds the planes.
     pub fn insert_planes<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
         for (index, shape) in self.shape.plane_shapes().iter().enumerate() {
             let [low, high] = if is_time_plane(index) { [1.0, 1.0] } else { SPATIAL_START };
-            state.insert(plane_name(index), uniform(shape, low, high, random));
+            state.insert(self.plane_name(index), uniform(shape, low, high, random));
         }
     }
 
     /// Features [N, F] of positions [N, 3] (world) at a time in [0, 1].
     pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
-        let bounds = model.get(BOUNDS);
+        let bounds = model.get(&bounds_name(self.name));
         let inside = tape.apply_one(ToBox, &[positions, bounds]);
         let time = match self.time_axis {
             TimeAxis::Full => 2.0 * time - 1.0,
@@ -77,40 +97,49 @@ impl Field {
         hexplane(tape, &self.planes(model, |_| true), inside, time)
     }
 
-    /// Σ over spatial planes of the mean squared second difference along the height axis.
-    pub fn spatial_roughness<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Var {
-        smoothness(tape, &self.planes(model, |index| !is_time_plane(index)))
-    }
-
-    /// Σ over time planes of the mean squared second difference along time.
-    pub fn temporal_roughness<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Var {
-        smoothness(tape, &self.planes(model, is_time_plane))
-    }
-
-    /// Σ over time planes of mean |1 − P|.
-    pub fn change<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Var {
-        distance_to_one(tape, &self.planes(model, is_time_plane))
-    }
-
-    /// The factor of the two time regularisers that gives them the weight of the published code: its means run over
-    /// the idle lower half as well.
-    pub fn time_weight_factor(&self) -> f64 {
-        match self.time_axis {
+    /// Adds the regularisers of the planes to a step's losses; one of weight 0 is not evaluated.
+    ///
+    /// The two of the time planes are weighed so that they equal the published code's, whose means run over the idle
+    /// lower half as well (see [`TimeAxis`]).
+    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>, weights: &PlaneWeights) {
+        let time_factor = match self.time_axis {
             TimeAxis::Full => 0.5,
             TimeAxis::UpperHalf => 1.0,
+        };
+        if weights.spatial_smoothness > 0.0 {
+            let value = smoothness(step.tape, &self.planes(step.model, |index| !is_time_plane(index)));
+            step.add_loss("spatial_smoothness", weights.spatial_smoothness, value);
+        }
+        if weights.temporal_smoothness > 0.0 {
+            let value = smoothness(step.tape, &self.planes(step.model, is_time_plane));
+            step.add_loss("temporal_smoothness", time_factor * weights.temporal_smoothness, value);
+        }
+        if weights.time_to_one > 0.0 {
+            let value = distance_to_one(step.tape, &self.planes(step.model, is_time_plane));
+            step.add_loss("time_to_one", time_factor * weights.time_to_one, value);
         }
     }
 
     fn planes(&self, model: &Variables, chosen: impl Fn(usize) -> bool) -> Vec<Var> {
         let count = 6 * self.shape.multipliers.len();
-        (0..count).filter(|&index| chosen(index)).map(|index| model.get(&plane_name(index))).collect()
+        (0..count).filter(|&index| chosen(index)).map(|index| model.get(&self.plane_name(index))).collect()
+    }
+
+    fn plane_name(&self, index: usize) -> String {
+        const PAIRS: [&str; 6] = ["xy", "xz", "xt", "yz", "yt", "zt"];
+        format!("{}{PLANE}{}_{}", self.name, index / 6, PAIRS[index % 6])
     }
 }
 
-/// Adds the box of a point cloud as [`BOUNDS`].
-pub fn insert_bounds<T: Real>(state: &mut ModelState<T>, points: &PointCloud) {
+/// The box of the field of that name.
+pub fn bounds_name(field: &str) -> String {
+    format!("{field}.bounds")
+}
+
+/// Adds the box of positions as that of the field of that name.
+pub fn insert_bounds<T: Real>(state: &mut ModelState<T>, field: &str, positions: &[[f32; 3]]) {
     let mut corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
-    for point in &points.positions {
+    for point in positions {
         for axis in 0..3 {
             let value = f64::from(point[axis]);
             corners[0][axis] = corners[0][axis].min(value);
@@ -124,12 +153,7 @@ pub fn insert_bounds<T: Real>(state: &mut ModelState<T>, points: &PointCloud) {
     let low = std::array::from_fn::<_, 3, _>(|axis| low[axis] - margin(axis));
     let high = std::array::from_fn::<_, 3, _>(|axis| high[axis] + margin(axis));
     let values = [low, high].concat().into_iter().map(T::from_f64).collect();
-    state.insert(BOUNDS, Tensor::from_vec([2, 3], values));
-}
-
-fn plane_name(index: usize) -> String {
-    const PAIRS: [&str; 6] = ["xy", "xz", "xt", "yz", "yt", "zt"];
-    format!("{PLANES}{}_{}", index / 6, PAIRS[index % 6])
+    state.insert(bounds_name(field), Tensor::from_vec([2, 3], values));
 }
 
 /// Positions [N, 3] in a box [2, 3] to [−1, 1]: 2·(x − low) / (high − low) − 1; no gradient flows to the box.

@@ -4,7 +4,7 @@
 //! Two phases. `coarse` fits Gaussians to all frames as if nothing moved; it knows nothing of the field but its box, so
 //! methods can share it. `fine` adds the field and the network, and learns everything.
 
-mod field;
+pub mod field;
 mod network;
 #[cfg(test)]
 mod tests;
@@ -24,14 +24,16 @@ use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Step};
 use crate::params::{Density, LearningRates, Loss, Shared};
 use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables};
-use field::Field;
+use crate::state::{ModelState, Variables, belongs};
+use field::{Field, PlaneWeights};
 use network::Network;
 
 /// Static warm-up.
 pub const COARSE: &str = "coarse";
 /// Everything learns.
 pub const FINE: &str = "fine";
+/// The name of the field.
+const FIELD: &str = "field";
 
 /// The field, the network and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -171,7 +173,7 @@ impl HexplaneGaussians {
         let mut state = ModelState::new();
         let lone_scale = gaussians::LONE_SCALE * scene.extent;
         gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)?;
-        field::insert_bounds(&mut state, points);
+        field::insert_bounds(&mut state, FIELD, &points.positions);
         Ok(state)
     }
 
@@ -192,10 +194,10 @@ impl HexplaneGaussians {
 
     /// The step size of a tensor; the box never learns, the field and the network only exist in `fine`.
     pub fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        if tensor.starts_with(field::PLANES) {
+        if Field::is_plane(FIELD, tensor) {
             return Some(self.settings.plane_rate.scaled(scene.extent));
         }
-        if tensor.starts_with(network::NETWORK) {
+        if belongs(tensor, network::NETWORK) {
             return Some(self.settings.network_rate.scaled(scene.extent));
         }
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
@@ -217,20 +219,8 @@ impl HexplaneGaussians {
             return;
         }
         let HexplaneSettings { spatial_smoothness, temporal_smoothness, time_to_one, .. } = self.settings;
-        let field = self.field(step.scene);
-        let time_factor = field.time_weight_factor();
-        if spatial_smoothness > 0.0 {
-            let value = field.spatial_roughness(step.tape, step.model);
-            step.add_loss("spatial_smoothness", spatial_smoothness, value);
-        }
-        if temporal_smoothness > 0.0 {
-            let value = field.temporal_roughness(step.tape, step.model);
-            step.add_loss("temporal_smoothness", time_factor * temporal_smoothness, value);
-        }
-        if time_to_one > 0.0 {
-            let value = field.change(step.tape, step.model);
-            step.add_loss("time_to_one", time_factor * time_to_one, value);
-        }
+        let weights = PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one };
+        self.field(step.scene).regularize(step, &weights);
     }
 
     /// Density control of the Gaussians, the same in both phases.
@@ -243,7 +233,7 @@ impl HexplaneGaussians {
         let settings = &self.settings;
         let time_resolution = settings.time_resolution.unwrap_or(scene.time_count.div_ceil(2));
         let spatial = [settings.spatial_resolution; 3];
-        Field::new(settings.channels, spatial, time_resolution, &settings.multipliers, settings.time_axis)
+        Field::new(FIELD, settings.channels, spatial, time_resolution, &settings.multipliers, settings.time_axis)
     }
 
     fn network(&self, scene: &SceneFacts) -> Network {

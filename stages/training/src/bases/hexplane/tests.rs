@@ -65,7 +65,7 @@ fn time_planes_start_without_change() {
 fn heads_that_are_off_have_no_parameters() {
     let heads = Heads { position: true, ..Heads::NONE };
     let (_, state) = fine_model(&HexplaneSettings { heads, ..HexplaneSettings::tiny() });
-    let names: Vec<&str> = state.names().filter(|name| name.starts_with(network::NETWORK)).collect();
+    let names: Vec<&str> = state.names().filter(|name| belongs(name, network::NETWORK)).collect();
     assert_eq!(names.len(), 6, "{names:?}");
 }
 
@@ -96,8 +96,8 @@ fn a_flat_cloud_has_a_box_with_volume() {
     let points = PointCloud { positions: vec![[0.0, 0.0, 5.0], [2.0, 1.0, 5.0]], colors: vec![[0; 3]; 2] };
     for points in [points, PointCloud { positions: vec![[3.0; 3]], colors: vec![[0; 3]] }] {
         let mut state = ModelState::<f64>::new();
-        field::insert_bounds(&mut state, &points);
-        let bounds = state.get(field::BOUNDS).unwrap();
+        field::insert_bounds(&mut state, FIELD, &points.positions);
+        let bounds = state.get(&field::bounds_name(FIELD)).unwrap();
         assert!((0..3).all(|axis| bounds.row(1)[axis] > bounds.row(0)[axis]), "{bounds:?}");
     }
 }

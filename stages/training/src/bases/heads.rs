@@ -1,0 +1,52 @@
+//! The network shape of hexplane methods: one trunk layer and a small head per attribute, each ReLU, Linear, ReLU, Linear
+//! (Wu et al. 2024, section 4.3).
+
+use rand_chacha::ChaCha8Rng;
+use shaders::linear::Activation;
+use shaders::tape::{Real, Tape, Var};
+
+use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
+use crate::state::{ModelState, Variables};
+
+/// Sizes of a network, and the names of its tensors: `{name}.trunk`, `{name}.{head}.0` and `{name}.{head}.1`.
+#[derive(Clone, Debug)]
+pub struct HeadedNetwork {
+    name: &'static str,
+    features: usize,
+    width: usize,
+    heads: Vec<(&'static str, usize)>,
+}
+
+impl HeadedNetwork {
+    /// `features` → `width` → the outputs of each head.
+    pub fn new(name: &'static str, features: usize, width: usize, heads: Vec<(&'static str, usize)>) -> Self {
+        Self { name, features, width, heads }
+    }
+
+    /// Adds trunk and heads; `zero_heads` lets every head start at 0.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
+        let last = if zero_heads { FirstWeights::Zero } else { FirstWeights::Xavier };
+        insert_layer(state, &format!("{}.trunk", self.name), self.features, self.width, FirstWeights::Xavier, random);
+        for &(head, outputs) in &self.heads {
+            let [inner, outer] = self.layers(head);
+            insert_layer(state, &inner, self.width, self.width, FirstWeights::Xavier, random);
+            insert_layer(state, &outer, self.width, outputs, last, random);
+        }
+    }
+
+    /// What every head begins with: the trunk of features [N, F], and the ReLU that is applied once for all heads.
+    pub fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Var {
+        apply_layer(tape, model, &format!("{}.trunk", self.name), features, Activation::Relu)
+    }
+
+    /// The output [N, outputs] of a head.
+    pub fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+        let [inner, outer] = self.layers(head);
+        let inner = apply_layer(tape, model, &inner, hidden, Activation::Relu);
+        apply_layer(tape, model, &outer, inner, Activation::Identity)
+    }
+
+    fn layers(&self, head: &str) -> [String; 2] {
+        [0, 1].map(|layer| format!("{}.{head}.{layer}", self.name))
+    }
+}
