@@ -81,11 +81,23 @@ pub struct Tape<T: Real> {
     values: Vec<Value<T>>,
     nodes: Vec<Node<T>>,
     profile: Profile,
+    /// What was cut off so far.
+    detached: Vec<Tensor<T>>,
+    /// What an earlier tape cut off, to be used instead.
+    replayed: Option<Vec<Tensor<T>>>,
 }
 
 impl<T: Real> Tape<T> {
     pub fn new(device: Device) -> Self {
-        Self { device, values: Vec::new(), nodes: Vec::new(), profile: Profile::default() }
+        let (values, nodes, profile) = (Vec::new(), Vec::new(), Profile::default());
+        Self { device, values, nodes, profile, detached: Vec::new(), replayed: None }
+    }
+
+    /// A tape for central differences of what an earlier tape computed: wherever that one cut a value off, this one goes
+    /// on with the earlier tape's value ([`Tape::detached`]). Only so are its differences the gradients of the earlier
+    /// one, which take what was cut off for constant.
+    pub fn replaying(device: Device, detached: &[Tensor<T>]) -> Self {
+        Self { replayed: Some(detached.to_vec()), ..Self::new(device) }
     }
 
     pub fn device(&self) -> Device {
@@ -105,7 +117,26 @@ impl<T: Real> Tape<T> {
     /// The same value, cut off from what it was computed from: no gradient flows through it.
     pub fn detach(&mut self, var: Var) -> Var {
         let tensor = self.value(var).clone();
+        self.detach_value(tensor)
+    }
+
+    /// As [`Tape::detach`] for what was computed from this tape's values elsewhere.
+    pub fn detach_value(&mut self, tensor: Tensor<T>) -> Var {
+        let tensor = match &self.replayed {
+            None => tensor,
+            Some(earlier) => {
+                let earlier = earlier.get(self.detached.len()).expect("the earlier tape cut off as many values");
+                assert_eq!(earlier.shape(), tensor.shape(), "the earlier tape cut off another value here");
+                earlier.clone()
+            }
+        };
+        self.detached.push(tensor.clone());
         self.constant(tensor)
+    }
+
+    /// All values that were cut off, in order.
+    pub fn detached(&self) -> &[Tensor<T>] {
+        &self.detached
     }
 
     pub fn value(&self, var: Var) -> &Tensor<T> {

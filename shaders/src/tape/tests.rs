@@ -57,6 +57,33 @@ fn constants_get_no_gradient_and_cost_no_backward() {
     assert_eq!((cost.forward.calls, cost.backward.calls), (3, 1), "only y's backward ran");
 }
 
+/// x·detach(x) at `x`, with its gradient.
+fn half_detached_square(tape: &mut Tape<f64>, x: f64) -> (f64, f64) {
+    let x = tape.leaf(vector(&[x]));
+    let frozen = tape.detach(x);
+    let y = tape.apply_one(Product, &[x, frozen]);
+    let gradient = tape.backward(&[(y, vector(&[1.0]))]).take(x).unwrap();
+    (tape.value(y).as_slice()[0], gradient.as_slice()[0])
+}
+
+#[test]
+fn differences_on_replaying_tapes_hold_constant_what_was_cut_off() {
+    let mut tape = Tape::new(Device::Cpu);
+    let (_, gradient) = half_detached_square(&mut tape, 3.0);
+    assert_eq!(gradient, 3.0);
+    let replayed = |x| half_detached_square(&mut Tape::replaying(Device::Cpu, tape.detached()), x).0;
+    assert_eq!(replayed(3.5) - replayed(2.5), gradient);
+    // Without, the difference is that of x².
+    let plain = |x| half_detached_square(&mut Tape::new(Device::Cpu), x).0;
+    assert_eq!(plain(3.5) - plain(2.5), 6.0);
+}
+
+#[test]
+#[should_panic(expected = "as many values")]
+fn a_replaying_tape_refuses_another_computation() {
+    half_detached_square(&mut Tape::replaying(Device::Cpu, &[]), 1.0);
+}
+
 #[test]
 fn profiles_of_several_tapes_add_up() {
     let mut total = Profile::default();

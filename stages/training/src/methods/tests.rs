@@ -74,13 +74,16 @@ impl Case {
 
     /// The losses of one step and the gradients of all learnt tensors.
     fn evaluate(&self, state: &ModelState<f64>) -> (f64, BTreeMap<String, Tensor<f64>>) {
-        let mut tape = Tape::new(Device::Cpu);
-        let model = state.bind(&mut tape, |name| self.learns(name));
+        self.evaluate_on(&mut Tape::new(Device::Cpu), state)
+    }
+
+    fn evaluate_on(&self, tape: &mut Tape<f64>, state: &ModelState<f64>) -> (f64, BTreeMap<String, Tensor<f64>>) {
+        let model = state.bind(tape, |name| self.learns(name));
         let degree = self.params.shared.harmonics.degree;
         let mut raster = raster_settings(&self.dataset.scene, degree);
         raster.smooth_cutoff = true;
         let step = Step {
-            tape: &mut tape,
+            tape,
             model: &model,
             views: std::slice::from_ref(&self.view),
             scene: &self.dataset.scene,
@@ -103,24 +106,33 @@ impl Case {
         (total, model.iter().filter_map(take).collect())
     }
 
-    /// The loss with one element of one tensor moved.
-    fn loss_with(&self, name: &str, element: usize, shift: f64) -> f64 {
+    /// Everything that the methods' losses hold constant although it was computed from the model.
+    fn detached(&self) -> Vec<Tensor<f64>> {
+        let mut tape = Tape::new(Device::Cpu);
+        self.evaluate_on(&mut tape, &self.state);
+        tape.detached().to_vec()
+    }
+
+    /// The loss with one element of one tensor moved, and what is held constant as it was.
+    fn loss_with(&self, detached: &[Tensor<f64>], name: &str, element: usize, shift: f64) -> f64 {
         let mut state = self.state.clone();
         let mut tensor = state.get(name).unwrap().clone();
         tensor.make_mut()[element] += shift;
         state.insert(name, tensor);
-        self.evaluate(&state).0
+        self.evaluate_on(&mut Tape::replaying(Device::Cpu, detached), &state).0
     }
 
     /// Compares a few elements of every learnt tensor with central differences; the first that disagrees is the error.
     fn check_gradients(&self, found: &BTreeMap<String, Tensor<f64>>) -> Result<(), String> {
         let largest = |tensor: &Tensor<f64>| tensor.as_slice().iter().fold(0.0_f64, |a, value| a.max(value.abs()));
         let overall = found.values().map(largest).fold(0.0, f64::max);
+        let detached = self.detached();
         for (name, gradient) in found {
             let allowed = TOLERANCE * largest(gradient).max(FLOOR * overall);
             let stride = gradient.len().div_ceil(SAMPLES).max(1);
             for element in (0..gradient.len()).step_by(stride) {
-                let difference = self.loss_with(name, element, STEP) - self.loss_with(name, element, -STEP);
+                let loss_at = |shift| self.loss_with(&detached, name, element, shift);
+                let difference = loss_at(STEP) - loss_at(-STEP);
                 let (expected, found) = (difference / (2.0 * STEP), gradient.as_slice()[element]);
                 if !((found - expected).abs() <= allowed) {
                     return Err(format!(
