@@ -6,13 +6,28 @@ use cargo_metadata::{DependencyKind, MetadataCommand};
 
 /// For each crate, the workspace crates that it may depend on: the stages whose artifacts it reads, the engine, and
 /// the vocabulary.
-const ALLOWED: [(&str, &[&str]); 11] = [
+const ALLOWED: [(&str, &[&str]); 14] = [
     ("engine", &[]),
     ("scene", &[]),
     ("shaders", &["scene"]),
     ("scene-synthesis", &["engine", "scene"]),
     ("sfm-import", &["engine", "scene"]),
-    ("training", &["engine", "scene", "shaders", "scene-synthesis", "sfm-import"]),
+    ("depth-flow-import", &["engine", "scene", "scene-synthesis"]),
+    ("layer-split", &["engine", "scene", "scene-synthesis", "depth-flow-import"]),
+    ("inpaint-import", &["engine", "scene", "scene-synthesis", "depth-flow-import", "layer-split"]),
+    (
+        "training",
+        &[
+            "engine",
+            "scene",
+            "shaders",
+            "scene-synthesis",
+            "sfm-import",
+            "depth-flow-import",
+            "layer-split",
+            "inpaint-import",
+        ],
+    ),
     ("rendering", &["engine", "scene", "shaders", "training", "scene-synthesis", "sfm-import"]),
     ("metric-evaluation", &["engine", "scene", "rendering", "scene-synthesis", "sfm-import"]),
     ("table-generation", &["engine", "scene", "training", "rendering", "metric-evaluation"]),
@@ -23,6 +38,9 @@ const ALLOWED: [(&str, &[&str]); 11] = [
             "scene",
             "scene-synthesis",
             "sfm-import",
+            "depth-flow-import",
+            "layer-split",
+            "inpaint-import",
             "training",
             "rendering",
             "metric-evaluation",

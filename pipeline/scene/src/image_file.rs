@@ -5,7 +5,7 @@ use std::path::Path;
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageReader};
-pub use image::{GrayImage, RgbImage, RgbaImage};
+pub use image::{GrayImage, Rgb, RgbImage, RgbaImage};
 
 use crate::{Error, Result};
 

@@ -13,6 +13,7 @@ pub mod exr_file;
 pub mod float_image;
 pub mod gaussians;
 pub mod image_file;
+pub mod index_file;
 pub mod maps;
 pub mod ply;
 pub mod protocol;

@@ -123,6 +123,9 @@ impl VelocityMap {
 }
 
 impl NormalMap {
+    /// Names of the channels.
+    pub const CHANNELS: [&str; 3] = VECTOR_CHANNELS;
+
     /// Reads an EXR file with the channels X, Y and Z; values must be finite.
     pub fn read(path: &Path) -> Result<Self> {
         let (width, height, normals_view) = read_vectors(path, "normal")?;

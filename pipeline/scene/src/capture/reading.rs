@@ -1,20 +1,24 @@
 //! Opening a capture, checking it, and loading what its views name.
 
 use std::collections::BTreeSet;
-use std::path::{Component, Path};
+use std::path::Path;
 
 use glam::DVec3;
 
 use super::{Capture, Split, View};
 use crate::cloud::PointCloud;
 use crate::image_file::{self, GrayImage, RgbImage};
+use crate::index_file::{self, ViewFiles};
 use crate::maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
-use crate::{Error, Result, exr_file};
+use crate::{Error, Result};
 
 /// The file that describes the capture.
 pub(super) const INDEX_FILE: &str = "capture.json";
 /// The point cloud, where there is one.
 pub(super) const POINTS_FILE: &str = "points.ply";
+
+/// Why maps may not fit.
+const OTHER_CAPTURE: &str = "were they made for another capture?";
 
 /// Margin around the cameras (Kerbl et al. 2023, `getNerfppNorm`).
 const EXTENT_MARGIN: f64 = 1.1;
@@ -29,10 +33,7 @@ impl Capture {
     /// Reads `capture.json` in `dir`; see [`Capture::check`] for what must hold beyond its syntax.
     pub fn open(dir: &Path) -> Result<Self> {
         let path = dir.join(INDEX_FILE);
-        let bytes = image_file::read_file(&path).map_err(|error| error.hint("is this the folder of a capture?"))?;
-        let parsed = serde_json::from_slice(&bytes);
-        let capture: Self = parsed.map_err(|error| Error::new(format!("not a valid capture ({error})")).at(&path))?;
-        Ok(Self { dir: dir.into(), ..capture })
+        Ok(Self { dir: dir.into(), ..index_file::read(&path, "a capture")? })
     }
 
     /// Everything that readers rely on: unique names in order, valid cameras, times within the time map, at least one
@@ -56,7 +57,7 @@ impl Capture {
     /// 8-bit colours, composited on the background.
     pub fn load_image(&self, view: &View) -> Result<RgbImage> {
         let image = image_file::read_rgb(&self.dir.join(&view.image))?;
-        self.sized(view, &view.image, (image.width(), image.height()))?;
+        self.files(view).check_size(&view.image, (image.width(), image.height()))?;
         Ok(image)
     }
 
@@ -67,27 +68,27 @@ impl Capture {
 
     /// Coverage before compositing, where the view has it.
     pub fn load_alpha(&self, view: &View) -> Result<Option<GrayImage>> {
-        self.load(view, view.alpha.as_deref(), image_file::read_grey, GrayImage::dimensions)
+        self.files(view).load(view.alpha.as_deref(), image_file::read_grey, GrayImage::dimensions)
     }
 
     /// View-space depth, where the view has it.
     pub fn load_depth(&self, view: &View) -> Result<Option<DepthMap>> {
-        self.load(view, view.depth.as_deref(), DepthMap::read, |map| (map.width, map.height))
+        self.files(view).load(view.depth.as_deref(), DepthMap::read, |map| (map.width, map.height))
     }
 
     /// Forward optical flow, where the view has it.
     pub fn load_flow(&self, view: &View) -> Result<Option<FlowMap>> {
-        self.load(view, view.flow.as_deref(), FlowMap::read, |map| (map.width, map.height))
+        self.files(view).load(view.flow.as_deref(), FlowMap::read, |map| (map.width, map.height))
     }
 
     /// Velocity of the seen surface, where the view has it.
     pub fn load_velocity(&self, view: &View) -> Result<Option<VelocityMap>> {
-        self.load(view, view.velocity.as_deref(), VelocityMap::read, |map| (map.width, map.height))
+        self.files(view).load(view.velocity.as_deref(), VelocityMap::read, |map| (map.width, map.height))
     }
 
     /// Instance labels, where the view has them; a label without a class name is an error.
     pub fn load_mask(&self, view: &View) -> Result<Option<LabelMap>> {
-        let mask = self.load(view, view.mask.as_deref(), LabelMap::read, |map| (map.width, map.height))?;
+        let mask = self.files(view).load(view.mask.as_deref(), LabelMap::read, |map| (map.width, map.height))?;
         let highest = mask.iter().flat_map(|mask| &mask.labels).max().copied().unwrap_or(0);
         if usize::from(highest) > self.class_names.len() {
             let message =
@@ -114,6 +115,20 @@ impl Capture {
         }
         let half_diagonal = |[low, high]: [[f64; 3]; 2]| 0.5 * DVec3::from(low).distance(DVec3::from(high));
         self.bounds_world.map_or(1.0, half_diagonal)
+    }
+
+    /// Maps of other makers belong to this capture: one entry per view, with the views' names in their order.
+    pub fn check_names<'a>(&self, names: impl ExactSizeIterator<Item = &'a str>) -> Result<()> {
+        let (count, expected) = (names.len(), self.views.len());
+        if count != expected {
+            return Err(Error::new(format!("maps of {count} views for a capture of {expected}")).hint(OTHER_CAPTURE));
+        }
+        match self.views.iter().zip(names).find(|(view, name)| view.name != *name) {
+            None => Ok(()),
+            Some((view, name)) => {
+                Err(Error::new(format!("maps of view {name} where {} is expected", view.name)).hint(OTHER_CAPTURE))
+            }
+        }
     }
 
     /// What can be said without looking at any other file.
@@ -185,55 +200,23 @@ impl Capture {
 
     /// Files exist below the folder, with the view's size and the channels of their kind.
     fn check_files(&self, view: &View) -> Result<()> {
+        let files = self.files(view);
         for file in [Some(&view.image), view.alpha.as_ref(), view.mask.as_ref()].into_iter().flatten() {
-            self.check_path(file)?;
-            self.sized(view, file, image_file::read_size(&self.dir.join(file))?)?;
+            files.check_image(file)?;
         }
-        let depth: &[&[&str]] = &[&DepthMap::CHANNELS];
         let [flow_x, flow_y] = &FlowMap::CHANNELS;
         let [x, y, z] = &VelocityMap::CHANNELS;
-        let floats: [(_, &[&[&str]]); 3] =
-            [(&view.depth, depth), (&view.flow, &[flow_x, flow_y]), (&view.velocity, &[&[x], &[y], &[z]])];
-        for (file, channels) in floats {
-            let Some(file) = file else { continue };
-            self.check_path(file)?;
-            let header = exr_file::read_header(&self.dir.join(file))?;
-            self.sized(view, file, (header.width, header.height))?;
-            let present = |names: &[&str]| names.iter().any(|name| header.channels.iter().any(|have| have == name));
-            if let Some(missing) = channels.iter().find(|names| !present(names)) {
-                let message = format!("channels {:?} where {} is needed", header.channels, missing.join(" or "));
-                return Err(Error::new(message).at(self.dir.join(file)));
-            }
-        }
-        Ok(())
+        let floats: [(_, &[&[&str]]); 3] = [
+            (&view.depth, &[&DepthMap::CHANNELS]),
+            (&view.flow, &[flow_x, flow_y]),
+            (&view.velocity, &[&[x], &[y], &[z]]),
+        ];
+        let mut present = floats.iter().filter_map(|(file, channels)| Some((file.as_ref()?, channels)));
+        present.try_for_each(|(file, channels)| files.check_floats(file, channels))
     }
 
-    /// A capture's files lie in its folder, so that it can be moved and hashed.
-    fn check_path(&self, file: &Path) -> Result<()> {
-        let inside = file.components().all(|part| matches!(part, Component::Normal(_)));
-        if inside { Ok(()) } else { Err(Error::new("the path leads out of the capture's folder").at(file)) }
-    }
-
-    fn load<T>(
-        &self,
-        view: &View,
-        file: Option<&Path>,
-        read: impl Fn(&Path) -> Result<T>,
-        size: impl Fn(&T) -> (u32, u32),
-    ) -> Result<Option<T>> {
-        let Some(file) = file else { return Ok(None) };
-        let value = read(&self.dir.join(file))?;
-        self.sized(view, file, size(&value))?;
-        Ok(Some(value))
-    }
-
-    fn sized(&self, view: &View, file: &Path, (width, height): (u32, u32)) -> Result<()> {
-        let expected = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        if (width, height) == expected {
-            return Ok(());
-        }
-        let message = format!("{width}×{height} pixels where the camera has {}×{}", expected.0, expected.1);
-        Err(Error::new(message).at(self.dir.join(file)))
+    fn files(&self, view: &View) -> ViewFiles<'_> {
+        ViewFiles::of(&self.dir, &view.camera.intrinsics)
     }
 }
 

@@ -211,3 +211,16 @@ fn the_extent_is_that_of_the_training_cameras() {
     single.bounds_world = None;
     assert_eq!(single.scene_extent(), 1.0);
 }
+
+#[test]
+fn maps_of_another_capture_are_noticed() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = write(dir.path(), &frames()).unwrap();
+    let mut names: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
+    capture.check_names(names.iter().copied()).unwrap();
+    names.swap(0, 1);
+    let error = capture.check_names(names.iter().copied()).unwrap_err().to_string();
+    assert!(error.contains("maps of view train_1 where train_0 is expected"), "{error}");
+    let error = capture.check_names(names[1..].iter().copied()).unwrap_err().to_string();
+    assert!(error.contains("for a capture of") && error.contains("another capture"), "{error}");
+}

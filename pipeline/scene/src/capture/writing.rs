@@ -7,9 +7,10 @@ use super::reading::{INDEX_FILE, POINTS_FILE, check_name, view_order};
 use super::{Capture, Split, View};
 use crate::cloud::PointCloud;
 use crate::image_file::{self, GrayImage, RgbImage};
+use crate::index_file;
 use crate::maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
 use crate::ply::PlyFormat;
-use crate::{Camera, Error, Protocol, Result, TimeMap};
+use crate::{Camera, Protocol, Result, TimeMap};
 
 /// What is known of a capture besides its views; fields as in [`Capture`].
 #[derive(Clone, Debug)]
@@ -70,7 +71,7 @@ pub struct CaptureWriter {
 impl CaptureWriter {
     /// Starts a capture in the folder `dir`, which is created if need be.
     pub fn create(dir: &Path, info: CaptureInfo) -> Result<Self> {
-        create_dir(dir)?;
+        index_file::create_dir(dir)?;
         Ok(Self { dir: dir.into(), info, has_points: false, views: Mutex::default() })
     }
 
@@ -129,22 +130,15 @@ impl CaptureWriter {
             bounds_world,
         };
         capture.check()?;
-        let path = capture.dir.join(INDEX_FILE);
-        let json = serde_json::to_string_pretty(&capture);
-        let json = json.map_err(|error| Error::new(format!("cannot write the capture ({error})")).at(&path))?;
-        image_file::write_file(&path, format!("{json}\n").as_bytes())?;
+        index_file::write(&capture.dir.join(INDEX_FILE), "a capture", &capture)?;
         Ok(capture)
     }
 
     /// Writes `kind/file` in the capture's folder and returns that relative path.
     fn write_as(&self, kind: &str, file: &str, write: &dyn Fn(&Path) -> Result<()>) -> Result<PathBuf> {
-        create_dir(&self.dir.join(kind))?;
+        index_file::create_dir(&self.dir.join(kind))?;
         let relative = Path::new(kind).join(file);
         write(&self.dir.join(&relative))?;
         Ok(relative)
     }
-}
-
-fn create_dir(dir: &Path) -> Result<()> {
-    std::fs::create_dir_all(dir).map_err(|error| Error::new(format!("cannot create the folder ({error})")).at(dir))
 }
