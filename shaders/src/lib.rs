@@ -2,6 +2,7 @@
 //! readable reference, its fast body and its tests.
 
 pub mod adam;
+pub(crate) mod algebra;
 pub mod binning;
 pub mod blending;
 pub mod check;
@@ -9,7 +10,10 @@ pub mod hexplane;
 pub mod linear;
 pub mod losses;
 pub mod pointwise;
+pub mod positional_encoding;
 pub mod projection;
+pub mod quaternion;
+pub mod rows;
 pub mod splat;
 pub mod ssim;
 pub mod tape;

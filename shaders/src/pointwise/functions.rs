@@ -12,6 +12,10 @@ macro_rules! functions {
                 x.ln()
             }
             #[inline(always)]
+            pub fn tanh(x: $float) -> $float {
+                x.tanh()
+            }
+            #[inline(always)]
             pub fn sqrt(x: $float) -> $float {
                 x.sqrt()
             }

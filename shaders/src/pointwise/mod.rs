@@ -139,6 +139,81 @@ pointwise! {
         b: { return dy; }
     }
 
+    /// y = a − b
+    pub fn sub(a, b) -> y {
+        return a - b;
+    }
+    gradients(dy) {
+        a: { return dy; }
+        b: { return -dy; }
+    }
+
+    /// y = a·b
+    pub fn mul(a, b) -> y {
+        return a * b;
+    }
+    gradients(dy) {
+        a: { return b * dy; }
+        b: { return a * dy; }
+    }
+
+    /// y = x + term
+    pub fn shift(x) with(term) -> y {
+        return x + term;
+    }
+    gradients(dy) {
+        x: { return dy; }
+    }
+
+    /// y = (1 − share)·a + share·b
+    pub fn mix(a, b) with(share) -> y {
+        return (1.0 - share) * a + share * b;
+    }
+    gradients(dy) {
+        a: { return (1.0 - share) * dy; }
+        b: { return share * dy; }
+    }
+
+    /// y = x²
+    pub fn square(x) -> y {
+        return x * x;
+    }
+    gradients(dy) {
+        x: { return 2.0 * x * dy; }
+    }
+
+    /// y = eˣ
+    pub fn exponential(x) -> y {
+        return exp(x);
+    }
+    gradients(dy) {
+        x: { return y * dy; }
+    }
+
+    /// y = e^−x
+    pub fn decay(x) -> y {
+        return exp(-x);
+    }
+    gradients(dy) {
+        x: { return -y * dy; }
+    }
+
+    /// y = tanh x
+    pub fn hyperbolic_tangent(x) -> y {
+        return tanh(x);
+    }
+    gradients(dy) {
+        x: { return (1.0 - y) * (1.0 + y) * dy; }
+    }
+
+    /// y = |x|; the gradient at 0 is 0.
+    pub fn magnitude(x) -> y {
+        return abs(x);
+    }
+    gradients(dy) {
+        x: { return dy * sign(x); }
+    }
+
     /// y = factor·x
     pub fn scale(x) with(factor) -> y {
         return factor * x;

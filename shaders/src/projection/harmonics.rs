@@ -1,6 +1,6 @@
 //! Real spherical harmonics up to degree 3 in the order and with the signs of Kerbl et al. 2023.
 
-use super::algebra::Vec3;
+use crate::algebra::Vec3;
 use crate::tape::Real;
 
 /// Coefficients of degree 3.

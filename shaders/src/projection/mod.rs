@@ -5,7 +5,6 @@
 //! alpha = opacity·e^(−σ), σ = ½(A(dx + k·dy)² + m·dy²): the Cholesky form of the conic, which is never negative.
 //! Colour is max(0, ½ + Σ Yₖ·shₖ) in the direction from the camera's centre (Kerbl et al. 2023).
 
-mod algebra;
 mod camera;
 mod harmonics;
 mod reference;

@@ -1,15 +1,14 @@
 //! One splat through one camera, forward and backward, for f32 and f64.
 
-use super::algebra::transposed;
-use super::algebra::{
-    Mat3, Vec3, apply, column, combine, cross, dot, product, rotation, rotation_backward, scale_columns,
-};
 use super::harmonics::{self, MAX_COEFFICIENTS};
 use super::{PinholeCamera, RasterSettings};
+use crate::algebra::transposed;
+use crate::algebra::{
+    Mat3, Vec3, apply, column, combine, cross, dot, normalised, normalised_backward, product, rotation,
+    rotation_backward, scale_columns,
+};
 use crate::tape::Real;
 
-/// Quaternions shorter than the root of this count as no rotation: their direction is rounding noise.
-const MIN_SQUARED_NORM: f64 = 1e-12;
 /// Standard deviations above this, in scene units, are overflow on its way.
 const MAX_SCALE: f64 = 1e9;
 /// Below this distance between splat and camera centre, in scene units, the viewing direction is undefined.
@@ -248,22 +247,8 @@ impl<T: Real> Geometry<T> {
 
     /// From the rotation matrix to the quaternion as stored: only the part tangential to the sphere of directions.
     fn rotation_backward(&self, g_rotation: &Mat3<T>) -> [T; 4] {
-        let [w, x, y, z] = self.quaternion;
-        let g = rotation_backward(self.quaternion, g_rotation);
-        let radial = g[0] * w + g[1] * x + g[2] * y + g[3] * z;
-        [0, 1, 2, 3].map(|i| (g[i] - radial * self.quaternion[i]) * self.inverse_norm)
+        normalised_backward(self.quaternion, self.inverse_norm, rotation_backward(self.quaternion, g_rotation))
     }
-}
-
-/// The unit quaternion and 1/|q|, or the identity and zero where q has no direction.
-#[inline(always)]
-fn normalised<T: Real>(q: [T; 4]) -> ([T; 4], T) {
-    let squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-    if !(squared >= T::from_f64(MIN_SQUARED_NORM)) {
-        return ([T::ONE, T::ZERO, T::ZERO, T::ZERO], T::ZERO);
-    }
-    let inverse_norm = T::ONE / squared.sqrt();
-    (q.map(|value| value * inverse_norm), inverse_norm)
 }
 
 #[inline(always)]

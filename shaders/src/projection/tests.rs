@@ -1,5 +1,5 @@
-use super::algebra::{dot, rotation};
 use super::*;
+use crate::algebra::{dot, rotation};
 use crate::check::{self, TOLERANCE, noise};
 use crate::splat::test_scene::{camera, cast, splats, tensors};
 use crate::splat::{SplatTensors, TooManyIntersections};
@@ -190,7 +190,7 @@ fn quaternions_have_a_direction_only() {
 fn rotations_are_orthonormal_and_right_handed() {
     let [x, y, z] = rotation([0.5, 0.5, 0.5, 0.5_f64]);
     assert_eq!([x, y, z], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
-    assert_eq!(dot(algebra::cross(x, y), z), 1.0);
+    assert_eq!(dot(crate::algebra::cross(x, y), z), 1.0);
 }
 
 #[test]

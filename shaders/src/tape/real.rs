@@ -37,6 +37,7 @@ pub trait Real:
     fn abs(self) -> Self;
     fn sin(self) -> Self;
     fn cos(self) -> Self;
+    fn acos(self) -> Self;
     fn floor(self) -> Self;
     fn round(self) -> Self;
     fn powi(self, exponent: i32) -> Self;
@@ -68,7 +69,7 @@ macro_rules! impl_real {
             fn to_f64(self) -> f64 {
                 self as f64
             }
-            impl_real!(@forward $float: exp ln sqrt abs sin cos floor round);
+            impl_real!(@forward $float: exp ln sqrt abs sin cos acos floor round);
             #[inline(always)]
             fn powi(self, exponent: i32) -> Self {
                 $float::powi(self, exponent)

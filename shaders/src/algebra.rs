@@ -1,9 +1,13 @@
-//! 3-vectors and 3×3 matrices (arrays of rows) over a generic scalar.
+//! 3-vectors, 3×3 matrices (arrays of rows) and quaternions (w, x, y, z) over a generic scalar.
 
 use crate::tape::Real;
 
+/// Quaternions shorter than the root of this count as no rotation: their direction is rounding noise.
+const MIN_SQUARED_NORM: f64 = 1e-12;
+
 pub type Vec3<T> = [T; 3];
 pub type Mat3<T> = [[T; 3]; 3];
+pub type Quaternion<T> = [T; 4];
 
 #[inline(always)]
 pub fn dot<T: Real>(a: Vec3<T>, b: Vec3<T>) -> T {
@@ -51,7 +55,7 @@ pub fn scale_columns<T: Real>(m: &Mat3<T>, s: Vec3<T>) -> Mat3<T> {
 
 /// The rotation of a unit quaternion (w, x, y, z).
 #[inline(always)]
-pub fn rotation<T: Real>([w, x, y, z]: [T; 4]) -> Mat3<T> {
+pub fn rotation<T: Real>([w, x, y, z]: Quaternion<T>) -> Mat3<T> {
     let (one, two) = (T::ONE, T::from_f64(2.0));
     [
         [one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)],
@@ -62,7 +66,7 @@ pub fn rotation<T: Real>([w, x, y, z]: [T; 4]) -> Mat3<T> {
 
 /// The gradient of a unit quaternion from that of its [`rotation`], before projection to the tangent space.
 #[inline(always)]
-pub fn rotation_backward<T: Real>([w, x, y, z]: [T; 4], g: &Mat3<T>) -> [T; 4] {
+pub fn rotation_backward<T: Real>([w, x, y, z]: Quaternion<T>, g: &Mat3<T>) -> Quaternion<T> {
     let two = T::from_f64(2.0);
     let (wx, wy, wz) = (g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]);
     let (xy, xz, yz) = (g[0][1] + g[1][0], g[0][2] + g[2][0], g[1][2] + g[2][1]);
@@ -72,4 +76,49 @@ pub fn rotation_backward<T: Real>([w, x, y, z]: [T; 4], g: &Mat3<T>) -> [T; 4] {
         two * (x * xy + z * yz + w * wy - two * y * (g[0][0] + g[2][2])),
         two * (x * xz + y * yz + w * wz - two * z * (g[0][0] + g[1][1])),
     ]
+}
+
+/// The unit quaternion and 1/|q|, or the identity and zero where q has no direction; a NaN stays a NaN.
+#[inline(always)]
+pub fn normalised<T: Real>(q: Quaternion<T>) -> (Quaternion<T>, T) {
+    let squared = dot4(q, q);
+    if squared < T::from_f64(MIN_SQUARED_NORM) {
+        return ([T::ONE, T::ZERO, T::ZERO, T::ZERO], T::ZERO);
+    }
+    let inverse_norm = T::ONE / squared.sqrt();
+    (q.map(|value| value * inverse_norm), inverse_norm)
+}
+
+/// The gradient of q from that of its [`normalised`] form: only the part tangential to the sphere of directions.
+#[inline(always)]
+pub fn normalised_backward<T: Real>(unit: Quaternion<T>, inverse_norm: T, g: Quaternion<T>) -> Quaternion<T> {
+    let radial = dot4(g, unit);
+    [0, 1, 2, 3].map(|i| (g[i] - radial * unit[i]) * inverse_norm)
+}
+
+#[inline(always)]
+pub fn dot4<T: Real>(a: Quaternion<T>, b: Quaternion<T>) -> T {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+}
+
+/// x·a + y·b.
+#[inline(always)]
+pub fn combine4<T: Real>(x: T, a: Quaternion<T>, y: T, b: Quaternion<T>) -> Quaternion<T> {
+    [0, 1, 2, 3].map(|i| x * a[i] + y * b[i])
+}
+
+/// Hamilton's product p⊗q: the rotation q followed by p.
+#[inline(always)]
+pub fn hamilton<T: Real>(p: Quaternion<T>, q: Quaternion<T>) -> Quaternion<T> {
+    [
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    ]
+}
+
+#[inline(always)]
+pub fn conjugate<T: Real>([w, x, y, z]: Quaternion<T>) -> Quaternion<T> {
+    [w, -x, -y, -z]
 }

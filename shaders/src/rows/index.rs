@@ -1,0 +1,190 @@
+//! Rows picked by an index list, and rows summed by the same list: each is the other's backward pass.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::tape::chunks::for_each_chunk;
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+/// Elements per parallel chunk of a gather.
+const GATHER_CHUNK: usize = 16_384;
+
+/// For each of M items the one of N rows that it belongs to, and for each row its items in ascending order.
+///
+/// Building one sorts the list; keep it where the list does not change. Cloning shares it.
+#[derive(Clone, Debug)]
+pub struct RowIndex {
+    lists: Arc<Lists>,
+}
+
+#[derive(Debug)]
+struct Lists {
+    /// [M].
+    row_of_item: Vec<u32>,
+    /// [M], sorted by row, then by item.
+    items: Vec<u32>,
+    /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
+    starts: Vec<u32>,
+}
+
+impl RowIndex {
+    /// Items that belong to `row_of_item[m]` of `rows` rows.
+    pub fn new(row_of_item: Vec<u32>, rows: usize) -> Self {
+        assert!(row_of_item.iter().all(|&row| (row as usize) < rows), "an index beyond the {rows} rows");
+        // A counting sort: stable, linear in M + N.
+        let mut starts = vec![0; rows + 1];
+        row_of_item.iter().for_each(|&row| starts[row as usize + 1] += 1);
+        (0..rows).for_each(|row| starts[row + 1] += starts[row]);
+        let mut next = starts.clone();
+        let mut items = vec![0; row_of_item.len()];
+        for (item, &row) in row_of_item.iter().enumerate() {
+            items[next[row as usize] as usize] = item as u32;
+            next[row as usize] += 1;
+        }
+        Self { lists: Arc::new(Lists { row_of_item, items, starts }) }
+    }
+
+    /// N.
+    pub fn rows(&self) -> usize {
+        self.lists.starts.len() - 1
+    }
+
+    /// M.
+    pub fn len(&self) -> usize {
+        self.lists.items.len()
+    }
+
+    /// Whether there are no items.
+    pub fn is_empty(&self) -> bool {
+        self.lists.items.is_empty()
+    }
+
+    /// The row of every item.
+    pub fn row_of_item(&self) -> &[u32] {
+        &self.lists.row_of_item
+    }
+
+    /// The items of a row, ascending.
+    pub fn items_of(&self, row: usize) -> &[u32] {
+        let Lists { items, starts, .. } = &*self.lists;
+        &items[starts[row] as usize..starts[row + 1] as usize]
+    }
+
+    /// y[m] = x[row of m] for x [N, …].
+    fn gather<T: Real>(&self, x: &Tensor<T>) -> Tensor<T> {
+        let columns = x.row_len();
+        let mut y = vec![T::ZERO; self.len() * columns];
+        let chunk_len = GATHER_CHUNK.div_ceil(columns.max(1)) * columns.max(1);
+        for_each_chunk(&mut y, chunk_len, |first, y| {
+            for (item, y) in y.chunks_exact_mut(columns).enumerate() {
+                y.copy_from_slice(x.row(self.lists.row_of_item[first / columns + item] as usize));
+            }
+        });
+        Tensor::from_vec(with_rows(x.shape(), self.len()), y)
+    }
+
+    /// y[n] = factor(number of items of n) · Σ x[m] over the items m of n, in ascending order, for x [M, …].
+    fn sum<T: Real>(&self, x: &Tensor<T>, factor: impl Fn(usize) -> T + Sync) -> Tensor<T> {
+        let columns = x.row_len();
+        let mut y = vec![T::ZERO; self.rows() * columns];
+        y.par_chunks_mut(columns.max(1)).enumerate().with_min_len(256).for_each(|(row, y)| {
+            let items = self.items_of(row);
+            for &item in items {
+                y.iter_mut().zip(x.row(item as usize)).for_each(|(y, &x)| *y += x);
+            }
+            let factor = factor(items.len());
+            y.iter_mut().for_each(|y| *y *= factor);
+        });
+        Tensor::from_vec(with_rows(x.shape(), self.rows()), y)
+    }
+}
+
+/// The shape with another number of rows.
+fn with_rows(shape: &[usize], rows: usize) -> Vec<usize> {
+    let mut shape = shape.to_vec();
+    shape[0] = rows;
+    shape
+}
+
+/// Row `row_of_item[m]` of x [N, …] for every item: [M, …].
+pub fn gather<T: Real>(tape: &mut Tape<T>, x: Var, index: &RowIndex) -> Var {
+    assert_eq!(tape.value(x).rows(), index.rows(), "gather: number of rows");
+    tape.apply_one(Gather { index: index.clone() }, &[x])
+}
+
+/// The sum of the items of every row: x [M, …] → [N, …]; zero where a row has no items.
+pub fn segment_sum<T: Real>(tape: &mut Tape<T>, x: Var, index: &RowIndex) -> Var {
+    assert_eq!(tape.value(x).rows(), index.len(), "segment_sum: number of items");
+    tape.apply_one(SegmentSum { index: index.clone(), mean: false }, &[x])
+}
+
+/// The mean of the items of every row: x [M, …] → [N, …]; zero where a row has no items.
+pub fn segment_mean<T: Real>(tape: &mut Tape<T>, x: Var, index: &RowIndex) -> Var {
+    assert_eq!(tape.value(x).rows(), index.len(), "segment_mean: number of items");
+    tape.apply_one(SegmentSum { index: index.clone(), mean: true }, &[x])
+}
+
+struct Gather {
+    index: RowIndex,
+}
+
+impl<T: Real> Op<T> for Gather {
+    fn name(&self) -> &'static str {
+        "gather"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        vec![self.index.gather(inputs[0])]
+    }
+
+    fn backward(
+        &mut self,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        vec![output_grads[0].map(|dy| self.index.sum(dy, |_| T::ONE))]
+    }
+}
+
+struct SegmentSum {
+    index: RowIndex,
+    mean: bool,
+}
+
+impl SegmentSum {
+    fn factor<T: Real>(&self, items: usize) -> T {
+        if self.mean { T::ONE / T::from_f64(items.max(1) as f64) } else { T::ONE }
+    }
+}
+
+impl<T: Real> Op<T> for SegmentSum {
+    fn name(&self) -> &'static str {
+        if self.mean { "segment_mean" } else { "segment_sum" }
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        vec![self.index.sum(inputs[0], |items| self.factor(items))]
+    }
+
+    fn backward(
+        &mut self,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0] else { return vec![None] };
+        let mut scaled = dy.clone();
+        if self.mean {
+            let columns = dy.row_len().max(1);
+            for (row, dy) in scaled.make_mut().chunks_exact_mut(columns).enumerate() {
+                let factor = self.factor::<T>(self.index.items_of(row).len());
+                dy.iter_mut().for_each(|dy| *dy *= factor);
+            }
+        }
+        vec![Some(self.index.gather(&scaled))]
+    }
+}

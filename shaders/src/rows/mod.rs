@@ -1,0 +1,19 @@
+//! Rearranging, reducing and combining the rows of [N, …] tensors.
+//!
+//! Everything that a method does between its large kernels: join and cut columns, pick rows, sum rows by owner, lengths
+//! and products of rows. What is computed row by row goes through [`map_rows`]; what moves between rows goes through
+//! [`RowIndex`], whose order of summation is fixed, so that no result depends on the number of threads.
+
+mod arrange;
+mod index;
+mod map;
+mod reduce;
+#[cfg(test)]
+mod tests;
+mod weighted_mean;
+
+pub use arrange::{columns, concat_columns, concat_rows, repeat_row, reshape};
+pub use index::{RowIndex, gather, segment_mean, segment_sum};
+pub use map::{RowMap, map_rows};
+pub use reduce::{norm, normalize, row_dot, row_sum, scale_rows, squared_norm};
+pub use weighted_mean::weighted_mean_squared_difference;

@@ -1,0 +1,150 @@
+//! Sums, products and lengths of rows.
+
+use super::map::{RowMap, map_rows};
+use crate::tape::{Real, Tape, Var};
+
+/// Σₖ xₖ of every row: [N, C] → [N, 1].
+pub fn row_sum<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
+    map_rows(tape, RowSum, [x])
+}
+
+/// Σₖ aₖbₖ of every row: [N, C], [N, C] → [N, 1].
+pub fn row_dot<T: Real>(tape: &mut Tape<T>, a: Var, b: Var) -> Var {
+    map_rows(tape, RowDot, [a, b])
+}
+
+/// Σₖ xₖ² of every row: [N, C] → [N, 1].
+pub fn squared_norm<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
+    map_rows(tape, RowDot, [x, x])
+}
+
+/// ‖x‖ of every row: [N, C] → [N, 1]; the gradient of a zero row is 0.
+pub fn norm<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
+    map_rows(tape, Norm, [x])
+}
+
+/// x / max(‖x‖, ε) of every row: [N, C] → [N, C]; the gradient of a zero row is that of x / ε.
+pub fn normalize<T: Real>(tape: &mut Tape<T>, x: Var, epsilon: f64) -> Var {
+    assert!(epsilon > 0.0, "normalize: ε must be positive");
+    map_rows(tape, Normalize { epsilon }, [x])
+}
+
+/// Every row of x [N, C] times its factor [N, 1].
+pub fn scale_rows<T: Real>(tape: &mut Tape<T>, x: Var, factors: Var) -> Var {
+    map_rows(tape, ScaleRows, [x, factors])
+}
+
+fn dot<T: Real>(a: &[T], b: &[T]) -> T {
+    a.iter().zip(b).map(|(&a, &b)| a * b).sum()
+}
+
+struct RowSum;
+
+impl RowMap<1> for RowSum {
+    const NAME: &'static str = "row_sum";
+
+    fn output_columns(&self, _input_columns: [usize; 1]) -> usize {
+        1
+    }
+
+    fn value<T: Real>(&self, [x]: [&[T]; 1], y: &mut [T]) {
+        y[0] = x.iter().copied().sum();
+    }
+
+    fn gradient<T: Real>(&self, _inputs: [&[T]; 1], _y: &[T], dy: &[T], [dx]: [&mut [T]; 1]) {
+        dx.fill(dy[0]);
+    }
+}
+
+struct RowDot;
+
+impl RowMap<2> for RowDot {
+    const NAME: &'static str = "row_dot";
+
+    fn output_columns(&self, [a, b]: [usize; 2]) -> usize {
+        assert_eq!(a, b, "row_dot: numbers of columns differ");
+        1
+    }
+
+    fn value<T: Real>(&self, [a, b]: [&[T]; 2], y: &mut [T]) {
+        y[0] = dot(a, b);
+    }
+
+    fn gradient<T: Real>(&self, [a, b]: [&[T]; 2], _y: &[T], dy: &[T], [da, db]: [&mut [T]; 2]) {
+        da.iter_mut().zip(b).for_each(|(da, &b)| *da = dy[0] * b);
+        db.iter_mut().zip(a).for_each(|(db, &a)| *db = dy[0] * a);
+    }
+}
+
+struct Norm;
+
+impl RowMap<1> for Norm {
+    const NAME: &'static str = "norm";
+
+    fn output_columns(&self, _input_columns: [usize; 1]) -> usize {
+        1
+    }
+
+    fn value<T: Real>(&self, [x]: [&[T]; 1], y: &mut [T]) {
+        y[0] = dot(x, x).sqrt();
+    }
+
+    fn gradient<T: Real>(&self, [x]: [&[T]; 1], y: &[T], dy: &[T], [dx]: [&mut [T]; 1]) {
+        // Zero rows keep the zeros of `dx`; written so that a NaN stays a NaN.
+        if !(y[0] == T::ZERO) {
+            dx.iter_mut().zip(x).for_each(|(dx, &x)| *dx = dy[0] * x / y[0]);
+        }
+    }
+}
+
+struct Normalize {
+    epsilon: f64,
+}
+
+impl RowMap<1> for Normalize {
+    const NAME: &'static str = "normalize";
+
+    fn output_columns(&self, [x]: [usize; 1]) -> usize {
+        x
+    }
+
+    fn value<T: Real>(&self, [x]: [&[T]; 1], y: &mut [T]) {
+        let (length, _) = self.length(x);
+        y.iter_mut().zip(x).for_each(|(y, &x)| *y = x / length);
+    }
+
+    fn gradient<T: Real>(&self, [x]: [&[T]; 1], y: &[T], dy: &[T], [dx]: [&mut [T]; 1]) {
+        let (length, is_short) = self.length(x);
+        // From ε on only what is tangential to the sphere passes.
+        let radial = if is_short { T::ZERO } else { dot(y, dy) };
+        dx.iter_mut().zip(y.iter().zip(dy)).for_each(|(dx, (&y, &dy))| *dx = (dy - radial * y) / length);
+    }
+}
+
+impl Normalize {
+    /// max(‖x‖, ε), and whether that is ε; a NaN stays a NaN.
+    fn length<T: Real>(&self, x: &[T]) -> (T, bool) {
+        let (norm, epsilon) = (dot(x, x).sqrt(), T::from_f64(self.epsilon));
+        if norm < epsilon { (epsilon, true) } else { (norm, false) }
+    }
+}
+
+struct ScaleRows;
+
+impl RowMap<2> for ScaleRows {
+    const NAME: &'static str = "scale_rows";
+
+    fn output_columns(&self, [x, factor]: [usize; 2]) -> usize {
+        assert_eq!(factor, 1, "scale_rows: one factor per row");
+        x
+    }
+
+    fn value<T: Real>(&self, [x, factor]: [&[T]; 2], y: &mut [T]) {
+        y.iter_mut().zip(x).for_each(|(y, &x)| *y = factor[0] * x);
+    }
+
+    fn gradient<T: Real>(&self, [x, factor]: [&[T]; 2], _y: &[T], dy: &[T], [dx, dfactor]: [&mut [T]; 2]) {
+        dx.iter_mut().zip(dy).for_each(|(dx, &dy)| *dx = factor[0] * dy);
+        dfactor[0] = dot(x, dy);
+    }
+}
