@@ -11,7 +11,7 @@ use crate::binning::{self, Grid, TILE};
 pub use crate::blending::Isa;
 use crate::blending::{self, Blended};
 use crate::projection;
-pub use crate::projection::{PinholeCamera, ProjectedVars, RasterSettings, SplatVars};
+pub use crate::projection::{PinholeCamera, ProjectedVars, RasterSettings, ShapeVars, SplatVars};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
 /// A render and what density control needs to know of it.
@@ -97,8 +97,10 @@ impl<T: Real> SplatTensors<T> {
     fn vars(&self, mut var: impl FnMut(Tensor<T>) -> Var) -> SplatVars {
         SplatVars {
             positions: var(self.positions.clone()),
-            log_scales: var(self.log_scales.clone()),
-            rotations: var(self.rotations.clone()),
+            shape: ShapeVars::ScaleRotation {
+                log_scales: var(self.log_scales.clone()),
+                rotations: var(self.rotations.clone()),
+            },
             opacity_logits: var(self.opacity_logits.clone()),
             sh: var(self.sh.clone()),
         }

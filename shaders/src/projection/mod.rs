@@ -1,7 +1,8 @@
 //! Projection of 3D Gaussians to the image: means, conics, depths, opacities, colours and cutoffs.
 //!
 //! With R = camera_from_world, the covariance in px² is VVᵀ + εI, V = J·R·R_q·diag(eˢ) (Zwicker et al. 2002, EWA splatting),
-//! where J is the affine map of the perspective at the splat's centre. A pixel at distance (dx, dy) = mean − pixel sees
+//! where J is the affine map of the perspective at the splat's centre; any other factor of the covariance can stand for
+//! R_q·diag(eˢ). A pixel at distance (dx, dy) = mean − pixel sees
 //! alpha = opacity·e^(−σ), σ = ½(A(dx + k·dy)² + m·dy²): the Cholesky form of the conic, which is never negative.
 //! Colour is max(0, ½ + Σ Yₖ·shₖ) in the direction from the camera's centre (Kerbl et al. 2023).
 
@@ -9,6 +10,7 @@ mod camera;
 mod harmonics;
 mod reference;
 mod settings;
+mod shape;
 #[cfg(test)]
 mod tests;
 
@@ -18,7 +20,8 @@ pub use camera::PinholeCamera;
 pub use settings::RasterSettings;
 
 use crate::tape::{Op, Real, Tape, Tensor, Var};
-use reference::{Projected, Splat, View};
+use reference::{Projected, Splat, SplatGradient, View};
+use shape::Shape;
 
 /// The cutoff of a splat that is culled.
 pub const CULLED: f64 = -1.0;
@@ -31,14 +34,36 @@ const SPLATS_PER_CHUNK: usize = 256;
 pub struct SplatVars {
     /// [N, 3] world, scene units.
     pub positions: Var,
-    /// [N, 3] natural logarithm of the standard deviations, scene units.
-    pub log_scales: Var,
-    /// [N, 4] quaternions (w, x, y, z), normalised here.
-    pub rotations: Var,
+    /// What gives them their covariances.
+    pub shape: ShapeVars,
     /// [N, 1] or [N], before the logistic function.
     pub opacity_logits: Var,
     /// [N, K, 3] spherical harmonics, K ≥ (degree + 1)².
     pub sh: Var,
+}
+
+/// The covariances of N splats.
+#[derive(Clone, Copy, Debug)]
+pub enum ShapeVars {
+    /// R_q·diag(e²ˢ)·R_qᵀ.
+    ScaleRotation {
+        /// [N, 3] natural logarithm of the standard deviations, scene units.
+        log_scales: Var,
+        /// [N, 4] quaternions (w, x, y, z), normalised here.
+        rotations: Var,
+    },
+    /// FFᵀ for any F [N, 3, 3], scene units: what has no lasting axes, as a slice through four dimensions.
+    Factor(Var),
+}
+
+impl ShapeVars {
+    /// Logarithms of the standard deviations and quaternions, where the covariances are given by them.
+    pub fn scales_and_rotations(self) -> Option<(Var, Var)> {
+        match self {
+            Self::ScaleRotation { log_scales, rotations } => Some((log_scales, rotations)),
+            Self::Factor(_) => None,
+        }
+    }
 }
 
 /// N splats in the image. A culled splat has zeros everywhere, the cutoff [`CULLED`], and gets no gradient.
@@ -72,10 +97,15 @@ pub fn project<T: Real>(
     let needed = 3 * harmonics::coefficient_count(settings.sh_degree);
     assert!(settings.sh_degree <= 3, "spherical harmonics go up to degree 3");
     assert!(count == 0 || sh_len >= needed, "degree {} needs {needed} coefficients, not {sh_len}", settings.sh_degree);
-    let inputs = [splats.positions, splats.log_scales, splats.rotations, splats.opacity_logits, splats.sh];
-    for (var, row_len) in inputs.into_iter().zip([3, 3, 4, 1, sh_len]) {
+    let mut inputs = vec![(splats.positions, 3), (splats.opacity_logits, 1), (splats.sh, sh_len)];
+    match splats.shape {
+        ShapeVars::ScaleRotation { log_scales, rotations } => inputs.extend([(log_scales, 3), (rotations, 4)]),
+        ShapeVars::Factor(factors) => inputs.push((factors, 9)),
+    }
+    for &(var, row_len) in &inputs {
         assert_eq!(tape.value(var).len(), count * row_len, "projection: a parameter has the wrong shape");
     }
+    let inputs: Vec<Var> = inputs.into_iter().map(|(var, _)| var).collect();
     let outputs = tape.apply(Projection { view: View::<T>::new(camera, settings), sh_len }, &inputs);
     let [means2d, conics, depths, opacities, colors, cutoffs] = outputs[..] else { unreachable!("six outputs") };
     ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs }
@@ -90,11 +120,31 @@ impl<T: Real> Projection<T> {
     fn splat<'a>(&self, inputs: &[&'a Tensor<T>], index: usize) -> Splat<'a, T> {
         Splat {
             position: row(inputs[0], index),
-            log_scales: row(inputs[1], index),
-            rotation: row(inputs[2], index),
-            opacity_logit: inputs[3].as_slice()[index],
-            sh: &inputs[4].as_slice()[index * self.sh_len..][..self.sh_len],
+            opacity_logit: inputs[1].as_slice()[index],
+            sh: &inputs[2].as_slice()[index * self.sh_len..][..self.sh_len],
+            shape: match &inputs[3..] {
+                [log_scales, rotations] => {
+                    Shape::ScaleRotation { log_scales: row(log_scales, index), rotation: row(rotations, index) }
+                }
+                [factors] => Shape::Factor([0, 1, 2].map(|axis| row(factors, 3 * index + axis))),
+                _ => unreachable!("scales and rotations, or factors"),
+            },
         }
+    }
+
+    /// The gradient of a splat; `None` if it was culled.
+    fn splat_backward(
+        &self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        index: usize,
+        sh_gradient: &mut [T],
+    ) -> Option<SplatGradient<T>> {
+        if outputs[5].as_slice()[index] < T::ZERO {
+            return None;
+        }
+        reference::backward(&self.splat(inputs, index), &self.view, &upstream_of(output_grads, index), sh_gradient)
     }
 }
 
@@ -127,25 +177,35 @@ impl<T: Real> Op<T> for Projection<T> {
         output_grads: &[Option<&Tensor<T>>],
         _needs: &[bool],
     ) -> Vec<Option<Tensor<T>>> {
-        let count = inputs[0].rows();
         let mut gradients: Vec<Vec<T>> = inputs.iter().map(|input| vec![T::ZERO; input.len()]).collect();
-        let [positions, log_scales, rotations, logits, sh] = &mut gradients[..] else { unreachable!("five inputs") };
-        let rows = positions.as_chunks_mut::<3>().0.par_iter_mut();
-        let rows = rows.zip(log_scales.as_chunks_mut::<3>().0).zip(rotations.as_chunks_mut::<4>().0);
-        let rows = rows.zip(logits).zip(sh.par_chunks_exact_mut(self.sh_len.max(1)));
-        rows.with_min_len(SPLATS_PER_CHUNK).enumerate().for_each(
-            |(index, ((((position, log_scale), rotation), logit), sh))| {
-                if outputs[5].as_slice()[index] < T::ZERO {
-                    return;
-                }
-                let upstream = upstream_of(output_grads, index);
-                if let Some(gradient) = reference::backward(&self.splat(inputs, index), &self.view, &upstream, sh) {
-                    (*position, *log_scale, *rotation) = (gradient.position, gradient.log_scales, gradient.rotation);
-                    *logit = gradient.opacity_logit;
-                }
-            },
-        );
-        debug_assert_eq!(count, outputs[5].len());
+        let [positions, logits, sh, shapes @ ..] = &mut gradients[..] else { unreachable!("four or five inputs") };
+        let rows = positions.as_chunks_mut::<3>().0.par_iter_mut().zip(logits);
+        let rows = rows.zip(sh.par_chunks_exact_mut(self.sh_len.max(1))).with_min_len(SPLATS_PER_CHUNK).enumerate();
+        let of_row = |index: usize, position: &mut [T; 3], logit: &mut T, sh: &mut [T]| {
+            let gradient = self.splat_backward(inputs, outputs, output_grads, index, sh)?;
+            (*position, *logit) = (gradient.position, gradient.opacity_logit);
+            Some(gradient.shape)
+        };
+        match shapes {
+            [log_scales, rotations] => {
+                let shapes = log_scales.as_chunks_mut::<3>().0.par_iter_mut().zip(rotations.as_chunks_mut::<4>().0);
+                rows.zip(shapes).for_each(|((index, ((position, logit), sh)), shape)| {
+                    let gradient = of_row(index, position, logit, sh);
+                    if let Some(Shape::ScaleRotation { log_scales, rotation }) = gradient {
+                        (*shape.0, *shape.1) = (log_scales, rotation);
+                    }
+                });
+            }
+            [factors] => {
+                let shapes = factors.par_chunks_exact_mut(9);
+                rows.zip(shapes).for_each(|((index, ((position, logit), sh)), shape)| {
+                    if let Some(Shape::Factor(factor)) = of_row(index, position, logit, sh) {
+                        shape.copy_from_slice(factor.as_flattened());
+                    }
+                });
+            }
+            _ => unreachable!("scales and rotations, or factors"),
+        }
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
     }
 }

@@ -1,16 +1,11 @@
 //! One splat through one camera, forward and backward, for f32 and f64.
 
 use super::harmonics::{self, MAX_COEFFICIENTS};
+use super::shape::{Factor, Shape};
 use super::{PinholeCamera, RasterSettings};
-use crate::algebra::transposed;
-use crate::algebra::{
-    Mat3, Vec3, apply, column, combine, cross, dot, normalised, normalised_backward, product, rotation,
-    rotation_backward, scale_columns,
-};
+use crate::algebra::{Mat3, Vec3, apply, combine, cross, dot, product, transposed};
 use crate::tape::Real;
 
-/// Standard deviations above this, in scene units, are overflow on its way.
-const MAX_SCALE: f64 = 1e9;
 /// Below this distance between splat and camera centre, in scene units, the viewing direction is undefined.
 const MIN_DISTANCE: f64 = 1e-8;
 /// The local affine map is evaluated at most this fraction of the image size outside the image (Kerbl et al. 2023).
@@ -62,8 +57,7 @@ impl<T: Real> View<T> {
 #[derive(Clone, Copy)]
 pub struct Splat<'a, T> {
     pub position: Vec3<T>,
-    pub log_scales: Vec3<T>,
-    pub rotation: [T; 4],
+    pub shape: Shape<T>,
     pub opacity_logit: T,
     /// [K, 3].
     pub sh: &'a [T],
@@ -84,8 +78,7 @@ pub struct Projected<T> {
 /// The gradient of a [`Splat`]; that of the harmonics is written in place.
 pub struct SplatGradient<T> {
     pub position: Vec3<T>,
-    pub log_scales: Vec3<T>,
-    pub rotation: [T; 4],
+    pub shape: Shape<T>,
     pub opacity_logit: T,
 }
 
@@ -99,7 +92,7 @@ pub fn project<T: Real>(splat: &Splat<T>, view: &View<T>) -> Option<Projected<T>
         return None;
     }
     let color = Color::new(splat, view);
-    let is_finite = color.unclamped.iter().chain(&splat.rotation).all(|value| value.is_finite());
+    let is_finite = color.unclamped.iter().all(|value| value.is_finite()) && splat.shape.is_finite();
     is_finite.then_some(Projected {
         mean2d: geometry.mean2d,
         conic: geometry.conic,
@@ -133,17 +126,13 @@ fn sigmoid<T: Real>(x: T) -> T {
     if x >= T::ZERO { T::ONE / (T::ONE + e) } else { tail }
 }
 
-/// What position, scales and rotation become in the image, with the intermediates of the backward pass.
+/// What position and shape become in the image, with the intermediates of the backward pass.
 struct Geometry<T> {
     view_position: Vec3<T>,
     /// x/z and y/z, clamped, and whether they were not.
     slopes: [(T, bool); 2],
-    /// Unit quaternion and 1/|q|; the latter is zero where the rotation is undefined.
-    quaternion: [T; 4],
-    inverse_norm: T,
-    scales: Vec3<T>,
-    rotation: Mat3<T>,
-    /// camera_from_world · rotation · diag(scales).
+    factor_world: Factor<T>,
+    /// camera_from_world · factor_world.
     factor_view: Mat3<T>,
     /// J · factor_view: the 2×3 factor of the covariance in px.
     factor: [Vec3<T>; 2],
@@ -157,14 +146,12 @@ impl<T: Real> Geometry<T> {
     fn new(splat: &Splat<T>, view: &View<T>) -> Option<Self> {
         let view_position = combine(T::ONE, apply(&view.rotation, splat.position), T::ONE, view.translation);
         let [x, y, z] = view_position;
-        let scales = splat.log_scales.map(T::exp);
-        let in_range = z >= view.near && z < view.far && scales.iter().all(|&scale| scale <= T::from_f64(MAX_SCALE));
+        let in_range = z >= view.near && z < view.far;
         if !in_range {
             return None;
         }
-        let (quaternion, inverse_norm) = normalised(splat.rotation);
-        let rotation = rotation(quaternion);
-        let factor_view = product(&view.rotation, &scale_columns(&rotation, scales));
+        let factor_world = Factor::new(&splat.shape)?;
+        let factor_view = product(&view.rotation, &factor_world.matrix);
         let slopes = [clamp(x / z, view.slope_range[0]), clamp(y / z, view.slope_range[1])];
         let row = |axis: usize| {
             let magnification = view.focal[axis] / z;
@@ -176,19 +163,7 @@ impl<T: Real> Geometry<T> {
 
         let is_finite = conic.iter().chain(&mean2d).chain(&variances).all(|value| value.is_finite());
         let usable = is_finite && conic[0] > T::ZERO && conic[2] > T::ZERO;
-        usable.then_some(Self {
-            view_position,
-            slopes,
-            quaternion,
-            inverse_norm,
-            scales,
-            rotation,
-            factor_view,
-            factor,
-            variances,
-            mean2d,
-            conic,
-        })
+        usable.then_some(Self { view_position, slopes, factor_world, factor_view, factor, variances, mean2d, conic })
     }
 
     /// Whether the bounding box of σ ≤ cutoff overlaps the image; half a pixel generous, as no centre lies on the border.
@@ -235,19 +210,11 @@ impl<T: Real> Geometry<T> {
         }
 
         let world_from_view = transposed(&view.rotation);
-        let g_factor = product(&world_from_view, &g_factor_view);
-        let along = |axis: usize| self.scales[axis] * dot(column(&self.rotation, axis), column(&g_factor, axis));
         SplatGradient {
             position: apply(&world_from_view, g_view),
-            log_scales: [along(0), along(1), along(2)],
-            rotation: self.rotation_backward(&scale_columns(&g_factor, self.scales)),
+            shape: self.factor_world.backward(&product(&world_from_view, &g_factor_view)),
             opacity_logit: T::ZERO,
         }
-    }
-
-    /// From the rotation matrix to the quaternion as stored: only the part tangential to the sphere of directions.
-    fn rotation_backward(&self, g_rotation: &Mat3<T>) -> [T; 4] {
-        normalised_backward(self.quaternion, self.inverse_norm, rotation_backward(self.quaternion, g_rotation))
     }
 }
 

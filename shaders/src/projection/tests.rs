@@ -1,5 +1,5 @@
 use super::*;
-use crate::algebra::{dot, rotation};
+use crate::algebra::{Mat3, dot, product, rotation, scale_columns, transposed};
 use crate::check::{self, TOLERANCE, noise};
 use crate::splat::test_scene::{camera, cast, splats, tensors};
 use crate::splat::{SplatTensors, TooManyIntersections};
@@ -7,11 +7,21 @@ use crate::tape::Device;
 
 fn vars(vars: &[Var]) -> SplatVars {
     let &[positions, log_scales, rotations, opacity_logits, sh] = vars else { panic!("five variables") };
-    SplatVars { positions, log_scales, rotations, opacity_logits, sh }
+    SplatVars { positions, shape: ShapeVars::ScaleRotation { log_scales, rotations }, opacity_logits, sh }
 }
 
 fn view<T: Real>() -> View<T> {
     View::new(&camera(1000, 800), &RasterSettings::default())
+}
+
+fn shape<T>(log_scales: [T; 3], rotation: [T; 4]) -> Shape<T> {
+    Shape::ScaleRotation { log_scales, rotation }
+}
+
+/// The parameters of a shape, or the gradients by them.
+fn scale_rotation<T: Real>(shape: Shape<T>) -> ([T; 3], [T; 4]) {
+    let Shape::ScaleRotation { log_scales, rotation } = shape else { panic!("scales and rotation") };
+    (log_scales, rotation)
 }
 
 /// A splat in front of [`camera`], with nothing special about it.
@@ -19,8 +29,7 @@ fn plain<T: Real>(sh: &[T]) -> Splat<'_, T> {
     let f = T::from_f64;
     Splat {
         position: [0.1, 0.2, -0.3].map(f),
-        log_scales: [-2.0, -1.5, -3.0].map(f),
-        rotation: [0.9, 0.1, -0.3, 0.2].map(f),
+        shape: shape([-2.0, -1.5, -3.0].map(f), [0.9, 0.1, -0.3, 0.2].map(f)),
         opacity_logit: f(0.5),
         sh,
     }
@@ -71,6 +80,62 @@ fn gradients_are_central_differences_where_the_affine_map_is_clamped() {
     }
 }
 
+/// R_q·diag(eˢ) of one row of splats.
+fn factor_of(splats: &SplatTensors<f64>, row: usize) -> Mat3<f64> {
+    let (log_scales, raw) = (splats.log_scales.row(row), splats.rotations.row(row));
+    let length = raw.iter().map(|value| value * value).sum::<f64>().sqrt();
+    let unit = [0, 1, 2, 3].map(|at| raw[at] / length);
+    scale_columns(&rotation(unit), [0, 1, 2].map(|axis| log_scales[axis].exp()))
+}
+
+/// The splats with another factor of the same covariances: every F turned by one rotation from the right.
+fn factored(splats: &SplatTensors<f64>) -> Vec<Tensor<f64>> {
+    let count = splats.positions.rows();
+    let turn = transposed(&rotation([0.5, 0.5, -0.5, 0.5]));
+    let factors = (0..count).flat_map(|row| product(&factor_of(splats, row), &turn).as_flattened().to_vec()).collect();
+    let SplatTensors { positions, opacity_logits, sh, .. } = splats.clone();
+    vec![positions, Tensor::from_vec([count, 3, 3], factors), opacity_logits, sh]
+}
+
+fn factored_vars(vars: &[Var]) -> SplatVars {
+    let &[positions, factors, opacity_logits, sh] = vars else { panic!("four variables") };
+    SplatVars { positions, shape: ShapeVars::Factor(factors), opacity_logits, sh }
+}
+
+#[test]
+fn gradients_of_factors_are_central_differences() {
+    let settings = RasterSettings { sh_degree: 1, ..RasterSettings::default() };
+    for output in [|p: &ProjectedVars| p.means2d, |p: &ProjectedVars| p.conics, |p: &ProjectedVars| p.colors] {
+        let f = |tape: &mut Tape<f64>, inputs: &[Var]| {
+            output(&project(tape, &factored_vars(inputs), &camera(40, 30), &settings))
+        };
+        check::gradients(f, &factored(&splats(4, -1.0, 24)), TOLERANCE).unwrap();
+    }
+}
+
+#[test]
+fn any_factor_of_the_covariance_gives_the_same_splat() {
+    let (splats, settings) = (splats(50, -1.0, 25), RasterSettings::default());
+    let mut tape = Tape::new(Device::Cpu);
+    let from_axes = splats.constants(&mut tape);
+    let inputs: Vec<Var> = factored(&splats).into_iter().map(|tensor| tape.constant(tensor)).collect();
+    let expected = project(&mut tape, &from_axes, &camera(100, 80), &settings);
+    let found = project(&mut tape, &factored_vars(&inputs), &camera(100, 80), &settings);
+    check::agree(tape.value(found.conics), tape.value(expected.conics), 1e-12).unwrap();
+    assert_eq!(tape.value(found.colors), tape.value(expected.colors));
+}
+
+#[test]
+fn factors_that_overflow_are_culled() {
+    let sh = [0.0_f32; 48];
+    let is_visible = |value: f32| {
+        let factor = [[0.1, 0.0, 0.0], [0.0, 0.1, value], [0.0, 0.0, 0.1]];
+        reference::project(&Splat { shape: Shape::Factor(factor), ..plain(&sh) }, &view()).is_some()
+    };
+    assert!(is_visible(0.0) && is_visible(-1.0));
+    assert!([1e10, -1e10, f32::INFINITY, f32::NAN].into_iter().all(|value| !is_visible(value)));
+}
+
 #[test]
 fn conics_are_positive_and_accurate_for_extreme_shapes() {
     let count = 100_000;
@@ -84,16 +149,18 @@ fn conics_are_positive_and_accurate_for_extreme_shapes() {
         let z = 0.51 + 0.49 * places[3 * index];
         let narrow_splat = Splat {
             position: [0.3 * z * places[3 * index + 1], 0.3 * z * places[3 * index + 2], z].map(|value| value as f32),
-            log_scales: [0, 1, 2].map(|axis| (-2.5 + 9.5 * shapes[3 * index + axis]) as f32),
-            rotation: [0, 1, 2, 3].map(|axis| quaternions[4 * index + axis] as f32),
+            shape: shape(
+                [0, 1, 2].map(|axis| (-2.5 + 9.5 * shapes[3 * index + axis]) as f32),
+                [0, 1, 2, 3].map(|axis| quaternions[4 * index + axis] as f32),
+            ),
             opacity_logit: 2.0,
             sh: &narrow_sh,
         };
         // The same numbers in both precisions, so that only the arithmetic differs.
+        let (log_scales, rotation) = scale_rotation(narrow_splat.shape);
         let splat = Splat {
             position: narrow_splat.position.map(f64::from),
-            log_scales: narrow_splat.log_scales.map(f64::from),
-            rotation: narrow_splat.rotation.map(f64::from),
+            shape: shape(log_scales.map(f64::from), rotation.map(f64::from)),
             opacity_logit: 2.0,
             sh: &wide_sh,
         };
@@ -113,10 +180,11 @@ fn conics_are_positive_and_accurate_for_extreme_shapes() {
 #[test]
 fn a_line_has_finite_conic_and_gradient() {
     let sh = [0.0_f32; 48];
-    let line = Splat { log_scales: [-20.0, -20.0, 0.0], ..plain(&sh) };
+    let line = Splat { shape: shape([-20.0, -20.0, 0.0], [0.9, 0.1, -0.3, 0.2]), ..plain(&sh) };
     let upstream = Projected { conic: [1.0, 1.0, 1.0], mean2d: [1.0, 1.0], ..Projected::default() };
     let gradient = reference::backward(&line, &view(), &upstream, &mut [0.0; 48]).unwrap();
-    let all = gradient.position.iter().chain(&gradient.log_scales).chain(&gradient.rotation);
+    let (log_scales, rotation) = scale_rotation(gradient.shape);
+    let all = gradient.position.iter().chain(&log_scales).chain(&rotation);
     assert!(all.chain([&gradient.opacity_logit]).all(|value| value.is_finite()));
 
     let mut splat = splats(1, 0.0, 31);
@@ -145,9 +213,9 @@ fn faint_and_exploded_splats_are_culled() {
     let is_visible = |splat: Splat<f32>| reference::project(&splat, &view()).is_some();
     assert!(is_visible(Splat { opacity_logit: logit(1.01 / 255.0), ..plain(&sh) }));
     assert!(!is_visible(Splat { opacity_logit: logit(0.5 / 255.0), ..plain(&sh) }));
-    assert!(is_visible(Splat { log_scales: [10.0, 0.0, 0.0], ..plain(&sh) }));
+    assert!(is_visible(Splat { shape: shape([10.0, 0.0, 0.0], [0.9, 0.1, -0.3, 0.2]), ..plain(&sh) }));
     for scale in [40.0, 100.0, f32::INFINITY, f32::NAN] {
-        assert!(!is_visible(Splat { log_scales: [0.0, scale, 0.0], ..plain(&sh) }), "{scale}");
+        assert!(!is_visible(Splat { shape: shape([0.0, scale, 0.0], [0.9, 0.1, -0.3, 0.2]), ..plain(&sh) }), "{scale}");
     }
 }
 
@@ -169,7 +237,8 @@ fn saturated_opacities_keep_their_derivative() {
 #[test]
 fn quaternions_have_a_direction_only() {
     let sh = [0.0_f64; 48];
-    let project = |rotation: [f64; 4]| reference::project(&Splat { rotation, ..plain(&sh) }, &view()).unwrap();
+    let turned = |rotation| Splat { shape: shape([-2.0, -1.5, -3.0], rotation), ..plain(&sh) };
+    let project = |rotation: [f64; 4]| reference::project(&turned(rotation), &view()).unwrap();
     let q = [0.3, -0.8, 0.4, 0.1];
     for (a, b) in project(q).conic.iter().zip(project(q.map(|value| 40.0 * value)).conic) {
         assert!((a - b).abs() <= 1e-12 * a.abs());
@@ -178,7 +247,7 @@ fn quaternions_have_a_direction_only() {
 
     let upstream = Projected { conic: [0.3, -0.7, 0.2], ..Projected::default() };
     let gradient = |rotation| {
-        reference::backward(&Splat { rotation, ..plain(&sh) }, &view(), &upstream, &mut [0.0; 48]).unwrap().rotation
+        scale_rotation(reference::backward(&turned(rotation), &view(), &upstream, &mut [0.0; 48]).unwrap().shape).1
     };
     let radial: f64 = gradient(q).iter().zip(q).map(|(gradient, q)| gradient * q).sum();
     let norm: f64 = gradient(q).iter().map(|value| value * value).sum::<f64>().sqrt();

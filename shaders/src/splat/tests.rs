@@ -18,7 +18,7 @@ fn smooth() -> RasterSettings {
 
 fn vars(vars: &[Var]) -> SplatVars {
     let &[positions, log_scales, rotations, opacity_logits, sh] = vars else { panic!("five variables") };
-    SplatVars { positions, log_scales, rotations, opacity_logits, sh }
+    SplatVars { positions, shape: ShapeVars::ScaleRotation { log_scales, rotations }, opacity_logits, sh }
 }
 
 /// Everything that a render returns for one seed gradient per image: images, then gradients of parameters, means, features.
@@ -41,7 +41,8 @@ fn render_and_gradients<T: Real>(
     };
     let seeds: Vec<_> = outputs.iter().copied().zip(images.iter().enumerate().map(seed)).collect();
     let mut gradients = tape.backward(&seeds);
-    let SplatVars { positions, log_scales, rotations, opacity_logits, sh } = leaves;
+    let SplatVars { positions, shape, opacity_logits, sh } = leaves;
+    let (log_scales, rotations) = shape.scales_and_rotations().unwrap();
     let inputs = [positions, log_scales, rotations, opacity_logits, sh, rendered.means2d];
     let inputs = inputs.into_iter().chain(features);
     (images, inputs.map(|input| gradients.take(input).expect("every parameter has a gradient")).collect())

@@ -9,7 +9,7 @@ use scene::{
     Protocol, Split, TimeMap,
 };
 use shaders::check::noise;
-use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars};
+use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, ShapeVars, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
 use crate::curve::to_bytes;
@@ -178,8 +178,10 @@ impl TestScene {
         let mut constant = |shape: &[usize], values: Vec<f32>| tape.constant(Tensor::from_vec(shape, values));
         let splats = SplatVars {
             positions: constant(&[6, 3], positions),
-            log_scales: constant(&[6, 3], vec![0.15_f32.ln(); 18]),
-            rotations: constant(&[6, 4], [1.0, 0.0, 0.0, 0.0].repeat(6)),
+            shape: ShapeVars::ScaleRotation {
+                log_scales: constant(&[6, 3], vec![0.15_f32.ln(); 18]),
+                rotations: constant(&[6, 4], [1.0, 0.0, 0.0, 0.0].repeat(6)),
+            },
             opacity_logits: constant(&[6, 1], vec![2.0; 6]),
             sh: constant(&[6, 1, 3], colors),
         };

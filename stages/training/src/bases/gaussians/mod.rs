@@ -11,6 +11,7 @@
 mod density;
 mod harmonics;
 mod initial;
+mod principal_axes;
 #[cfg(test)]
 mod tests;
 
@@ -18,8 +19,9 @@ pub use density::{AdaptiveDensity, logit};
 pub use harmonics::{active_harmonics, leading_harmonics};
 pub use initial::insert_gaussians;
 
+use principal_axes::principal_axes;
 use scene::Gaussians;
-use shaders::splat::SplatVars;
+use shaders::splat::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape};
 
 use crate::method::SceneFacts;
@@ -55,8 +57,7 @@ pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population:
     let var = |attribute: &str| model.get(&format!("{population}.{attribute}"));
     SplatVars {
         positions: var("positions"),
-        log_scales: var("log_scales"),
-        rotations: var("rotations"),
+        shape: ShapeVars::ScaleRotation { log_scales: var("log_scales"), rotations: var("rotations") },
         opacity_logits: var("opacity_logits"),
         sh: match sh_degree {
             0 => var("sh_dc"),
@@ -68,10 +69,18 @@ pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population:
 /// The values of splats on a tape, for files.
 pub fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> Gaussians {
     let values = |var| tape.value(var).as_slice().to_vec();
+    let (log_scales, rotations) = match splats.shape {
+        ShapeVars::ScaleRotation { log_scales, rotations } => (values(log_scales), values(rotations)),
+        ShapeVars::Factor(factors) => {
+            let factors = tape.value(factors).as_slice().as_chunks::<9>().0;
+            let (log_scales, rotations): (Vec<_>, Vec<_>) = factors.iter().map(|row| principal_axes(row)).unzip();
+            (log_scales.concat(), rotations.concat())
+        }
+    };
     Gaussians {
         positions: values(splats.positions),
-        log_scales: values(splats.log_scales),
-        rotations: values(splats.rotations),
+        log_scales,
+        rotations,
         opacity_logits: values(splats.opacity_logits),
         sh: values(splats.sh),
         sh_degree,

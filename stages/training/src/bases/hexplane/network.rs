@@ -4,7 +4,7 @@
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::pointwise::add;
-use shaders::splat::SplatVars;
+use shaders::splat::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::leading_harmonics;
@@ -89,10 +89,13 @@ impl Network {
             let change = if head == "harmonics" { leading_harmonics(tape, change, sh_degree) } else { change };
             add(tape, attribute, change)
         };
+        let (log_scales, rotations) = canonical.shape.scales_and_rotations().expect("Gaussians have both");
         SplatVars {
             positions: moved(position, "position", canonical.positions),
-            log_scales: moved(scale, "scale", canonical.log_scales),
-            rotations: moved(rotation, "rotation", canonical.rotations),
+            shape: ShapeVars::ScaleRotation {
+                log_scales: moved(scale, "scale", log_scales),
+                rotations: moved(rotation, "rotation", rotations),
+            },
             opacity_logits: moved(opacity, "opacity", canonical.opacity_logits),
             sh: moved(harmonics, "harmonics", canonical.sh),
         }

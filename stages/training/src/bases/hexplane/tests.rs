@@ -36,7 +36,8 @@ fn attributes(base: &HexplaneGaussians, state: &ModelState<f64>, phase: &str, ti
     let model = state.bind(&mut tape, |_| false);
     let moment = Moment { scene: &scene, phase, time, camera: &camera, sh_degree: 2 };
     let splats = base.splats(&mut tape, &model, &moment);
-    let SplatVars { positions, log_scales, rotations, opacity_logits, sh, .. } = splats;
+    let SplatVars { positions, shape, opacity_logits, sh } = splats;
+    let (log_scales, rotations) = shape.scales_and_rotations().unwrap();
     [positions, log_scales, rotations, opacity_logits, sh].map(|var| tape.value(var).clone()).to_vec()
 }
 
