@@ -3,13 +3,17 @@
 
 pub mod adam;
 pub(crate) mod algebra;
+pub mod attention;
 pub mod binning;
 pub mod blending;
 pub mod check;
+pub mod convolution;
+pub mod group_norm;
 pub mod hexplane;
 pub mod linear;
 pub mod losses;
 pub mod pointwise;
+pub mod pooling;
 pub mod positional_encoding;
 pub mod projection;
 pub mod quaternion;

@@ -4,7 +4,7 @@
 //! contributions to the gradients of W and b are added in order.
 
 mod cpu;
-mod matrix;
+pub(crate) mod matrix;
 mod reference;
 #[cfg(test)]
 mod tests;
@@ -186,8 +186,8 @@ fn add<T: Real>(total: &mut [T], term: &[T]) {
     total.iter_mut().zip(term).for_each(|(total, &term)| *total += term);
 }
 
-/// out = lhs·rhs, row-major.
-fn multiply<T: Real>(lhs: Matrix<T>, rhs: Matrix<T>, out: &mut [T]) {
+/// out = lhs·rhs, row-major, on one thread.
+pub(crate) fn multiply<T: Real>(lhs: Matrix<T>, rhs: Matrix<T>, out: &mut [T]) {
     match (lhs.as_f32(), rhs.as_f32(), T::as_f32_mut(out)) {
         (Some(lhs), Some(rhs), Some(out)) => cpu::multiply(lhs, rhs, out),
         _ => reference::multiply(lhs, rhs, out),

@@ -231,6 +231,14 @@ pointwise! {
         b: { return -dy * sign(a - b); }
     }
 
+    /// y = max(x, 0); the gradient at 0 is 0. Written so that a NaN stays a NaN.
+    pub fn relu(x) -> y {
+        return select(x, 0.0, x < 0.0);
+    }
+    gradients(dy) {
+        x: { return select(dy, 0.0, x <= 0.0); }
+    }
+
     /// y = 1 / (1 + e^−x), from the exponential that cannot overflow.
     pub fn sigmoid(x) -> y {
         let decay = exp(-abs(x));

@@ -15,5 +15,5 @@ mod weighted_mean;
 pub use arrange::{columns, concat_columns, concat_rows, repeat_row, reshape};
 pub use index::{RowIndex, gather, segment_mean, segment_sum};
 pub use map::{RowMap, map_rows};
-pub use reduce::{norm, normalize, row_dot, row_sum, scale_rows, squared_norm};
+pub use reduce::{cosine_distance, divide_rows, norm, normalize, row_dot, row_sum, scale_rows, squared_norm};
 pub use weighted_mean::weighted_mean_squared_difference;

@@ -1,6 +1,7 @@
 //! Sums, products and lengths of rows.
 
 use super::map::{RowMap, map_rows};
+use crate::pointwise::{scale, shift};
 use crate::tape::{Real, Tape, Var};
 
 /// Σₖ xₖ of every row: [N, C] → [N, 1].
@@ -32,6 +33,20 @@ pub fn normalize<T: Real>(tape: &mut Tape<T>, x: Var, epsilon: f64) -> Var {
 /// Every row of x [N, C] times its factor [N, 1].
 pub fn scale_rows<T: Real>(tape: &mut Tape<T>, x: Var, factors: Var) -> Var {
     map_rows(tape, ScaleRows, [x, factors])
+}
+
+/// Every row of x [N, C] over max(divisor, floor), for divisors [N, 1]; no gradient reaches a divisor from the floor down.
+pub fn divide_rows<T: Real>(tape: &mut Tape<T>, x: Var, divisors: Var, floor: f64) -> Var {
+    assert!(floor > 0.0, "divide_rows: the floor must be positive");
+    map_rows(tape, DivideRows { floor }, [x, divisors])
+}
+
+/// 1 − cos ∠(a, b) of every row: [N, C], [N, C] → [N, 1], with max(‖·‖, ε) for the lengths: 1 where a row is zero.
+pub fn cosine_distance<T: Real>(tape: &mut Tape<T>, a: Var, b: Var, epsilon: f64) -> Var {
+    let [a, b] = [a, b].map(|x| normalize(tape, x, epsilon));
+    let cosine = row_dot(tape, a, b);
+    let opposite = scale(tape, cosine, -1.0);
+    shift(tape, opposite, 1.0)
 }
 
 fn dot<T: Real>(a: &[T], b: &[T]) -> T {
@@ -146,5 +161,39 @@ impl RowMap<2> for ScaleRows {
     fn gradient<T: Real>(&self, [x, factor]: [&[T]; 2], _y: &[T], dy: &[T], [dx, dfactor]: [&mut [T]; 2]) {
         dx.iter_mut().zip(dy).for_each(|(dx, &dy)| *dx = factor[0] * dy);
         dfactor[0] = dot(x, dy);
+    }
+}
+
+struct DivideRows {
+    floor: f64,
+}
+
+impl DivideRows {
+    /// max(divisor, floor), and whether that is the divisor; a NaN stays a NaN.
+    fn divisor<T: Real>(&self, divisor: T) -> (T, bool) {
+        let floor = T::from_f64(self.floor);
+        if divisor <= floor { (floor, false) } else { (divisor, true) }
+    }
+}
+
+impl RowMap<2> for DivideRows {
+    const NAME: &'static str = "divide_rows";
+
+    fn output_columns(&self, [x, divisor]: [usize; 2]) -> usize {
+        assert_eq!(divisor, 1, "divide_rows: one divisor per row");
+        x
+    }
+
+    fn value<T: Real>(&self, [x, divisor]: [&[T]; 2], y: &mut [T]) {
+        let (divisor, _) = self.divisor(divisor[0]);
+        y.iter_mut().zip(x).for_each(|(y, &x)| *y = x / divisor);
+    }
+
+    fn gradient<T: Real>(&self, [_, divisor]: [&[T]; 2], y: &[T], dy: &[T], [dx, ddivisor]: [&mut [T]; 2]) {
+        let (divisor, is_above) = self.divisor(divisor[0]);
+        dx.iter_mut().zip(dy).for_each(|(dx, &dy)| *dx = dy / divisor);
+        if is_above {
+            ddivisor[0] = -(dot(y, dy) / divisor);
+        }
     }
 }

@@ -52,9 +52,24 @@ fn gradients_of_reductions_equal_central_differences() {
     check(|tape, vars| normalize(tape, vars[0], 1e-6), from_ref(&a)).unwrap();
     check(|tape, vars| normalize(tape, vars[0], 10.0), from_ref(&a)).unwrap();
     check(|tape, vars| scale_rows(tape, vars[0], vars[1]), &[a.clone(), tensor(6, 1, 3)]).unwrap();
+    check(|tape, vars| cosine_distance(tape, vars[0], vars[1], 1e-6), &[a.clone(), b.clone()]).unwrap();
+    // Divisors in [1, 3), above the floor and below it.
+    let divisors = Tensor::from_vec([6, 1], noise(6, 5).iter().map(|divisor| divisor + 2.0).collect());
+    check(|tape, vars| divide_rows(tape, vars[0], vars[1], 0.5), &[a.clone(), divisors.clone()]).unwrap();
+    check(|tape, vars| divide_rows(tape, vars[0], vars[1], 5.0), &[a.clone(), divisors]).unwrap();
     let weights = Tensor::from_vec([6], noise(6, 4).iter().map(|weight| weight + 1.1).collect());
     let loss = |tape: &mut Tape<f64>, vars: &[Var]| weighted_mean_squared_difference(tape, vars[0], vars[1], vars[2]);
     check(loss, &[a, b, weights]).unwrap();
+}
+
+#[test]
+fn cosine_distances_of_parallel_opposite_and_zero_rows() {
+    let a = Tensor::from_vec([4, 2], vec![1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+    let b = Tensor::from_vec([4, 2], vec![2.0, 4.0, -0.5, 0.0, 0.0, 7.0, 1.0, 1.0]);
+    let found = value(|tape, vars| cosine_distance(tape, vars[0], vars[1], 1e-6), &[a, b]);
+    for (found, expected) in found.as_slice().iter().zip([0.0, 2.0, 1.0, 1.0]) {
+        assert!((found - expected).abs() <= 1e-15, "{found} instead of {expected}");
+    }
 }
 
 /// Sums rows, with a gradient that is wrong in one place.

@@ -1,0 +1,18 @@
+//! The softmax of one row and its gradient.
+
+use crate::tape::Real;
+
+/// Replaces scores by e^(score − max) / Σ e^(score − max). A row without scores stays empty: the caller leaves out what
+/// is masked, instead of writing −∞, whose differences would be NaN.
+pub fn softmax<T: Real>(scores: &mut [T]) {
+    let largest = scores.iter().fold(scores.first().copied().unwrap_or(T::ZERO), |largest, &score| largest.max(score));
+    scores.iter_mut().for_each(|score| *score = (*score - largest).exp());
+    let sum: T = scores.iter().copied().sum();
+    scores.iter_mut().for_each(|score| *score /= sum);
+}
+
+/// Replaces the gradient of the probabilities p by that of the scores: p·(dp − Σ p·dp).
+pub fn softmax_backward<T: Real>(probabilities: &[T], gradient: &mut [T]) {
+    let mean: T = probabilities.iter().zip(&*gradient).map(|(&p, &dp)| p * dp).sum();
+    gradient.iter_mut().zip(probabilities).for_each(|(gradient, &p)| *gradient = p * (*gradient - mean));
+}

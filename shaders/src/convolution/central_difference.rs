@@ -1,0 +1,61 @@
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+/// The weights [O, kernel height, kernel width, C] of an ordinary convolution that equals the central-difference convolution
+/// Σₙ w(n)·(x(p + n) − θ·x(p)) (Yu et al. 2020): the central weight less θ·Σₙ w(n). The kernel must have a centre.
+pub fn central_difference<T: Real>(tape: &mut Tape<T>, weight: Var, theta: f64) -> Var {
+    let &[_, height, width, channels] = tape.value(weight).shape() else {
+        panic!("central_difference: the weight must be [O, kernel height, kernel width, C]")
+    };
+    assert!(height % 2 == 1 && width % 2 == 1, "central_difference: a kernel of even size has no centre");
+    tape.apply_one(CentralDifference { taps: height * width, channels, theta }, &[weight])
+}
+
+struct CentralDifference {
+    taps: usize,
+    channels: usize,
+    theta: f64,
+}
+
+impl CentralDifference {
+    /// Per output: the slice of all taps, where the central one begins.
+    fn center(&self) -> usize {
+        self.taps / 2 * self.channels
+    }
+}
+
+impl<T: Real> Op<T> for CentralDifference {
+    fn name(&self) -> &'static str {
+        "central_difference"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let mut reduced = inputs[0].clone();
+        let theta = T::from_f64(self.theta);
+        for taps in reduced.make_mut().chunks_exact_mut(self.taps * self.channels) {
+            for channel in 0..self.channels {
+                let sum: T = taps[channel..].iter().step_by(self.channels).copied().sum();
+                taps[self.center() + channel] += -(theta * sum);
+            }
+        }
+        vec![reduced]
+    }
+
+    fn backward(
+        &mut self,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0] else { return vec![None] };
+        let mut dweight = dy.clone();
+        let theta = T::from_f64(self.theta);
+        for taps in dweight.make_mut().chunks_exact_mut(self.taps * self.channels) {
+            let center = taps[self.center()..][..self.channels].to_vec();
+            for tap in taps.chunks_exact_mut(self.channels) {
+                tap.iter_mut().zip(&center).for_each(|(tap, &center)| *tap += -(theta * center));
+            }
+        }
+        vec![Some(dweight)]
+    }
+}

@@ -1,0 +1,148 @@
+//! Group normalisation of an image (Wu and He 2018): y = γ·(x − μ)/√(σ² + ε) + β, with mean μ and variance σ² over all
+//! pixels and the channels of a group.
+//!
+//! x [H, W, C], γ [C], β [C] → y [H, W, C]. Unlike batch normalisation it does the same in training and in use. Sums run
+//! in f64 over chunks of fixed size.
+
+#[cfg(test)]
+mod tests;
+
+use crate::tape::chunks::{for_each_chunk, map_chunks};
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+/// ε of Wu and He 2018.
+const EPSILON: f64 = 1e-5;
+/// Pixels per partial sum.
+const PIXELS_PER_CHUNK: usize = 1024;
+
+/// y [H, W, C] for x [H, W, C], scale γ [C] and shift β [C]; `groups` divides C.
+pub fn group_norm<T: Real>(tape: &mut Tape<T>, x: Var, scale: Var, shift: Var, groups: usize) -> Var {
+    let &[_, _, channels] = tape.value(x).shape() else { panic!("group_norm: x must be [H, W, C]") };
+    assert!(channels.is_multiple_of(groups), "group_norm: {groups} groups do not divide {channels} channels");
+    for var in [scale, shift] {
+        assert_eq!(tape.value(var).len(), channels, "group_norm: scale and shift need one value per channel");
+    }
+    tape.apply_one(GroupNorm { channels, groups, statistics: Vec::new() }, &[x, scale, shift])
+}
+
+struct GroupNorm {
+    channels: usize,
+    groups: usize,
+    /// Per group: mean and 1/√(σ² + ε).
+    statistics: Vec<[f64; 2]>,
+}
+
+impl GroupNorm {
+    /// Per channel Σ over pixels of each of the terms.
+    fn channel_sums<const N: usize>(
+        &self,
+        pixels: usize,
+        terms: impl Fn(usize, usize) -> [f64; N] + Sync + Send,
+    ) -> Vec<[f64; N]> {
+        let partial = map_chunks(pixels, PIXELS_PER_CHUNK, |range| {
+            let mut sums = vec![[0.0; N]; self.channels];
+            for pixel in range {
+                for (channel, sum) in sums.iter_mut().enumerate() {
+                    let terms = terms(pixel * self.channels + channel, channel);
+                    (0..N).for_each(|term| sum[term] += terms[term]);
+                }
+            }
+            sums
+        });
+        let mut total = vec![[0.0; N]; self.channels];
+        for sums in partial {
+            total.iter_mut().zip(sums).for_each(|(total, sum)| (0..N).for_each(|term| total[term] += sum[term]));
+        }
+        total
+    }
+
+    /// Sums of channels to sums of groups.
+    fn group_sums<const N: usize>(&self, channels: &[[f64; N]]) -> Vec<[f64; N]> {
+        let sum = |group: &[[f64; N]]| std::array::from_fn(|term| group.iter().map(|sums| sums[term]).sum());
+        channels.chunks_exact(self.channels / self.groups).map(sum).collect()
+    }
+
+    fn group_of(&self, channel: usize) -> usize {
+        channel / (self.channels / self.groups)
+    }
+}
+
+impl<T: Real> Op<T> for GroupNorm {
+    fn name(&self) -> &'static str {
+        "group_norm"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let [x, scale, shift] = [0, 1, 2].map(|input| inputs[input].as_slice());
+        let pixels = x.len() / self.channels;
+        let count = (pixels * (self.channels / self.groups)) as f64;
+        // Two passes: the variance about the mean does not cancel.
+        let sums = self.group_sums(&self.channel_sums(pixels, |at, _| [x[at].to_f64()]));
+        let means: Vec<f64> = sums.iter().map(|[sum]| sum / count).collect();
+        let squares = self.channel_sums(pixels, |at, channel| {
+            let difference = x[at].to_f64() - means[self.group_of(channel)];
+            [difference * difference]
+        });
+        let inverse = |[sum]: &[f64; 1]| 1.0 / (sum / count + EPSILON).sqrt();
+        self.statistics =
+            means.iter().zip(&self.group_sums(&squares)).map(|(&mean, square)| [mean, inverse(square)]).collect();
+
+        // The mean is taken off first: a factor times a large mean would cancel in f32.
+        let affine: Vec<[T; 3]> = (0..self.channels)
+            .map(|channel| {
+                let [mean, inverse] = self.statistics[self.group_of(channel)];
+                [mean, scale[channel].to_f64() * inverse, shift[channel].to_f64()].map(T::from_f64)
+            })
+            .collect();
+        let mut y = vec![T::ZERO; x.len()];
+        for_each_chunk(&mut y, PIXELS_PER_CHUNK * self.channels, |first, y| {
+            for (y, x) in y.chunks_exact_mut(self.channels).zip(x[first..].chunks_exact(self.channels)) {
+                for (y, (&x, &[mean, factor, shift])) in y.iter_mut().zip(x.iter().zip(&affine)) {
+                    *y = factor * (x - mean) + shift;
+                }
+            }
+        });
+        vec![Tensor::from_vec(inputs[0].shape(), y)]
+    }
+
+    /// With x̂ = (x − μ)/√(σ² + ε) and g = γ·dy: dx = (g − mean(g) − x̂·mean(g·x̂))/√(σ² + ε), means over the group.
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0].map(Tensor::as_slice) else { return vec![None; 3] };
+        let (x, scale) = (inputs[0].as_slice(), inputs[1].as_slice());
+        let pixels = x.len() / self.channels;
+        let count = (pixels * (self.channels / self.groups)) as f64;
+        let normalized = |at: usize, channel: usize| {
+            let [mean, inverse] = self.statistics[self.group_of(channel)];
+            (x[at].to_f64() - mean) * inverse
+        };
+        // Per channel Σ dy and Σ dy·x̂: the gradients of β and γ.
+        let sums = self.channel_sums(pixels, |at, channel| {
+            let dy = dy[at].to_f64();
+            [dy, dy * normalized(at, channel)]
+        });
+        let scaled = |(sums, scale): (&[f64; 2], &T)| sums.map(|sum| sum * scale.to_f64() / count);
+        let means = self.group_sums(&sums.iter().zip(scale).map(scaled).collect::<Vec<_>>());
+        let dx = || {
+            let mut dx = vec![T::ZERO; x.len()];
+            for_each_chunk(&mut dx, PIXELS_PER_CHUNK * self.channels, |first, dx| {
+                for (offset, dx) in dx.iter_mut().enumerate() {
+                    let (at, channel) = (first + offset, (first + offset) % self.channels);
+                    let [mean, mean_product] = means[self.group_of(channel)];
+                    let g = scale[channel].to_f64() * dy[at].to_f64();
+                    let inverse = self.statistics[self.group_of(channel)][1];
+                    *dx = T::from_f64((g - mean - normalized(at, channel) * mean_product) * inverse);
+                }
+            });
+            Tensor::from_vec(inputs[0].shape(), dx)
+        };
+        let per_channel =
+            |term: usize| Tensor::from_vec([self.channels], sums.iter().map(|sums| T::from_f64(sums[term])).collect());
+        vec![needs[0].then(dx), needs[1].then(|| per_channel(1)), needs[2].then(|| per_channel(0))]
+    }
+}

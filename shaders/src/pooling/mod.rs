@@ -1,0 +1,109 @@
+//! Area-average pooling of an image [H, W, C] to a grid [rows, columns, C].
+//!
+//! Cell (i, j) is the mean over [i·H/rows, (i + 1)·H/rows) × [j·W/columns, (j + 1)·W/columns) of the image as a piecewise
+//! constant function: a pixel that two cells share counts in each by the share of its area. Every pixel has the same
+//! weight in all, the mean of the cells is the mean of the image, and a grid finer than the image repeats pixels.
+
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+/// The mean of every cell, [rows, columns, C], of an image [H, W, C].
+pub fn average_pool<T: Real>(tape: &mut Tape<T>, image: Var, rows: usize, columns: usize) -> Var {
+    let &[height, width, channels] = tape.value(image).shape() else {
+        panic!("average_pool: the image must be [H, W, C], not {:?}", tape.value(image).shape())
+    };
+    assert!(rows > 0 && columns > 0, "average_pool: a grid without cells");
+    assert!(height > 0 && width > 0, "average_pool: an image without pixels");
+    let (vertical, horizontal) = (Axis { pixels: height, cells: rows }, Axis { pixels: width, cells: columns });
+    tape.apply_one(AveragePool { vertical, horizontal, channels }, &[image])
+}
+
+/// One axis of the grid.
+#[derive(Copy, Clone)]
+struct Axis {
+    pixels: usize,
+    cells: usize,
+}
+
+impl Axis {
+    /// The pixels that a cell touches. In units of 1/(pixels·cells) of the axis, cells are `pixels` and pixels `cells` long.
+    fn pixels_of(&self, cell: usize) -> Range<usize> {
+        cell * self.pixels / self.cells..((cell + 1) * self.pixels).div_ceil(self.cells)
+    }
+
+    /// The cells that touch a pixel.
+    fn cells_of(&self, pixel: usize) -> Range<usize> {
+        pixel * self.cells / self.pixels..((pixel + 1) * self.cells).div_ceil(self.pixels)
+    }
+
+    /// The share of a cell's length that a pixel covers.
+    fn weight<T: Real>(&self, cell: usize, pixel: usize) -> T {
+        let start = (cell * self.pixels).max(pixel * self.cells);
+        let end = ((cell + 1) * self.pixels).min((pixel + 1) * self.cells);
+        T::from_f64((end - start) as f64 / self.pixels as f64)
+    }
+}
+
+struct AveragePool {
+    vertical: Axis,
+    horizontal: Axis,
+    channels: usize,
+}
+
+impl<T: Real> Op<T> for AveragePool {
+    fn name(&self) -> &'static str {
+        "average_pool"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let Self { vertical, horizontal, channels } = *self;
+        let image = inputs[0].as_slice();
+        let mut grid = vec![T::ZERO; vertical.cells * horizontal.cells * channels];
+        grid.par_chunks_mut(horizontal.cells * channels).enumerate().for_each(|(row, cells)| {
+            for (column, cell) in cells.chunks_exact_mut(channels).enumerate() {
+                for y in vertical.pixels_of(row) {
+                    for x in horizontal.pixels_of(column) {
+                        let weight = vertical.weight::<T>(row, y) * horizontal.weight::<T>(column, x);
+                        add_scaled(cell, &image[(y * horizontal.pixels + x) * channels..][..channels], weight);
+                    }
+                }
+            }
+        });
+        vec![Tensor::from_vec([vertical.cells, horizontal.cells, channels], grid)]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dgrid) = output_grads[0] else { return vec![None] };
+        let Self { vertical, horizontal, channels } = *self;
+        let dgrid = dgrid.as_slice();
+        let mut dimage = vec![T::ZERO; inputs[0].len()];
+        dimage.par_chunks_mut(horizontal.pixels * channels).enumerate().for_each(|(y, pixels)| {
+            for (x, pixel) in pixels.chunks_exact_mut(channels).enumerate() {
+                for row in vertical.cells_of(y) {
+                    for column in horizontal.cells_of(x) {
+                        let weight = vertical.weight::<T>(row, y) * horizontal.weight::<T>(column, x);
+                        add_scaled(pixel, &dgrid[(row * horizontal.cells + column) * channels..][..channels], weight);
+                    }
+                }
+            }
+        });
+        vec![Some(Tensor::from_vec(inputs[0].shape(), dimage))]
+    }
+}
+
+/// total += weight·term
+fn add_scaled<T: Real>(total: &mut [T], term: &[T], weight: T) {
+    total.iter_mut().zip(term).for_each(|(total, &term)| *total += weight * term);
+}
