@@ -6,7 +6,7 @@ use cargo_metadata::{DependencyKind, MetadataCommand};
 
 /// For each crate, the workspace crates that it may depend on: the stages whose artifacts it reads, the engine, and
 /// the vocabulary.
-const ALLOWED: [(&str, &[&str]); 14] = [
+const ALLOWED: [(&str, &[&str]); 16] = [
     ("engine", &[]),
     ("scene", &[]),
     ("shaders", &["scene"]),
@@ -15,6 +15,8 @@ const ALLOWED: [(&str, &[&str]); 14] = [
     ("depth-flow-import", &["engine", "scene", "scene-synthesis"]),
     ("layer-split", &["engine", "scene", "scene-synthesis", "depth-flow-import"]),
     ("inpaint-import", &["engine", "scene", "scene-synthesis", "depth-flow-import", "layer-split"]),
+    ("feature-import", &["engine", "scene", "scene-synthesis"]),
+    ("momentum-sampling", &["engine", "scene", "scene-synthesis", "depth-flow-import"]),
     (
         "training",
         &[
@@ -26,6 +28,8 @@ const ALLOWED: [(&str, &[&str]); 14] = [
             "depth-flow-import",
             "layer-split",
             "inpaint-import",
+            "feature-import",
+            "momentum-sampling",
         ],
     ),
     ("rendering", &["engine", "scene", "shaders", "training", "scene-synthesis", "sfm-import"]),
@@ -41,6 +45,8 @@ const ALLOWED: [(&str, &[&str]); 14] = [
             "depth-flow-import",
             "layer-split",
             "inpaint-import",
+            "feature-import",
+            "momentum-sampling",
             "training",
             "rendering",
             "metric-evaluation",

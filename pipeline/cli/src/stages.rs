@@ -14,6 +14,8 @@ pub fn stages_of(code: CodeTable) -> Registry {
     Registry::new(code)
         .with::<scene_synthesis::SceneSynthesis>()
         .with::<sfm_import::SfmImport>()
+        .with::<feature_import::FeatureImport>()
+        .with::<momentum_sampling::MomentumSampling>()
         .with::<training::Training>()
         .with::<rendering::Rendering>()
         .with::<metric_evaluation::MetricEvaluation>()

@@ -1,0 +1,124 @@
+//! Exact features of captures whose instances are labelled: the oracle for everything that reads CLIP.
+
+use engine::{Failure, FailureKind};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use scene::{Capture, FloatImage, LabelMap, ResizeFilter, View};
+
+use crate::Params;
+use crate::artifact::TokenGrid;
+
+/// What label 0 is called.
+const BACKGROUND: &str = "background";
+
+/// The classes of a capture and one embedding of each.
+pub struct Vocabulary {
+    /// The background, then the capture's class names: label k is at position k.
+    pub prompts: Vec<String>,
+    /// [P, F], orthonormal rows.
+    pub embeddings: Vec<f32>,
+    dimension: usize,
+}
+
+impl Vocabulary {
+    /// One random direction per class, each orthogonal to all others.
+    pub fn of(capture: &Capture, params: &Params) -> anyhow::Result<Self> {
+        let names = capture.class_names.iter().map(String::as_str);
+        let prompts: Vec<String> = std::iter::once(BACKGROUND).chain(names).map(str::to_owned).collect();
+        if prompts.len() > params.dimension {
+            let (classes, dimension) = (prompts.len(), params.dimension);
+            let message = format!("{classes} classes cannot have orthogonal embeddings of length {dimension}");
+            let hint = format!("set dimension to at least {classes}");
+            return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
+        }
+        let embeddings = orthonormal_rows(prompts.len(), params.dimension, params.seed);
+        Ok(Self { prompts, embeddings, dimension: params.dimension })
+    }
+
+    /// The tokens of one view: the mean of the embeddings of the pixels that a cell covers, partly covered pixels in
+    /// proportion. A token's product with an embedding is thus the share of its cell that shows the class.
+    pub fn tokens(&self, capture: &Capture, view: &View, grid: u32) -> anyhow::Result<TokenGrid> {
+        let Some(labels) = capture.load_mask(view)? else {
+            let message = format!("view {} has no instance labels", view.name);
+            let hint = "add \"masks\" to the truths of the synthetic capture";
+            return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
+        };
+        let [rows, columns] = grid_size(labels.width, labels.height, grid);
+        let shares = self.one_hot(&labels).resized(columns, rows, ResizeFilter::Area);
+        let classes = self.prompts.len();
+        let mut values = vec![0.0; rows as usize * columns as usize * self.dimension];
+        for (token, shares) in values.chunks_exact_mut(self.dimension).zip(shares.values.chunks_exact(classes)) {
+            for (embedding, share) in self.embeddings.chunks_exact(self.dimension).zip(shares) {
+                token.iter_mut().zip(embedding).for_each(|(sum, value)| *sum += share * value);
+            }
+        }
+        Ok(TokenGrid { rows: rows as usize, columns: columns as usize, values })
+    }
+
+    /// [H, W, P]: 1 for the class of a pixel.
+    fn one_hot(&self, labels: &LabelMap) -> FloatImage {
+        let classes = self.prompts.len();
+        let mut values = vec![0.0; labels.labels.len() * classes];
+        for (pixel, label) in labels.labels.iter().enumerate() {
+            values[pixel * classes + usize::from(*label)] = 1.0;
+        }
+        FloatImage { width: labels.width, height: labels.height, channels: classes, values }
+    }
+}
+
+/// Rows and columns of a grid with `longest` tokens along the longer side of an image, none smaller than a pixel.
+fn grid_size(width: u32, height: u32, longest: u32) -> [u32; 2] {
+    let side = width.max(height);
+    let longest = longest.min(side);
+    let tokens = |pixels: u32| (f64::from(pixels * longest) / f64::from(side)).round().max(1.0) as u32;
+    [tokens(height), tokens(width)]
+}
+
+/// Random orthonormal rows: Gram–Schmidt on normal deviates, repeated once against rounding, in f64.
+fn orthonormal_rows(count: usize, dimension: usize, seed: u64) -> Vec<f32> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut rows: Vec<Vec<f64>> = Vec::with_capacity(count);
+    for _ in 0..count {
+        let mut row: Vec<f64> = (0..dimension).map(|_| StandardNormal.sample(&mut random)).collect();
+        for _ in 0..2 {
+            for other in &rows {
+                let along: f64 = row.iter().zip(other).map(|(a, b)| a * b).sum();
+                row.iter_mut().zip(other).for_each(|(value, other)| *value -= along * other);
+            }
+            let norm = row.iter().map(|value| value * value).sum::<f64>().sqrt();
+            row.iter_mut().for_each(|value| *value /= norm);
+        }
+        rows.push(row);
+    }
+    rows.into_iter().flatten().map(|value| value as f32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn embeddings_are_orthonormal_up_to_the_full_dimension_and_follow_the_seed() {
+        for (count, dimension) in [(1, 1), (5, 64), (16, 16)] {
+            let rows = orthonormal_rows(count, dimension, 3);
+            for (i, a) in rows.chunks_exact(dimension).enumerate() {
+                for (j, b) in rows.chunks_exact(dimension).enumerate() {
+                    let dot: f64 = a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+                    let error = (dot - f64::from(u8::from(i == j))).abs();
+                    assert!(error <= 1e-6, "rows {i} and {j} of {count}: {dot}");
+                }
+            }
+        }
+        assert_eq!(orthonormal_rows(3, 8, 1), orthonormal_rows(3, 8, 1));
+        assert_ne!(orthonormal_rows(3, 8, 1), orthonormal_rows(3, 8, 2));
+    }
+
+    #[test]
+    fn grids_keep_the_aspect_and_are_never_finer_than_pixels() {
+        assert_eq!(grid_size(200, 200, 32), [32, 32]);
+        assert_eq!(grid_size(1920, 1072, 32), [18, 32]);
+        assert_eq!(grid_size(24, 16, 32), [16, 24]);
+        assert_eq!(grid_size(1000, 2, 10), [1, 10]);
+    }
+}

@@ -1,0 +1,95 @@
+//! The artifact: particles at the canonical time.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::ensure;
+use scene::PointCloud;
+use scene::index_file;
+use scene::ply::{Ply, PlyFormat, Property, write_ply};
+use serde::{Deserialize, Serialize};
+
+/// The file that describes the particles.
+const INDEX_FILE: &str = "particles.json";
+/// What the index describes, for errors.
+const WHAT: &str = "particles";
+/// The particles' file name.
+const CLOUD: &str = "particles.ply";
+/// The property of a particle beside position and colour.
+const ENERGY: &str = "energy";
+
+/// Particles drawn where things move: `particles.json` (this structure) and `particles.ply`, a point cloud whose vertices
+/// have an `energy` beside position and colour.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Particles {
+    /// The folder; not stored.
+    #[serde(skip)]
+    pub dir: PathBuf,
+    /// How many there are.
+    pub count: usize,
+    /// When the particles lie where they are: the first instant of the training views.
+    pub canonical_time_secs: f64,
+    /// The views that they were drawn from, all at that time.
+    pub canonical_views: Vec<CanonicalView>,
+    /// Strides in frames for which there was flow.
+    pub strides: Vec<usize>,
+}
+
+/// A view that particles were drawn from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CanonicalView {
+    /// Within the capture's views.
+    pub index: usize,
+    /// Its name there.
+    pub name: String,
+    /// Particles drawn from it.
+    pub particles: usize,
+}
+
+impl Particles {
+    /// World positions and colours, and each particle's share of the momentum energy of all pixels, in the order in which
+    /// they were drawn.
+    pub fn load(&self) -> anyhow::Result<(PointCloud, Vec<f32>)> {
+        let path = self.dir.join(CLOUD);
+        Ok((PointCloud::read_ply(&path)?, Ply::open(&path)?.vertices(&[ENERGY])?))
+    }
+
+    /// Writes header and particles.
+    pub(crate) fn save(&self, points: &PointCloud, energies: &[f32]) -> anyhow::Result<()> {
+        let names = ["x", "y", "z"].map(Property::float).into_iter();
+        let names = names.chain(["red", "green", "blue"].map(Property::byte)).chain([Property::float(ENERGY)]);
+        let rows = points.positions.iter().zip(&points.colors).zip(energies);
+        let values = rows.flat_map(|((position, color), energy)| {
+            position.iter().copied().chain(color.map(f32::from)).chain([*energy])
+        });
+        let properties: Vec<_> = names.collect();
+        write_ply(&self.dir.join(CLOUD), PlyFormat::BinaryLittleEndian, &properties, points.len(), values)?;
+        Ok(index_file::write(&self.dir.join(INDEX_FILE), WHAT, self)?)
+    }
+}
+
+impl engine::Artifact for Particles {
+    const NAME: &'static str = "particles";
+    const SCHEMA: u32 = 1;
+
+    fn open(dir: &Path) -> anyhow::Result<Self> {
+        Ok(Self { dir: dir.into(), ..index_file::read(&dir.join(INDEX_FILE), WHAT)? })
+    }
+
+    /// At least one particle, all at finite places, with energies that are shares of one whole.
+    fn check(&self) -> anyhow::Result<()> {
+        let path = self.dir.join(CLOUD);
+        let (points, energies) = self.load()?;
+        ensure!(points.len() == self.count, "{} particles instead of {}: {}", points.len(), self.count, path.display());
+        ensure!(self.count > 0, "no particles: {}", path.display());
+        let drawn: usize = self.canonical_views.iter().map(|view| view.particles).sum();
+        ensure!(drawn == self.count, "{drawn} particles by view instead of {}: {}", self.count, self.dir.display());
+        ensure!(self.canonical_time_secs.is_finite(), "canonical time is {}", self.canonical_time_secs);
+        let share = energies.iter().all(|energy| (0.0..=1.0).contains(energy));
+        let sum: f64 = energies.iter().map(|energy| f64::from(*energy)).sum();
+        // Shares are rounded to f32 one by one.
+        ensure!(share && sum <= 1.0 + 1e-4, "energies are not shares of one whole (sum {sum}): {}", path.display());
+        Ok(())
+    }
+}

@@ -1,0 +1,131 @@
+//! The momentum field: confidence times what of the optical flow the camera's motion does not explain (equation 3).
+//!
+//! For the pixel u with depth d, seen by camera t, and flow f that leads to camera t + s,
+//! `f_geom(u) = π_{t+s}(π_t⁻¹(u, d)) - u` and `p(u) = m(u) (f(u) - f_geom(u)) / s`, in pixels per frame.
+
+use glam::{DVec2, DVec3};
+use scene::Camera;
+
+use crate::Params;
+use crate::maps::{MotionView, pixel_at, pixel_centre};
+
+/// Momentum of one view against later instants.
+pub struct Momentum {
+    /// [H, W]: squared norms summed over the strides, in (pixels per frame)²; `None` where the pixel has no depth and so
+    /// cannot become a particle.
+    pub squared_norm: Vec<Option<f64>>,
+    /// The strides for which any pixel had flow.
+    pub strides: Vec<usize>,
+}
+
+/// The momentum of view `start` over all strides; `load` gives the views that the flow leads through.
+pub fn momentum(
+    start: &MotionView,
+    params: &Params,
+    load: &dyn Fn(usize) -> anyhow::Result<MotionView>,
+) -> anyhow::Result<Momentum> {
+    let mut squared_norm: Vec<Option<f64>> =
+        start.depth.depth_view.iter().map(|depth| has_depth(*depth).then_some(0.0)).collect();
+    let slopes = slope_confidence(start, params.depth_slope);
+    let mut strides = Vec::new();
+    let mut tracks = Tracks::start(start);
+    // Flow is chained from view to view; each pixel of the start keeps the position that it has reached.
+    let mut current: Option<MotionView> = None;
+    for stride in 1..=params.strides.last().copied().unwrap_or(0) {
+        let Some(flow) = current.as_ref().unwrap_or(start).flow.as_ref() else { break };
+        tracks.follow(flow);
+        let (camera_to, view_to) = (flow.camera_to, flow.view_to);
+        let next = view_to.map(load).transpose()?;
+        if params.strides.contains(&stride) && tracks.positions.iter().any(Option::is_some) {
+            strides.push(stride);
+            for (pixel, sum) in squared_norm.iter_mut().enumerate() {
+                let (Some(sum), Some(moved)) = (sum, tracks.positions[pixel]) else { continue };
+                let Some(rest) = at_rest(start, pixel, &camera_to) else { continue };
+                let confidence = slopes[pixel] * arrival_confidence(moved, rest, next.as_ref(), params.depth_error);
+                *sum += (confidence * (moved - rest.position) / stride as f64).length_squared();
+            }
+        }
+        let Some(next) = next else { break };
+        current = Some(next);
+    }
+    Ok(Momentum { squared_norm, strides })
+}
+
+/// Where the pixels of the first view have come to.
+struct Tracks {
+    positions: Vec<Option<DVec2>>,
+    size: (u32, u32),
+}
+
+impl Tracks {
+    /// Every pixel at its centre.
+    fn start(view: &MotionView) -> Self {
+        let size = (view.depth.width, view.depth.height);
+        let positions = (0..view.depth.depth_view.len()).map(|pixel| Some(pixel_centre(pixel, size.0))).collect();
+        Self { positions, size }
+    }
+
+    /// One step along `flow`. Flow is looked up at the nearest pixel: interpolation would mix what moves with what does
+    /// not along every outline.
+    fn follow(&mut self, flow: &crate::maps::MotionFlow) {
+        let (width, height) = self.size;
+        for position in &mut self.positions {
+            *position = position.and_then(|from| {
+                let [right, down] = flow.map.flow_px[pixel_at(from, width, height)?];
+                let moved = from + DVec2::new(f64::from(right), f64::from(down));
+                moved.is_finite().then_some(moved)
+            });
+        }
+    }
+}
+
+/// Where a camera would see the surface of a pixel if it did not move.
+#[derive(Clone, Copy)]
+struct AtRest {
+    position: DVec2,
+    depth_view: f64,
+}
+
+fn at_rest(start: &MotionView, pixel: usize, camera_to: &Camera) -> Option<AtRest> {
+    let (position, depth_view) = camera_to.project(surface_point(start, pixel)?)?;
+    Some(AtRest { position, depth_view })
+}
+
+/// The world position of the surface that a pixel's centre sees (equation 5).
+pub fn surface_point(view: &MotionView, pixel: usize) -> Option<DVec3> {
+    let depth = view.depth.depth_view[pixel];
+    let ray = view.camera.ray_view(pixel_centre(pixel, view.depth.width));
+    has_depth(depth).then(|| view.camera.camera_from_world.inverse().apply(f64::from(depth) * ray))
+}
+
+fn has_depth(depth: f32) -> bool {
+    depth > 0.0 && depth.is_finite()
+}
+
+/// `exp(-‖∇d‖₁ / (slope · d))` per pixel: low where depth is steep and so unreliable, 0 beside pixels without depth.
+fn slope_confidence(view: &MotionView, slope: f64) -> Vec<f64> {
+    let (width, height) = (view.depth.width as usize, view.depth.height as usize);
+    let depth = |pixel: usize| view.depth.depth_view[pixel];
+    let confidence = |pixel: usize| {
+        let (column, row) = (pixel % width, pixel / width);
+        let right = if column + 1 < width { pixel + 1 } else { pixel };
+        let below = if row + 1 < height { pixel + width } else { pixel };
+        if ![pixel, right, below].iter().all(|at| has_depth(depth(*at))) {
+            return 0.0;
+        }
+        let centre = f64::from(depth(pixel));
+        let gradient = (f64::from(depth(right)) - centre).abs() + (f64::from(depth(below)) - centre).abs();
+        (-gradient / (slope * centre)).exp()
+    };
+    (0..width * height).map(confidence).collect()
+}
+
+/// `exp(-r / error)` with r the difference between the depth that the next view has where the flow arrives and the depth
+/// that the surface would have at rest, relative to the latter; 1 where the next view's depth is not known.
+fn arrival_confidence(moved: DVec2, rest: AtRest, next: Option<&MotionView>, error: f64) -> f64 {
+    let arrived = next.and_then(|next| {
+        let depth = next.depth.depth_view[pixel_at(moved, next.depth.width, next.depth.height)?];
+        has_depth(depth).then_some(f64::from(depth))
+    });
+    arrived.map_or(1.0, |depth| (-(depth - rest.depth_view).abs() / rest.depth_view / error).exp())
+}

@@ -1,0 +1,190 @@
+//! The stage: particles of a capture.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Stage};
+use glam::DVec3;
+use rayon::prelude::*;
+use scene::{Capture, PointCloud, Split};
+use serde::Serialize;
+
+use crate::artifact::CanonicalView;
+use crate::maps::{MotionFlow, MotionView};
+use crate::momentum::{momentum, surface_point};
+use crate::{Params, Particles, sampling};
+
+engine::artifact! {
+    /// The capture that particles are drawn from.
+    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
+}
+
+/// The stage `momentum-sampling`.
+pub struct MomentumSampling;
+
+impl Stage for MomentumSampling {
+    type Params = Params;
+    type Output = Particles;
+
+    const ID: &'static str = "momentum-sampling";
+    const ABOUT: &'static str = "draws particles where optical flow differs from what the camera's motion explains";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<CaptureArtifact>("capture")]
+    }
+
+    fn check_params(params: &Params) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn resources(_params: &Params) -> Resources {
+        Resources { threads: 0 } // views of a rig are independent
+    }
+
+    fn run(context: &JobContext, params: &Params) -> anyhow::Result<Particles> {
+        let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let dir = context.output_dir();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        let sampled = pool.install(|| sample(&capture, params, dir))?;
+        context.measure("particles", sampled.particles.count)?;
+        context.measure("moving", sampled.moving)?;
+        Ok(sampled.particles)
+    }
+}
+
+/// Particles, and how well they were drawn.
+pub struct Sampled {
+    /// The artifact.
+    pub particles: Particles,
+    /// Where the capture knows what moves.
+    pub moving: Option<MovingShares>,
+}
+
+/// How much of what could be drawn moves, and how much of what was drawn does.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MovingShares {
+    /// Of the canonical views' pixels with depth.
+    pub of_area: f64,
+    /// Of the particles.
+    pub of_particles: f64,
+}
+
+/// A pixel that may become a particle.
+struct Candidate {
+    /// Position within the canonical views.
+    view: usize,
+    position_world: DVec3,
+    color: [u8; 3],
+    squared_norm: f64,
+    moves: Option<bool>,
+}
+
+/// Draws particles from the first training views of `capture` into the folder `dir`.
+pub fn sample(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
+    let (start_secs, canonical) = canonical_views(capture)?;
+    let found: Vec<_> =
+        canonical.par_iter().map(|&index| candidates(capture, index, params)).collect::<anyhow::Result<_>>()?;
+    let mut strides: Vec<usize> = found.iter().flat_map(|(_, strides)| strides.iter().copied()).collect();
+    strides.sort_unstable();
+    strides.dedup();
+    let in_view =
+        |(view, (some, _)): (usize, (Vec<Candidate>, _))| some.into_iter().map(move |it| Candidate { view, ..it });
+    let candidates: Vec<Candidate> = found.into_iter().enumerate().flat_map(in_view).collect();
+    if strides.is_empty() || candidates.is_empty() {
+        let names: Vec<_> = canonical.iter().map(|index| capture.views[*index].name.as_str()).collect();
+        let message = format!("no pixel of {} has both depth and flow", names.join(", "));
+        return Err(Failure::new(FailureKind::BadInput, message)
+            .hint("momentum needs both at the first instant")
+            .into());
+    }
+    let energies = sampling::energies(&candidates.iter().map(|it| it.squared_norm).collect::<Vec<_>>());
+    if energies.iter().all(|energy| *energy == 0.0) {
+        tracing::warn!("nothing moves at the first instant: particles are drawn uniformly");
+    }
+    let order = sampling::draw_order(&energies, params.energy_weight, params.seed);
+    let count = params.count.min((params.pixel_share * candidates.len() as f64).round().max(1.0) as usize);
+    let drawn = sampling::one_per_voxel(&order, |at| candidates[at].position_world, params.voxel_size, count);
+    let canonical_view = |(view, index): (usize, &usize)| CanonicalView {
+        index: *index,
+        name: capture.views[*index].name.clone(),
+        particles: drawn.iter().filter(|at| candidates[**at].view == view).count(),
+    };
+    let particles = Particles {
+        dir: dir.into(),
+        count: drawn.len(),
+        canonical_time_secs: start_secs,
+        canonical_views: canonical.iter().enumerate().map(canonical_view).collect(),
+        strides,
+    };
+    let points = PointCloud {
+        positions: drawn.iter().map(|at| candidates[*at].position_world.as_vec3().to_array()).collect(),
+        colors: drawn.iter().map(|at| candidates[*at].color).collect(),
+    };
+    let drawn_energies: Vec<f32> = drawn.iter().map(|at| energies[*at] as f32).collect();
+    particles.save(&points, &drawn_energies)?;
+    Ok(Sampled { particles, moving: moving_shares(&candidates, &drawn) })
+}
+
+/// All training views of the first instant.
+fn canonical_views(capture: &Capture) -> anyhow::Result<(f64, Vec<usize>)> {
+    let mut training = capture.views_of(Split::Train);
+    let (_, first) = training.next().context("the capture has no training view")?;
+    // Views are ordered by time within their split.
+    let same = |(_, view): &(usize, &scene::View)| view.time_secs == first.time_secs;
+    let views = capture.views_of(Split::Train).take_while(same).map(|(index, _)| index).collect();
+    Ok((first.time_secs, views))
+}
+
+/// The pixels of one view that can become particles, and the strides that their momentum was computed for.
+fn candidates(capture: &Capture, index: usize, params: &Params) -> anyhow::Result<(Vec<Candidate>, Vec<usize>)> {
+    let load = |index: usize| motion_view(capture, index);
+    let view = load(index)?;
+    let momentum = momentum(&view, params, &load)?;
+    let image = capture.load_image(&capture.views[index])?;
+    let moves = moving_pixels(capture, index)?;
+    let candidate = |(pixel, squared_norm): (usize, &Option<f64>)| {
+        let [red, green, blue] = image.as_raw()[3 * pixel..][..3] else { unreachable!("three channels") };
+        Some(Candidate {
+            view: 0,
+            position_world: surface_point(&view, pixel)?,
+            color: [red, green, blue],
+            squared_norm: (*squared_norm)?,
+            moves: moves.as_ref().map(|moves| moves[pixel]),
+        })
+    };
+    Ok((momentum.squared_norm.iter().enumerate().filter_map(candidate).collect(), momentum.strides))
+}
+
+/// Depth and flow of a view as the capture itself has them: its flow is that of a camera that stands still.
+fn motion_view(capture: &Capture, index: usize) -> anyhow::Result<MotionView> {
+    let view = &capture.views[index];
+    let depth = capture.load_depth(view)?;
+    let missing = || Failure::new(FailureKind::BadInput, format!("view {} has no depth", view.name));
+    let depth = depth.ok_or_else(|| missing().hint("add \"depth\" to the truths of the synthetic capture"))?;
+    let flow = capture.load_flow(view)?;
+    let continues = |(_, next): &(usize, &scene::View)| {
+        next.camera_index == view.camera_index && next.frame_index == view.frame_index + 1 && next.camera == view.camera
+    };
+    let view_to = capture.views_of(view.split).find(continues).map(|(index, _)| index);
+    let flow = flow.map(|map| MotionFlow { map, camera_to: view.camera, view_to });
+    Ok(MotionView { camera: view.camera, depth, flow })
+}
+
+/// Per pixel whether it shows something that moves, where the capture knows: by velocity, else by instance label.
+fn moving_pixels(capture: &Capture, index: usize) -> anyhow::Result<Option<Vec<bool>>> {
+    let view = &capture.views[index];
+    if let Some(velocity) = capture.load_velocity(view)? {
+        return Ok(Some(velocity.velocity_world.iter().map(|velocity| *velocity != [0.0; 3]).collect()));
+    }
+    let mask = capture.load_mask(view)?;
+    Ok(mask.map(|mask| mask.labels.iter().map(|label| *label != 0).collect()))
+}
+
+fn moving_shares(candidates: &[Candidate], drawn: &[usize]) -> Option<MovingShares> {
+    let all = candidates.iter().map(|candidate| candidate.moves).collect::<Option<Vec<_>>>()?;
+    let share = |moving: usize, total: usize| moving as f64 / total as f64;
+    Some(MovingShares {
+        of_area: share(all.iter().filter(|moves| **moves).count(), all.len()),
+        of_particles: share(drawn.iter().filter(|at| all[**at]).count(), drawn.len()),
+    })
+}

@@ -1,0 +1,236 @@
+//! Momentum against closed forms, the draw against its distribution, the whole on synthetic captures.
+
+use engine::Artifact as _;
+use glam::{DMat3, DVec3};
+use scene::{Camera, Capture, DepthMap, FlowMap, Intrinsics, RigidTransform};
+use scene_synthesis::{CameraPath, Params as SceneParams, SceneKind, Truth};
+
+use crate::maps::{MotionFlow, MotionView};
+use crate::momentum::{momentum, surface_point};
+use crate::{Params, Particles, sample, sampling};
+
+const WIDTH: u32 = 20;
+const HEIGHT: u32 = 12;
+const FOCAL: f64 = 25.0;
+const DEPTH: f32 = 3.0;
+
+/// A camera at `x` on the x axis that looks along z.
+fn camera(x: f64) -> Camera {
+    let intrinsics = Intrinsics {
+        width: WIDTH,
+        height: HEIGHT,
+        focal_x: FOCAL,
+        focal_y: FOCAL,
+        center_x: f64::from(WIDTH) / 2.0,
+        center_y: f64::from(HEIGHT) / 2.0,
+    };
+    let translation = DVec3::new(-x, 0.0, 0.0);
+    Camera { intrinsics, camera_from_world: RigidTransform { rotation: DMat3::IDENTITY, translation } }
+}
+
+/// View number `index` of a camera that moves by `step` along x per frame before a wall at `DEPTH`; the pixels of the
+/// left half belong to something on the wall that moves by `own_px` per frame.
+fn wall(index: usize, step: f64, own_px: f32) -> MotionView {
+    let pixels = (WIDTH * HEIGHT) as usize;
+    let camera_px = (-FOCAL * step / f64::from(DEPTH)) as f32;
+    let flow = |pixel: usize| {
+        let moves = pixel % (WIDTH as usize) < WIDTH as usize / 2;
+        [camera_px + if moves { own_px } else { 0.0 }, 0.0]
+    };
+    MotionView {
+        camera: camera(index as f64 * step),
+        depth: DepthMap { width: WIDTH, height: HEIGHT, depth_view: vec![DEPTH; pixels] },
+        flow: Some(MotionFlow {
+            map: FlowMap { width: WIDTH, height: HEIGHT, flow_px: (0..pixels).map(flow).collect() },
+            camera_to: camera((index + 1) as f64 * step),
+            view_to: Some(index + 1),
+        }),
+    }
+}
+
+#[test]
+fn the_cameras_motion_has_no_momentum_and_a_surfaces_own_motion_has_all_of_its_own() {
+    let (step, own_px) = (0.06, 0.25); // half a pixel per frame from the camera
+    let params = Params { strides: vec![1, 2], ..Params::default() };
+    let found = momentum(&wall(0, step, own_px), &params, &|index| Ok(wall(index, step, own_px))).unwrap();
+    assert_eq!(found.strides, [1, 2]);
+    for (pixel, squared_norm) in found.squared_norm.iter().enumerate() {
+        let column = pixel % WIDTH as usize;
+        // Left of the first columns, the second step leaves the image or the moving half.
+        let expected = match column {
+            2..=8 => 2.0 * f64::from(own_px).powi(2),
+            10.. => 0.0,
+            _ => continue,
+        };
+        let error = (squared_norm.unwrap() - expected).abs();
+        assert!(error <= 1e-6, "column {column}: {squared_norm:?} instead of {expected}");
+    }
+}
+
+#[test]
+fn a_wrong_pose_is_no_camera_motion() {
+    let mut view = wall(0, 0.06, 0.0);
+    let params = Params { strides: vec![1], ..Params::default() };
+    let largest = |view: &MotionView| {
+        let found = momentum(view, &params, &|index| Ok(wall(index, 0.06, 0.0))).unwrap();
+        found.squared_norm.into_iter().flatten().fold(0.0, f64::max)
+    };
+    assert!(largest(&view) <= 1e-12);
+    view.flow.as_mut().unwrap().camera_to = view.camera;
+    assert!(largest(&view) > 0.1);
+}
+
+#[test]
+fn confidence_falls_at_steep_depth_and_where_the_arrival_disagrees() {
+    let params = Params { strides: vec![1], ..Params::default() };
+    let squared_norm = |start: &MotionView, next_depth: f32| {
+        let next = |index: usize| {
+            let mut view = wall(index, 0.0, 0.5);
+            view.depth.depth_view.fill(next_depth);
+            Ok(view)
+        };
+        momentum(start, &params, &next).unwrap().squared_norm
+    };
+    let (mut start, pixel) = (wall(0, 0.0, 0.5), 5 * WIDTH as usize + 4);
+    assert!((squared_norm(&start, DEPTH)[pixel].unwrap() - 0.25).abs() <= 1e-9);
+    // A depth that is off by 5 % has a confidence of 1/e.
+    let expected = 0.25 * (-2.0_f64).exp();
+    assert!((squared_norm(&start, 1.05 * DEPTH)[pixel].unwrap() - expected).abs() <= 1e-6);
+    start.depth.depth_view[pixel + 1] = 1.05 * DEPTH;
+    assert!((squared_norm(&start, DEPTH)[pixel].unwrap() - expected).abs() <= 1e-6);
+    // No depth: no particle; beside it: no confidence.
+    start.depth.depth_view[pixel + 1] = 0.0;
+    let found = squared_norm(&start, DEPTH);
+    assert_eq!((found[pixel], found[pixel + 1]), (Some(0.0), None));
+    start.flow.as_mut().unwrap().map.flow_px[pixel - 1] = [f32::NAN; 2];
+    assert_eq!(squared_norm(&start, DEPTH)[pixel - 1], Some(0.0));
+}
+
+#[test]
+fn a_pixel_is_unprojected_to_where_its_camera_sees_it() {
+    let view = wall(3, 0.2, 0.0);
+    for pixel in [0, 37, (WIDTH * HEIGHT) as usize - 1] {
+        let (position, depth) = view.camera.project(surface_point(&view, pixel).unwrap()).unwrap();
+        let expected = crate::maps::pixel_centre(pixel, WIDTH);
+        assert!(position.distance(expected) <= 1e-9 && (depth - f64::from(DEPTH)).abs() <= 1e-9);
+    }
+}
+
+#[test]
+fn first_draws_follow_the_distribution_and_nothing_is_drawn_twice() {
+    let energies = [0.7, 0.2, 0.1, 0.0];
+    let draws = 4000;
+    let mut first = [0.0; 4];
+    for seed in 0..draws {
+        let mut order = sampling::draw_order(&energies, 0.9, seed);
+        first[order[0]] += 1.0 / draws as f64;
+        order.sort_unstable();
+        assert_eq!(order, [0, 1, 2, 3]);
+    }
+    for (share, energy) in first.iter().zip(energies) {
+        let expected: f64 = 0.9 * energy + 0.1 / 4.0;
+        // Four standard deviations of a share among so many draws.
+        let tolerance = 4.0 * (expected * (1.0 - expected) / draws as f64).sqrt();
+        assert!((share - expected).abs() <= tolerance, "{share} instead of {expected}");
+    }
+    // Without any energy, or with a weight that leaves nothing for a candidate, the draw is still one.
+    assert_eq!(sampling::draw_order(&[0.0; 5], 1.0, 1).len(), 5);
+    assert_eq!(sampling::draw_order(&[0.5, 0.0, 0.5], 1.0, 1)[2], 1);
+    assert_eq!(sampling::energies(&[0.0, 0.0]), [0.0, 0.0]);
+    assert_eq!(sampling::energies(&[1.0, 3.0]), [0.25, 0.75]);
+}
+
+#[test]
+fn a_voxel_holds_the_first_that_was_drawn_from_it() {
+    let positions = [0.01, 0.09, 0.11, -0.01, 0.35].map(|x| DVec3::new(x, 0.0, 0.0));
+    let order = [1, 0, 2, 3, 4];
+    let kept = |size, count| sampling::one_per_voxel(&order, |at| positions[at], size, count);
+    assert_eq!(kept(0.1, 9), [1, 2, 3, 4]);
+    assert_eq!(kept(0.1, 2), [1, 2]);
+    assert_eq!(kept(0.0, 9), order);
+}
+
+/// A small capture with everything that momentum needs, and the truth about what moves.
+fn capture(dir: &std::path::Path, scene: SceneKind, camera: CameraPath) -> Capture {
+    let params = SceneParams {
+        scene,
+        camera,
+        width: 64,
+        height: 64,
+        frames: 10,
+        rig_cameras: 2,
+        val_views: 0,
+        test_views: 0,
+        samples_per_pixel: 1,
+        truths: [Truth::Depth, Truth::Flow, Truth::Velocity].into(),
+        ..SceneParams::default()
+    };
+    scene_synthesis::synthesize(&params, dir, 1, |_, _| Ok(())).unwrap()
+}
+
+#[test]
+fn particles_lie_on_what_moves() {
+    for scene in [SceneKind::BouncingSpheres, SceneKind::SwingingArm, SceneKind::WavingCloth, SceneKind::Occluder] {
+        for (path, strides, views) in [(CameraPath::Rig, &[1, 2, 4, 8][..], 2), (CameraPath::Arc, &[1], 1)] {
+            let dir = tempfile::tempdir().unwrap();
+            let capture = capture(&dir.path().join("capture"), scene, path);
+            let out = dir.path().join("particles");
+            std::fs::create_dir(&out).unwrap();
+            let sampled = sample(&capture, &Params::default(), &out).unwrap();
+            sampled.particles.check().unwrap();
+            assert_eq!(sampled.particles, Particles::open(&out).unwrap());
+            assert_eq!(sampled.particles.strides, strides, "{scene:?} {path:?}");
+            assert_eq!(sampled.particles.canonical_views.len(), views);
+            let moving = sampled.moving.unwrap();
+            let odds = |share: f64| share / (1.0 - share);
+            let gain = odds(moving.of_particles) / odds(moving.of_area);
+            assert!(gain >= 15.0, "{scene:?} {path:?}: {moving:?}");
+        }
+    }
+}
+
+#[test]
+fn a_scene_at_rest_gives_an_even_spread_and_equal_parameters_equal_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = capture(&dir.path().join("capture"), SceneKind::StaticBlocks, CameraPath::Rig);
+    let draw = |name: &str, seed: u64| {
+        let out = dir.path().join(name);
+        std::fs::create_dir(&out).unwrap();
+        let sampled = sample(&capture, &Params { seed, ..Params::default() }, &out).unwrap();
+        sampled.particles.check().unwrap();
+        assert_eq!(sampled.moving.unwrap().of_area, 0.0);
+        (sampled.particles.count, std::fs::read(out.join("particles.ply")).unwrap())
+    };
+    let (count, bytes) = draw("first", 0);
+    assert!(count > 50);
+    assert!(draw("second", 0).1 == bytes && draw("third", 1).1 != bytes);
+}
+
+#[test]
+fn without_depth_or_flow_the_view_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut capture = capture(&dir.path().join("capture"), SceneKind::Occluder, CameraPath::Arc);
+    let refusal = |capture: &Capture| {
+        let Err(error) = sample(capture, &Params::default(), dir.path()) else { panic!("was accepted") };
+        format!("{error:#}")
+    };
+    capture.views[0].flow = None;
+    let message = refusal(&capture);
+    assert!(message.contains("train_0000") && message.contains("flow"), "{message}");
+    capture.views[0].depth = None;
+    let message = refusal(&capture);
+    assert!(message.contains("train_0000") && message.contains("no depth"), "{message}");
+}
+
+#[test]
+fn parameters_that_cannot_work_are_refused() {
+    assert!(Params::default().problems().is_empty());
+    let keys = |params: Params| params.problems().into_iter().map(|problem| problem.key).collect::<Vec<_>>();
+    assert_eq!(keys(Params { strides: vec![2, 1], ..Params::default() }), ["strides"]);
+    assert_eq!(keys(Params { strides: vec![], ..Params::default() }), ["strides"]);
+    assert_eq!(keys(Params { strides: vec![0, 1], ..Params::default() }), ["strides"]);
+    assert_eq!(
+        keys(Params { energy_weight: f64::NAN, voxel_size: -1.0, ..Params::default() }),
+        ["energy_weight", "voxel_size"]
+    );
+}
