@@ -18,6 +18,7 @@ pub mod positional_encoding;
 pub mod projection;
 pub mod quaternion;
 pub mod rows;
+pub mod slicing4d;
 pub mod splat;
 pub mod ssim;
 pub mod tape;
