@@ -7,6 +7,8 @@ use anyhow::{Context as _, ensure};
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 
+use crate::SurfaceMaps;
+
 /// The header's file name.
 const HEADER: &str = "renders.json";
 
@@ -45,8 +47,8 @@ pub struct RenderedView {
     pub time_secs: f64,
     /// 8-bit RGB PNG, relative to the folder.
     pub image: PathBuf,
-    /// EXR, f32, Σ z·α·T in scene units, relative to the folder; where it was asked for.
-    pub depth: Option<PathBuf>,
+    /// The surfaces that the render shows ([`SurfaceMaps`]), relative to the folder; where they were asked for.
+    pub maps: Option<PathBuf>,
 }
 
 impl Renders {
@@ -61,11 +63,16 @@ impl Renders {
     pub fn image_path(&self, view: &RenderedView) -> PathBuf {
         self.dir.join(&view.image)
     }
+
+    /// The surfaces that a view's render shows, where they were rendered.
+    pub fn load_maps(&self, view: &RenderedView) -> anyhow::Result<Option<SurfaceMaps>> {
+        view.maps.as_ref().map(|maps| SurfaceMaps::read(&self.dir.join(maps))).transpose()
+    }
 }
 
 impl engine::Artifact for Renders {
     const NAME: &'static str = "renders";
-    const SCHEMA: u32 = 1;
+    const SCHEMA: u32 = 2;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(HEADER);
@@ -85,8 +92,8 @@ impl engine::Artifact for Renders {
             let path = self.image_path(view);
             let size = image::image_dimensions(&path).with_context(|| format!("cannot read {}", path.display()))?;
             ensure!(size == expected, "image is {size:?} pixels instead of {expected:?}: {}", path.display());
-            if let Some(depth) = &view.depth {
-                ensure!(self.dir.join(depth).is_file(), "missing depth: {}", self.dir.join(depth).display());
+            if let Some(maps) = &view.maps {
+                ensure!(self.dir.join(maps).is_file(), "missing maps: {}", self.dir.join(maps).display());
             }
         }
         Ok(())
@@ -117,7 +124,7 @@ mod tests {
             frame_index: 3,
             time_secs: 0.25,
             image: "images/a.png".into(),
-            depth: None,
+            maps: None,
         };
         let renders = Renders {
             dir: dir.to_path_buf(),

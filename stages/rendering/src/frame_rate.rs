@@ -60,7 +60,7 @@ fn time_frame(player: &Player, time_secs: f64, camera: &PinholeCamera) -> anyhow
     let mut tape = Tape::new(Device::Cpu);
     let splats = player.splats(&mut tape, time_secs, camera)?;
     let motion_secs = lap();
-    let rendered = player.rasterize(&mut tape, &splats, camera, &player.raster_settings())?;
+    let rendered = player.rasterize(&mut tape, &splats, None, camera, &player.raster_settings())?;
     let raster_secs = lap();
     let encoded = encode_rgb(&to_image(tape.value(rendered.color)))?;
     let delivery_secs = lap();

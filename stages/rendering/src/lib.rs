@@ -5,10 +5,12 @@ pub mod export;
 pub mod frame_rate;
 pub mod params;
 pub mod run;
+pub mod surfaces;
 #[cfg(test)]
 mod tests;
 
 pub use artifact::{RenderedView, Renders};
 pub use frame_rate::FrameRate;
-pub use params::RenderingParams;
+pub use params::{Maps, RenderingParams};
 pub use run::Rendering;
+pub use surfaces::SurfaceMaps;

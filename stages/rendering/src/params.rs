@@ -9,12 +9,25 @@ use serde::{Deserialize, Serialize};
 pub struct RenderingParams {
     /// Which of the capture's views are rendered.
     pub split: Split,
-    /// Whether depth is written too (EXR, Σ z·α·T, scene units).
-    pub depth: bool,
+    /// Whether coverage, depth, velocity and flow of the surfaces are written too.
+    pub maps: Maps,
+}
+
+/// When surfaces are rendered beside colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Maps {
+    /// For views of which the capture knows them exactly, so that they can be measured.
+    #[default]
+    Known,
+    /// For every view.
+    All,
+    /// For none.
+    None,
 }
 
 impl Default for RenderingParams {
     fn default() -> Self {
-        Self { split: Split::Test, depth: false }
+        Self { split: Split::Test, maps: Maps::Known }
     }
 }

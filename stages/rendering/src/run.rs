@@ -4,16 +4,16 @@ use std::path::Path;
 
 use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
 use image::RgbImage;
-use scene::maps::DepthMap;
 use scene::{Capture, View, image_file};
-use shaders::splat::{PinholeCamera, RasterSettings};
+use shaders::splat::PinholeCamera;
 use shaders::tape::{Device, Tape, Tensor};
 use training::player::Player;
 use training::{CaptureArtifact, Model};
 
 use crate::artifact::{RenderedView, Renders};
 use crate::frame_rate::{self, FrameRate, FrameTimes};
-use crate::params::RenderingParams;
+use crate::params::{Maps, RenderingParams};
+use crate::surfaces::surfaces;
 
 /// The stage that renders.
 pub struct Rendering;
@@ -64,11 +64,17 @@ pub fn render(
         return Err(Failure::new(FailureKind::BadInput, message).at(&capture.dir).into());
     }
     std::fs::create_dir_all(out.join("images"))?;
-    if params.depth {
-        std::fs::create_dir_all(out.join("depth"))?;
-    }
-    let rendered =
-        views.iter().map(|view| render_view(&player, view, params.depth, out)).collect::<anyhow::Result<_>>()?;
+    let render_one = |view: &&View| {
+        let mut rendered = render_view(&player, view, out)?;
+        if wants_maps(params.maps, view) {
+            let file = Path::new("maps").join(format!("{}.exr", view.name));
+            std::fs::create_dir_all(out.join("maps"))?;
+            surfaces(&player, view, capture.time_map.frame_secs)?.write(&out.join(&file))?;
+            rendered.maps = Some(file);
+        }
+        Ok(rendered)
+    };
+    let rendered = views.iter().map(render_one).collect::<anyhow::Result<_>>()?;
     let moments: Vec<_> = views.iter().map(|view| (view.time_secs, PinholeCamera::from(&view.camera))).collect();
     let times = frame_rate::measure(&player, &moments)?;
     let renders = Renders {
@@ -84,12 +90,20 @@ pub fn render(
     Ok((renders, times))
 }
 
-fn render_view(player: &Player, view: &View, with_depth: bool, out: &Path) -> anyhow::Result<RenderedView> {
+/// Whether a view's surfaces are rendered.
+fn wants_maps(maps: Maps, view: &View) -> bool {
+    match maps {
+        Maps::Known => view.depth.is_some() || view.velocity.is_some() || view.flow.is_some(),
+        Maps::All => true,
+        Maps::None => false,
+    }
+}
+
+fn render_view(player: &Player, view: &View, out: &Path) -> anyhow::Result<RenderedView> {
     let camera = PinholeCamera::from(&view.camera);
     let mut tape = Tape::new(Device::Cpu);
     let splats = player.splats(&mut tape, view.time_secs, &camera)?;
-    let settings = RasterSettings { depth: with_depth, ..player.raster_settings() };
-    let rendered = player.rasterize(&mut tape, &splats, &camera, &settings)?;
+    let rendered = player.rasterize(&mut tape, &splats, None, &camera, &player.raster_settings())?;
     let color = tape.value(rendered.color);
     if !color.is_finite() {
         let message = format!("the render of view {} has values that are not finite", view.name);
@@ -97,14 +111,8 @@ fn render_view(player: &Player, view: &View, with_depth: bool, out: &Path) -> an
     }
     let image = Path::new("images").join(format!("{}.png", view.name));
     image_file::write_rgb(&out.join(&image), &to_image(color))?;
-    let depth = rendered.depth.map(|_| Path::new("depth").join(format!("{}.exr", view.name)));
-    if let (Some(file), Some(values)) = (&depth, rendered.depth) {
-        let depth_view = tape.value(values).as_slice().to_vec();
-        let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        DepthMap { width, height, depth_view }.write(&out.join(file))?;
-    }
     let View { name, camera_index, frame_index, time_secs, .. } = view.clone();
-    Ok(RenderedView { name, camera_index, frame_index, time_secs, image, depth })
+    Ok(RenderedView { name, camera_index, frame_index, time_secs, image, maps: None })
 }
 
 /// [H, W, 3] to 8 bit: clamped to [0, 1], rounded half up.

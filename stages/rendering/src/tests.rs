@@ -10,11 +10,12 @@ use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Prot
 use shaders::splat::PinholeCamera;
 use training::player::Player;
 use training::run::{Watch, train};
+use training::supplements::NOTHING;
 use training::{Model, TrainingParams};
 
 use crate::export::ply_sequence;
 use crate::run::{render, to_image};
-use crate::{FrameRate, Rendering, RenderingParams, Renders};
+use crate::{FrameRate, Maps, Rendering, RenderingParams, Renders};
 
 const SIZE: u32 = 20;
 
@@ -86,7 +87,7 @@ fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
     }))
     .unwrap();
     let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
-    let (model, _) = train(capture.clone(), &params, &watch).unwrap().unwrap();
+    let (model, _) = train(capture.clone(), &NOTHING, &params, &watch).unwrap().unwrap();
     model.save(&model_dir).unwrap();
     (dir, model, capture)
 }
@@ -95,7 +96,7 @@ fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
 fn images_are_the_players_images_in_the_captures_order() {
     let (dir, model, capture) = trained("deformable4dgs");
     let out = dir.path().join("renders");
-    let params = RenderingParams { depth: true, ..RenderingParams::default() };
+    let params = RenderingParams { maps: Maps::All, ..RenderingParams::default() };
     let (renders, times) = render(&model, &capture, &params, &out).unwrap();
     let read = Renders::open(&out).unwrap();
     read.check().unwrap();
@@ -108,7 +109,7 @@ fn images_are_the_players_images_in_the_captures_order() {
         assert_eq!(rendered.name, view.name);
         let expected = to_image(&player.render(view.time_secs, &PinholeCamera::from(&view.camera)).unwrap());
         assert_eq!(image_file::read_rgb(&renders.image_path(rendered)).unwrap(), expected);
-        assert!(out.join(rendered.depth.as_ref().unwrap()).is_file());
+        assert!(out.join(rendered.maps.as_ref().unwrap()).is_file());
     }
 }
 
@@ -133,7 +134,8 @@ fn the_stage_renders_from_the_reloaded_model_and_measures_three_rates() {
     assert!(median("fps_raster") >= median("fps_model") && median("fps_model") >= median("fps_delivered"));
     assert!(median("fps_delivered") > 0.0);
     // A split without views is an error that says so.
-    let error = Rendering::run(&context, &RenderingParams { split: Split::Val, depth: false }).unwrap_err();
+    let error =
+        Rendering::run(&context, &RenderingParams { split: Split::Val, ..RenderingParams::default() }).unwrap_err();
     assert!(error.to_string().contains("no val views"), "{error}");
 }
 

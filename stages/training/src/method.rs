@@ -117,6 +117,12 @@ pub trait Method<T: Real>: Send + Sync {
     /// The Gaussians at one moment: the motion model.
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars>;
 
+    /// Which rows of the model [`Method::splats`] returns at a moment, where that changes with the moment; `None`: all
+    /// of them, in order.
+    fn rows(&self, _tape: &mut Tape<T>, _model: &Variables, _moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
+        Ok(None)
+    }
+
     /// The losses of one step, given to [`Step::add_loss`]; by default the photometric loss of the step's views.
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         photometric_losses(self, step)

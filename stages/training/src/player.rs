@@ -1,9 +1,11 @@
 //! A trained model put to use: Gaussians and images at any time, from any camera.
 
+use std::collections::BTreeMap;
+
 use anyhow::Context as _;
 use scene::Gaussians;
 use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars};
-use shaders::tape::{Device, Tape, Tensor};
+use shaders::tape::{Device, Tape, Tensor, Var};
 
 use crate::artifact::Model;
 use crate::bases::gaussians::baked;
@@ -19,6 +21,33 @@ pub struct Player {
     scene: SceneFacts,
     phase: String,
     sh_degree: usize,
+}
+
+/// Gaussians' positions at one time, and how to find the same Gaussian at another.
+#[derive(Clone, Debug)]
+pub struct Positions {
+    /// [N, 3], world.
+    pub world: Vec<[f32; 3]>,
+    rows: Option<Vec<u32>>,
+    by_row: BTreeMap<u32, usize>,
+}
+
+impl Positions {
+    fn new(world: Vec<[f32; 3]>, rows: Option<Vec<u32>>) -> Self {
+        let by_row = rows.iter().flatten().enumerate().map(|(at, &row)| (row, at)).collect();
+        Self { world, rows, by_row }
+    }
+
+    /// The model's row that the Gaussian at `index` is.
+    pub fn row(&self, index: usize) -> u32 {
+        self.rows.as_ref().map_or(index as u32, |rows| rows[index])
+    }
+
+    /// Where the Gaussian of a model's row is, if it is there at this time.
+    pub fn of_row(&self, row: u32) -> Option<[f32; 3]> {
+        let at = if self.rows.is_some() { *self.by_row.get(&row)? } else { row as usize };
+        self.world.get(at).copied()
+    }
 }
 
 impl Player {
@@ -50,9 +79,28 @@ impl Player {
     /// Motion model only: the Gaussians at a time, on a tape.
     pub fn splats(&self, tape: &mut Tape<f32>, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<SplatVars> {
         let model = self.state.bind(tape, |_| false);
+        self.method.splats(tape, &model, &self.moment(time_secs, camera))
+    }
+
+    /// The first and the last second of the capture.
+    pub fn time_range_secs(&self) -> [f64; 2] {
+        [self.scene.time_map.start_secs, self.scene.time_map.end_secs]
+    }
+
+    /// Where the Gaussians are at a time, and which rows of the model they are.
+    pub fn positions(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Positions> {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = self.state.bind(&mut tape, |_| false);
+        let moment = self.moment(time_secs, camera);
+        let splats = self.method.splats(&mut tape, &model, &moment)?;
+        let rows = self.method.rows(&mut tape, &model, &moment)?;
+        let world = tape.value(splats.positions).as_slice().as_chunks().0.to_vec();
+        Ok(Positions::new(world, rows))
+    }
+
+    fn moment<'m>(&'m self, time_secs: f64, camera: &'m PinholeCamera) -> Moment<'m> {
         let time = self.scene.time_map.normalized(time_secs);
-        let moment = Moment { scene: &self.scene, phase: &self.phase, time, camera, sh_degree: self.sh_degree };
-        self.method.splats(tape, &model, &moment)
+        Moment { scene: &self.scene, phase: &self.phase, time, camera, sh_degree: self.sh_degree }
     }
 
     /// Rasterisation only.
@@ -60,17 +108,18 @@ impl Player {
         &self,
         tape: &mut Tape<f32>,
         splats: &SplatVars,
+        features: Option<Var>,
         camera: &PinholeCamera,
         settings: &RasterSettings,
     ) -> anyhow::Result<Rendered> {
-        Ok(splat::render(tape, splats, None, camera, settings).map_err(too_large)?)
+        Ok(splat::render(tape, splats, features, camera, settings).map_err(too_large)?)
     }
 
     /// [H, W, 3] colour at a time of the capture.
     pub fn render(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Tensor<f32>> {
         let mut tape = Tape::new(Device::Cpu);
         let splats = self.splats(&mut tape, time_secs, camera)?;
-        let rendered = self.rasterize(&mut tape, &splats, camera, &self.raster_settings())?;
+        let rendered = self.rasterize(&mut tape, &splats, None, camera, &self.raster_settings())?;
         Ok(tape.value(rendered.color).clone())
     }
 
