@@ -8,11 +8,11 @@ use engine::{Artifact, Failure, FailureKind};
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::metrics::psnr_from_mse;
+use crate::metrics::{MovingError, psnr_from_mse};
 use crate::{Metric, Quantise, Score};
 
 /// The version of the metrics' definitions: numbers of different versions share no column.
-pub const METRIC_VERSION: u32 = 1;
+pub const METRIC_VERSION: u32 = 2;
 
 const FILE: &str = "metrics.json";
 
@@ -50,6 +50,9 @@ pub struct ImageMetrics {
     pub mse: f64,
     /// The per-image metrics.
     pub values: BTreeMap<Metric, Score>,
+    /// The error on moving surfaces, where the capture knows them.
+    #[serde(default)]
+    pub moving: Option<MovingError>,
     /// What a reader should know before trusting the values.
     pub remarks: BTreeSet<Remark>,
 }
@@ -69,16 +72,19 @@ pub enum Remark {
 impl Metrics {
     /// Means of the per-image values, and the pooled figures that are in `wanted`.
     ///
-    /// A metric that is undefined for any image has no mean: a mean over the others would be one over another set.
+    /// An image metric that is undefined for any image has no mean: a mean over the others would be one over another
+    /// set. A figure of surfaces is a mean over the images that show such surfaces, and absent where no truth is known.
     pub fn means_of(images: &[ImageMetrics], wanted: &BTreeSet<Metric>) -> BTreeMap<Metric, Score> {
         let mean = |metric: &Metric| {
             let score = match metric {
                 Metric::PsnrPooled => pooled_psnr(images),
+                Metric::PsnrEmerging => emerging_psnr(images)?,
+                metric if metric.is_of_surfaces() => mean_where_defined(images, *metric)?,
                 _ => mean_score(images, *metric),
             };
-            (*metric, score)
+            Some((*metric, score))
         };
-        wanted.iter().map(mean).collect()
+        wanted.iter().filter_map(mean).collect()
     }
 
     /// Who judged what: numbers share a column only if their protocols and these lines are equal.
@@ -125,6 +131,8 @@ impl Artifact for Metrics {
         let names: BTreeSet<_> = self.images.iter().map(|image| &image.name).collect();
         ensure!(names.len() == self.images.len(), "two images have the same name");
         for image in &self.images {
+            let moving_is_finite = image.moving.is_none_or(|moving| moving.mse.is_finite() && moving.pixels > 0);
+            ensure!(moving_is_finite, "the error on moving surfaces of {} is not finite", image.name);
             ensure!(image.mse.is_finite() && image.mse >= 0.0, "mean squared error of {} is {}", image.name, image.mse);
             check_scores(&image.values).with_context(|| format!("image {}", image.name))?;
         }
@@ -153,6 +161,31 @@ fn mean_score(images: &[ImageMetrics], metric: Metric) -> Score {
         }
     }
     if images.is_empty() { Score::undefined("no images") } else { Score::Value(sum / images.len() as f64) }
+}
+
+/// The mean over the images that define the figure; `None` where no image knows the truth.
+fn mean_where_defined(images: &[ImageMetrics], metric: Metric) -> Option<Score> {
+    let scores: Vec<&Score> = images.iter().filter_map(|image| image.values.get(&metric)).collect();
+    let values: Vec<f64> = scores.iter().filter_map(|score| score.value()).collect();
+    let first = scores.first()?;
+    Some(if values.is_empty() {
+        (*first).clone()
+    } else {
+        Score::Value(values.iter().sum::<f64>() / values.len() as f64)
+    })
+}
+
+/// PSNR on moving surfaces over the images that see less than half as much of them as the one that sees most.
+fn emerging_psnr(images: &[ImageMetrics]) -> Option<Score> {
+    let moving: Vec<&MovingError> = images.iter().filter_map(|image| image.moving.as_ref()).collect();
+    let most = moving.iter().map(|error| error.pixels).max()?;
+    let hidden: Vec<_> = moving.iter().filter(|error| 2 * error.pixels < most).collect();
+    let pixels: usize = hidden.iter().map(|error| error.pixels).sum();
+    if pixels == 0 {
+        return Some(Score::undefined("nothing that moves is ever half hidden"));
+    }
+    let sum: f64 = hidden.iter().map(|error| error.mse * error.pixels as f64).sum();
+    Some(Score::Value(psnr_from_mse(sum / pixels as f64)))
 }
 
 fn pooled_psnr(images: &[ImageMetrics]) -> Score {

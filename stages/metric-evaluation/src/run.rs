@@ -5,11 +5,12 @@ use std::path::PathBuf;
 
 use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Stage};
 use rayon::prelude::*;
-use rendering::Renders;
+use rendering::{RenderedView, Renders};
+use scene::{Capture, View};
 
 use crate::artifact::empty_set;
-use crate::metrics::{judge, mean_squared_error};
-use crate::{Background, Image, ImageMetrics, METRIC_VERSION, MetricEvaluationParams, Metrics, Remark};
+use crate::metrics::{Truths, judge, judge_surfaces, mean_squared_error, psnr_of_moving};
+use crate::{Background, Image, ImageMetrics, METRIC_VERSION, Metric, MetricEvaluationParams, Metrics, Remark};
 
 /// The stage `metric-evaluation`.
 pub struct MetricEvaluation;
@@ -24,7 +25,7 @@ impl Stage for MetricEvaluation {
     type Output = Metrics;
 
     const ID: &'static str = "metric-evaluation";
-    const ABOUT: &'static str = "judges rendered views against the capture's images: PSNR, SSIM, MS-SSIM";
+    const ABOUT: &'static str = "judges rendered views against the capture's images (PSNR, SSIM, MS-SSIM) and exact maps (velocity, flow, depth)";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<Renders>("renders"), Port::one::<TrueImages>("capture")]
@@ -55,7 +56,11 @@ impl Stage for MetricEvaluation {
             if context.should_stop() {
                 return Err(context.interrupted());
             }
-            images.extend(pool.install(|| evaluate_pairs(pairs_of_batch, params, None))?.0);
+            let mut judged = pool.install(|| evaluate_pairs(pairs_of_batch, params, None))?.0;
+            pool.install(|| {
+                judged.par_iter_mut().try_for_each(|image| add_surfaces(image, &renders, &capture, params))
+            })?;
+            images.extend(judged);
             context.progress(images.len() as u64, pairs.len() as u64, "images judged");
         }
         let metrics = Metrics {
@@ -172,7 +177,69 @@ fn evaluate_pair(
         camera_index: pair.camera_index,
         mse: mean_squared_error(&render, &truth),
         values: judge(&render, &truth, &params.metrics),
+        moving: None,
         remarks,
     };
     Ok((scored, [render.width as u32, render.height as u32]))
+}
+
+/// Judges the surfaces of one image, as far as the capture knows them exactly.
+fn add_surfaces(
+    image: &mut ImageMetrics,
+    renders: &Renders,
+    capture: &Capture,
+    params: &MetricEvaluationParams,
+) -> anyhow::Result<()> {
+    let view = capture.views.iter().find(|view| view.name == image.name);
+    let rendered = renders.views.iter().find(|view| view.name == image.name);
+    let (Some(view), Some(rendered)) = (view, rendered) else { return Ok(()) };
+    if !params.metrics.iter().any(|metric| metric.is_of_surfaces()) {
+        return Ok(());
+    }
+    let truths = Truths {
+        depth: capture.load_depth(view)?,
+        velocity: capture.load_velocity(view)?,
+        flow: capture.load_flow(view)?,
+    };
+    if let Some(moving) = truths.moving() {
+        add_moving(image, &moving, [renders.image_path(rendered), capture.dir.join(&view.image)], params)?;
+    }
+    if let Some(maps) = load_maps(renders, rendered, view)? {
+        image.values.extend(judge_surfaces(&maps, &truths, &params.metrics));
+    }
+    Ok(())
+}
+
+/// Adds the error on moving surfaces of the render and the true image at `paths`.
+fn add_moving(
+    image: &mut ImageMetrics,
+    moving: &[bool],
+    paths: [PathBuf; 2],
+    params: &MetricEvaluationParams,
+) -> anyhow::Result<()> {
+    let [render, truth] = paths.map(|path| Image::read(&path, params.quantise, None));
+    let (score, error) = psnr_of_moving(&render?, &truth?, moving);
+    image.moving = error;
+    if params.metrics.contains(&Metric::PsnrMoving) {
+        image.values.insert(Metric::PsnrMoving, score);
+    }
+    Ok(())
+}
+
+/// The surfaces that a render shows, of the view's size.
+fn load_maps(
+    renders: &Renders,
+    rendered: &RenderedView,
+    view: &View,
+) -> anyhow::Result<Option<rendering::SurfaceMaps>> {
+    let maps = renders.load_maps(rendered)?;
+    let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+    match maps {
+        Some(maps) if (maps.width, maps.height) != size => {
+            let message =
+                format!("maps of {} are {}×{} px instead of {}×{}", view.name, maps.width, maps.height, size.0, size.1);
+            Err(Failure::new(FailureKind::BadInput, message).at(&renders.dir).into())
+        }
+        maps => Ok(maps),
+    }
 }

@@ -78,7 +78,7 @@ fn write_renders(dir: &Path, capture: &Capture) -> Renders {
             frame_index: view.frame_index,
             time_secs: view.time_secs,
             image,
-            depth: None,
+            maps: None,
         }
     };
     let renders = Renders {

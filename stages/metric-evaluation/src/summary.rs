@@ -28,7 +28,8 @@ impl Metrics {
     fn summary_row(&self, metric: Metric, mean: &Score) -> [String; 4] {
         let number = |value: f64| format!("{value:.*} {}", metric.decimals(), metric.unit()).trim_end().to_owned();
         let values = self.images.iter().filter_map(|image| Some((image.values.get(&metric)?.value()?, &image.name)));
-        let worst = values.min_by(|a, b| a.0.total_cmp(&b.0));
+        let by_value = |a: &(f64, &String), b: &(f64, &String)| a.0.total_cmp(&b.0);
+        let worst = if metric.higher_is_better() { values.min_by(by_value) } else { values.max_by(by_value) };
         [
             metric.heading().into(),
             mean.value().map_or("undefined".into(), number),

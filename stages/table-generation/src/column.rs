@@ -17,6 +17,20 @@ pub enum Column {
     SsimValid,
     /// [`Metric::MsSsim`].
     MsSsim,
+    /// [`Metric::PsnrMoving`].
+    PsnrMoving,
+    /// [`Metric::PsnrEmerging`].
+    PsnrEmerging,
+    /// [`Metric::VelocityError`].
+    VelocityError,
+    /// [`Metric::FlowError`].
+    FlowError,
+    /// [`Metric::DepthError`].
+    DepthError,
+    /// [`Metric::HoleArea`].
+    HoleArea,
+    /// [`Metric::FloaterArea`].
+    FloaterArea,
     /// Seconds of training without evaluation.
     TrainingSecs,
     /// Gaussians in the model.
@@ -46,12 +60,19 @@ pub enum Column {
 
 impl Column {
     /// Every column, in the order of the CSV file.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 23] = [
         Self::Psnr,
         Self::PsnrPooled,
         Self::Ssim,
         Self::SsimValid,
         Self::MsSsim,
+        Self::PsnrMoving,
+        Self::PsnrEmerging,
+        Self::VelocityError,
+        Self::FlowError,
+        Self::DepthError,
+        Self::HoleArea,
+        Self::FloaterArea,
         Self::TrainingSecs,
         Self::Gaussians,
         Self::SizeMb,
@@ -81,6 +102,17 @@ impl Column {
     /// The columns of the table of time to quality.
     pub const TIME_TO_QUALITY: [Self; 4] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99, Self::TrainingSecs];
 
+    /// The columns of the table of surfaces, where captures know them exactly.
+    pub const SURFACES: [Self; 7] = [
+        Self::PsnrMoving,
+        Self::PsnrEmerging,
+        Self::VelocityError,
+        Self::FlowError,
+        Self::DepthError,
+        Self::HoleArea,
+        Self::FloaterArea,
+    ];
+
     /// The column of a metric.
     pub fn of_metric(metric: Metric) -> Self {
         match metric {
@@ -89,6 +121,13 @@ impl Column {
             Metric::Ssim => Self::Ssim,
             Metric::SsimValid => Self::SsimValid,
             Metric::MsSsim => Self::MsSsim,
+            Metric::PsnrMoving => Self::PsnrMoving,
+            Metric::PsnrEmerging => Self::PsnrEmerging,
+            Metric::VelocityError => Self::VelocityError,
+            Metric::FlowError => Self::FlowError,
+            Metric::DepthError => Self::DepthError,
+            Metric::HoleArea => Self::HoleArea,
+            Metric::FloaterArea => Self::FloaterArea,
         }
     }
 
@@ -110,9 +149,7 @@ impl Column {
             Self::SecsTo99 => "secs_to_99",
             Self::MsPerIteration => "ms_per_iteration",
             Self::PeakMemoryMb => "peak_memory_mb",
-            Self::Psnr | Self::PsnrPooled | Self::Ssim | Self::SsimValid | Self::MsSsim => {
-                self.metric().map_or("", Metric::key)
-            }
+            _ => self.metric().map_or("", Metric::key),
         }
     }
 
@@ -130,9 +167,7 @@ impl Column {
             Self::SecsTo99 => ("99 %", "s"),
             Self::MsPerIteration => ("iteration", "ms"),
             Self::PeakMemoryMb => ("peak memory", "MB"),
-            Self::Psnr | Self::PsnrPooled | Self::Ssim | Self::SsimValid | Self::MsSsim => {
-                self.metric().map_or(("", ""), |metric| (metric.heading(), metric.unit()))
-            }
+            _ => self.metric().map_or(("", ""), |metric| (metric.heading(), metric.unit())),
         };
         if unit.is_empty() { name.into() } else { format!("{name} ({unit})") }
     }
@@ -149,7 +184,8 @@ impl Column {
 
     /// Whether more is better.
     pub fn higher_is_better(self) -> bool {
-        self.metric().is_some() || matches!(self, Self::FpsRaster | Self::FpsModel | Self::FpsDelivered)
+        let is_rate = matches!(self, Self::FpsRaster | Self::FpsModel | Self::FpsDelivered);
+        self.metric().map_or(is_rate, Metric::higher_is_better)
     }
 
     /// Whether the value depends on the machine, so that ranks need one machine.

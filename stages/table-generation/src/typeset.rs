@@ -23,7 +23,8 @@ pub fn document(report: &Report, params: &TableGenerationParams) -> Document {
         blocks.push(Block::Heading(format!("Protocol {}: {}", group.name, group.protocol.dataset)));
         blocks.push(Block::Paragraph(protocol_text(group)));
         blocks.push(Block::Table(headline_table(group)));
-        blocks.push(Block::Table(scene_table(group)));
+        blocks.push(Block::Table(scene_table(group, Column::Psnr)));
+        blocks.extend(surface_tables(group).map(Block::Table));
         blocks.extend(group.claims.iter().map(|claims| Block::Table(claim_table(claims))));
     }
     let figures = figures(report, params);
@@ -89,26 +90,48 @@ fn cell_text(cell: &Cell, column: Column) -> Text {
     Text { text: number(mean, column.decimals()) + &spread, rank: cell.rank.unwrap_or(0) }
 }
 
-fn scene_table(group: &Group) -> Table {
+/// One figure, a column per scene and their mean.
+fn scene_table(group: &Group, column: Column) -> Table {
     let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(["mean".into()]).collect();
-    let mut table = Table::new(format!("Protocol {}: PSNR (dB) per scene", group.name), header);
+    let mut table = Table::new(format!("Protocol {}: {} per scene", group.name, column.heading()), header);
     for row in &group.rows {
-        let scene_text = |scene: &String| {
-            let cell = row.by_scene.get(scene).and_then(|cells| cells.get(&Column::Psnr));
-            cell.map(scene_cell_text).unwrap_or_default()
-        };
-        let mut cells = vec![Text::plain(&row.name)];
-        cells.extend(group.scenes.iter().map(scene_text));
-        let mean = row.headline.get(&Column::Psnr).map(|cell| mean_text(cell, Column::Psnr, &mut table));
+        let mut cells = scene_cells(row, &group.scenes, column);
+        let mean = row.headline.get(&column).map(|cell| mean_text(cell, column, &mut table));
         cells.push(mean.unwrap_or_default());
         table.rows.push(cells);
     }
     table
 }
 
-/// A PSNR, with `2/3` where seeds are missing; what failed stands in place of the number.
-fn scene_cell_text(cell: &Cell) -> Text {
-    let mut text = cell_text(cell, Column::Psnr);
+/// The figures of surfaces that any run has, one table each, over the scenes that define it.
+fn surface_tables(group: &Group) -> impl Iterator<Item = Table> {
+    Column::SURFACES.into_iter().filter_map(|column| {
+        let is_defined = |scene: &&String| {
+            let cell = |row: &Row| row.by_scene.get(*scene)?.get(&column)?.mean;
+            group.rows.iter().any(|row| cell(row).is_some())
+        };
+        let scenes: Vec<String> = group.scenes.iter().filter(is_defined).cloned().collect();
+        let header = ["method".into()].into_iter().chain(scenes.iter().cloned()).collect();
+        let better = if column.higher_is_better() { "more" } else { "less" };
+        let caption = format!("Protocol {}: {} per scene ({better} is better)", group.name, column.heading());
+        let mut table = Table::new(caption, header);
+        table.rows = group.rows.iter().map(|row| scene_cells(row, &scenes, column)).collect();
+        (!scenes.is_empty()).then_some(table)
+    })
+}
+
+/// The row's name and its figure in every scene.
+fn scene_cells(row: &Row, scenes: &[String], column: Column) -> Vec<Text> {
+    let text = |scene: &String| {
+        let cell = row.by_scene.get(scene).and_then(|cells| cells.get(&column));
+        cell.map(|cell| scene_cell_text(cell, column)).unwrap_or_default()
+    };
+    [Text::plain(&row.name)].into_iter().chain(scenes.iter().map(text)).collect()
+}
+
+/// A figure, with `2/3` where seeds are missing; what failed stands in place of the number.
+fn scene_cell_text(cell: &Cell, column: Column) -> Text {
+    let mut text = cell_text(cell, column);
     if cell.mean.is_none() {
         text.text = cell.reason.clone().unwrap_or_else(|| NONE.into());
     } else if cell.n < cell.n_expected {
@@ -128,7 +151,7 @@ fn claim_table(claims: &ClaimTable) -> Table {
     let mut table = Table::new(format!("{}: PSNR (dB) beside published values", claims.row), header);
     for (i, (line, measured)) in claims.lines.iter().zip(&claims.measured).enumerate() {
         let is_mean = i + 1 == claims.lines.len();
-        let ours = if is_mean { cell_text(measured, Column::Psnr) } else { scene_cell_text(measured) };
+        let ours = if is_mean { cell_text(measured, Column::Psnr) } else { scene_cell_text(measured, Column::Psnr) };
         let mut cells = vec![Text::plain(line), Text { rank: 0, ..ours }];
         cells.extend(claims.columns.iter().map(|column| Text::plain(claim_text(column, i, claims))));
         table.rows.push(cells);

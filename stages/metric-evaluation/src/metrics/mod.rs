@@ -1,8 +1,10 @@
-//! Full-reference image metrics in f64, each by the definition that the splatting literature uses.
+//! Full-reference metrics in f64: of images, each by the definition that the splatting literature uses, and of surfaces
+//! where a capture knows them exactly.
 
 mod ms_ssim;
 mod psnr;
 mod ssim;
+mod surfaces;
 #[cfg(test)]
 mod tests;
 
@@ -13,10 +15,11 @@ use serde::{Deserialize, Serialize};
 pub use ms_ssim::ms_ssim;
 pub use psnr::{PSNR_CAP_DB, mean_squared_error, psnr_from_mse};
 pub use ssim::{SsimMeans, ssim_means};
+pub use surfaces::{MovingError, Truths, judge_surfaces, psnr_of_moving};
 
 use crate::Image;
 
-/// A figure of image quality; all of them are better when higher.
+/// A figure of quality: of images, or of the surfaces that they show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Metric {
@@ -30,42 +33,111 @@ pub enum Metric {
     SsimValid,
     /// Multi-scale SSIM over five scales (`pytorch_msssim`).
     MsSsim,
+    /// PSNR over the pixels whose true surface moves.
+    PsnrMoving,
+    /// The same, pooled over the images in which less than half as much of the moving surface is seen as in the image
+    /// that sees most of it: while it goes behind something, and when it comes back. Defined for a set only.
+    PsnrEmerging,
+    /// Mean distance between rendered and true velocity of moving surfaces, scene units per second.
+    VelocityError,
+    /// Mean end-point error of the flow to the next frame on moving surfaces, pixels.
+    FlowError,
+    /// Mean difference in view-space z where render and truth show a surface, scene units.
+    DepthError,
+    /// Share of the truly covered pixels where the render covers less than half.
+    HoleArea,
+    /// Share of all pixels where the render shows a surface that is more than a tenth nearer than the true one, or
+    /// where there is none.
+    FloaterArea,
+}
+
+/// What a metric is called, how it is printed, and what it is computed from.
+struct Definition {
+    key: &'static str,
+    heading: &'static str,
+    unit: &'static str,
+    decimals: usize,
+    higher_is_better: bool,
+    of_surfaces: bool,
 }
 
 impl Metric {
     /// Every metric, in the order of tables.
-    pub const ALL: [Self; 5] = [Self::Psnr, Self::PsnrPooled, Self::Ssim, Self::SsimValid, Self::MsSsim];
+    pub const ALL: [Self; 12] = [
+        Self::Psnr,
+        Self::PsnrPooled,
+        Self::Ssim,
+        Self::SsimValid,
+        Self::MsSsim,
+        Self::PsnrMoving,
+        Self::PsnrEmerging,
+        Self::VelocityError,
+        Self::FlowError,
+        Self::DepthError,
+        Self::HoleArea,
+        Self::FloaterArea,
+    ];
+
+    fn definition(self) -> Definition {
+        let image = |key, heading, unit, decimals| Definition {
+            key,
+            heading,
+            unit,
+            decimals,
+            higher_is_better: true,
+            of_surfaces: false,
+        };
+        let error = |key, heading, unit, decimals| Definition {
+            higher_is_better: false,
+            of_surfaces: true,
+            ..image(key, heading, unit, decimals)
+        };
+        let moving = |key, heading| Definition { of_surfaces: true, ..image(key, heading, "dB", 2) };
+        // Decimals of the first five are those that the literature prints.
+        match self {
+            Self::Psnr => image("psnr", "PSNR", "dB", 2),
+            Self::PsnrPooled => image("psnr_pooled", "PSNR pooled", "dB", 2),
+            Self::Ssim => image("ssim", "SSIM", "", 4),
+            Self::SsimValid => image("ssim_valid", "SSIM valid", "", 4),
+            Self::MsSsim => image("ms_ssim", "MS-SSIM", "", 4),
+            Self::PsnrMoving => moving("psnr_moving", "PSNR moving"),
+            Self::PsnrEmerging => moving("psnr_emerging", "PSNR emerging"),
+            Self::VelocityError => error("velocity_error", "velocity error", "1/s", 3),
+            Self::FlowError => error("flow_error", "flow error", "px", 3),
+            Self::DepthError => error("depth_error", "depth error", "", 4),
+            Self::HoleArea => error("hole_area", "holes", "", 4),
+            Self::FloaterArea => error("floater_area", "floaters", "", 4),
+        }
+    }
 
     /// The name in files and parameters.
     pub fn key(self) -> &'static str {
-        match self {
-            Self::Psnr => "psnr",
-            Self::PsnrPooled => "psnr_pooled",
-            Self::Ssim => "ssim",
-            Self::SsimValid => "ssim_valid",
-            Self::MsSsim => "ms_ssim",
-        }
+        self.definition().key
     }
 
     /// The name in tables.
     pub fn heading(self) -> &'static str {
-        match self {
-            Self::Psnr => "PSNR",
-            Self::PsnrPooled => "PSNR pooled",
-            Self::Ssim => "SSIM",
-            Self::SsimValid => "SSIM valid",
-            Self::MsSsim => "MS-SSIM",
-        }
+        self.definition().heading
     }
 
-    /// Decimals that the literature prints, and that ranks are decided on.
+    /// Decimals in tables, and that ranks are decided on.
     pub fn decimals(self) -> usize {
-        if matches!(self, Self::Psnr | Self::PsnrPooled) { 2 } else { 4 }
+        self.definition().decimals
     }
 
-    /// `dB`, or nothing for an index.
+    /// `dB`, `px`, or nothing for an index, a share and scene units.
     pub fn unit(self) -> &'static str {
-        if matches!(self, Self::Psnr | Self::PsnrPooled) { "dB" } else { "" }
+        self.definition().unit
+    }
+
+    /// Whether more is better.
+    pub fn higher_is_better(self) -> bool {
+        self.definition().higher_is_better
+    }
+
+    /// Whether the figure needs maps that are exact; it is absent where the capture has none.
+    pub fn is_of_surfaces(self) -> bool {
+        self.definition().of_surfaces
     }
 }
 

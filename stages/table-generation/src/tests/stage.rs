@@ -56,7 +56,7 @@ fn write_artifacts(root: &Path) {
         frame_index: 0,
         time_secs: 0.0,
         image: "images/test_0.png".into(),
-        depth: None,
+        maps: None,
     };
     let rendered = Renders {
         dir: renders.clone(),
