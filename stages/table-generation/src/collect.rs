@@ -11,7 +11,7 @@ use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 use training::{Model, ModelHeader};
 
-use crate::Column;
+use crate::{Column, ablation};
 
 /// Hexadecimal digits of an action key that tables show.
 const SHORT_KEY: usize = 12;
@@ -25,6 +25,8 @@ pub struct Run {
     pub row: String,
     /// The method's id, which published values are found by.
     pub method: String,
+    /// The value of the axis [`ablation::AXIS`], where the recipe has it.
+    pub variant: Option<String>,
     /// The seed's axis value.
     pub seed: String,
     /// How the images came to be, as far as the run came to have any.
@@ -225,6 +227,7 @@ impl Run {
         if let Some(method) = coordinates.get("method") {
             self.method.clone_from(method);
         }
+        self.variant = coordinates.get(ablation::AXIS).cloned();
         let named = |name: &str| matches!(name, "scene" | "seed" | "method");
         let others = coordinates.iter().filter(|(name, _)| !named(name));
         self.row = others.fold(self.method.clone(), |row, (name, value)| format!("{row} {name}={value}"));

@@ -3,6 +3,7 @@
 //! [`collect`] joins the inputs of a job to runs; [`Report::new`] groups the runs by protocol and aggregates them;
 //! the rest is typesetting of that one structure.
 
+mod ablation;
 mod artifact;
 mod claims;
 mod collect;

@@ -54,6 +54,8 @@ pub struct Row {
     pub name: String,
     /// The method's id.
     pub method: String,
+    /// Which variant of the method, where the recipe compares several.
+    pub variant: Option<String>,
     /// Means over the scenes, ± over seeds.
     pub headline: BTreeMap<Column, Cell>,
     /// Means over seeds, by scene.
@@ -218,6 +220,7 @@ fn row(name: &str, scenes: &[String], runs: &[&Run]) -> Row {
     Row {
         name: name.into(),
         method: runs.first().map(|run| run.method.clone()).unwrap_or_default(),
+        variant: runs.first().and_then(|run| run.variant.clone()),
         headline: headline.into(),
         by_scene: by_scene.collect(),
         phases: phases

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use crate::ablation::ablation_tables;
 use crate::claims::{ClaimColumn, ClaimTable, Kind, Verdict};
 use crate::curves::figures;
 use crate::document::{Block, Document, Table, Text};
@@ -25,6 +26,7 @@ pub fn document(report: &Report, params: &TableGenerationParams) -> Document {
         blocks.push(Block::Table(headline_table(group)));
         blocks.push(Block::Table(scene_table(group, Column::Psnr)));
         blocks.extend(surface_tables(group).map(Block::Table));
+        blocks.extend(ablation_tables(group).into_iter().map(Block::Table));
         blocks.extend(group.claims.iter().map(|claims| Block::Table(claim_table(claims))));
     }
     let figures = figures(report, params);

@@ -167,3 +167,32 @@ fn time_to_quality_is_the_first_moment_above_the_share() {
     assert!(text(&report).contains("| static3dgs · trex | 40.0 | 60.0 | 80.0 | 130.0 |"), "{}", text(&report));
     assert!(text(&report).contains("| method | blend | custom |"), "{}", text(&report));
 }
+
+#[test]
+fn variants_are_compared_with_the_first_in_quality_and_time() {
+    let variant = |name: &str, psnr: f64| {
+        let mut run = run("trex", "l4dgs", 0, psnr);
+        (run.row, run.variant) = (format!("l4dgs ablation={name}"), Some(name.into()));
+        run
+    };
+    let ablated = report(vec![variant("base", 30.0), variant("full", 31.5), run("trex", "static3dgs", 0, 20.0)]);
+    let text = text(&ablated);
+    assert!(text.contains("ablation of l4dgs, differences to base"), "{text}");
+    assert!(text.contains("| full | 31.50 | +1.50 | 131.5 | +1.5 | – | – |"), "{text}");
+    // A method alone is no ablation.
+    let alone = report(vec![variant("full", 31.5)]);
+    assert!(!super::content::text(&alone).contains("ablation of"));
+}
+
+#[test]
+fn figures_of_surfaces_have_a_table_over_the_scenes_that_define_them() {
+    let mut moving = run("trex", "phys4dgs", 0, 30.0);
+    moving.figures.insert(Column::VelocityError, Score::Value(0.125));
+    let mut still = run("lego", "phys4dgs", 0, 30.0);
+    still.figures.insert(Column::VelocityError, Score::undefined("nothing moves in the image"));
+    let text = text(&report(vec![moving, still]));
+    assert!(text.contains("velocity error (1/s) per scene (less is better)"), "{text}");
+    assert!(text.contains("| method | trex |\n"), "{text}");
+    assert!(text.contains("| phys4dgs | 0.125 |"), "{text}");
+    assert!(!text.contains("flow error"), "{text}");
+}
