@@ -12,6 +12,7 @@ pub mod group_norm;
 pub mod hexplane;
 pub mod linear;
 pub mod losses;
+pub mod point_lookup;
 pub mod pointwise;
 pub mod pooling;
 pub mod positional_encoding;

@@ -1,0 +1,146 @@
+//! Between world and image.
+
+use super::{NOWHERE, PinholeCamera};
+use crate::tape::{Op, Real, Tensor};
+
+/// A camera in the working precision.
+struct Pinhole<T> {
+    focal: [T; 2],
+    center: [T; 2],
+    rotation: [[T; 3]; 3],
+    translation: [T; 3],
+}
+
+impl<T: Real> Pinhole<T> {
+    fn new(camera: &PinholeCamera) -> Self {
+        Self {
+            focal: camera.focal.map(T::from_f64),
+            center: camera.center.map(T::from_f64),
+            rotation: camera.rotation.map(|row| row.map(T::from_f64)),
+            translation: camera.translation.map(T::from_f64),
+        }
+    }
+
+    /// R·X + t.
+    fn view_from_world(&self, point: &[T; 3]) -> [T; 3] {
+        [0, 1, 2].map(|row| self.translation[row] + (0..3).map(|axis| self.rotation[row][axis] * point[axis]).sum())
+    }
+
+    /// R·d.
+    fn rotated_to_view(&self, direction: &[T; 3]) -> [T; 3] {
+        [0, 1, 2].map(|row| (0..3).map(|axis| self.rotation[row][axis] * direction[axis]).sum())
+    }
+
+    /// Rᵀ·d.
+    fn rotated_to_world(&self, direction: &[T; 3]) -> [T; 3] {
+        [0, 1, 2].map(|axis| (0..3).map(|row| self.rotation[row][axis] * direction[row]).sum())
+    }
+
+    /// The direction through a pixel position, scaled to z = 1.
+    fn ray_view(&self, pixel: &[T; 2]) -> [T; 3] {
+        let [x, y] = [0, 1].map(|axis| (pixel[axis] - self.center[axis]) / self.focal[axis]);
+        [x, y, T::ONE]
+    }
+}
+
+/// Points [N, 3] → pixels [N, 2], depths [N].
+pub struct Project<T> {
+    camera: Pinhole<T>,
+    near_view: T,
+}
+
+impl<T: Real> Project<T> {
+    pub fn new(camera: &PinholeCamera, near_view: f64) -> Self {
+        Self { camera: Pinhole::new(camera), near_view: T::from_f64(near_view) }
+    }
+}
+
+impl<T: Real> Op<T> for Project<T> {
+    fn name(&self) -> &'static str {
+        "project_points"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let (points, count) = (inputs[0].as_slice().as_chunks::<3>().0, inputs[0].rows());
+        let (mut pixels, mut depths) = (Vec::with_capacity(2 * count), Vec::with_capacity(count));
+        let Pinhole { focal, center, .. } = self.camera;
+        for point in points {
+            let [x, y, z] = self.camera.view_from_world(point);
+            let in_front = z > self.near_view;
+            let pixel = [focal[0] * x / z + center[0], focal[1] * y / z + center[1]];
+            pixels.extend(if in_front { pixel } else { [T::from_f64(NOWHERE); 2] });
+            depths.push(z);
+        }
+        vec![Tensor::from_vec([count, 2], pixels), Tensor::from_vec([count], depths)]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let [fx, fy] = self.camera.focal;
+        let mut gradient = Vec::with_capacity(inputs[0].len());
+        for (index, point) in inputs[0].as_slice().as_chunks::<3>().0.iter().enumerate() {
+            let [x, y, z] = self.camera.view_from_world(point);
+            let mut d_view = [T::ZERO, T::ZERO, output_grads[1].map_or(T::ZERO, |depth| depth.as_slice()[index])];
+            if let (Some(pixels), true) = (output_grads[0], z > self.near_view) {
+                // u = f·x/z + c: ∂u/∂x = f/z and ∂u/∂z = −f·x/z².
+                let row = pixels.row(index);
+                let (dx, dy) = (row[0] * fx / z, row[1] * fy / z);
+                d_view = [dx, dy, d_view[2] - (dx * x + dy * y) / z];
+            }
+            gradient.extend(self.camera.rotated_to_world(&d_view));
+        }
+        vec![Some(Tensor::from_vec(inputs[0].shape(), gradient))]
+    }
+}
+
+/// Pixels [N, 2], depths [N] → points [N, 3].
+pub struct Unproject<T> {
+    camera: Pinhole<T>,
+}
+
+impl<T: Real> Unproject<T> {
+    pub fn new(camera: &PinholeCamera) -> Self {
+        Self { camera: Pinhole::new(camera) }
+    }
+}
+
+impl<T: Real> Op<T> for Unproject<T> {
+    fn name(&self) -> &'static str {
+        "unproject"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let [pixels, depths] = inputs else { unreachable!("two inputs") };
+        let mut points = Vec::with_capacity(3 * depths.len());
+        for (pixel, &depth) in pixels.as_slice().as_chunks::<2>().0.iter().zip(depths.as_slice()) {
+            let ray = self.camera.ray_view(pixel);
+            let from_center = [0, 1, 2].map(|axis| depth * ray[axis] - self.camera.translation[axis]);
+            points.extend(self.camera.rotated_to_world(&from_center));
+        }
+        vec![Tensor::from_vec([depths.len(), 3], points)]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let ([pixels, depths], Some(d_points)) = (inputs, output_grads[0]) else { return vec![None, None] };
+        let (mut d_pixels, mut d_depths) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(depths.len()));
+        let rows = pixels.as_slice().as_chunks::<2>().0.iter().zip(d_points.as_slice().as_chunks::<3>().0);
+        for ((pixel, d_point), &depth) in rows.zip(depths.as_slice()) {
+            let d_view = self.camera.rotated_to_view(d_point);
+            let ray = self.camera.ray_view(pixel);
+            d_pixels.extend([0, 1].map(|axis| d_view[axis] * depth / self.camera.focal[axis]));
+            d_depths.push((0..3).map(|axis| d_view[axis] * ray[axis]).sum());
+        }
+        vec![Some(Tensor::from_vec(pixels.shape(), d_pixels)), Some(Tensor::from_vec(depths.shape(), d_depths))]
+    }
+}
