@@ -3,7 +3,7 @@
 //! A method reads only what its active effects need; whatever a recipe does not give is empty here.
 
 use image::RgbImage;
-use scene::{Camera, DepthMap, FlowMap, LabelMap, NormalMap, PointCloud};
+use scene::{Camera, DepthMap, FlowMap, LabelMap, NormalMap, PointCloud, VelocityMap};
 use shaders::tape::Tensor;
 
 /// Everything that the optional inputs of a training gave, in memory.
@@ -30,6 +30,8 @@ pub struct ViewPriors {
     pub flow: Option<FlowPrior>,
     /// Surface normals.
     pub normals: Option<NormalMap>,
+    /// Exact velocity of the surfaces; only synthetic captures know it.
+    pub velocity: Option<VelocityMap>,
 }
 
 /// Optical flow of one view, and where it leads.

@@ -6,7 +6,7 @@ use glam::DVec3;
 use image::RgbImage;
 use scene::{
     Camera, Capture, CaptureInfo, CaptureWriter, DepthMap, FlowMap, Frame, Intrinsics, LabelMap, NormalMap, PointCloud,
-    Protocol, Split, TimeMap,
+    Protocol, Split, TimeMap, VelocityMap,
 };
 use shaders::check::noise;
 use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, ShapeVars, SplatVars};
@@ -105,7 +105,7 @@ impl TestScene {
     }
 
     /// Everything that the optional inputs of a training can give, of the training views: exact depth, flow to half a
-    /// second later as the same camera sees it, what moves, and made-up features.
+    /// second later as the same camera sees it, velocity, what moves, and made-up features.
     pub fn supplements(&self, dataset: &Dataset) -> Supplements {
         let views = &dataset.capture.views;
         let mut found = Supplements { features: Some(test_features(views.len())), ..Supplements::default() };
@@ -128,6 +128,9 @@ impl TestScene {
                 (true, false) => [0.0; 2],
             };
             let flow_px = depth_view.iter().zip(&is_moving).map(flow).collect();
+            // The blobs travel within the two seconds of the capture.
+            let velocity = |&moving: &bool| [if moving { 0.5 * self.travel } else { 0.0 }, 0.0, 0.0];
+            let velocity_world = is_moving.iter().map(velocity).collect();
             let labels = is_moving.iter().map(|&moving| u8::from(moving)).collect();
             let normal = |&depth: &f32| if depth > 0.0 { [0.0, 0.0, -1.0] } else { [0.0; 3] };
             let normals_view = depth_view.iter().map(normal).collect();
@@ -139,6 +142,7 @@ impl TestScene {
                     view_to: None,
                 }),
                 normals: Some(NormalMap { width, height, normals_view }),
+                velocity: Some(VelocityMap { width, height, velocity_world }),
                 depth: Some(DepthMap { width, height, depth_view: depth_view.clone() }),
             });
             found.moving.push(Some(LabelMap { width, height, labels }));

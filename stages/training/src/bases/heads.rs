@@ -15,19 +15,26 @@ pub struct HeadedNetwork {
     features: usize,
     width: usize,
     heads: Vec<(&'static str, usize)>,
+    silent_heads: Vec<(&'static str, usize)>,
 }
 
 impl HeadedNetwork {
     /// `features` → `width` → the outputs of each head.
     pub fn new(name: &'static str, features: usize, width: usize, heads: Vec<(&'static str, usize)>) -> Self {
-        Self { name, features, width, heads }
+        Self { name, features, width, heads, silent_heads: Vec::new() }
+    }
+
+    /// Further heads, which always start at 0. They are drawn last: all other tensors are those of the network without.
+    pub fn with_silent_heads(self, silent_heads: Vec<(&'static str, usize)>) -> Self {
+        Self { silent_heads, ..self }
     }
 
     /// Adds trunk and heads; `zero_heads` lets every head start at 0.
     pub fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
         let last = if zero_heads { FirstWeights::Zero } else { FirstWeights::Xavier };
         insert_layer(state, &format!("{}.trunk", self.name), self.features, self.width, FirstWeights::Xavier, random);
-        for &(head, outputs) in &self.heads {
+        let heads = self.heads.iter().map(|head| (head, last));
+        for (&(head, outputs), last) in heads.chain(self.silent_heads.iter().map(|head| (head, FirstWeights::Zero))) {
             let [inner, outer] = self.layers(head);
             insert_layer(state, &inner, self.width, self.width, FirstWeights::Xavier, random);
             insert_layer(state, &outer, self.width, outputs, last, random);

@@ -15,10 +15,10 @@ use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::splat::SplatVars;
-use shaders::tape::{Real, Tape};
+use shaders::tape::{Real, Tape, Var};
 
 pub use field::TimeAxis;
-pub use network::Heads;
+pub use network::{FurtherHead, Heads, MovedPoints};
 
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Step};
@@ -151,12 +151,24 @@ impl HexplaneSettings {
 pub struct HexplaneGaussians {
     shared: Shared,
     settings: HexplaneSettings,
+    further_heads: Vec<FurtherHead>,
 }
 
 impl HexplaneGaussians {
     /// The base with these settings.
     pub fn new(shared: &Shared, settings: HexplaneSettings) -> Self {
-        Self { shared: shared.clone(), settings }
+        Self { shared: shared.clone(), settings, further_heads: Vec::new() }
+    }
+
+    /// The base with heads that move no attribute; only [`HexplaneGaussians::further_head`] evaluates them.
+    pub fn with_further_heads(self, further_heads: Vec<FurtherHead>) -> Self {
+        Self { further_heads, ..self }
+    }
+
+    /// Whether anything moves in a phase. Without the effect `motion` there is neither field nor network, and `fine`
+    /// goes on as `coarse` does.
+    pub fn moves(&self, phase: &str) -> bool {
+        phase != COARSE && self.shared.effects.has("motion")
     }
 
     /// `coarse` and `fine`.
@@ -185,7 +197,7 @@ impl HexplaneGaussians {
         scene: &SceneFacts,
         random: &mut ChaCha8Rng,
     ) -> ModelState<T> {
-        if phase == FINE {
+        if self.moves(phase) {
             self.field(scene).insert_planes(&mut state, random);
             self.network(scene).insert(&mut state, self.settings.zero_heads, random);
         }
@@ -206,16 +218,42 @@ impl HexplaneGaussians {
     /// The Gaussians at a moment: canonical ones in `coarse`, moved ones in `fine`.
     pub fn splats<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SplatVars {
         let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
-        if moment.phase == COARSE {
+        if !self.moves(moment.phase) {
             return canonical;
         }
         let features = self.field(moment.scene).at(tape, model, canonical.positions, moment.time);
         self.network(moment.scene).deform(tape, model, features, canonical, moment.sh_degree)
     }
 
+    /// Where points [N, 3] of the canonical space are at a time in [0, 1]; as [`HexplaneGaussians::splats`] moves the
+    /// Gaussians, for any points and without the other attributes.
+    pub fn move_points<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        scene: &SceneFacts,
+        positions: Var,
+        time: f64,
+    ) -> MovedPoints {
+        let features = self.field(scene).at(tape, model, positions, time);
+        self.network(scene).move_points(tape, model, features, positions)
+    }
+
+    /// What a further head says of points that were moved.
+    pub fn further_head<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        scene: &SceneFacts,
+        head: &str,
+        points: &MovedPoints,
+    ) -> Var {
+        self.network(scene).further_head(tape, model, head, points.hidden)
+    }
+
     /// The regularisers of the planes, in `fine`.
     pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
-        if step.phase == COARSE {
+        if !self.moves(step.phase) {
             return;
         }
         let HexplaneSettings { spatial_smoothness, temporal_smoothness, time_to_one, .. } = self.settings;
@@ -238,6 +276,7 @@ impl HexplaneGaussians {
 
     fn network(&self, scene: &SceneFacts) -> Network {
         let sh_count = (self.shared.harmonics.degree + 1).pow(2);
-        Network::new(self.field(scene).features(), self.settings.width, self.settings.heads, sh_count)
+        let features = self.field(scene).features();
+        Network::new(features, self.settings.width, self.settings.heads, sh_count, &self.further_heads)
     }
 }

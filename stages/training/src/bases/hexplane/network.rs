@@ -53,6 +53,9 @@ impl Default for Heads {
     }
 }
 
+/// Name and number of outputs of a head that a method adds; it starts at zero.
+pub type FurtherHead = (&'static str, usize);
+
 /// The network and the attributes that it moves.
 pub struct Network {
     layers: HeadedNetwork,
@@ -60,9 +63,10 @@ pub struct Network {
 }
 
 impl Network {
-    /// `features` → `width` → heads; `sh_count` harmonics per channel.
-    pub fn new(features: usize, width: usize, heads: Heads, sh_count: usize) -> Self {
-        Self { layers: HeadedNetwork::new(NETWORK, features, width, heads.outputs(sh_count)), heads }
+    /// `features` → `width` → heads and further heads that move no attribute; `sh_count` harmonics per channel.
+    pub fn new(features: usize, width: usize, heads: Heads, sh_count: usize, further_heads: &[FurtherHead]) -> Self {
+        let layers = HeadedNetwork::new(NETWORK, features, width, heads.outputs(sh_count));
+        Self { layers: layers.with_silent_heads(further_heads.to_vec()), heads }
     }
 
     /// Adds trunk and heads.
@@ -100,4 +104,31 @@ impl Network {
             sh: moved(harmonics, "harmonics", canonical.sh),
         }
     }
+
+    /// Positions [N, 3] plus what the head says at features [N, F], and what the other heads begin with.
+    pub fn move_points<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        features: Var,
+        positions: Var,
+    ) -> MovedPoints {
+        let hidden = self.layers.hidden(tape, model, features);
+        let change = self.layers.head(tape, model, "position", hidden);
+        MovedPoints { positions: add(tape, positions, change), hidden }
+    }
+
+    /// The output of a further head.
+    pub fn further_head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+        self.layers.head(tape, model, head, hidden)
+    }
+}
+
+/// Points at a moment.
+#[derive(Clone, Copy, Debug)]
+pub struct MovedPoints {
+    /// [N, 3] world.
+    pub positions: Var,
+    /// [N, width]: what every head of the network reads.
+    pub hidden: Var,
 }

@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use scene::TimeMap;
 use shaders::check;
 use shaders::splat::PinholeCamera;
@@ -5,6 +7,7 @@ use shaders::tape::{Device, Op, Tensor};
 
 use super::*;
 use crate::dataset::Dataset;
+use crate::effects::Effects;
 use crate::sampler::{Stream, generator};
 use crate::test_scene::TestScene;
 
@@ -13,9 +16,16 @@ fn scene_facts() -> SceneFacts {
     SceneFacts { extent: 2.0, time_map, background: [1.0; 3], time_count: 9 }
 }
 
+fn base_of(settings: &HexplaneSettings) -> HexplaneGaussians {
+    HexplaneGaussians::new(&HexplaneSettings::shared_defaults(), settings.clone())
+}
+
 /// A model at the start of `fine` on a few points.
 fn fine_model(settings: &HexplaneSettings) -> (HexplaneGaussians, ModelState<f64>) {
-    let base = HexplaneGaussians::new(&HexplaneSettings::shared_defaults(), settings.clone());
+    fine_model_of(base_of(settings))
+}
+
+fn fine_model_of(base: HexplaneGaussians) -> (HexplaneGaussians, ModelState<f64>) {
     let positions: Vec<[f32; 3]> = (0..6).map(|at| [at as f32, (at * at % 5) as f32, (at % 3) as f32 - 1.0]).collect();
     let points = PointCloud { colors: vec![[10, 200, 90]; positions.len()], positions };
     let state = base.initialize(&scene_facts(), &points).unwrap();
@@ -68,6 +78,34 @@ fn heads_that_are_off_have_no_parameters() {
     let (_, state) = fine_model(&HexplaneSettings { heads, ..HexplaneSettings::tiny() });
     let names: Vec<&str> = state.names().filter(|name| belongs(name, network::NETWORK)).collect();
     assert_eq!(names.len(), 6, "{names:?}");
+}
+
+#[test]
+fn without_motion_there_is_no_field_and_fine_goes_on_as_coarse() {
+    let shared = Shared { effects: Effects::Named(BTreeSet::new()), ..HexplaneSettings::shared_defaults() };
+    let base = HexplaneGaussians::new(&shared, HexplaneSettings::tiny());
+    let points = PointCloud { positions: vec![[0.0; 3], [1.0; 3]], colors: vec![[9; 3]; 2] };
+    let coarse: ModelState<f64> = base.initialize(&scene_facts(), &points).unwrap();
+    let fine = base.enter_phase(FINE, coarse.clone(), &scene_facts(), &mut generator(3, Stream::Method));
+    assert_eq!(fine, coarse);
+    assert_eq!(attributes(&base, &fine, FINE, 0.7), attributes(&base, &fine, COARSE, 0.7));
+}
+
+#[test]
+fn points_move_as_the_gaussians_do_and_further_heads_change_nothing_else() {
+    let settings = HexplaneSettings::tiny();
+    let (base, state) = fine_model(&settings);
+    let (extended, with_head) = fine_model_of(base_of(&settings).with_further_heads(vec![("velocity", 3)]));
+    let of_head = |name: &str| name.starts_with("network.velocity");
+    assert_eq!(with_head.names().filter(|name| of_head(name)).count(), 4);
+    assert!(state.iter().eq(with_head.iter().filter(|(name, _)| !of_head(name))));
+
+    let mut tape = Tape::new(Device::Cpu);
+    let model = with_head.bind(&mut tape, |_| false);
+    let points = extended.move_points(&mut tape, &model, &scene_facts(), model.get("gaussians.positions"), 0.4);
+    assert_eq!(*tape.value(points.positions), attributes(&base, &state, FINE, 0.4)[0]);
+    let velocity = extended.further_head(&mut tape, &model, &scene_facts(), "velocity", &points);
+    assert_eq!(*tape.value(velocity), Tensor::zeros([6, 3]), "a further head starts at zero");
 }
 
 #[test]
