@@ -7,6 +7,7 @@ pub mod clock;
 pub mod curve;
 pub mod dataset;
 pub mod effects;
+pub mod language;
 pub mod method;
 pub mod methods;
 pub mod optimizer;

@@ -15,6 +15,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::clock::PhaseClock;
 use crate::dataset::Dataset;
+use crate::language::Language;
 use crate::optimizer::Optimizer;
 use crate::params::Shared;
 use crate::schedule::LogLinear;
@@ -131,6 +132,11 @@ pub trait Method<T: Real>: Send + Sync {
     /// What makes and removes rows during a phase.
     fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
         Vec::new()
+    }
+
+    /// What the model knows of its Gaussians in words; most methods know nothing.
+    fn language(&self) -> Option<&dyn Language<T>> {
+        None
     }
 
     /// Effects that this scene does not call for, each with the reason.

@@ -16,8 +16,8 @@ use crate::state::ModelState;
 
 /// A model with its method, ready to render.
 pub struct Player {
-    method: Box<dyn Method<f32>>,
-    state: ModelState<f32>,
+    pub(crate) method: Box<dyn Method<f32>>,
+    pub(crate) state: ModelState<f32>,
     scene: SceneFacts,
     phase: String,
     sh_degree: usize,

@@ -105,6 +105,11 @@ impl Variables {
         *self.vars.get(name).unwrap_or_else(|| panic!("the model has no tensor {name}"))
     }
 
+    /// The variable of that name, for tensors that a model need not have.
+    pub fn find(&self, name: &str) -> Option<Var> {
+        self.vars.get(name).copied()
+    }
+
     /// Names and variables in alphabetical order.
     pub fn iter(&self) -> impl Iterator<Item = (&str, Var)> {
         self.vars.iter().map(|(name, &var)| (name.as_str(), var))

@@ -39,6 +39,26 @@ pub fn apply_layer<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x
     linear(tape, x, weight, bias, activation)
 }
 
+/// Adds `{name}.weight` [outputs, inputs] of a layer without bias.
+pub fn insert_matrix<T: Real>(
+    state: &mut ModelState<T>,
+    name: &str,
+    inputs: usize,
+    outputs: usize,
+    random: &mut ChaCha8Rng,
+) {
+    let bound = (6.0 / (inputs + outputs) as f64).sqrt();
+    state.insert(format!("{name}.weight"), uniform(&[outputs, inputs], -bound, bound, random));
+}
+
+/// x·Wᵀ with the tensor of [`insert_matrix`].
+pub fn apply_matrix<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var) -> Var {
+    let weight = model.get(&format!("{name}.weight"));
+    let no_bias = Tensor::zeros([tape.value(weight).rows()]);
+    let no_bias = tape.constant(no_bias);
+    linear(tape, x, weight, no_bias, Activation::Identity)
+}
+
 /// A tensor of uniform draws, the same in every precision.
 pub fn uniform<T: Real>(shape: &[usize], low: f64, high: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
     let draw = |_| T::from_f64(low + (high - low) * random.random::<f64>());

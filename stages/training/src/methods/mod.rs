@@ -1,6 +1,7 @@
 //! The methods: one folder each, one line each in [`registry`]. No method imports another.
 
 mod deformable4dgs;
+mod l4dgs;
 mod static3dgs;
 #[cfg(test)]
 mod tests;
@@ -19,6 +20,7 @@ pub fn registry() -> Vec<Registration> {
     vec![
         Registration::of::<static3dgs::Static3dgs>(), //
         Registration::of::<deformable4dgs::Deformable4dgs>(),
+        Registration::of::<l4dgs::L4dgs>(),
     ]
 }
 

@@ -168,16 +168,18 @@ impl HexplaneGaussians {
     /// Whether anything moves in a phase. Without the effect `motion` there is neither field nor network, and `fine`
     /// goes on as `coarse` does.
     pub fn moves(&self, phase: &str) -> bool {
-        phase != COARSE && self.shared.effects.has("motion")
+        phase == FINE && self.shared.effects.has("motion")
     }
 
     /// `coarse` and `fine`.
     pub fn phases(&self) -> Vec<Phase> {
-        let length = |name: &str| {
-            let iterations = self.shared.iterations.get(name).copied().unwrap_or(0);
-            stretch(iterations, self.shared.schedule_scale)
-        };
-        [COARSE, FINE].map(|name| Phase { name, iterations: length(name) }).to_vec()
+        [COARSE, FINE].map(|name| self.phase(name)).to_vec()
+    }
+
+    /// A phase of that name with the iterations that the recipe gives it.
+    pub fn phase(&self, name: &'static str) -> Phase {
+        let iterations = self.shared.iterations.get(name).copied().unwrap_or(0);
+        Phase { name, iterations: stretch(iterations, self.shared.schedule_scale) }
     }
 
     /// Gaussians on the points, and the box that the field will have.
@@ -215,7 +217,7 @@ impl HexplaneGaussians {
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
     }
 
-    /// The Gaussians at a moment: canonical ones in `coarse`, moved ones in `fine`.
+    /// The Gaussians at a moment: moved ones in `fine`, canonical ones before.
     pub fn splats<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SplatVars {
         let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
         if !self.moves(moment.phase) {

@@ -1,0 +1,288 @@
+//! Equations 3 to 10: features and depth of one instant, and their changes between two.
+
+mod observed;
+mod terms;
+
+use shaders::pointwise::sub;
+use shaders::splat::Rendered;
+use shaders::tape::{Real, Tensor, Var};
+
+use super::settings::LossWeights;
+use super::teacher::{Lesson, Teacher};
+use super::tokens::TokenGrid;
+use super::{LanguageGuided, SEMANTICS};
+use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::hexplane::FINE;
+use crate::method::{Method as _, Moment, Step, TrainingView, photometric_losses};
+use observed::{RenderedTokens, color_statistics, depth_cells, rendered_tokens};
+use terms::{CellMask, add_angle, add_distance, focus, normalized, still};
+
+/// The semantic losses of one step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Due {
+    static_semantics: bool,
+    static_depth: bool,
+    dynamic_semantics: bool,
+    dynamic_depth: bool,
+    /// λ of all of them, ramp included.
+    weight: f64,
+}
+
+impl Due {
+    fn semantics(&self) -> bool {
+        self.static_semantics || self.dynamic_semantics
+    }
+
+    fn depth(&self) -> bool {
+        self.static_depth || self.dynamic_depth
+    }
+
+    fn dynamics(&self) -> bool {
+        self.dynamic_semantics || self.dynamic_depth
+    }
+}
+
+impl LanguageGuided {
+    /// The photometric loss, and the semantic losses where they are due.
+    pub(super) fn image_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        let Some(due) = self.due(step) else { return photometric_losses(self, step) };
+        for view in step.views {
+            self.view_losses(step, view, &due)?;
+        }
+        Ok(())
+    }
+
+    /// What the teacher is trained on: decoding every token of the frame. Visual tokens are withheld in every other
+    /// iteration, so that the teacher also understands renders, which have none.
+    pub(super) fn teacher_losses<T: Real>(&self, step: &mut Step<'_, T>) {
+        let share = 1.0 / step.views.len() as f64;
+        for view in step.views {
+            step.clock.enter("teacher");
+            let grid = self.grid(view);
+            let visual_tokens = visual_tokens(step, view.index);
+            let given = visual_tokens.filter(|_| !step.iteration.is_multiple_of(2));
+            let image = step.tape.constant(view.image.clone());
+            let lesson = self.teacher().observe(step.tape, step.model, grid, image, given);
+            let targets = visual_tokens.filter(|_| Teacher::reads_visual_tokens(step.model)).map(|tokens| {
+                let tokens = step.tape.constant(tokens.cast());
+                grid.pool(step.tape, tokens)
+            });
+            let statistics = color_statistics(grid, &view.image);
+            step.clock.enter("losses");
+            for (weight, value) in Teacher::reconstruction(step.tape, step.model, lesson.features, statistics, targets)
+            {
+                step.add_loss("reconstruction", share * weight, value);
+            }
+        }
+    }
+
+    /// Which semantic losses this step evaluates, if any.
+    fn due<T: Real>(&self, step: &Step<'_, T>) -> Option<Due> {
+        let ramp = self.ramp(step.iteration);
+        let every = |interval: u64| step.iteration.is_multiple_of(interval);
+        let (statics, dynamics) = (every(self.settings.interval), every(self.settings.dynamic_interval));
+        let due = Due {
+            static_semantics: self.on.static_semantics && statics,
+            static_depth: self.on.static_depth && statics,
+            dynamic_semantics: self.on.dynamic_semantics && dynamics && step.scene.time_count > 1,
+            dynamic_depth: self.on.dynamic_depth && dynamics && step.scene.time_count > 1,
+            weight: ramp * self.settings.weights.semantics / step.views.len() as f64,
+        };
+        (step.phase == FINE && due.weight > 0.0 && (due.semantics() || due.depth())).then_some(due)
+    }
+
+    fn view_losses<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>, due: &Due) -> anyhow::Result<()> {
+        let rendered = self.render(step, view, due, Some(GAUSSIANS))?;
+        step.photometric(rendered.color, view);
+        let grid = self.grid(view);
+        let tokens = rendered_tokens(step, grid, &rendered, self.settings.min_alpha);
+        let uncovered = tokens.covered.iter().filter(|covered| !**covered).count();
+        step.count_skipped("tokens without Gaussians", uncovered, grid.count());
+
+        let asked = due.static_semantics || self.on.attention_focus;
+        let lesson = asked.then(|| self.frame_lesson(step, grid, view, true));
+        let focus = match &lesson {
+            Some(lesson) if self.on.attention_focus => focus(step.tape.value(lesson.probabilities)),
+            _ => vec![1.0; grid.count()],
+        };
+        if let (true, Some(lesson)) = (due.static_semantics, &lesson) {
+            self.static_semantics(step, due, lesson, &tokens, &focus);
+        }
+        if due.static_depth {
+            self.static_depth(step, due, view, grid, &tokens, &focus);
+        }
+        if due.dynamics() {
+            self.changes(step, due, view, grid, (&rendered, &tokens), &focus)?;
+        }
+        Ok(())
+    }
+
+    /// Renders a view at its time with what the due losses need.
+    fn render<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        view: &TrainingView<T>,
+        due: &Due,
+        population: Option<&str>,
+    ) -> anyhow::Result<Rendered> {
+        step.clock.enter("motion");
+        let (scene, phase, sh_degree) = (step.scene, step.phase, step.sh_degree);
+        let moment = Moment { scene, phase, time: view.time, camera: &view.camera, sh_degree };
+        let splats = self.splats(step.tape, step.model, &moment)?;
+        let features = due.semantics().then(|| step.model.get(SEMANTICS));
+        let without_depth = std::mem::replace(&mut step.raster.depth, due.depth());
+        let rendered = step.render(&splats, features, view, population);
+        step.raster.depth = without_depth;
+        step.clock.enter("loss semantics");
+        rendered
+    }
+
+    /// Equation 3: Σ w·(‖SMSA − F‖² + λ·(1 − cos(SMSA, F))) over the covered tokens.
+    fn static_semantics<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        due: &Due,
+        lesson: &Lesson,
+        tokens: &RenderedTokens,
+        focus: &[f64],
+    ) {
+        let Some(weights) = normalized(focus, |token| tokens.covered[token]) else { return };
+        let features = tokens.features.expect("rendered where semantic losses are due");
+        let weight = due.weight * self.settings.weights.statics;
+        add_distance(step, "static_semantics", weight, [lesson.features, features], &weights);
+        let angle = weight * self.settings.weights.angle;
+        add_angle(step, "static_semantics", angle, [lesson.features, features], &weights);
+    }
+
+    /// Equation 4 for depths as vectors of cells: Σ w·(‖D − D*‖² + λ·(1 − cos(D − mean D, D* − mean D*))) over the cells
+    /// that Gaussians cover and that have a depth.
+    fn static_depth<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        due: &Due,
+        view: &TrainingView<T>,
+        grid: TokenGrid,
+        tokens: &RenderedTokens,
+        focus: &[f64],
+    ) {
+        let Some(prior) = step.supplements.view(view.index).and_then(|priors| priors.depth.as_ref()) else {
+            return step.count_skipped("depth of frames without depth", 1, 1);
+        };
+        let (target, known) = depth_cells::<T>(grid, prior, step.scene.extent);
+        let mask = CellMask::new(grid.count(), &tokens.cells_covered, &known);
+        let Some(weights) = normalized(focus, |token| mask.any(token)) else { return };
+        let depth = tokens.depth.expect("rendered where depth losses are due");
+        let target = step.tape.constant(target);
+        let LossWeights { statics, static_depth, angle, .. } = self.settings.weights;
+        let weight = due.weight * statics * static_depth;
+        let masked = [target, depth].map(|depth| mask.masked(step.tape, depth));
+        add_distance(step, "static_depth", weight, masked, &weights);
+        let centered = masked.map(|depth| mask.centered(step.tape, depth));
+        add_angle(step, "static_depth", weight * angle, centered, &weights);
+    }
+
+    /// Equations 6 to 8, from the view's time to one frame later as the same camera sees it.
+    fn changes<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        due: &Due,
+        view: &TrainingView<T>,
+        grid: TokenGrid,
+        (rendered, tokens): (&Rendered, &RenderedTokens),
+        focus: &[f64],
+    ) -> anyhow::Result<()> {
+        let moves = |labels: &scene::LabelMap| labels.labels.iter().any(|&label| label != 0);
+        if !step.supplements.moving(view.index).is_none_or(moves) {
+            step.count_skipped("changes of frames without motion", 1, 1);
+            return Ok(());
+        }
+        let (later, is_real) = later_view(step, view);
+        let later_rendered = self.render(step, &later, due, None)?;
+        let later_tokens = rendered_tokens(step, grid, &later_rendered, self.settings.min_alpha);
+        if due.dynamic_semantics {
+            // Real frames where a camera stands still, else two renders: a difference between a frame and a render
+            // would be taken for motion.
+            let lessons = if is_real {
+                let tokens_given = [view, &later].iter().all(|view| visual_tokens(step, view.index).is_some());
+                [view, &later].map(|view| self.frame_lesson(step, grid, view, tokens_given))
+            } else {
+                [rendered, &later_rendered].map(|rendered| {
+                    let image = step.tape.detach(rendered.color);
+                    self.teacher().observe(step.tape, step.model, grid, image, None)
+                })
+            };
+            let features = [tokens, &later_tokens].map(|tokens| tokens.features.expect("rendered"));
+            if let Some(weights) = normalized(focus, |token| tokens.covered[token] && later_tokens.covered[token]) {
+                self.dynamic_semantics(step, due, lessons.map(|lesson| lesson.features), features, &weights);
+            }
+        }
+        if due.dynamic_depth {
+            let mask = CellMask::new(grid.count(), &tokens.cells_covered, &later_tokens.cells_covered);
+            let depths = [&later_tokens, tokens].map(|tokens| tokens.depth.expect("rendered"));
+            if let Some(weights) = normalized(focus, |token| mask.any(token)) {
+                let masked = depths.map(|depth| mask.masked(step.tape, depth));
+                let weight = due.weight * self.settings.weights.dynamic_depth;
+                add_distance(step, "dynamic_depth", weight, masked, &still(&weights));
+            }
+        }
+        Ok(())
+    }
+
+    /// Equation 7: Σ w·(λ_D·(1 − cos(δSMSA, δF)) + ‖δSMSA‖² + ‖δF‖²). ‖δSMSA‖² has no gradient; it is there to be seen.
+    fn dynamic_semantics<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        due: &Due,
+        lessons: [Var; 2],
+        features: [Var; 2],
+        weights: &[f64],
+    ) {
+        let changes = [lessons, features].map(|[now, later]| sub(step.tape, later, now));
+        let angle = due.weight * self.settings.weights.change_angle;
+        add_angle(step, "dynamic_semantics", angle, changes, weights);
+        add_distance(step, "dynamic_semantics", due.weight, [lessons[1], lessons[0]], weights);
+        add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], &still(weights));
+    }
+
+    /// What the teacher says about a training frame.
+    fn frame_lesson<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        grid: TokenGrid,
+        view: &TrainingView<T>,
+        tokens_given: bool,
+    ) -> Lesson {
+        step.clock.enter("teacher");
+        let tokens = visual_tokens(step, view.index).filter(|_| tokens_given);
+        let image = step.tape.constant(view.image.clone());
+        let lesson = self.teacher().observe(step.tape, step.model, grid, image, tokens);
+        step.clock.enter("loss semantics");
+        lesson
+    }
+
+    fn grid<T: Real>(&self, view: &TrainingView<T>) -> TokenGrid {
+        TokenGrid::of_image(view.camera.height, view.camera.width, &self.settings.teacher)
+    }
+}
+
+/// The imported visual tokens of a view.
+fn visual_tokens<'a, T: Real>(step: &Step<'a, T>, view: usize) -> Option<&'a Tensor<f32>> {
+    step.supplements.features.as_ref()?.visual.get(view)?.as_ref()
+}
+
+/// A view's camera one frame later (earlier, at the end of time): as the next training frame of a camera that stands
+/// still (true), else with the view's own image, which then means nothing (false).
+fn later_view<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> (TrainingView<T>, bool) {
+    let frame = 1.0 / (step.scene.time_count - 1) as f64;
+    // Half a frame more for times that are not quite regular.
+    let next = |time: f64| time > view.time && time <= view.time + 1.5 * frame;
+    let real = step.dataset.train.iter().filter(|other| other.camera == view.camera && next(other.time));
+    match real.min_by(|a, b| a.time.total_cmp(&b.time)) {
+        Some(found) => (found.to_training(), true),
+        None => {
+            let later = view.time + frame;
+            let time = if later <= 1.0 { later } else { (view.time - frame).max(0.0) };
+            (TrainingView { time, ..view.clone() }, false)
+        }
+    }
+}

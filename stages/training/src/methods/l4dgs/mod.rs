@@ -1,0 +1,239 @@
+//! L4DGS: language-guided 4D Gaussian splatting. Semantic features on the Gaussians of the hexplane base follow a frozen
+//! teacher of visual tokens and language; features and depth are regularised at one instant and between two, where the
+//! teacher's attention looks.
+
+mod losses;
+mod settings;
+mod teacher;
+#[cfg(test)]
+mod tests;
+mod tokens;
+
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use scene::cloud::PointCloud;
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use super::MethodFolder;
+use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings};
+use crate::effects::{Effect, Need};
+use crate::language::Language;
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
+use crate::params::Shared;
+use crate::schedule::{LogLinear, stretch};
+use crate::state::{ModelState, Variables, belongs};
+use settings::L4dgsSettings;
+use teacher::{TEACHER, TEXT, Teacher, prompt_embeddings};
+
+/// The semantic features [N, features] of the Gaussians.
+const SEMANTICS: &str = "gaussians.semantics";
+/// Standard deviation of their first values.
+const FIRST_SEMANTICS: f64 = 0.01;
+
+/// The folder's entry.
+pub struct L4dgs;
+
+impl MethodFolder for L4dgs {
+    const NAME: &'static str = "l4dgs";
+    const ABOUT: &'static str = "4DGaussians guided by language: semantic features follow a frozen teacher (L4DGS)";
+    type Settings = L4dgsSettings;
+
+    fn shared_defaults() -> Shared {
+        let mut shared = HexplaneSettings::shared_defaults();
+        shared.iterations.insert(TEACHER.into(), 2000);
+        shared
+    }
+
+    fn effects() -> Vec<Effect> {
+        const CHANGE: &[Need] = &[Need::Times(2), Need::Motion];
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        vec![
+            effect("motion", "a hexplane field moves the Gaussians", CHANGE),
+            effect("dynamic-semantics", "semantic features change as the teacher's tokens do (equations 6, 7)", CHANGE),
+            effect("static-semantics", "semantic features follow the teacher's tokens (equation 3)", &[]),
+            effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
+            effect("static-depth", "depth follows imported depth (equation 4)", &[Need::Depth]),
+            effect("attention-focus", "tokens weigh as much as the teacher attends to them", &[]),
+            effect("language", "prompts modulate the teacher's tokens", &[Need::Features]),
+        ]
+    }
+
+    fn check(settings: &L4dgsSettings) -> Result<(), String> {
+        settings.check()
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> L4dgsSettings {
+        L4dgsSettings::tiny()
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: L4dgsSettings) -> Box<dyn Method<T>> {
+        let base = HexplaneGaussians::new(shared, settings.hexplane.clone());
+        Box::new(LanguageGuided { base, on: EffectsOn::new(shared), shared: shared.clone(), settings })
+    }
+}
+
+struct LanguageGuided {
+    base: HexplaneGaussians,
+    on: EffectsOn,
+    shared: Shared,
+    settings: L4dgsSettings,
+}
+
+/// The effects that are on.
+#[derive(Clone, Copy, Debug)]
+struct EffectsOn {
+    dynamic_semantics: bool,
+    static_semantics: bool,
+    dynamic_depth: bool,
+    static_depth: bool,
+    attention_focus: bool,
+    language: bool,
+}
+
+impl EffectsOn {
+    fn new(shared: &Shared) -> Self {
+        let on = |name: &str| shared.effects.has(name);
+        // What does not move does not change.
+        let moves = on("motion");
+        Self {
+            dynamic_semantics: moves && on("dynamic-semantics"),
+            static_semantics: on("static-semantics"),
+            dynamic_depth: moves && on("dynamic-depth"),
+            static_depth: on("static-depth"),
+            attention_focus: on("attention-focus"),
+            language: on("language"),
+        }
+    }
+
+    fn semantics(&self) -> bool {
+        self.dynamic_semantics || self.static_semantics
+    }
+
+    fn depth(&self) -> bool {
+        self.dynamic_depth || self.static_depth
+    }
+
+    /// Whether anything asks the teacher: for features, or for where to look.
+    fn teacher(&self) -> bool {
+        self.semantics() || self.attention_focus && self.depth()
+    }
+}
+
+impl LanguageGuided {
+    fn teacher(&self) -> Teacher<'_> {
+        Teacher::new(&self.settings.teacher)
+    }
+
+    /// How much the semantic losses weigh at an iteration of `fine`, in [0, 1].
+    fn ramp(&self, iteration: u64) -> f64 {
+        let [from, until] = self.settings.ramp.map(|at| stretch(at, self.shared.schedule_scale));
+        if iteration >= until {
+            return 1.0;
+        }
+        iteration.saturating_sub(from) as f64 / (until - from) as f64
+    }
+
+    /// Adds the teacher, made for the visual tokens and prompts of the features or, without, for the settings' prompts.
+    fn insert_teacher<T: Real>(&self, state: &mut ModelState<T>, start: &Start<'_>, random: &mut ChaCha8Rng) {
+        let features = start.supplements.features.as_ref();
+        let visual_tokens = features.and_then(|features| features.visual.iter().flatten().next());
+        let token_width = visual_tokens.map(|tokens| tokens.shape()[2]);
+        let imported = || features.map(|features| features.text.cast()).filter(|text| text.rows() > 0);
+        let prompts = self.on.language.then(|| imported().unwrap_or_else(|| prompt_embeddings(&self.settings.prompts)));
+        self.teacher().insert(state, token_width, prompts, random);
+    }
+
+    fn insert_semantics<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+        let shape = [state.get(&format!("{GAUSSIANS}.positions"))?.rows(), self.settings.teacher.features];
+        let mut draw = |_| -> T {
+            let normal: f64 = StandardNormal.sample(random);
+            T::from_f64(FIRST_SEMANTICS * normal)
+        };
+        let values = (0..shape[0] * shape[1]).map(&mut draw).collect();
+        state.insert(SEMANTICS, Tensor::from_vec(shape, values));
+        Ok(())
+    }
+}
+
+impl<T: Real> Method<T> for LanguageGuided {
+    /// `coarse` is the base's; `teacher` comes only where something asks the teacher.
+    fn phases(&self) -> Vec<Phase> {
+        let teacher = self.on.teacher().then(|| self.base.phase(TEACHER));
+        [Some(self.base.phase(COARSE)), teacher, Some(self.base.phase(FINE))].into_iter().flatten().collect()
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        self.base.initialize(start.scene(), points)
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        state: ModelState<T>,
+        start: &Start<'_>,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut state = self.base.enter_phase(phase, state, start.scene(), random);
+        if phase == TEACHER {
+            self.insert_teacher(&mut state, start, random);
+        }
+        if phase == FINE && self.on.semantics() {
+            self.insert_semantics(&mut state, random)?;
+        }
+        Ok(state)
+    }
+
+    /// In `teacher` only the teacher learns; afterwards it is frozen. Prompts never learn.
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        match (phase == TEACHER, belongs(tensor, TEACHER)) {
+            (true, true) => (tensor != TEXT).then(|| LogLinear::constant(self.settings.teacher.rate)),
+            (false, false) if tensor == SEMANTICS => Some(LogLinear::constant(self.settings.semantic_rate)),
+            (false, false) => self.base.learning_rate(tensor, scene),
+            _ => None,
+        }
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        Ok(self.base.splats(tape, model, moment))
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if step.phase == TEACHER {
+            self.teacher_losses(step);
+            return Ok(());
+        }
+        self.image_losses(step)?;
+        self.base.regularize(step);
+        Ok(())
+    }
+
+    fn population_controls(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        if phase == TEACHER { Vec::new() } else { self.base.population_controls() }
+    }
+
+    fn language(&self) -> Option<&dyn Language<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> Language<T> for LanguageGuided {
+    fn semantics(&self, model: &Variables) -> Option<Var> {
+        model.find(SEMANTICS)
+    }
+
+    fn prompts(&self, model: &Variables) -> Option<Var> {
+        model.find(TEXT)
+    }
+
+    fn meaning(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var> {
+        Teacher::meaning(tape, model, features)
+    }
+}

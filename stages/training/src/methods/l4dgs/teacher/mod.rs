@@ -1,0 +1,144 @@
+//! The teacher: visual tokens of an image, modulated by language, that the Gaussians' semantic features follow.
+//!
+//! A network of central-difference convolutions sees the image at three levels; its tokens, and imported visual tokens
+//! where a frame has them, attend to the prompts (top-k attention, the modulation X′ = X + Attention(X, text)) and then
+//! to each other (the sparse multi-head self-attention of equations 1 and 2, whose output is SMSA). It is trained before
+//! everything else, to decode every token to what the image shows there, and then kept: were it trained on the losses
+//! that follow, zero everywhere would be their optimum.
+
+mod network;
+mod reconstruction;
+mod text;
+
+pub use text::prompt_embeddings;
+
+use rand_chacha::ChaCha8Rng;
+use shaders::attention::{TopKAttention, top_k_attention};
+use shaders::linear::Activation;
+use shaders::pointwise::add;
+use shaders::rows::concat_columns;
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use super::settings::TeacherSettings;
+use super::tokens::TokenGrid;
+use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix};
+use crate::state::{ModelState, Variables};
+use network::Network;
+
+/// All tensors of the teacher are called `teacher.…`.
+pub const TEACHER: &str = "teacher";
+/// Embeddings of the prompts, [P, E]; not learnt.
+pub const TEXT: &str = "teacher.prompts";
+/// Mean and standard deviation of three colours.
+const COLOR_STATISTICS: usize = 6;
+
+/// The teacher's layers; what a model has of them shows in its tensors.
+pub struct Teacher<'a> {
+    settings: &'a TeacherSettings,
+}
+
+/// What the teacher says about one image.
+pub struct Lesson {
+    /// [tokens, features]: SMSA.
+    pub features: Var,
+    /// [tokens, tokens]: attention of every token to every other, averaged over the heads.
+    pub probabilities: Var,
+}
+
+impl<'a> Teacher<'a> {
+    pub fn new(settings: &'a TeacherSettings) -> Self {
+        Self { settings }
+    }
+
+    /// Adds the teacher's tensors: for visual tokens of `token_width` where frames have any, and for prompts [P, E]
+    /// where language takes part.
+    pub fn insert<T: Real>(
+        &self,
+        state: &mut ModelState<T>,
+        token_width: Option<usize>,
+        prompts: Option<Tensor<T>>,
+        random: &mut ChaCha8Rng,
+    ) {
+        let TeacherSettings { width, features, decoder_width, .. } = *self.settings;
+        let network = Network::new(self.settings);
+        network.insert(state, random);
+        let mut layer = |name: &str, inputs: usize, outputs: usize| {
+            insert_layer(state, &format!("{TEACHER}.{name}"), inputs, outputs, FirstWeights::Xavier, random);
+        };
+        layer("visual", network.outputs(), width);
+        if let Some(token_width) = token_width {
+            layer("tokens", token_width, width);
+        }
+        layer("decoder.0", features, decoder_width);
+        layer("decoder.1", decoder_width, COLOR_STATISTICS + token_width.unwrap_or(0));
+        if let Some(prompts) = &prompts {
+            layer("text", prompts.row_len(), width);
+        }
+        let mut matrix = |name: &str, outputs: usize| {
+            insert_matrix(state, &format!("{TEACHER}.{name}"), width, outputs, random);
+        };
+        for part in ["query", "key", "value"] {
+            matrix(&format!("attention.{part}"), width);
+            if prompts.is_some() {
+                matrix(&format!("modulation.{part}"), width);
+            }
+        }
+        matrix("attention.output", features);
+        if let Some(prompts) = prompts {
+            state.insert(TEXT, prompts);
+        }
+    }
+
+    /// Tokens of an image [H, W, 3], with the visual tokens [rows, columns, F] of that frame if it has any.
+    pub fn observe<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        grid: TokenGrid,
+        image: Var,
+        visual_tokens: Option<&Tensor<f32>>,
+    ) -> Lesson {
+        let levels = Network::new(self.settings).levels(tape, model, grid, image);
+        let joined = concat_columns(tape, &levels);
+        let mut tokens = apply_layer(tape, model, "teacher.visual", joined, Activation::Identity);
+        if let (Some(visual_tokens), true) = (visual_tokens, Self::reads_visual_tokens(model)) {
+            let visual_tokens = tape.constant(visual_tokens.cast());
+            let visual_tokens = grid.pool(tape, visual_tokens);
+            let projected = apply_layer(tape, model, "teacher.tokens", visual_tokens, Activation::Identity);
+            tokens = add(tape, tokens, projected);
+        }
+        if let Some(prompts) = model.find(TEXT) {
+            let text = apply_layer(tape, model, "teacher.text", prompts, Activation::Identity);
+            let modulation = self.attend(tape, model, "modulation", [tokens, text], self.settings.text_top_k);
+            tokens = add(tape, tokens, modulation.mixed);
+        }
+        let attention = self.attend(tape, model, "attention", [tokens, tokens], self.settings.top_k);
+        let features = apply_matrix(tape, model, "teacher.attention.output", attention.mixed);
+        Lesson { features, probabilities: attention.probabilities }
+    }
+
+    /// [M, 6 + F] for semantic features [M, features]: mean and standard deviation of the colours, and a visual token.
+    fn decode<T: Real>(tape: &mut Tape<T>, model: &Variables, features: Var) -> Var {
+        let hidden = apply_layer(tape, model, "teacher.decoder.0", features, Activation::Relu);
+        apply_layer(tape, model, "teacher.decoder.1", hidden, Activation::Identity)
+    }
+
+    /// Whether the model was taught with visual tokens.
+    pub fn reads_visual_tokens(model: &Variables) -> bool {
+        model.find("teacher.tokens.weight").is_some()
+    }
+
+    fn attend<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        name: &str,
+        [from, to]: [Var; 2],
+        k: usize,
+    ) -> TopKAttention {
+        let mut project = |part: &str, x: Var| apply_matrix(tape, model, &format!("{TEACHER}.{name}.{part}"), x);
+        let projected = [project("query", from), project("key", to), project("value", to)];
+        let valid = vec![true; tape.value(to).rows()];
+        top_k_attention(tape, projected, &valid, self.settings.heads, k)
+    }
+}

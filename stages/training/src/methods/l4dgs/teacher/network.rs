@@ -1,0 +1,77 @@
+//! Three levels of central-difference convolutions (Yu et al. 2020) with dilations 1, 2 and 4, each at half the size of
+//! the one before: convolution, group normalisation, ReLU.
+
+use rand_chacha::ChaCha8Rng;
+use shaders::convolution::{Sampling, central_difference, convolution};
+use shaders::group_norm::group_norm;
+use shaders::pointwise::relu;
+use shaders::pooling::average_pool;
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use super::super::settings::TeacherSettings;
+use super::super::tokens::TokenGrid;
+use crate::bases::layers::uniform;
+use crate::state::{ModelState, Variables};
+
+/// Taps along each side of a kernel.
+const KERNEL: usize = 3;
+/// Groups of the normalisation, where they divide the channels.
+const GROUPS: usize = 8;
+
+/// The levels of the teacher.
+pub struct Network<'a> {
+    settings: &'a TeacherSettings,
+}
+
+impl<'a> Network<'a> {
+    pub fn new(settings: &'a TeacherSettings) -> Self {
+        Self { settings }
+    }
+
+    /// Channels of all levels together.
+    pub fn outputs(&self) -> usize {
+        self.settings.channels.iter().sum()
+    }
+
+    /// Adds `teacher.level_{0,1,2}.weight`, `.scale` and `.shift`; weights as by He et al. 2015, for what a ReLU follows.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+        let mut inputs = 3;
+        for (level, &outputs) in self.settings.channels.iter().enumerate() {
+            let bound = (6.0 / (KERNEL * KERNEL * inputs) as f64).sqrt();
+            state.insert(name(level, "weight"), uniform(&[outputs, KERNEL, KERNEL, inputs], -bound, bound, random));
+            state.insert(name(level, "scale"), Tensor::full([outputs], T::ONE));
+            state.insert(name(level, "shift"), Tensor::zeros([outputs]));
+            inputs = outputs;
+        }
+    }
+
+    /// The output of every level as tokens [tokens, channels], for an image [H, W, 3].
+    pub fn levels<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, grid: TokenGrid, image: Var) -> Vec<Var> {
+        let mut x = grid.cell_image(tape, image);
+        let mut levels = Vec::new();
+        for (level, &channels) in self.settings.channels.iter().enumerate() {
+            if level > 0 {
+                let &[height, width, _] = tape.value(x).shape() else { unreachable!("an image") };
+                x = average_pool(tape, x, height / 2, width / 2);
+            }
+            let weight = central_difference(tape, model.get(&name(level, "weight")), self.settings.theta);
+            // The normalisation that follows would take out a bias.
+            let no_bias = tape.constant(Tensor::zeros([channels]));
+            x = convolution(tape, x, weight, no_bias, Sampling::same_size(KERNEL, 1 << level));
+            let (scale, shift) = (model.get(&name(level, "scale")), model.get(&name(level, "shift")));
+            x = group_norm(tape, x, scale, shift, groups(channels));
+            x = relu(tape, x);
+            levels.push(grid.pool(tape, x));
+        }
+        levels
+    }
+}
+
+fn name(level: usize, part: &str) -> String {
+    format!("teacher.level_{level}.{part}")
+}
+
+/// The largest number of groups up to [`GROUPS`] that divides the channels.
+fn groups(channels: usize) -> usize {
+    (1..=GROUPS).rev().find(|groups| channels.is_multiple_of(*groups)).unwrap_or(1)
+}

@@ -1,0 +1,59 @@
+//! What the teacher is trained on: every token is decoded to what the image shows there.
+
+use shaders::losses::mean;
+use shaders::pointwise::sub;
+use shaders::rows::{columns, cosine_distance, squared_norm};
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use super::{COLOR_STATISTICS, Teacher};
+use crate::state::Variables;
+
+/// Weight of the angle between a decoded token and the token (Qin et al. 2024).
+const ANGLE_WEIGHT: f64 = 1e-3;
+/// Shorter vectors have no direction.
+const MIN_NORM: f64 = 1e-6;
+
+/// The parts of the reconstruction loss, each a scalar with its weight.
+pub type WeightedLosses = Vec<(f64, Var)>;
+
+impl Teacher<'_> {
+    /// ‖colours − decoded‖² + ‖token − decoded‖² + 10⁻³·(1 − cos(token, decoded)), averaged over the tokens, for colour
+    /// statistics [tokens, 6] and, where the frame has them, visual tokens [tokens, F].
+    pub fn reconstruction<T: Real>(
+        tape: &mut Tape<T>,
+        model: &Variables,
+        features: Var,
+        statistics: Tensor<T>,
+        visual_tokens: Option<Var>,
+    ) -> WeightedLosses {
+        let decoded = Self::decode(tape, model, features);
+        let decoded_colors = columns(tape, decoded, 0..COLOR_STATISTICS);
+        let statistics = tape.constant(statistics);
+        let mut losses = vec![(1.0, mean_squared_distance(tape, decoded_colors, statistics))];
+        if let Some(visual_tokens) = visual_tokens {
+            let width = tape.value(decoded).row_len();
+            let decoded_tokens = columns(tape, decoded, COLOR_STATISTICS..width);
+            losses.push((1.0, mean_squared_distance(tape, decoded_tokens, visual_tokens)));
+            let angles = cosine_distance(tape, decoded_tokens, visual_tokens, MIN_NORM);
+            losses.push((ANGLE_WEIGHT, mean(tape, angles)));
+        }
+        losses
+    }
+
+    /// What semantic features [M, features] mean in the space of the visual tokens, [M, F]; none without such a space.
+    pub fn meaning<T: Real>(tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var> {
+        if !Self::reads_visual_tokens(model) {
+            return None;
+        }
+        let decoded = Self::decode(tape, model, features);
+        let width = tape.value(decoded).row_len();
+        Some(columns(tape, decoded, COLOR_STATISTICS..width))
+    }
+}
+
+/// Σ over tokens of ‖a − b‖² / tokens.
+fn mean_squared_distance<T: Real>(tape: &mut Tape<T>, a: Var, b: Var) -> Var {
+    let difference = sub(tape, a, b);
+    let squared = squared_norm(tape, difference);
+    mean(tape, squared)
+}

@@ -1,0 +1,232 @@
+use std::collections::BTreeSet;
+
+use serde_json::{Value, json};
+use shaders::tape::Device;
+
+use super::*;
+use crate::artifact::Model;
+use crate::dataset::Dataset;
+use crate::params::TrainingParams;
+use crate::player::Player;
+use crate::supplements::Supplements;
+use crate::test_scene::TestScene;
+use crate::trainer::Trainer;
+use tokens::{CELLS, TokenGrid};
+
+fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = Dataset::load(scene.write(dir.path()), 1).unwrap();
+    (dir, dataset)
+}
+
+/// Trains to the end: the model, and the names of the operations that ran.
+fn train(dataset: &Dataset, supplements: &Supplements, params: Value) -> (Model, BTreeSet<String>) {
+    let params: TrainingParams = serde_json::from_value(params).unwrap();
+    let mut trainer = Trainer::new(dataset, supplements, &params).unwrap();
+    while !trainer.is_done() {
+        trainer.advance().unwrap();
+    }
+    let operations = trainer.report().kernels.into_keys().collect();
+    (trainer.finish().unwrap(), operations)
+}
+
+/// A few steps of every phase with the given effects.
+fn few_steps(method: &str, effects: &[&str]) -> Value {
+    let hexplane = serde_json::to_value(HexplaneSettings::tiny()).unwrap();
+    let iterations = match method {
+        "l4dgs" => json!({ "coarse": 3, "teacher": 3, "fine": 4 }),
+        _ => json!({ "coarse": 3, "fine": 4 }),
+    };
+    json!({
+        "method": method,
+        "effects": effects,
+        "iterations": iterations,
+        "curve": { "points": 0 },
+        "deformable4dgs": hexplane,
+        "l4dgs": serde_json::to_value(L4dgsSettings::tiny()).unwrap(),
+    })
+}
+
+fn names(model: &Model) -> BTreeSet<&str> {
+    model.tensors.keys().map(String::as_str).collect()
+}
+
+#[test]
+fn without_effects_it_is_its_base_to_the_byte() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let supplements = TestScene::default().supplements(&dataset);
+    let (model, operations) = train(&dataset, &supplements, few_steps("l4dgs", &["motion"]));
+    let (base, base_operations) = train(&dataset, &supplements, few_steps("deformable4dgs", &["motion"]));
+    assert_eq!(operations, base_operations);
+    assert_eq!(names(&model), names(&base));
+    for (name, tensor) in &model.tensors {
+        let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&tensor.values), bits(&base.tensors[name].values), "{name}");
+    }
+    // The planted fault: every effect more changes the Gaussians.
+    for effect in ["dynamic-semantics", "static-semantics", "dynamic-depth", "static-depth"] {
+        let (other, _) = train(&dataset, &supplements, few_steps("l4dgs", &["motion", effect]));
+        assert!(names(&other).is_superset(&names(&base)));
+        let positions = |model: &Model| model.tensors["gaussians.positions"].values.clone();
+        assert_ne!(positions(&other), positions(&base), "{effect} does nothing");
+    }
+}
+
+/// What a set of effects is expected to allocate and to run.
+struct Expected {
+    effects: &'static [&'static str],
+    teacher: bool,
+    semantics: bool,
+    prompts: bool,
+}
+
+#[test]
+fn what_is_off_has_no_tensors_no_phase_and_no_operations() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let supplements = TestScene::default().supplements(&dataset);
+    let row = |effects, teacher, semantics, prompts| Expected { effects, teacher, semantics, prompts };
+    let rows = [
+        row(&["motion", "dynamic-semantics"], true, true, false),
+        row(&["static-semantics"], true, true, false),
+        row(&["motion", "dynamic-depth"], false, false, false),
+        row(&["motion", "static-depth"], false, false, false),
+        row(&["motion", "attention-focus", "language"], false, false, false),
+        row(&["motion", "static-depth", "attention-focus"], true, false, false),
+        row(&["motion", "static-semantics", "language"], true, true, true),
+    ];
+    for Expected { effects, teacher, semantics, prompts } in rows {
+        let (model, operations) = train(&dataset, &supplements, few_steps("l4dgs", effects));
+        let names = names(&model);
+        let phases: Vec<&str> = model.header.iterations.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(phases.contains(&TEACHER), teacher, "{effects:?}");
+        assert_eq!(names.iter().any(|name| belongs(name, TEACHER)), teacher, "{effects:?}");
+        assert_eq!(names.contains(SEMANTICS), semantics, "{effects:?}");
+        assert_eq!(names.contains(TEXT), prompts, "{effects:?}");
+        for operation in ["convolution", "top_k_attention", "group_norm"] {
+            assert_eq!(operations.contains(operation), teacher, "{operation} with {effects:?}");
+        }
+        let needs_tokens = effects.iter().any(|name| name.ends_with("semantics") || name.ends_with("depth"));
+        assert_eq!(operations.contains("average_pool"), needs_tokens, "{effects:?}");
+    }
+}
+
+#[test]
+fn nothing_that_is_asked_for_is_missing() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    // Neither features nor depth: prompts have made-up directions, frames without depth are left out.
+    let mut params = few_steps("l4dgs", &[]);
+    params["effects"] = json!("auto");
+    let (model, _) = train(&dataset, &Supplements::default(), params);
+    assert!(names(&model).is_superset(&[SEMANTICS, TEXT].into()));
+    let prompts = &model.tensors[TEXT];
+    assert_eq!(prompts.shape, [L4dgsSettings::default().prompts.len(), 64]);
+    for row in prompts.values.chunks(64) {
+        assert!((row.iter().map(|value| value * value).sum::<f32>() - 1.0).abs() <= 1e-5);
+    }
+}
+
+#[test]
+fn each_phase_learns_its_own_tensors() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let supplements = TestScene::default().supplements(&dataset);
+    let with = |teacher: u64, fine: u64| {
+        let mut params = few_steps("l4dgs", &["motion", "static-semantics", "attention-focus", "language"]);
+        params["iterations"] = json!({ "coarse": 3, "teacher": teacher, "fine": fine });
+        train(&dataset, &supplements, params).0
+    };
+    let (untaught, taught, finished) = (with(0, 0), with(3, 0), with(3, 4));
+    for name in finished.tensors.keys() {
+        let learnt_here = |phase: &Model, before: &Model| {
+            before.tensors.contains_key(name) && phase.tensors[name].values != before.tensors[name].values
+        };
+        if belongs(name, TEACHER) {
+            assert_eq!(learnt_here(&taught, &untaught), name != TEXT, "{name} in teacher");
+            assert!(!learnt_here(&finished, &taught), "{name} in fine");
+        } else if untaught.tensors.contains_key(name) {
+            assert!(!learnt_here(&taught, &untaught), "{name} in teacher");
+        }
+    }
+    assert_ne!(finished.tensors["gaussians.sh_dc"].values, taught.tensors["gaussians.sh_dc"].values);
+}
+
+#[test]
+fn grids_follow_the_shape_of_the_image() {
+    let grid = |height, width| TokenGrid::of_image(height, width, &settings::TeacherSettings::default());
+    assert_eq!(grid(96, 96), TokenGrid { rows: 12, columns: 12 });
+    assert_eq!(grid(800, 800), TokenGrid { rows: 32, columns: 32 });
+    assert_eq!(grid(1014, 1352), TokenGrid { rows: 24, columns: 32 });
+    assert_eq!(grid(3, 900), TokenGrid { rows: 1, columns: 32 });
+}
+
+#[test]
+fn cells_belong_to_their_token_row_by_row() {
+    let grid = TokenGrid { rows: 2, columns: 3 };
+    let (height, width) = (2 * CELLS, 3 * CELLS);
+    let cells = grid.cell_values(height, width, (0..height * width).map(|pixel| pixel as f64).collect());
+    // The fourth token begins in the second row of tokens, first column.
+    let first_pixel = CELLS * width;
+    let expected: Vec<f64> =
+        (0..CELLS * CELLS).map(|at| (first_pixel + at / CELLS * width + at % CELLS) as f64).collect();
+    assert_eq!(cells.as_slice()[3 * CELLS * CELLS..][..CELLS * CELLS], expected);
+}
+
+#[test]
+fn equal_prompts_mean_the_same_and_others_do_not() {
+    let embeddings = prompt_embeddings::<f64>(&["ball", "floor", "ball"].map(String::from));
+    assert_eq!(embeddings.row(0), embeddings.row(2));
+    let cosine: f64 = embeddings.row(0).iter().zip(embeddings.row(1)).map(|(a, b)| a * b).sum();
+    assert!(cosine.abs() <= 0.5, "{cosine}");
+}
+
+#[test]
+fn settings_that_cannot_work_are_refused() {
+    L4dgsSettings::default().check().unwrap();
+    let teacher = settings::TeacherSettings::default;
+    let bad = [
+        L4dgsSettings { interval: 0, ..L4dgsSettings::default() },
+        L4dgsSettings { ramp: [5, 4], ..L4dgsSettings::default() },
+        L4dgsSettings { prompts: Vec::new(), ..L4dgsSettings::default() },
+        L4dgsSettings { semantic_rate: f64::NAN, ..L4dgsSettings::default() },
+        L4dgsSettings { teacher: settings::TeacherSettings { heads: 3, ..teacher() }, ..L4dgsSettings::default() },
+        L4dgsSettings { teacher: settings::TeacherSettings { theta: 1.5, ..teacher() }, ..L4dgsSettings::default() },
+    ];
+    assert!(bad.iter().all(|settings| settings.check().is_err()));
+}
+
+#[test]
+fn a_model_without_semantics_has_nothing_to_say() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let (model, _) = train(&dataset, &Supplements::default(), few_steps("l4dgs", &["motion"]));
+    let (player, view) = (Player::new(&model).unwrap(), &dataset.train[0]);
+    assert!(player.render_semantics(0.0, &view.camera).unwrap().is_none() && player.prompts().is_none());
+    // With semantics, but without visual tokens: features are there, their meaning is not known.
+    let (model, _) = train(&dataset, &Supplements::default(), few_steps("l4dgs", &["static-semantics", "language"]));
+    let player = Player::new(&model).unwrap();
+    let semantics = player.render_semantics(0.0, &view.camera).unwrap().unwrap();
+    assert_eq!(semantics.features.shape(), [view.camera.height, view.camera.width, 4]);
+    let prompts = player.prompts().unwrap();
+    assert!(player.prompt_relevancy(0.0, &view.camera, &prompts).unwrap().is_none());
+}
+
+#[test]
+fn the_teacher_sees_equal_images_equally_and_different_ones_differently() {
+    let settings = L4dgsSettings::tiny().teacher;
+    let teacher = Teacher::new(&settings);
+    let mut state = ModelState::<f64>::new();
+    teacher.insert(&mut state, None, None, &mut crate::sampler::generator(1, crate::sampler::Stream::Method));
+    let lesson = |shift: usize| {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let value = |at: usize| if (at / 3 + shift) % 16 < 6 { 0.9 } else { 0.1 * (at % 3) as f64 };
+        let image = tape.constant(Tensor::from_vec([16, 16, 3], (0..16 * 16 * 3).map(value).collect()));
+        let lesson = teacher.observe(&mut tape, &model, TokenGrid { rows: 4, columns: 4 }, image, None);
+        let attention = tape.value(lesson.probabilities).clone();
+        for row in 0..16 {
+            assert!((attention.row(row).iter().sum::<f64>() - 1.0).abs() <= 1e-12);
+            assert!(attention.row(row).iter().filter(|&&p| p > 0.0).count() <= settings.heads * settings.top_k);
+        }
+        tape.value(lesson.features).clone()
+    };
+    assert_eq!(lesson(0), lesson(0));
+    assert_ne!(lesson(0), lesson(5));
+}
