@@ -8,8 +8,9 @@ use rand_chacha::ChaCha8Rng;
 use crate::cloud::PointCloud;
 use crate::image_file::RgbImage;
 use crate::maps::{DepthMap, FlowMap};
+use crate::npy_file::tests::npy_bytes;
 use crate::ply::PlyFormat;
-use crate::{Capture, Gaussians, Result, exr_file, image_file};
+use crate::{Capture, Gaussians, Result, exr_file, image_file, npy_file};
 
 /// A reader that says whether it accepted the file.
 type Reader = fn(&Path) -> Result<()>;
@@ -69,7 +70,10 @@ fn no_reader_panics_and_most_damage_is_noticed() {
     depth.write(&path("depth.exr")).unwrap();
     let flow = FlowMap { width: 9, height: 7, flow_px: (0..63).map(|at| [at as f32, f32::NAN]).collect() };
     flow.write(&path("flow.exr")).unwrap();
-    let cases: [(&str, Reader, usize); 8] = [
+    let array = npy_bytes("<f4", true, "(9, 7)", &[1; 252]);
+    std::fs::write(path("array.npy"), array).unwrap();
+    let cases: [(&str, Reader, usize); 9] = [
+        ("array.npy", |path| npy_file::read(path).map(drop), 100),
         ("binary.ply", |path| PointCloud::read_ply(path).map(drop), 100),
         ("ascii.ply", |path| PointCloud::read_ply(path).map(drop), 100),
         ("gaussians.ply", |path| Gaussians::read_ply(path).map(drop), 100),

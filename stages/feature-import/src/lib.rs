@@ -2,6 +2,7 @@
 //! in one space, computed elsewhere (CLIP) or exactly from instance labels.
 
 mod artifact;
+mod files;
 mod labels;
 mod params;
 mod run;
@@ -12,4 +13,4 @@ mod tests;
 
 pub use artifact::{Features, TokenGrid};
 pub use params::{FeatureSource, Params};
-pub use run::{FeatureImport, import};
+pub use run::{FeatureImport, from_files, from_labels};

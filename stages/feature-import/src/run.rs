@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use engine::{JobContext, ParamProblem, Port, Resources, Stage};
+use engine::{JobContext, ParamProblem, Port, Resources, Source, Stage};
 use rayon::prelude::*;
-use scene::Capture;
+use scene::{Capture, View};
 
-use crate::artifact::TokenView;
+use crate::artifact::{TokenGrid, TokenView};
+use crate::files::FeatureFiles;
 use crate::labels::Vocabulary;
 use crate::{FeatureSource, Features, Params};
 
@@ -14,6 +15,9 @@ engine::artifact! {
     /// The capture that the features describe.
     pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
 }
+
+/// The name under which the engine hands over the folder of files.
+const FOLDER: &str = "folder";
 
 /// The stage `feature-import`.
 pub struct FeatureImport;
@@ -30,6 +34,13 @@ impl Stage for FeatureImport {
         vec![Port::one::<CaptureArtifact>("capture")]
     }
 
+    fn sources(params: &Params) -> Vec<Source> {
+        match params.source {
+            FeatureSource::Labels => Vec::new(),
+            FeatureSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
+        }
+    }
+
     fn check_params(params: &Params) -> Vec<ParamProblem> {
         params.problems()
     }
@@ -40,36 +51,61 @@ impl Stage for FeatureImport {
 
     fn run(context: &JobContext, params: &Params) -> anyhow::Result<Features> {
         let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let folder = match params.source {
+            FeatureSource::Labels => None,
+            FeatureSource::Files => Some(context.source(FOLDER)?),
+        };
         let dir = context.output_dir();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        pool.install(|| import(&capture, params, dir))
+        let features = pool.install(|| match folder {
+            None => from_labels(&capture, params, dir),
+            Some(folder) => from_files(&capture, folder, dir),
+        })?;
+        let with_tokens = features.views.iter().filter(|view| view.grid.is_some()).count();
+        context.measure("views_with_tokens", with_tokens)?;
+        Ok(features)
     }
 }
 
-/// Writes the features of `capture` into the folder `dir`.
-pub fn import(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Features> {
-    match params.source {
-        FeatureSource::Labels => from_labels(capture, params, dir),
-    }
-}
-
-/// Exact features of every view.
-fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Features> {
+/// Writes exact features of every view of `capture` into the folder `dir`.
+pub fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Features> {
     let vocabulary = Vocabulary::of(capture, params)?;
-    let mut features = Features {
-        dir: dir.into(),
-        source: "labels".into(),
-        dimension: params.dimension,
-        prompts: vocabulary.prompts.clone(),
-        views: Vec::new(),
-    };
+    let tokens = |view: &View| Ok(Some(vocabulary.tokens(capture, view, params.grid)?));
+    let text = Text { prompts: &vocabulary.prompts, embeddings: &vocabulary.embeddings, dimension: params.dimension };
+    write(capture, "labels", text, tokens, dir)
+}
+
+/// Writes the features of `capture` that lie in files below `folder` into the folder `dir`.
+pub fn from_files(capture: &Capture, folder: &Path, dir: &Path) -> anyhow::Result<Features> {
+    let files = FeatureFiles::open(folder, capture)?;
+    let text = Text { prompts: &files.prompts, embeddings: &files.text, dimension: files.dimension };
+    write(capture, "files", text, |view| files.tokens(view), dir)
+}
+
+/// Prompts and their embeddings [P, F].
+struct Text<'a> {
+    prompts: &'a [String],
+    embeddings: &'a [f32],
+    dimension: usize,
+}
+
+fn write(
+    capture: &Capture,
+    source: &str,
+    text: Text<'_>,
+    tokens: impl Fn(&View) -> anyhow::Result<Option<TokenGrid>> + Sync,
+    dir: &Path,
+) -> anyhow::Result<Features> {
+    let prompts = text.prompts.to_vec();
+    let mut features =
+        Features { dir: dir.into(), source: source.into(), dimension: text.dimension, prompts, views: Vec::new() };
     features.create_folders()?;
     let views = capture.views.par_iter().map(|view| {
-        let tokens = vocabulary.tokens(capture, view, params.grid)?;
-        features.write_tokens(&view.name, &tokens)?;
-        Ok(TokenView { name: view.name.clone(), grid: Some([tokens.rows, tokens.columns]) })
+        let tokens = tokens(view)?;
+        tokens.iter().try_for_each(|tokens| features.write_tokens(&view.name, tokens))?;
+        Ok(TokenView { name: view.name.clone(), grid: tokens.map(|tokens| [tokens.rows, tokens.columns]) })
     });
     features.views = views.collect::<anyhow::Result<_>>()?;
-    features.finish(&vocabulary.embeddings)?;
+    features.finish(text.embeddings)?;
     Ok(features)
 }

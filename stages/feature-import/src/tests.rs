@@ -4,7 +4,7 @@ use engine::Artifact as _;
 use scene::Capture;
 use scene_synthesis::{Params as SceneParams, SceneKind, Truth};
 
-use crate::{Features, Params, import};
+use crate::{Features, Params, from_files, from_labels, tensor_file};
 
 /// Six small views of a scene, with instance labels.
 fn capture(dir: &std::path::Path, scene: SceneKind) -> Capture {
@@ -32,7 +32,7 @@ fn a_token_times_an_embedding_is_the_share_of_the_cell_that_shows_the_class() {
     let capture = capture(&dir.path().join("capture"), SceneKind::BouncingSpheres);
     let out = dir.path().join("features");
     let params = Params { grid: 10, dimension: 7, ..Params::default() };
-    let features = import(&capture, &params, &out).unwrap();
+    let features = from_labels(&capture, &params, &out).unwrap();
     features.check().unwrap();
     assert_eq!(Features::open(&out).unwrap(), features);
     features.check_against(&capture).unwrap();
@@ -68,7 +68,7 @@ fn every_synthetic_scene_names_its_instances() {
     ] {
         let root = dir.path().join(format!("{scene:?}"));
         let capture = capture(&root.join("capture"), scene);
-        let features = import(&capture, &Params { grid: 4, ..Params::default() }, &root.join("features")).unwrap();
+        let features = from_labels(&capture, &Params { grid: 4, ..Params::default() }, &root.join("features")).unwrap();
         features.check().unwrap();
         assert_eq!(features.prompts, expected);
     }
@@ -79,7 +79,7 @@ fn what_cannot_work_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let labelled = capture(&dir.path().join("capture"), SceneKind::BouncingSpheres);
     let refusal = |capture: &Capture, params: &Params| {
-        format!("{:#}", import(capture, params, &dir.path().join("features")).unwrap_err())
+        format!("{:#}", from_labels(capture, params, &dir.path().join("features")).unwrap_err())
     };
     let message = refusal(&labelled, &Params { dimension: 4, ..Params::default() });
     assert!(message.contains("5 classes") && message.contains("at least 5"), "{message}");
@@ -94,7 +94,7 @@ fn damage_is_found_by_the_check_and_names_the_file() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(&dir.path().join("capture"), SceneKind::SwingingArm);
     let out = dir.path().join("features");
-    let features = import(&capture, &Params { grid: 4, dimension: 3, ..Params::default() }, &out).unwrap();
+    let features = from_labels(&capture, &Params { grid: 4, dimension: 3, ..Params::default() }, &out).unwrap();
     let path = out.join("visual/train_0001.safetensors");
     let original = std::fs::read(&path).unwrap();
     let refusal = || format!("{:#}", features.check().unwrap_err());
@@ -120,4 +120,95 @@ fn damage_is_found_by_the_check_and_names_the_file() {
     assert!(features.check_against(&renamed).is_err());
     renamed.views.pop();
     assert!(features.check_against(&renamed).is_err());
+}
+
+/// A `.npy` file of f32 values.
+fn write_npy(path: &std::path::Path, shape: &str, values: &[f32]) {
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+    let mut bytes = [&b"\x93NUMPY\x01\x00\x76\x00"[..], format!("{header:<117}\n").as_bytes()].concat();
+    values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// Files for the capture's training views, by number and in both formats, with three prompts of length 2.
+fn write_files(folder: &std::path::Path, capture: &Capture) {
+    std::fs::create_dir_all(folder.join("clip")).unwrap();
+    std::fs::write(folder.join("prompts.txt"), "a ball\nthe floor\nnothing\n").unwrap();
+    write_npy(&folder.join("text.npy"), "(3, 2)", &[1.0, 0.0, 0.0, 1.0, -1.0, 0.0]);
+    for (index, view) in capture.views_of(scene::Split::Train) {
+        let values = [index as f32, 1.0, 2.0, 3.0];
+        if index % 2 == 0 {
+            write_npy(&folder.join(format!("clip/{}.npy", view.name)), "(1, 2, 2)", &values);
+        } else {
+            let path = folder.join(format!("clip/{}.safetensors", view.name));
+            tensor_file::write(&path, "anything", &[1, 2, 2], &values).unwrap();
+        }
+    }
+}
+
+#[test]
+fn files_of_an_estimator_are_imported_by_name_or_number() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut capture = capture(&dir.path().join("capture"), SceneKind::Occluder);
+    let folder = dir.path().join("aux");
+    write_files(&folder, &capture);
+    let check = |capture: &Capture, out: &str| {
+        let features = from_files(capture, &folder, &dir.path().join(out)).unwrap();
+        features.check().unwrap();
+        assert_eq!(features.prompts, ["a ball", "the floor", "nothing"]);
+        assert_eq!(features.load_text().unwrap()[4..], [-1.0, 0.0]);
+        for (index, view) in capture.views.iter().enumerate() {
+            let tokens = features.load_tokens(index).unwrap();
+            let expected = (view.split == scene::Split::Train).then(|| vec![index as f32, 1.0, 2.0, 3.0]);
+            assert_eq!(tokens.map(|tokens| tokens.values), expected, "{}", view.name);
+        }
+    };
+    check(&capture, "by-name");
+    // Frame numbers count where they are unique: held-out views share theirs with training views, so they go.
+    capture.views.retain(|view| view.split == scene::Split::Train);
+    for (index, view) in capture.views.iter().enumerate() {
+        let extension = if index % 2 == 0 { "npy" } else { "safetensors" };
+        let path = |name: &str| folder.join(format!("clip/{name}.{extension}"));
+        std::fs::rename(path(&view.name), path(&format!("{index:05}"))).unwrap();
+    }
+    check(&capture, "by-number");
+}
+
+#[test]
+fn files_that_do_not_fit_are_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = capture(&dir.path().join("capture"), SceneKind::Occluder);
+    type Fault = fn(&std::path::Path);
+    let cases: [(Fault, &[&str]); 9] = [
+        (|folder| std::fs::remove_file(folder.join("prompts.txt")).unwrap(), &["prompts", "prompts.txt"]),
+        (|folder| std::fs::write(folder.join("prompts.txt"), "a\n\nb\n").unwrap(), &["line 2", "prompts.txt"]),
+        (
+            |folder| std::fs::write(folder.join("prompts.txt"), "a\nb\n").unwrap(),
+            &["3 text embeddings for 2", "text.npy"],
+        ),
+        (|folder| std::fs::remove_file(folder.join("text.npy")).unwrap(), &["no text", "text.npy"]),
+        (|folder| write_npy(&folder.join("text.npy"), "(6,)", &[1.0; 6]), &["[6]", "[prompts, F]", "text.npy"]),
+        (
+            |folder| write_npy(&folder.join("text.npy"), "(3, 2)", &[1.0, 1.0, 0.0, 0.0, 1.0, 1.0]),
+            &["vector 1 is zero"],
+        ),
+        (|folder| std::fs::remove_file(folder.join("clip/train_0002.npy")).unwrap(), &["train_0002 has no tokens"]),
+        (
+            |folder| write_npy(&folder.join("clip/train_0000.npy"), "(1, 1, 3)", &[1.0; 3]),
+            &["length 3", "train_0000.npy"],
+        ),
+        (
+            |folder| write_npy(&folder.join("clip/train_0000.npy"), "(1, 1, 2)", &[f32::NAN; 2]),
+            &["vector 0 is not finite", "train_0000.npy"],
+        ),
+    ];
+    for (at, (fault, expected)) in cases.into_iter().enumerate() {
+        let folder = dir.path().join(format!("aux{at}"));
+        write_files(&folder, &capture);
+        fault(&folder);
+        let message = format!("{:#}", from_files(&capture, &folder, &dir.path().join("features")).unwrap_err());
+        assert!(expected.iter().all(|part| message.contains(part)), "{expected:?}: {message}");
+    }
+    let message = format!("{:#}", from_files(&capture, &dir.path().join("none"), dir.path()).unwrap_err());
+    assert!(message.contains("--data-root"), "{message}");
 }

@@ -1,7 +1,8 @@
 //! What momentum is computed from, view by view.
 
+use depth_flow_import::{FlowPrior, Priors};
 use glam::DVec2;
-use scene::{Camera, DepthMap, FlowMap};
+use scene::{Camera, DepthMap};
 
 /// Geometry and motion of one view.
 pub struct MotionView {
@@ -10,17 +11,18 @@ pub struct MotionView {
     /// View-space z; 0 where there is none.
     pub depth: DepthMap,
     /// To the next instant, where it is known.
-    pub flow: Option<MotionFlow>,
+    pub flow: Option<FlowPrior>,
 }
 
-/// Optical flow and where it leads.
-pub struct MotionFlow {
-    /// Displacement in pixels; NaN where there is none.
-    pub map: FlowMap,
-    /// The camera that sees the pixels where they arrive.
-    pub camera_to: Camera,
-    /// The view that shows them there, if any does.
-    pub view_to: Option<usize>,
+impl MotionView {
+    /// The view at `index` within the capture's views; depth that is not known is 0 everywhere.
+    pub fn load(priors: &Priors, index: usize) -> scene::Result<Self> {
+        let camera = priors.views[index].camera;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let unknown = || DepthMap { width, height, depth_view: vec![0.0; width as usize * height as usize] };
+        let depth = priors.load_depth(index)?.unwrap_or_else(unknown);
+        Ok(Self { camera, depth, flow: priors.load_flow(index)? })
+    }
 }
 
 /// The index of the pixel that holds a position; `None` outside of the image and for NaN.

@@ -3,6 +3,7 @@
 //! For the pixel u with depth d, seen by camera t, and flow f that leads to camera t + s,
 //! `f_geom(u) = π_{t+s}(π_t⁻¹(u, d)) - u` and `p(u) = m(u) (f(u) - f_geom(u)) / s`, in pixels per frame.
 
+use depth_flow_import::FlowPrior;
 use glam::{DVec2, DVec3};
 use scene::Camera;
 
@@ -67,7 +68,7 @@ impl Tracks {
 
     /// One step along `flow`. Flow is looked up at the nearest pixel: interpolation would mix what moves with what does
     /// not along every outline.
-    fn follow(&mut self, flow: &crate::maps::MotionFlow) {
+    fn follow(&mut self, flow: &FlowPrior) {
         let (width, height) = self.size;
         for position in &mut self.positions {
             *position = position.and_then(|from| {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context as _;
+use depth_flow_import::Priors;
 use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Stage};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -10,7 +11,7 @@ use scene::{Capture, PointCloud, Split};
 use serde::Serialize;
 
 use crate::artifact::CanonicalView;
-use crate::maps::{MotionFlow, MotionView};
+use crate::maps::MotionView;
 use crate::momentum::{momentum, surface_point};
 use crate::{Params, Particles, sampling};
 
@@ -30,7 +31,7 @@ impl Stage for MomentumSampling {
     const ABOUT: &'static str = "draws particles where optical flow differs from what the camera's motion explains";
 
     fn ports() -> Vec<Port> {
-        vec![Port::one::<CaptureArtifact>("capture")]
+        vec![Port::one::<CaptureArtifact>("capture"), Port::one::<Priors>("priors")]
     }
 
     fn check_params(params: &Params) -> Vec<ParamProblem> {
@@ -43,9 +44,10 @@ impl Stage for MomentumSampling {
 
     fn run(context: &JobContext, params: &Params) -> anyhow::Result<Particles> {
         let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let priors = context.input::<Priors>("priors")?;
         let dir = context.output_dir();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        let sampled = pool.install(|| sample(&capture, params, dir))?;
+        let sampled = pool.install(|| sample(&capture, &priors, params, dir))?;
         context.measure("particles", sampled.particles.count)?;
         context.measure("moving", sampled.moving)?;
         Ok(sampled.particles)
@@ -79,11 +81,12 @@ struct Candidate {
     moves: Option<bool>,
 }
 
-/// Draws particles from the first training views of `capture` into the folder `dir`.
-pub fn sample(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
+/// Draws particles from the first training views of `capture`, whose depth and flow are in `priors`, into the folder `dir`.
+pub fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
+    priors.check_against(capture)?;
     let (start_secs, canonical) = canonical_views(capture)?;
     let found: Vec<_> =
-        canonical.par_iter().map(|&index| candidates(capture, index, params)).collect::<anyhow::Result<_>>()?;
+        canonical.par_iter().map(|&index| candidates(capture, priors, index, params)).collect::<anyhow::Result<_>>()?;
     let mut strides: Vec<usize> = found.iter().flat_map(|(_, strides)| strides.iter().copied()).collect();
     strides.sort_unstable();
     strides.dedup();
@@ -94,7 +97,7 @@ pub fn sample(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<
         let names: Vec<_> = canonical.iter().map(|index| capture.views[*index].name.as_str()).collect();
         let message = format!("no pixel of {} has both depth and flow", names.join(", "));
         return Err(Failure::new(FailureKind::BadInput, message)
-            .hint("momentum needs both at the first instant")
+            .hint("momentum needs both at the first instant of training")
             .into());
     }
     let energies = sampling::energies(&candidates.iter().map(|it| it.squared_norm).collect::<Vec<_>>());
@@ -136,8 +139,13 @@ fn canonical_views(capture: &Capture) -> anyhow::Result<(f64, Vec<usize>)> {
 }
 
 /// The pixels of one view that can become particles, and the strides that their momentum was computed for.
-fn candidates(capture: &Capture, index: usize, params: &Params) -> anyhow::Result<(Vec<Candidate>, Vec<usize>)> {
-    let load = |index: usize| motion_view(capture, index);
+fn candidates(
+    capture: &Capture,
+    priors: &Priors,
+    index: usize,
+    params: &Params,
+) -> anyhow::Result<(Vec<Candidate>, Vec<usize>)> {
+    let load = |index: usize| Ok(MotionView::load(priors, index)?);
     let view = load(index)?;
     let momentum = momentum(&view, params, &load)?;
     let image = capture.load_image(&capture.views[index])?;
@@ -153,21 +161,6 @@ fn candidates(capture: &Capture, index: usize, params: &Params) -> anyhow::Resul
         })
     };
     Ok((momentum.squared_norm.iter().enumerate().filter_map(candidate).collect(), momentum.strides))
-}
-
-/// Depth and flow of a view as the capture itself has them: its flow is that of a camera that stands still.
-fn motion_view(capture: &Capture, index: usize) -> anyhow::Result<MotionView> {
-    let view = &capture.views[index];
-    let depth = capture.load_depth(view)?;
-    let missing = || Failure::new(FailureKind::BadInput, format!("view {} has no depth", view.name));
-    let depth = depth.ok_or_else(|| missing().hint("add \"depth\" to the truths of the synthetic capture"))?;
-    let flow = capture.load_flow(view)?;
-    let continues = |(_, next): &(usize, &scene::View)| {
-        next.camera_index == view.camera_index && next.frame_index == view.frame_index + 1 && next.camera == view.camera
-    };
-    let view_to = capture.views_of(view.split).find(continues).map(|(index, _)| index);
-    let flow = flow.map(|map| MotionFlow { map, camera_to: view.camera, view_to });
-    Ok(MotionView { camera: view.camera, depth, flow })
 }
 
 /// Per pixel whether it shows something that moves, where the capture knows: by velocity, else by instance label.

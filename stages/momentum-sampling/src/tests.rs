@@ -1,11 +1,12 @@
 //! Momentum against closed forms, the draw against its distribution, the whole on synthetic captures.
 
+use depth_flow_import::{FlowPrior, PriorView, Priors, ViewMaps};
 use engine::Artifact as _;
 use glam::{DMat3, DVec3};
 use scene::{Camera, Capture, DepthMap, FlowMap, Intrinsics, RigidTransform};
 use scene_synthesis::{CameraPath, Params as SceneParams, SceneKind, Truth};
 
-use crate::maps::{MotionFlow, MotionView};
+use crate::maps::MotionView;
 use crate::momentum::{momentum, surface_point};
 use crate::{Params, Particles, sample, sampling};
 
@@ -40,9 +41,10 @@ fn wall(index: usize, step: f64, own_px: f32) -> MotionView {
     MotionView {
         camera: camera(index as f64 * step),
         depth: DepthMap { width: WIDTH, height: HEIGHT, depth_view: vec![DEPTH; pixels] },
-        flow: Some(MotionFlow {
+        flow: Some(FlowPrior {
             map: FlowMap { width: WIDTH, height: HEIGHT, flow_px: (0..pixels).map(flow).collect() },
             camera_to: camera((index + 1) as f64 * step),
+            time_to_secs: (index + 1) as f64,
             view_to: Some(index + 1),
         }),
     }
@@ -168,15 +170,38 @@ fn capture(dir: &std::path::Path, scene: SceneKind, camera: CameraPath) -> Captu
     scene_synthesis::synthesize(&params, dir, 1, |_, _| Ok(())).unwrap()
 }
 
+/// The maps that the capture carries: its flow leads to what the same camera pose sees a frame later.
+fn priors(capture: &Capture, dir: &std::path::Path) -> Priors {
+    let view_priors = |view: &scene::View| -> PriorView {
+        let next = |other: &scene::View| other.camera == view.camera && other.frame_index == view.frame_index + 1;
+        let flow = |map| FlowPrior {
+            map,
+            camera_to: view.camera,
+            time_to_secs: view.time_secs + capture.time_map.frame_secs,
+            view_to: capture.views.iter().position(next),
+        };
+        let maps = ViewMaps {
+            depth: capture.load_depth(view).unwrap(),
+            flow: capture.load_flow(view).unwrap().map(flow),
+            ..ViewMaps::default()
+        };
+        Priors::write_view(dir, &view.name, view.camera, &maps).unwrap()
+    };
+    let priors = Priors::save(dir, "capture", capture.views.iter().map(view_priors).collect()).unwrap();
+    priors.check().unwrap();
+    priors
+}
+
 #[test]
 fn particles_lie_on_what_moves() {
     for scene in [SceneKind::BouncingSpheres, SceneKind::SwingingArm, SceneKind::WavingCloth, SceneKind::Occluder] {
         for (path, strides, views) in [(CameraPath::Rig, &[1, 2, 4, 8][..], 2), (CameraPath::Arc, &[1], 1)] {
             let dir = tempfile::tempdir().unwrap();
             let capture = capture(&dir.path().join("capture"), scene, path);
+            let priors = priors(&capture, &dir.path().join("priors"));
             let out = dir.path().join("particles");
             std::fs::create_dir(&out).unwrap();
-            let sampled = sample(&capture, &Params::default(), &out).unwrap();
+            let sampled = sample(&capture, &priors, &Params::default(), &out).unwrap();
             sampled.particles.check().unwrap();
             assert_eq!(sampled.particles, Particles::open(&out).unwrap());
             assert_eq!(sampled.particles.strides, strides, "{scene:?} {path:?}");
@@ -193,10 +218,11 @@ fn particles_lie_on_what_moves() {
 fn a_scene_at_rest_gives_an_even_spread_and_equal_parameters_equal_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(&dir.path().join("capture"), SceneKind::StaticBlocks, CameraPath::Rig);
+    let priors = priors(&capture, &dir.path().join("priors"));
     let draw = |name: &str, seed: u64| {
         let out = dir.path().join(name);
         std::fs::create_dir(&out).unwrap();
-        let sampled = sample(&capture, &Params { seed, ..Params::default() }, &out).unwrap();
+        let sampled = sample(&capture, &priors, &Params { seed, ..Params::default() }, &out).unwrap();
         sampled.particles.check().unwrap();
         assert_eq!(sampled.moving.unwrap().of_area, 0.0);
         (sampled.particles.count, std::fs::read(out.join("particles.ply")).unwrap())
@@ -207,19 +233,24 @@ fn a_scene_at_rest_gives_an_even_spread_and_equal_parameters_equal_bytes() {
 }
 
 #[test]
-fn without_depth_or_flow_the_view_is_named() {
+fn priors_that_lack_depth_or_flow_or_are_anothers_are_refused() {
     let dir = tempfile::tempdir().unwrap();
-    let mut capture = capture(&dir.path().join("capture"), SceneKind::Occluder, CameraPath::Arc);
-    let refusal = |capture: &Capture| {
-        let Err(error) = sample(capture, &Params::default(), dir.path()) else { panic!("was accepted") };
+    let capture = capture(&dir.path().join("capture"), SceneKind::Occluder, CameraPath::Arc);
+    let complete = priors(&capture, &dir.path().join("priors"));
+    let refusal = |change: fn(&mut Priors)| {
+        let mut priors = complete.clone();
+        change(&mut priors);
+        let Err(error) = sample(&capture, &priors, &Params::default(), dir.path()) else { panic!("was accepted") };
         format!("{error:#}")
     };
-    capture.views[0].flow = None;
-    let message = refusal(&capture);
-    assert!(message.contains("train_0000") && message.contains("flow"), "{message}");
-    capture.views[0].depth = None;
-    let message = refusal(&capture);
-    assert!(message.contains("train_0000") && message.contains("no depth"), "{message}");
+    for change in
+        [|priors: &mut Priors| priors.views[0].flow = None, |priors: &mut Priors| priors.views[0].depth = None]
+    {
+        let message = refusal(change);
+        assert!(message.contains("train_0000 has both depth and flow"), "{message}");
+    }
+    let message = refusal(|priors| priors.views[3].name = "other".into());
+    assert!(message.contains("another capture"), "{message}");
 }
 
 #[test]

@@ -135,6 +135,7 @@ impl Summary {
             (Format::Blender, true) => "D-NeRF (Blender transforms_*.json with times)",
             (Format::Blender, false) => "Blender transforms_*.json without times (a scene at rest)",
             (Format::Colmap, _) => "COLMAP sparse model",
+            (Format::Nerfies, _) => "Nerfies, HyperNeRF or DyCheck (a camera file per view)",
         }
     }
 }
@@ -184,7 +185,9 @@ impl Frames {
             });
             lines.push(("points", format!("{}{error}", self.points)));
         } else if self.points == 0 {
-            lines.push(("points", "none (initial points are drawn in the box ±1.3)".into()));
+            lines.push(("points", "none (initial points are drawn at random)".into()));
+        } else {
+            lines.push(("points", self.points.to_string()));
         }
         lines
     }
@@ -193,7 +196,7 @@ impl Frames {
         match (self.time_range_secs, self.cameras) {
             (None, count) => format!("{count} at one instant"),
             (Some(_), 1) => "1, moving (one view per instant)".into(),
-            (Some(_), count) => format!("{count} (a rig, one folder each)"),
+            (Some(_), count) => format!("{count} (a rig)"),
         }
     }
 
@@ -216,6 +219,8 @@ fn recipe(source: &SourceCapture, frames: &Frames) -> String {
         params.push("every_nth = 8, fps = 30.0".into());
         note = "# images are taken for the frames of a video in the order of their names;\n\
                 # for photos of a scene at rest replace fps by static = true\n";
+    } else if source.format == Format::Nerfies {
+        params.push("fps = 30.0".into());
     } else if source.name == "lego" && source.dataset == "dnerf" {
         params.push("test_split = \"val\"".into());
     }

@@ -9,16 +9,18 @@ const MAX_ZOOM: f64 = 4.0;
 /// Bisection steps of the zoom: 40 halvings of [1, `MAX_ZOOM`] are below f64 pixel rounding.
 const ZOOM_STEPS: usize = 40;
 
-/// Radial (`k1`, `k2`) and tangential (`p1`, `p2`) coefficients on the plane z = 1.
+/// Radial (`k1`, `k2`, `k3`) and tangential (`p1`, `p2`) coefficients on the plane z = 1.
 ///
-/// x' = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²), y' = y (1 + k1 r² + k2 r⁴) + p1 (r² + 2 y²) + 2 p2 x y
-/// (Brown 1966; COLMAP's `OPENCV`, of which `RADIAL` and `SIMPLE_RADIAL` are special cases).
+/// With d = 1 + k1 r² + k2 r⁴ + k3 r⁶: x' = x d + 2 p1 x y + p2 (r² + 2 x²), y' = y d + p1 (r² + 2 y²) + 2 p2 x y
+/// (Brown 1966; COLMAP's `OPENCV`, of which `RADIAL` and `SIMPLE_RADIAL` are special cases, has no k3).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Distortion {
     /// Coefficient of r².
     pub k1: f64,
     /// Coefficient of r⁴.
     pub k2: f64,
+    /// Coefficient of r⁶.
+    pub k3: f64,
     /// First tangential coefficient.
     pub p1: f64,
     /// Second tangential coefficient.
@@ -42,9 +44,9 @@ impl Distortion {
 
     /// Where the ray through `point` (plane z = 1) lands on that plane.
     pub fn apply(&self, point: DVec2) -> DVec2 {
-        let Self { k1, k2, p1, p2 } = *self;
+        let Self { k1, k2, k3, p1, p2 } = *self;
         let (r2, xy) = (point.length_squared(), point.x * point.y);
-        let radial = 1.0 + k1 * r2 + k2 * r2 * r2;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
         let tangential = DVec2::new(
             2.0 * p1 * xy + p2 * (r2 + 2.0 * point.x * point.x),
             p1 * (r2 + 2.0 * point.y * point.y) + 2.0 * p2 * xy,
@@ -52,9 +54,9 @@ impl Distortion {
         point * radial + tangential
     }
 
-    /// Whether the radial part still grows at radius² `r2`: d(r + k1 r³ + k2 r⁵)/dr > 0.
+    /// Whether the radial part still grows at radius² `r2`: d(r + k1 r³ + k2 r⁵ + k3 r⁷)/dr > 0.
     fn grows_at(&self, r2: f64) -> bool {
-        1.0 + 3.0 * self.k1 * r2 + 5.0 * self.k2 * r2 * r2 > 0.0
+        1.0 + r2 * (3.0 * self.k1 + r2 * (5.0 * self.k2 + r2 * 7.0 * self.k3)) > 0.0
     }
 }
 

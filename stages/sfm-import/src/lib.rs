@@ -1,7 +1,7 @@
-//! Imports captures whose poses somebody else has computed: D-NeRF/Blender `transforms_*.json` and COLMAP sparse
-//! models become the one [`scene::Capture`].
+//! Imports captures whose poses somebody else has computed: D-NeRF/Blender `transforms_*.json`, COLMAP sparse
+//! models and the folders of Nerfies, HyperNeRF and DyCheck become the one [`scene::Capture`].
 //!
-//! A reader ([`blender`], [`colmap`]) turns files into a [`source::SourceCapture`]: posed, timed, split frames, without
+//! A reader ([`blender`], [`colmap`], [`nerfies`]) turns files into a [`source::SourceCapture`]: posed, timed, split frames, without
 //! touching a pixel. [`source::SourceCapture::problems`] lists everything that is wrong with it; [`run`] refuses it or
 //! converts the pixels, and [`inspect`] tells a person.
 
@@ -10,6 +10,7 @@ pub mod blender;
 pub mod colmap;
 pub mod inspect;
 pub mod lens;
+pub mod nerfies;
 pub mod params;
 mod pixels;
 mod run;

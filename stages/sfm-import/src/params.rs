@@ -13,7 +13,8 @@ pub struct Params {
     pub source: PathBuf,
     /// What the folder holds.
     pub format: Format,
-    /// Pixels per row of the imported images; the height follows the aspect ratio. Unset keeps the native size.
+    /// Pixels per row of the imported images; the height follows the aspect ratio. Unset keeps the native size. Nerfies: the
+    /// smallest stored images that are as wide are read, so that one of their widths resizes nothing.
     pub width: Option<u32>,
     /// How images get to `width`: `area` (the default where `width` is set) or `lanczos3`.
     pub resize: Option<Resize>,
@@ -23,14 +24,14 @@ pub struct Params {
     pub test_split: TestSplit,
     /// COLMAP: every n-th image, from the first, is a test view; 0 makes none.
     pub every_nth: u32,
-    /// Validation views. Unset: Blender's official val split unless it is tested on, none for COLMAP. A number: so
+    /// Validation views. Unset: Blender's official val split unless it is tested on, none elsewhere. A number: so
     /// many, evenly spread, of that split, or held out of the training views where there is no such split.
     pub val_count: Option<u32>,
     /// Keeps every n-th training view.
     pub frame_step: u32,
     /// Keeps at most so many training views (after `frame_step`), evenly spread.
     pub train_limit: Option<u32>,
-    /// COLMAP: frames per second of the video whose sorted frames the images are.
+    /// COLMAP and Nerfies: frames per second of the video whose frames the images are.
     pub fps: f64,
     /// Every image shows the same instant (a photo collection of a scene at rest).
     #[serde(rename = "static")]
@@ -50,6 +51,8 @@ pub enum Format {
     Blender,
     /// A COLMAP sparse model (`sparse/0/{cameras,images,points3D}.{bin,txt}`) beside its images.
     Colmap,
+    /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`, as Nerfies, HyperNeRF and DyCheck.
+    Nerfies,
 }
 
 /// A resize filter.
@@ -100,6 +103,18 @@ impl Default for Params {
             fps: 30.0,
             static_scene: false,
             min_registered_share: 0.5, // below, structure from motion has lost the scene
+        }
+    }
+}
+
+impl Format {
+    /// As protocols and captures spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Blender => "blender",
+            Self::Colmap => "colmap",
+            Self::Nerfies => "nerfies",
         }
     }
 }

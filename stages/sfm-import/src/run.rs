@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use scene::float_image::{FloatImage, ResizeFilter};
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 
-use crate::params::{Format, Resize};
+use crate::params::Resize;
 use crate::pixels::{self, Labels};
 use crate::source::{self, Frame, Result, SourceCapture, bad};
 use crate::{CaptureArtifact, Params};
@@ -24,7 +24,8 @@ impl Stage for SfmImport {
     type Output = CaptureArtifact;
 
     const ID: &'static str = "sfm-import";
-    const ABOUT: &'static str = "Imports a capture with known poses: D-NeRF/Blender transforms or a COLMAP model.";
+    const ABOUT: &'static str =
+        "Imports a capture with known poses: D-NeRF/Blender, COLMAP, or Nerfies/HyperNeRF/DyCheck.";
 
     fn ports() -> Vec<Port> {
         Vec::new()
@@ -145,7 +146,7 @@ impl Conversion {
         };
         CaptureInfo {
             name: source.name.clone(),
-            pose_source: if source.format == Format::Colmap { "colmap" } else { "blender" }.into(),
+            pose_source: source.format.name().into(),
             protocol: Protocol {
                 dataset: source.dataset.into(),
                 split: source.split_rule.clone(),

@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::colmap::model::ReprojectionError;
 use crate::lens::Lens;
 use crate::params::Format;
-use crate::{Params, blender, colmap};
+use crate::{Params, blender, colmap, nerfies};
 
 /// Results of this crate: every error has a kind, a message, a hint and a file.
 pub type Result<T> = std::result::Result<T, Failure>;
@@ -20,9 +20,9 @@ pub type Result<T> = std::result::Result<T, Failure>;
 pub struct SourceCapture {
     /// The folder's name.
     pub name: String,
-    /// [`Format::Blender`] or [`Format::Colmap`].
+    /// What the folder was recognised as; never [`Format::Auto`].
     pub format: Format,
-    /// The benchmark, for the protocol: `dnerf`, `blender` or `colmap`.
+    /// The benchmark, for the protocol: `dnerf`, `blender`, `colmap`, `nerfies` or `dycheck`.
     pub dataset: &'static str,
     /// How views became train, val and test.
     pub split_rule: String,
@@ -84,6 +84,7 @@ pub struct Frame {
 pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let source = match recognise(dir, params.format)? {
         Format::Colmap => colmap::read(dir, params)?,
+        Format::Nerfies => nerfies::read(dir, params)?,
         _ => blender::read(dir, params)?,
     };
     Ok(source)
@@ -98,24 +99,36 @@ pub fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
         let hint = "is --data-root right, and is the data downloaded?";
         return Err(Failure::new(FailureKind::MissingData, "no such data folder").hint(hint).at(dir));
     }
-    let (is_blender, is_colmap) = (blender::is_here(dir), colmap::layout::sparse_dir(dir).is_some());
-    match (wanted, is_blender, is_colmap) {
-        (Format::Auto | Format::Blender, true, false) | (Format::Blender, true, true) => Ok(Format::Blender),
-        (Format::Auto | Format::Colmap, false, true) | (Format::Colmap, true, true) => Ok(Format::Colmap),
-        (Format::Auto, true, true) => {
-            let message = "the folder holds both transforms_train.json and a COLMAP model";
-            Err(bad(message).hint("set format = \"blender\" or format = \"colmap\"").at(dir))
+    let found = formats_of(dir);
+    match (wanted, found.as_slice()) {
+        (Format::Auto, [format]) => Ok(*format),
+        (Format::Auto, [first, second, ..]) => {
+            let message = format!("the folder holds both a {} and a {} capture", first.name(), second.name());
+            let hint = format!("set format = \"{}\" or format = \"{}\"", first.name(), second.name());
+            Err(bad(message).hint(hint).at(dir))
         }
+        (wanted, found) if found.contains(&wanted) => Ok(wanted),
         _ => Err(unrecognised(dir, wanted)),
     }
+}
+
+/// Every format whose files `dir` holds.
+fn formats_of(dir: &Path) -> Vec<Format> {
+    let present = [
+        (Format::Blender, blender::is_here(dir)),
+        (Format::Colmap, colmap::layout::sparse_dir(dir).is_some()),
+        (Format::Nerfies, nerfies::is_here(dir)),
+    ];
+    present.into_iter().filter(|(_, is_here)| *is_here).map(|(format, _)| format).collect()
 }
 
 /// The error for a folder that is not what was wanted: what was found, and what is supported.
 fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     let what = match wanted {
-        Format::Auto => "neither a Blender/D-NeRF nor a COLMAP capture",
+        Format::Auto => "not a Blender/D-NeRF, COLMAP or Nerfies/HyperNeRF capture",
         Format::Blender => "not a Blender/D-NeRF capture",
         Format::Colmap => "not a COLMAP capture",
+        Format::Nerfies => "not a Nerfies/HyperNeRF capture",
     };
     let mut found: Vec<String> = children(dir);
     let has = |name: &str| found.iter().any(|entry| entry == name);
@@ -127,13 +140,14 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
         "this looks like part of a COLMAP model: name the folder that holds both the model and the images".into()
     } else if has("transforms.json") {
         "a single transforms.json (nerfstudio) is not read: split it into transforms_{train,val,test}.json".into()
-    } else if has("dataset.json") && has("camera") {
-        "this looks like the Nerfies/HyperNeRF layout, which is not read yet".into()
+    } else if has("dataset.json") || has("camera") {
+        "the Nerfies/HyperNeRF layout needs camera/, metadata.json and dataset.json: is the data complete?".into()
     } else if has("poses_bounds.npy") {
         "poses_bounds.npy (LLFF, Neural 3D Video) is not read yet; a COLMAP model beside it would be".into()
     } else {
-        "supported: transforms_{train,val,test}.json (Blender, D-NeRF), or images/ beside \
-         sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP)"
+        "supported: transforms_{train,val,test}.json (Blender, D-NeRF), images/ beside \
+         sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), or camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
+         DyCheck)"
             .into()
     };
     let more = found.len().saturating_sub(8);
@@ -146,7 +160,7 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
 /// The folders directly below `dir` that are recognised as captures, sorted.
 pub fn captures_below(dir: &Path) -> Vec<PathBuf> {
     let mut captures: Vec<PathBuf> = children(dir).iter().map(|name| dir.join(name)).collect();
-    captures.retain(|path| path.is_dir() && (blender::is_here(path) || colmap::layout::sparse_dir(path).is_some()));
+    captures.retain(|path| path.is_dir() && !formats_of(path).is_empty());
     captures
 }
 

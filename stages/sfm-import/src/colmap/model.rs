@@ -197,7 +197,7 @@ pub fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> Result<Lens
         center_x: center.0,
         center_y: center.1,
     };
-    Ok(Lens { intrinsics, distortion: Distortion { k1, k2, p1, p2 } })
+    Ok(Lens { intrinsics, distortion: Distortion { k1, k2, k3: 0.0, p1, p2 } })
 }
 
 fn unsupported(model: &str) -> Failure {

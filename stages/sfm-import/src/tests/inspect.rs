@@ -84,7 +84,11 @@ fn unknown_folders_say_what_was_found_and_what_is_supported() {
     ];
     for (files, hint) in cases {
         let dir = make(files);
-        assert_refused(dir.path(), &Params::default(), &["neither a Blender/D-NeRF nor a COLMAP capture (found", hint]);
+        assert_refused(
+            dir.path(),
+            &Params::default(),
+            &["not a Blender/D-NeRF, COLMAP or Nerfies/HyperNeRF capture (found", hint],
+        );
         assert_contains(&describe(dir.path()).unwrap(), &["not recognised", hint]);
     }
     assert_refused(

@@ -17,9 +17,9 @@ fn undistort(lens: &Lens, pixel: DVec2) -> DVec2 {
 #[test]
 fn distortion_is_that_of_opencv() {
     // cv2.projectPoints formula, written out for one point: r² = 0.05.
-    let distortion = Distortion { k1: 0.1, k2: -0.05, p1: 0.001, p2: -0.002 };
+    let distortion = Distortion { k1: 0.1, k2: -0.05, k3: 2.0, p1: 0.001, p2: -0.002 };
     let (x, y, r2) = (0.1_f64, -0.2_f64, 0.05_f64);
-    let radial = 1.0 + 0.1 * r2 - 0.05 * r2 * r2;
+    let radial = 1.0 + 0.1 * r2 - 0.05 * r2 * r2 + 2.0 * r2 * r2 * r2;
     let expected = DVec2::new(
         x * radial + 2.0 * 0.001 * x * y - 0.002 * (r2 + 2.0 * x * x),
         y * radial + 0.001 * (r2 + 2.0 * y * y) - 2.0 * 0.002 * x * y,
@@ -35,7 +35,7 @@ fn undistorted_pinhole_sees_only_what_the_lens_saw() {
     for distortion in [
         Distortion { k1: -0.2, ..Distortion::default() },
         Distortion { k1: 0.2, k2: 0.1, ..Distortion::default() },
-        Distortion { k1: 0.1, k2: -0.05, p1: 0.01, p2: -0.02 },
+        Distortion { k1: 0.1, k2: -0.05, k3: 0.02, p1: 0.01, p2: -0.02 },
     ] {
         let lens = Lens { intrinsics: intrinsics(), distortion };
         let target = lens.undistorted().unwrap();

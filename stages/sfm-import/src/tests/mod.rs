@@ -5,6 +5,7 @@ mod colmap;
 mod fuzz;
 mod inspect;
 mod lens;
+mod nerfies;
 mod pixels;
 mod real;
 mod support;

@@ -170,3 +170,46 @@ fn wrong_images_beside_a_model_are_refused() {
     let message = super::support::refusal(&dir, &Params { static_scene: true, ..Params::default() });
     assert!(message.contains("image file is missing"), "{message}");
 }
+
+#[test]
+fn a_nerfies_capture_sees_its_points() {
+    let Some(dir) = data("davis_tennis_nerfies") else { return };
+    let (_root, capture) = run(&dir, &Params::default()).unwrap();
+    assert_eq!(counts(&capture), [53, 0, 17]);
+    assert_orthonormal(&capture);
+    assert_eq!(capture.views.iter().filter(|view| view.mask.is_some()).count(), 70);
+    let points = capture.load_points().unwrap().unwrap();
+    assert_eq!(points.len(), 4860);
+    // Triangulated in this video, every point is in front of most cameras, and many are inside of each image.
+    let share = |inside: bool| {
+        let shares = capture.views.iter().map(|view| {
+            let pixels = points.positions.iter().filter_map(|p| view.camera.project(DVec3::from(p.map(f64::from))));
+            let size = glam::DVec2::new(432.0, 240.0);
+            let found = pixels.filter(|(at, _)| !inside || (at.cmpge(glam::DVec2::ZERO) & at.cmplt(size)).all());
+            found.count() as f64 / points.len() as f64
+        });
+        shares.fold(f64::INFINITY, f64::min)
+    };
+    eprintln!("seen by every view: {:.2} in front, {:.2} inside", share(false), share(true));
+    assert!(share(false) >= 0.99 && share(true) >= 0.2);
+}
+
+#[test]
+fn dychecks_cameras_and_splits_are_read() {
+    let Some(dir) = data("dycheck_paper_windmill/demo/datasets/iphone/paper-windmill") else { return };
+    let (views, rule) = crate::nerfies::split_views(&dir).unwrap();
+    let count = |split| views.iter().filter(|(_, of)| *of == split).count();
+    assert_eq!((count(Split::Train), count(Split::Test), rule), (277, 419, "DyCheck"));
+    let frame = crate::nerfies::scene_frame(&dir, &mut Vec::new()).unwrap();
+    for (id, _) in &views {
+        let (lens, pose) = crate::nerfies::files::camera(&dir.join(format!("camera/{id}.json")), &frame, 2).unwrap();
+        pose.check().unwrap();
+        assert_eq!((lens.intrinsics.width, lens.intrinsics.height), (360, 480));
+        // The scene lies in front of every camera, within the stated near and far planes around its centre.
+        let depth = pose.translation.z;
+        assert!((0.1..0.6).contains(&depth), "{id} has the centre at depth {depth}");
+    }
+    // Its images are not part of this data: the import says so.
+    let message = super::support::refusal(&dir, &Params::default());
+    assert!(message.contains("no folder of images"), "{message}");
+}

@@ -1,0 +1,128 @@
+//! NumPy arrays in `.npy` files, of any shape.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use npyz::{DType, NpyFile, Order};
+
+use crate::image_file::read_file;
+use crate::{Error, Result};
+
+/// A decoded array.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NpyArray {
+    /// Sizes, outermost first.
+    pub shape: Vec<usize>,
+    /// Row-major, whatever the file's order.
+    pub values: Vec<f64>,
+}
+
+/// Reads an array of floats (half, single or double) or of integers up to 32 bits.
+pub fn read(path: &Path) -> Result<NpyArray> {
+    let bytes = read_file(path)?;
+    let file = NpyFile::new(Cursor::new(&bytes)).map_err(|error| damaged(&error, path))?;
+    let shape: Vec<usize> = file.shape().iter().map(|side| *side as usize).collect();
+    // The header may lie about the shape: its product must neither overflow nor become an allocation.
+    let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
+    let count = count.filter(|count| *count <= bytes.len());
+    let count = count.ok_or_else(|| damaged(&format!("shape {shape:?} in {} bytes", bytes.len()), path))?;
+    let order = file.order();
+    let values = numbers(file, path)?;
+    if values.len() != count {
+        return Err(damaged(&format!("{} values for shape {shape:?}", values.len()), path));
+    }
+    let values = if order == Order::Fortran { row_major(&shape, &values) } else { values };
+    Ok(NpyArray { shape, values })
+}
+
+/// All values in the order of the file.
+fn numbers(file: NpyFile<Cursor<&Vec<u8>>>, path: &Path) -> Result<Vec<f64>> {
+    let unsupported = |what: String| Error::new(format!("an array of {what} where numbers are expected")).at(path);
+    let DType::Plain(number) = file.dtype() else { return Err(unsupported("records".into())) };
+    // `f4` for `<f4` and `>f4`: the reader minds the byte order.
+    let name = number.to_string();
+    let values = match name.trim_start_matches(['<', '>', '|', '=']) {
+        "f2" => file.into_vec::<npyz::half::f16>().map(|values| values.into_iter().map(f64::from).collect()),
+        "f4" => file.into_vec::<f32>().map(|values| values.into_iter().map(f64::from).collect()),
+        "f8" => file.into_vec::<f64>(),
+        "u1" => file.into_vec::<u8>().map(|values| values.into_iter().map(f64::from).collect()),
+        "u2" => file.into_vec::<u16>().map(|values| values.into_iter().map(f64::from).collect()),
+        "i4" => file.into_vec::<i32>().map(|values| values.into_iter().map(f64::from).collect()),
+        other => return Err(unsupported(format!("type {other}"))),
+    };
+    values.map_err(|error| damaged(&error, path))
+}
+
+/// The values of a column-major array in row-major order.
+fn row_major(shape: &[usize], values: &[f64]) -> Vec<f64> {
+    let mut out = Vec::with_capacity(values.len());
+    let mut index = vec![0; shape.len()];
+    for _ in 0..values.len() {
+        let at = index.iter().zip(shape).rev().fold(0, |at, (index, side)| at * side + index);
+        out.push(values[at]);
+        // The last axis counts fastest.
+        for (index, side) in index.iter_mut().zip(shape).rev() {
+            *index += 1;
+            if *index < *side {
+                break;
+            }
+            *index = 0;
+        }
+    }
+    out
+}
+
+fn damaged(reason: &dyn std::fmt::Display, path: &Path) -> Error {
+    Error::new(format!("not a readable NumPy array ({reason})")).hint("the file may be damaged").at(path)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// The bytes of a file with this description of its numbers.
+    pub fn npy_bytes(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
+        let order = if fortran { "True" } else { "False" };
+        let header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
+        let padded = format!("{header:<117}\n");
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((padded.len() as u16).to_le_bytes());
+        bytes.extend(padded.as_bytes());
+        bytes.extend(data);
+        bytes
+    }
+
+    fn read_bytes(bytes: &[u8]) -> Result<NpyArray> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("array.npy");
+        std::fs::write(&path, bytes).unwrap();
+        read(&path)
+    }
+
+    #[test]
+    fn number_types_and_orders_give_the_same_array() {
+        let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        let single: Vec<u8> = values.iter().flat_map(|value| (*value as f32).to_le_bytes()).collect();
+        let double: Vec<u8> = values.iter().flat_map(|value: &f64| value.to_be_bytes()).collect();
+        let half: Vec<u8> = [0x3c00_u16, 0x4000, 0x4200, 0x4400, 0x4500, 0x4600].map(u16::to_le_bytes).concat();
+        for (descr, data) in [("<f4", single), (">f8", double), ("<f2", half), ("|u1", vec![1, 2, 3, 4, 5, 6])] {
+            let array = read_bytes(&npy_bytes(descr, false, "(1, 2, 3)", &data)).unwrap();
+            assert_eq!((array.shape, array.values), (vec![1, 2, 3], values.to_vec()), "{descr}");
+        }
+        let columns = read_bytes(&npy_bytes("|u1", true, "(2, 3)", &[1, 4, 2, 5, 3, 6])).unwrap();
+        assert_eq!((columns.shape, columns.values), (vec![2, 3], values.to_vec()));
+    }
+
+    #[test]
+    fn what_is_no_array_of_numbers_is_refused() {
+        for (bytes, expected) in [
+            (npy_bytes("<c8", false, "(1,)", &[0; 8]), "type c8"),
+            (npy_bytes("|u1", false, "(7,)", &[0; 6]), "not a readable NumPy array"),
+            (npy_bytes("|u1", false, "(4294967296, 4294967296)", &[0; 6]), "not a readable NumPy array"),
+            (b"\x93NUMPX".to_vec(), "not a readable NumPy array"),
+        ] {
+            let message = read_bytes(&bytes).unwrap_err().to_string();
+            assert!(message.contains(expected) && message.ends_with("array.npy"), "{message}");
+        }
+    }
+}

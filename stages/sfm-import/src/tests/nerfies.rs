@@ -1,0 +1,253 @@
+//! The layout of Nerfies, HyperNeRF and DyCheck.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec2, DVec3};
+use scene::{Camera, Split};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use super::support::*;
+use crate::Params;
+use crate::inspect::describe;
+use crate::params::Format;
+
+const SCALE: f64 = 0.05;
+const CENTER: [f64; 3] = [3.0, -1.0, 8.0];
+/// k1, k2, k3, p1, p2 of a phone's camera.
+const BENT: [f64; 5] = [0.05, -0.02, 0.01, 0.001, -0.002];
+
+/// World to camera of view `index` in the units of the camera files: orientation and centre.
+fn pose(index: usize) -> (DMat3, DVec3) {
+    let angle = 0.1 * index as f64;
+    let position = DVec3::from(CENTER) + 40.0 * DVec3::new(angle.sin(), 0.2, -angle.cos());
+    let camera = Camera::look_at(intrinsics(), position, DVec3::from(CENTER), DVec3::NEG_Y);
+    (camera.camera_from_world.rotation, position)
+}
+
+fn camera_json(index: usize, distortion: [f64; 5]) -> Value {
+    let (rotation, position) = pose(index);
+    let [k1, k2, k3, p1, p2] = distortion;
+    json!({
+        "orientation": rotation.transpose().to_cols_array_2d(), // rows first
+        "position": position.to_array(),
+        "focal_length": 30.0,
+        "principal_point": [11.5, 8.5],
+        "skew": 0.0,
+        "pixel_aspect_ratio": 1.1,
+        "radial_distortion": [k1, k2, k3],
+        "tangential_distortion": [p1, p2],
+        "image_size": [WIDTH, HEIGHT],
+    })
+}
+
+fn write_json(dir: &Path, name: &str, value: &Value) {
+    let path = dir.join(name);
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, value.to_string()).unwrap();
+}
+
+/// A `.npy` file of f64 values.
+fn write_points(dir: &Path, shape: &str, values: &[f64]) {
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
+    let mut bytes = [&b"\x93NUMPY\x01\x00\x76\x00"[..], format!("{header:<117}\n").as_bytes()].concat();
+    values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+    std::fs::write(dir.join("points.npy"), bytes).unwrap();
+}
+
+/// Two raw points near the centre.
+const POINTS: [f64; 6] = [3.5, -1.5, 8.5, 2.0, -0.5, 9.0];
+
+/// A capture of `count` frames by one camera, with images at 1x and 2x; every third view is held out.
+fn capture(count: usize, distortion: [f64; 5]) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let ids: Vec<String> = (0..count).map(|index| format!("{:06}", index + 1)).collect();
+    let (val, train): (Vec<_>, Vec<_>) = (0..count).partition(|index| index % 3 == 2);
+    let named = |indices: Vec<usize>| indices.into_iter().map(|index| ids[index].clone()).collect::<Vec<_>>();
+    let (train, val) = (named(train), named(val));
+    write_json(dir.path(), "dataset.json", &json!({ "count": count, "ids": ids, "train_ids": train, "val_ids": val }));
+    let entry = |index: usize| json!({ "warp_id": index, "appearance_id": index, "camera_id": 0 });
+    let metadata: serde_json::Map<_, _> = ids.iter().enumerate().map(|(at, id)| (id.clone(), entry(at))).collect();
+    write_json(dir.path(), "metadata.json", &Value::Object(metadata));
+    write_json(dir.path(), "scene.json", &json!({ "scale": SCALE, "center": CENTER, "near": 0.1, "far": 3.0 }));
+    write_points(dir.path(), "(2, 3)", &POINTS);
+    for (index, id) in ids.iter().enumerate() {
+        write_json(dir.path(), &format!("camera/{id}.json"), &camera_json(index, distortion));
+        write_image(&dir.path().join(format!("rgb/1x/{id}.png")), index as u32);
+        let half = image::RgbImage::from_pixel(WIDTH / 2, HEIGHT / 2, image::Rgb([0, 0, index as u8]));
+        let path = dir.path().join(format!("rgb/2x/{id}.png"));
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        half.save(path).unwrap();
+    }
+    dir
+}
+
+/// The pixel of a raw point in the image at 1x, as the format's definition has it.
+fn defined_pixel(index: usize, point: DVec3, [k1, k2, k3, p1, p2]: [f64; 5]) -> DVec2 {
+    let (rotation, position) = pose(index);
+    let view = rotation * (point - position);
+    let (x, y) = (view.x / view.z, view.y / view.z);
+    let r2 = x * x + y * y;
+    let d = 1.0 + k1 * r2 + k2 * r2.powi(2) + k3 * r2.powi(3);
+    let bent_x = x * d + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
+    let bent_y = y * d + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y);
+    DVec2::new(30.0 * bent_x + 11.5, 30.0 * 1.1 * bent_y + 8.5)
+}
+
+#[test]
+fn points_are_seen_where_the_format_says() {
+    let dir = capture(7, BENT);
+    for (width, factor) in [(None, 1.0), (Some(WIDTH / 2), 2.0)] {
+        let params = Params { width, ..Params::default() };
+        let source = crate::source::read(dir.path(), &params).unwrap();
+        assert!(source.problems().is_empty(), "{:?}", source.problems());
+        for frame in &source.frames {
+            let index = frame.frame_index as usize;
+            for (raw, (normalised, _)) in POINTS.chunks_exact(3).zip(&source.points) {
+                let view = frame.camera_from_world.apply(DVec3::from(*normalised));
+                let found = frame.lens.pixel(view.truncate() / view.z);
+                let expected = defined_pixel(index, DVec3::from_slice(raw), BENT) / factor;
+                assert!(found.distance(expected) <= 1e-9, "view {index} at 1/{factor}: {found} instead of {expected}");
+                assert!(expected.x > 0.0 && expected.x < 24.0 && expected.y > 0.0 && expected.y < 16.0, "{expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_capture_is_imported_with_its_split_times_and_scale() {
+    let dir = capture(7, [0.0; 5]);
+    let (_root, capture) = run(dir.path(), &Params { fps: 10.0, ..Params::default() }).unwrap();
+    let names = |split| capture.views_of(split).map(|(_, view)| view.name.as_str()).collect::<Vec<_>>();
+    assert_eq!(names(Split::Train), ["000001", "000002", "000004", "000005", "000007"]);
+    assert_eq!(names(Split::Test), ["000003", "000006"]);
+    let protocol = &capture.protocol;
+    assert_eq!(
+        (protocol.dataset.as_str(), protocol.split.as_str(), protocol.resize.as_str()),
+        ("nerfies", "official", "none")
+    );
+    assert_eq!((protocol.width, protocol.height, capture.pose_source.as_str()), (WIDTH, HEIGHT, "nerfies"));
+    let (_, last) = capture.views_of(Split::Train).last().unwrap();
+    assert!((last.time_secs - 0.6).abs() <= 1e-12 && (capture.time_map.end_secs - 0.6).abs() <= 1e-12);
+    let expected = SCALE * (pose(6).1 - DVec3::from(CENTER));
+    assert!(last.camera.position_world().distance(expected) <= 1e-12);
+    let points = capture.load_points().unwrap().unwrap();
+    let first = DVec3::from(points.positions[0].map(f64::from));
+    assert!(first.distance(SCALE * DVec3::new(0.5, -0.5, 0.5)) <= 1e-6, "{first}");
+    let text = describe(dir.path()).unwrap();
+    for part in ["Nerfies, HyperNeRF", "24×16; 5 train, 2 test", "0 to 0.2000 s", "ready to import", "fps = 30.0"] {
+        assert!(text.contains(part), "{part:?} is not in:\n{text}");
+    }
+}
+
+#[test]
+fn a_stored_size_is_read_and_not_made_again() {
+    let dir = capture(4, [0.0; 5]);
+    let import = |width| run(dir.path(), &Params { width: Some(width), ..Params::default() }).unwrap();
+    let (_root, stored) = import(WIDTH / 2);
+    assert_eq!((stored.protocol.resize.as_str(), stored.protocol.split.as_str()), ("none", "official, images at 1/2"));
+    assert_eq!(stored.load_image(&stored.views[0]).unwrap().get_pixel(3, 3).0, [0, 0, 0]);
+    let camera = stored.views[0].camera.intrinsics;
+    assert_eq!((camera.focal_x, camera.center_x, camera.width), (15.0, 5.75, 12));
+    // Other widths come from the next larger images.
+    assert_eq!(import(6).1.protocol.split, "official, images at 1/2");
+    assert_eq!(import(18).1.protocol.split, "official");
+}
+
+#[test]
+fn captures_without_validation_ids_are_split_half_way_between_every_fourth() {
+    let dir = capture(11, [0.0; 5]);
+    let edit = |name: &str, edit: &dyn Fn(&mut Value)| {
+        let mut json: Value = serde_json::from_slice(&std::fs::read(dir.path().join(name)).unwrap()).unwrap();
+        edit(&mut json);
+        write_json(dir.path(), name, &json);
+    };
+    edit("dataset.json", &|json| json["val_ids"] = json!([]));
+    // Times may be counted apart from warps.
+    edit("metadata.json", &|json| json["000005"]["time_id"] = json!(40));
+    let all = frames(dir.path(), &Params::default());
+    let of =
+        |split| all.iter().filter(|frame| frame.split == split).map(|frame| frame.name.as_str()).collect::<Vec<_>>();
+    assert_eq!(of(Split::Train), ["000001", "000009", "000005"]);
+    assert_eq!(of(Split::Test), ["000003", "000007"]);
+    assert_eq!(all.last().unwrap().frame_index, 40);
+}
+
+#[test]
+fn dychecks_own_split_and_cameras_come_first() {
+    let dir = capture(6, [0.0; 5]);
+    write_json(dir.path(), "splits/train.json", &json!({ "frame_names": ["000001", "000002"], "camera_ids": [0, 0] }));
+    write_json(dir.path(), "splits/val.json", &json!({ "frame_names": ["000004"], "camera_ids": [1] }));
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    assert_eq!((capture.protocol.dataset.as_str(), capture.protocol.split.as_str()), ("dycheck", "DyCheck"));
+    assert_eq!((capture.views_of(Split::Train).count(), capture.views_of(Split::Test).count()), (2, 1));
+}
+
+#[test]
+fn masks_are_those_of_the_images_size() {
+    let dir = capture(4, [0.0; 5]);
+    for id in 1..=4 {
+        write_mask(&dir.path().join(format!("mask/1x/{id:06}.png")), (WIDTH, HEIGHT), 255);
+    }
+    let (_root, full) = run(dir.path(), &Params::default()).unwrap();
+    let mask = full.load_mask(&full.views[0]).unwrap().unwrap();
+    assert_eq!((mask.labels[0], mask.labels[23], full.class_names.len()), (0, 1, 1));
+    let (_root, half) = run(dir.path(), &Params { width: Some(12), ..Params::default() }).unwrap();
+    assert!(half.views.iter().all(|view| view.mask.is_none()));
+}
+
+#[test]
+fn a_scene_at_rest_has_a_camera_per_view() {
+    let dir = capture(4, [0.0; 5]);
+    let (_root, capture) = run(dir.path(), &Params { static_scene: true, ..Params::default() }).unwrap();
+    assert!(capture.views.iter().all(|view| view.time_secs == 0.0));
+}
+
+#[test]
+fn what_is_wrong_is_named_with_its_file() {
+    type Fault = fn(&Path);
+    fn edit(dir: &Path, name: &str, edit: impl Fn(&mut Value)) {
+        let mut json: Value = serde_json::from_slice(&std::fs::read(dir.join(name)).unwrap()).unwrap();
+        edit(&mut json);
+        write_json(dir, name, &json);
+    }
+    let cases: [(Fault, &[&str]); 11] = [
+        (
+            |dir| edit(dir, "metadata.json", |json| _ = json.as_object_mut().unwrap().remove("000002")),
+            &["no entry for view 000002", "metadata.json"],
+        ),
+        (
+            |dir| edit(dir, "camera/000002.json", |json| json["skew"] = json!(0.7)),
+            &["skew of 0.7", "camera/000002.json"],
+        ),
+        (
+            |dir| edit(dir, "camera/000002.json", |json| json["orientation"][0] = json!([2.0, 0.0, 0.0])),
+            &["orthonormal", "camera/000002.json"],
+        ),
+        (
+            |dir| edit(dir, "camera/000002.json", |json| _ = json.as_object_mut().unwrap().remove("position")),
+            &["position", "camera/000002.json"],
+        ),
+        (|dir| edit(dir, "scene.json", |json| json["scale"] = json!(0.0)), &["no coordinate frame", "scene.json"]),
+        (|dir| edit(dir, "dataset.json", |json| json["train_ids"][0] = json!("../x")), &["not safe as a file name"]),
+        (
+            |dir| std::fs::remove_file(dir.join("rgb/1x/000003.png")).unwrap(),
+            &["image file is missing", "rgb/1x/000003.png"],
+        ),
+        (|dir| std::fs::remove_file(dir.join("camera/000003.json")).unwrap(), &["cannot read", "camera/000003.json"]),
+        (|dir| std::fs::remove_dir_all(dir.join("rgb")).unwrap(), &["no folder of images", "rgb"]),
+        (|dir| write_points(dir, "(3, 2)", &POINTS), &["[3, 2]", "points.npy"]),
+        (|dir| write_points(dir, "(1, 3)", &[1.0, f64::NAN, 2.0]), &["point 0 is not finite", "points.npy"]),
+    ];
+    for (fault, parts) in cases {
+        let dir = capture(4, [0.0; 5]);
+        fault(dir.path());
+        assert_refused(dir.path(), &Params::default(), parts);
+    }
+    let dir = capture(4, [0.0; 5]);
+    assert_refused(dir.path(), &Params { format: Format::Colmap, ..Params::default() }, &["not a COLMAP capture"]);
+    std::fs::remove_file(dir.path().join("scene.json")).unwrap();
+    std::fs::remove_file(dir.path().join("points.npy")).unwrap();
+    let source = crate::source::read(dir.path(), &Params::default()).unwrap();
+    assert_eq!(source.warnings.len(), 2, "{:?}", source.warnings);
+}
