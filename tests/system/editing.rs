@@ -15,7 +15,8 @@ fn quickstart(code: CodeTable, overrides: &[&str]) -> Plan {
 
 fn plan(recipe: &Path, code: CodeTable, overrides: &[&str]) -> Plan {
     let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
-    engine::recipe::resolve(recipe, &overrides, &cli::stages_of(code)).unwrap_or_else(|errors| panic!("{errors}"))
+    engine::recipe::resolve(recipe, &overrides, &cli::stages_of(code), Path::new("data"))
+        .unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 /// The jobs that would have to run after a change: those whose plan ids differ.
@@ -99,7 +100,7 @@ fn a_value_of_the_recipe_reruns_what_depends_on_it() {
     let after = |overrides: &[&str]| rerun(&before, &quickstart(code, overrides));
     let deformable = |name: &str| name.contains("/deformable4dgs/") || name == "report";
     assert_eq!(after(&["nodes.train.params.deformable4dgs.channels=8"]), jobs(&before, deformable));
-    let from_render = |name: &str| !name.starts_with("capture") && !name.starts_with("train");
+    let from_render = |name: &str| !["capture", "coarse", "train"].iter().any(|before| name.starts_with(before));
     assert_eq!(after(&["nodes.render.params.depth=true"]), jobs(&before, from_render));
     assert_eq!(after(&["nodes.train.params.batch=1"]), BTreeSet::new(), "a default spelled out");
 

@@ -1,6 +1,6 @@
 //! Every recipe can be planned, and a wrong one is refused with everything that is wrong with it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use walkdir::WalkDir;
 
@@ -23,7 +23,7 @@ fn every_recipe_plans() {
     let recipes = recipes();
     assert!(recipes.len() >= 3, "{recipes:?}");
     for recipe in recipes {
-        let plan = engine::recipe::resolve(&recipe, &[], &cli::stages());
+        let plan = engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data"));
         let plan = plan.unwrap_or_else(|errors| panic!("{}:\n{errors}", recipe.display()));
         assert!(plan.nodes.iter().any(|node| node.stage == "table-generation"), "{} has no table", recipe.display());
     }

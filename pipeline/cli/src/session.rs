@@ -37,7 +37,7 @@ impl Session {
     }
 
     fn with(store: impl FnOnce() -> anyhow::Result<Store>, recipe: &RecipeArgs) -> Result<Self, CliError> {
-        let plan = engine::recipe::resolve(&recipe.recipe, &recipe.set, &stages())?;
+        let plan = engine::recipe::resolve(&recipe.recipe, &recipe.set, &stages(), &recipe.data_root)?;
         let targets = (0..plan.nodes.len()).collect();
         let store = store()?;
         let data_root = recipe.data_root.clone();

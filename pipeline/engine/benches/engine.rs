@@ -62,7 +62,8 @@ fn cached_run(criterion: &mut Criterion) {
     let path = root.path().join("recipe.toml");
     std::fs::write(&path, recipe).unwrap();
     let registry = Registry::new(CODE).with::<Write>().with::<Work>().with::<List>();
-    let resolve = || engine::recipe::resolve(&path, &[], &registry).unwrap_or_else(|errors| panic!("{errors}"));
+    let resolve =
+        || engine::recipe::resolve(&path, &[], &registry, root.path()).unwrap_or_else(|errors| panic!("{errors}"));
     let plan = resolve();
     let store = Store::open(&root.path().join("store")).unwrap();
     fill(&plan, &store, root.path());

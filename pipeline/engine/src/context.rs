@@ -24,7 +24,7 @@ pub struct InputRecord {
     pub coordinates: Coordinates,
     /// The artifact's folder, or the failure of its producer.
     pub artifact: Result<PathBuf, Failure>,
-    /// The producer's measurements (null unless the port reads them).
+    /// The producer's measurements (null unless the port reads or relays them).
     pub measurements: Value,
     /// The producer's action key, so that a table cell can be traced.
     pub action_key: String,

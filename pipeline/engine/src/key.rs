@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::fingerprint::Code;
 use crate::plan::{Node, PlanInput, PlanSource};
-use crate::{Coordinates, FailureKind, canonical};
+use crate::{Coordinates, FailureKind, Measurements, canonical};
 
 /// The name of a result before it exists: equal keys mean equal results. Lower-case hex, 64 characters.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -68,7 +68,7 @@ impl KeyComponents {
                 if !port.many {
                     input.coordinates.clear();
                 }
-                if !port.measurements {
+                if port.measurements != Measurements::Read {
                     input.measurements = None;
                 }
             }
@@ -133,6 +133,7 @@ pub fn plan_id(node: &Node, producers: &[Node]) -> String {
         output,
         unused_sources: _,
         code,
+        decisions: _,
         plan_id: _,
     } = node;
     let inputs: BTreeMap<&String, Value> =
@@ -152,7 +153,7 @@ fn plan_input_value(input: &PlanInput, nodes: &[Node]) -> Value {
         json!({ "coordinates": coordinates, "plan_id": nodes[index].plan_id })
     };
     json!({
-        "artifact": artifact, "measurements": measurements,
+        "artifact": artifact, "measurements": *measurements == Measurements::Read,
         "producers": producers.iter().map(producer).collect::<Vec<Value>>(),
     })
 }

@@ -21,6 +21,7 @@ pub mod store;
 mod artifact;
 mod context;
 mod failure;
+mod resolution;
 mod stage;
 
 #[cfg(test)]
@@ -36,5 +37,6 @@ pub use fingerprint::{Code, CodeTable, CrateCode};
 pub use key::{ActionKey, KeyComponents, KeyInput};
 pub use plan::{Node, Plan, PlanInput, PlanSource};
 pub use registry::{AnyStage, Registry};
-pub use stage::{Arity, ParamProblem, Port, Resources, Source, Stage};
+pub use resolution::{Decision, Facts, PlanContext, Resolution};
+pub use stage::{Arity, Measurements, ParamProblem, Port, Resources, Source, Stage};
 pub use store::Store;

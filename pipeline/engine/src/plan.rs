@@ -12,8 +12,8 @@ use petgraph::graph::{DiGraph, NodeIndex};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::Coordinates;
 use crate::fingerprint::{Code, UnusedSources};
+use crate::{Coordinates, Decision, Measurements};
 
 pub use select::{NothingSelected, matches_pattern};
 
@@ -26,6 +26,8 @@ pub struct Plan {
     pub nodes: Vec<Node>,
     /// Where each parameter value comes from: node name → dotted key → origin.
     pub origins: BTreeMap<String, BTreeMap<String, Origin>>,
+    /// Names of the jobs that the recipe has for others, none of which needs them.
+    pub left_out: Vec<String>,
 }
 
 /// One job.
@@ -53,6 +55,8 @@ pub struct Node {
     pub unused_sources: UnusedSources,
     /// The fingerprint of the code that can influence the result.
     pub code: Code,
+    /// What the job does and leaves out, and why. Never part of a key: the parameters say it without the reasons.
+    pub decisions: Vec<Decision>,
     /// SHA-256 over everything above that can influence the result, in hex; known before anything runs.
     pub plan_id: String,
 }
@@ -66,8 +70,8 @@ pub struct PlanInput {
     pub artifact: (String, u32),
     /// Whether the port takes any number of producers and failures as outcomes.
     pub many: bool,
-    /// Whether the producers' measurements are read too.
-    pub measurements: bool,
+    /// What the job does with the producers' measurements.
+    pub measurements: Measurements,
     /// Indices of the producers in the plan, in the order in which the stage sees them.
     pub producers: Vec<usize>,
 }
@@ -93,6 +97,8 @@ pub enum Origin {
     Set { number: usize, file: PathBuf, line: usize },
     /// An override on the command line.
     CommandLine,
+    /// What the stage made of the value, given what is known of its inputs.
+    Resolved,
 }
 
 impl fmt::Display for Origin {
@@ -104,6 +110,7 @@ impl fmt::Display for Origin {
                 write!(f, "set #{number} {}:{line}", file.display())
             }
             Self::CommandLine => write!(f, "-s"),
+            Self::Resolved => write!(f, "resolved"),
         }
     }
 }

@@ -13,6 +13,7 @@
 //! [nodes.train]
 //! stage = "training"
 //! over = ["scene", "seed"]
+//! # like = { node = "other", seed = 0 } # starts from the parameters, rules included, of other jobs of its stage
 //! inputs = { capture = "capture" }      # port = node; shared axes agree, others fan in on ports for many
 //! params = { seed = "{seed}" }
 //! [[set]]                               # later rules win; -s on the command line wins over all
@@ -22,6 +23,7 @@
 
 mod errors;
 mod expand;
+mod link;
 mod load;
 mod nearest;
 mod places;
@@ -31,7 +33,7 @@ mod tree;
 mod wire;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use errors::{RecipeError, RecipeErrors};
 pub(crate) use nearest::nearest;

@@ -11,7 +11,7 @@ use anyhow::Context as _;
 use serde_json::Value;
 
 use crate::fingerprint::{Code, CodeTable, UnusedSources, stage_code};
-use crate::{Artifact, JobContext, ParamProblem, Port, Resources, Source, Stage};
+use crate::{Artifact, Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
 
 /// All stages by id. The one list of stages builds it: `Registry::new(CODE).with::<Training>()`.
 pub struct Registry {
@@ -35,6 +35,10 @@ pub trait AnyStage: Send + Sync {
     fn canonical_params(&self, raw: &Value) -> Result<Value, Vec<ParamProblem>>;
     /// [`Stage::sources`].
     fn sources(&self, params: &Value) -> anyhow::Result<Vec<Source>>;
+    /// [`Stage::facts`].
+    fn facts(&self, params: &Value, context: &PlanContext<'_>) -> anyhow::Result<Facts>;
+    /// [`Stage::resolve`], with canonical parameters in and out.
+    fn resolve(&self, params: &Value, context: &PlanContext<'_>) -> Result<Resolution<Value>, Vec<ParamProblem>>;
     /// [`Stage::resources`].
     fn resources(&self, params: &Value) -> anyhow::Result<Resources>;
     /// [`Stage::unused_sources`].
@@ -102,6 +106,15 @@ impl<S: Stage> AnyStage for Erased<S> {
 
     fn sources(&self, params: &Value) -> anyhow::Result<Vec<Source>> {
         Ok(S::sources(&typed::<S>(params)?))
+    }
+
+    fn facts(&self, params: &Value, context: &PlanContext<'_>) -> anyhow::Result<Facts> {
+        Ok(S::facts(&typed::<S>(params)?, context))
+    }
+
+    fn resolve(&self, params: &Value, context: &PlanContext<'_>) -> Result<Resolution<Value>, Vec<ParamProblem>> {
+        let params = typed::<S>(params).map_err(|error| vec![params::problem("", format!("{error:#}"))])?;
+        S::resolve(params, context)?.map(|params| params::written_back(&params).map_err(|problem| vec![problem]))
     }
 
     fn resources(&self, params: &Value) -> anyhow::Result<Resources> {

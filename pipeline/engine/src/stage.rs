@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
-use crate::{Artifact, JobContext};
+use crate::{Artifact, Facts, JobContext, PlanContext, Resolution};
 
 /// A stage: a (nearly) pure function from parameters, input artifacts and source folders to one artifact.
 pub trait Stage: 'static {
@@ -32,6 +32,22 @@ pub trait Stage: 'static {
         Vec::new()
     }
 
+    /// What will be known of the artifact before anything runs; by default nothing. Must depend on the parameters, on
+    /// what is known of the inputs and on files below the data root alone; what is not certain is left out.
+    fn facts(_params: &Self::Params, _context: &PlanContext<'_>) -> Facts {
+        Facts::default()
+    }
+
+    /// Parameters that leave nothing open, given what is known of the inputs, and the optional ports that they do not
+    /// read; by default everything stays as it is. Jobs and readers that this makes superfluous leave the plan.
+    /// Resolving resolved parameters again must change nothing.
+    fn resolve(
+        params: Self::Params,
+        _context: &PlanContext<'_>,
+    ) -> Result<Resolution<Self::Params>, Vec<ParamProblem>> {
+        Ok(Resolution::unchanged(params))
+    }
+
     /// What a job needs of the machine. Never part of a key.
     fn resources(_params: &Self::Params) -> Resources {
         Resources::default()
@@ -55,16 +71,16 @@ pub struct Port {
     pub name: &'static str,
     /// [`Artifact::NAME`] and [`Artifact::SCHEMA`] of what is read.
     pub artifact: (&'static str, u32),
-    /// One artifact, or all instances over the axes that this node does not have.
+    /// How many producers it may have.
     pub arity: Arity,
-    /// Whether this stage also reads the producer's measurements (times, memory): then they are part of its key.
-    pub measurements: bool,
+    /// What this stage does with the producers' measurements (times, memory).
+    pub measurements: Measurements,
 }
 
 impl Port {
     /// A port that reads exactly one artifact `A` and not its measurements.
     pub fn one<A: Artifact>(name: &'static str) -> Self {
-        Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::One, measurements: false }
+        Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::One, measurements: Measurements::Unread }
     }
 
     /// A port that reads one artifact `A` where the recipe wires it to a producer, and none where it does not.
@@ -72,16 +88,41 @@ impl Port {
         Self { arity: Arity::Optional, ..Self::one::<A>(name) }
     }
 
+    /// A port that reads one artifact `A` of those that the recipe wires to it, or none, as [`Stage::resolve`] chooses.
+    pub fn choice<A: Artifact>(name: &'static str) -> Self {
+        Self { arity: Arity::Choice, ..Self::one::<A>(name) }
+    }
+
     /// A port that reads any number of artifacts `A`; failed producers are handed over as outcomes.
     pub fn many<A: Artifact>(name: &'static str) -> Self {
-        Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::Many, measurements: false }
+        Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::Many, measurements: Measurements::Unread }
     }
 
     /// The same port, reading the measurements too.
     pub fn with_measurements(mut self) -> Self {
-        self.measurements = true;
+        self.measurements = Measurements::Read;
         self
     }
+
+    /// The same port, passing the measurements on.
+    pub fn relaying_measurements(mut self) -> Self {
+        self.measurements = Measurements::Relayed;
+        self
+    }
+}
+
+/// What a stage does with the measurements (times, memory) of the producers on a port.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Measurements {
+    /// Nothing: it does not get to see them.
+    #[default]
+    Unread,
+    /// It adds them to its own measurements and to nothing else, as the seconds of a model that a training goes on from:
+    /// no artifact depends on them, so that they are no part of the key.
+    Relayed,
+    /// It makes its artifact of them, as a table of seconds: they are part of its key.
+    Read,
 }
 
 /// How many producers a port has.
@@ -91,6 +132,8 @@ pub enum Arity {
     One,
     /// One or none, as the recipe says; the job is skipped if there is one and it failed.
     Optional,
+    /// At most one of any number that the recipe names, chosen while planning; else as [`Arity::Optional`].
+    Choice,
     /// All instances of the producer; failed ones appear as outcomes, and the job runs.
     Many,
 }

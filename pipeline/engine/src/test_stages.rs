@@ -4,7 +4,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use engine::{Artifact, Failure, FailureKind, JobContext, ParamProblem, Port, Source, Stage};
+use engine::{
+    Artifact, Decision, Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resolution, Source,
+    Stage,
+};
 use serde::{Deserialize, Serialize};
 
 /// A folder with one file, `text.txt`.
@@ -54,6 +57,18 @@ impl Stage for Write {
 
     fn sources(params: &WriteParams) -> Vec<Source> {
         params.source.iter().map(|path| Source { name: "text", path: path.clone() }).collect()
+    }
+
+    /// `empty`, where the source is there or there is none.
+    fn facts(params: &WriteParams, context: &PlanContext<'_>) -> Facts {
+        let source_bytes = match &params.source {
+            Some(path) => std::fs::metadata(context.data_root.join(path)).ok().map(|found| found.len()),
+            None => Some(0),
+        };
+        match source_bytes {
+            Some(bytes) => Facts::default().with("empty", params.text.is_empty() && bytes == 0),
+            None => Facts::default(),
+        }
     }
 
     fn run(context: &JobContext, params: &WriteParams) -> anyhow::Result<Text> {
@@ -135,12 +150,15 @@ fn fail_as_told(how: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Appends a second text to a first one, where there is a second one.
+/// Appends to a text a second one, where there is one that is not known to be empty, and one of any endings.
 pub struct Join;
 
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct JoinParams {}
+pub struct JoinParams {
+    /// Whether the second text is read; by default where that changes anything.
+    pub suffix: Option<bool>,
+}
 
 impl Stage for Join {
     type Params = JoinParams;
@@ -149,12 +167,42 @@ impl Stage for Join {
     const ABOUT: &'static str = "joins two texts";
 
     fn ports() -> Vec<Port> {
-        vec![Port::one::<Text>("text"), Port::optional::<Text>("suffix")]
+        let text = Port::one::<Text>("text").relaying_measurements();
+        vec![text, Port::optional::<Text>("suffix"), Port::choice::<Text>("ending")]
+    }
+
+    fn resolve(params: JoinParams, context: &PlanContext<'_>) -> Result<Resolution<JoinParams>, Vec<ParamProblem>> {
+        let (on, reason) = match (params.suffix, context.facts("suffix").map(|facts| facts.flag("empty"))) {
+            (Some(true), None) => {
+                let hint = Some("wire `suffix` to a node, or remove the key".into());
+                return Err(vec![ParamProblem {
+                    key: "suffix".into(),
+                    message: "nothing is wired to it".into(),
+                    hint,
+                }]);
+            }
+            (Some(on), _) => (on, "named"),
+            (None, None) => (false, "not wired"),
+            (None, Some(Some(true))) => (false, "empty"),
+            (None, Some(Some(false))) => (true, "not empty"),
+            (None, Some(None)) => (true, "not known before it is read"),
+        };
+        let mut resolution = Resolution::unchanged(JoinParams { suffix: Some(on) });
+        resolution.unread.extend((!on).then_some("suffix"));
+        resolution.decisions.push(Decision { effect: "suffix".into(), on, reason: reason.into() });
+        // Of all endings, the first that is known to be worth reading.
+        let endings = context.inputs.get("ending").into_iter().flatten();
+        let ending = endings.map(|facts| facts.flag("empty")).position(|empty| empty == Some(false));
+        resolution.chosen.extend(ending.map(|ending| ("ending", ending)));
+        Ok(resolution)
     }
 
     fn run(context: &JobContext, _params: &JoinParams) -> anyhow::Result<Text> {
-        let suffix = context.optional_input::<Text>("suffix")?;
-        let text = context.input::<Text>("text")?.0 + &suffix.map(|text| text.0).unwrap_or_default();
+        context.measure("of_text", &context.input_record("text")?.measurements)?;
+        let mut text = context.input::<Text>("text")?.0;
+        for port in ["suffix", "ending"] {
+            text += &context.optional_input::<Text>(port)?.map(|text| text.0).unwrap_or_default();
+        }
         Text::write(context.output_dir(), &text)
     }
 }

@@ -10,6 +10,7 @@ pub mod capture;
 pub mod cloud;
 mod error;
 pub mod exr_file;
+pub mod facts;
 pub mod float_image;
 pub mod gaussians;
 pub mod image_file;

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use engine::{JobContext, ParamProblem, Port, Resources, Stage};
+use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Stage};
 use rayon::prelude::*;
-use scene::{Capture, CaptureInfo, CaptureWriter, Protocol, TimeMap};
+use scene::{Capture, CaptureInfo, CaptureWriter, Protocol, TimeMap, facts};
 
 use crate::artifact::CaptureArtifact;
 use crate::params::{Background, CameraPath, Params, SceneKind, Truth};
@@ -32,6 +32,22 @@ impl Stage for SceneSynthesis {
 
     fn check_params(params: &Params) -> Vec<ParamProblem> {
         params.problems()
+    }
+
+    /// Everything: the world is a function of the parameters.
+    fn facts(params: &Params, _context: &PlanContext<'_>) -> Facts {
+        let moves = scenes::build(params).bodies.iter().any(|body| body.label != 0);
+        Facts::default()
+            .with(facts::TIMES, params.frames)
+            .with(facts::MOVING, moves && params.frames > 1)
+            .with(facts::VIEW_DEPENDENT, params.specular > 0.0)
+            .with(facts::TELEPORTING_CAMERA, params.camera == CameraPath::Hemisphere)
+            .with(facts::POINTS, params.wants(Truth::Points))
+            .with(facts::DEPTH, params.wants(Truth::Depth))
+            .with(facts::FLOW, params.wants(Truth::Flow))
+            .with(facts::NORMALS, false)
+            .with(facts::VELOCITY, params.wants(Truth::Velocity))
+            .with(facts::MASKS, params.wants(Truth::Masks))
     }
 
     fn resources(_params: &Params) -> Resources {

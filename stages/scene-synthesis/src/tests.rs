@@ -1,9 +1,9 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use engine::{JobContext, Stage};
+use engine::{JobContext, PlanContext, Stage};
 use glam::{DVec2, DVec3};
-use scene::{Camera, Capture, Frame, Split, View};
+use scene::{Camera, Capture, Frame, Split, View, facts};
 
 use crate::params::*;
 use crate::render::{centre_hits, ray_world, render};
@@ -366,4 +366,27 @@ fn a_stopped_job_ends_early() {
     context.stop.store(true, std::sync::atomic::Ordering::Relaxed);
     assert!(SceneSynthesis::run(&context, &small(SceneKind::Occluder)).is_err());
     assert!(!context.output_dir().join("capture.json").exists());
+}
+
+#[test]
+fn what_is_known_before_rendering_holds_of_the_capture() {
+    for scene in SCENES {
+        for specular in [0.0, 0.5] {
+            let params = Params { specular, truths: [Truth::Masks, Truth::Depth].into(), ..small(scene) };
+            let context = PlanContext { data_root: Path::new("unused"), inputs: BTreeMap::new() };
+            let known = SceneSynthesis::facts(&params, &context);
+            let dir = tempfile::tempdir().unwrap();
+            let capture = synthesize(&params, dir.path(), 1, |_, _| Ok(())).unwrap();
+            let views = || capture.views_of(Split::Train).map(|(_, view)| view);
+            let times: BTreeSet<u64> = views().map(|view| view.time_secs.to_bits()).collect();
+            assert_eq!(known.count(facts::TIMES), Some(times.len() as u64));
+            let moves = views().any(|view| capture.load_mask(view).unwrap().unwrap().labels.iter().any(|&at| at > 0));
+            assert_eq!(known.flag(facts::MOVING), Some(moves), "{scene:?}");
+            assert_eq!(known.flag(facts::VIEW_DEPENDENT), Some(specular > 0.0));
+            assert_eq!(known.flag(facts::POINTS), Some(capture.has_points));
+            let told = [facts::DEPTH, facts::FLOW, facts::VELOCITY, facts::MASKS].map(|map| known.flag(map));
+            assert_eq!(told, [Some(true), Some(false), Some(false), Some(true)]);
+            assert!(views().all(|view| view.depth.is_some() && view.flow.is_none() && view.velocity.is_none()));
+        }
+    }
 }

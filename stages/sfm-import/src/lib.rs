@@ -8,6 +8,7 @@
 mod artifact;
 pub mod blender;
 pub mod colmap;
+mod facts;
 pub mod inspect;
 pub mod lens;
 pub mod nerfies;

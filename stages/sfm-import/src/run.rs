@@ -3,7 +3,9 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
+use engine::{
+    Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resources, Source, Stage,
+};
 use rayon::prelude::*;
 use scene::float_image::{FloatImage, ResizeFilter};
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
@@ -11,7 +13,7 @@ use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 use crate::params::Resize;
 use crate::pixels::{self, Labels};
 use crate::source::{self, Frame, Result, SourceCapture, bad};
-use crate::{CaptureArtifact, Params};
+use crate::{CaptureArtifact, Params, facts};
 
 /// The name under which the engine hands over the capture's folder.
 const SOURCE: &str = "source";
@@ -37,6 +39,10 @@ impl Stage for SfmImport {
 
     fn check_params(params: &Params) -> Vec<ParamProblem> {
         params.problems()
+    }
+
+    fn facts(params: &Params, context: &PlanContext<'_>) -> Facts {
+        facts::of_capture(&context.data_root.join(&params.source), params)
     }
 
     fn resources(_params: &Params) -> Resources {

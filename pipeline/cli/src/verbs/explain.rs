@@ -9,7 +9,7 @@ use crate::args::NodeArgs;
 use crate::error::CliError;
 use crate::output::{print, print_json};
 use crate::session::Session;
-use crate::verbs::plan;
+use crate::verbs::{decisions, plan};
 
 pub fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
     let session = Session::look(store, &args.recipe)?;
@@ -26,7 +26,9 @@ pub fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
             .map(|cause| json!({ "nodes": cause.nodes.iter().map(name).collect::<Vec<_>>(), "changes": cause.changes }))
             .collect();
         let params = json!({ "values": node.params, "origins": origins });
-        print_json(&json!({ "node": node.name, "prediction": own, "first_causes": causes, "params": params }))?;
+        print_json(&json!({
+            "node": node.name, "prediction": own, "first_causes": causes, "params": params, "effects": node.decisions,
+        }))?;
         return Ok(engine::exit::OK);
     }
     let mut text = plan::line(&node.name, own);
@@ -34,6 +36,9 @@ pub fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
         for change in &cause.changes {
             text += &format!("first cause: {}: {}\n", session.plan.nodes[cause.nodes[0]].name, change.sentence);
         }
+    }
+    for decision in &node.decisions {
+        text += &format!("effect {}\n", decisions::sentence(decision));
     }
     text += "parameters:\n";
     for (key, origin) in origins.into_iter().flatten() {

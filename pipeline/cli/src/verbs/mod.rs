@@ -1,6 +1,7 @@
 //! One function per verb, returning the exit code.
 
 pub mod cache;
+pub mod decisions;
 pub mod explain;
 pub mod graph;
 pub mod plan;

@@ -12,6 +12,7 @@ use crate::args::PlanArgs;
 use crate::error::CliError;
 use crate::output::{count, duration, print, print_json};
 use crate::session::Session;
+use crate::verbs::decisions;
 
 pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     let session = Session::look(store, &args.recipe)?.select(&args.selection)?;
@@ -28,7 +29,15 @@ pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
                 json!({ "nodes": nodes, "changes": cause.changes, "consequences": cause.consequences })
             })
             .collect();
-        print_json(&json!({ "recipe": session.plan.recipe, "jobs": jobs, "causes": causes }))?;
+        let effects: BTreeMap<&String, _> = predictions
+            .keys()
+            .map(|&index| (name(&index), &session.plan.nodes[index].decisions))
+            .filter(|(_, decisions)| !decisions.is_empty())
+            .collect();
+        let plan = &session.plan;
+        print_json(&json!({
+            "recipe": plan.recipe, "jobs": jobs, "causes": causes, "effects": effects, "left_out": plan.left_out,
+        }))?;
         return Ok(engine::exit::OK);
     }
     let mut text = String::new();
@@ -37,6 +46,7 @@ pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     }
     text += &totals(&predictions);
     text += &render_causes(&session.plan, &causes);
+    text += &decisions::render(&session.plan, predictions.keys().copied());
     print(&text)?;
     Ok(engine::exit::OK)
 }

@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 use super::{ActionKey, KeyComponents, KeyInput, plan_id};
 use crate::plan::{Node, Plan, PlanSource};
 use crate::registry::tests::registry;
-use crate::{Coordinates, FailureKind, canonical};
+use crate::{Coordinates, Decision, FailureKind, Measurements, canonical};
 
 fn coordinates(pairs: &[(&str, &str)]) -> Coordinates {
     pairs.iter().map(|(axis, value)| (axis.to_string(), value.to_string())).collect()
@@ -182,7 +182,7 @@ fn plan(recipe: &str) -> Plan {
     let folder = tempfile::TempDir::new().unwrap();
     let path = folder.path().join("recipe.toml");
     std::fs::write(&path, recipe).unwrap();
-    crate::recipe::resolve(&path, &[], &registry()).unwrap_or_else(|errors| panic!("{errors}"))
+    crate::recipe::resolve(&path, &[], &registry(), folder.path()).unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 fn ids(plan: &Plan, names: &[&str]) -> Vec<String> {
@@ -244,7 +244,7 @@ fn every_part_of_a_node_that_counts_changes_its_plan_id() {
         |node| node.output.1 += 1,
         |node| node.inputs[0].port += "x",
         |node| node.inputs[0].artifact.1 += 1,
-        |node| node.inputs[0].measurements = true,
+        |node| node.inputs[0].measurements = Measurements::Read,
         |node| node.inputs[0].producers.reverse(),
         |node| node.sources.push(PlanSource { name: "a".into(), path: "b".into() }),
     ];
@@ -255,11 +255,13 @@ fn every_part_of_a_node_that_counts_changes_its_plan_id() {
         ids.insert(plan_id(&edited, &plan.nodes));
     }
     assert_eq!(ids.len(), 10);
-    let free: [fn(&mut Node); 4] = [
+    let free: [fn(&mut Node); 6] = [
         |node| node.name += "x",
         |node| node.template += "x",
         |node| node.threads += 1,
         |node| drop(node.coordinates.insert("a".into(), "b".into())),
+        |node| node.inputs[0].measurements = Measurements::Relayed,
+        |node| node.decisions.push(Decision { effect: "a".into(), on: true, reason: "b".into() }),
     ];
     for edit in free {
         let mut edited = node.clone();
@@ -283,6 +285,10 @@ fn a_key_leaves_out_what_the_stage_does_not_see() {
     };
     let one = key("train/ball/0", "text");
     assert_eq!(one.inputs["text"], [KeyInput { content: Some("c".into()), ..KeyInput::default() }]);
+    let mut relaying = plan.nodes[plan.index_of("train/ball/0").unwrap()].clone();
+    relaying.inputs[0].measurements = Measurements::Relayed;
+    let inputs = BTreeMap::from([("text".into(), vec![input.clone()])]);
+    assert_eq!(KeyComponents::of(&relaying, inputs, BTreeMap::new(), "cpu"), one);
     let many = key("list", "texts");
     assert_eq!(many.inputs["texts"], [KeyInput { measurements: None, ..input.clone() }]);
     assert_eq!((one.stage.as_str(), one.params["rate"].as_f64()), ("test-work", Some(0.001)));

@@ -16,7 +16,7 @@ pub(crate) fn node(name: &str, producers: &[usize]) -> Node {
             port: "texts".into(),
             artifact: ("text".into(), 1),
             many: true,
-            measurements: false,
+            measurements: Default::default(),
             producers: producers.to_vec(),
         }],
         sources: Vec::new(),
@@ -24,6 +24,7 @@ pub(crate) fn node(name: &str, producers: &[usize]) -> Node {
         output: ("text".into(), 1),
         unused_sources: Default::default(),
         code: BTreeMap::new(),
+        decisions: Vec::new(),
         plan_id: name.into(),
     }
 }
@@ -39,7 +40,7 @@ pub(crate) fn diamond() -> Plan {
         node("render/lego/mcgs", &[1, 3]),
         node("table", &[4, 5]),
     ];
-    Plan { recipe: "diamond".into(), nodes, origins: BTreeMap::new() }
+    Plan { recipe: "diamond".into(), nodes, origins: BTreeMap::new(), left_out: Vec::new() }
 }
 
 fn set(indices: &[usize]) -> BTreeSet<usize> {

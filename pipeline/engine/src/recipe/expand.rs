@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::errors::{Report, names_hint};
-use super::raw::{AxisValue, RawRecipe, Template};
+use super::raw::{AxisValue, Like, RawRecipe, Template};
 use super::tree::{self, Item, Table, Tree};
 use crate::Coordinates;
 
@@ -37,6 +37,31 @@ fn instance(
     values: Vec<(usize, AxisValue)>,
     report: &mut Report,
 ) -> Instance {
+    let mut params = Table::new();
+    if let Some(Like { node, values: fixed }) = &template.like
+        && let Some((model, model_template)) = recipe.templates.get_key_value(&node.name)
+    {
+        let values: Vec<(usize, AxisValue)> = values.iter().chain(fixed).cloned().collect();
+        params = params_of(recipe, model, model_template, &values, report);
+    }
+    tree::merge(&mut params, params_of(recipe, name, template, &values, report));
+    let texts = values.iter().map(|(_, value)| value.text.as_str());
+    Instance {
+        name: [name].into_iter().chain(texts).collect::<Vec<_>>().join("/"),
+        coordinates: values.iter().map(|(axis, value)| (recipe.axis_name(*axis).into(), value.text.clone())).collect(),
+        params,
+        values,
+    }
+}
+
+/// A template's parameters for these axis values, with every rule for it whose conditions hold.
+fn params_of(
+    recipe: &RawRecipe,
+    name: &str,
+    template: &Template,
+    values: &[(usize, AxisValue)],
+    report: &mut Report,
+) -> Table {
     let value_of = |axis: usize| values.iter().find(|(own, _)| *own == axis).map(|(_, value)| value);
     let mut params = template.params.clone();
     for rule in &recipe.rules {
@@ -51,13 +76,7 @@ fn instance(
             substitute(item, key, recipe, &value_of, report);
         });
     }
-    let texts = values.iter().map(|(_, value)| value.text.as_str());
-    Instance {
-        name: [name].into_iter().chain(texts).collect::<Vec<_>>().join("/"),
-        coordinates: values.iter().map(|(axis, value)| (recipe.axis_name(*axis).into(), value.text.clone())).collect(),
-        params,
-        values,
-    }
+    params
 }
 
 fn contains(wanted: &std::collections::BTreeSet<String>, value: &AxisValue) -> bool {

@@ -45,8 +45,17 @@ pub(crate) struct Template {
     /// Indices into the axes, increasing.
     pub over: Vec<usize>,
     pub inputs: Vec<Wire>,
+    /// The jobs whose parameters, rules included, lie below this one's.
+    pub like: Option<Like>,
     pub params: Table,
     pub params_at: Place,
+}
+
+/// `like = "template"`, or `like = { node = "template", axis = "value" }` where that template has axes that this one lacks.
+pub(crate) struct Like {
+    pub node: Named,
+    /// Axis index and value.
+    pub values: Vec<(usize, AxisValue)>,
 }
 
 /// A name in the recipe.
@@ -71,7 +80,7 @@ pub(crate) struct Rule {
 }
 
 const ROOT_KEYS: [&str; 5] = ["extends", "name", "axes", "nodes", "set"];
-const NODE_KEYS: [&str; 4] = ["stage", "over", "inputs", "params"];
+const NODE_KEYS: [&str; 5] = ["stage", "over", "inputs", "like", "params"];
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
 /// Reads the merged text.
@@ -144,6 +153,7 @@ fn template(name: &str, item: &Item, axes: &IndexMap<String, Axis>, report: &mut
         stage: stage.unwrap_or(Named { name: String::new(), at: item.key_at }),
         over: over(fields, &key, axes, report),
         inputs: wires(fields, &key, report),
+        like: fields.get("like").and_then(|item| like(item, &format!("{key}.like"), axes, report)),
         params: params.and_then(|item| as_table(item, &format!("{key}.params"), report)).cloned().unwrap_or_default(),
         params_at: params.map_or(item.key_at, |item| item.key_at),
     })
@@ -176,6 +186,28 @@ fn wires(fields: &Table, key: &str, report: &mut Report) -> Vec<Wire> {
         wires.push(Wire { port: Named { name: port.clone(), at: item.key_at }, from });
     }
     wires
+}
+
+fn like(item: &Item, key: &str, axes: &IndexMap<String, Axis>, report: &mut Report) -> Option<Like> {
+    let Tree::Table(fields) = &item.tree else {
+        return Some(Like { node: name(item, key, report)?, values: Vec::new() });
+    };
+    let mut values = Vec::new();
+    for (axis, item) in fields.iter().filter(|(axis, _)| *axis != "node") {
+        match (axes.get_index_of(axis), axis_text(item)) {
+            (Some(index), Some(text)) => values.push((index, AxisValue { text, value: item.to_json() })),
+            (Some(_), None) => report.add(&item.at, key, "axis values are strings or integers", None),
+            (None, _) => {
+                let hint = names_hint(axis, axes.keys().map(String::as_str).chain(["node"]));
+                report.add(&item.key_at, key, format!("unknown axis `{axis}`"), hint);
+            }
+        }
+    }
+    let Some(node) = fields.get("node") else {
+        report.add(&item.at, key, "`like` must say which node, as { node = \"train\" }", None);
+        return None;
+    };
+    Some(Like { node: name(node, key, report)?, values })
 }
 
 fn rule(

@@ -25,16 +25,16 @@ impl Recipes {
 
     fn resolve(&self, name: &str, overrides: &[&str]) -> Result<Plan, RecipeErrors> {
         let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
-        resolve(&self.path(name), &overrides, &registry())
+        resolve(&self.path(name), &overrides, &registry(), self.0.path())
     }
 }
 
-fn plan(text: &str, overrides: &[&str]) -> Plan {
+pub(crate) fn plan(text: &str, overrides: &[&str]) -> Plan {
     Recipes::new(&[("recipe.toml", text)]).resolve("recipe.toml", overrides).unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 /// One "LINE: KEY: MESSAGE (HINT)" per error.
-fn errors(text: &str, overrides: &[&str]) -> Vec<String> {
+pub(crate) fn errors(text: &str, overrides: &[&str]) -> Vec<String> {
     let errors = Recipes::new(&[("recipe.toml", text)]).resolve("recipe.toml", overrides).expect_err("must fail");
     let hint = |hint: &Option<String>| hint.as_ref().map(|hint| format!(" ({hint})")).unwrap_or_default();
     errors.0.iter().map(|e| format!("{}: {}: {}{}", e.line, e.key, e.message, hint(&e.hint))).collect()
@@ -214,7 +214,7 @@ nodes.trian.params.steps = 1
         "3: axes.scene: axis values are strings or integers",
         "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`)",
         "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-join, test-list, test-work, test-write)",
-        "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, inputs, params)",
+        "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, inputs, like, params)",
         "9: nodes.other.over: unknown axis `scen` (did you mean `scene`? allowed: scene)",
         "10: nodes.other.params.text: unknown axis `sene` (did you mean `scene`? allowed: scene; for a literal brace write {{sene}})",
         "10: nodes.other.params.sorce: unknown key `sorce` (did you mean `source`? allowed: text, source)",
@@ -261,34 +261,6 @@ stage = "test-work"
         "13: nodes.three.inputs.text: stage `test-work` needs an input on port `text` (nodes that make a text: capture, one, two, three)",
     ];
     assert_eq!(errors(text, &[]), expected);
-}
-
-/// Two texts joined; `inputs` are those of the join beside its first text.
-fn join(inputs: &str) -> String {
-    let writer = |name: &str| format!("[nodes.{name}]\nstage = \"test-write\"\nover = [\"seed\"]\n");
-    format!(
-        "[axes]\nseed = [0, 1]\n{}{}[nodes.joined]\nstage = \"test-join\"\nover = [\"seed\"]\ninputs.text = \"a\"\n{inputs}\n",
-        writer("a"),
-        writer("b")
-    )
-}
-
-#[test]
-fn an_optional_port_has_one_producer_or_none() {
-    let producers = |inputs: &str| plan(&join(inputs), &[]).nodes[5].inputs[1].producers.clone();
-    assert_eq!(producers("inputs.suffix = \"b\""), [3]);
-    assert!(producers("inputs.suffix = []").is_empty());
-    assert!(producers("").is_empty());
-    let plan_id = |inputs: &str| plan(&join(inputs), &[]).nodes[5].plan_id.clone();
-    assert_eq!(plan_id(""), plan_id("inputs.suffix = []"));
-    assert_ne!(plan_id(""), plan_id("inputs.suffix = \"b\""));
-    assert_eq!(
-        errors(&join("inputs.suffix = [\"a\", \"b\"]"), &[]),
-        ["13: nodes.joined.inputs.suffix: port `suffix` takes at most one producer, not 2"]
-    );
-    let of_all =
-        join("inputs.suffix = \"b\"").replace("stage = \"test-join\"\nover = [\"seed\"]", "stage = \"test-join\"");
-    assert!(errors(&of_all, &[]).iter().any(|error| error.contains("there is one `b` for each seed")));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::{Arity, Port, Registry};
 
 use super::errors::{Report, names_hint};
 use super::load::join_arrows;
-use super::raw::{Named, RawRecipe, Template, Wire};
+use super::raw::{Like, Named, RawRecipe, Template, Wire};
 
 /// Checks all templates; their indices with producers first (ties in the order of the file), unless there is a cycle.
 pub(crate) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report) -> Option<Vec<usize>> {
@@ -37,6 +37,7 @@ struct Checker<'a> {
 
 impl Checker<'_> {
     fn check(&self, report: &mut Report) {
+        self.check_like(report);
         let ports = self.stage.ports();
         for wire in &self.template.inputs {
             match ports.iter().find(|port| port.name == wire.port.name) {
@@ -60,13 +61,35 @@ impl Checker<'_> {
         }
     }
 
+    /// Parameters of other jobs make sense for the same stage only, and if it is clear which jobs are meant.
+    fn check_like(&self, report: &mut Report) {
+        let Some(Like { node, values }) = &self.template.like else { return };
+        let key = format!("nodes.{}.like", self.name);
+        let Some(model) = self.recipe.templates.get(&node.name) else {
+            let hint = names_hint(&node.name, self.recipe.templates.keys().map(String::as_str));
+            return report.add(&node.at, key, format!("unknown node `{}`", node.name), hint);
+        };
+        let is_known =
+            |axis: &&usize| self.template.over.contains(axis) || values.iter().any(|(fixed, _)| fixed == *axis);
+        let open = model.over.iter().find(|axis| !is_known(axis)).map(|&axis| self.recipe.axis_name(axis));
+        if model.stage.name != self.template.stage.name {
+            let message = format!("node `{}` is of stage `{}`", node.name, model.stage.name);
+            report.add(&node.at, key, message, Some("only nodes of one stage have parameters in common".into()));
+        } else if model.like.is_some() || node.name == self.name {
+            report.add(&node.at, key, format!("node `{}` is itself like a node", node.name), None);
+        } else if let Some(axis) = open {
+            let hint = format!("write like = {{ node = \"{}\", {axis} = … }}", node.name);
+            report.add(&node.at, key, format!("there is one `{}` for each {axis}", node.name), Some(hint));
+        }
+    }
+
     fn check_wire(&self, port: &Port, wire: &Wire, report: &mut Report) {
         let key = self.key(port.name);
         let (fits, wanted) = match port.arity {
             Arity::One => (wire.from.len() == 1, "one producer"),
             // An empty array takes back what a base recipe wires.
             Arity::Optional => (wire.from.len() <= 1, "at most one producer"),
-            Arity::Many => (true, "any number"),
+            Arity::Choice | Arity::Many => (true, "any number"),
         };
         if !fits {
             let message = format!("port `{}` takes {wanted}, not {}", port.name, wire.from.len());

@@ -128,6 +128,6 @@ fn remove(value: &mut Value, path: &[String]) -> bool {
     }
 }
 
-fn problem(key: &str, message: impl Into<String>) -> ParamProblem {
+pub(super) fn problem(key: &str, message: impl Into<String>) -> ParamProblem {
     ParamProblem { key: key.into(), message: message.into(), hint: None }
 }

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use crate::digest::{SourceDigests, SourceError};
 use crate::job::{InputSpec, SourceSpec};
-use crate::{ActionKey, Digest, Failure, FailureKind, KeyComponents, KeyInput, Node, Plan, PlanInput, Store};
+use crate::{
+    ActionKey, Digest, Failure, FailureKind, KeyComponents, KeyInput, Measurements, Node, Plan, PlanInput, Store,
+};
 
 /// The class of machine in every key. All stages compute on the CPU.
 pub const ENVIRONMENT: &str = "cpu";
@@ -66,7 +68,7 @@ impl Rest {
         }
     }
 
-    fn as_input_spec(&self, producer: &Node, reads_measurements: bool) -> InputSpec {
+    fn as_input_spec(&self, producer: &Node, use_of_measurements: Measurements) -> InputSpec {
         let (artifact, key, measurements) = match self {
             Self::Done(done) => (Ok(done.content), Some(&done.key), Some(done.measurements)),
             Self::Failed { failure, key } => (Err(failure.clone()), key.as_ref(), None),
@@ -76,7 +78,7 @@ impl Rest {
             producer: producer.name.clone(),
             coordinates: producer.coordinates.clone(),
             artifact,
-            measurements: measurements.filter(|_| reads_measurements),
+            measurements: measurements.filter(|_| use_of_measurements != Measurements::Unread),
             action_key: key.map(ToString::to_string).unwrap_or_default(),
         }
     }

@@ -12,6 +12,7 @@ pub const TESTS: &[(&str, fn())] = &[
     ("equal_result_cuts_the_rerun_off", equal_result_cuts_the_rerun_off),
     ("equal_actions_run_once", equal_actions_run_once),
     ("an_optional_input_is_read_where_it_is_wired", an_optional_input_is_read_where_it_is_wired),
+    ("relayed_measurements_reach_the_job_and_no_key", relayed_measurements_reach_the_job_and_no_key),
     ("renamed_axis_value_reruns_only_what_shows_it", renamed_axis_value_reruns_only_what_shows_it),
     ("damaged_blobs_are_made_again", damaged_blobs_are_made_again),
     ("forced_jobs_run_again", forced_jobs_run_again),
@@ -75,6 +76,34 @@ inputs = { text = "a" }
     let both = world.run(&["nodes.joined.inputs.suffix='b'"]);
     assert_eq!(nodes(&both, Outcome::Executed), ["joined"]);
     assert_eq!(world.text(&both, "joined"), "ab");
+    // What is left to the stage has the key of what it comes to.
+    let named = world.run(&["nodes.joined.inputs.suffix='b'", "nodes.joined.params.suffix=true"]);
+    assert_eq!(named.counts.executed, 0);
+    let without = world.run(&["nodes.joined.inputs.suffix='b'", "nodes.joined.params.suffix=false"]);
+    assert_eq!((without.counts.executed, without.results.len()), (0, 2), "left out is as if it were not wired");
+    assert_eq!(without.results["joined"].content, alone.results["joined"].content);
+}
+
+fn relayed_measurements_reach_the_job_and_no_key() {
+    const JOIN: &str = r#"
+[nodes.a]
+stage = "test-write"
+[nodes.work]
+stage = "test-work"
+inputs.text = "a"
+[nodes.joined]
+stage = "test-join"
+inputs.text = "work"
+"#;
+    let world = World::new(JOIN);
+    world.run(&[]);
+    let again = world.run_with(&[], |options| options.force.extend([1]), |_, _| ());
+    assert_eq!(nodes(&again, Outcome::Executed), ["work"]);
+    let records = world.store().records().unwrap();
+    let joined = records.iter().find(|record| record.provenance.node == "joined").unwrap();
+    let measured = world.store().read_measurements(&joined.measurements).unwrap();
+    assert_eq!(measured["of_text"]["resumed_steps"], 0, "{measured}");
+    assert!(measured["of_text"]["job"]["wall_secs"].as_f64().unwrap() > 0.0);
 }
 
 fn equal_actions_run_once() {

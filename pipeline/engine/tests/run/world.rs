@@ -82,7 +82,7 @@ impl World {
 
     pub fn plan(&self, overrides: &[&str]) -> Plan {
         let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        engine::recipe::resolve(&self.root.join("recipe.toml"), &overrides, &registry())
+        engine::recipe::resolve(&self.root.join("recipe.toml"), &overrides, &registry(), &self.root.join("data"))
             .unwrap_or_else(|errors| panic!("{errors}"))
     }
 

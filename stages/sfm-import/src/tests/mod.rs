@@ -8,4 +8,4 @@ mod lens;
 mod nerfies;
 mod pixels;
 mod real;
-mod support;
+pub mod support;

@@ -1,0 +1,62 @@
+//! What is known of a capture before it is imported: what its files say in passing, without a pixel.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use engine::Facts;
+use scene::{Split, facts};
+
+use crate::params::Format;
+use crate::{Params, blender, source};
+
+/// What is known of the capture in `dir`. COLMAP models are not read for it: their points can take seconds.
+pub fn of_capture(dir: &Path, params: &Params) -> Facts {
+    let never = [facts::DEPTH, facts::FLOW, facts::NORMALS, facts::VELOCITY];
+    let known = never.iter().fold(Facts::default(), |known, map| known.with(map, false));
+    if params.static_scene {
+        return with_times(known, 1);
+    }
+    if params.format == Format::Colmap || !blender::is_here(dir) {
+        return known;
+    }
+    // What is wrong with the files is said when they are imported.
+    let Ok(capture) = source::read(dir, params) else { return known };
+    let training = || capture.frames.iter().filter(|frame| frame.split == Split::Train);
+    let times: BTreeSet<u64> = training().map(|frame| frame.time_secs.to_bits()).collect();
+    with_times(known, times.len())
+        .with(facts::POINTS, !capture.points.is_empty())
+        .with(facts::MASKS, training().any(|frame| frame.mask.is_some()))
+}
+
+/// Nothing is seen to move at a single instant.
+fn with_times(known: Facts, times: usize) -> Facts {
+    let known = known.with(facts::TIMES, times);
+    if times > 1 { known } else { known.with(facts::MOVING, false) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::support::{Workspace, blender_scene, colmap_params};
+
+    #[test]
+    fn blender_files_tell_times_and_points() {
+        let dir = blender_scene();
+        let known = of_capture(dir.path(), &Params::default());
+        assert_eq!(known.count(facts::TIMES), Some(5));
+        assert_eq!((known.flag(facts::POINTS), known.flag(facts::MASKS)), (Some(false), Some(false)));
+        assert_eq!((known.flag(facts::MOVING), known.flag(facts::VIEW_DEPENDENT)), (None, None));
+        let limited = of_capture(dir.path(), &Params { train_limit: Some(1), ..Params::default() });
+        assert_eq!((limited.count(facts::TIMES), limited.flag(facts::MOVING)), (Some(1), Some(false)));
+    }
+
+    #[test]
+    fn what_is_not_there_or_slow_to_read_is_unknown() {
+        let nowhere = of_capture(Path::new("nowhere"), &Params::default());
+        assert_eq!((nowhere.count(facts::TIMES), nowhere.flag(facts::DEPTH)), (None, Some(false)));
+        let dir = Workspace::video(4).write();
+        assert_eq!(of_capture(dir.path(), &colmap_params()).count(facts::TIMES), None);
+        let at_rest = Params { static_scene: true, ..colmap_params() };
+        assert_eq!(of_capture(dir.path(), &at_rest).flag(facts::MOVING), Some(false));
+    }
+}
