@@ -7,6 +7,7 @@
 //! Colour is max(0, ½ + Σ Yₖ·shₖ) in the direction from the camera's centre (Kerbl et al. 2023).
 
 mod camera;
+mod factors;
 mod harmonics;
 mod reference;
 mod settings;
@@ -17,6 +18,7 @@ mod tests;
 use rayon::prelude::*;
 
 pub use camera::PinholeCamera;
+pub use factors::factors;
 pub use settings::RasterSettings;
 
 use crate::tape::{Op, Real, Tape, Tensor, Var};

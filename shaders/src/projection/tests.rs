@@ -126,6 +126,21 @@ fn any_factor_of_the_covariance_gives_the_same_splat() {
 }
 
 #[test]
+fn factors_of_scales_and_rotations_are_those_that_projection_uses() {
+    let splats = splats(6, -1.0, 26);
+    let inputs = [splats.log_scales.clone(), splats.rotations.clone()];
+    let f = |tape: &mut Tape<f64>, inputs: &[Var]| factors(tape, inputs[0], inputs[1]);
+    check::gradients(f, &inputs, TOLERANCE).unwrap();
+    let mut tape = Tape::new(Device::Cpu);
+    let [log_scales, rotations] = inputs.map(|tensor| tape.constant(tensor));
+    let found = factors(&mut tape, log_scales, rotations);
+    for row in 0..6 {
+        let expected = Tensor::from_vec([9], factor_of(&splats, row).as_flattened().to_vec());
+        check::agree(&Tensor::from_vec([9], tape.value(found).row(row).to_vec()), &expected, 1e-12).unwrap();
+    }
+}
+
+#[test]
 fn factors_that_overflow_are_culled() {
     let sh = [0.0_f32; 48];
     let is_visible = |value: f32| {

@@ -4,3 +4,4 @@ pub mod gaussians;
 pub mod heads;
 pub mod hexplane;
 pub mod layers;
+pub mod primitives4d;

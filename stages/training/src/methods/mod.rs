@@ -5,6 +5,7 @@ mod l4dgs;
 mod static3dgs;
 #[cfg(test)]
 mod tests;
+mod vcgs;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -21,6 +22,7 @@ pub fn registry() -> Vec<Registration> {
         Registration::of::<static3dgs::Static3dgs>(), //
         Registration::of::<deformable4dgs::Deformable4dgs>(),
         Registration::of::<l4dgs::L4dgs>(),
+        Registration::of::<vcgs::Vcgs>(),
     ]
 }
 

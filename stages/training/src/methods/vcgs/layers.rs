@@ -1,0 +1,166 @@
+//! The two layers of a scene: which surfels they begin with, and the tensors that store them.
+
+use engine::{Failure, FailureKind};
+use scene::gaussians::SH_C0;
+use scene::{DepthMap, LabelMap};
+use shaders::tape::{Real, Tensor};
+
+use super::settings::{Settings, Switches};
+use super::surfels::{Picture, Surfel, thinned, uncovered, without_duplicates, wxyz};
+use crate::bases::gaussians::logit;
+use crate::dataset::{Dataset, LoadedView};
+use crate::method::{Start, too_large};
+use crate::state::ModelState;
+use crate::supplements::BackgroundView;
+
+/// The population that never moves.
+pub const BACKGROUND: &str = "background";
+/// The population of 4D surfels.
+pub const FOREGROUND: &str = "foreground";
+
+/// The first opacity (Yu et al. 2025, WonderWorld).
+const INITIAL_OPACITY: f64 = 0.15;
+
+/// The surfels of what stands still: the first view's, then of every view what the ones before do not show.
+pub fn background_surfels(start: &Start<'_>, settings: &Settings, switches: &Switches) -> anyhow::Result<Vec<Surfel>> {
+    let mut surfels: Vec<Surfel> = Vec::new();
+    for view in &start.dataset.train {
+        let filled = if switches.inpainting { Some(filled_view(start, view)?) } else { None };
+        let depth = match filled.and_then(|filled| filled.depth.as_ref()) {
+            Some(depth) => depth,
+            None => depth_of(start, view)?,
+        };
+        let pixels = filled.map_or(view.pixels.as_slice(), |filled| filled.image.as_raw());
+        let picture = picture(start, view, pixels, depth);
+        let is_static = static_pixels(start, view, switches)?;
+        let is_new = if surfels.is_empty() { vec![] } else { uncovered(&surfels, &picture).map_err(too_large)? };
+        let wanted =
+            |at: usize| is_static.as_ref().is_none_or(|mask| mask[at]) && is_new.get(at).is_none_or(|&new| new);
+        surfels.extend(picture.surfels(view.time, settings.pixel_stride, wanted));
+    }
+    let surfels = thinned(without_duplicates(surfels), settings.max_count);
+    if surfels.is_empty() {
+        return Err(bad_input("no pixel stands still", "check the port layers, or switch off \"layer-split\"").into());
+    }
+    Ok(surfels)
+}
+
+/// The surfels of what moves, of every view: born at the view's time, across its viewing direction.
+pub fn foreground_surfels(start: &Start<'_>, settings: &Settings, switches: &Switches) -> anyhow::Result<Vec<Surfel>> {
+    let mut surfels = Vec::new();
+    for view in &start.dataset.train {
+        let picture = picture(start, view, &view.pixels, depth_of(start, view)?);
+        let moving = if switches.layer_split { Some(moving_of(start, view)?) } else { None };
+        let wanted = |at: usize| moving.is_none_or(|mask| mask.labels[at] != 0);
+        surfels.extend(picture.surfels(view.time, settings.pixel_stride, wanted));
+    }
+    let surfels = thinned(surfels, settings.max_count);
+    if surfels.is_empty() {
+        return Err(bad_input("no pixel moves", "check the port layers, or switch off \"motion\"").into());
+    }
+    Ok(surfels)
+}
+
+/// Which pixels of a view show the static layer and nothing else; `None`: all of them.
+pub fn static_pixels(start: &Start<'_>, view: &LoadedView, switches: &Switches) -> anyhow::Result<Option<Vec<bool>>> {
+    let is_zero = |map: &LabelMap| map.labels.iter().map(|&label| label == 0).collect();
+    Ok(match (switches.inpainting, switches.layer_split) {
+        (true, _) => Some(is_zero(&filled_view(start, view)?.unfilled)),
+        (false, true) => Some(is_zero(moving_of(start, view)?)),
+        (false, false) => None,
+    })
+}
+
+/// The view without what moves.
+pub fn filled_view<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a BackgroundView> {
+    let found = start.supplements.background.get(view.index).and_then(Option::as_ref);
+    let hint = "wire an inpaint-import job to the port background, or switch off \"inpainting\"";
+    let filled = found.ok_or_else(|| missing("image without what moves", start.dataset, view, hint))?;
+    check_size("image without what moves", filled.image.dimensions().into(), view)?;
+    check_size("unfilled part", [filled.unfilled.width, filled.unfilled.height], view)?;
+    if let Some(depth) = &filled.depth {
+        check_size("depth without what moves", [depth.width, depth.height], view)?;
+    }
+    Ok(filled)
+}
+
+fn depth_of<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a DepthMap> {
+    let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
+    let hint = "wire a depth-flow-import job to the port priors";
+    let depth = found.ok_or_else(|| missing("depth", start.dataset, view, hint))?;
+    check_size("depth", [depth.width, depth.height], view)?;
+    Ok(depth)
+}
+
+fn moving_of<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a LabelMap> {
+    let hint = "wire a layer-split job to the port layers, or switch off \"layer-split\"";
+    let found = start.supplements.moving(view.index);
+    let mask = found.ok_or_else(|| missing("moving part", start.dataset, view, hint))?;
+    check_size("moving part", [mask.width, mask.height], view)?;
+    Ok(mask)
+}
+
+fn check_size(what: &str, [width, height]: [u32; 2], view: &LoadedView) -> anyhow::Result<()> {
+    let (found, expected) = ([width as usize, height as usize], [view.camera.width, view.camera.height]);
+    if found != expected {
+        let message = format!("{what} of view {} has {found:?} pixels, its image {expected:?}", view.index);
+        return Err(bad_input(&message, "import both at one size").into());
+    }
+    Ok(())
+}
+
+fn picture<'a>(start: &Start<'a>, view: &LoadedView, pixels: &'a [u8], depth: &'a DepthMap) -> Picture<'a> {
+    let normals = start.supplements.view(view.index).and_then(|priors| priors.normals.as_ref());
+    Picture { camera: &start.dataset.capture.views[view.index].camera, pixels, depth, normals }
+}
+
+fn missing(what: &str, dataset: &Dataset, view: &LoadedView, hint: &str) -> Failure {
+    bad_input(&format!("vcgs needs the {what} of view {}", dataset.capture.views[view.index].name), hint)
+}
+
+fn bad_input(message: &str, hint: &str) -> Failure {
+    Failure::new(FailureKind::BadInput, message).hint(hint)
+}
+
+/// Adds the tensors of the static layer.
+pub fn insert_background<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel]) {
+    insert_surfels(state, BACKGROUND, surfels);
+    insert(state, BACKGROUND, "rotations", &[4], surfels, |surfel| wxyz(surfel.rotation).to_vec());
+}
+
+/// Adds the tensors of the moving layer; `deviation_time` is how long a surfel is seen at first, in [0, 1].
+pub fn insert_foreground<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel], deviation_time: f64) {
+    insert_surfels(state, FOREGROUND, surfels);
+    let mut insert = |attribute: &str, row: &[usize], values: &dyn Fn(&Surfel) -> Vec<f64>| {
+        insert(state, FOREGROUND, attribute, row, surfels, values);
+    };
+    // Equal quaternions turn space alone: nothing moves at first.
+    insert("rotations_left", &[4], &|surfel| wxyz(surfel.rotation).to_vec());
+    insert("rotations_right", &[4], &|surfel| wxyz(surfel.rotation).to_vec());
+    insert("log_scales_time", &[1], &|_| vec![deviation_time.ln()]);
+    insert("times", &[1], &|surfel| vec![surfel.birth_time]);
+    insert("birth_axes", &[3], &|surfel| surfel.birth_axis.to_array().to_vec());
+}
+
+fn insert_surfels<T: Real>(state: &mut ModelState<T>, population: &str, surfels: &[Surfel]) {
+    let mut insert = |attribute: &str, row: &[usize], values: &dyn Fn(&Surfel) -> Vec<f64>| {
+        insert(state, population, attribute, row, surfels, values);
+    };
+    insert("positions", &[3], &|surfel| surfel.position.to_array().to_vec());
+    insert("log_scales", &[2], &|surfel| surfel.scales.map(f64::ln).to_vec());
+    insert("log_thicknesses", &[1], &|surfel| vec![surfel.thickness().ln()]);
+    insert("opacity_logits", &[1], &|_| vec![logit(INITIAL_OPACITY)]);
+    insert("sh_dc", &[1, 3], &|surfel| surfel.color.map(|value| (value - 0.5) / f64::from(SH_C0)).to_vec());
+}
+
+fn insert<T: Real>(
+    state: &mut ModelState<T>,
+    population: &str,
+    attribute: &str,
+    row: &[usize],
+    surfels: &[Surfel],
+    values: impl Fn(&Surfel) -> Vec<f64>,
+) {
+    let data = surfels.iter().flat_map(values).map(T::from_f64).collect();
+    state.insert(format!("{population}.{attribute}"), Tensor::from_vec([&[surfels.len()], row].concat(), data));
+}

@@ -1,0 +1,242 @@
+//! View-plane constrained Gaussian splatting of one moving camera: a static layer, and 4D surfels on the moving pixels
+//! that move across the viewing direction.
+
+mod layers;
+mod pruning;
+mod settings;
+mod splats;
+mod surfels;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use shaders::pointwise::mul;
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape, Tensor};
+
+use super::MethodFolder;
+use crate::bases::primitives4d::Slice;
+use crate::dataset::LoadedView;
+use crate::effects::Effect;
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, TrainingView};
+use crate::params::{Harmonics, Shared};
+use crate::schedule::{LogLinear, stretch};
+use crate::state::{ModelState, Variables};
+use layers::{BACKGROUND, FOREGROUND};
+use pruning::SurfelPruning;
+use settings::{Settings, Switches};
+use splats::{joined, moving, standing};
+
+/// The phase of the static layer.
+const STATIC: &str = "static";
+/// The phase of the moving layer on the frozen static one.
+const DYNAMIC: &str = "dynamic";
+
+/// The folder's entry.
+pub struct Vcgs;
+
+impl MethodFolder for Vcgs {
+    const NAME: &'static str = "vcgs";
+    const ABOUT: &'static str = "VC-GS: a static layer, and 4D surfels that move within the view plane";
+    type Settings = Settings;
+
+    fn shared_defaults() -> Shared {
+        Shared {
+            iterations: BTreeMap::from([(STATIC.into(), 2000), (DYNAMIC.into(), 3000)]),
+            harmonics: Harmonics { degree: 0, ..Harmonics::default() },
+            ..Shared::default()
+        }
+    }
+
+    fn effects() -> Vec<Effect> {
+        settings::effects()
+    }
+
+    fn check(settings: &Settings) -> Result<(), String> {
+        settings.check()
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> Settings {
+        Settings { pixel_stride: 3, ..Settings::default() }
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
+        Box::new(ViewPlaneGaussians::new(shared, settings))
+    }
+}
+
+struct ViewPlaneGaussians {
+    shared: Shared,
+    settings: Settings,
+    switches: Switches,
+}
+
+impl ViewPlaneGaussians {
+    fn new(shared: &Shared, settings: Settings) -> Self {
+        let switches = Switches::new(&shared.effects);
+        Self { shared: shared.clone(), settings, switches }
+    }
+
+    /// Without a split everything is in one layer: the moving one, or the static one where nothing moves.
+    fn has_background(&self) -> bool {
+        self.switches.layer_split || !self.switches.motion
+    }
+
+    /// Adds the layer that a phase trains.
+    fn insert_layer<T: Real>(&self, phase: &str, state: &mut ModelState<T>, start: &Start<'_>) -> anyhow::Result<()> {
+        if phase == STATIC {
+            let surfels = layers::background_surfels(start, &self.settings, &self.switches)?;
+            layers::insert_background(state, &surfels);
+        } else {
+            let surfels = layers::foreground_surfels(start, &self.settings, &self.switches)?;
+            let frames = start.scene().time_count.saturating_sub(1).max(1);
+            layers::insert_foreground(state, &surfels, 1.0 / frames as f64);
+        }
+        Ok(())
+    }
+
+    /// All layers that there are in a phase, the moving one first.
+    fn layers<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        moment: &Moment<'_>,
+    ) -> (SplatVars, Option<Slice>) {
+        if moment.phase == STATIC {
+            return (standing(tape, model), None);
+        }
+        let (moving, slice) = moving(tape, model, moment.time, &self.settings, &self.switches);
+        let splats = if self.has_background() {
+            let standing = standing(tape, model);
+            joined(tape, &moving, &standing)
+        } else {
+            moving
+        };
+        (splats, Some(slice))
+    }
+
+    /// The photometric loss of the static layer, on what each view shows of it.
+    fn static_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        let start = Start { dataset: step.dataset, supplements: step.supplements };
+        for view in step.views {
+            step.clock.enter("motion");
+            let splats = standing(step.tape, step.model);
+            let rendered = step.render(&splats, None, view, Some(BACKGROUND))?;
+            let loaded = loaded(step, view);
+            let mut target = view.clone();
+            if self.switches.inpainting {
+                target.image = pixels_as_tensor(layers::filled_view(&start, loaded)?.image.as_raw(), &view.image);
+            }
+            let mut color = rendered.color;
+            if let Some(is_static) = layers::static_pixels(&start, loaded, &self.switches)? {
+                let weights: Vec<T> =
+                    is_static.iter().flat_map(|&on| [T::from_f64(f64::from(u8::from(on))); 3]).collect();
+                let hidden = is_static.iter().filter(|&&on| !on).count();
+                step.count_skipped("pixels without static layer", hidden, is_static.len());
+                let image = target.image.make_mut();
+                image.iter_mut().zip(&weights).for_each(|(value, &weight)| *value *= weight);
+                let weights = step.tape.constant(Tensor::from_vec(view.image.shape(), weights));
+                color = mul(step.tape, color, weights);
+            }
+            step.photometric(color, &target);
+        }
+        Ok(())
+    }
+}
+
+impl<T: Real> Method<T> for ViewPlaneGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        let phase = |name: &'static str| {
+            let iterations = self.shared.iterations.get(name).copied().unwrap_or(0);
+            Phase { name, iterations: stretch(iterations, self.shared.schedule_scale) }
+        };
+        let background = self.has_background().then(|| phase(STATIC));
+        background.into_iter().chain(self.switches.motion.then(|| phase(DYNAMIC))).collect()
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        _points: &PointCloud,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        self.insert_layer(if self.has_background() { STATIC } else { DYNAMIC }, &mut state, start)?;
+        Ok(state)
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        mut state: ModelState<T>,
+        start: &Start<'_>,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        if phase == DYNAMIC && self.has_background() {
+            self.insert_layer(DYNAMIC, &mut state, start)?;
+        }
+        Ok(state)
+    }
+
+    fn learning_rate(&self, phase: &str, tensor: &str, _scene: &SceneFacts) -> Option<LogLinear> {
+        let layer = if phase == STATIC { BACKGROUND } else { FOREGROUND };
+        let rates = &self.shared.learning_rates;
+        match tensor.strip_prefix(layer)?.strip_prefix('.')? {
+            "opacity_logits" => Some(LogLinear::constant(rates.opacity)),
+            "log_scales" | "log_scales_time" => Some(LogLinear::constant(rates.scale)),
+            "rotations" | "rotations_left" | "rotations_right" => Some(LogLinear::constant(rates.rotation)),
+            // Positions, times, thicknesses and colours stay as the pixels say.
+            _ => None,
+        }
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        Ok(self.layers(tape, model, moment).0)
+    }
+
+    fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
+        let (splats, slice) = self.layers(tape, model, moment);
+        let Some(Slice { rows, .. }) = slice else { return Ok(None) };
+        // The moving layer's rows, then all of the static one's.
+        let standing = tape.value(splats.positions).rows() - rows.len();
+        let after = rows.rows() as u32..(rows.rows() + standing) as u32;
+        Ok(Some(rows.row_of_item().iter().copied().chain(after).collect()))
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if step.phase == STATIC {
+            return self.static_losses(step);
+        }
+        for view in step.views {
+            step.clock.enter("motion");
+            let moment = step.moment(view);
+            let (splats, slice) = self.layers(step.tape, step.model, &moment);
+            if let Some(Slice { rows, .. }) = &slice {
+                step.count_skipped("surfels of other times", rows.rows() - rows.len(), rows.rows());
+            }
+            let rendered = step.render(&splats, None, view, None)?;
+            step.photometric(rendered.color, view);
+        }
+        Ok(())
+    }
+
+    fn population_controls(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        let layer = if phase == STATIC { BACKGROUND } else { FOREGROUND };
+        vec![Box::new(SurfelPruning::new(layer, &self.settings.pruning, self.shared.schedule_scale))]
+    }
+}
+
+/// The stored view that a step's view is.
+fn loaded<'a, T: Real>(step: &Step<'a, T>, view: &TrainingView<T>) -> &'a LoadedView {
+    step.dataset.train.iter().find(|loaded| loaded.index == view.index).expect("steps draw training views")
+}
+
+/// 8-bit values in [0, 1], shaped as `like`.
+fn pixels_as_tensor<T: Real>(pixels: &[u8], like: &Tensor<T>) -> Tensor<T> {
+    let values = pixels.iter().map(|&value| T::from_f64(f64::from(value) / 255.0)).collect();
+    Tensor::from_vec(like.shape(), values)
+}

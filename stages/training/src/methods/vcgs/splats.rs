@@ -1,0 +1,78 @@
+//! The splats of both layers at a time.
+
+use shaders::pointwise::{add, scale, sub};
+use shaders::projection::factors;
+use shaders::rows::{concat_columns, concat_rows, gather, row_dot, scale_rows};
+use shaders::splat::{ShapeVars, SplatVars};
+use shaders::tape::{Real, Tape, Var};
+
+use super::layers::{BACKGROUND, FOREGROUND};
+use super::settings::{Settings, Switches};
+use crate::bases::primitives4d::{self, Slice};
+use crate::state::Variables;
+
+/// The moving surfels at a time, each where equations 2 to 6 put it.
+pub fn moving<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    time: f64,
+    settings: &Settings,
+    switches: &Switches,
+) -> (SplatVars, Slice) {
+    let var = |attribute: &str| model.get(&format!("{FOREGROUND}.{attribute}"));
+    let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
+    let slice = primitives4d::slice(tape, &primitives4d::parameters(model, FOREGROUND, log_scales), time);
+    let mut positions = gather(tape, var("positions"), &slice.rows);
+    if !settings.zero_offset {
+        let mut displacements = slice.sliced.displacements;
+        if switches.constraint {
+            let axes = gather(tape, var("birth_axes"), &slice.rows);
+            displacements = within_view_plane(tape, displacements, axes, settings.depth_share);
+        }
+        positions = add(tape, positions, displacements);
+    }
+    let splats = SplatVars {
+        positions,
+        shape: ShapeVars::Factor(slice.sliced.factors),
+        opacity_logits: slice.sliced.opacity_logits,
+        sh: gather(tape, var("sh_dc"), &slice.rows),
+    };
+    (splats, slice)
+}
+
+/// The static layer, which no time and no fourth dimension touches.
+pub fn standing<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
+    let var = |attribute: &str| model.get(&format!("{BACKGROUND}.{attribute}"));
+    let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
+    SplatVars {
+        positions: var("positions"),
+        shape: ShapeVars::ScaleRotation { log_scales, rotations: var("rotations") },
+        opacity_logits: var("opacity_logits"),
+        sh: var("sh_dc"),
+    }
+}
+
+/// The splats of two layers, the first one's first.
+pub fn joined<T: Real>(tape: &mut Tape<T>, first: &SplatVars, second: &SplatVars) -> SplatVars {
+    let mut factor = |shape: ShapeVars| match shape {
+        ShapeVars::ScaleRotation { log_scales, rotations } => factors(tape, log_scales, rotations),
+        ShapeVars::Factor(factors) => factors,
+    };
+    let (first_factors, second_factors) = (factor(first.shape), factor(second.shape));
+    let mut both = |a: Var, b: Var| concat_rows(tape, &[a, b]);
+    SplatVars {
+        positions: both(first.positions, second.positions),
+        shape: ShapeVars::Factor(both(first_factors, second_factors)),
+        opacity_logits: both(first.opacity_logits, second.opacity_logits),
+        sh: both(first.sh, second.sh),
+    }
+}
+
+/// Δ − (1 − ε)(n·Δ)n for displacements Δ [M, 3] and unit viewing directions n [M, 3]: equations 4 to 6 without the
+/// translation, which displacements do not have.
+pub fn within_view_plane<T: Real>(tape: &mut Tape<T>, displacements: Var, axes: Var, depth_share: f64) -> Var {
+    let along = row_dot(tape, displacements, axes);
+    let removed = scale_rows(tape, axes, along);
+    let removed = scale(tape, removed, 1.0 - depth_share);
+    sub(tape, displacements, removed)
+}

@@ -1,0 +1,174 @@
+//! Surfels on the pixels of an image: where depth says, as flat as the normal says, as large as a pixel.
+
+use std::collections::HashSet;
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+use scene::{Camera, DepthMap, NormalMap};
+use shaders::splat::{PinholeCamera, RasterSettings, SplatTensors, TooManyIntersections, render_image};
+use shaders::tape::Tensor;
+
+/// Standard deviation per pixel spacing: 1/√2 covers the image without holes at the sampling limit (Yu et al. 2025,
+/// WonderWorld).
+const SPACING_SHARE: f64 = 0.7;
+/// The least cosine between normal and view axis: grazing surfaces are not stretched more than ten times.
+const MIN_COSINE: f64 = 0.1;
+/// Depths that differ by more than this share belong to different surfaces.
+const DEPTH_JUMP: f64 = 0.05;
+/// A pixel that others cover by less than this is seen for the first time.
+const COVERED: f32 = 0.5;
+/// The logit of what counts as covering: nearly opaque.
+const COVERING_LOGIT: f32 = 4.0;
+/// Thickness as a share of the smaller side, and the least one in scene units.
+pub const THICKNESS_SHARE: f64 = 0.01;
+const MIN_THICKNESS: f64 = 1e-6;
+
+/// What one view tells of the surfaces that it sees.
+pub struct Picture<'a> {
+    pub camera: &'a Camera,
+    /// [H, W, 3] sRGB.
+    pub pixels: &'a [u8],
+    pub depth: &'a DepthMap,
+    pub normals: Option<&'a NormalMap>,
+}
+
+/// One flat Gaussian in the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Surfel {
+    pub position: DVec3,
+    /// Its third axis is the surface's normal.
+    pub rotation: DQuat,
+    /// Standard deviations along the first two axes, scene units.
+    pub scales: [f64; 2],
+    /// sRGB in [0, 1].
+    pub color: [f64; 3],
+    /// Normalised time and viewing direction (world) of the picture that it comes from.
+    pub birth_time: f64,
+    pub birth_axis: DVec3,
+}
+
+impl Surfel {
+    /// Standard deviation along the normal, scene units.
+    pub fn thickness(&self) -> f64 {
+        (THICKNESS_SHARE * self.scales[0].min(self.scales[1])).max(MIN_THICKNESS)
+    }
+}
+
+impl Picture<'_> {
+    /// A surfel on every `stride`-th pixel of every `stride`-th row that has a depth and is `wanted`.
+    pub fn surfels(&self, time: f64, stride: usize, wanted: impl Fn(usize) -> bool) -> Vec<Surfel> {
+        let (width, height) = (self.depth.width as usize, self.depth.height as usize);
+        let places = (stride / 2..height).step_by(stride).flat_map(|row| {
+            (stride / 2..width).step_by(stride).map(move |column| (row * width + column, column, row)) //
+        });
+        let wanted = places.filter(|&(at, ..)| self.depth.depth_view[at] > 0.0 && wanted(at));
+        wanted.map(|(at, column, row)| self.surfel(at, column, row, time, stride as f64)).collect()
+    }
+
+    fn surfel(&self, at: usize, column: usize, row: usize, time: f64, stride: f64) -> Surfel {
+        let depth = f64::from(self.depth.depth_view[at]);
+        let normal = self.normal(at, column, row);
+        let camera = self.camera;
+        // How much the surface is inclined within the planes of the camera's axes.
+        let cosine = |across: f64| (normal.z.abs() / across.hypot(normal.z)).max(MIN_COSINE);
+        let side = |focal: f64, across: f64| SPACING_SHARE * stride * depth / (focal * cosine(across));
+        let world_from_view = camera.camera_from_world.rotation.transpose();
+        Surfel {
+            position: camera.camera_from_world.inverse().apply(self.point_view(column, row, depth)),
+            rotation: DQuat::from_mat3(&(world_from_view * axes(normal))),
+            scales: [side(camera.intrinsics.focal_x, normal.x), side(camera.intrinsics.focal_y, normal.y)],
+            color: [0, 1, 2].map(|channel| f64::from(self.pixels[3 * at + channel]) / 255.0),
+            birth_time: time,
+            birth_axis: world_from_view * DVec3::Z,
+        }
+    }
+
+    fn point_view(&self, column: usize, row: usize, depth: f64) -> DVec3 {
+        let ray = self.camera.ray_view(DVec2::new(column as f64 + 0.5, row as f64 + 0.5));
+        ray * (depth / ray.z)
+    }
+
+    /// The normal in the camera's frame: as given, else from the neighbours' depths, else towards the camera.
+    fn normal(&self, at: usize, column: usize, row: usize) -> DVec3 {
+        let given = self.normals.map(|map| DVec3::from(map.normals_view[at].map(f64::from)));
+        let towards_camera = -self.point_view(column, row, 1.0).normalize();
+        given.and_then(DVec3::try_normalize).or_else(|| self.normal_of_depths(column, row)).unwrap_or(towards_camera)
+    }
+
+    fn normal_of_depths(&self, column: usize, row: usize) -> Option<DVec3> {
+        let (width, height) = (self.depth.width as usize, self.depth.height as usize);
+        let depth_at = |column: usize, row: usize| f64::from(self.depth.depth_view[row * width + column]);
+        let here = depth_at(column, row);
+        let point = |column: usize, row: usize| {
+            let depth = depth_at(column, row);
+            let same_surface = (depth - here).abs() <= DEPTH_JUMP * here;
+            same_surface.then(|| self.point_view(column, row, depth))
+        };
+        let right = point((column + 1).min(width - 1), row)? - point(column.saturating_sub(1), row)?;
+        let down = point(column, (row + 1).min(height - 1))? - point(column, row.saturating_sub(1))?;
+        // Right × down points along the view axis; the normal points back.
+        (-right.cross(down)).try_normalize()
+    }
+}
+
+/// Axes of a surfel in the camera's frame: the first within the horizontal plane, the third along the normal.
+fn axes(normal: DVec3) -> DMat3 {
+    let across = DVec3::Y.cross(normal);
+    let first = if across.length_squared() > 1e-6 { across.normalize() } else { DVec3::X };
+    let second = normal.cross(first).normalize();
+    DMat3::from_cols(second.cross(normal), second, normal)
+}
+
+/// Which pixels of a picture show something that `surfels` do not cover: nothing drawn there, or at another depth.
+pub fn uncovered(surfels: &[Surfel], picture: &Picture<'_>) -> Result<Vec<bool>, TooManyIntersections> {
+    let settings = RasterSettings { depth: true, sh_degree: 0, ..RasterSettings::default() };
+    let image = render_image(&covering_splats(surfels), &PinholeCamera::from(picture.camera), &settings)?;
+    let drawn = image.depth.expect("depth was asked for");
+    let is_new = |(at, &alpha): (usize, &f32)| {
+        let depth = picture.depth.depth_view[at];
+        let found = drawn.as_slice()[at] / alpha;
+        let matches = alpha >= COVERED && (found - depth).abs() <= DEPTH_JUMP as f32 * depth;
+        !matches
+    };
+    Ok(image.alpha.as_slice().iter().enumerate().map(is_new).collect())
+}
+
+fn covering_splats(surfels: &[Surfel]) -> SplatTensors<f32> {
+    let count = surfels.len();
+    let rows = |row_len: usize, values: Vec<f64>| {
+        Tensor::from_vec([count, row_len], values.into_iter().map(|value| value as f32).collect())
+    };
+    SplatTensors {
+        positions: rows(3, surfels.iter().flat_map(|surfel| surfel.position.to_array()).collect()),
+        log_scales: rows(
+            3,
+            surfels.iter().flat_map(|s| [s.scales[0], s.scales[1], s.thickness()].map(f64::ln)).collect(),
+        ),
+        rotations: rows(4, surfels.iter().flat_map(|surfel| wxyz(surfel.rotation)).collect()),
+        opacity_logits: Tensor::full([count, 1], COVERING_LOGIT),
+        sh: Tensor::zeros([count, 1, 3]),
+    }
+}
+
+/// The quaternion in the order of the tensors.
+pub fn wxyz(rotation: DQuat) -> [f64; 4] {
+    [rotation.w, rotation.x, rotation.y, rotation.z]
+}
+
+/// The first surfel of every cube of half the median spacing.
+pub fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
+    let mut spacings: Vec<f64> = surfels.iter().map(|s| s.scales[0].min(s.scales[1]) / SPACING_SHARE).collect();
+    spacings.sort_by(f64::total_cmp);
+    let Some(&median) = spacings.get(spacings.len() / 2) else { return surfels };
+    let mut taken = HashSet::new();
+    let cell = |surfel: &Surfel| (surfel.position / (0.5 * median)).floor().as_i64vec3().to_array();
+    surfels.into_iter().filter(|surfel| taken.insert(cell(surfel))).collect()
+}
+
+/// At most `max_count`, evenly chosen.
+pub fn thinned(surfels: Vec<Surfel>, max_count: usize) -> Vec<Surfel> {
+    let count = surfels.len();
+    if count <= max_count {
+        return surfels;
+    }
+    (0..max_count).map(|at| surfels[at * count / max_count]).collect()
+}
