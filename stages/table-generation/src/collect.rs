@@ -11,6 +11,7 @@ use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 use training::{Model, ModelHeader};
 
+use crate::costs::Costs;
 use crate::{Column, ablation};
 
 /// Hexadecimal digits of an action key that tables show.
@@ -41,6 +42,8 @@ pub struct Run {
     pub curve_split: Option<Split>,
     /// Seconds per phase of training.
     pub phases: BTreeMap<String, f64>,
+    /// The same by phase, loss and what was left out.
+    pub costs: Costs,
     /// `training on cpu, 2 threads`, `rendering on cpu, 2 threads`.
     pub machines: Vec<String>,
     /// What went wrong first, if anything did.
@@ -84,6 +87,8 @@ struct TrainingMeasurements {
     curve: Vec<CurvePoint>,
     curve_split: Option<Split>,
     phases: BTreeMap<String, f64>,
+    #[serde(flatten)]
+    costs: Costs,
     device: Option<String>,
     threads: Option<u64>,
 }
@@ -181,6 +186,7 @@ impl Run {
         self.set(Column::PeakMemoryMb, measured.peak_memory_bytes.map(|bytes| bytes / 1e6));
         self.machines.extend(machine("training", measured.device, measured.threads));
         self.phases = measured.phases;
+        self.costs = measured.costs;
         self.curve_split = measured.curve_split;
         self.set_curve(measured.curve);
         Ok(())

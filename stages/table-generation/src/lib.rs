@@ -8,6 +8,7 @@ mod artifact;
 mod claims;
 mod collect;
 mod column;
+mod costs;
 mod csv_file;
 mod curves;
 mod document;

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::claims::{Claim, ClaimTable};
 use crate::collect::{Run, RunFailure};
+use crate::costs::Costs;
 use crate::statistics::{mean, sample_std};
 use crate::{Column, TableGenerationParams, format};
 
@@ -62,6 +63,8 @@ pub struct Row {
     pub by_scene: BTreeMap<String, BTreeMap<Column, Cell>>,
     /// Mean seconds per phase of training over the row's runs.
     pub phases: BTreeMap<String, f64>,
+    /// The same by phase, loss and what was left out.
+    pub costs: Costs,
 }
 
 /// An aggregated number, or why there is none.
@@ -130,7 +133,11 @@ impl Report {
                     let reason_known = cell.mean.is_some() || cell.reason.is_some();
                     ensure!(reason_known, "{} of {} is missing without a reason", column.key(), row.name);
                 }
-                ensure!(row.phases.values().all(|secs| secs.is_finite()), "a phase of {} is not finite", row.name);
+                ensure!(
+                    row.costs.is_finite() && row.phases.values().all(|secs| secs.is_finite()),
+                    "a phase of {} is not finite",
+                    row.name
+                );
             }
         }
         let lines: BTreeSet<_> = self.groups.iter().map(|group| (group.protocol.line(), &group.judged_by)).collect();
@@ -216,6 +223,7 @@ fn row(name: &str, scenes: &[String], runs: &[&Run]) -> Row {
     for (phase, secs) in runs.iter().flat_map(|run| &run.phases) {
         phases.entry(phase.clone()).or_default().push(*secs);
     }
+    let costs = Costs::mean(runs.iter().map(|run| &run.costs));
     let n_with_phases = runs.iter().filter(|run| !run.phases.is_empty()).count();
     Row {
         name: name.into(),
@@ -227,6 +235,7 @@ fn row(name: &str, scenes: &[String], runs: &[&Run]) -> Row {
             .into_iter()
             .map(|(phase, secs)| (phase, secs.iter().sum::<f64>() / n_with_phases as f64))
             .collect(),
+        costs,
     }
 }
 

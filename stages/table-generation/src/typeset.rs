@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::ablation::ablation_tables;
 use crate::claims::{ClaimColumn, ClaimTable, Kind, Verdict};
+use crate::costs::cost_tables;
 use crate::curves::figures;
 use crate::document::{Block, Document, Table, Text};
 use crate::format::{NONE, number, signed};
@@ -37,6 +38,7 @@ pub fn document(report: &Report, params: &TableGenerationParams) -> Document {
     for group in &report.groups {
         blocks.extend(time_table(group).map(Block::Table));
         blocks.extend(phase_table(group).map(Block::Table));
+        blocks.extend(cost_tables(group).map(Block::Table));
     }
     blocks.extend(failure_blocks(report));
     Document { title: report.title.clone(), blocks }
