@@ -17,10 +17,14 @@ pub struct NpyArray {
     pub values: Vec<f64>,
 }
 
-/// Reads an array of floats (half, single or double) or of integers up to 32 bits.
+/// Reads an array of floats (half, single or double), of integers up to 32 bits, or of truth values (0 and 1).
 pub fn read(path: &Path) -> Result<NpyArray> {
-    let bytes = read_file(path)?;
-    let file = NpyFile::new(Cursor::new(&bytes)).map_err(|error| damaged(&error, path))?;
+    parse(&read_file(path)?, path)
+}
+
+/// As [`read`], of bytes that were found in `path`.
+pub fn parse(bytes: &[u8], path: &Path) -> Result<NpyArray> {
+    let file = NpyFile::new(Cursor::new(bytes)).map_err(|error| damaged(&error, path))?;
     let shape: Vec<usize> = file.shape().iter().map(|side| *side as usize).collect();
     // The header may lie about the shape: its product must neither overflow nor become an allocation.
     let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
@@ -36,7 +40,7 @@ pub fn read(path: &Path) -> Result<NpyArray> {
 }
 
 /// All values in the order of the file.
-fn numbers(file: NpyFile<Cursor<&Vec<u8>>>, path: &Path) -> Result<Vec<f64>> {
+fn numbers(file: NpyFile<Cursor<&[u8]>>, path: &Path) -> Result<Vec<f64>> {
     let unsupported = |what: String| Error::new(format!("an array of {what} where numbers are expected")).at(path);
     let DType::Plain(number) = file.dtype() else { return Err(unsupported("records".into())) };
     // `f4` for `<f4` and `>f4`: the reader minds the byte order.
@@ -45,6 +49,7 @@ fn numbers(file: NpyFile<Cursor<&Vec<u8>>>, path: &Path) -> Result<Vec<f64>> {
         "f2" => file.into_vec::<npyz::half::f16>().map(|values| values.into_iter().map(f64::from).collect()),
         "f4" => file.into_vec::<f32>().map(|values| values.into_iter().map(f64::from).collect()),
         "f8" => file.into_vec::<f64>(),
+        "b1" => file.into_vec::<bool>().map(|values| values.into_iter().map(f64::from).collect()),
         "u1" => file.into_vec::<u8>().map(|values| values.into_iter().map(f64::from).collect()),
         "u2" => file.into_vec::<u16>().map(|values| values.into_iter().map(f64::from).collect()),
         "i4" => file.into_vec::<i32>().map(|values| values.into_iter().map(f64::from).collect()),
@@ -109,6 +114,7 @@ pub(crate) mod tests {
             let array = read_bytes(&npy_bytes(descr, false, "(1, 2, 3)", &data)).unwrap();
             assert_eq!((array.shape, array.values), (vec![1, 2, 3], values.to_vec()), "{descr}");
         }
+        assert_eq!(read_bytes(&npy_bytes("|b1", false, "(2,)", &[1, 0])).unwrap().values, [1.0, 0.0]);
         let columns = read_bytes(&npy_bytes("|u1", true, "(2, 3)", &[1, 4, 2, 5, 3, 6])).unwrap();
         assert_eq!((columns.shape, columns.values), (vec![2, 3], values.to_vec()));
     }

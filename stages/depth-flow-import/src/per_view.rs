@@ -1,0 +1,28 @@
+//! Work on every view of a capture, in parallel.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use engine::{Failure, FailureKind, JobContext, Progress};
+use rayon::prelude::*;
+
+/// Does `work` for the indices below `count` with the job's threads, tells how far it is, and stops when the job is told
+/// to. The results are in order, whatever the number of threads.
+pub fn map<T: Send>(
+    context: &JobContext,
+    count: usize,
+    work: impl Fn(usize) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<Vec<T>> {
+    let (on_progress, stop) = (&context.on_progress, &context.stop);
+    let done = AtomicUsize::new(0);
+    let step = |index: usize| {
+        if stop.load(Ordering::Relaxed) {
+            return Err(Failure::new(FailureKind::Interrupted, "stopped on request").into());
+        }
+        let result = work(index)?;
+        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+        on_progress(Progress { done: done as u64, total: count as u64, message: "views".into() });
+        Ok(result)
+    };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+    pool.install(|| (0..count).into_par_iter().map(step).collect())
+}

@@ -1,0 +1,112 @@
+//! The stage: reads maps, aligns and checks them, writes them in one format.
+
+use engine::{JobContext, ParamProblem, Port, Resources, Source, Stage};
+use scene::Capture;
+
+use crate::alignment::median;
+use crate::folder::bad;
+use crate::from_capture;
+use crate::from_files::{Files, Outcome};
+use crate::params::MapSource;
+use crate::{Params, PriorView, Priors, ViewMaps, per_view};
+
+/// The name under which the engine hands over the folder of maps.
+const FOLDER: &str = "folder";
+
+engine::artifact! {
+    /// The capture that the maps belong to.
+    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
+}
+
+/// The stage `depth-flow-import`.
+pub struct DepthFlowImport;
+
+impl Stage for DepthFlowImport {
+    type Params = Params;
+    type Output = Priors;
+
+    const ID: &'static str = "depth-flow-import";
+    const ABOUT: &'static str =
+        "imports depth, optical flow and normals, aligned with a capture and checked against it";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<CaptureArtifact>("capture")]
+    }
+
+    fn sources(params: &Params) -> Vec<Source> {
+        match params.source {
+            MapSource::Capture => Vec::new(),
+            MapSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
+        }
+    }
+
+    fn check_params(params: &Params) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn resources(_params: &Params) -> Resources {
+        Resources { threads: 0 } // decoding maps is all there is to do, and it scales
+    }
+
+    fn run(context: &JobContext, params: &Params) -> anyhow::Result<Priors> {
+        let capture = context.input::<CaptureArtifact>("capture")?.0;
+        match params.source {
+            MapSource::Capture => {
+                let maps = |index: usize| {
+                    Ok((from_capture::maps(&capture, &capture.views[index], params)?, Outcome::default()))
+                };
+                let (views, _) = write_views(context, &capture, maps)?;
+                refuse_nothing(&views, &capture)?;
+                Ok(Priors::save(context.output_dir(), "capture", views)?)
+            }
+            MapSource::Files => {
+                let files = Files::find(context.source(FOLDER)?, &capture, params)?;
+                let (views, outcomes) = write_views(context, &capture, |index| files.maps(index))?;
+                measure(context, &outcomes, files.unused)?;
+                Ok(Priors::save(context.output_dir(), "files", views)?)
+            }
+        }
+    }
+}
+
+/// Writes the maps of every view.
+fn write_views(
+    context: &JobContext,
+    capture: &Capture,
+    maps: impl Fn(usize) -> anyhow::Result<(ViewMaps, Outcome)> + Sync,
+) -> anyhow::Result<(Vec<PriorView>, Vec<Outcome>)> {
+    let dir = context.output_dir();
+    let write = |index: usize| {
+        let (view, (maps, outcome)) = (&capture.views[index], maps(index)?);
+        Ok((Priors::write_view(dir, &view.name, view.camera, &maps)?, outcome))
+    };
+    Ok(per_view::map(context, capture.views.len(), write)?.into_iter().unzip())
+}
+
+/// A capture without any map gives no priors.
+fn refuse_nothing(views: &[PriorView], capture: &Capture) -> anyhow::Result<()> {
+    let any = views.iter().any(|view| view.depth.is_some() || view.flow.is_some());
+    if any {
+        return Ok(());
+    }
+    let hint = "synthetic captures write them where truths says so; set source = \"files\" for those of estimators";
+    Err(bad("the capture carries no depth and no flow").hint(hint).at(&capture.dir).into())
+}
+
+/// How well the import went, for people.
+fn measure(context: &JobContext, outcomes: &[Outcome], unused: usize) -> anyhow::Result<()> {
+    let middle = |values: Vec<f64>| median(values.into_iter());
+    let count = |test: fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| test(outcome)).count();
+    let fits = || outcomes.iter().filter_map(|outcome| outcome.fit);
+    context.measure("files_without_a_view", unused)?;
+    context.measure("flow_kept_share_median", middle(outcomes.iter().filter_map(|o| o.flow_kept).collect()))?;
+    context.measure("flow_maps_that_lead_to_no_training_view", count(|outcome| outcome.flow_leads_nowhere))?;
+    context.measure("flow_maps_that_are_zero", count(|outcome| outcome.flow_is_zero))?;
+    context.measure("alignment_scale_median", middle(fits().map(|fit| fit.scale).collect()))?;
+    context.measure("alignment_inlier_share_min", fits().map(|fit| fit.inlier_share).min_by(f64::total_cmp))?;
+    let maps = count(|outcome| outcome.flow_kept.is_some());
+    if maps > 0 && count(|outcome| outcome.flow_is_zero) == maps {
+        return Err(bad("every flow map is zero everywhere").hint("did the estimator run?").into());
+    }
+    Ok(())
+}

@@ -1,0 +1,237 @@
+//! Maps of estimators, made from the truth of synthetic captures.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scene::{DepthMap, FlowMap, Split};
+
+use super::*;
+use crate::flow::rigid;
+use crate::params::{Alignment, Axes, DepthKind, DepthParams, FlowParams, MapKind, MapSource, NormalParams};
+
+fn params() -> Params {
+    Params { source: MapSource::Files, folder: "maps".into(), ..Params::default() }
+}
+
+/// Writes one array per view that `value` makes of the view's depth.
+fn write_depth(folder: &Path, capture: &Capture, mut value: impl FnMut(f32) -> f32) {
+    std::fs::create_dir_all(folder.join("depth")).unwrap();
+    for view in &capture.views {
+        let depth = capture.load_depth(view).unwrap().unwrap();
+        let values = depth.depth_view.iter().map(|z| value(*z)).collect();
+        let path = folder.join("depth").join(format!("{}.exr", view.name));
+        scene::exr_file::write(&path, depth.width, depth.height, &[("Z", values)]).unwrap();
+    }
+}
+
+/// The largest relative error over all known pixels, and the share of true pixels that are known.
+fn depth_error(capture: &Capture, priors: &Priors) -> (f64, f64) {
+    let (mut worst, mut known, mut all) = (0.0_f64, 0, 0);
+    for (index, view) in capture.views.iter().enumerate() {
+        let (found, truth) = (priors.load_depth(index).unwrap().unwrap(), capture.load_depth(view).unwrap().unwrap());
+        for (found, truth) in found.depth_view.iter().zip(&truth.depth_view).filter(|(_, truth)| **truth > 0.0) {
+            all += 1;
+            known += usize::from(*found > 0.0);
+            worst = if *found > 0.0 { worst.max(f64::from((found / truth - 1.0).abs())) } else { worst };
+        }
+    }
+    (worst, f64::from(known as u32) / f64::from(all))
+}
+
+#[test]
+fn inverse_depth_gets_the_scale_of_the_points() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
+    // A relative estimator's values, each view in its own gauge, with three pixels of ten wrong.
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut wrong = Vec::new();
+    write_depth(maps.path(), &capture, |z| {
+        let is_wrong = random.random::<f32>() < 0.3;
+        wrong.push(is_wrong);
+        match (z > 0.0, is_wrong) {
+            (false, _) => f32::NAN,
+            (true, true) => random.random::<f32>() * 10.0,
+            (true, false) => 20.0 / z - 1.0,
+        }
+    });
+    let inverse = DepthParams { kind: DepthKind::InverseDepth, ..DepthParams::default() };
+    let params = Params { depth: inverse, ..params() };
+    let (_root, priors, measured) = run(&capture, maps.path(), &params).unwrap();
+    assert!((measured["alignment_scale_median"].as_f64().unwrap() - 0.05).abs() <= 1e-3, "{measured}");
+    // The error of the right pixels.
+    let mut wrong = wrong.into_iter();
+    for (index, view) in capture.views.iter().enumerate() {
+        let (found, truth) = (priors.load_depth(index).unwrap().unwrap(), capture.load_depth(view).unwrap().unwrap());
+        for (found, truth) in found.depth_view.iter().zip(&truth.depth_view) {
+            let is_wrong = wrong.next().unwrap();
+            let error = (found - truth).abs();
+            assert!(is_wrong || error <= 0.01 * truth, "{} {found} instead of {truth}", view.name);
+        }
+    }
+}
+
+#[test]
+fn maps_that_fit_no_point_are_refused() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
+    let depth = DepthParams { kind: DepthKind::InverseDepth, ..DepthParams::default() };
+    let params = Params { depth, ..params() };
+    // Depth where inverse depth was declared: near and far are exchanged.
+    write_depth(maps.path(), &capture, |z| z);
+    assert_refused(
+        &capture,
+        maps.path(),
+        &params,
+        &["no scale and shift fits", "is the kind of depth right", "depth/"],
+    );
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    write_depth(maps.path(), &capture, |_| random.random::<f32>());
+    assert_refused(&capture, maps.path(), &params, &["no scale and shift fits"]);
+    let mut without = capture.clone();
+    without.has_points = false;
+    scene::index_file::write(&dir.path().join("capture.json"), "a capture", &without).unwrap();
+    assert_refused(&without, maps.path(), &params, &["no points to align depth with"]);
+}
+
+#[test]
+fn distances_along_rays_become_depth() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
+    std::fs::create_dir_all(maps.path().join("depth")).unwrap();
+    for view in &capture.views {
+        let depth = capture.load_depth(view).unwrap().unwrap();
+        let centers = crate::raster::pixel_centers(depth.width, depth.height);
+        let length = |(center, z): (_, &f32)| (1000.0 * f64::from(*z) * view.camera.ray_view(center).length()) as u16;
+        let values: Vec<u16> = centers.zip(&depth.depth_view).map(length).collect();
+        let image = image::ImageBuffer::<image::Luma<u16>, _>::from_vec(depth.width, depth.height, values).unwrap();
+        image.save(maps.path().join("depth").join(format!("{}.png", view.name))).unwrap();
+    }
+    let depth = |units_per_value, alignment| DepthParams { kind: DepthKind::RayDistance, units_per_value, alignment };
+    assert_refused(
+        &capture,
+        maps.path(),
+        &Params { depth: depth(None, None), ..params() },
+        &["without a scale", ".png"],
+    );
+    let millimetres = Params { depth: depth(Some(0.001), None), ..params() };
+    let (_root, priors, _) = run(&capture, maps.path(), &millimetres).unwrap();
+    let (error, known) = depth_error(&capture, &priors);
+    assert!(error <= 1e-3 && known == 1.0, "{error} {known}");
+    // Another unit is found by alignment.
+    let unknown = Params { depth: depth(Some(0.07), Some(Alignment::Scale)), ..params() };
+    let (_root, priors, _) = run(&capture, maps.path(), &unknown).unwrap();
+    let (error, known) = depth_error(&capture, &priors);
+    // Points lie anywhere in their pixels, depth is that of the centres.
+    assert!(error <= 1e-2 && known == 1.0, "{error} {known}");
+}
+
+#[test]
+fn what_is_missing_negative_empty_or_of_another_shape_is_named() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
+    assert_refused(&capture, &maps.path().join("absent"), &params(), &["no such folder of maps", "absent"]);
+    assert_refused(&capture, maps.path(), &params(), &["no maps here", "flow_fwd"]);
+    write_depth(maps.path(), &capture, |z| -z);
+    assert_refused(&capture, maps.path(), &params(), &["is not a distance", ".exr"]);
+    write_depth(maps.path(), &capture, |_| 0.0);
+    assert_refused(&capture, maps.path(), &params(), &["without any value", ".exr"]);
+    write_depth(maps.path(), &capture, |z| z);
+    let flow = Params { maps: [MapKind::Flow].into(), ..params() };
+    assert_refused(&capture, maps.path(), &flow, &["no map of a kind", "flow_fwd"]);
+    let first = capture.views_of(Split::Train).next().unwrap().1;
+    let file = maps.path().join("depth").join(format!("{}.exr", first.name));
+    scene::exr_file::write(&file, 20, 30, &[("Z", vec![1.0; 600])]).unwrap();
+    assert_refused(&capture, maps.path(), &params(), &["20×30 pixels for a view of 48×32", "uncropped"]);
+    std::fs::remove_file(&file).unwrap();
+    assert_refused(&capture, maps.path(), &params(), &["1 views have no file", &first.name]);
+    let (_root, priors, _) = run(&capture, maps.path(), &Params { allow_missing: true, ..params() }).unwrap();
+    assert_eq!(priors.load_depth(0).unwrap(), None);
+    std::fs::write(&file, b"no image").unwrap();
+    assert_refused(&capture, maps.path(), &params(), &["not a readable EXR image", &first.name]);
+    std::fs::write(file.with_extension("npy"), b"").unwrap();
+    assert_refused(&capture, maps.path(), &params(), &["two files for one view"]);
+}
+
+/// Forward and backward flow of a scene at rest, between successive training views, in Middlebury files.
+fn write_rigid_flow(folder: &Path, capture: &Capture) {
+    let views: Vec<_> = capture.views_of(Split::Train).map(|(_, view)| view).collect();
+    let depths: Vec<DepthMap> = views.iter().map(|view| capture.load_depth(view).unwrap().unwrap()).collect();
+    let write = |kind: &str, name: &str, map: &FlowMap| {
+        std::fs::create_dir_all(folder.join(kind)).unwrap();
+        let values = map.flow_px.iter().flatten().map(|value| if value.is_nan() { 2e9 } else { *value });
+        let size = [map.width, map.height].into_iter().flat_map(u32::to_le_bytes);
+        let bytes: Vec<u8> = b"PIEH".iter().copied().chain(size).chain(values.flat_map(f32::to_le_bytes)).collect();
+        std::fs::write(folder.join(kind).join(format!("{name}.flo")), bytes).unwrap();
+    };
+    for at in 1..views.len() {
+        let (before, after) = (&views[at - 1], &views[at]);
+        write("flow_fwd", &before.name, &rigid(&depths[at - 1], &before.camera, &after.camera));
+        write("flow_bwd", &after.name, &rigid(&depths[at], &after.camera, &before.camera));
+    }
+}
+
+#[test]
+fn flow_leads_to_the_next_frame_and_back_or_is_dropped() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
+    write_rigid_flow(maps.path(), &capture);
+    let (_root, priors, measured) = run(&capture, maps.path(), &params()).unwrap();
+    let train: Vec<usize> = capture.views_of(Split::Train).map(|(index, _)| index).collect();
+    let (mut kept, mut hidden) = (0, 0);
+    for pair in train.windows(2) {
+        let flow = priors.load_flow(pair[0]).unwrap().unwrap();
+        let (from, to) = (&capture.views[pair[0]], &capture.views[pair[1]]);
+        assert_eq!((flow.view_to, flow.camera_to, flow.time_to_secs), (Some(pair[1]), to.camera, to.time_secs));
+        // What is kept is seen by both views: the depth that arrives is the depth that is there.
+        let (depth, depth_to) = (capture.load_depth(from).unwrap().unwrap(), capture.load_depth(to).unwrap().unwrap());
+        let world_from_camera = from.camera.camera_from_world.inverse();
+        for (center, (flow, z)) in
+            crate::raster::pixel_centers(48, 32).zip(flow.map.flow_px.iter().zip(&depth.depth_view))
+        {
+            if *z == 0.0 {
+                assert!(flow[0].is_nan());
+                continue;
+            }
+            let point = world_from_camera.apply(from.camera.ray_view(center) * f64::from(*z));
+            let (arrival, z_to) = to.camera.project(point).unwrap();
+            let inside = (1.0..47.0).contains(&arrival.x) && (1.0..31.0).contains(&arrival.y);
+            let seen = if inside { depth_to.depth_view[arrival.y as usize * 48 + arrival.x as usize] } else { 0.0 };
+            if flow[0].is_finite() && inside {
+                kept += 1;
+            } else if inside && f64::from(seen) < 0.8 * z_to {
+                hidden += 1;
+            }
+        }
+    }
+    assert!(kept > 1000 && hidden > 10, "{kept} kept, {hidden} hidden: the test would not notice");
+    assert!(priors.load_flow(*train.last().unwrap()).unwrap().is_none());
+    assert!(measured["flow_kept_share_median"].as_f64().unwrap() > 0.3, "{measured}");
+    // Backward flow of something else: little returns.
+    for path in std::fs::read_dir(maps.path().join("flow_bwd")).unwrap() {
+        let path = path.unwrap().path();
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[12..].fill(0);
+        std::fs::write(&path, bytes).unwrap();
+    }
+    let strict = FlowParams { max_round_trip_px: 0.3, ..FlowParams::default() };
+    let (_root, _, wrong) = run(&capture, maps.path(), &Params { flow: strict, ..params() }).unwrap();
+    let share = |measured: &serde_json::Value| measured["flow_kept_share_median"].as_f64().unwrap();
+    assert!(share(&wrong) < 0.5 * share(&measured), "{wrong} {measured}");
+}
+
+#[test]
+fn normals_must_look_at_the_camera() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
+    std::fs::create_dir_all(maps.path().join("normal")).unwrap();
+    for view in &capture.views {
+        // Marigold's convention: x right, y up, z towards the viewer.
+        let [x, y, z] = [0.0, 0.6, 0.8].map(|value| vec![value; 48 * 32]);
+        let path = maps.path().join("normal").join(format!("{}.exr", view.name));
+        scene::exr_file::write(&path, 48, 32, &[("X", x), ("Y", y), ("Z", z)]).unwrap();
+    }
+    assert_refused(&capture, maps.path(), &params(), &["look away from the camera", "normals.axes"]);
+    let opengl = Params { normals: NormalParams { axes: Axes::Opengl }, ..params() };
+    let (_root, priors, _) = run(&capture, maps.path(), &opengl).unwrap();
+    let normal = priors.load_normals(0).unwrap().unwrap().normals_view[7];
+    assert!((glam::Vec3::from(normal) - glam::Vec3::new(0.0, -0.6, -0.8)).length() <= 1e-6, "{normal:?}");
+}

@@ -1,0 +1,111 @@
+//! The stage: the static part of every training view.
+
+use depth_flow_import::{Priors, per_view};
+use engine::{JobContext, ParamProblem, Port, Resources, Source, Stage};
+use layer_split::Layers;
+use scene::{Capture, Split};
+
+use crate::imported::Frames;
+use crate::params::FillSource;
+use crate::propagate;
+use crate::still::StillView;
+use crate::{Background, FilledView, Params};
+
+/// The name under which the engine hands over the folder of frames.
+const FOLDER: &str = "folder";
+/// The name under which the engine hands over the folder of depth maps.
+const DEPTH_FOLDER: &str = "depth_folder";
+
+engine::artifact! {
+    /// The capture whose views are filled.
+    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
+}
+
+/// The stage `inpaint-import`.
+pub struct InpaintImport;
+
+impl Stage for InpaintImport {
+    type Params = Params;
+    type Output = Background;
+
+    const ID: &'static str = "inpaint-import";
+    const ABOUT: &'static str = "replaces what moves by what lies behind: from other views, or from inpainted frames";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<CaptureArtifact>("capture"), Port::one::<Layers>("layers"), Port::optional::<Priors>("priors")]
+    }
+
+    fn sources(params: &Params) -> Vec<Source> {
+        if params.source == FillSource::Propagate {
+            return Vec::new();
+        }
+        let frames = Source { name: FOLDER, path: params.folder.clone() };
+        let depths = params.depth_folder.iter().map(|path| Source { name: DEPTH_FOLDER, path: path.clone() });
+        [frames].into_iter().chain(depths).collect()
+    }
+
+    fn check_params(params: &Params) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn resources(_params: &Params) -> Resources {
+        Resources { threads: 0 } // views are independent
+    }
+
+    fn run(context: &JobContext, params: &Params) -> anyhow::Result<Background> {
+        let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let layers = context.input::<Layers>("layers")?;
+        layers.check_against(&capture)?;
+        let priors = context.optional_input::<Priors>("priors")?;
+        if let Some(priors) = &priors {
+            priors.check_against(&capture)?;
+        }
+        // Views without a mask are neither looked into nor filled.
+        let is_split = |index: &usize| layers.views[*index].moving.is_some();
+        let views: Vec<usize> = capture.views_of(Split::Train).map(|(index, _)| index).filter(is_split).collect();
+        let load = |index: usize| StillView::load(&capture, &layers, priors.as_ref(), index, params.margin_px);
+        let source = match params.source {
+            FillSource::Propagate => "propagate",
+            FillSource::Files => "files",
+        };
+        let filled = match params.source {
+            FillSource::Propagate => {
+                let sources = spread(&views, params.max_sources).map(load).collect::<anyhow::Result<Vec<_>>>()?;
+                let fill = |index: usize| Ok(propagate::fill(&load(index)?, &sources, &capture));
+                write(context, &capture, &views, &fill)?
+            }
+            FillSource::Files => {
+                let depths = params.depth_folder.as_ref().map(|_| context.source(DEPTH_FOLDER)).transpose()?;
+                let frames = Frames::find(context.source(FOLDER)?, depths, &capture, params)?;
+                let fill = |index: usize| Ok(frames.fill(index, &load(index)?)?.0);
+                write(context, &capture, &views, &fill)?
+            }
+        };
+        let background = Background::save(context.output_dir(), source, filled)?;
+        context.measure("unfilled_share", background.unfilled_share())?;
+        context.measure("filled_views", views.len())?;
+        Ok(background)
+    }
+}
+
+/// Writes every view; only `views` are filled.
+fn write(
+    context: &JobContext,
+    capture: &Capture,
+    views: &[usize],
+    fill: &(dyn Fn(usize) -> anyhow::Result<FilledView> + Sync),
+) -> anyhow::Result<Vec<crate::BackgroundView>> {
+    let dir = context.output_dir();
+    per_view::map(context, capture.views.len(), |index| {
+        let view = &capture.views[index];
+        let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        let filled = views.contains(&index).then(|| fill(index)).transpose()?;
+        Ok(Background::write_view(dir, &view.name, size, filled.as_ref())?)
+    })
+}
+
+/// At most `limit` of the views, evenly spread.
+fn spread(views: &[usize], limit: usize) -> impl Iterator<Item = usize> {
+    let count = views.len().min(limit);
+    (0..count).map(move |at| views[at * views.len() / count])
+}

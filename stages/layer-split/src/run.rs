@@ -1,0 +1,177 @@
+//! The stage: masks from what there is.
+
+use std::path::Path;
+
+use depth_flow_import::folder::ViewFolder;
+use depth_flow_import::formats::{self, Content};
+use depth_flow_import::{Priors, per_view, raster};
+use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Source, Stage};
+use scene::{Capture, Split};
+
+use crate::mask::Mask;
+use crate::params::{LayerSource, Polarity};
+use crate::{Layers, Params, residual};
+
+/// The name under which the engine hands over the folder of masks.
+const FOLDER: &str = "folder";
+
+engine::artifact! {
+    /// The capture whose views are split.
+    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
+}
+
+/// The stage `layer-split`.
+pub struct LayerSplit;
+
+impl Stage for LayerSplit {
+    type Params = Params;
+    type Output = Layers;
+
+    const ID: &'static str = "layer-split";
+    const ABOUT: &'static str = "says which pixels of every view move: by masks, exact velocity, or residual flow";
+
+    fn ports() -> Vec<Port> {
+        vec![Port::one::<CaptureArtifact>("capture"), Port::optional::<Priors>("priors")]
+    }
+
+    fn sources(params: &Params) -> Vec<Source> {
+        match params.source {
+            LayerSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
+            LayerSource::Auto | LayerSource::ResidualFlow => Vec::new(),
+        }
+    }
+
+    fn check_params(params: &Params) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn resources(_params: &Params) -> Resources {
+        Resources { threads: 0 } // views are independent
+    }
+
+    fn run(context: &JobContext, params: &Params) -> anyhow::Result<Layers> {
+        let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let priors = context.optional_input::<Priors>("priors")?;
+        if let Some(priors) = &priors {
+            priors.check_against(&capture)?;
+        }
+        let (source, masks) = masks(context, &capture, priors.as_ref(), params)?;
+        let write = |index: usize| {
+            let view = &capture.views[index];
+            let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+            let labels = masks[index].as_ref().map(Mask::to_labels);
+            Ok(Layers::write_view(context.output_dir(), &view.name, size, labels.as_ref())?)
+        };
+        let views = (0..masks.len()).map(write).collect::<anyhow::Result<_>>()?;
+        let layers = Layers::save(context.output_dir(), source, views)?;
+        context.measure("moving_share", layers.moving_share())?;
+        context.measure("views_without_a_mask", masks.iter().filter(|mask| mask.is_none()).count())?;
+        Ok(layers)
+    }
+}
+
+/// One mask per view, where something is known of it, and what decided.
+fn masks(
+    context: &JobContext,
+    capture: &Capture,
+    priors: Option<&Priors>,
+    params: &Params,
+) -> anyhow::Result<(&'static str, Vec<Option<Mask>>)> {
+    let count = capture.views.len();
+    let has_flow =
+        priors.is_some_and(|priors| priors.views.iter().any(|view| view.flow.is_some() && view.depth.is_some()));
+    let has_masks = capture.views.iter().any(|view| view.mask.is_some());
+    let prior_velocity = |priors: &Priors| priors.views.iter().any(|view| view.velocity.is_some());
+    let has_velocity = capture.views.iter().any(|view| view.velocity.is_some()) || priors.is_some_and(prior_velocity);
+    let known = |index: usize| known_motion(capture, priors, index, params.polarity);
+    match (params.source, has_velocity, has_masks, priors.filter(|_| has_flow)) {
+        (LayerSource::Files, ..) => Ok(("files", from_files(context, capture, params)?)),
+        (LayerSource::Auto, true, true, _) => Ok(("velocity+masks", per_view::map(context, count, known)?)),
+        (LayerSource::Auto, true, false, _) => Ok(("velocity", per_view::map(context, count, known)?)),
+        (LayerSource::Auto, false, true, _) => Ok(("masks", per_view::map(context, count, known)?)),
+        (_, _, _, Some(priors)) => Ok(("residual-flow", from_flow(context, capture, priors, params)?)),
+        (_, _, _, None) => Err(nothing_known(params.source, capture).into()),
+    }
+}
+
+fn nothing_known(source: LayerSource, capture: &Capture) -> Failure {
+    let message = match source {
+        LayerSource::ResidualFlow => "residual flow needs depth and flow",
+        _ => "nothing says what moves: the capture has no masks, and there is no velocity and no flow with depth",
+    };
+    let hint = "wire a depth-flow-import with depth and flow to the port priors, or set source = \"files\"";
+    Failure::new(FailureKind::BadInput, message).hint(hint).at(&capture.dir)
+}
+
+/// What moves by exact velocity or by the capture's own mask.
+fn known_motion(
+    capture: &Capture,
+    priors: Option<&Priors>,
+    index: usize,
+    polarity: Polarity,
+) -> anyhow::Result<Option<Mask>> {
+    let view = &capture.views[index];
+    let velocity = match priors.map(|priors| priors.load_velocity(index)).transpose()?.flatten() {
+        Some(velocity) => Some(velocity),
+        None => capture.load_velocity(view)?,
+    };
+    let by_velocity = velocity.map(|map| Mask {
+        width: map.width,
+        height: map.height,
+        inside: map.velocity_world.iter().map(|velocity| *velocity != [0.0; 3]).collect(),
+    });
+    let moves = |label: &u8| (*label != 0) == (polarity == Polarity::SetMoves);
+    let by_label = capture.load_mask(view)?.map(|map| Mask {
+        width: map.width,
+        height: map.height,
+        inside: map.labels.iter().map(moves).collect(),
+    });
+    Ok(match (by_velocity, by_label) {
+        (Some(velocity), Some(label)) => Some(velocity.or(&label)),
+        (velocity, label) => velocity.or(label),
+    })
+}
+
+/// Masks in a folder; every training view must have one.
+fn from_files(context: &JobContext, capture: &Capture, params: &Params) -> anyhow::Result<Vec<Option<Mask>>> {
+    let dir = context.source(FOLDER)?;
+    let missing = || Failure::new(FailureKind::MissingData, "no such folder of masks").at(dir);
+    let folder = ViewFolder::open(dir, &formats::EXTENSIONS)?.ok_or_else(missing)?;
+    let (files, unused) = folder.of_views(capture, |view| view.split == Split::Train)?;
+    context.measure("files_without_a_view", unused)?;
+    let read = |path: &Path, index: usize| -> anyhow::Result<Mask> {
+        let values = formats::read(path, Content::Mask)?;
+        let (values, _) = raster::fitted(values, &capture.views[index].camera.intrinsics, path)?;
+        let is_set = |value: &f32| *value > f32::from(params.threshold);
+        let moves = |value: &f32| is_set(value) == (params.polarity == Polarity::SetMoves);
+        Ok(Mask { width: values.width, height: values.height, inside: values.values.iter().map(moves).collect() })
+    };
+    let masks = per_view::map(context, files.len(), |index| files[index].map(|path| read(path, index)).transpose())?;
+    let known = || masks.iter().flatten();
+    if known().all(|mask| mask.count() == mask.inside.len()) {
+        let hint = "is the polarity right, and is the threshold below the level of what is set?";
+        return Err(Failure::new(FailureKind::BadInput, "every pixel of every mask moves").hint(hint).at(dir).into());
+    }
+    Ok(masks)
+}
+
+/// Residual flow of every view that has flow and depth. A view without flow takes what the view before it sends.
+fn from_flow(
+    context: &JobContext,
+    capture: &Capture,
+    priors: &Priors,
+    params: &Params,
+) -> anyhow::Result<Vec<Option<Mask>>> {
+    let split = |index: usize| {
+        let Some((flow, depth)) = priors.load_flow(index)?.zip(priors.load_depth(index)?) else { return Ok(None) };
+        let mask = residual::moving(&flow, &depth, &capture.views[index].camera, params);
+        let sent = flow.view_to.map(|to| (to, residual::carried(&mask, &flow)));
+        Ok(Some((mask, sent)))
+    };
+    let found = per_view::map(context, capture.views.len(), split)?;
+    let mut masks: Vec<Option<Mask>> = found.iter().map(|found| Some(found.as_ref()?.0.clone())).collect();
+    for (to, mask) in found.into_iter().flatten().filter_map(|found| found.1) {
+        masks[to].get_or_insert(mask);
+    }
+    Ok(masks)
+}

@@ -1,0 +1,216 @@
+//! Splits of synthetic captures against the truth.
+
+use std::path::Path;
+
+use depth_flow_import::Priors;
+use engine::{Artifact as _, Coordinates, InputRecord, JobContext, Stage as _};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scene::{Capture, LabelMap, Split};
+use scene_synthesis::{CameraPath, Params as Scene, SceneKind, Truth};
+use tempfile::TempDir;
+
+use crate::params::{LayerSource, Polarity};
+use crate::{LayerSplit, Layers, Mask, Params};
+
+fn capture(dir: &Path, scene: SceneKind, camera: CameraPath, truths: &[Truth]) -> Capture {
+    let params = Scene {
+        scene,
+        camera,
+        width: 64,
+        height: 64,
+        frames: 5,
+        rig_cameras: 2,
+        val_views: 0,
+        test_views: 0,
+        samples_per_pixel: 1,
+        truths: truths.iter().copied().collect(),
+        ..Scene::default()
+    };
+    scene_synthesis::synthesize(&params, dir, 1, |_, _| Ok(())).unwrap()
+}
+
+fn input(dir: &Path) -> Vec<InputRecord> {
+    vec![InputRecord {
+        producer: "test".into(),
+        coordinates: Coordinates::new(),
+        artifact: Ok(dir.into()),
+        measurements: serde_json::Value::Null,
+        action_key: String::new(),
+    }]
+}
+
+/// Runs the stage; `priors` and `folder` are folders.
+fn run(capture: &Capture, priors: Option<&Path>, folder: &Path, params: &Params) -> anyhow::Result<(TempDir, Layers)> {
+    let root = tempfile::tempdir()?;
+    let mut context = JobContext::detached(root.path())?;
+    context.inputs.insert("capture".into(), input(&capture.dir));
+    context.inputs.insert("priors".into(), priors.map(input).unwrap_or_default());
+    context.sources.insert("folder".into(), folder.into());
+    LayerSplit::run(&context, params)?.check()?;
+    let layers = Layers::open(&root.path().join("output"))?;
+    layers.check()?;
+    layers.check_against(capture)?;
+    Ok((root, layers))
+}
+
+/// Exact depth and flow of a capture, with noise of `sigma_px` on the flow, and nothing else that would give the answer
+/// away.
+fn priors(capture: &Capture, sigma_px: f32) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let mut normal = || sigma_px * ((0..12).map(|_| random.random::<f32>()).sum::<f32>() - 6.0);
+    let frame_secs = capture.time_map.frame_secs;
+    let mut view = |view: &scene::View| {
+        let mut maps = depth_flow_import::ViewMaps { depth: capture.load_depth(view).unwrap(), ..Default::default() };
+        maps.flow = capture.load_flow(view).unwrap().map(|mut map| {
+            map.flow_px.iter_mut().flatten().for_each(|value| *value += normal());
+            let next = |other: &scene::View| {
+                other.camera == view.camera && (other.time_secs - view.time_secs - frame_secs).abs() < 1e-6
+            };
+            depth_flow_import::FlowPrior {
+                map,
+                camera_to: view.camera,
+                time_to_secs: view.time_secs + frame_secs,
+                view_to: capture.views.iter().position(next),
+            }
+        });
+        Priors::write_view(dir.path(), &view.name, view.camera, &maps).unwrap()
+    };
+    let views = capture.views.iter().map(&mut view).collect();
+    Priors::save(dir.path(), "capture", views).unwrap();
+    dir
+}
+
+/// Intersection over union with the true labels, over all views that have a mask.
+fn agreement(capture: &Capture, layers: &Layers) -> f64 {
+    let (mut both, mut either) = (0, 0);
+    for (index, view) in capture.views.iter().enumerate() {
+        let (Some(found), Some(truth)) = (layers.load_moving(index).unwrap(), capture.load_mask(view).unwrap()) else {
+            continue;
+        };
+        for (found, truth) in found.labels.iter().zip(&truth.labels) {
+            both += usize::from(*found != 0 && *truth != 0);
+            either += usize::from(*found != 0 || *truth != 0);
+        }
+    }
+    f64::from(both as u32) / f64::from(either as u32)
+}
+
+const FLOW_AND_LABELS: [Truth; 3] = [Truth::Depth, Truth::Flow, Truth::Masks];
+
+fn residual_flow() -> Params {
+    Params { source: LayerSource::ResidualFlow, ..Params::default() }
+}
+
+#[test]
+fn residual_flow_finds_what_moves() {
+    for (scene, camera) in [
+        (SceneKind::BouncingSpheres, CameraPath::Arc),
+        (SceneKind::BouncingSpheres, CameraPath::Rig),
+        (SceneKind::SwingingArm, CameraPath::Arc),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let capture = capture(dir.path(), scene, camera, &FLOW_AND_LABELS);
+        // Motion below five standard deviations of the noise cannot be told from it: near its axis the arm is slow.
+        for sigma_px in [0.0, 0.04] {
+            let priors = priors(&capture, sigma_px);
+            let params = Params { min_residual_px: 0.2, ..residual_flow() };
+            let (_root, layers) = run(&capture, Some(priors.path()), Path::new(""), &params).unwrap();
+            let agreement = agreement(&capture, &layers);
+            eprintln!("{scene:?} {camera:?}, noise {sigma_px} px: IoU {agreement:.3}");
+            assert!(agreement > 0.9, "{scene:?} {camera:?} {sigma_px}: {agreement}");
+            assert_eq!(layers.source, "residual-flow");
+            // The last frame of a moving camera has no flow and nothing that leads to it; that of a rig has.
+            let unknown = layers.views.iter().filter(|view| view.moving.is_none()).count();
+            assert_eq!(unknown, usize::from(camera == CameraPath::Arc));
+        }
+    }
+}
+
+#[test]
+fn flow_of_another_capture_is_noticed() {
+    // Planted fault: the same scene's flow with the depth of a camera elsewhere.
+    let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let arc = capture(dir.path(), SceneKind::BouncingSpheres, CameraPath::Arc, &FLOW_AND_LABELS);
+    let rig = capture(other.path(), SceneKind::BouncingSpheres, CameraPath::Rig, &FLOW_AND_LABELS);
+    let error = run(&arc, Some(priors(&rig, 0.0).path()), Path::new(""), &residual_flow()).err().unwrap();
+    assert!(format!("{error:#}").contains("another capture"), "{error:#}");
+}
+
+#[test]
+fn nothing_moves_in_a_scene_at_rest_whatever_the_noise() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc, &FLOW_AND_LABELS);
+    for sigma_px in [0.0, 0.1, 0.7] {
+        let priors = priors(&capture, sigma_px);
+        let (_root, layers) = run(&capture, Some(priors.path()), Path::new(""), &residual_flow()).unwrap();
+        assert!(layers.moving_share() <= 1e-3, "{sigma_px}: {}", layers.moving_share());
+    }
+    let priors = priors(&capture, 0.7);
+    let sensitive = Params { noise_multiple: 0.0, ..residual_flow() };
+    let (_root, layers) = run(&capture, Some(priors.path()), Path::new(""), &sensitive).unwrap();
+    assert!(layers.moving_share() > 0.3, "the noise would not matter: {}", layers.moving_share());
+}
+
+#[test]
+fn exact_velocity_and_labels_are_used_where_they_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let labelled = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Masks]);
+    let (_root, layers) = run(&labelled, None, Path::new(""), &Params::default()).unwrap();
+    assert_eq!((layers.source.as_str(), agreement(&labelled, &layers)), ("masks", 1.0));
+    let rests = Params { polarity: Polarity::SetRests, ..Params::default() };
+    let (_root, layers) = run(&labelled, None, Path::new(""), &rests).unwrap();
+    assert_eq!(agreement(&labelled, &layers), 0.0);
+
+    let dir = tempfile::tempdir().unwrap();
+    let moving = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Velocity]);
+    let (_root, layers) = run(&moving, None, Path::new(""), &Params::default()).unwrap();
+    assert_eq!(layers.source, "velocity");
+    let share = layers.moving_share();
+    assert!(share > 0.01, "{share}");
+    let dir = tempfile::tempdir().unwrap();
+    let both = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Velocity, Truth::Masks]);
+    let (_root, layers) = run(&both, None, Path::new(""), &Params::default()).unwrap();
+    assert_eq!(layers.source, "velocity+masks");
+    assert!(layers.moving_share() >= share && agreement(&both, &layers) > 0.95);
+}
+
+#[test]
+fn where_nothing_is_known_it_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let bare = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Depth]);
+    let refusal = |params: &Params| format!("{:#}", run(&bare, None, Path::new(""), params).err().unwrap());
+    let error = refusal(&Params::default());
+    assert!(error.contains("nothing says what moves") && error.contains("port priors"), "{error}");
+    let error = refusal(&residual_flow());
+    assert!(error.contains("residual flow needs depth and flow"), "{error}");
+}
+
+#[test]
+fn masks_of_a_folder_follow_the_declared_polarity() {
+    let (dir, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Masks]);
+    let files = Params { source: LayerSource::Files, folder: "mask".into(), ..Params::default() };
+    let error = run(&capture, None, &folder.path().join("none"), &files).err().unwrap();
+    assert!(format!("{error:#}").contains("no such folder of masks"), "{error:#}");
+    // A matte that is soft everywhere outside: 255 inside, 20 outside; one file at twice the size, by frame number.
+    for (index, view) in capture.views_of(Split::Train) {
+        let truth = Mask::from(&capture.load_mask(view).unwrap().unwrap());
+        let grey = |inside: bool| if inside { 255 } else { 20 };
+        let double = index == 1;
+        let side = if double { 128 } else { 64 };
+        let scale = side / 64;
+        let at = |x: u32, y: u32| truth.inside[(y / scale * 64 + x / scale) as usize];
+        let labels = (0..side * side).map(|pixel| grey(at(pixel % side, pixel / side))).collect();
+        let name = if double { format!("{:05}", view.frame_index) } else { view.name.clone() };
+        LabelMap { width: side, height: side, labels }.write(&folder.path().join(format!("{name}.png"))).unwrap();
+    }
+    let matte = Params { threshold: 127, ..files.clone() };
+    let (_root, layers) = run(&capture, None, folder.path(), &matte).unwrap();
+    assert_eq!(agreement(&capture, &layers), 1.0);
+    let error = run(&capture, None, folder.path(), &files).err().unwrap();
+    assert!(format!("{error:#}").contains("every pixel of every mask moves"), "{error:#}");
+    let inverted = Params { polarity: Polarity::SetRests, ..matte };
+    assert_eq!(agreement(&capture, &run(&capture, None, folder.path(), &inverted).unwrap().1), 0.0);
+}
