@@ -4,6 +4,7 @@
 //! the method's business. Everything is generic over the precision, so that a whole step is checked in f64.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use engine::{Failure, FailureKind};
 use rand_chacha::ChaCha8Rng;
@@ -189,6 +190,22 @@ pub struct ScreenGradients {
     pub visible: Vec<bool>,
     /// [N] largest radius in pixels.
     pub radius_px: Vec<f32>,
+    /// [N] opacity, summed over the renders; empty where renders draw the rows themselves (see [`SplatRows`]).
+    pub opacity: Vec<f32>,
+    /// [N] how many renders looked where the row is, drawn or not; empty where renders draw the rows themselves.
+    pub looks: Vec<u32>,
+}
+
+/// Which rows of a population the splats of a render are, where they are not all of them in order: what a network made
+/// of some of its owners' places, for this render alone.
+#[derive(Clone, Debug)]
+pub struct SplatRows {
+    /// As `anchors`.
+    pub population: &'static str,
+    /// [M] the row of each splat, each at most once.
+    pub row_of_splat: Arc<Vec<u32>>,
+    /// [N] whether the render looks where the row is, drawn or not.
+    pub looked_at: Vec<bool>,
 }
 
 /// One loss of a step: a scalar on the tape and its weight in the sum.
@@ -209,6 +226,8 @@ pub(crate) struct WatchedRender {
     pub visible: Vec<bool>,
     pub radius_px: Vec<f32>,
     pub size_px: [f64; 2],
+    /// Which rows the splats are, and the splats' opacities; `None`: all rows in order.
+    pub rows: Option<(SplatRows, Vec<f32>)>,
 }
 
 /// One training step as a method sees it.
@@ -268,19 +287,55 @@ impl<'a, T: Real> Step<'a, T> {
         view: &TrainingView<T>,
         population: Option<&str>,
     ) -> anyhow::Result<Rendered> {
+        let rendered = self.rasterize(splats, features, view)?;
+        if let Some(population) = population {
+            self.watch(&rendered, view, population, None);
+        }
+        Ok(rendered)
+    }
+
+    /// As [`Step::render`] for splats that are some rows of a population.
+    pub fn render_rows(
+        &mut self,
+        splats: &SplatVars,
+        view: &TrainingView<T>,
+        rows: SplatRows,
+    ) -> anyhow::Result<Rendered> {
+        let rendered = self.rasterize(splats, None, view)?;
+        let opacity = |logit: &T| (1.0 / (1.0 + (-logit.to_f64()).exp())) as f32;
+        let opacities = self.tape.value(splats.opacity_logits).as_slice().iter().map(opacity).collect();
+        self.watch(&rendered, view, rows.population, Some((rows, opacities)));
+        Ok(rendered)
+    }
+
+    fn rasterize(
+        &mut self,
+        splats: &SplatVars,
+        features: Option<Var>,
+        view: &TrainingView<T>,
+    ) -> anyhow::Result<Rendered> {
         self.clock.enter("render");
         let rendered = splat::render(self.tape, splats, features, &view.camera, &self.raster).map_err(too_large)?;
-        if let Some(population) = population {
-            self.renders.push(WatchedRender {
-                population: population.into(),
-                means2d: rendered.means2d,
-                visible: rendered.visible.clone(),
-                radius_px: rendered.radii_px.clone(),
-                size_px: [view.camera.width as f64, view.camera.height as f64],
-            });
-        }
         self.clock.enter("losses");
         Ok(rendered)
+    }
+
+    /// Keeps what a render says about a population for its control.
+    fn watch(
+        &mut self,
+        rendered: &Rendered,
+        view: &TrainingView<T>,
+        population: &str,
+        rows: Option<(SplatRows, Vec<f32>)>,
+    ) {
+        self.renders.push(WatchedRender {
+            population: population.into(),
+            means2d: rendered.means2d,
+            visible: rendered.visible.clone(),
+            radius_px: rendered.radii_px.clone(),
+            size_px: [view.camera.width as f64, view.camera.height as f64],
+            rows,
+        });
     }
 
     /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.

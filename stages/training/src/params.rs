@@ -277,7 +277,8 @@ impl TrainingParams {
     /// Problems that types cannot see.
     pub fn problems(&self) -> Vec<ParamProblem> {
         let shared = &self.shared;
-        let phases = (methods::find(&self.method).expect("checked when read").shared_defaults)().iterations;
+        let defaults = (methods::find(&self.method).expect("checked when read").shared_defaults)();
+        let phases = defaults.iterations;
         let unknown_phase = shared.iterations.keys().find(|phase| !phases.contains_key(*phase));
         let known = phases.keys().cloned().collect::<Vec<_>>().join(", ");
         let Shared { initial_points, harmonics, loss, learning_rates, density, curve, .. } = shared;
@@ -290,6 +291,11 @@ impl TrainingParams {
             (!(steps > MOST_STEPS), "schedule_scale", format!("{steps:e} iterations are more than {MOST_STEPS:e}")),
             (within(shared.batch, MOST_VIEWS), "batch", format!("must be 1 to {MOST_VIEWS}")),
             (harmonics.degree <= 3, "harmonics.degree", "must be 0 to 3".into()),
+            (
+                harmonics.degree == 0 || defaults.harmonics.degree > 0,
+                "harmonics.degree",
+                format!("must be 0: the colours of {} are no harmonics", self.method),
+            ),
             (harmonics.interval > 0, "harmonics.interval", "must be at least 1".into()),
             (within(initial_points.random_count, MOST_GAUSSIANS), "initial_points.random_count", few_gaussians()),
             (within(initial_points.max_count, MOST_GAUSSIANS), "initial_points.max_count", few_gaussians()),
@@ -429,6 +435,7 @@ mod tests {
             ("initial_points.random_count", json!({ "initial_points": { "random_count": u64::MAX } })),
             ("learning_rates.opacity", json!({ "learning_rates": { "opacity": -1.0 } })),
             ("density.max_scale", json!({ "density": { "max_scale": -1.0 } })),
+            ("harmonics.degree", json!({ "method": "modecgs", "harmonics": { "degree": 1 } })),
             ("density.split_above", json!({ "density": { "split_above": -3.0 } })),
         ];
         for (key, table) in bad {

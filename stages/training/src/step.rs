@@ -46,7 +46,7 @@ impl<T: Real> StepOutcome<T> {
         for render in &self.renders {
             let at = screens.iter().position(|screen| screen.population == render.population);
             let at = at.unwrap_or_else(|| {
-                screens.push(ScreenGradients::empty(&render.population, render.visible.len()));
+                screens.push(ScreenGradients::empty(&render.population, render));
                 screens.len() - 1
             });
             screens[at].add(render, self.gradients.get(render.means2d));
@@ -56,12 +56,18 @@ impl<T: Real> StepOutcome<T> {
 }
 
 impl ScreenGradients {
-    fn empty(population: &str, count: usize) -> Self {
+    fn empty(population: &str, render: &WatchedRender) -> Self {
+        let (count, of_rows) = match &render.rows {
+            None => (render.visible.len(), 0),
+            Some((rows, _)) => (rows.looked_at.len(), rows.looked_at.len()),
+        };
         Self {
             population: population.into(),
             gradient_ndc: vec![[0.0; 2]; count],
             visible: vec![false; count],
             radius_px: vec![0.0; count],
+            opacity: vec![0.0; of_rows],
+            looks: vec![0; of_rows],
         }
     }
 
@@ -69,13 +75,19 @@ impl ScreenGradients {
     /// normalised device coordinates.
     fn add<T: Real>(&mut self, render: &WatchedRender, gradient_px: Option<&Tensor<T>>) {
         let [half_width, half_height] = render.size_px.map(|size| 0.5 * size);
-        for at in (0..self.visible.len()).filter(|&at| render.visible[at]) {
+        for splat in (0..render.visible.len()).filter(|&splat| render.visible[splat]) {
+            let at = render.rows.as_ref().map_or(splat, |(rows, _)| rows.row_of_splat[splat] as usize);
             self.visible[at] = true;
-            self.radius_px[at] = self.radius_px[at].max(render.radius_px[at]);
+            self.radius_px[at] = self.radius_px[at].max(render.radius_px[splat]);
             let Some(gradient) = gradient_px else { continue };
-            let row = gradient.row(at);
+            let row = gradient.row(splat);
             self.gradient_ndc[at][0] += (row[0].to_f64() * half_width) as f32;
             self.gradient_ndc[at][1] += (row[1].to_f64() * half_height) as f32;
+        }
+        if let Some((rows, opacities)) = &render.rows {
+            let drawn = rows.row_of_splat.iter().zip(opacities);
+            drawn.for_each(|(&row, &opacity)| self.opacity[row as usize] += opacity);
+            self.looks.iter_mut().zip(&rows.looked_at).for_each(|(looks, &now)| *looks += u32::from(now));
         }
     }
 }

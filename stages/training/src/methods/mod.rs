@@ -1,7 +1,9 @@
 //! The methods: one folder each, one line each in [`registry`]. No method imports another.
 
 mod deformable4dgs;
+mod kineticgs;
 mod l4dgs;
+mod modecgs;
 mod static3dgs;
 #[cfg(test)]
 mod tests;
@@ -23,6 +25,8 @@ pub fn registry() -> Vec<Registration> {
         Registration::of::<deformable4dgs::Deformable4dgs>(),
         Registration::of::<l4dgs::L4dgs>(),
         Registration::of::<vcgs::Vcgs>(),
+        Registration::of::<modecgs::Modecgs>(),
+        Registration::of::<kineticgs::Kineticgs>(),
     ]
 }
 

@@ -51,8 +51,9 @@ pub fn insert_gaussians<T: Real>(
     Ok(())
 }
 
-/// The root of the mean squared distance of each point to its nearest neighbours.
-fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Result<Vec<f64>> {
+/// The root of the mean squared distance of each point to its three nearest neighbours; `lone_scale` for a point without
+/// neighbours.
+pub fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Result<Vec<f64>> {
     let positions: Vec<[f64; 3]> = points.positions.iter().map(|point| point.map(f64::from)).collect();
     if positions.len() < 2 {
         return Ok(vec![lone_scale; positions.len()]);

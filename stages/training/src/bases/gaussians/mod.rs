@@ -17,7 +17,7 @@ mod tests;
 
 pub use density::{AdaptiveDensity, logit};
 pub use harmonics::{active_harmonics, leading_harmonics};
-pub use initial::insert_gaussians;
+pub use initial::{insert_gaussians, nearest_scales};
 
 use principal_axes::principal_axes;
 use scene::Gaussians;

@@ -88,13 +88,18 @@ impl Field {
 
     /// Features [N, F] of positions [N, 3] (world) at a time in [0, 1].
     pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
-        let bounds = model.get(&bounds_name(self.name));
-        let inside = tape.apply_one(ToBox, &[positions, bounds]);
+        let inside = self.inside(tape, model, positions);
         let time = match self.time_axis {
             TimeAxis::Full => 2.0 * time - 1.0,
             TimeAxis::UpperHalf => time,
         };
         hexplane(tape, &self.planes(model, |_| true), inside, time)
+    }
+
+    /// Positions [N, 3] (world) in the field's box, as [−1, 1].
+    pub fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
+        let bounds = model.get(&bounds_name(self.name));
+        tape.apply_one(ToBox, &[positions, bounds])
     }
 
     /// Adds the regularisers of the planes to a step's losses; one of weight 0 is not evaluated.

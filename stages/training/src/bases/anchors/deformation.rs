@@ -1,0 +1,268 @@
+//! What moves anchors and the Gaussians they spawn: a hexplane field and heads each (Kwak et al. 2025, MoDec-GS, global
+//! and local deformation).
+
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use shaders::pointwise::add;
+use shaders::quaternion;
+use shaders::splat::{ShapeVars, SplatVars};
+use shaders::tape::{Real, Tape, Var};
+
+use super::{ANCHORS, AnchorSettings};
+use crate::bases::heads::HeadedNetwork;
+use crate::bases::hexplane::TimeAxis;
+use crate::bases::hexplane::field::{self, Field, PlaneWeights};
+use crate::method::{SceneFacts, Step};
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables, belongs};
+
+const ANCHOR_FIELD: &str = "anchor_field";
+const ANCHOR_NETWORK: &str = "anchor_network";
+const GAUSSIAN_FIELD: &str = "gaussian_field";
+const GAUSSIAN_NETWORK: &str = "gaussian_network";
+/// A plane of 4096² texels with 32 channels takes 2 GB; whoever asks for more mistyped.
+const MOST_TEXELS: usize = 4096;
+
+/// The planes of one field.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FieldSettings {
+    /// Channels per plane.
+    pub channels: usize,
+    /// Texels along x, y and z at multiplier 1.
+    pub spatial_resolution: usize,
+    /// Texels along time in the published code's counting, of which it reads half.
+    pub time_resolution: usize,
+    /// One set of planes each; multiplies the spatial resolution.
+    pub multipliers: Vec<usize>,
+    /// Weights of the planes' regularisers.
+    pub regularizers: PlaneWeights,
+}
+
+/// The fields of anchors and of Gaussians, and their training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DeformationSettings {
+    /// Where anchors go, and how their features, offsets and scales change.
+    pub anchors: FieldSettings,
+    /// Where the Gaussians go that they spawn, and how their shapes change.
+    pub gaussians: FieldSettings,
+    /// Which part of the time axis is read.
+    pub time_axis: TimeAxis,
+    /// Width of both networks.
+    pub width: usize,
+    /// Whether every head starts at zero, so that `fine` starts without motion; the published code draws them at random.
+    pub zero_heads: bool,
+    /// Step sizes of the planes, as a share of the scene's extent.
+    pub plane_rate: LogLinear,
+    /// Step sizes of the networks, as a share of the scene's extent.
+    pub network_rate: LogLinear,
+}
+
+impl Default for DeformationSettings {
+    fn default() -> Self {
+        let weights = |spatial_smoothness, temporal_smoothness, time_to_one| PlaneWeights {
+            spatial_smoothness,
+            temporal_smoothness,
+            time_to_one,
+        };
+        let field = |spatial_resolution, time_resolution, regularizers| FieldSettings {
+            channels: 16,
+            spatial_resolution,
+            time_resolution,
+            multipliers: vec![1, 2],
+            regularizers,
+        };
+        Self {
+            anchors: field(32, 10, weights(1e-4, 5e-4, 5e-5)),
+            gaussians: field(64, 100, weights(2e-4, 1e-3, 1e-4)),
+            time_axis: TimeAxis::Full,
+            width: 128,
+            zero_heads: true,
+            plane_rate: LogLinear { start: 1.6e-3, end: 1.6e-4, steps: 30_000 },
+            network_rate: LogLinear::constant(1.6e-4),
+        }
+    }
+}
+
+impl FieldSettings {
+    fn build(&self, name: &'static str, axis: TimeAxis) -> Field {
+        let spatial = [self.spatial_resolution; 3];
+        Field::new(name, self.channels, spatial, self.time_resolution, &self.multipliers, axis)
+    }
+
+    fn works(&self) -> bool {
+        let few = |size: &usize| (1..=MOST_TEXELS).contains(size);
+        let PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one } = self.regularizers;
+        [self.channels, self.spatial_resolution, self.time_resolution].iter().chain(&self.multipliers).all(few)
+            && !self.multipliers.is_empty()
+            && [spatial_smoothness, temporal_smoothness, time_to_one].iter().all(|&w| w >= 0.0 && w.is_finite())
+    }
+}
+
+impl DeformationSettings {
+    /// Small, moving from the start, and with regularisers that weigh enough to be seen.
+    #[cfg(test)]
+    pub(crate) fn tiny() -> Self {
+        let weights = PlaneWeights { spatial_smoothness: 0.1, temporal_smoothness: 0.1, time_to_one: 0.1 };
+        let field = FieldSettings {
+            channels: 2,
+            spatial_resolution: 4,
+            time_resolution: 6,
+            multipliers: vec![1, 2],
+            regularizers: weights,
+        };
+        Self { anchors: field.clone(), gaussians: field, width: 8, zero_heads: false, ..Self::default() }
+    }
+
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        let good = [
+            (self.anchors.works() && self.gaussians.works(), "fields need 1 to 4096 texels and weights from 0 on"),
+            ((1..=MOST_TEXELS).contains(&self.width), "the width of the networks must be 1 to 4096"),
+            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+
+    /// The step size of a tensor of either field; the boxes never learn.
+    pub fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        if [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().any(|field| Field::is_plane(field, tensor)) {
+            return Some(self.plane_rate.scaled(scene.extent));
+        }
+        let is_network = [ANCHOR_NETWORK, GAUSSIAN_NETWORK].iter().any(|network| belongs(tensor, network));
+        is_network.then(|| self.network_rate.scaled(scene.extent))
+    }
+}
+
+/// What a field says about M anchors.
+#[derive(Clone, Copy, Debug)]
+pub struct AnchorChange {
+    /// [M, 3] scene units.
+    pub positions: Var,
+    /// [M, F].
+    pub features: Var,
+    /// [M, 3K].
+    pub offsets: Var,
+    /// [M, 6], added to logarithms.
+    pub log_scales: Var,
+}
+
+/// The field that moves anchors.
+pub struct AnchorDeformation {
+    field: Field,
+    network: HeadedNetwork,
+    weights: PlaneWeights,
+    zero_heads: bool,
+}
+
+impl AnchorDeformation {
+    /// The field of anchors of these sizes.
+    pub fn new(settings: &DeformationSettings, anchors: &AnchorSettings) -> Self {
+        let field = settings.anchors.build(ANCHOR_FIELD, settings.time_axis);
+        let heads = vec![("position", 3), ("feature", anchors.features), ("offset", 3 * anchors.offsets), ("scale", 6)];
+        let network = HeadedNetwork::new(ANCHOR_NETWORK, field.features(), settings.width, heads);
+        Self { field, network, weights: settings.anchors.regularizers, zero_heads: settings.zero_heads }
+    }
+
+    /// Adds box, planes and network.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+        insert_box(state, ANCHOR_FIELD)?;
+        self.field.insert_planes(state, random);
+        self.network.insert(state, self.zero_heads, random);
+        Ok(())
+    }
+
+    /// The changes of anchors at canonical positions [M, 3] at a time in [0, 1].
+    pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> AnchorChange {
+        let hidden = self.hidden(tape, model, positions, time);
+        let mut head = |name: &str| self.network.head(tape, model, name, hidden);
+        AnchorChange {
+            positions: head("position"),
+            features: head("feature"),
+            offsets: head("offset"),
+            log_scales: head("scale"),
+        }
+    }
+
+    /// Positions [M, 3] in the field's box, as [−1, 1].
+    pub fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
+        self.field.inside(tape, model, positions)
+    }
+
+    /// As [`AnchorDeformation::at`], the displacements [M, 3] alone.
+    pub fn displacements<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
+        let hidden = self.hidden(tape, model, positions, time);
+        self.network.head(tape, model, "position", hidden)
+    }
+
+    /// Adds the regularisers of the planes.
+    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
+        self.field.regularize(step, &self.weights);
+    }
+
+    fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
+        let features = self.field.at(tape, model, positions, time);
+        self.network.hidden(tape, model, features)
+    }
+}
+
+/// The field that moves spawned Gaussians.
+pub struct GaussianDeformation {
+    field: Field,
+    network: HeadedNetwork,
+    weights: PlaneWeights,
+    zero_heads: bool,
+}
+
+impl GaussianDeformation {
+    /// The field.
+    pub fn new(settings: &DeformationSettings) -> Self {
+        let field = settings.gaussians.build(GAUSSIAN_FIELD, settings.time_axis);
+        let heads = vec![("position", 3), ("scale", 3), ("rotation", 4)];
+        let network = HeadedNetwork::new(GAUSSIAN_NETWORK, field.features(), settings.width, heads);
+        Self { field, network, weights: settings.gaussians.regularizers, zero_heads: settings.zero_heads }
+    }
+
+    /// Adds box, planes and network.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+        insert_box(state, GAUSSIAN_FIELD)?;
+        self.field.insert_planes(state, random);
+        self.network.insert(state, self.zero_heads, random);
+        Ok(())
+    }
+
+    /// Gaussians at a time in [0, 1]: positions, logarithmic scales and unit quaternions plus what the heads say.
+    pub fn deform<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, spawned: SplatVars, time: f64) -> SplatVars {
+        let features = self.field.at(tape, model, spawned.positions, time);
+        let hidden = self.network.hidden(tape, model, features);
+        let (log_scales, rotations) = spawned.shape.scales_and_rotations().expect("anchors spawn both");
+        let rotations = quaternion::normalize(tape, rotations);
+        let mut moved = |head: &str, attribute: Var| {
+            let change = self.network.head(tape, model, head, hidden);
+            add(tape, attribute, change)
+        };
+        SplatVars {
+            positions: moved("position", spawned.positions),
+            shape: ShapeVars::ScaleRotation {
+                log_scales: moved("scale", log_scales),
+                rotations: moved("rotation", rotations),
+            },
+            ..spawned
+        }
+    }
+
+    /// Adds the regularisers of the planes.
+    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
+        self.field.regularize(step, &self.weights);
+    }
+}
+
+/// Adds the box of a field: that of the anchors.
+fn insert_box<T: Real>(state: &mut ModelState<T>, field: &str) -> anyhow::Result<()> {
+    let positions = state.get(&format!("{ANCHORS}.positions"))?;
+    let row = |index: usize| std::array::from_fn(|axis| positions.row(index)[axis].to_f64() as f32);
+    let positions: Vec<[f32; 3]> = (0..positions.rows()).map(row).collect();
+    field::insert_bounds(state, field, &positions);
+    Ok(())
+}

@@ -1,0 +1,206 @@
+//! Anchors come where Gaussians pull and go where nothing is drawn (Lu et al. 2024, section 3.3, with the constants of the
+//! published code).
+//!
+//! Growing looks at Gaussians whose projected means have a large gradient, level by level: the larger the gradient, the
+//! smaller the cell that must be free of anchors to become one. Pruning removes anchors whose Gaussians stayed
+//! transparent.
+
+mod statistics;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::Context as _;
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::initial::{cell, center};
+use super::{ANCHORS, AnchorSettings, Growth};
+use crate::method::{PopulationControl, SceneFacts, ScreenGradients};
+use crate::optimizer::Optimizer;
+use crate::params::Density;
+use crate::schedule::stretch;
+use statistics::Statistics;
+
+/// Cells shrink by this factor from level to level, and the gradient that they ask for doubles.
+const CELL_SHRINK: f64 = 4.0;
+/// A Gaussian is judged once it was seen in this share of what an anchor needs.
+const SEEN_SHARE: f64 = 0.5;
+
+/// Grows and prunes anchors.
+pub struct AnchorGrowth {
+    density: Density,
+    growth: Growth,
+    voxel_size: f64,
+    per_anchor: usize,
+    statistics: Statistics,
+}
+
+/// A cell that becomes an anchor.
+struct Candidate {
+    /// The anchors whose Gaussians asked for it.
+    parents: Vec<usize>,
+    /// The largest gradient of those Gaussians.
+    gradient: f32,
+}
+
+impl AnchorGrowth {
+    /// Control of [`ANCHORS`], its schedule stretched by `schedule_scale`.
+    pub fn new(density: &Density, settings: &AnchorSettings, schedule_scale: f64) -> Self {
+        let density = Density {
+            from: stretch(density.from, schedule_scale),
+            until: stretch(density.until, schedule_scale),
+            ..density.clone()
+        };
+        let statistics_from = stretch(settings.growth.statistics_from, schedule_scale);
+        let growth = Growth { statistics_from, ..settings.growth.clone() };
+        Self {
+            density,
+            growth,
+            voxel_size: settings.voxel_size,
+            per_anchor: settings.offsets,
+            statistics: Statistics::default(),
+        }
+    }
+
+    /// The looks at an anchor that it takes to judge it.
+    fn looks_needed(&self) -> f64 {
+        self.density.interval as f64 * self.growth.success
+    }
+
+    fn grow(&mut self, optimizer: &mut Optimizer, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+        let gradients = self.statistics.mean_gradients(SEEN_SHARE * self.looks_needed());
+        let places = gaussian_positions(optimizer)?;
+        for level in 0..self.growth.levels {
+            let cell_size = self.voxel_size * self.growth.largest_cell / CELL_SHRINK.powi(level as i32);
+            let threshold = self.density.gradient_threshold as f32 * 2_f32.powi(level as i32);
+            // Half of the candidates wait on the first level, a quarter on the second, …
+            let passing = 1.0 - 0.5_f64.powi(level as i32 + 1);
+            let passes = |(slot, gradient): (usize, &Option<f32>)| {
+                let gradient = (*gradient).filter(|gradient| *gradient >= threshold)?;
+                (random.random::<f64>() < passing).then_some((slot, gradient))
+            };
+            let asking: Vec<(usize, f32)> = gradients.iter().enumerate().filter_map(passes).collect();
+            let free = self.free_cells(optimizer, &asking, &places, cell_size)?;
+            add_anchors(optimizer, free, cell_size)?;
+        }
+        self.statistics.forget_seen(SEEN_SHARE * self.looks_needed());
+        self.statistics.resize(optimizer.population_len(ANCHORS)?);
+        Ok(())
+    }
+
+    /// The cells of Gaussians (slot, gradient) that hold no anchor, at most as many as the cap on Gaussians allows: the
+    /// largest gradients first.
+    fn free_cells(
+        &self,
+        optimizer: &Optimizer,
+        asking: &[(usize, f32)],
+        places: &[[f32; 3]],
+        cell_size: f64,
+    ) -> anyhow::Result<Vec<([i64; 3], Candidate)>> {
+        let anchors = optimizer.tensor(&format!("{ANCHORS}.positions"))?.as_slice().as_chunks::<3>().0;
+        let taken: BTreeSet<[i64; 3]> = anchors.iter().map(|&position| cell(position, cell_size)).collect();
+        let per_anchor = self.per_anchor;
+        let mut free: BTreeMap<[i64; 3], Candidate> = BTreeMap::new();
+        for &(slot, gradient) in asking {
+            let cell = cell(places[slot], cell_size);
+            if taken.contains(&cell) {
+                continue;
+            }
+            let candidate = free.entry(cell).or_insert(Candidate { parents: Vec::new(), gradient });
+            candidate.parents.push(slot / per_anchor);
+            candidate.gradient = candidate.gradient.max(gradient);
+        }
+        let room = (self.density.max_count / per_anchor).saturating_sub(anchors.len());
+        let mut free: Vec<_> = free.into_iter().collect();
+        if free.len() > room {
+            free.sort_by(|(_, a), (_, b)| b.gradient.total_cmp(&a.gradient));
+            free.truncate(room);
+        }
+        Ok(free)
+    }
+
+    /// Removes anchors that were looked at often enough and whose Gaussians were transparent.
+    fn prune(&mut self, optimizer: &mut Optimizer) -> anyhow::Result<()> {
+        let opaque = self.statistics.mean_opacities(self.looks_needed());
+        let min_opacity = self.density.min_opacity as f32;
+        let keep: Vec<bool> = opaque.iter().map(|mean| mean.is_none_or(|mean| mean >= min_opacity)).collect();
+        optimizer.keep(ANCHORS, &keep)?;
+        self.statistics.forget_looks(self.looks_needed());
+        self.statistics.keep(&keep);
+        Ok(())
+    }
+}
+
+/// Appends an anchor at the centre of every free cell: as its first parent, but with the largest value that any parent has
+/// of every feature, without offsets, and as large as its cell.
+fn add_anchors(optimizer: &mut Optimizer, free: Vec<([i64; 3], Candidate)>, cell_size: f64) -> anyhow::Result<()> {
+    let first_new = optimizer.population_len(ANCHORS)?;
+    let first_parents: Vec<usize> = free.iter().map(|(_, candidate)| candidate.parents[0]).collect();
+    optimizer.append_copies(ANCHORS, &first_parents)?;
+    let name = |attribute: &str| format!("{ANCHORS}.{attribute}");
+    optimizer.edit(&name("positions"), |positions| {
+        let new = positions[3 * first_new..].as_chunks_mut::<3>().0;
+        new.iter_mut().zip(&free).for_each(|(position, (cell, _))| *position = center(*cell, cell_size));
+    })?;
+    let columns = optimizer.tensor(&name("features"))?.row_len();
+    optimizer.edit(&name("features"), |features| {
+        let (old, new) = features.split_at_mut(first_new * columns);
+        for (feature, (_, candidate)) in new.chunks_exact_mut(columns).zip(&free) {
+            for parent in &candidate.parents {
+                let of_parent = &old[parent * columns..(parent + 1) * columns];
+                feature.iter_mut().zip(of_parent).for_each(|(value, &other)| *value = value.max(other));
+            }
+        }
+    })?;
+    let columns = optimizer.tensor(&name("offsets"))?.row_len();
+    optimizer.edit(&name("offsets"), |offsets| offsets[first_new * columns..].fill(0.0))?;
+    optimizer.edit(&name("log_scales"), |scales| scales[6 * first_new..].fill(cell_size.ln() as f32))
+}
+
+/// Where the N·K Gaussians are while nothing moves.
+fn gaussian_positions(optimizer: &Optimizer) -> anyhow::Result<Vec<[f32; 3]>> {
+    let tensor = |attribute: &str| optimizer.tensor(&format!("{ANCHORS}.{attribute}"));
+    let (positions, offsets, log_scales) = (tensor("positions")?, tensor("offsets")?, tensor("log_scales")?);
+    let of_anchor = |anchor: usize| {
+        let (position, scales) = (positions.row(anchor), log_scales.row(anchor));
+        let place = |offset: &[f32; 3]| std::array::from_fn(|axis| position[axis] + offset[axis] * scales[axis].exp());
+        offsets.row(anchor).as_chunks::<3>().0.iter().map(place).collect::<Vec<_>>()
+    };
+    Ok((0..positions.rows()).flat_map(of_anchor).collect())
+}
+
+impl PopulationControl for AnchorGrowth {
+    fn observe(&mut self, screen: &ScreenGradients) {
+        if screen.population == ANCHORS {
+            self.statistics.add(screen, self.per_anchor);
+        }
+    }
+
+    fn act(
+        &mut self,
+        iteration: u64,
+        optimizer: &mut Optimizer,
+        _scene: &SceneFacts,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<()> {
+        let Density { interval, from, until, .. } = self.density;
+        if iteration >= until || iteration <= self.growth.statistics_from {
+            self.statistics = Statistics::default();
+            return Ok(());
+        }
+        if iteration > from && iteration.is_multiple_of(interval) && !self.statistics.is_empty() {
+            self.grow(optimizer, random)?;
+            self.prune(optimizer)?;
+        }
+        Ok(())
+    }
+
+    fn save(&self) -> serde_json::Value {
+        serde_json::to_value(&self.statistics).expect("numbers serialise")
+    }
+
+    fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
+        self.statistics = serde_json::from_value(saved).context("the statistics of anchors in the checkpoint")?;
+        Ok(())
+    }
+}

@@ -1,0 +1,211 @@
+//! Anchors that spawn Gaussians for every view (Lu et al. 2024, Scaffold-GS), and hexplane fields that move both (Kwak et
+//! al. 2025, MoDec-GS).
+//!
+//! | tensor | shape | |
+//! |---|---|---|
+//! | `anchors.positions` | [N, 3] | scene units; never learn |
+//! | `anchors.features` | [N, F] | what the networks read |
+//! | `anchors.offsets` | [N, 3K] | of the K Gaussians, in units of the first three scales |
+//! | `anchors.log_scales` | [N, 6] | logarithms: three scales of the offsets, three of the Gaussians |
+//! | `views.{opacity, shape, color}.{0, 1}` | | networks of feature and view direction |
+
+mod deformation;
+mod growth;
+mod initial;
+#[cfg(test)]
+mod tests;
+mod views;
+
+pub use deformation::{AnchorChange, AnchorDeformation, DeformationSettings, FieldSettings, GaussianDeformation};
+pub use growth::AnchorGrowth;
+pub use initial::{insert_anchors, voxels};
+pub use views::{SpawnedGaussians, insert_view_networks, spawn};
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use shaders::losses::l1_dssim;
+use shaders::tape::{Real, Var};
+
+use crate::method::{Phase, SceneFacts, Step, TrainingView};
+use crate::params::{Density, Harmonics, Loss, Shared};
+use crate::schedule::{LogLinear, stretch};
+use crate::state::Variables;
+
+/// The population of anchors.
+pub const ANCHORS: &str = "anchors";
+/// Warm-up without motion.
+pub const COARSE: &str = "coarse";
+/// Everything learns.
+pub const FINE: &str = "fine";
+/// 8192 values per anchor are far beyond any use: whoever asks for more mistyped.
+const MOST_VALUES: usize = 8192;
+
+/// Anchors, their networks and how they learn.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AnchorSettings {
+    /// Side of the voxels that hold at most one first anchor, scene units.
+    pub voxel_size: f64,
+    /// Values of an anchor's feature.
+    pub features: usize,
+    /// Gaussians per anchor (K).
+    pub offsets: usize,
+    /// Width of the view networks.
+    pub width: usize,
+    /// Where new anchors come from; when and how many is `density`'s business.
+    pub growth: Growth,
+    /// Step size of the features.
+    pub feature_rate: f64,
+    /// Step size of the offsets, as a share of the scene's extent.
+    pub offset_rate: LogLinear,
+    /// Step size of the logarithmic scales.
+    pub scale_rate: f64,
+    /// Step size of the opacity network.
+    pub opacity_network_rate: LogLinear,
+    /// Step size of the shape network.
+    pub shape_network_rate: LogLinear,
+    /// Step size of the colour network.
+    pub color_network_rate: LogLinear,
+}
+
+/// Where new anchors come from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Growth {
+    /// Sizes of cells that are searched for room, each a quarter of the one before and at twice the gradient.
+    pub levels: u32,
+    /// Side of the largest cells, in voxels.
+    pub largest_cell: f64,
+    /// Share of an interval's iterations that must have looked at an anchor (for its Gaussians: half that share must have
+    /// seen one) before it is judged.
+    pub success: f64,
+    /// Statistics are collected from this iteration on.
+    pub statistics_from: u64,
+}
+
+impl Default for AnchorSettings {
+    fn default() -> Self {
+        Self {
+            voxel_size: 0.01,
+            features: 32,
+            offsets: 10,
+            width: 32,
+            growth: Growth::default(),
+            feature_rate: 7.5e-3,
+            offset_rate: LogLinear { start: 1e-2, end: 1e-4, steps: 30_000 },
+            scale_rate: 7e-3,
+            opacity_network_rate: LogLinear { start: 2e-3, end: 2e-5, steps: 30_000 },
+            shape_network_rate: LogLinear::constant(4e-3),
+            color_network_rate: LogLinear { start: 8e-3, end: 5e-5, steps: 30_000 },
+        }
+    }
+}
+
+impl Default for Growth {
+    fn default() -> Self {
+        Self { levels: 3, largest_cell: 16.0, success: 0.7, statistics_from: 500 }
+    }
+}
+
+impl AnchorSettings {
+    /// Small, with voxels that hold the points of the test scene apart.
+    #[cfg(test)]
+    pub(crate) fn tiny() -> Self {
+        Self { voxel_size: 0.05, features: 4, offsets: 4, width: 16, ..Self::default() }
+    }
+
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        let positive = |value: f64| value > 0.0 && value.is_finite();
+        let few = |count: usize| (1..=MOST_VALUES).contains(&count);
+        let rates = [self.offset_rate, self.opacity_network_rate, self.shape_network_rate, self.color_network_rate];
+        let Growth { levels, largest_cell, success, .. } = self.growth;
+        let good = [
+            (positive(self.voxel_size), "voxel_size must be positive"),
+            (few(self.features) && few(self.offsets) && few(self.width), "sizes of anchors must be 1 to 8192"),
+            (positive(self.feature_rate) && positive(self.scale_rate), "rates must be positive"),
+            (rates.iter().all(LogLinear::is_valid), "rates must be positive"),
+            // Cells of the tenth level are a millionth of the largest.
+            (levels <= 10 && positive(largest_cell), "growth needs at most 10 levels of positive size"),
+            ((0.0..1.0).contains(&success), "growth.success must be in [0, 1)"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+
+    /// The step size of a tensor of the anchors or their networks.
+    pub fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        let (owner, rest) = tensor.split_once('.')?;
+        match (owner, rest.split('.').next()?) {
+            (ANCHORS, "features") => Some(LogLinear::constant(self.feature_rate)),
+            (ANCHORS, "offsets") => Some(self.offset_rate.scaled(scene.extent)),
+            (ANCHORS, "log_scales") => Some(LogLinear::constant(self.scale_rate)),
+            (views::VIEWS, "opacity") => Some(self.opacity_network_rate),
+            (views::VIEWS, "shape") => Some(self.shape_network_rate),
+            (views::VIEWS, "color") => Some(self.color_network_rate),
+            _ => None,
+        }
+    }
+}
+
+/// What all methods on anchors share of what all methods understand, as the published settings for DyCheck have it.
+pub fn shared_defaults() -> Shared {
+    let density = Density { from: 1500, until: 15_000, min_opacity: 0.01, ..Density::default() };
+    let mut shared = Shared {
+        iterations: BTreeMap::from([(COARSE.into(), 3000), (FINE.into(), 20_000)]),
+        batch: 2,
+        loss: Loss { lambda_dssim: 1.0 / 6.0 },
+        harmonics: Harmonics { degree: 0, ..Harmonics::default() },
+        density,
+        ..Shared::default()
+    };
+    shared.initial_points.max_count = 40_000;
+    shared
+}
+
+/// L1 + 0.2·(1 − SSIM) with the published weights is this many times the mix of all methods, (1 − λ)·L1 + λ·(1 − SSIM), at
+/// λ = 1/6.
+const PHOTOMETRIC_WEIGHT: f64 = 1.2;
+
+/// Compares a render, both times `mask` [H, W, 3] where there is one, with its view's image.
+pub fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &TrainingView<T>, mask: Option<Var>) {
+    let target = step.tape.constant(view.image.clone());
+    let [color, target] = match mask {
+        None => [color, target],
+        Some(mask) => [color, target].map(|image| shaders::pointwise::mul(step.tape, image, mask)),
+    };
+    let value = l1_dssim(step.tape, color, target, step.shared.loss.lambda_dssim);
+    step.add_loss("photometric", PHOTOMETRIC_WEIGHT / step.views.len() as f64, value);
+}
+
+/// `coarse` and `fine`.
+pub fn phases(shared: &Shared) -> Vec<Phase> {
+    let length = |name: &str| stretch(shared.iterations.get(name).copied().unwrap_or(0), shared.schedule_scale);
+    [COARSE, FINE].map(|name| Phase { name, iterations: length(name) }).to_vec()
+}
+
+/// N anchors at one moment.
+#[derive(Clone, Copy, Debug)]
+pub struct Anchors {
+    /// [N, 3] world, scene units.
+    pub positions: Var,
+    /// [N, F].
+    pub features: Var,
+    /// [N, 3K] in units of the first three scales.
+    pub offsets: Var,
+    /// [N, 6] natural logarithms.
+    pub log_scales: Var,
+}
+
+impl Anchors {
+    /// The anchors as they are stored.
+    pub fn stored(model: &Variables) -> Self {
+        let var = |attribute: &str| model.get(&format!("{ANCHORS}.{attribute}"));
+        Self {
+            positions: var("positions"),
+            features: var("features"),
+            offsets: var("offsets"),
+            log_scales: var("log_scales"),
+        }
+    }
+}

@@ -1,0 +1,176 @@
+use scene::TimeMap;
+use shaders::check;
+use shaders::splat::PinholeCamera;
+use shaders::tape::{Device, Tape, Tensor};
+
+use super::*;
+use crate::method::{PopulationControl, ScreenGradients};
+use crate::optimizer::Optimizer;
+use crate::sampler::{Stream, generator};
+use crate::state::ModelState;
+
+/// Two Gaussians per anchor, voxels of one unit.
+fn settings() -> AnchorSettings {
+    AnchorSettings { voxel_size: 1.0, offsets: 2, features: 2, width: 4, ..AnchorSettings::default() }
+}
+
+fn camera() -> PinholeCamera {
+    PinholeCamera {
+        width: 20,
+        height: 20,
+        focal: [20.0; 2],
+        center: [10.0; 2],
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [0.0, 0.0, 5.0],
+    }
+}
+
+fn state_at(positions: &[[f32; 3]]) -> ModelState<f32> {
+    let mut state = ModelState::new();
+    insert_anchors(&mut state, positions.to_vec(), &settings(), 10.0).unwrap();
+    state
+}
+
+/// Every iteration counts, every interval is ten of them.
+fn growth(change: impl FnOnce(&mut Density)) -> AnchorGrowth {
+    let mut density = Density { interval: 10, from: 0, until: 1000, min_opacity: 0.1, ..Density::default() };
+    change(&mut density);
+    let settings = AnchorSettings { growth: Growth { statistics_from: 0, ..Growth::default() }, ..settings() };
+    AnchorGrowth::new(&density, &settings, 1.0)
+}
+
+/// What a render says about anchors of two Gaussians: gradients and opacities of each.
+fn screen(gradients: &[f32], opacities: &[f32]) -> ScreenGradients {
+    ScreenGradients {
+        population: ANCHORS.into(),
+        gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
+        visible: opacities.iter().map(|&opacity| opacity > 0.0).collect(),
+        radius_px: vec![1.0; gradients.len()],
+        opacity: opacities.to_vec(),
+        looks: vec![1; gradients.len()],
+    }
+}
+
+/// The anchors after an interval of equal renders.
+fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, screen: &ScreenGradients) -> ModelState<f32> {
+    let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
+    let scene = SceneFacts { extent: 10.0, time_map, background: [0.0; 3], time_count: 4 };
+    let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)));
+    for iteration in 1..=10 {
+        control.observe(screen);
+        control.act(iteration, &mut optimizer, &scene, &mut generator(3, Stream::Density)).unwrap();
+    }
+    optimizer.into_state()
+}
+
+fn positions(state: &ModelState<f32>) -> Vec<[f32; 3]> {
+    state.get("anchors.positions").unwrap().as_slice().as_chunks::<3>().0.to_vec()
+}
+
+#[test]
+fn a_voxel_holds_one_anchor_at_its_centre() {
+    let points = [[0.2, 0.1, 0.0], [-0.4, 0.3, 0.49], [3.2, 0.0, -1.6]];
+    assert_eq!(voxels(&points, 1.0), [([0.0, 0.0, 0.0], 0), ([3.0, 0.0, -2.0], 2)]);
+    assert!(voxels(&[], 1.0).is_empty());
+}
+
+#[test]
+fn anchors_without_pull_stay_as_they_are() {
+    let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
+    let quiet = screen(&[1e-6; 4], &[0.5; 4]);
+    assert_eq!(after_interval(&mut growth(|_| ()), state.clone(), &quiet), state);
+}
+
+#[test]
+fn a_pulled_gaussian_far_from_anchors_becomes_one() {
+    let mut state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
+    // The second Gaussian of the first anchor is 100 units above it.
+    let mut offsets = Tensor::zeros([2, 6]);
+    offsets.make_mut()[4] = 100.0;
+    state.insert("anchors.offsets", offsets);
+    state.insert("anchors.log_scales", Tensor::zeros([2, 6]));
+    state.insert("anchors.features", Tensor::from_vec([2, 2], vec![1.0, 2.0, 3.0, 4.0]));
+    let pulled = screen(&[0.0, 1.0, 0.0, 0.0], &[0.5; 4]);
+    let grown = after_interval(&mut growth(|_| ()), state, &pulled);
+    let found = positions(&grown);
+    assert!(found.len() > 2, "nothing grew");
+    for (index, position) in found.iter().enumerate().skip(2) {
+        assert!((position[1] - 100.0).abs() <= 8.0 && position[0] == 0.0, "{position:?}");
+        assert_eq!(grown.get("anchors.features").unwrap().row(index), [1.0, 2.0]);
+        assert_eq!(grown.get("anchors.offsets").unwrap().row(index), [0.0; 6]);
+    }
+    // Cells of 16, 4 and 1 voxels.
+    let scales: Vec<f32> = (2..found.len()).map(|row| grown.get("anchors.log_scales").unwrap().row(row)[0]).collect();
+    assert!(scales.iter().all(|scale| [16.0_f32, 4.0, 1.0].iter().any(|cell| (scale - cell.ln()).abs() <= 1e-6)));
+}
+
+#[test]
+fn no_more_anchors_grow_than_the_cap_on_gaussians_allows() {
+    let mut state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
+    let mut offsets = Tensor::zeros([2, 6]);
+    (0..4).for_each(|slot| offsets.make_mut()[3 * slot + 1] = 100.0 * (slot + 1) as f32);
+    state.insert("anchors.offsets", offsets);
+    state.insert("anchors.log_scales", Tensor::zeros([2, 6]));
+    let pulled = screen(&[1.0; 4], &[0.5; 4]);
+    let count = |max_count| {
+        positions(&after_interval(&mut growth(|density| density.max_count = max_count), state.clone(), &pulled)).len()
+    };
+    assert_eq!((count(4), count(6)), (2, 3));
+    assert!(count(1000) > 3);
+}
+
+#[test]
+fn transparent_anchors_go_and_those_that_no_camera_looked_at_stay() {
+    let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0], [0.0, 40.0, 0.0]]);
+    let mut quiet = screen(&[0.0; 6], &[0.04, 0.05, 0.5, 0.0, 0.0, 0.0]);
+    quiet.looks[4..].fill(0);
+    let left = after_interval(&mut growth(|_| ()), state, &quiet);
+    assert_eq!(positions(&left), [[40.0, 0.0, 0.0], [0.0, 40.0, 0.0]]);
+}
+
+#[test]
+fn statistics_survive_a_checkpoint() {
+    let mut control = growth(|_| ());
+    control.observe(&screen(&[1e-3, 0.0, 2e-3, 0.0], &[0.5, 0.1, 0.2, 0.0]));
+    let mut restored = growth(|_| ());
+    restored.restore(control.save()).unwrap();
+    assert_eq!(restored.save(), control.save());
+    assert_ne!(restored.save(), growth(|_| ()).save());
+    assert!(restored.restore(serde_json::json!({ "gradient_sum": "no" })).is_err());
+}
+
+#[test]
+fn spawned_gaussians_know_their_slots_and_who_is_in_view() {
+    let mut state: ModelState<f64> = state_at(&[[0.0; 3], [0.0, 0.0, -20.0], [50.0, 0.0, 0.0]]).cast();
+    insert_view_networks(&mut state, &settings(), &mut generator(1, Stream::Initial));
+    // Opacities that do not depend on the view: one of two Gaussians.
+    state.insert("views.opacity.1.weight", Tensor::zeros([2, 4]));
+    state.insert("views.opacity.1.bias", Tensor::from_vec([2], vec![-1.0, 1.0]));
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let anchors = Anchors::stored(&model);
+    let spawned = spawn(&mut tape, &model, &anchors, &camera());
+    assert_eq!(*spawned.slots, [1, 3, 5]);
+    assert_eq!(spawned.rows().looked_at, [true, true, false, false, false, false]);
+    let logits = tape.value(spawned.splats.opacity_logits);
+    // tanh 1 = (e − 1/e) / (e + 1/e), whose logit is ln((e² − 1) / 2).
+    let expected = ((2.0_f64.exp() - 1.0) / 2.0).ln();
+    check::agree(logits, &Tensor::full([3, 1], expected), 1e-12).unwrap();
+    check::agree(tape.value(spawned.splats.positions), state.get("anchors.positions").unwrap(), 1e-12).unwrap();
+}
+
+#[test]
+fn settings_that_cannot_work_are_refused() {
+    settings().check().unwrap();
+    DeformationSettings::default().check().unwrap();
+    let bad = [
+        AnchorSettings { voxel_size: 0.0, ..settings() },
+        AnchorSettings { offsets: 0, ..settings() },
+        AnchorSettings { feature_rate: f64::NAN, ..settings() },
+        AnchorSettings { growth: Growth { success: 1.0, ..Growth::default() }, ..settings() },
+    ];
+    assert!(bad.iter().all(|settings| settings.check().is_err()));
+    let mut fields = DeformationSettings::default();
+    fields.anchors.multipliers.clear();
+    assert!(fields.check().is_err());
+}

@@ -1,0 +1,96 @@
+//! When each particle moves: a window of time around a learnt centre (KineticGS equations 7 to 9).
+
+use rand_chacha::ChaCha8Rng;
+use shaders::histogram::{divergence_from_uniform, soft_histogram};
+use shaders::linear::Activation;
+use shaders::pointwise::{add, hyperbolic_tangent, mul, scale, shift, sigmoid, sub};
+use shaders::positional_encoding::PositionalEncoding;
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use crate::bases::layers::{FirstWeights, apply_layer, insert_layer, uniform};
+use crate::state::{ModelState, Variables};
+
+/// The network's tensors are called `activation.…`.
+pub const ACTIVATION: &str = "activation";
+/// Six octaves of the position within the scene's box.
+const ENCODING: PositionalEncoding = PositionalEncoding { bands: 6, with_input: true };
+/// Width of the two hidden layers.
+const WIDTH: usize = 64;
+/// How sharply windows open and close (τ), as a share of all time.
+const SHARPNESS: f64 = 0.02;
+/// The shortest half-width of a window (ε), as a share of all time.
+const LEAST_RADIUS: f64 = 0.01;
+/// The first Δ^cr before its tanh: windows of half-width 0.47 around the middle, so that nothing is frozen at the start.
+const FIRST_RADIUS: f64 = 1.5;
+/// Standard deviation of the first weights of Δ^ct, so that centres differ from the start; uniform here.
+const FIRST_CENTERS: f64 = 0.3;
+/// Bins of the histograms over (−1, 1).
+const BINS: usize = 32;
+
+/// Adds the network 39 → 64 → 64 → (Δ^ct, Δ^cr).
+pub fn insert<T: Real>(state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    insert_layer(state, "activation.0", ENCODING.columns(3), WIDTH, FirstWeights::Xavier, random);
+    insert_layer(state, "activation.1", WIDTH, WIDTH, FirstWeights::Xavier, random);
+    // A uniform distribution of standard deviation s reaches from −√3·s to √3·s; s is shared by the inputs.
+    let bound = FIRST_CENTERS * (3.0 / WIDTH as f64).sqrt();
+    insert_layer(state, "activation.center", WIDTH, 1, FirstWeights::Zero, random);
+    state.insert("activation.center.weight", uniform(&[1, WIDTH], -bound, bound, random));
+    insert_layer(state, "activation.radius", WIDTH, 1, FirstWeights::Zero, random);
+    state.insert("activation.radius.bias", Tensor::full([1], T::from_f64(FIRST_RADIUS)));
+}
+
+/// The windows of P particles, in shares of all time.
+#[derive(Clone, Copy, Debug)]
+pub struct Windows {
+    /// [P, 1] Δ^ct in (−1, 1).
+    pub center_deltas: Var,
+    /// [P, 1] Δ^cr in (−1, 1).
+    radius_deltas: Var,
+    /// [P, 1] t^ct, where the window is centred.
+    pub centers: Var,
+    /// [P, 1] where it opens, t^ct − t^cr.
+    starts: Var,
+    /// [P, 1] where it closes, t^ct + t^cr.
+    ends: Var,
+}
+
+impl Windows {
+    /// The windows of particles at canonical positions [P, 3] in [−1, 1] coordinates: with all of time as 1, t^ct = ½ + ½Δ^ct
+    /// and t^cr = ¼ + (¼ − ε)Δ^cr.
+    pub fn of<T: Real>(tape: &mut Tape<T>, model: &Variables, positions: Var) -> Self {
+        let encoded = ENCODING.encode(tape, positions);
+        let hidden = apply_layer(tape, model, "activation.0", encoded, Activation::Relu);
+        let hidden = apply_layer(tape, model, "activation.1", hidden, Activation::Relu);
+        let mut delta = |head: &str| {
+            let raw = apply_layer(tape, model, head, hidden, Activation::Identity);
+            hyperbolic_tangent(tape, raw)
+        };
+        let (center_deltas, radius_deltas) = (delta("activation.center"), delta("activation.radius"));
+        let half = scale(tape, center_deltas, 0.5);
+        let centers = shift(tape, half, 0.5);
+        let quarter = scale(tape, radius_deltas, 0.25 - LEAST_RADIUS);
+        let radii = shift(tape, quarter, 0.25);
+        let (starts, ends) = (sub(tape, centers, radii), add(tape, centers, radii));
+        Self { center_deltas, radius_deltas, centers, starts, ends }
+    }
+
+    /// [P, 1] w = σ((t − start) / τ)·σ((end − t) / τ) in (0, 1) at a time in [0, 1].
+    pub fn at<T: Real>(&self, tape: &mut Tape<T>, time: f64) -> Var {
+        let mut edge = |border: Var, sign: f64| {
+            let distance = scale(tape, border, -sign / SHARPNESS);
+            let distance = shift(tape, distance, sign * time / SHARPNESS);
+            sigmoid(tape, distance)
+        };
+        let (opened, not_closed) = (edge(self.starts, 1.0), edge(self.ends, -1.0));
+        mul(tape, opened, not_closed)
+    }
+
+    /// How far centres and half-widths are from being spread evenly, shape [1].
+    pub fn unevenness<T: Real>(&self, tape: &mut Tape<T>) -> Var {
+        let [centers, radii] = [self.center_deltas, self.radius_deltas].map(|deltas| {
+            let shares = soft_histogram(tape, deltas, BINS, [-1.0, 1.0]);
+            divergence_from_uniform(tape, shares)
+        });
+        add(tape, centers, radii)
+    }
+}

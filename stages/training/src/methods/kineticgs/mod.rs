@@ -1,0 +1,332 @@
+//! KineticGS: particles that begin where things move, move within their own windows of time, follow the optical flow and
+//! stay together with their neighbours.
+
+mod activation;
+mod coherence;
+mod energy_flow;
+mod particles;
+mod settings;
+#[cfg(test)]
+mod tests;
+mod weights;
+
+use std::collections::BTreeMap;
+
+use anyhow::Context as _;
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use super::MethodFolder;
+use crate::bases::anchors::{self, AnchorDeformation, AnchorGrowth, FINE, GaussianDeformation, SpawnedGaussians};
+use crate::effects::{Effect, Need};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, TrainingView};
+use crate::params::Shared;
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables, belongs};
+use coherence::{displacement_incoherence, window_incoherence};
+use energy_flow::{FlowView, energy_flow, static_mask};
+use particles::{DYNAMIC, Moved, ParticleMotion, Particles};
+use settings::Settings;
+use weights::Weights;
+
+const MOTION: &str = "motion";
+const MOMENTUM_INIT: &str = "momentum-init";
+const ACTIVATION: &str = "activation";
+const ENERGY_FLOW: &str = "energy-flow";
+const COHERENCE: &str = "coherence";
+
+/// The folder's entry.
+pub struct Kineticgs;
+
+impl MethodFolder for Kineticgs {
+    const NAME: &'static str = "kineticgs";
+    const ABOUT: &'static str = "KineticGS: particles from momentum with windows of activation, on anchors";
+    type Settings = Settings;
+
+    fn shared_defaults() -> Shared {
+        anchors::shared_defaults()
+    }
+
+    fn effects() -> Vec<Effect> {
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        vec![
+            effect(MOTION, "particles and the Gaussians of all anchors move", &[Need::Times(2), Need::Motion]),
+            effect(MOMENTUM_INIT, "particles begin where things move; other anchors stand still", &[Need::Particles]),
+            effect(ACTIVATION, "every particle moves within a window of time", &[Need::Times(4), Need::Motion]),
+            effect(ENERGY_FLOW, "particles follow the optical flow", &[Need::Flow, Need::Depth]),
+            effect(COHERENCE, "neighbours move alike and at the same time", &[Need::Times(2), Need::Motion]),
+        ]
+    }
+
+    fn check(settings: &Settings) -> Result<(), String> {
+        settings.check()
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> Settings {
+        Settings::tiny()
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
+        Box::new(KineticGaussians::new(shared, settings))
+    }
+}
+
+struct KineticGaussians {
+    shared: Shared,
+    settings: Settings,
+    motion: ParticleMotion,
+    local: GaussianDeformation,
+}
+
+impl KineticGaussians {
+    fn new(shared: &Shared, settings: Settings) -> Self {
+        let motion = ParticleMotion {
+            deformation: AnchorDeformation::new(&settings.deformation, &settings.anchors),
+            gate_threshold: settings.gate_threshold,
+            soft_location: settings.soft_location,
+        };
+        let local = GaussianDeformation::new(&settings.deformation);
+        Self { shared: shared.clone(), settings, motion, local }
+    }
+
+    /// Whether an effect is on; without motion none is.
+    fn has(&self, effect: &str) -> bool {
+        self.shared.effects.has(MOTION) && self.shared.effects.has(effect)
+    }
+
+    /// Whether things move in a phase.
+    fn moves(&self, phase: &str) -> bool {
+        phase == FINE && self.has(MOTION)
+    }
+
+    fn particles<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Particles {
+        self.motion.particles(tape, model, self.has(ACTIVATION))
+    }
+
+    /// The Gaussians of anchors that are where they are at a moment.
+    fn gaussians<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        moved: &Moved,
+        moment: &Moment<'_>,
+    ) -> SpawnedGaussians {
+        let mut spawned = anchors::spawn(tape, model, &moved.anchors, moment.camera);
+        spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time);
+        spawned
+    }
+
+    /// The losses of `coarse`: anchors as if nothing moved, on the pixels that do not.
+    fn coarse_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        for view in step.views {
+            step.clock.enter("motion");
+            let canonical = anchors::Anchors::stored(step.model);
+            let spawned = anchors::spawn(step.tape, step.model, &canonical, &view.camera);
+            let rendered = step.render_rows(&spawned.splats, view, spawned.rows())?;
+            let mask = self.static_pixels(step, view);
+            anchors::photometric(step, rendered.color, view, mask);
+        }
+        Ok(())
+    }
+
+    /// A mask of what does not move in a view, where that is asked for and known.
+    fn static_pixels<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> Option<Var> {
+        if self.settings.coarse_all || !self.has(ENERGY_FLOW) {
+            return None;
+        }
+        let moving = FlowView::of(step.dataset, step.supplements, view.index)?.moving_pixels();
+        step.count_skipped("moving pixels in coarse", moving.iter().filter(|moves| **moves).count(), moving.len());
+        Some(step.tape.constant(static_mask(&moving, view.camera.height, view.camera.width)))
+    }
+
+    /// The losses of `fine` with motion.
+    fn fine_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        let weights = self.settings.losses.at(step.iteration, self.shared.schedule_scale);
+        step.clock.enter("motion");
+        let particles = self.particles(step.tape, step.model);
+        let pairs = self.neighbor_pairs(step, &particles, &weights);
+        for view in step.views {
+            step.clock.enter("motion");
+            let moment = step.moment(view);
+            let moved = self.motion.at(step.tape, step.model, &particles, view.time);
+            self.count_skipped(step, &particles, &moved);
+            let spawned = self.gaussians(step.tape, step.model, &moved, &moment);
+            let rendered = step.render_rows(&spawned.splats, view, spawned.rows())?;
+            anchors::photometric(step, rendered.color, view, None);
+            self.flow_loss(step, &particles, &moved, view, &weights);
+            self.displacement_loss(step, &particles, &moved, &pairs, &weights);
+        }
+        self.window_losses(step, &particles, &pairs, &weights);
+        self.motion.deformation.regularize(step);
+        self.local.regularize(step);
+        Ok(())
+    }
+
+    fn count_skipped<T: Real>(&self, step: &mut Step<'_, T>, particles: &Particles, moved: &Moved) {
+        let (anchors, of_them) = (particles.rows.rows(), particles.rows.len());
+        if self.has(MOMENTUM_INIT) {
+            step.count_skipped("motion of static anchors", anchors - of_them, anchors);
+        }
+        if self.has(ACTIVATION) {
+            step.count_skipped("motion outside activation windows", of_them - moved.active.len(), of_them);
+        }
+    }
+
+    /// Pairs of neighbours among the particles; none where coherence is off.
+    fn neighbor_pairs<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        particles: &Particles,
+        weights: &Weights,
+    ) -> Vec<[u32; 2]> {
+        if !self.has(COHERENCE) || weights.coherence == 0.0 {
+            return Vec::new();
+        }
+        let positions = particles.canonical(step.tape);
+        self.settings.neighbors.pairs(&positions, self.settings.anchors.voxel_size, step.random)
+    }
+
+    fn flow_loss<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        particles: &Particles,
+        moved: &Moved,
+        view: &TrainingView<T>,
+        weights: &Weights,
+    ) {
+        if !self.has(ENERGY_FLOW) || weights.flow == 0.0 {
+            return;
+        }
+        let flow_view = FlowView::of(step.dataset, step.supplements, view.index);
+        step.count_skipped("energy flow of views without priors", usize::from(flow_view.is_none()), 1);
+        let Some(flow_view) = flow_view else { return };
+        let time_to = step.scene.time_map.normalized(flow_view.time_to_secs());
+        let found = energy_flow(step.tape, step.model, &self.motion, particles, moved, &flow_view, time_to);
+        let followed = found.map_or(0, |(_, count)| count);
+        step.count_skipped("energy flow of particles not seen", particles.rows.len() - followed, particles.rows.len());
+        if let Some((distance, _)) = found {
+            let weight = weights.flow / (step.scene.extent * step.views.len() as f64);
+            step.add_loss("energy_flow", weight, distance);
+        }
+    }
+
+    fn displacement_loss<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        particles: &Particles,
+        moved: &Moved,
+        pairs: &[[u32; 2]],
+        weights: &Weights,
+    ) {
+        let share = weights.coherence / step.views.len() as f64;
+        let extent = step.scene.extent;
+        if let Some(value) = displacement_incoherence(step.tape, moved, particles.rows.len(), pairs, extent) {
+            step.add_loss("coherence", share, value);
+        }
+    }
+
+    /// The losses of the windows: spread over all time, alike among neighbours.
+    fn window_losses<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        particles: &Particles,
+        pairs: &[[u32; 2]],
+        weights: &Weights,
+    ) {
+        let Some(windows) = particles.windows else { return };
+        if weights.activation > 0.0 {
+            let value = windows.unevenness(step.tape);
+            step.add_loss("activation", weights.activation, value);
+        }
+        if let Some(value) = window_incoherence(step.tape, particles, pairs) {
+            step.add_loss("coherence", weights.coherence, value);
+        }
+    }
+}
+
+impl<T: Real> Method<T> for KineticGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        anchors::phases(&self.shared)
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        let voxel_size = self.settings.anchors.voxel_size;
+        let mut positions: Vec<[f32; 3]> =
+            anchors::voxels(&points.positions, voxel_size).into_iter().map(|(center, _)| center).collect();
+        if self.has(MOMENTUM_INIT) {
+            let seeds = start.supplements.particles.as_ref();
+            let seeds = &seeds.context("momentum-init is on, but no particles were given")?.points.positions;
+            // One particle per voxel, where it was drawn.
+            let particles = anchors::voxels(seeds, voxel_size).into_iter().map(|(_, first)| seeds[first]);
+            let static_count = positions.len();
+            positions.extend(particles);
+            let flag = |row: usize| if row < static_count { T::ZERO } else { T::ONE };
+            let flags = (0..positions.len()).map(flag).collect();
+            state.insert(DYNAMIC, Tensor::from_vec([positions.len(), 1], flags));
+        }
+        anchors::insert_anchors(&mut state, positions, &self.settings.anchors, start.scene().extent)?;
+        anchors::insert_view_networks(&mut state, &self.settings.anchors, random);
+        Ok(state)
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        mut state: ModelState<T>,
+        _start: &Start<'_>,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        if self.moves(phase) {
+            self.motion.deformation.insert(&mut state, random)?;
+            self.local.insert(&mut state, random)?;
+            if self.has(ACTIVATION) {
+                activation::insert(&mut state, random);
+            }
+        }
+        Ok(state)
+    }
+
+    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        if belongs(tensor, activation::ACTIVATION) {
+            return Some(self.settings.activation_rate);
+        }
+        let anchors = self.settings.anchors.learning_rate(tensor, scene);
+        anchors.or_else(|| self.settings.deformation.learning_rate(tensor, scene))
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        if !self.moves(moment.phase) {
+            let canonical = anchors::Anchors::stored(model);
+            return Ok(anchors::spawn(tape, model, &canonical, moment.camera).splats);
+        }
+        let particles = self.particles(tape, model);
+        let moved = self.motion.at(tape, model, &particles, moment.time);
+        Ok(self.gaussians(tape, model, &moved, moment).splats)
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if self.moves(step.phase) { self.fine_losses(step) } else { self.coarse_losses(step) }
+    }
+
+    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        let Shared { density, schedule_scale, .. } = &self.shared;
+        vec![Box::new(AnchorGrowth::new(density, &self.settings.anchors, *schedule_scale))]
+    }
+
+    fn skipped(&self, _scene: &SceneFacts) -> BTreeMap<String, String> {
+        let left_out = |effect: &Effect| {
+            let reason = if self.shared.effects.has(effect.name) { "needs motion" } else { "left out" };
+            (!self.has(effect.name)).then(|| (effect.name.to_string(), reason.to_string()))
+        };
+        Kineticgs::effects().iter().filter_map(left_out).collect()
+    }
+}

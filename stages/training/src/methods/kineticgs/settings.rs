@@ -1,0 +1,70 @@
+//! What only this method understands.
+
+use serde::{Deserialize, Serialize};
+
+use super::coherence::Neighbors;
+use super::weights::LossSettings;
+use crate::bases::anchors::{AnchorSettings, DeformationSettings};
+use crate::schedule::LogLinear;
+
+/// What only this method understands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Anchors and their networks.
+    pub anchors: AnchorSettings,
+    /// The fields that move particles and Gaussians.
+    pub deformation: DeformationSettings,
+    /// A particle is active where its window is above this (θ_g); ½ is the window itself.
+    pub gate_threshold: f64,
+    /// Whether positions fade in and out with the window, as all else does, instead of jumping at its borders.
+    pub soft_location: bool,
+    /// Whether `coarse` learns from pixels that move as well.
+    pub coarse_all: bool,
+    /// How neighbours are found.
+    pub neighbors: Neighbors,
+    /// Weights and schedules of the losses.
+    pub losses: LossSettings,
+    /// Step size of the activation network.
+    pub activation_rate: LogLinear,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            anchors: AnchorSettings::default(),
+            deformation: DeformationSettings::default(),
+            gate_threshold: 0.01,
+            soft_location: false,
+            coarse_all: false,
+            neighbors: Neighbors::Curve,
+            losses: LossSettings::default(),
+            activation_rate: LogLinear { start: 2e-3, end: 2e-5, steps: 30_000 },
+        }
+    }
+}
+
+impl Settings {
+    /// Small, every loss at once at a weight that shows, and particles where they were drawn, so that views see them.
+    #[cfg(test)]
+    pub(super) fn tiny() -> Self {
+        Self {
+            anchors: AnchorSettings::tiny(),
+            deformation: DeformationSettings { zero_heads: true, ..DeformationSettings::tiny() },
+            losses: LossSettings { flow: 1.0, activation: 0.1, coherence: 0.1, ramp: 0, ..LossSettings::default() },
+            ..Self::default()
+        }
+    }
+
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        self.anchors.check()?;
+        self.deformation.check()?;
+        let good = [
+            ((0.0..1.0).contains(&self.gate_threshold), "gate_threshold must be in [0, 1)"),
+            (self.losses.works(), "weights must not be negative, and the flow must fade before it ends"),
+            (self.activation_rate.is_valid(), "activation_rate must be positive"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+}

@@ -1,0 +1,263 @@
+mod flow;
+mod schedules;
+mod training;
+
+use std::collections::BTreeSet;
+
+use shaders::check;
+use shaders::pointwise::mul;
+use shaders::rows::{scale_rows, segment_sum};
+use shaders::tape::Device;
+
+use super::*;
+use crate::bases::anchors::{Anchors, COARSE, DeformationSettings};
+use crate::clock::{ClockReading, PhaseClock};
+use crate::dataset::Dataset;
+use crate::effects::Effects;
+use crate::method::{SkippedWork, raster_settings};
+use crate::sampler::{Stream, generator};
+use crate::step::{StepOutcome, run_step};
+use crate::supplements::{NOTHING, ParticleSeeds, Supplements};
+use crate::test_scene::TestScene;
+
+/// The method at the start of a phase on the test scene.
+struct World {
+    method: KineticGaussians,
+    state: ModelState<f64>,
+    dataset: Dataset,
+    supplements: Supplements,
+}
+
+impl World {
+    fn new(effects: &[&str], settings: Settings, phase: &str) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let test_scene = TestScene::default();
+        let dataset = Dataset::load(test_scene.write(dir.path()), 1).unwrap();
+        let supplements = test_scene.supplements(&dataset);
+        let effects = Effects::Named(effects.iter().map(|name| name.to_string()).collect());
+        let method = KineticGaussians::new(&Shared { effects, ..Kineticgs::shared_defaults() }, settings);
+        let start = Start { dataset: &dataset, supplements: &supplements };
+        let points = dataset.capture.load_points().unwrap().unwrap();
+        let mut random = generator(5, Stream::Method);
+        let mut state = method.initialize(&start, &points, &mut random).unwrap();
+        for name in [COARSE, FINE] {
+            state = method.enter_phase(name, state, &start, &mut random).unwrap();
+            if name == phase {
+                break;
+            }
+        }
+        Self { method, state, dataset, supplements }
+    }
+
+    fn fine(effects: &[&str]) -> Self {
+        Self::new(effects, Settings::tiny(), FINE)
+    }
+
+    /// One step on a view: its losses, and the operations of the forward pass.
+    fn step(&self, phase: &str, view: usize) -> (StepOutcome<f64>, usize) {
+        let mut tape = Tape::new(Device::Cpu);
+        let learns =
+            |name: &str| Method::<f64>::learning_rate(&self.method, phase, name, &self.dataset.scene).is_some();
+        let model = self.state.bind(&mut tape, learns);
+        let step = Step {
+            tape: &mut tape,
+            model: &model,
+            views: &[self.dataset.train[view].to_training()],
+            scene: &self.dataset.scene,
+            dataset: &self.dataset,
+            supplements: &self.supplements,
+            shared: &self.method.shared,
+            phase,
+            iteration: 1,
+            sh_degree: 0,
+            raster: raster_settings(&self.dataset.scene, 0),
+            random: &mut generator(2, Stream::Method),
+            clock: &mut PhaseClock::start("test", ClockReading::default()),
+            losses: Vec::new(),
+            renders: Vec::new(),
+            skipped: SkippedWork::new(),
+        };
+        let outcome = run_step(&self.method, step).unwrap();
+        let operations = tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum();
+        (outcome, operations)
+    }
+}
+
+const ALL: [&str; 5] = [MOTION, MOMENTUM_INIT, ACTIVATION, ENERGY_FLOW, COHERENCE];
+
+#[test]
+fn every_effect_brings_its_tensors_operations_and_losses_and_takes_them_along() {
+    let names = |world: &World| world.state.names().map(str::to_string).collect::<BTreeSet<_>>();
+    let whole = World::fine(&ALL);
+    let (outcome, operations) = whole.step(FINE, 0);
+    for loss in ["photometric", "activation", "energy_flow", "coherence"] {
+        assert!(outcome.losses.contains_key(loss), "no loss {loss}");
+    }
+    let brings = [
+        (MOMENTUM_INIT, "anchors.dynamic", ""),
+        (ACTIVATION, "activation.0.weight", "activation"),
+        (ENERGY_FLOW, "", "energy_flow"),
+        (COHERENCE, "", "coherence"),
+    ];
+    for (effect, tensor, loss) in brings {
+        let others: Vec<&str> = ALL.into_iter().filter(|name| *name != effect).collect();
+        let without = World::fine(&others);
+        let (outcome, fewer) = without.step(FINE, 0);
+        if effect != MOMENTUM_INIT {
+            assert!(fewer < operations, "{effect}: {fewer} operations without it, {operations} with it");
+        }
+        assert!(tensor.is_empty() || names(&whole).contains(tensor) && !names(&without).contains(tensor), "{effect}");
+        assert!(!outcome.losses.contains_key(loss), "{effect} is off and its loss is there");
+    }
+}
+
+#[test]
+fn without_motion_nothing_of_it_is_left() {
+    let world = World::fine(&[MOMENTUM_INIT, ACTIVATION, ENERGY_FLOW, COHERENCE]);
+    assert!(world.state.names().all(|name| name != DYNAMIC && (belongs(name, "anchors") || belongs(name, "views"))));
+    let (outcome, operations) = world.step(FINE, 0);
+    assert_eq!(outcome.losses.keys().copied().collect::<Vec<_>>(), ["photometric"]);
+    assert_eq!(operations, world.step(COARSE, 0).1);
+    assert!(outcome.skipped.is_empty());
+    assert_eq!(Method::<f64>::skipped(&world.method, &world.dataset.scene).len(), ALL.len());
+}
+
+#[test]
+fn heads_that_start_at_zero_move_nothing() {
+    let world = World::fine(&ALL);
+    let positions = |phase: &str, time: f64| {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = world.state.bind(&mut tape, |_| false);
+        let camera = &world.dataset.train[0].camera;
+        let moment = Moment { scene: &world.dataset.scene, phase, time, camera, sh_degree: 0 };
+        let splats = world.method.splats(&mut tape, &model, &moment).unwrap();
+        tape.value(splats.positions).clone()
+    };
+    for time in [0.0, 0.5, 1.0] {
+        check::agree(&positions(FINE, time), &positions(COARSE, 0.0), 1e-12).unwrap();
+    }
+}
+
+/// A model whose particles have windows of different places, some of them closed at [`SPLIT_TIME`].
+fn with_split_windows() -> World {
+    let settings = Settings { deformation: DeformationSettings::tiny(), ..Settings::tiny() };
+    let mut world = World::new(&[MOTION, ACTIVATION], settings, FINE);
+    // A large weight spreads the centres, a low bias makes windows short.
+    let spread = world.state.get("activation.center.weight").unwrap().as_slice().iter().map(|w| 30.0 * w).collect();
+    world.state.insert("activation.center.weight", Tensor::from_vec([1, 64], spread));
+    world.state.insert("activation.radius.bias", Tensor::full([1], -1.0));
+    world
+}
+
+const SPLIT_TIME: f64 = 0.5;
+
+#[test]
+fn leaving_out_inactive_particles_changes_neither_values_nor_gradients() {
+    let world = with_split_windows();
+    let run = |skip: bool| {
+        let mut tape = Tape::<f64>::new(Device::Cpu);
+        let model = world.state.bind(&mut tape, |name| name != "anchors.positions");
+        let particles = world.method.particles(&mut tape, &model);
+        let anchors = if skip {
+            let moved = world.method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
+            assert!(!moved.active.is_empty() && moved.active.len() < particles.rows.len(), "the test needs both kinds");
+            moved.anchors
+        } else {
+            without_skipping(&mut tape, &model, &world, &particles)
+        };
+        let outputs = [anchors.positions, anchors.features, anchors.offsets, anchors.log_scales];
+        let values = outputs.map(|var| tape.value(var).clone());
+        let weights = |value: &Tensor<f64>| Tensor::from_vec(value.shape(), check::noise(value.len(), 9));
+        let seeds: Vec<_> = outputs.into_iter().zip(values.iter().map(weights)).collect();
+        let mut gradients = tape.backward(&seeds);
+        let is_learnt = |name: &str| name.starts_with("activation.") || name.starts_with("anchor_");
+        let vars: Vec<Var> = model.iter().filter(|(name, _)| is_learnt(name)).map(|(_, var)| var).collect();
+        let gradients: Vec<_> = vars.into_iter().filter_map(|var| gradients.take(var)).collect();
+        (values, gradients)
+    };
+    let ((skipped, skipped_gradients), (all, all_gradients)) = (run(true), run(false));
+    for (skipped, all) in skipped.iter().zip(&all) {
+        check::agree(skipped, all, 1e-12).unwrap();
+    }
+    assert!(!all_gradients.is_empty() && skipped_gradients.len() == all_gradients.len());
+    for (skipped, all) in skipped_gradients.iter().zip(&all_gradients) {
+        check::agree(skipped, all, 1e-10).unwrap();
+    }
+}
+
+/// The same motion with the field evaluated for every particle and closed gates multiplied by zero.
+fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, particles: &Particles) -> Anchors {
+    let motion = &world.method.motion;
+    let gates = particles.windows.unwrap().at(tape, SPLIT_TIME);
+    let open = |gate: &f64| if *gate > motion.gate_threshold { 1.0 } else { 0.0 };
+    let open = Tensor::from_vec([particles.rows.len(), 1], tape.value(gates).as_slice().iter().map(open).collect());
+    let open = tape.constant(open);
+    let soft = mul(tape, gates, open);
+    let hard = crate::bases::gates::straight_through(tape, gates, motion.gate_threshold);
+    let hard = mul(tape, hard, open);
+    let change = motion.deformation.at(tape, model, particles.positions, SPLIT_TIME);
+    let canonical = Anchors::stored(model);
+    let mut moved = |attribute: Var, change: Var, gate: Var| {
+        let gated = scale_rows(tape, change, gate);
+        let scattered = segment_sum(tape, gated, &particles.rows);
+        shaders::pointwise::add(tape, attribute, scattered)
+    };
+    Anchors {
+        positions: moved(canonical.positions, change.positions, hard),
+        features: moved(canonical.features, change.features, soft),
+        offsets: moved(canonical.offsets, change.offsets, soft),
+        log_scales: moved(canonical.log_scales, change.log_scales, soft),
+    }
+}
+
+#[test]
+fn what_is_skipped_is_counted() {
+    let world = with_split_windows();
+    let (outcome, _) = world.step(FINE, 3);
+    let [inactive, particles] = outcome.skipped["motion outside activation windows"];
+    assert!(0 < inactive && inactive < particles);
+    let (outcome, _) = World::fine(&ALL).step(FINE, 0);
+    let [static_anchors, anchors] = outcome.skipped["motion of static anchors"];
+    assert_eq!(anchors - static_anchors, 3);
+}
+
+#[test]
+fn windows_open_and_close_where_the_paper_says() {
+    let mut world = World::fine(&ALL);
+    // Δ^ct = 0 and Δ^cr = tanh 1.5.
+    world.state.insert("activation.center.weight", Tensor::zeros([1, 64]));
+    world.state.insert("activation.radius.weight", Tensor::zeros([1, 64]));
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let model = world.state.bind(&mut tape, |_| false);
+    let windows = world.method.particles(&mut tape, &model).windows.unwrap();
+    let radius = 0.25 + 0.24 * 1.5_f64.tanh();
+    let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
+    for time in [0.0, 0.02, 0.5, 0.9, 1.0] {
+        let expected = sigmoid((time - 0.5 + radius) / 0.02) * sigmoid((0.5 + radius - time) / 0.02);
+        let found = windows.at(&mut tape, time);
+        check::agree(tape.value(found), &Tensor::full([3, 1], expected), 1e-12).unwrap();
+    }
+    let start = windows.at(&mut tape, 0.0);
+    assert!(tape.value(start).as_slice().iter().all(|&gate| gate > 0.01), "nothing is frozen at first");
+}
+
+#[test]
+fn particles_are_needed_where_they_are_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
+    let points = dataset.capture.load_points().unwrap().unwrap();
+    let method = KineticGaussians::new(&Kineticgs::shared_defaults(), Settings::tiny());
+    let mut random = generator(1, Stream::Initial);
+    let start = Start { dataset: &dataset, supplements: &NOTHING };
+    assert!(Method::<f64>::initialize(&method, &start, &points, &mut random).is_err());
+    // Two particles in one voxel become one, where the first was drawn.
+    let seeds = PointCloud { positions: vec![[9.0, 0.0, 0.01], [9.0, 0.0, 0.0]], colors: vec![[0; 3]; 2] };
+    let particles = Some(ParticleSeeds { points: seeds, energies: vec![0.5; 2] });
+    let supplements = Supplements { particles, ..Supplements::default() };
+    let start = Start { dataset: &dataset, supplements: &supplements };
+    let state = Method::<f64>::initialize(&method, &start, &points, &mut random).unwrap();
+    let positions = state.get("anchors.positions").unwrap();
+    let flags = state.get(DYNAMIC).unwrap().as_slice();
+    assert_eq!(flags.iter().sum::<f64>(), 1.0);
+    assert!((positions.row(positions.rows() - 1)[2] - 0.01).abs() <= 1e-6);
+}

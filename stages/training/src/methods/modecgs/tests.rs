@@ -1,0 +1,104 @@
+use shaders::check;
+use shaders::tape::Device;
+
+use super::*;
+use crate::bases::anchors::COARSE;
+use crate::dataset::Dataset;
+use crate::effects::Effects;
+use crate::sampler::{Stream, generator};
+use crate::supplements::NOTHING;
+use crate::test_scene::TestScene;
+
+/// The method and its state at the start of `fine` on the test scene.
+fn at_fine(effects: Effects, settings: Settings) -> (MotionDecomposition, ModelState<f64>, Dataset) {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
+    let method = MotionDecomposition::new(&Shared { effects, ..Modecgs::shared_defaults() }, settings);
+    let start = Start { dataset: &dataset, supplements: &NOTHING };
+    let points = dataset.capture.load_points().unwrap().unwrap();
+    let mut random = generator(5, Stream::Method);
+    let mut state = method.initialize(&start, &points, &mut random).unwrap();
+    for phase in [COARSE, FINE] {
+        state = method.enter_phase(phase, state, &start, &mut random).unwrap();
+    }
+    (method, state, dataset)
+}
+
+/// The positions of the Gaussians and the operations that it took.
+fn positions(
+    method: &MotionDecomposition,
+    state: &ModelState<f64>,
+    dataset: &Dataset,
+    phase: &str,
+    time: f64,
+) -> (Tensor<f64>, usize) {
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let moment = Moment { scene: &dataset.scene, phase, time, camera: &dataset.train[0].camera, sh_degree: 0 };
+    let splats = method.gaussians(&mut tape, &model, &moment).splats;
+    let operations = tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum();
+    (tape.value(splats.positions).clone(), operations)
+}
+
+#[test]
+fn nothing_moves_at_first_and_a_head_that_does_not_start_at_zero_moves() {
+    let zero = Settings {
+        deformation: DeformationSettings { zero_heads: true, ..DeformationSettings::tiny() },
+        ..Modecgs::tiny_settings()
+    };
+    let (method, state, dataset) = at_fine(Effects::Auto, zero);
+    let (still, _) = positions(&method, &state, &dataset, COARSE, 0.0);
+    for time in [0.0, 0.4, 1.0] {
+        check::agree(&positions(&method, &state, &dataset, FINE, time).0, &still, 1e-12).unwrap();
+    }
+    let (method, state, dataset) = at_fine(Effects::Auto, Modecgs::tiny_settings());
+    let (still, _) = positions(&method, &state, &dataset, COARSE, 0.0);
+    let (moved, _) = positions(&method, &state, &dataset, FINE, 0.4);
+    assert!(moved.shape() != still.shape() || check::agree(&moved, &still, 1e-3).is_err());
+}
+
+#[test]
+fn without_motion_there_are_no_tensors_and_no_operations_of_it() {
+    let none = Effects::Named(Default::default());
+    let (method, state, dataset) = at_fine(none, Modecgs::tiny_settings());
+    let is_static = |name: &str| name.starts_with("anchors.") && name != GATES || name.starts_with("views.");
+    assert!(state.names().all(is_static), "{:?}", state.names().collect::<Vec<_>>());
+    let (fine, in_fine) = positions(&method, &state, &dataset, FINE, 0.7);
+    let (coarse, in_coarse) = positions(&method, &state, &dataset, COARSE, 0.0);
+    assert_eq!((fine, in_fine), (coarse, in_coarse));
+    let (method, state, dataset) = at_fine(Effects::Auto, Modecgs::tiny_settings());
+    assert!(positions(&method, &state, &dataset, FINE, 0.7).1 > in_coarse, "motion takes operations");
+}
+
+#[test]
+fn a_closed_gate_holds_the_position_and_an_open_one_lets_all_of_it_through() {
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let mut constant = |columns: usize, value: f64| tape.constant(Tensor::full([2, columns], value));
+    let canonical = Anchors {
+        positions: constant(3, 1.0),
+        features: constant(2, 1.0),
+        offsets: constant(3, 1.0),
+        log_scales: constant(6, 1.0),
+    };
+    let change = AnchorChange {
+        positions: constant(3, 2.0),
+        features: constant(2, 2.0),
+        offsets: constant(3, 2.0),
+        log_scales: constant(6, 2.0),
+    };
+    let gates = tape.leaf(Tensor::from_vec([2, 2], vec![-6.0, 0.0, -3.0, 30.0]));
+    let moved = through_gates(&mut tape, gates, &canonical, &change);
+    check::agree(tape.value(moved.positions), &Tensor::from_vec([2, 3], vec![1.0, 1.0, 1.0, 3.0, 3.0, 3.0]), 1e-12)
+        .unwrap();
+    check::agree(tape.value(moved.features), &Tensor::from_vec([2, 2], vec![2.0, 2.0, 3.0, 3.0]), 1e-12).unwrap();
+    let gradient = tape.backward(&[(moved.positions, Tensor::full([2, 3], 1.0))]).take(gates).unwrap();
+    assert!(gradient.row(0)[0] > 0.0, "a closed gate learns to open");
+}
+
+#[test]
+fn times_of_a_segment_share_its_middle() {
+    let (method, ..) = at_fine(Effects::Auto, Modecgs::tiny_settings());
+    for (time, middle) in [(0.0, 0.0625), (0.12, 0.0625), (0.13, 0.1875), (0.999, 0.9375), (1.0, 0.9375)] {
+        assert_eq!(method.segment_time(time), middle);
+    }
+}
