@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use shaders::check;
 use shaders::pointwise::mul;
 use shaders::rows::{scale_rows, segment_sum};
-use shaders::tape::Device;
+use shaders::tape::{Device, Var};
 
 use super::*;
 use crate::bases::anchors::{Anchors, COARSE, DeformationSettings};

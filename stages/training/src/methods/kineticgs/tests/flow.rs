@@ -3,7 +3,7 @@
 use glam::DVec3;
 use scene::{Camera, DepthMap, FlowMap, Intrinsics};
 
-use super::super::energy_flow::Target;
+use super::super::energy_flow::{FlowView, Target, energy_flow};
 use super::*;
 use crate::supplements::{FlowPrior, ViewPriors};
 

@@ -1,5 +1,6 @@
 //! Neighbours, and how much each loss weighs when.
 
+use super::super::coherence::displacement_incoherence;
 use super::super::weights::LossSettings;
 use super::*;
 
