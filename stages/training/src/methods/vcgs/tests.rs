@@ -235,6 +235,8 @@ fn pruning_takes_the_faint_and_the_large_and_leaves_enough() {
         gradient_ndc: vec![[0.0; 2]; 5],
         visible: vec![true; 5],
         radius_px,
+        opacity: Vec::new(),
+        looks: Vec::new(),
     };
     assert_eq!(pruning.survivors(&logits), [true, false, true, true, true]);
     pruning.observe(&screen(vec![1.0, 1.0, 31.0, 1.0, 1.0]));
