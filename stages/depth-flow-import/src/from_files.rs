@@ -11,14 +11,14 @@ use crate::formats::{self, Content};
 use crate::params::{Alignment, DepthKind, MapKind};
 use crate::{FlowPrior, Params, Videos, ViewMaps, depth, flow, normals, raster};
 
-/// The sub-folders of one kind of map.
-const DEPTH: &str = "depth";
+/// The sub-folder of depth maps.
+pub const DEPTH: &str = "depth";
 /// Flow to a later frame, under the name of the earlier one.
-const FLOW_FORWARD: &str = "flow_fwd";
+pub const FLOW_FORWARD: &str = "flow_fwd";
 /// Flow to an earlier frame, under the name of the later one.
 const FLOW_BACKWARD: &str = "flow_bwd";
 /// Normals.
-const NORMALS: &str = "normal";
+pub const NORMALS: &str = "normal";
 
 /// The files of a folder, matched with the views of a capture.
 pub struct Files<'a> {

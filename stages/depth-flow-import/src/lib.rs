@@ -6,6 +6,7 @@
 pub mod alignment;
 mod artifact;
 pub mod depth;
+mod facts;
 pub mod flow;
 pub mod folder;
 pub mod formats;

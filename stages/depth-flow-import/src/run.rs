@@ -1,6 +1,6 @@
 //! The stage: reads maps, aligns and checks them, writes them in one format.
 
-use engine::{JobContext, ParamProblem, Port, Resources, Source, Stage};
+use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Source, Stage};
 use scene::Capture;
 
 use crate::alignment::median;
@@ -8,7 +8,7 @@ use crate::folder::bad;
 use crate::from_capture;
 use crate::from_files::{Files, Outcome};
 use crate::params::MapSource;
-use crate::{Params, PriorView, Priors, ViewMaps, per_view};
+use crate::{Params, PriorView, Priors, ViewMaps, facts, per_view};
 
 /// The name under which the engine hands over the folder of maps.
 const FOLDER: &str = "folder";
@@ -42,6 +42,10 @@ impl Stage for DepthFlowImport {
 
     fn check_params(params: &Params) -> Vec<ParamProblem> {
         params.problems()
+    }
+
+    fn facts(params: &Params, context: &PlanContext<'_>) -> Facts {
+        facts::of_priors(params, context)
     }
 
     fn resources(_params: &Params) -> Resources {

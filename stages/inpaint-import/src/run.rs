@@ -1,9 +1,9 @@
 //! The stage: the static part of every training view.
 
 use depth_flow_import::{Priors, per_view};
-use engine::{JobContext, ParamProblem, Port, Resources, Source, Stage};
+use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
 use layer_split::Layers;
-use scene::{Capture, Split};
+use scene::{Capture, Split, facts};
 
 use crate::imported::Frames;
 use crate::params::FillSource;
@@ -46,6 +46,30 @@ impl Stage for InpaintImport {
 
     fn check_params(params: &Params) -> Vec<ParamProblem> {
         params.problems()
+    }
+
+    /// Whether anything moves, and whether the filled images have depth.
+    fn facts(params: &Params, context: &PlanContext<'_>) -> Facts {
+        let known = |port: &str, fact| context.facts(port).and_then(|facts| facts.flag(fact));
+        let own =
+            if context.is_wired("priors") { known("priors", facts::DEPTH) } else { known("capture", facts::DEPTH) };
+        let depth = match (params.source, &params.depth_folder) {
+            (FillSource::Files, None) => Some(false),
+            (FillSource::Files, Some(_)) | (FillSource::Propagate, _) => own,
+        };
+        let told = [(facts::DEPTH, depth), (facts::MOVING, known("layers", facts::MOVING))];
+        let with = |known: Facts, (fact, flag): (&str, Option<bool>)| match flag {
+            Some(flag) => known.with(fact, flag),
+            None => known,
+        };
+        told.into_iter().fold(Facts::default(), with)
+    }
+
+    /// Inpainted frames without depth need no depth.
+    fn resolve(params: Params, _context: &PlanContext<'_>) -> Result<Resolution<Params>, Vec<ParamProblem>> {
+        let needs_depth = params.source == FillSource::Propagate || params.depth_folder.is_some();
+        let unread = if needs_depth { Default::default() } else { ["priors"].into() };
+        Ok(Resolution { unread, ..Resolution::unchanged(params) })
     }
 
     fn resources(_params: &Params) -> Resources {

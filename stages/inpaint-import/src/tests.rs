@@ -4,12 +4,12 @@ use std::path::Path;
 
 use depth_flow_import::Priors;
 use depth_flow_import::params::DepthKind;
-use engine::{Artifact as _, Coordinates, InputRecord, JobContext, Stage as _};
+use engine::{Artifact as _, Coordinates, Facts, InputRecord, JobContext, PlanContext, Stage as _};
 use layer_split::{Layers, Mask};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::image_file::{self, Rgb};
-use scene::{Capture, CaptureInfo, CaptureWriter, FloatImage, Frame, ResizeFilter, Split, View};
+use scene::{Capture, CaptureInfo, CaptureWriter, FloatImage, Frame, ResizeFilter, Split, View, facts};
 use scene_synthesis::{Background as Behind, CameraPath, Params as Scene, SceneKind, Truth};
 use tempfile::TempDir;
 
@@ -311,4 +311,23 @@ fn inpainted_depth_continues_that_of_the_view() {
     write(&|z| z, 0.0);
     let refused = painted.run(None, [frames.path(), depths.path()], &params).err().unwrap();
     assert!(format!("{refused:#}").contains("does not continue that of the view"), "{refused:#}");
+}
+
+#[test]
+fn depth_is_told_and_priors_are_read_where_depth_is_used() {
+    let told = |params: &Params, wired: bool| {
+        let depth = |has: bool| vec![Facts::default().with(facts::DEPTH, has)];
+        let mut inputs: std::collections::BTreeMap<_, _> = [("capture".to_owned(), depth(false))].into();
+        if wired {
+            inputs.insert("priors".into(), depth(true));
+        }
+        let context = PlanContext { data_root: Path::new(""), inputs };
+        let resolution = InpaintImport::resolve(params.clone(), &context).unwrap();
+        (InpaintImport::facts(params, &context).flag(facts::DEPTH), resolution.unread.contains("priors"))
+    };
+    assert_eq!(told(&Params::default(), true), (Some(true), false));
+    assert_eq!(told(&Params::default(), false), (Some(false), false));
+    assert_eq!(told(&files(), true), (Some(false), true));
+    let with_depth = Params { depth_folder: Some("depth".into()), ..files() };
+    assert_eq!(told(&with_depth, true), (Some(true), false));
 }

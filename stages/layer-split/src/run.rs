@@ -5,8 +5,10 @@ use std::path::Path;
 use depth_flow_import::folder::ViewFolder;
 use depth_flow_import::formats::{self, Content};
 use depth_flow_import::{Priors, per_view, raster};
-use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Source, Stage};
-use scene::{Capture, Split};
+use engine::{
+    Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage,
+};
+use scene::{Capture, Split, facts};
 
 use crate::mask::Mask;
 use crate::params::{LayerSource, Polarity};
@@ -43,6 +45,24 @@ impl Stage for LayerSplit {
 
     fn check_params(params: &Params) -> Vec<ParamProblem> {
         params.problems()
+    }
+
+    /// Whether anything moves is known from the capture.
+    fn facts(_params: &Params, context: &PlanContext<'_>) -> Facts {
+        let moving = context.facts("capture").and_then(|capture| capture.flag(facts::MOVING));
+        moving.map_or_else(Facts::default, |moving| Facts::default().with(facts::MOVING, moving))
+    }
+
+    /// Priors are read where nothing simpler decides.
+    fn resolve(params: Params, context: &PlanContext<'_>) -> Result<Resolution<Params>, Vec<ParamProblem>> {
+        let tells = |fact| context.facts("capture").and_then(|capture| capture.flag(fact)) == Some(true);
+        let decided = match params.source {
+            LayerSource::Auto => tells(facts::VELOCITY) || tells(facts::MASKS),
+            LayerSource::Files => true,
+            LayerSource::ResidualFlow => false,
+        };
+        let unread = if decided { ["priors"].into() } else { Default::default() };
+        Ok(Resolution { unread, ..Resolution::unchanged(params) })
     }
 
     fn resources(_params: &Params) -> Resources {

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use depth_flow_import::Priors;
-use engine::{Artifact as _, Coordinates, InputRecord, JobContext, Stage as _};
+use engine::{Artifact as _, Coordinates, Facts, InputRecord, JobContext, PlanContext, Stage as _};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use scene::{Capture, LabelMap, Split};
+use scene::{Capture, LabelMap, Split, facts};
 use scene_synthesis::{CameraPath, Params as Scene, SceneKind, Truth};
 use tempfile::TempDir;
 
@@ -213,4 +213,21 @@ fn masks_of_a_folder_follow_the_declared_polarity() {
     assert!(format!("{error:#}").contains("every pixel of every mask moves"), "{error:#}");
     let inverted = Params { polarity: Polarity::SetRests, ..matte };
     assert_eq!(agreement(&capture, &run(&capture, None, folder.path(), &inverted).unwrap().1), 0.0);
+}
+
+#[test]
+fn priors_are_read_only_where_they_decide() {
+    let unread = |source: LayerSource, capture: Facts| {
+        let context = PlanContext { data_root: Path::new(""), inputs: [("capture".to_owned(), vec![capture])].into() };
+        let params = Params { source, ..Params::default() };
+        let resolution = LayerSplit::resolve(params.clone(), &context).unwrap();
+        assert_eq!(resolution.params, params);
+        resolution.unread.contains("priors")
+    };
+    let masked = || Facts::default().with(facts::MASKS, true);
+    assert!(unread(LayerSource::Auto, masked()));
+    assert!(unread(LayerSource::Files, Facts::default()));
+    assert!(!unread(LayerSource::Auto, Facts::default()), "what is not known may be needed");
+    assert!(!unread(LayerSource::Auto, Facts::default().with(facts::VELOCITY, false)));
+    assert!(!unread(LayerSource::ResidualFlow, masked()));
 }

@@ -1,0 +1,71 @@
+//! What is known of priors before they are imported.
+
+use engine::{Facts, PlanContext};
+use scene::facts;
+
+use crate::Params;
+use crate::from_files::{DEPTH, FLOW_FORWARD, NORMALS};
+use crate::params::{MapKind, MapSource};
+
+/// Which maps there will be: those of the capture, or those whose folders are there.
+pub fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
+    let capture = context.facts("capture");
+    let folder = context.data_root.join(&params.folder);
+    let is_there = |name: &str| folder.is_dir().then(|| folder.join(name).is_dir());
+    let maps = [
+        (MapKind::Depth, facts::DEPTH, Some(DEPTH)),
+        (MapKind::Flow, facts::FLOW, Some(FLOW_FORWARD)),
+        (MapKind::Normals, facts::NORMALS, Some(NORMALS)),
+        (MapKind::Velocity, facts::VELOCITY, None),
+    ];
+    maps.into_iter().fold(Facts::default(), |known, (kind, fact, name)| {
+        let found = match (params.source, name) {
+            (MapSource::Capture, _) if kind == MapKind::Normals => Some(false),
+            (MapSource::Capture, _) => capture.and_then(|capture| capture.flag(fact)),
+            (MapSource::Files, None) => Some(false),
+            (MapSource::Files, Some(name)) => is_there(name),
+        };
+        match if params.wants(kind) { found } else { Some(false) } {
+            Some(found) => known.with(fact, found),
+            None => known,
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn context<'a>(data_root: &'a Path, capture: Facts) -> PlanContext<'a> {
+        PlanContext { data_root, inputs: [("capture".to_owned(), vec![capture])].into() }
+    }
+
+    const MAPS: [&str; 4] = [facts::DEPTH, facts::FLOW, facts::NORMALS, facts::VELOCITY];
+
+    fn flags(known: &Facts) -> [Option<bool>; 4] {
+        MAPS.map(|map| known.flag(map))
+    }
+
+    #[test]
+    fn a_capture_passes_on_what_it_has_and_what_is_wanted() {
+        let capture = Facts::default().with(facts::DEPTH, true).with(facts::FLOW, true);
+        let context = context(Path::new("nowhere"), capture);
+        let all = of_priors(&Params::default(), &context);
+        assert_eq!(flags(&all), [Some(true), Some(true), Some(false), None]);
+        let depth = Params { maps: [MapKind::Depth].into(), ..Params::default() };
+        assert_eq!(flags(&of_priors(&depth, &context)), [Some(true), Some(false), Some(false), Some(false)]);
+    }
+
+    #[test]
+    fn folders_tell_which_maps_they_hold() {
+        let root = tempfile::tempdir().unwrap();
+        let params = Params { source: MapSource::Files, folder: "maps".into(), ..Params::default() };
+        let absent = of_priors(&params, &context(root.path(), Facts::default()));
+        assert_eq!(flags(&absent), [None, None, None, Some(false)]);
+        std::fs::create_dir_all(root.path().join("maps/flow_fwd")).unwrap();
+        let flow = of_priors(&params, &context(root.path(), Facts::default()));
+        assert_eq!(flags(&flow), [Some(false), Some(true), Some(false), Some(false)]);
+    }
+}
