@@ -2,5 +2,7 @@
 
 mod softmax;
 mod top_k;
+mod window;
 
 pub use top_k::{TopKAttention, top_k_attention};
+pub use window::window_attention;

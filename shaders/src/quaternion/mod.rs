@@ -10,7 +10,8 @@ mod tests;
 pub use slerp::slerp;
 
 use crate::algebra::{
-    Quaternion, apply, conjugate, hamilton, normalised, normalised_backward, rotation, rotation_backward, transposed,
+    Quaternion, apply, conjugate, dot4, hamilton, normalised, normalised_backward, rotation, rotation_backward,
+    transposed,
 };
 use crate::rows::{RowMap, map_rows};
 use crate::tape::{Real, Tape, Var};
@@ -28,6 +29,12 @@ pub fn multiply<T: Real>(tape: &mut Tape<T>, p: Var, q: Var) -> Var {
 /// Vectors v [N, 3] turned by the directions of quaternions q [N, 4] → [N, 3].
 pub fn rotate<T: Real>(tape: &mut Tape<T>, q: Var, v: Var) -> Var {
     map_rows(tape, Rotate, [q, v])
+}
+
+/// q or −q, whichever is on the side of `reference`, row by row: both are the same rotation. The reference receives no
+/// gradient.
+pub fn align<T: Real>(tape: &mut Tape<T>, q: Var, reference: Var) -> Var {
+    map_rows(tape, Align, [q, reference])
 }
 
 /// A row of four.
@@ -74,6 +81,32 @@ impl RowMap<2> for Multiply {
         dp.copy_from_slice(&hamilton(four(dy), conjugate(four(q))));
         dq.copy_from_slice(&hamilton(conjugate(four(p)), four(dy)));
     }
+}
+
+struct Align;
+
+impl RowMap<2> for Align {
+    const NAME: &'static str = "quaternion_align";
+
+    fn output_columns(&self, columns: [usize; 2]) -> usize {
+        assert_eq!(columns, [4; 2], "quaternion_align: rows of four");
+        4
+    }
+
+    fn value<T: Real>(&self, [q, reference]: [&[T]; 2], y: &mut [T]) {
+        let sign = side(q, reference);
+        y.iter_mut().zip(q).for_each(|(y, &q)| *y = sign * q);
+    }
+
+    fn gradient<T: Real>(&self, [q, reference]: [&[T]; 2], _y: &[T], dy: &[T], [dq, _]: [&mut [T]; 2]) {
+        let sign = side(q, reference);
+        dq.iter_mut().zip(dy).for_each(|(dq, &dy)| *dq = sign * dy);
+    }
+}
+
+/// −1 where q points away from the reference, else 1.
+fn side<T: Real>(q: &[T], reference: &[T]) -> T {
+    if dot4(four(q), four(reference)) < T::ZERO { -T::ONE } else { T::ONE }
 }
 
 struct Rotate;

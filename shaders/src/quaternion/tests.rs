@@ -59,6 +59,23 @@ fn a_missing_share_of_the_gradient_is_rejected() {
 }
 
 #[test]
+fn aligned_quaternions_are_on_the_side_of_the_reference() {
+    let (q, reference) = (tensor(4, 1), tensor(4, 2));
+    gradients(|tape, vars| align(tape, vars[0], vars[1]), &[q.clone(), reference.clone()], TOLERANCE).unwrap();
+    let mut tape = Tape::new(Device::Cpu);
+    let vars = [q.clone(), reference.clone()].map(|input| tape.constant(input));
+    let aligned = align(&mut tape, vars[0], vars[1]);
+    let mut turned = 0;
+    for row in 0..9 {
+        let (aligned, q, reference) = (tape.value(aligned).row(row), q.row(row), reference.row(row));
+        assert!(aligned.iter().zip(reference).map(|(a, b)| a * b).sum::<f64>() >= 0.0);
+        turned += usize::from(aligned.iter().zip(q).all(|(aligned, q)| *aligned == -q));
+        assert!(aligned.iter().zip(q).all(|(aligned, q)| aligned.abs() == q.abs()));
+    }
+    assert!((1..9).contains(&turned), "{turned} of 9 turned");
+}
+
+#[test]
 fn products_are_rotations_one_after_the_other() {
     let (p, q, v) = ([0.3, -0.4, 0.5, 0.7], [0.8, 0.1, -0.6, 0.2], [0.2, -1.0, 0.4]);
     let turned = value(|tape, vars| rotate(tape, vars[0], vars[1]), &[&q, &v]);

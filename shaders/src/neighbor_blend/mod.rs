@@ -1,0 +1,27 @@
+//! Points that follow control nodes: every point takes part in the motion of its K nearest nodes (Huang et al. 2024,
+//! SC-GS, equations 2 to 4).
+//!
+//! [`Neighbors`] says who follows whom and is not differentiated; [`weights`], [`blend`] and [`blend_frames`] are, in the
+//! positions of points and nodes, the nodes' radii, gates and motions. What flows back to a node is summed over its
+//! followers in ascending order, so that no result depends on the number of threads.
+
+mod blend;
+mod frames;
+mod nearest;
+#[cfg(test)]
+mod tests;
+mod weights;
+
+pub use blend::blend;
+pub use frames::{Frames, blend_frames};
+pub use nearest::Neighbors;
+pub use weights::weights;
+
+use rayon::prelude::*;
+
+use crate::tape::Real;
+
+/// Calls `body(row, values of the row)` for every row of `columns` values, in parallel.
+fn for_each_row<T: Real>(values: &mut [T], columns: usize, body: impl Fn(usize, &mut [T]) + Sync) {
+    values.par_chunks_mut(columns).enumerate().with_min_len(32).for_each(|(row, values)| body(row, values));
+}
