@@ -21,6 +21,8 @@ pub mod step;
 pub mod supplements;
 #[cfg(test)]
 mod test_scene;
+#[cfg(test)]
+mod test_training;
 pub mod trainer;
 
 pub use artifact::{Model, ModelHeader, NamedTensor};

@@ -39,6 +39,11 @@ impl LogLinear {
         Self { steps: stretch(self.steps, factor), ..*self }
     }
 
+    /// What is left of the law after so many steps.
+    pub fn after(&self, steps: u64) -> Self {
+        Self { start: self.at(steps), end: self.end, steps: self.steps.saturating_sub(steps).max(1) }
+    }
+
     /// Positive and finite at both ends, over at least one step.
     pub fn is_valid(&self) -> bool {
         let good = |rate: f64| rate > 0.0 && rate.is_finite();
@@ -63,6 +68,15 @@ mod tests {
         }
         assert_eq!(LogLinear::constant(0.05).at(7), 0.05);
         assert!((law.stretched(0.5).at(25) / 1e-3 - 1.0).abs() <= 1e-12);
+    }
+
+    #[test]
+    fn the_rest_of_a_law_goes_on_where_it_was_left() {
+        let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
+        for (left_at, step) in [(30, 20), (30, 70), (30, 500), (0, 50), (100, 3), (200, 3)] {
+            let (rest, whole) = (law.after(left_at).at(step), law.at(left_at + step));
+            assert!((rest / whole - 1.0).abs() <= 1e-12, "left at {left_at}, step {step}: {rest} instead of {whole}");
+        }
     }
 
     #[test]

@@ -2,16 +2,23 @@
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
 use shaders::linear::{Activation, linear};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::state::{ModelState, Variables};
 
-/// How the first weights are drawn; biases are uniform in ±1/√inputs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How the first weights and biases are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FirstWeights {
-    /// Uniform in ±√(6 / (inputs + outputs)) (Glorot and Bengio 2010).
+    /// Uniform in ±√(6 / (inputs + outputs)) (Glorot and Bengio 2010); biases in ±1/√inputs.
     Xavier,
+    /// Weights and biases uniform in ±1/√inputs, where PyTorch starts unless told otherwise.
+    FanIn,
+    /// Uniform in ±√(6 / inputs) (He et al. 2015); no biases.
+    He,
+    /// Normal with this standard deviation; no biases.
+    Normal(f64),
     /// Zero weights and biases: the layer's output is zero at the start.
     Zero,
 }
@@ -25,12 +32,22 @@ pub fn insert_layer<T: Real>(
     first: FirstWeights,
     random: &mut ChaCha8Rng,
 ) {
-    let (weight_bound, bias_bound) = match first {
-        FirstWeights::Xavier => ((6.0 / (inputs + outputs) as f64).sqrt(), (1.0 / inputs as f64).sqrt()),
-        FirstWeights::Zero => (0.0, 0.0),
+    let fan_in = (1.0 / inputs as f64).sqrt();
+    let within = |bound: f64, shape: &[usize], random: &mut ChaCha8Rng| uniform(shape, -bound, bound, random);
+    let (weight_shape, bias_shape) = ([outputs, inputs], [outputs]);
+    let weight = match first {
+        FirstWeights::Xavier => within((6.0 / (inputs + outputs) as f64).sqrt(), &weight_shape, random),
+        FirstWeights::FanIn => within(fan_in, &weight_shape, random),
+        FirstWeights::He => within((6.0 / inputs as f64).sqrt(), &weight_shape, random),
+        FirstWeights::Normal(deviation) => normal(&weight_shape, deviation, random),
+        FirstWeights::Zero => within(0.0, &weight_shape, random),
     };
-    state.insert(format!("{name}.weight"), uniform(&[outputs, inputs], -weight_bound, weight_bound, random));
-    state.insert(format!("{name}.bias"), uniform(&[outputs], -bias_bound, bias_bound, random));
+    let bias_bound = match first {
+        FirstWeights::Xavier | FirstWeights::FanIn => fan_in,
+        FirstWeights::He | FirstWeights::Normal(_) | FirstWeights::Zero => 0.0,
+    };
+    state.insert(format!("{name}.weight"), weight);
+    state.insert(format!("{name}.bias"), within(bias_bound, &bias_shape, random));
 }
 
 /// f(x·Wᵀ + b) with the tensors of [`insert_layer`].
@@ -62,5 +79,14 @@ pub fn apply_matrix<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, 
 /// A tensor of uniform draws, the same in every precision.
 pub fn uniform<T: Real>(shape: &[usize], low: f64, high: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
     let draw = |_| T::from_f64(low + (high - low) * random.random::<f64>());
+    Tensor::from_vec(shape, (0..shape.iter().product()).map(draw).collect())
+}
+
+/// A tensor of normal draws around 0, the same in every precision.
+pub fn normal<T: Real>(shape: &[usize], deviation: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
+    let draw = |_| {
+        let standard: f64 = StandardNormal.sample(random);
+        T::from_f64(deviation * standard)
+    };
     Tensor::from_vec(shape, (0..shape.iter().product()).map(draw).collect())
 }

@@ -1,6 +1,8 @@
 //! What methods are built from. Bases know the trainer's vocabulary and no method.
 
 pub mod anchors;
+pub mod canonical;
+pub mod coordinate_mlp;
 pub mod gates;
 pub mod gaussians;
 pub mod heads;

@@ -1,5 +1,6 @@
 //! The methods: one folder each, one line each in [`registry`]. No method imports another.
 
+mod deformable3dgs;
 mod deformable4dgs;
 mod kineticgs;
 mod l4dgs;
@@ -22,6 +23,7 @@ use crate::params::{Shared, TrainingParams};
 pub fn registry() -> Vec<Registration> {
     vec![
         Registration::of::<static3dgs::Static3dgs>(), //
+        Registration::of::<deformable3dgs::Deformable3dgs>(),
         Registration::of::<deformable4dgs::Deformable4dgs>(),
         Registration::of::<l4dgs::L4dgs>(),
         Registration::of::<vcgs::Vcgs>(),

@@ -25,6 +25,7 @@ pub struct AdaptiveDensity {
     population: String,
     params: Density,
     reset_at_start: bool,
+    steps_before: u64,
     statistics: Statistics,
 }
 
@@ -46,7 +47,13 @@ impl AdaptiveDensity {
             opacity_reset_interval: stretch(params.opacity_reset_interval, schedule_scale),
             ..params.clone()
         };
-        Self { population: population.into(), params, reset_at_start, statistics: Statistics::default() }
+        let statistics = Statistics::default();
+        Self { population: population.into(), params, reset_at_start, steps_before: 0, statistics }
+    }
+
+    /// The same schedule in a phase that goes on where earlier ones, of so many steps together, ended.
+    pub fn after(self, steps_before: u64) -> Self {
+        Self { steps_before, ..self }
     }
 
     fn tensor<'a>(&self, optimizer: &'a Optimizer, attribute: &str) -> anyhow::Result<&'a [f32]> {
@@ -170,6 +177,7 @@ impl PopulationControl for AdaptiveDensity {
     ) -> anyhow::Result<()> {
         let Density { interval, from, until, prune_interval, prune_above_count, opacity_reset_interval, .. } =
             self.params;
+        let iteration = self.steps_before + iteration;
         if iteration >= until {
             return Ok(());
         }

@@ -1,0 +1,262 @@
+//! The coordinate network of Deformable 3D Gaussians (Yang et al. 2024, section 3.3): where and when, positionally encoded,
+//! pass eight layers of 256 ReLUs, between which the input is joined in once more; linear heads say what changes.
+
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use shaders::linear::Activation;
+use shaders::positional_encoding::PositionalEncoding;
+use shaders::rows::{RowIndex, concat_columns, gather};
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables, belongs};
+
+/// Coordinates of a position.
+const AXES: usize = 3;
+
+/// Sizes, encodings and step sizes of the network; by default the published ones for synthetic scenes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CoordinateMlpSettings {
+    /// Hidden layers.
+    pub depth: usize,
+    /// Width of the hidden layers.
+    pub width: usize,
+    /// The layer after which the encoded input is joined in again, counted from 1; 0 for never.
+    pub skip_after: usize,
+    /// Frequencies of the encoded position.
+    pub position_bands: usize,
+    /// Frequencies of the encoded time.
+    pub time_bands: usize,
+    /// What a small network makes of the encoded time before it enters; 0 where it enters as it is, as in the published
+    /// settings for real scenes, together with 10 bands.
+    pub time_features: usize,
+    /// Step sizes.
+    pub rate: LogLinear,
+}
+
+impl Default for CoordinateMlpSettings {
+    fn default() -> Self {
+        Self {
+            depth: 8,
+            width: 256,
+            skip_after: 5,
+            position_bands: 10,
+            time_bands: 6,
+            time_features: 30,
+            rate: LogLinear { start: 8e-4, end: 1.6e-6, steps: 40_000 },
+        }
+    }
+}
+
+/// A layer beyond takes gigabytes; whoever asks for more mistyped.
+const MOST_CHANNELS: usize = 4096;
+/// At 2²⁰ the phase of a coordinate of 1 is lost in the rounding of f32.
+const MOST_BANDS: usize = 20;
+
+impl CoordinateMlpSettings {
+    /// Small, with every part.
+    #[cfg(test)]
+    pub(crate) fn tiny() -> Self {
+        Self {
+            depth: 3,
+            width: 8,
+            skip_after: 2,
+            position_bands: 2,
+            time_bands: 2,
+            time_features: 3,
+            ..Self::default()
+        }
+    }
+
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        let good = [
+            ((1..=64).contains(&self.depth), "depth must be 1 to 64"),
+            ((1..=MOST_CHANNELS).contains(&self.width), "width must be 1 to 4096"),
+            (self.skip_after < self.depth, "skip_after must be less than depth"),
+            (self.position_bands.max(self.time_bands) <= MOST_BANDS, "bands must be 20 at most"),
+            (self.time_features <= MOST_CHANNELS, "time_features must be 4096 at most"),
+            (self.rate.is_valid(), "rates must be positive"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+}
+
+/// A linear map of the last hidden layer.
+#[derive(Clone, Copy, Debug)]
+pub struct Head {
+    /// As `position`; its tensors are `{network}.{name}.…`.
+    pub name: &'static str,
+    /// Columns.
+    pub outputs: usize,
+    /// How it starts.
+    pub first: FirstWeights,
+}
+
+/// A network with its heads; its tensors are called `{name}.…`.
+#[derive(Clone, Debug)]
+pub struct CoordinateMlp {
+    name: &'static str,
+    settings: CoordinateMlpSettings,
+    first: FirstWeights,
+    heads: Vec<Head>,
+}
+
+impl CoordinateMlp {
+    /// A network whose hidden layers start as `first` says.
+    pub fn new(name: &'static str, settings: &CoordinateMlpSettings, first: FirstWeights, heads: &[Head]) -> Self {
+        Self { name, settings: settings.clone(), first, heads: heads.to_vec() }
+    }
+
+    /// Adds all layers.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+        let CoordinateMlpSettings { depth, width, time_features, .. } = self.settings;
+        if time_features > 0 {
+            let columns = self.time_encoding().columns(1);
+            insert_layer(state, &self.tensor("time.0"), columns, width, self.first, random);
+            insert_layer(state, &self.tensor("time.1"), width, time_features, self.first, random);
+        }
+        for layer in 0..depth {
+            let before = if layer == 0 { 0 } else { width };
+            let joined = if self.joins_input(layer) { self.input_columns() } else { 0 };
+            insert_layer(state, &self.layer(layer), before + joined, width, self.first, random);
+        }
+        for head in &self.heads {
+            insert_layer(state, &self.tensor(head.name), width, head.outputs, head.first, random);
+        }
+    }
+
+    /// The step sizes of this network's tensors.
+    pub fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
+        belongs(tensor, self.name).then_some(self.settings.rate)
+    }
+
+    /// The last hidden layer at every position [N, 3] and time in [0, 1]: [T·N, width], time by time.
+    ///
+    /// Positions enter without gradient, as published: a Gaussian does not move to where the motion suits it better.
+    pub fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
+        let input = self.input(tape, model, positions, times);
+        let mut hidden = None;
+        for layer in 0..self.settings.depth {
+            let x = match hidden {
+                None => input,
+                Some(hidden) if self.joins_input(layer) => concat_columns(tape, &[input, hidden]),
+                Some(hidden) => hidden,
+            };
+            hidden = Some(apply_layer(tape, model, &self.layer(layer), x, Activation::Relu));
+        }
+        hidden.expect("at least one layer")
+    }
+
+    /// The output of a head for hidden rows.
+    pub fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+        apply_layer(tape, model, &self.tensor(head), hidden, Activation::Identity)
+    }
+
+    /// Encoded positions beside what is made of the times: [T·N, input columns].
+    fn input<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
+        let held = tape.detach(positions);
+        let place = self.position_encoding().encode(tape, held);
+        let times_column = times.iter().map(|&time| T::from_f64(time)).collect();
+        let times_column = tape.constant(Tensor::from_vec([times.len(), 1], times_column));
+        let mut moment = self.time_encoding().encode(tape, times_column);
+        if self.settings.time_features > 0 {
+            let inner = apply_layer(tape, model, &self.tensor("time.0"), moment, Activation::Relu);
+            moment = apply_layer(tape, model, &self.tensor("time.1"), inner, Activation::Identity);
+        }
+        let rows = tape.value(positions).rows();
+        let items = || 0..(times.len() * rows);
+        let time_of_item = RowIndex::new(items().map(|item| (item / rows) as u32).collect(), times.len());
+        let moment_rows = gather(tape, moment, &time_of_item);
+        let place_rows = match times.len() {
+            1 => place,
+            _ => gather(tape, place, &RowIndex::new(items().map(|item| (item % rows) as u32).collect(), rows)),
+        };
+        concat_columns(tape, &[place_rows, moment_rows])
+    }
+
+    fn joins_input(&self, layer: usize) -> bool {
+        layer == 0 || layer == self.settings.skip_after
+    }
+
+    fn input_columns(&self) -> usize {
+        let time = match self.settings.time_features {
+            0 => self.time_encoding().columns(1),
+            features => features,
+        };
+        self.position_encoding().columns(AXES) + time
+    }
+
+    fn position_encoding(&self) -> PositionalEncoding {
+        PositionalEncoding { bands: self.settings.position_bands, with_input: true }
+    }
+
+    fn time_encoding(&self) -> PositionalEncoding {
+        PositionalEncoding { bands: self.settings.time_bands, with_input: true }
+    }
+
+    fn layer(&self, layer: usize) -> String {
+        self.tensor(&format!("hidden.{layer}"))
+    }
+
+    fn tensor(&self, part: &str) -> String {
+        format!("{}.{part}", self.name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shaders::check::noise;
+    use shaders::tape::Device;
+
+    use super::*;
+    use crate::sampler::{Stream, generator};
+
+    fn network(settings: &CoordinateMlpSettings) -> (CoordinateMlp, ModelState<f64>) {
+        let heads = [Head { name: "position", outputs: 3, first: FirstWeights::FanIn }];
+        let network = CoordinateMlp::new("network", settings, FirstWeights::FanIn, &heads);
+        let mut state = ModelState::new();
+        network.insert(&mut state, &mut generator(1, Stream::Initial));
+        (network, state)
+    }
+
+    #[test]
+    fn the_published_sizes() {
+        let (_, state) = network(&CoordinateMlpSettings::default());
+        let shape = |name: &str| state.get(name).unwrap().shape().to_vec();
+        assert_eq!(shape("network.time.0.weight"), [256, 13]);
+        assert_eq!(shape("network.hidden.0.weight"), [256, 63 + 30]);
+        assert_eq!(shape("network.hidden.4.weight"), [256, 256]);
+        assert_eq!(shape("network.hidden.5.weight"), [256, 63 + 30 + 256]);
+        assert_eq!(shape("network.position.weight"), [3, 256]);
+        let (_, real) = network(&CoordinateMlpSettings { time_bands: 10, time_features: 0, ..Default::default() });
+        assert_eq!(real.get("network.hidden.0.weight").unwrap().shape(), [256, 63 + 21]);
+        assert!(real.names().all(|name| !name.contains("time")));
+    }
+
+    #[test]
+    fn several_times_at_once_are_each_time_alone() {
+        let (network, state) = network(&CoordinateMlpSettings::tiny());
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| true);
+        let positions = tape.constant(Tensor::from_vec([4, 3], noise(12, 1)));
+        let together = network.hidden(&mut tape, &model, positions, &[0.1, 0.7]);
+        let alone = [0.1, 0.7].map(|time| network.hidden(&mut tape, &model, positions, &[time]));
+        let joined = alone.map(|hidden| tape.value(hidden).as_slice().to_vec()).concat();
+        assert_eq!(tape.value(together).as_slice(), joined);
+    }
+
+    #[test]
+    fn positions_receive_no_gradient_through_the_network() {
+        let (network, state) = network(&CoordinateMlpSettings::tiny());
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| true);
+        let positions = tape.leaf(Tensor::from_vec([4, 3], noise(12, 1)));
+        let hidden = network.hidden(&mut tape, &model, positions, &[0.3]);
+        let gradients = tape.backward(&[(hidden, Tensor::full([4, 8], 1.0))]);
+        assert!(gradients.get(positions).is_none());
+        assert!(gradients.get(model.get("network.time.0.weight")).is_some());
+    }
+}

@@ -1,0 +1,194 @@
+//! Deformable 3D Gaussians (Yang et al. 2024): a coordinate network moves every canonical Gaussian.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use scene::cloud::PointCloud;
+use serde::{Deserialize, Serialize};
+use shaders::pointwise::add;
+use shaders::quaternion;
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape};
+
+use super::MethodFolder;
+use crate::bases::canonical::{ALL, CanonicalGaussians, Moved, WARM_UP, moved, scales_and_rotations};
+use crate::bases::coordinate_mlp::{CoordinateMlp, CoordinateMlpSettings, Head};
+use crate::bases::gaussians::{self, GAUSSIANS};
+use crate::bases::layers::FirstWeights;
+use crate::effects::{Effect, Need};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, TrainingView};
+use crate::params::Shared;
+use crate::schedule::{LogLinear, stretch};
+use crate::state::{ModelState, Variables};
+
+/// What the network says: its heads start at random, as published.
+const HEADS: [Head; 3] = [
+    Head { name: "position", outputs: 3, first: FirstWeights::FanIn },
+    Head { name: "rotation", outputs: 4, first: FirstWeights::FanIn },
+    Head { name: "scale", outputs: 3, first: FirstWeights::FanIn },
+];
+
+/// The folder's entry.
+pub struct Deformable3dgs;
+
+/// What only this method understands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// The network.
+    pub network: CoordinateMlpSettings,
+    /// First standard deviation of the effect `time-noise`, in intervals between frames.
+    pub time_noise: f64,
+    /// Iterations after which nothing is left of it.
+    pub time_noise_until: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { network: CoordinateMlpSettings::default(), time_noise: 0.1, time_noise_until: 20_000 }
+    }
+}
+
+impl MethodFolder for Deformable3dgs {
+    const NAME: &'static str = "deformable3dgs";
+    const ABOUT: &'static str =
+        "Deformable 3D Gaussians: a coordinate network moves canonical Gaussians (Yang et al. 2024)";
+    type Settings = Settings;
+
+    fn shared_defaults() -> Shared {
+        Shared { iterations: BTreeMap::from([(WARM_UP.into(), 3000), (ALL.into(), 37_000)]), ..Shared::default() }
+    }
+
+    fn effects() -> Vec<Effect> {
+        vec![
+            Effect {
+                name: "motion",
+                about: "a coordinate network moves, turns and scales the Gaussians",
+                needs: &[Need::Times(2), Need::Motion],
+                by_default: true,
+            },
+            Effect {
+                name: "time-noise",
+                about: "annealed noise on the times of training views, against wrong poses of real scenes",
+                needs: &[Need::Times(2), Need::Motion],
+                by_default: false,
+            },
+        ]
+    }
+
+    fn check(settings: &Settings) -> Result<(), String> {
+        settings.network.check()?;
+        let noise = settings.time_noise;
+        if noise >= 0.0 && noise.is_finite() { Ok(()) } else { Err("time_noise must not be negative".into()) }
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> Settings {
+        Settings { network: CoordinateMlpSettings::tiny(), ..Settings::default() }
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
+        Box::new(DeformedGaussians {
+            canonical: CanonicalGaussians::new(shared),
+            network: CoordinateMlp::new("network", &settings.network, FirstWeights::FanIn, &HEADS),
+            moves: shared.effects.has("motion"),
+            has_time_noise: shared.effects.has("motion") && shared.effects.has("time-noise"),
+            shared: shared.clone(),
+            settings,
+        })
+    }
+}
+
+struct DeformedGaussians {
+    shared: Shared,
+    settings: Settings,
+    canonical: CanonicalGaussians,
+    network: CoordinateMlp,
+    moves: bool,
+    has_time_noise: bool,
+}
+
+impl<T: Real> Method<T> for DeformedGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        [WARM_UP, ALL].map(|name| self.canonical.phase(name)).to_vec()
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        self.canonical.insert(&mut state, start.scene(), points)?;
+        Ok(state)
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        mut state: ModelState<T>,
+        _start: &Start<'_>,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        if self.moves && phase == ALL {
+            self.network.insert(&mut state, random);
+        }
+        Ok(state)
+    }
+
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        let of_network = || Some(self.network.learning_rate(tensor)?.after(self.canonical.iterations(WARM_UP)));
+        self.canonical.learning_rate(phase, tensor, scene).or_else(of_network)
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
+        if !self.moves || moment.phase == WARM_UP {
+            return Ok(canonical);
+        }
+        let hidden = self.network.hidden(tape, model, canonical.positions, &[moment.time]);
+        let [shift, turn, growth] = HEADS.map(|head| self.network.head(tape, model, head.name, hidden));
+        let (_, raw_rotations) = scales_and_rotations(&canonical);
+        let unit_rotations = quaternion::normalize(tape, raw_rotations);
+        let positions = add(tape, canonical.positions, shift);
+        let rotations = add(tape, unit_rotations, turn);
+        Ok(moved(tape, canonical, Moved { positions, rotations, scale_changes: Some(growth) }))
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        for view in step.views {
+            step.clock.enter("motion");
+            let time = self.training_time(step, view);
+            let moment = Moment { time, ..step.moment(view) };
+            let splats = self.splats(step.tape, step.model, &moment)?;
+            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
+            step.photometric(rendered.color, view);
+        }
+        Ok(())
+    }
+
+    fn population_controls(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        vec![self.canonical.population_control(phase, scene)]
+    }
+}
+
+impl DeformedGaussians {
+    /// The time of a training view; with the effect `time-noise`, a little beside it while the training is young
+    /// (annealing smooth training, section 3.4).
+    fn training_time<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> f64 {
+        if !self.has_time_noise || step.phase == WARM_UP {
+            return view.time;
+        }
+        let scale = self.shared.schedule_scale;
+        let iteration = stretch(self.canonical.iterations(WARM_UP), scale) + step.iteration;
+        let until = stretch(self.settings.time_noise_until, scale);
+        let left = (1.0 - iteration as f64 / until.max(1) as f64).max(0.0);
+        let noise: f64 = StandardNormal.sample(step.random);
+        view.time + noise * self.settings.time_noise * left / step.scene.time_count as f64
+    }
+}
