@@ -2,6 +2,7 @@
 
 pub mod anchors;
 pub mod canonical;
+pub mod control_nodes;
 pub mod coordinate_mlp;
 pub mod gates;
 pub mod gaussians;

@@ -1,0 +1,93 @@
+//! Control nodes: a few hundred points that carry all Gaussians (Huang et al. 2024, SC-GS).
+//!
+//! | tensor | shape | |
+//! |---|---|---|
+//! | `nodes.positions` | [M, 3] | canonical, scene units |
+//! | `nodes.log_radii` | [M, 1] | logarithm of the reach, scene units |
+
+mod rigidity;
+mod selection;
+#[cfg(test)]
+mod tests;
+
+pub use rigidity::{Rigidity, published_decay};
+pub use selection::{farthest_points, sides};
+
+use serde::{Deserialize, Serialize};
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use crate::schedule::LogLinear;
+use crate::state::ModelState;
+
+/// The population of nodes.
+pub const NODES: &str = "nodes";
+
+/// How many nodes there are and whom they carry.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ControlNodeSettings {
+    /// Nodes.
+    pub count: usize,
+    /// Nodes that each Gaussian follows.
+    pub per_gaussian: usize,
+    /// First reach of a node, as a share of the size of all.
+    pub first_radius: f64,
+    /// Nodes that each node stays rigid to.
+    pub rigid_neighbors: usize,
+    /// Step sizes.
+    pub rate: LogLinear,
+}
+
+impl Default for ControlNodeSettings {
+    fn default() -> Self {
+        Self {
+            count: 512,
+            per_gaussian: 3,
+            first_radius: 0.1,
+            rigid_neighbors: 10,
+            rate: LogLinear { start: 8e-4, end: 1.6e-6, steps: 40_000 },
+        }
+    }
+}
+
+/// Every Gaussian is compared with every node; whoever asks for more mistyped.
+const MOST_NODES: usize = 65_536;
+
+impl ControlNodeSettings {
+    /// A few nodes.
+    #[cfg(test)]
+    pub(crate) fn tiny() -> Self {
+        Self { count: 5, rigid_neighbors: 3, first_radius: 0.5, ..Self::default() }
+    }
+
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        let few = |count: usize| (1..=MOST_NODES).contains(&count);
+        let good = [
+            (few(self.count) && few(self.per_gaussian), "nodes.count and nodes.per_gaussian must be 1 to 65536"),
+            (few(self.rigid_neighbors), "nodes.rigid_neighbors must be 1 to 65536"),
+            (self.first_radius > 0.0 && self.first_radius.is_finite(), "nodes.first_radius must be positive"),
+            (self.rate.is_valid(), "rates must be positive"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+}
+
+/// Adds nodes at these positions [M, 3] with one reach, scene units.
+pub fn insert_nodes<T: Real>(state: &mut ModelState<T>, positions: Tensor<T>, radius: f64) {
+    let radii = Tensor::full([positions.rows(), 1], T::from_f64(radius.ln()));
+    state.insert(format!("{NODES}.positions"), positions);
+    state.insert(format!("{NODES}.log_radii"), radii);
+}
+
+/// The chosen rows of a tensor.
+pub fn rows_of<T: Real>(tensor: &Tensor<T>, chosen: &[usize]) -> Tensor<T> {
+    let values = chosen.iter().flat_map(|&row| tensor.row(row)).copied().collect();
+    Tensor::from_vec([chosen.len(), tensor.row_len()], values)
+}
+
+/// (1, 0, 0, 0) in every row: no rotation.
+pub fn identity_rotations<T: Real>(tape: &mut Tape<T>, rows: usize) -> Var {
+    let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO];
+    tape.constant(Tensor::from_vec([rows, 4], identity.repeat(rows)))
+}

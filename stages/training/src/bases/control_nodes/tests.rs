@@ -1,0 +1,87 @@
+use glam::{DQuat, DVec3};
+use shaders::check::{TOLERANCE, gradients, noise};
+use shaders::tape::{Device, Tape, Var};
+
+use super::*;
+
+fn tensor(rows: usize, columns: usize, seed: u64) -> Tensor<f64> {
+    Tensor::from_vec([rows, columns], noise(rows * columns, seed))
+}
+
+fn energy(rigidity: &Rigidity, before: &Tensor<f64>, after: &Tensor<f64>) -> f64 {
+    let mut tape = Tape::new(Device::Cpu);
+    let [before, after] = [before, after].map(|positions| tape.constant(positions.clone()));
+    let energy = rigidity.energy(&mut tape, before, after);
+    tape.value(energy).as_slice()[0]
+}
+
+/// Every row turned and shifted.
+fn rigidly_moved(positions: &Tensor<f64>, rotation: DQuat) -> Tensor<f64> {
+    let shift = DVec3::new(0.3, -2.0, 0.7);
+    let moved =
+        (0..positions.rows()).flat_map(|row| (rotation * DVec3::from_slice(positions.row(row)) + shift).to_array());
+    Tensor::from_vec(positions.shape(), moved.collect())
+}
+
+#[test]
+fn farthest_points_spread_and_are_all_different() {
+    let line = Tensor::from_vec([6, 1], vec![0.0, 1.0, 2.0, 3.0, 10.0, 4.0]);
+    assert_eq!(farthest_points(&line, 3), [0, 4, 5]);
+    let points = tensor(200, 3, 1);
+    let mut chosen = farthest_points(&points, 50);
+    chosen.sort_unstable();
+    chosen.dedup();
+    assert_eq!(chosen.len(), 50);
+    assert_eq!(farthest_points(&line, 100).len(), 6);
+}
+
+#[test]
+fn a_rigid_motion_has_no_energy_and_a_stretch_has() {
+    let positions = tensor(40, 3, 1);
+    let rigidity = Rigidity::new(&positions, 6).unwrap();
+    for angle in [0.0, 0.4, 3.0] {
+        let rotation = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), angle);
+        let found = energy(&rigidity, &positions, &rigidly_moved(&positions, rotation));
+        assert!(found <= 1e-24, "angle {angle}: {found}");
+    }
+    let mut stretched = positions.clone();
+    stretched.make_mut().iter_mut().for_each(|value| *value *= 1.1);
+    // Each edge e is 0.1·e too long.
+    let lengths = energy(&rigidity, &Tensor::zeros([40, 3]), &positions);
+    assert!((energy(&rigidity, &positions, &stretched) - 0.01 * lengths).abs() <= 1e-12 * lengths);
+}
+
+#[test]
+fn the_energy_has_the_gradient_of_central_differences_though_rotations_are_fixed() {
+    let (before, after) = (tensor(9, 3, 1), tensor(9, 3, 2));
+    let rigidity = Rigidity::new(&before, 4).unwrap();
+    gradients(|tape, vars| rigidity.energy(tape, vars[0], vars[1]), &[before, after], TOLERANCE).unwrap();
+}
+
+#[test]
+fn a_gradient_for_other_rotations_is_rejected() {
+    let (before, after) = (tensor(9, 3, 1), tensor(9, 3, 2));
+    let rigidity = Rigidity::new(&before, 4).unwrap();
+    let faulty = |tape: &mut Tape<f64>, vars: &[Var]| {
+        let held = tape.detach(vars[0]);
+        rigidity.energy(tape, held, vars[1])
+    };
+    assert!(gradients(faulty, &[before, after], TOLERANCE).is_err());
+}
+
+#[test]
+fn degenerate_neighbourhoods_are_finite() {
+    let coincident = Tensor::zeros([4, 3]);
+    assert_eq!(energy(&Rigidity::new(&coincident, 3).unwrap(), &coincident, &coincident), 0.0);
+    let line = Tensor::from_vec([4, 3], (0..12).map(|at| if at % 3 == 0 { f64::from(at) } else { 0.0 }).collect());
+    let turned = rigidly_moved(&line, DQuat::from_rotation_z(1.0));
+    assert!(energy(&Rigidity::new(&line, 3).unwrap(), &line, &turned) <= 1e-24);
+    assert!(Rigidity::new(&Tensor::<f64>::zeros([1, 3]), 3).is_none());
+}
+
+#[test]
+fn the_published_weight_falls_by_ten_and_ends() {
+    let expected =
+        [(0.0, 1.0), (5000.0, 1.0), (7500.0, 0.1_f64.sqrt()), (10_000.0, 0.1), (20_000.0, 0.1), (20_001.0, 0.0)];
+    assert!(expected.iter().all(|&(iteration, share)| (published_decay(iteration) - share).abs() <= 1e-15));
+}

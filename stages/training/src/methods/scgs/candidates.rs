@@ -1,0 +1,58 @@
+//! Candidates for nodes: round Gaussians that the network moves, so that they come to lie where things move.
+
+use scene::cloud::PointCloud;
+use shaders::pointwise::{add, scale};
+use shaders::rows::{concat_columns, row_sum};
+use shaders::splat::{ShapeVars, SplatVars};
+use shaders::tape::{Real, Tape};
+
+use super::nodes::Nodes;
+use crate::bases::canonical::scales_and_rotations;
+use crate::bases::gaussians;
+use crate::method::{Moment, SceneFacts};
+use crate::params::LearningRates;
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables};
+
+/// The population of candidates.
+pub const CANDIDATES: &str = "candidates";
+
+/// Adds Gaussians on at most `count` of the points, evenly chosen.
+pub fn insert<T: Real>(
+    state: &mut ModelState<T>,
+    scene: &SceneFacts,
+    points: &PointCloud,
+    count: usize,
+    sh_degree: usize,
+) -> anyhow::Result<()> {
+    let chosen: Vec<usize> = match points.len() <= count {
+        true => (0..points.len()).collect(),
+        false => (0..count).map(|at| at * points.len() / count).collect(),
+    };
+    let points = PointCloud {
+        positions: chosen.iter().map(|&at| points.positions[at]).collect(),
+        colors: chosen.iter().map(|&at| points.colors[at]).collect(),
+    };
+    gaussians::insert_gaussians(state, CANDIDATES, &points, sh_degree, gaussians::LONE_SCALE * scene.extent)
+}
+
+/// Step sizes; a round Gaussian has no rotation to learn.
+pub fn learning_rate(rates: &LearningRates, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+    let rate = gaussians::learning_rate(rates, CANDIDATES, tensor, scene)?;
+    (tensor != "candidates.rotations").then_some(rate)
+}
+
+/// The candidates at a moment.
+pub fn splats<T: Real>(tape: &mut Tape<T>, model: &Variables, nodes: &Nodes, moment: &Moment<'_>) -> SplatVars {
+    let canonical = gaussians::static_splats(tape, model, CANDIDATES, moment.sh_degree);
+    let shift = nodes.translations(tape, model, canonical.positions, &[moment.time]);
+    let (log_scales, rotations) = scales_and_rotations(&canonical);
+    let sums = row_sum(tape, log_scales);
+    let mean = scale(tape, sums, 1.0 / 3.0);
+    let log_scales = concat_columns(tape, &[mean; 3]);
+    SplatVars {
+        positions: add(tape, canonical.positions, shift),
+        shape: ShapeVars::ScaleRotation { log_scales, rotations },
+        ..canonical
+    }
+}

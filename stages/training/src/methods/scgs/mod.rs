@@ -1,0 +1,253 @@
+//! SC-GS (Huang et al. 2024): a few hundred control nodes, moved by a coordinate network, carry all Gaussians.
+
+mod candidates;
+mod nodes;
+#[cfg(test)]
+mod tests;
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use serde::{Deserialize, Serialize};
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape};
+
+use super::MethodFolder;
+use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
+use crate::bases::control_nodes::{ControlNodeSettings, published_decay};
+use crate::bases::coordinate_mlp::CoordinateMlpSettings;
+use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::effects::{Effect, Need};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
+use crate::params::{Density, Shared};
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables};
+use candidates::CANDIDATES;
+use nodes::Nodes;
+
+/// Candidates for nodes learn, each drawn as a Gaussian.
+const CHOOSE_NODES: &str = "choose-nodes";
+
+/// The folder's entry.
+pub struct Scgs;
+
+/// What only this method understands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// The network that moves the nodes.
+    pub network: CoordinateMlpSettings,
+    /// The nodes.
+    pub nodes: ControlNodeSettings,
+    /// Learnt coordinates beside the three of space in which Gaussians look for their nodes.
+    pub features: usize,
+    /// Step size of the Gaussians' learnt coordinates.
+    pub feature_rate: f64,
+    /// Points that candidates for nodes start from, evenly chosen.
+    pub candidates: usize,
+    /// Candidates at most.
+    pub max_candidates: usize,
+    /// First weight of the effect `arap`.
+    pub rigidity: f64,
+    /// Weight of the effect `arap` among candidates.
+    pub candidate_rigidity: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            network: CoordinateMlpSettings::default(),
+            nodes: ControlNodeSettings { rate: LogLinear::constant(8e-4), ..ControlNodeSettings::default() },
+            features: 8,
+            feature_rate: 2.5e-3,
+            candidates: 2048,
+            max_candidates: 8192,
+            rigidity: 1e-4,
+            candidate_rigidity: 1e-2,
+        }
+    }
+}
+
+impl MethodFolder for Scgs {
+    const NAME: &'static str = "scgs";
+    const ABOUT: &'static str = "SC-GS: sparse control nodes carry canonical Gaussians (Huang et al. 2024)";
+    type Settings = Settings;
+
+    fn shared_defaults() -> Shared {
+        let iterations = [(CHOOSE_NODES, 7500), (WARM_UP, 3000), (ALL, 67_000)];
+        Shared {
+            iterations: iterations.map(|(phase, count)| (phase.into(), count)).into(),
+            density: Density { until: 50_000, ..Density::default() },
+            ..Shared::default()
+        }
+    }
+
+    fn effects() -> Vec<Effect> {
+        vec![
+            Effect {
+                name: "motion",
+                about: "control nodes carry the Gaussians",
+                needs: &[Need::Times(2), Need::Motion],
+                by_default: true,
+            },
+            Effect {
+                name: "arap",
+                about: "neighbouring nodes move as rigidly as possible",
+                needs: &[Need::Times(2), Need::Motion],
+                by_default: true,
+            },
+        ]
+    }
+
+    fn check(settings: &Settings) -> Result<(), String> {
+        settings.network.check()?;
+        settings.nodes.check()?;
+        let weights = [settings.rigidity, settings.candidate_rigidity];
+        let good = [
+            (settings.features <= 64, "features must be 64 at most"),
+            (settings.feature_rate > 0.0 && settings.feature_rate.is_finite(), "feature_rate must be positive"),
+            (settings.candidates > 0, "candidates must be at least 1"),
+            (settings.max_candidates >= settings.candidates, "max_candidates must not be less than candidates"),
+            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> Settings {
+        Settings {
+            network: CoordinateMlpSettings::tiny(),
+            nodes: ControlNodeSettings { rate: LogLinear::constant(8e-4), ..ControlNodeSettings::tiny() },
+            features: 2,
+            rigidity: 0.1,
+            candidate_rigidity: 0.1,
+            ..Settings::default()
+        }
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
+        let moves = shared.effects.has("motion");
+        Box::new(SparselyControlled {
+            canonical: CanonicalGaussians::new(shared),
+            nodes: Nodes::new(&settings),
+            moves,
+            is_rigid: moves && shared.effects.has("arap"),
+            shared: shared.clone(),
+            settings,
+        })
+    }
+}
+
+struct SparselyControlled {
+    shared: Shared,
+    settings: Settings,
+    canonical: CanonicalGaussians,
+    nodes: Nodes,
+    moves: bool,
+    is_rigid: bool,
+}
+
+impl<T: Real> Method<T> for SparselyControlled {
+    fn phases(&self) -> Vec<Phase> {
+        let candidates = match self.moves {
+            true => self.canonical.phase(CHOOSE_NODES),
+            false => Phase { name: CHOOSE_NODES, iterations: 0 },
+        };
+        vec![candidates, self.canonical.phase(WARM_UP), self.canonical.phase(ALL)]
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        if self.moves {
+            let degree = self.shared.harmonics.degree;
+            candidates::insert(&mut state, start.scene(), points, self.settings.candidates, degree)?;
+            self.nodes.insert_network(&mut state, random);
+        } else {
+            self.canonical.insert(&mut state, start.scene(), points)?;
+        }
+        Ok(state)
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        state: ModelState<T>,
+        start: &Start<'_>,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        if !self.moves || phase != WARM_UP {
+            return Ok(state);
+        }
+        let mut state = self.nodes.choose(state)?;
+        // The Gaussians start anew from the points that the candidates were taken from.
+        let points = start.dataset.initial_points(&self.shared.initial_points, self.shared.seed)?;
+        self.canonical.insert(&mut state, start.scene(), &points)?;
+        self.nodes.insert_gaussian_features(&mut state)?;
+        Ok(state)
+    }
+
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        if phase == CHOOSE_NODES && self.moves {
+            let of_candidates = candidates::learning_rate(&self.shared.learning_rates, tensor, scene);
+            return of_candidates.or_else(|| self.nodes.learning_rate_among_candidates(tensor));
+        }
+        let of_gaussians = self.canonical.learning_rate(phase, tensor, scene);
+        of_gaussians.or_else(|| self.nodes.learning_rate(tensor, phase == ALL, self.steps_before_all()))
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        if !self.moves {
+            return Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree));
+        }
+        if moment.phase == CHOOSE_NODES {
+            return Ok(candidates::splats(tape, model, &self.nodes, moment));
+        }
+        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
+        Ok(self.nodes.carry(tape, model, canonical, moment.time))
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        let population = if self.moves && step.phase == CHOOSE_NODES { CANDIDATES } else { GAUSSIANS };
+        for view in step.views {
+            step.clock.enter("motion");
+            let splats = self.splats(step.tape, step.model, &step.moment(view))?;
+            let rendered = step.render(&splats, None, view, Some(population))?;
+            step.photometric(rendered.color, view);
+        }
+        if self.is_rigid && step.phase != WARM_UP {
+            let weight = match step.phase {
+                CHOOSE_NODES => self.settings.candidate_rigidity,
+                _ => self.rigidity_weight(step.iteration),
+            };
+            self.nodes.add_rigidity(step, population, weight);
+        }
+        Ok(())
+    }
+
+    fn population_controls(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        if phase == CHOOSE_NODES {
+            let white = scene.background == [1.0; 3];
+            let density = Density { max_count: self.settings.max_candidates, ..self.shared.density.clone() };
+            let control = AdaptiveDensity::new(CANDIDATES, &density, self.shared.schedule_scale, white);
+            return if self.moves { vec![Box::new(control)] } else { Vec::new() };
+        }
+        vec![self.canonical.population_control(phase, scene)]
+    }
+}
+
+impl SparselyControlled {
+    /// Steps of the network before [`ALL`], before stretching.
+    fn steps_before_all(&self) -> u64 {
+        self.canonical.iterations(CHOOSE_NODES) + self.canonical.iterations(WARM_UP)
+    }
+
+    /// The weight of rigidity in [`ALL`]; its schedule counts the Gaussians' steps.
+    fn rigidity_weight(&self, iteration: u64) -> f64 {
+        let unstretched = iteration as f64 / self.shared.schedule_scale + self.canonical.iterations(WARM_UP) as f64;
+        self.settings.rigidity * published_decay(unstretched)
+    }
+}

@@ -1,0 +1,187 @@
+//! The nodes: how they are chosen, how they move, and whom they carry.
+
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+use shaders::neighbor_blend::{Frames, Neighbors, blend, blend_frames, weights};
+use shaders::pointwise::add;
+use shaders::rows::{RowIndex, concat_columns, gather};
+use shaders::splat::SplatVars;
+use shaders::tape::{Device, Real, Tape, Tensor, Var};
+
+use super::Settings;
+use super::candidates::CANDIDATES;
+use crate::bases::canonical::{Moved, moved, scales_and_rotations};
+use crate::bases::control_nodes::{NODES, Rigidity, farthest_points, identity_rotations, insert_nodes, rows_of, sides};
+use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
+use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::layers::FirstWeights;
+use crate::method::Step;
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables, belongs};
+
+/// What the network says of a node, with the published first weights: next to no motion.
+const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
+const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
+const SCALE: Head = Head { name: "scale", outputs: 3, first: FirstWeights::Normal(1e-8) };
+const FRAME: Head = Head { name: "frame", outputs: 4, first: FirstWeights::Normal(1e-4) };
+
+/// First learnt coordinates of Gaussians and of nodes (published code).
+const FIRST_FEATURES: [f64; 2] = [-1e-2, 1e-2];
+
+/// Moments at which the candidates' paths are compared.
+const PATH_TIMES: usize = 16;
+
+/// The two moments of the rigidity are this far apart at most, in shares of the whole time (published code).
+const RIGID_SPAN: f64 = 0.05;
+
+/// Nodes, or candidates, whose rigidity is computed at most (published code).
+const MOST_RIGID: usize = 512;
+
+/// The nodes and the network that moves them.
+pub struct Nodes {
+    settings: Settings,
+    network: CoordinateMlp,
+}
+
+impl Nodes {
+    /// With the method's settings.
+    pub fn new(settings: &Settings) -> Self {
+        let heads = [TRANSLATION, ROTATION, SCALE, FRAME];
+        let network = CoordinateMlp::new("network", &settings.network, FirstWeights::He, &heads);
+        Self { settings: settings.clone(), network }
+    }
+
+    /// Adds the network.
+    pub fn insert_network<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+        self.network.insert(state, random);
+    }
+
+    /// Candidates become nodes: those whose paths through time lie farthest apart. The rest of them is dropped.
+    pub fn choose<T: Real>(&self, candidates: ModelState<T>) -> anyhow::Result<ModelState<T>> {
+        let positions = candidates.get("candidates.positions")?.clone();
+        let chosen = farthest_points(&self.paths(&candidates, &positions), self.settings.nodes.count);
+        let mut state = ModelState::new();
+        let kept = candidates.into_iter().filter(|(name, _)| !belongs(name, CANDIDATES));
+        kept.for_each(|(name, tensor)| state.insert(name, tensor));
+        let positions = rows_of(&positions, &chosen);
+        let size = sides(&positions).into_iter().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
+        let count = positions.rows();
+        insert_nodes(&mut state, positions, self.settings.nodes.first_radius * size);
+        state.insert(format!("{NODES}.gates"), Tensor::zeros([count, 1]));
+        if self.settings.features > 0 {
+            let first = T::from_f64(FIRST_FEATURES[1]);
+            state.insert(format!("{NODES}.features"), Tensor::full([count, self.settings.features], first));
+        }
+        Ok(state)
+    }
+
+    /// Where every candidate is at several moments, side by side: [N, 3·moments].
+    fn paths<T: Real>(&self, state: &ModelState<T>, positions: &Tensor<T>) -> Tensor<T> {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let canonical = model.get("candidates.positions");
+        let places = (0..PATH_TIMES).map(|at| at as f64 / (PATH_TIMES - 1) as f64).map(|time| {
+            let shift = self.translations(&mut tape, &model, canonical, &[time]);
+            add(&mut tape, canonical, shift)
+        });
+        let places: Vec<Var> = places.collect();
+        let joined = concat_columns(&mut tape, &places);
+        assert_eq!(tape.value(joined).rows(), positions.rows());
+        tape.value(joined).clone()
+    }
+
+    /// Adds the learnt coordinates of the Gaussians.
+    pub fn insert_gaussian_features<T: Real>(&self, state: &mut ModelState<T>) -> anyhow::Result<()> {
+        let count = state.get("gaussians.positions")?.rows();
+        if self.settings.features > 0 {
+            let first = Tensor::full([count, self.settings.features], T::from_f64(FIRST_FEATURES[0]));
+            state.insert(format!("{GAUSSIANS}.node_features"), first);
+        }
+        Ok(())
+    }
+
+    /// Step sizes among candidates: of the network, as far as it moves them.
+    pub fn learning_rate_among_candidates(&self, tensor: &str) -> Option<LogLinear> {
+        let is_idle = |head: &Head| belongs(tensor, &format!("network.{}", head.name));
+        let rate = self.network.learning_rate(tensor)?;
+        (![ROTATION, SCALE, FRAME].iter().any(is_idle)).then_some(rate)
+    }
+
+    /// Step sizes of what belongs to nodes; until `with_nodes`, only the Gaussians' side of it learns.
+    pub fn learning_rate(&self, tensor: &str, with_nodes: bool, steps_before: u64) -> Option<LogLinear> {
+        if tensor == "gaussians.node_features" {
+            return Some(LogLinear::constant(self.settings.feature_rate));
+        }
+        let of_nodes = || belongs(tensor, NODES).then_some(self.settings.nodes.rate);
+        let rate = self.network.learning_rate(tensor).map(|law| law.after(steps_before)).or_else(of_nodes)?;
+        with_nodes.then_some(rate)
+    }
+
+    /// What the network adds to positions [N, 3] at each of the times: [T·N, 3], time by time.
+    pub fn translations<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
+        let hidden = self.network.hidden(tape, model, positions, times);
+        self.network.head(tape, model, TRANSLATION.name, hidden)
+    }
+
+    /// The Gaussians at a time: each is carried by the frames of its nodes, and takes over the blend of their changes.
+    pub fn carry<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, canonical: SplatVars, time: f64) -> SplatVars {
+        let positions = model.get("nodes.positions");
+        let hidden = self.network.hidden(tape, model, positions, &[time]);
+        let [translations, turns, growth, frame] =
+            [TRANSLATION, ROTATION, SCALE, FRAME].map(|head| self.network.head(tape, model, head.name, hidden));
+        let (neighbors, weights) = self.weights(tape, model, canonical.positions);
+        let identity = identity_rotations(tape, tape.value(frame).rows());
+        let rotations = add(tape, identity, frame);
+        let frames = Frames { positions, translations, rotations };
+        let carried = blend_frames(tape, weights, canonical.positions, frames, &neighbors);
+        let [turns, growth] = [turns, growth].map(|changes| blend(tape, weights, changes, &neighbors));
+        let (_, rotations) = scales_and_rotations(&canonical);
+        let rotations = add(tape, rotations, turns);
+        moved(tape, canonical, Moved { positions: carried, rotations, scale_changes: Some(growth) })
+    }
+
+    /// The nodes that each Gaussian follows, and how much, in space and learnt coordinates together.
+    fn weights<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, gaussians: Var) -> (Neighbors, Var) {
+        let nodes = model.get("nodes.positions");
+        let (points, nodes) = match self.settings.features {
+            0 => (gaussians, nodes),
+            _ => {
+                let points = concat_columns(tape, &[gaussians, model.get("gaussians.node_features")]);
+                (points, concat_columns(tape, &[nodes, model.get("nodes.features")]))
+            }
+        };
+        let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), self.settings.nodes.per_gaussian);
+        let (log_radii, gates) = (model.get("nodes.log_radii"), model.get("nodes.gates"));
+        let weights = weights(tape, points, nodes, log_radii, Some(gates), &neighbors);
+        (neighbors, weights)
+    }
+
+    /// The rigidity of nodes, or of candidates, between two moments close to each other.
+    pub fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, population: &str, weight: f64) {
+        if weight == 0.0 {
+            return;
+        }
+        let first = step.random.random::<f64>() * (1.0 - RIGID_SPAN);
+        let second = first + step.random.random::<f64>() * RIGID_SPAN;
+        let population = if population == CANDIDATES { CANDIDATES } else { NODES };
+        let positions = self.evenly(step.tape, step.model.get(&format!("{population}.positions")));
+        let per_node = self.settings.nodes.rigid_neighbors;
+        let Some(rigidity) = Rigidity::new(step.tape.value(positions), per_node) else { return };
+        let [before, after] = [first, second].map(|time| {
+            let shift = self.translations(step.tape, step.model, positions, &[time]);
+            add(step.tape, positions, shift)
+        });
+        let energy = rigidity.energy(step.tape, before, after);
+        step.add_loss("rigidity", weight, energy);
+    }
+
+    /// At most [`MOST_RIGID`] of the rows, evenly chosen.
+    fn evenly<T: Real>(&self, tape: &mut Tape<T>, positions: Var) -> Var {
+        let rows = tape.value(positions).rows();
+        if rows <= MOST_RIGID {
+            return positions;
+        }
+        let chosen = (0..MOST_RIGID).map(|at| (at * rows / MOST_RIGID) as u32).collect();
+        gather(tape, positions, &RowIndex::new(chosen, rows))
+    }
+}
