@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use depth_flow_import::alignment::{Fit, fit_scale_shift};
+use depth_flow_import::alignment::fit_scale_shift;
 use depth_flow_import::depth::inverse_depths;
 use depth_flow_import::folder::ViewFolder;
 use depth_flow_import::formats::{self, Content};
@@ -46,7 +46,7 @@ impl<'a> Frames<'a> {
     }
 
     /// The inpainted frame of a view where something moves, and the view itself elsewhere.
-    pub fn fill(&self, index: usize, view: &StillView) -> anyhow::Result<(FilledView, Option<Fit>)> {
+    pub fn fill(&self, index: usize, view: &StillView) -> anyhow::Result<FilledView> {
         let path = self.images[index].as_deref().expect("every training view has a frame");
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let frame = FloatImage::from_rgb(&image_file::read_rgb(path)?);
@@ -57,16 +57,13 @@ impl<'a> Frames<'a> {
             if moves { *frame.get_pixel(x, y) } else { *view.image.get_pixel(x, y) }
         };
         let image = RgbImage::from_fn(width, height, pick);
-        let (depth, fit) = match &self.depths[index] {
-            Some(path) => self.depth(path, view)?,
-            None => (None, None),
-        };
-        Ok((FilledView { image, depth, unfilled: Mask::empty(width, height).to_labels() }, fit))
+        let depth = self.depths[index].as_ref().map(|path| self.depth(path, view)).transpose()?;
+        Ok(FilledView { image, depth, unfilled: Mask::empty(width, height).to_labels() })
     }
 
     /// The view's depth where it is at rest, and elsewhere that of the inpainted frame, in the view's scale: scale and
     /// shift of inverse depth are fitted on the ring around what moves.
-    fn depth(&self, path: &Path, view: &StillView) -> anyhow::Result<(Option<DepthMap>, Option<Fit>)> {
+    fn depth(&self, path: &Path, view: &StillView) -> anyhow::Result<DepthMap> {
         let no_depth = || Failure::new(FailureKind::BadInput, "inpainted depth needs the depth of the view itself");
         let hint = "wire priors with depth to the port priors, or remove depth_folder";
         let own = view.depth.as_ref().ok_or_else(|| no_depth().hint(hint).at(path))?;
@@ -74,7 +71,7 @@ impl<'a> Frames<'a> {
         let (values, _) = raster::fitted(formats::read(path, Content::Depth)?, &view.camera.intrinsics, path)?;
         let inverse_depths = inverse_depths(&values, &view.camera, &kind).map_err(|error| error.at(path))?;
         if view.moving.count() == 0 {
-            return Ok((Some(own.clone()), None));
+            return Ok(own.clone());
         }
         let ring = view.moving.dilated(RING_PX[1]).without(&view.moving.dilated(RING_PX[0]));
         let on_ring = (0..ring.inside.len()).filter(|at| ring.inside[*at]);
@@ -90,6 +87,6 @@ impl<'a> Frames<'a> {
         };
         let pick = |at: usize| if view.moving.inside[at] { filled(at) } else { own.depth_view[at] };
         let depth_view = (0..own.depth_view.len()).map(pick).collect();
-        Ok((Some(DepthMap { depth_view, ..*own }), Some(fit)))
+        Ok(DepthMap { depth_view, ..*own })
     }
 }

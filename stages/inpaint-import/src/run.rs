@@ -101,7 +101,7 @@ impl Stage for InpaintImport {
             FillSource::Files => {
                 let depths = params.depth_folder.as_ref().map(|_| context.source(DEPTH_FOLDER)).transpose()?;
                 let frames = Frames::find(context.source(FOLDER)?, depths, &capture, params)?;
-                let fill = |index: usize| Ok(frames.fill(index, &load(index)?)?.0);
+                let fill = |index: usize| frames.fill(index, &load(index)?);
                 write(context, &capture, &views, &fill)?
             }
         };

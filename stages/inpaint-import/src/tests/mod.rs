@@ -1,15 +1,14 @@
 //! A square flies in front of a scene at rest; behind it lies what the capture showed before the square was painted in.
 
+mod imported;
+mod propagated;
+
 use std::path::Path;
 
-use depth_flow_import::Priors;
-use depth_flow_import::params::DepthKind;
 use engine::{Artifact as _, Coordinates, Facts, InputRecord, JobContext, PlanContext, Stage as _};
 use layer_split::{Layers, Mask};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use scene::image_file::{self, Rgb};
-use scene::{Capture, CaptureInfo, CaptureWriter, FloatImage, Frame, ResizeFilter, Split, View, facts};
+use scene::{Capture, CaptureInfo, CaptureWriter, Frame, Split, View, facts};
 use scene_synthesis::{Background as Behind, CameraPath, Params as Scene, SceneKind, Truth};
 use tempfile::TempDir;
 
@@ -75,8 +74,19 @@ impl Painted {
         folders: [&Path; 2],
         params: &Params,
     ) -> anyhow::Result<(TempDir, Background)> {
+        self.run_with(2, priors, folders, params)
+    }
+
+    fn run_with(
+        &self,
+        threads: usize,
+        priors: Option<&Path>,
+        folders: [&Path; 2],
+        params: &Params,
+    ) -> anyhow::Result<(TempDir, Background)> {
         let root = tempfile::tempdir()?;
         let mut context = JobContext::detached(root.path())?;
+        context.threads = threads;
         context.inputs.insert("capture".into(), input(&self.capture.dir));
         context.inputs.insert("layers".into(), input(&self.layers));
         context.inputs.insert("priors".into(), priors.map(input).unwrap_or_default());
@@ -179,10 +189,8 @@ fn input(dir: &Path) -> Vec<InputRecord> {
     }]
 }
 
-const NO_FOLDERS: [&str; 2] = ["", ""];
-
 fn no_folders() -> [&'static Path; 2] {
-    NO_FOLDERS.map(Path::new)
+    ["", ""].map(Path::new)
 }
 
 /// The square crosses the image.
@@ -190,127 +198,8 @@ fn crossing(frame: usize) -> (usize, usize) {
     (6 + 8 * frame, 40)
 }
 
-#[test]
-fn a_camera_at_rest_sees_everything_sooner_or_later() {
-    let painted = Painted::new(CameraPath::Rig, Behind::White, false, crossing);
-    let (_root, background) = painted.run(None, no_folders(), &Params::default()).unwrap();
-    assert_eq!(painted.errors(&background), (0.0, 0.0, 0.0), "no resampling, no guess");
-    assert_eq!(background.source, "propagate");
-    let held_out: Vec<_> = painted.capture.views_of(Split::Test).map(|(index, _)| index).collect();
-    assert!(held_out.iter().all(|index| background.load_view(*index).unwrap().is_none()));
-}
-
-#[test]
-fn what_is_never_seen_stays_unfilled_and_is_counted() {
-    let painted = Painted::new(CameraPath::Rig, Behind::White, false, |_| (30, 40));
-    let params = Params { margin_px: 0, ..Params::default() };
-    let (_root, background) = painted.run(None, no_folders(), &params).unwrap();
-    let expected = (SIDE * SIDE) as f64 / f64::from(SIZE * SIZE);
-    assert!((background.unfilled_share() - expected).abs() <= 1e-12, "{}", background.unfilled_share());
-    for (_, filled, mask) in painted.filled(&background) {
-        assert_eq!(Mask::from(&filled.unfilled), mask);
-        let inside = filled.image.pixels().zip(&mask.inside).filter(|(_, inside)| **inside);
-        assert!(inside.into_iter().all(|(pixel, _)| pixel.0 == [255; 3]), "nothing of what moves is left");
-    }
-}
-
-#[test]
-fn a_moving_camera_sees_behind_what_moves() {
-    for behind in [Behind::White, Behind::None] {
-        let painted = Painted::new(CameraPath::Arc, behind, true, crossing);
-        let (_root, background) = painted.run(None, no_folders(), &Params::default()).unwrap();
-        let (error, depth_error, unfilled) = painted.errors(&background);
-        eprintln!("{behind:?}: {error:.2} grey levels, depth {depth_error:.4}, unfilled {unfilled:.4}");
-        // Errors lie at the edges of textures and bodies, which no two views sample alike.
-        assert!(error <= 15.0, "{behind:?}: {error}");
-        assert!(depth_error <= 0.02, "{behind:?}: {depth_error}");
-        // What the square hides in every frame that could show it.
-        assert!(unfilled <= 0.25, "{behind:?}: {unfilled}");
-    }
-}
-
-#[test]
-fn wrong_depth_does_not_pass() {
-    let painted = Painted::new(CameraPath::Arc, Behind::None, true, crossing);
-    let dir = tempfile::tempdir().unwrap();
-    let wrong = |(at, view): (usize, &View)| {
-        let mut depth = painted.capture.load_depth(view).unwrap();
-        // Each view in another scale.
-        let factor = if at.is_multiple_of(2) { 0.8 } else { 1.2 };
-        depth.iter_mut().flat_map(|map| &mut map.depth_view).for_each(|z| *z *= factor);
-        let maps = depth_flow_import::ViewMaps { depth, ..Default::default() };
-        Priors::write_view(dir.path(), &view.name, view.camera, &maps).unwrap()
-    };
-    let views = painted.capture.views.iter().enumerate().map(wrong).collect();
-    Priors::save(dir.path(), "files", views).unwrap();
-    let (_root, background) = painted.run(Some(dir.path()), no_folders(), &Params::default()).unwrap();
-    let (error, depth_error, unfilled) = painted.errors(&background);
-    eprintln!("inconsistent depth: {error:.2} grey levels, depth {depth_error:.4}, unfilled {unfilled:.4}");
-    assert!(depth_error > 0.1 || unfilled > 0.5, "the oracle would accept {depth_error} {unfilled}");
-}
-
 fn files() -> Params {
     Params { source: FillSource::Files, folder: "frames".into(), ..Params::default() }
-}
-
-/// Writes the original images as an inpainter would: at another size, and nowhere exact.
-fn write_frames(painted: &Painted, dir: &Path) {
-    for (_, view) in painted.original.views_of(Split::Train) {
-        let image = FloatImage::from_rgb(&painted.original.load_image(view).unwrap());
-        let image = image.resized(104, 104, ResizeFilter::Lanczos3).to_rgb8().unwrap();
-        image_file::write_rgb(&dir.join(format!("{}.png", view.name)), &image).unwrap();
-    }
-}
-
-#[test]
-fn inpainted_frames_are_pasted_only_where_something_moves() {
-    let painted = Painted::new(CameraPath::Arc, Behind::None, false, crossing);
-    let frames = tempfile::tempdir().unwrap();
-    let refused = painted.run(None, [frames.path(), Path::new("")], &files()).err().unwrap();
-    assert!(format!("{refused:#}").contains("9 views have no file here"), "{refused:#}");
-    write_frames(&painted, frames.path());
-    let (_root, background) = painted.run(None, [frames.path(), Path::new("")], &files()).unwrap();
-    let (error, _, unfilled) = painted.errors(&background);
-    assert!(error <= 8.0 && unfilled == 0.0, "{error} {unfilled}");
-    for (view, filled, mask) in painted.filled(&background) {
-        let truth = painted.original.load_image(view).unwrap();
-        let margin = mask.dilated(files().margin_px);
-        let outside = filled.image.pixels().zip(truth.pixels()).zip(&margin.inside).filter(|(_, inside)| !**inside);
-        assert!(outside.into_iter().all(|((found, truth), _)| found == truth), "{}", view.name);
-    }
-}
-
-#[test]
-fn inpainted_depth_continues_that_of_the_view() {
-    let painted = Painted::new(CameraPath::Arc, Behind::None, true, crossing);
-    let (frames, depths) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    write_frames(&painted, frames.path());
-    let mut random = ChaCha8Rng::seed_from_u64(2);
-    let mut write = |value: &dyn Fn(f32) -> f32, wrong_share: f32| {
-        for (_, view) in painted.original.views_of(Split::Train) {
-            let depth = painted.original.load_depth(view).unwrap().unwrap();
-            let layers = Layers::open(&painted.layers).unwrap();
-            let index = painted.capture.views.iter().position(|other| other.name == view.name).unwrap();
-            let mask = Mask::from(&layers.load_moving(index).unwrap().unwrap()).dilated(2);
-            // Wrong values on the ring only: inside nothing could tell.
-            let mut pixel = |(at, z): (usize, &f32)| {
-                let is_wrong = !mask.inside[at] && random.random::<f32>() < wrong_share;
-                if is_wrong { 5.0 * random.random::<f32>() } else { value(*z) }
-            };
-            let values = depth.depth_view.iter().enumerate().map(&mut pixel).collect();
-            let path = depths.path().join(format!("{}.exr", view.name));
-            scene::exr_file::write(&path, SIZE, SIZE, &[("Z", values)]).unwrap();
-        }
-    };
-    write(&|z| 3.0 / z + 0.2, 0.3);
-    let params = Params { depth_folder: Some("depth".into()), depth_kind: DepthKind::InverseDepth, ..files() };
-    let (_root, background) = painted.run(None, [frames.path(), depths.path()], &params).unwrap();
-    let (_, depth_error, _) = painted.errors(&background);
-    assert!(depth_error <= 0.01, "{depth_error}");
-    // Planted fault: depth that was declared inverse depth.
-    write(&|z| z, 0.0);
-    let refused = painted.run(None, [frames.path(), depths.path()], &params).err().unwrap();
-    assert!(format!("{refused:#}").contains("does not continue that of the view"), "{refused:#}");
 }
 
 #[test]

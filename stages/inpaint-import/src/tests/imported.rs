@@ -1,0 +1,68 @@
+//! Frames as an inpainter would give them.
+
+use depth_flow_import::params::DepthKind;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scene::{FloatImage, ResizeFilter};
+
+use super::*;
+
+/// Writes the original images as an inpainter would: at another size, and nowhere exact.
+fn write_frames(painted: &Painted, dir: &Path) {
+    for (_, view) in painted.original.views_of(Split::Train) {
+        let image = FloatImage::from_rgb(&painted.original.load_image(view).unwrap());
+        let image = image.resized(104, 104, ResizeFilter::Lanczos3).to_rgb8().unwrap();
+        image_file::write_rgb(&dir.join(format!("{}.png", view.name)), &image).unwrap();
+    }
+}
+
+#[test]
+fn inpainted_frames_are_pasted_only_where_something_moves() {
+    let painted = Painted::new(CameraPath::Arc, Behind::None, false, crossing);
+    let frames = tempfile::tempdir().unwrap();
+    let refused = painted.run(None, [frames.path(), Path::new("")], &files()).err().unwrap();
+    assert!(format!("{refused:#}").contains("9 views have no file here"), "{refused:#}");
+    write_frames(&painted, frames.path());
+    let (_root, background) = painted.run(None, [frames.path(), Path::new("")], &files()).unwrap();
+    let (error, _, unfilled) = painted.errors(&background);
+    assert!(error <= 8.0 && unfilled == 0.0, "{error} {unfilled}");
+    for (view, filled, mask) in painted.filled(&background) {
+        let truth = painted.original.load_image(view).unwrap();
+        let margin = mask.dilated(files().margin_px);
+        let outside = filled.image.pixels().zip(truth.pixels()).zip(&margin.inside).filter(|(_, inside)| !**inside);
+        assert!(outside.into_iter().all(|((found, truth), _)| found == truth), "{}", view.name);
+    }
+}
+
+#[test]
+fn inpainted_depth_continues_that_of_the_view() {
+    let painted = Painted::new(CameraPath::Arc, Behind::None, true, crossing);
+    let (frames, depths) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    write_frames(&painted, frames.path());
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let mut write = |value: &dyn Fn(f32) -> f32, wrong_share: f32| {
+        for (_, view) in painted.original.views_of(Split::Train) {
+            let depth = painted.original.load_depth(view).unwrap().unwrap();
+            let layers = Layers::open(&painted.layers).unwrap();
+            let index = painted.capture.views.iter().position(|other| other.name == view.name).unwrap();
+            let mask = Mask::from(&layers.load_moving(index).unwrap().unwrap()).dilated(2);
+            // Wrong values on the ring only: inside nothing could tell.
+            let mut pixel = |(at, z): (usize, &f32)| {
+                let is_wrong = !mask.inside[at] && random.random::<f32>() < wrong_share;
+                if is_wrong { 5.0 * random.random::<f32>() } else { value(*z) }
+            };
+            let values = depth.depth_view.iter().enumerate().map(&mut pixel).collect();
+            let path = depths.path().join(format!("{}.exr", view.name));
+            scene::exr_file::write(&path, SIZE, SIZE, &[("Z", values)]).unwrap();
+        }
+    };
+    write(&|z| 3.0 / z + 0.2, 0.3);
+    let params = Params { depth_folder: Some("depth".into()), depth_kind: DepthKind::InverseDepth, ..files() };
+    let (_root, background) = painted.run(None, [frames.path(), depths.path()], &params).unwrap();
+    let (_, depth_error, _) = painted.errors(&background);
+    assert!(depth_error <= 0.01, "{depth_error}");
+    // Planted fault: depth that was declared inverse depth.
+    write(&|z| z, 0.0);
+    let refused = painted.run(None, [frames.path(), depths.path()], &params).err().unwrap();
+    assert!(format!("{refused:#}").contains("does not continue that of the view"), "{refused:#}");
+}
