@@ -1,5 +1,6 @@
 //! A square flies in front of a scene at rest; behind it lies what the capture showed before the square was painted in.
 
+mod chain;
 mod imported;
 mod propagated;
 
