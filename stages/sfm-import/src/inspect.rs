@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::Params;
 use crate::params::Format;
+use crate::recognise::{captures_below, recognise};
 use crate::source::{self, Quality, SourceCapture};
 
 /// Problems that are printed one by one.
@@ -75,8 +76,8 @@ pub fn describe(dir: &Path) -> anyhow::Result<String> {
 /// The capture in `dir`, or every capture directly below it; an error only where there is nothing to look at.
 pub fn inspect(dir: &Path) -> anyhow::Result<Vec<Summary>> {
     let dir = dir.canonicalize().with_context(|| format!("cannot open the folder: {}", dir.display()))?;
-    let below = source::captures_below(&dir);
-    if source::recognise(&dir, Format::Auto).is_err() && !below.is_empty() {
+    let below = captures_below(&dir);
+    if recognise(&dir, Format::Auto).is_err() && !below.is_empty() {
         return Ok(below.iter().map(|path| Summary::of(path)).collect());
     }
     Ok(vec![Summary::of(&dir)])
@@ -85,7 +86,7 @@ pub fn inspect(dir: &Path) -> anyhow::Result<Vec<Summary>> {
 impl Summary {
     /// Looks at everything but pixels.
     fn of(dir: &Path) -> Self {
-        let format = source::recognise(dir, Format::Auto).unwrap_or_default();
+        let format = recognise(dir, Format::Auto).unwrap_or_default();
         let unread = |failure| Self {
             path: dir.into(),
             format,

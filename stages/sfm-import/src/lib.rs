@@ -14,6 +14,7 @@ pub mod lens;
 pub mod nerfies;
 pub mod params;
 mod pixels;
+mod recognise;
 mod run;
 pub mod source;
 mod split;

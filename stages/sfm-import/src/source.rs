@@ -11,6 +11,7 @@ use serde::Serialize;
 use crate::colmap::model::ReprojectionError;
 use crate::lens::Lens;
 use crate::params::Format;
+use crate::recognise::recognise;
 use crate::{Params, blender, colmap, nerfies};
 
 /// Results of this crate: every error has a kind, a message, a hint and a file.
@@ -82,94 +83,11 @@ pub struct Frame {
 
 /// Reads the capture in `dir` as `params` say; opens no image beyond its header.
 pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
-    let source = match recognise(dir, params.format)? {
-        Format::Colmap => colmap::read(dir, params)?,
-        Format::Nerfies => nerfies::read(dir, params)?,
-        _ => blender::read(dir, params)?,
-    };
-    Ok(source)
-}
-
-/// The format of `dir`: what its files say, which must be `wanted` unless that is [`Format::Auto`].
-pub fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
-    if dir.is_file() {
-        return Err(bad("a capture is a folder, this is a file").hint("name the folder that the file lies in").at(dir));
+    match recognise(dir, params.format)? {
+        Format::Colmap => colmap::read(dir, params),
+        Format::Nerfies => nerfies::read(dir, params),
+        _ => blender::read(dir, params),
     }
-    if !dir.is_dir() {
-        let hint = "is --data-root right, and is the data downloaded?";
-        return Err(Failure::new(FailureKind::MissingData, "no such data folder").hint(hint).at(dir));
-    }
-    let found = formats_of(dir);
-    match (wanted, found.as_slice()) {
-        (Format::Auto, [format]) => Ok(*format),
-        (Format::Auto, [first, second, ..]) => {
-            let message = format!("the folder holds both a {} and a {} capture", first.name(), second.name());
-            let hint = format!("set format = \"{}\" or format = \"{}\"", first.name(), second.name());
-            Err(bad(message).hint(hint).at(dir))
-        }
-        (wanted, found) if found.contains(&wanted) => Ok(wanted),
-        _ => Err(unrecognised(dir, wanted)),
-    }
-}
-
-/// Every format whose files `dir` holds.
-fn formats_of(dir: &Path) -> Vec<Format> {
-    let present = [
-        (Format::Blender, blender::is_here(dir)),
-        (Format::Colmap, colmap::layout::sparse_dir(dir).is_some()),
-        (Format::Nerfies, nerfies::is_here(dir)),
-    ];
-    present.into_iter().filter(|(_, is_here)| *is_here).map(|(format, _)| format).collect()
-}
-
-/// The error for a folder that is not what was wanted: what was found, and what is supported.
-fn unrecognised(dir: &Path, wanted: Format) -> Failure {
-    let what = match wanted {
-        Format::Auto => "not a Blender/D-NeRF, COLMAP or Nerfies/HyperNeRF capture",
-        Format::Blender => "not a Blender/D-NeRF capture",
-        Format::Colmap => "not a COLMAP capture",
-        Format::Nerfies => "not a Nerfies/HyperNeRF capture",
-    };
-    let mut found: Vec<String> = children(dir);
-    let has = |name: &str| found.iter().any(|entry| entry == name);
-    let hint = if found.is_empty() {
-        "the folder is empty: is the data downloaded?".to_owned()
-    } else if let Some(child) = captures_below(dir).first() {
-        format!("it is a folder of captures: choose one, as {}", child.file_name().unwrap_or_default().display())
-    } else if has("cameras.bin") || has("cameras.txt") {
-        "this looks like part of a COLMAP model: name the folder that holds both the model and the images".into()
-    } else if has("transforms.json") {
-        "a single transforms.json (nerfstudio) is not read: split it into transforms_{train,val,test}.json".into()
-    } else if has("dataset.json") || has("camera") {
-        "the Nerfies/HyperNeRF layout needs camera/, metadata.json and dataset.json: is the data complete?".into()
-    } else if has("poses_bounds.npy") {
-        "poses_bounds.npy (LLFF, Neural 3D Video) is not read yet; a COLMAP model beside it would be".into()
-    } else {
-        "supported: transforms_{train,val,test}.json (Blender, D-NeRF), images/ beside \
-         sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), or camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
-         DyCheck)"
-            .into()
-    };
-    let more = found.len().saturating_sub(8);
-    found.truncate(8);
-    let listed = format!("{}{}", found.join(", "), if more > 0 { format!(" and {more} more") } else { String::new() });
-    let listed = if listed.is_empty() { "nothing".into() } else { listed };
-    bad(format!("{what} (found {listed})")).hint(hint).at(dir)
-}
-
-/// The folders directly below `dir` that are recognised as captures, sorted.
-pub fn captures_below(dir: &Path) -> Vec<PathBuf> {
-    let mut captures: Vec<PathBuf> = children(dir).iter().map(|name| dir.join(name)).collect();
-    captures.retain(|path| path.is_dir() && !formats_of(path).is_empty());
-    captures
-}
-
-/// Names of the entries of `dir`, sorted; folders end without a slash.
-fn children(dir: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
-    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
 }
 
 impl SourceCapture {

@@ -16,6 +16,7 @@ use scene::{Split, TimeMap, npy_file};
 use self::files::{Dataset, SceneFrame, SplitNames, ViewMetadata, camera, camera_path, metadata, parse};
 use crate::Params;
 use crate::params::Format;
+use crate::recognise::children;
 use crate::source::{Frame, Result, SourceCapture, bad, image_size};
 use crate::split;
 
@@ -131,11 +132,6 @@ impl Images {
 /// 2 for the folder `2x`.
 fn factor(name: &str) -> Option<u32> {
     name.strip_suffix('x')?.parse().ok().filter(|factor| *factor > 0)
-}
-
-fn children(dir: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
-    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
 /// What all views of a capture share.
