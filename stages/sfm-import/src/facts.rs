@@ -7,7 +7,8 @@ use engine::Facts;
 use scene::{Split, facts};
 
 use crate::params::Format;
-use crate::{Params, blender, source};
+use crate::recognise::recognise;
+use crate::{Params, source};
 
 /// What is known of the capture in `dir`. COLMAP models are not read for it: their points can take seconds.
 pub fn of_capture(dir: &Path, params: &Params) -> Facts {
@@ -16,7 +17,7 @@ pub fn of_capture(dir: &Path, params: &Params) -> Facts {
     if params.static_scene {
         return with_times(known, 1);
     }
-    if params.format == Format::Colmap || !blender::is_here(dir) {
+    if !matches!(recognise(dir, params.format), Ok(Format::Blender | Format::Nerfies)) {
         return known;
     }
     // What is wrong with the files is said when they are imported.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DMat3, DVec2, DVec3};
-use scene::{Camera, Split};
+use scene::{Camera, Split, facts};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -134,6 +134,11 @@ fn a_capture_is_imported_with_its_split_times_and_scale() {
     let points = capture.load_points().unwrap().unwrap();
     let first = DVec3::from(points.positions[0].map(f64::from));
     assert!(first.distance(SCALE * DVec3::new(0.5, -0.5, 0.5)) <= 1e-6, "{first}");
+    let known = crate::facts::of_capture(dir.path(), &Params::default());
+    assert_eq!(
+        (known.count(facts::TIMES), known.flag(facts::POINTS), known.flag(facts::MASKS)),
+        (Some(5), Some(true), Some(false))
+    );
     let text = describe(dir.path()).unwrap();
     for part in ["Nerfies, HyperNeRF", "24×16; 5 train, 2 test", "0 to 0.2000 s", "ready to import", "fps = 30.0"] {
         assert!(text.contains(part), "{part:?} is not in:\n{text}");
