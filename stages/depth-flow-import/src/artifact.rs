@@ -19,7 +19,7 @@ pub struct Priors {
     /// The folder; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// Where the maps come from: `capture` or `files`.
+    /// Where the maps come from: `capture`, `files` or `sparse-points`.
     pub source: String,
     /// One entry per view of the capture, in its order.
     pub views: Vec<PriorView>,

@@ -12,6 +12,7 @@ pub mod folder;
 pub mod formats;
 mod from_capture;
 mod from_files;
+mod from_points;
 mod normals;
 pub mod params;
 pub mod per_view;

@@ -35,6 +35,8 @@ pub enum MapSource {
     Capture,
     /// Estimators wrote them into a folder.
     Files,
+    /// Depth alone, interpolated between the capture's points: coarse, and that of the static scene.
+    SparsePoints,
 }
 
 /// A kind of map.

@@ -7,6 +7,7 @@ use crate::alignment::median;
 use crate::folder::bad;
 use crate::from_capture;
 use crate::from_files::{Files, Outcome};
+use crate::from_points;
 use crate::params::MapSource;
 use crate::{Params, PriorView, Priors, ViewMaps, facts, per_view};
 
@@ -35,7 +36,7 @@ impl Stage for DepthFlowImport {
 
     fn sources(params: &Params) -> Vec<Source> {
         match params.source {
-            MapSource::Capture => Vec::new(),
+            MapSource::Capture | MapSource::SparsePoints => Vec::new(),
             MapSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
         }
     }
@@ -62,6 +63,16 @@ impl Stage for DepthFlowImport {
                 let (views, _) = write_views(context, &capture, maps)?;
                 refuse_nothing(&views, &capture)?;
                 Ok(Priors::save(context.output_dir(), "capture", views)?)
+            }
+            MapSource::SparsePoints => {
+                let points = from_points::points(&capture)?;
+                let maps = |index: usize| {
+                    let depth = from_points::depth_view(&points, &capture.views[index].camera);
+                    Ok((ViewMaps { depth, ..ViewMaps::default() }, Outcome::default()))
+                };
+                let (views, _) = write_views(context, &capture, maps)?;
+                refuse_nothing(&views, &capture)?;
+                Ok(Priors::save(context.output_dir(), "sparse-points", views)?)
             }
             MapSource::Files => {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;

@@ -1,0 +1,102 @@
+//! Depth without an estimator: the capture's points, interpolated over each image.
+//!
+//! Structure from motion triangulates what stands still, so this is the depth of the static scene: what moves gets the
+//! depth of what is seen around it.
+
+use std::num::NonZero;
+
+use glam::{DVec2, DVec3};
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use scene::{Camera, Capture, DepthMap, PointCloud};
+
+use crate::folder::bad;
+use crate::raster::pixel_centers;
+
+/// Points that a pixel is interpolated from: enough to smooth the noise of single points, few enough to stay local.
+const NEIGHBORS: usize = 8;
+/// Fewer points in an image say nothing about its depth.
+const MIN_POINTS: usize = 16;
+/// Squared pixels added to each squared distance, so that a point on a pixel's centre does not silence all others.
+const SOFTENING_PX2: f64 = 1.0;
+
+/// The points of `capture`, of which depth is made.
+pub fn points(capture: &Capture) -> anyhow::Result<PointCloud> {
+    let hint = "structure from motion gives points; set source = \"files\" for maps of estimators";
+    let missing = || bad("the capture has no points to make depth of").hint(hint).at(&capture.dir);
+    Ok(capture.load_points()?.ok_or_else(missing)?)
+}
+
+/// View-space z of every pixel: the mean of the inverse depths of the nearest points in the image, weighted by the inverse
+/// squared distance in pixels (Shepard 1968); inverse depth is what is linear in the image of a plane. `None` where too few
+/// points are seen.
+pub fn depth_view(points: &PointCloud, camera: &Camera) -> Option<DepthMap> {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let size = DVec2::new(f64::from(width), f64::from(height));
+    let project = |point: &[f32; 3]| camera.project(DVec3::from(point.map(f64::from)));
+    let inside = |(pixel, _): &(DVec2, f64)| pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all();
+    let seen: Vec<(DVec2, f64)> = points.positions.iter().filter_map(project).filter(inside).collect();
+    if seen.len() < MIN_POINTS {
+        return None;
+    }
+    let pixels: Vec<[f64; 2]> = seen.iter().map(|(pixel, _)| pixel.to_array()).collect();
+    let tree: ImmutableKdTree<f64, 2> = ImmutableKdTree::new_from_slice(&pixels).ok()?;
+    let wanted = NonZero::new(NEIGHBORS).expect("not zero");
+    let depth = |center: DVec2| {
+        let found = tree.query(&center.to_array()).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
+        let (mut weighted, mut weights) = (0.0, 0.0);
+        for neighbor in found {
+            let weight = 1.0 / (neighbor.distance + SOFTENING_PX2);
+            weighted += weight / seen[neighbor.item as usize].1;
+            weights += weight;
+        }
+        (weights / weighted) as f32
+    };
+    Some(DepthMap { width, height, depth_view: pixel_centers(width, height).map(depth).collect() })
+}
+
+#[cfg(test)]
+mod tests {
+    use scene::Intrinsics;
+
+    use super::*;
+
+    fn camera() -> Camera {
+        let intrinsics =
+            Intrinsics { width: 40, height: 30, focal_x: 50.0, focal_y: 50.0, center_x: 20.0, center_y: 15.0 };
+        Camera::look_at(intrinsics, DVec3::new(0.0, -4.0, 1.0), DVec3::ZERO, DVec3::Z)
+    }
+
+    /// Points on the floor z = 0 and behind the camera.
+    fn floor(count: usize) -> PointCloud {
+        let mut cloud = PointCloud::random_in([[-2.0, -2.0, 0.0], [2.0, 3.0, 0.0]], count, 1);
+        cloud.positions.extend((0..count).map(|at| [at as f32, -9.0, 0.0]));
+        cloud.colors.resize(2 * count, [0; 3]);
+        cloud
+    }
+
+    #[test]
+    fn a_plane_is_recovered_from_points_on_it() {
+        let camera = camera();
+        let map = depth_view(&floor(3000), &camera).unwrap();
+        let world_from_camera = camera.camera_from_world.inverse();
+        let mut compared = 0;
+        for (center, depth) in pixel_centers(40, 30).zip(&map.depth_view) {
+            let ray = world_from_camera.rotation * camera.ray_view(center);
+            let expected = -world_from_camera.translation.z / ray.z;
+            let point = world_from_camera.translation + expected * ray;
+            // Away from the borders of the floor, beyond which nothing is known.
+            if expected > 0.0 && point.x.abs() < 1.7 && point.y.abs() < 1.7 {
+                let error = (f64::from(*depth) / expected - 1.0).abs();
+                assert!(error <= 0.05, "{center}: {depth} instead of {expected}");
+                compared += 1;
+            }
+        }
+        assert!(compared >= 400, "only {compared} pixels see the floor");
+    }
+
+    #[test]
+    fn too_few_points_give_no_depth() {
+        assert!(depth_view(&floor(3), &camera()).is_none());
+        assert!(depth_view(&PointCloud::default(), &camera()).is_none());
+    }
+}
