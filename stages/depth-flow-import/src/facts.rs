@@ -22,7 +22,10 @@ pub fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
         let found = match (params.source, name) {
             (MapSource::Capture, _) if kind == MapKind::Normals => Some(false),
             (MapSource::Capture, _) => capture.and_then(|capture| capture.flag(fact)),
-            (MapSource::Files, None) => Some(false),
+            (MapSource::SparsePoints, _) if kind == MapKind::Depth => {
+                capture.and_then(|capture| capture.flag(facts::POINTS))
+            }
+            (MapSource::SparsePoints, _) | (MapSource::Files, None) => Some(false),
             (MapSource::Files, Some(name)) => is_there(name),
         };
         match if params.wants(kind) { found } else { Some(false) } {
@@ -56,6 +59,16 @@ mod tests {
         assert_eq!(flags(&all), [Some(true), Some(true), Some(false), None]);
         let depth = Params { maps: [MapKind::Depth].into(), ..Params::default() };
         assert_eq!(flags(&of_priors(&depth, &context)), [Some(true), Some(false), Some(false), Some(false)]);
+    }
+
+    #[test]
+    fn points_become_depth_and_nothing_else() {
+        let params = Params { source: MapSource::SparsePoints, ..Params::default() };
+        let known = Facts::default().with(facts::POINTS, true).with(facts::FLOW, true);
+        let told = flags(&of_priors(&params, &context(Path::new("nowhere"), known)));
+        assert_eq!(told, [Some(true), Some(false), Some(false), Some(false)]);
+        let unknown = of_priors(&params, &context(Path::new("nowhere"), Facts::default()));
+        assert_eq!(unknown.flag(facts::DEPTH), None);
     }
 
     #[test]
