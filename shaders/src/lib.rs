@@ -27,3 +27,4 @@ pub mod slicing4d;
 pub mod splat;
 pub mod ssim;
 pub mod tape;
+pub mod temporal_harmonics;

@@ -197,12 +197,12 @@ pub struct ScreenGradients {
 }
 
 /// Which rows of a population the splats of a render are, where they are not all of them in order: what a network made
-/// of some of its owners' places, for this render alone.
+/// of some of its owners' places, for this render alone, or the Gaussians that are there at a time.
 #[derive(Clone, Debug)]
 pub struct SplatRows {
     /// As `anchors`.
     pub population: &'static str,
-    /// [M] the row of each splat, each at most once.
+    /// [M] the row of each of the first splats, each at most once; further ones belong to no population.
     pub row_of_splat: Arc<Vec<u32>>,
     /// [N] whether the render looks where the row is, drawn or not.
     pub looked_at: Vec<bool>,

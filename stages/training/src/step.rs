@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use shaders::tape::{Gradients, Real, Tensor};
 
-use crate::method::{Method, NamedLoss, ScreenGradients, SkippedWork, Step, WatchedRender};
+use crate::method::{Method, NamedLoss, ScreenGradients, SkippedWork, SplatRows, Step, WatchedRender};
 
 /// What a step computed: its losses, its gradients and what its renders saw.
 pub struct StepOutcome<T: Real> {
@@ -76,7 +76,8 @@ impl ScreenGradients {
     fn add<T: Real>(&mut self, render: &WatchedRender, gradient_px: Option<&Tensor<T>>) {
         let [half_width, half_height] = render.size_px.map(|size| 0.5 * size);
         for splat in (0..render.visible.len()).filter(|&splat| render.visible[splat]) {
-            let at = render.rows.as_ref().map_or(splat, |(rows, _)| rows.row_of_splat[splat] as usize);
+            let row_of = |(rows, _): &(SplatRows, _)| rows.row_of_splat.get(splat).map(|&row| row as usize);
+            let Some(at) = render.rows.as_ref().map_or(Some(splat), row_of) else { continue };
             self.visible[at] = true;
             self.radius_px[at] = self.radius_px[at].max(render.radius_px[splat]);
             let Some(gradient) = gradient_px else { continue };

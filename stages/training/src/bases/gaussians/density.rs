@@ -26,7 +26,17 @@ pub struct AdaptiveDensity {
     params: Density,
     reset_at_start: bool,
     steps_before: u64,
+    dimensions: Dimensions,
     statistics: Statistics,
+}
+
+/// Along how many axes the children of a split Gaussian are drawn and shrunk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Dimensions {
+    /// Tensors `rotations`, `positions`, `log_scales`.
+    Space,
+    /// Tensors `rotations_left` and `rotations_right`, `times` and `log_scales_time` as well (Yang et al. 2024).
+    SpaceTime,
 }
 
 /// Per Gaussian, since the last round.
@@ -47,13 +57,18 @@ impl AdaptiveDensity {
             opacity_reset_interval: stretch(params.opacity_reset_interval, schedule_scale),
             ..params.clone()
         };
-        let statistics = Statistics::default();
-        Self { population: population.into(), params, reset_at_start, steps_before: 0, statistics }
+        let (population, dimensions, statistics) = (population.into(), Dimensions::Space, Statistics::default());
+        Self { population, params, reset_at_start, steps_before: 0, dimensions, statistics }
     }
 
     /// The same schedule in a phase that goes on where earlier ones, of so many steps together, ended.
     pub fn after(self, steps_before: u64) -> Self {
         Self { steps_before, ..self }
+    }
+
+    /// The same for Gaussians in space and time: their children are drawn in four dimensions.
+    pub fn in_space_time(self) -> Self {
+        Self { dimensions: Dimensions::SpaceTime, ..self }
     }
 
     fn tensor<'a>(&self, optimizer: &'a Optimizer, attribute: &str) -> anyhow::Result<&'a [f32]> {
@@ -107,23 +122,61 @@ impl AdaptiveDensity {
         parents: &[usize],
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()> {
-        let log_scales = self.tensor(optimizer, "log_scales")?.to_vec();
-        let rotations = self.tensor(optimizer, "rotations")?.to_vec();
-        optimizer.edit(&format!("{}.positions", self.population), |positions| {
-            for (child, &parent) in parents.iter().enumerate() {
-                let mut normal = || -> f32 { StandardNormal.sample(random) };
-                let scale = glam::Vec3::from_slice(&log_scales[3 * parent..]).exp();
-                let offset = rotation(&rotations[4 * parent..4 * parent + 4])
-                    * (scale * glam::Vec3::new(normal(), normal(), normal()));
-                let at = 3 * (first_child + child);
-                let moved = glam::Vec3::from_slice(&positions[at..]) + offset;
-                positions[at..at + 3].copy_from_slice(&moved.to_array());
+        let offsets = match self.dimensions {
+            Dimensions::Space => self.offsets(optimizer, parents, random)?,
+            Dimensions::SpaceTime => self.offsets_in_space_time(optimizer, parents, random)?,
+        };
+        let attribute = |name: &str| format!("{}.{name}", self.population);
+        optimizer.edit(&attribute("positions"), |positions| {
+            for (position, offset) in positions[3 * first_child..].as_chunks_mut::<3>().0.iter_mut().zip(&offsets) {
+                *position = (glam::Vec3::from(*position) + offset.truncate()).to_array();
             }
         })?;
-        let shrink = SPLIT_SHRINK.ln();
-        optimizer.edit(&format!("{}.log_scales", self.population), |log_scales| {
-            log_scales[3 * first_child..].iter_mut().for_each(|value| *value -= shrink);
-        })
+        let shrink = |log_scales: &mut [f32]| log_scales.iter_mut().for_each(|value| *value -= SPLIT_SHRINK.ln());
+        optimizer.edit(&attribute("log_scales"), |log_scales| shrink(&mut log_scales[3 * first_child..]))?;
+        if self.dimensions == Dimensions::SpaceTime {
+            optimizer.edit(&attribute("times"), |times| {
+                times[first_child..].iter_mut().zip(&offsets).for_each(|(time, offset)| *time += offset.w);
+            })?;
+            optimizer.edit(&attribute("log_scales_time"), |log_scales| shrink(&mut log_scales[first_child..]))?;
+        }
+        Ok(())
+    }
+
+    /// A draw from every parent relative to its mean; nothing along the fourth axis.
+    fn offsets(
+        &self,
+        optimizer: &Optimizer,
+        parents: &[usize],
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<Vec<glam::Vec4>> {
+        let (log_scales, rotations) = (self.tensor(optimizer, "log_scales")?, self.tensor(optimizer, "rotations")?);
+        let mut normal = || -> f32 { StandardNormal.sample(random) };
+        let mut draw = |&parent: &usize| {
+            let scale = glam::Vec3::from_slice(&log_scales[3 * parent..]).exp();
+            let along_axes = scale * glam::Vec3::new(normal(), normal(), normal());
+            (rotation(&rotations[4 * parent..4 * parent + 4]) * along_axes).extend(0.0)
+        };
+        Ok(parents.iter().map(&mut draw).collect())
+    }
+
+    /// The same in space and time: p ↦ q_l ⊗ p ⊗ q̄_r of a draw p = t + xi + yj + zk along the axes.
+    fn offsets_in_space_time(
+        &self,
+        optimizer: &Optimizer,
+        parents: &[usize],
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<Vec<glam::Vec4>> {
+        let (log_scales, of_time) = (self.tensor(optimizer, "log_scales")?, self.tensor(optimizer, "log_scales_time")?);
+        let sides = [self.tensor(optimizer, "rotations_left")?, self.tensor(optimizer, "rotations_right")?];
+        let mut normal = || -> f32 { StandardNormal.sample(random) };
+        let mut draw = |&parent: &usize| {
+            let scale = glam::Vec3::from_slice(&log_scales[3 * parent..]).extend(of_time[parent]).exp();
+            let along_axes = scale * glam::Vec4::new(normal(), normal(), normal(), normal());
+            let [left, right] = sides.map(|side| rotation(&side[4 * parent..4 * parent + 4]));
+            glam::Vec4::from(left * glam::Quat::from_vec4(along_axes) * right.conjugate())
+        };
+        Ok(parents.iter().map(&mut draw).collect())
     }
 
     /// Removes Gaussians that are transparent, and those that are too large once opacities have been reset.

@@ -193,3 +193,31 @@ fn harmonics_in_use_have_the_right_gradients() {
         check::gradients(|tape, vars| leading_harmonics(tape, vars[0], degree), &[tensor(&[5, 48], 3)], 1e-6).unwrap();
     }
 }
+
+#[test]
+fn children_in_space_time_are_spread_along_their_parents_longest_axis() {
+    let mut state = four_gaussians();
+    let mut rows = |attribute: &str, row: &[f32]| {
+        state.insert(format!("gaussians.{attribute}"), Tensor::from_vec([4, row.len()], row.repeat(4)));
+    };
+    rows("log_scales", &[-20.0, -20.0, -2.0]);
+    rows("log_scales_time", &[-20.0]);
+    rows("times", &[0.5]);
+    // An eighth of a turn from z towards t: half of the long axis lies along each.
+    let half = (std::f32::consts::PI / 8.0).sin_cos();
+    rows("rotations_left", &[half.1, 0.0, 0.0, -half.0]);
+    rows("rotations_right", &[half.1, 0.0, 0.0, half.0]);
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false).in_space_time();
+    let mut optimizer = optimizer(state);
+    control.observe(&screen(&[1.0; 4]));
+    control.act(10, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    let state = optimizer.into_state();
+    let times = state.get("gaussians.times").unwrap().as_slice();
+    assert_eq!(times.len(), 8, "every Gaussian was split");
+    for (position, time) in positions(&state).iter().zip(times) {
+        assert!(position[1].abs() <= 1e-6 && position[2].abs() > 1e-4, "{position:?}");
+        assert!((position[2].abs() - (time - 0.5).abs()).abs() <= 1e-4, "{position:?} at {time}");
+    }
+    let shrunk = state.get("gaussians.log_scales_time").unwrap().as_slice();
+    assert!(shrunk.iter().all(|value| (value - (-20.0 - 1.6_f32.ln())).abs() <= 1e-5));
+}

@@ -18,7 +18,7 @@ use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
-use crate::bases::primitives4d::Slice;
+use crate::bases::primitives4d::{self, Slice};
 use crate::dataset::LoadedView;
 use crate::effects::Effect;
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, TrainingView};
@@ -215,10 +215,9 @@ impl<T: Real> Method<T> for ViewPlaneGaussians {
             step.clock.enter("motion");
             let moment = step.moment(view);
             let (splats, slice) = self.layers(step.tape, step.model, &moment);
-            if let Some(Slice { rows, .. }) = &slice {
-                step.count_skipped("surfels of other times", rows.rows() - rows.len(), rows.rows());
-            }
-            let rendered = step.render(&splats, None, view, None)?;
+            let rows = slice.expect("the phase has a moving layer").rows;
+            step.count_skipped("surfels of other times", rows.rows() - rows.len(), rows.rows());
+            let rendered = step.render_rows(&splats, view, primitives4d::rows_of(FOREGROUND, &rows))?;
             step.photometric(rendered.color, view);
         }
         Ok(())

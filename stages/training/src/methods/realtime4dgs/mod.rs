@@ -1,0 +1,195 @@
+//! 4D-GS (Yang et al. 2024): Gaussians in space and time, of which every instant shows a slice.
+
+mod rigidity;
+mod settings;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use shaders::pointwise::add;
+use shaders::rows::{RowIndex, gather};
+use shaders::splat::{ShapeVars, SplatVars};
+use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::temporal_harmonics::temporal_harmonics;
+
+use super::MethodFolder;
+use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
+use crate::bases::primitives4d::{self, Slice};
+use crate::effects::Effect;
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
+use crate::params::Shared;
+use crate::schedule::{LogLinear, stretch};
+use crate::state::{ModelState, Variables};
+use settings::{Settings, Switches};
+
+/// The only phase.
+const TRAIN: &str = "train";
+/// Waves of the colours' Fourier series beside the constant (published code).
+const WAVES: usize = 2;
+
+/// The folder's entry.
+pub struct Realtime4dgs;
+
+impl MethodFolder for Realtime4dgs {
+    const NAME: &'static str = "realtime4dgs";
+    const ABOUT: &'static str = "4D-GS: Gaussians in space and time, cut at every instant (Yang et al. 2024)";
+    type Settings = Settings;
+
+    fn shared_defaults() -> Shared {
+        Shared { iterations: BTreeMap::from([(TRAIN.into(), 30_000)]), batch: 4, ..Shared::default() }
+    }
+
+    fn effects() -> Vec<Effect> {
+        settings::effects()
+    }
+
+    fn check(settings: &Settings) -> Result<(), String> {
+        settings.check()
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> Settings {
+        // Large enough to count beside the photometric loss.
+        Settings { rigid_weight: 10.0, rigid_samples: 4, rigid_neighbors: 3 }
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
+        Box::new(SpaceTimeGaussians { shared: shared.clone(), settings, switches: Switches::new(&shared.effects) })
+    }
+}
+
+struct SpaceTimeGaussians {
+    shared: Shared,
+    settings: Settings,
+    switches: Switches,
+}
+
+impl SpaceTimeGaussians {
+    /// The Gaussians that there are at a time.
+    fn slice<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> (SplatVars, Slice) {
+        let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
+        let parameters = primitives4d::parameters(model, GAUSSIANS, var("log_scales"));
+        let slice = primitives4d::slice(tape, &parameters, moment.time);
+        let means = gather(tape, var("positions"), &slice.rows);
+        let splats = SplatVars {
+            positions: add(tape, means, slice.sliced.displacements),
+            shape: ShapeVars::Factor(slice.sliced.factors),
+            opacity_logits: slice.sliced.opacity_logits,
+            sh: self.colors(tape, model, &slice.rows, moment),
+        };
+        (splats, slice)
+    }
+
+    /// Harmonics of the rows at a time: constant ones, and the waves once all spatial degrees are in use.
+    fn colors<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, rows: &RowIndex, moment: &Moment<'_>) -> Var {
+        let mut of_rows = |attribute: &str| {
+            let all = model.get(&format!("{GAUSSIANS}.{attribute}"));
+            gather(tape, all, rows)
+        };
+        let degree = moment.sh_degree;
+        let constant = of_rows("sh_dc");
+        let rest = (degree > 0).then(|| of_rows("sh_rest"));
+        let waves = (self.switches.temporal_color && degree == self.shared.harmonics.degree)
+            .then(|| (of_rows("sh_waves"), of_rows("times")));
+        let still = rest.map_or(constant, |rest| active_harmonics(tape, constant, rest, degree));
+        let Some((waves, times)) = waves else { return still };
+        let count = (degree + 1).pow(2);
+        let changing = temporal_harmonics(tape, waves, times, moment.time, count, count);
+        add(tape, still, changing)
+    }
+}
+
+impl<T: Real> Method<T> for SpaceTimeGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        let iterations = self.shared.iterations.get(TRAIN).copied().unwrap_or(0);
+        vec![Phase { name: TRAIN, iterations: stretch(iterations, self.shared.schedule_scale) }]
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut still = ModelState::new();
+        let (degree, count) = (self.shared.harmonics.degree, points.len());
+        gaussians::insert_gaussians(
+            &mut still,
+            GAUSSIANS,
+            points,
+            degree,
+            gaussians::LONE_SCALE * start.scene().extent,
+        )?;
+        if !self.switches.motion {
+            return Ok(still);
+        }
+        let mut state = ModelState::new();
+        let kept = still.into_iter().filter(|(name, _)| !name.ends_with(".rotations"));
+        kept.for_each(|(name, tensor)| state.insert(name, tensor));
+        primitives4d::insert_time(&mut state, GAUSSIANS, count, random);
+        if self.switches.temporal_color {
+            let coefficients = WAVES * (degree + 1).pow(2);
+            state.insert(format!("{GAUSSIANS}.sh_waves"), Tensor::zeros([count, coefficients, 3]));
+        }
+        Ok(state)
+    }
+
+    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        let rates = &self.shared.learning_rates;
+        match tensor.strip_prefix(GAUSSIANS)?.strip_prefix('.')? {
+            // As in the published code, whose schedule for the times never runs.
+            "times" => Some(LogLinear::constant(rates.position.start * scene.extent)),
+            "log_scales_time" => Some(LogLinear::constant(rates.scale)),
+            "rotations_left" | "rotations_right" => Some(LogLinear::constant(rates.rotation)),
+            "sh_waves" => Some(LogLinear::constant(rates.sh_rest)),
+            _ => gaussians::learning_rate(rates, GAUSSIANS, tensor, scene),
+        }
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        if !self.switches.motion {
+            return Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree));
+        }
+        Ok(self.slice(tape, model, moment).0)
+    }
+
+    fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
+        if !self.switches.motion {
+            return Ok(None);
+        }
+        let log_scales = model.get(&format!("{GAUSSIANS}.log_scales"));
+        let parameters = primitives4d::parameters(model, GAUSSIANS, log_scales);
+        Ok(Some(primitives4d::rows_at(tape, &parameters, moment.time)))
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if !self.switches.motion {
+            return photometric_losses(self, step);
+        }
+        for view in step.views {
+            step.clock.enter("motion");
+            let moment = step.moment(view);
+            let (splats, Slice { rows, sliced }) = self.slice(step.tape, step.model, &moment);
+            step.count_skipped("Gaussians of other times", rows.rows() - rows.len(), rows.rows());
+            let rendered = step.render_rows(&splats, view, primitives4d::rows_of(GAUSSIANS, &rows))?;
+            step.photometric(rendered.color, view);
+            if self.switches.rigid {
+                step.clock.enter("loss rigid");
+                let loss = rigidity::loss(step.tape, splats.positions, sliced.velocities, &self.settings, step.random);
+                let share = self.settings.rigid_weight / step.views.len() as f64;
+                loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
+            }
+        }
+        Ok(())
+    }
+
+    fn population_controls(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        let white = scene.background == [1.0; 3];
+        let Shared { density, schedule_scale, .. } = &self.shared;
+        let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);
+        vec![Box::new(if self.switches.motion { control.in_space_time() } else { control })]
+    }
+}

@@ -1,0 +1,120 @@
+use shaders::tape::Device;
+
+use super::*;
+use crate::bases::gaussians::baked;
+use crate::dataset::Dataset;
+use crate::effects::Effects;
+use crate::methods;
+use crate::params::{Harmonics, TrainingParams};
+use crate::sampler::{Stream, generator};
+use crate::supplements::NOTHING;
+use crate::test_scene::TestScene;
+
+fn dataset(dir: &tempfile::TempDir) -> Dataset {
+    Dataset::load(TestScene::default().write(dir.path()), 1).unwrap()
+}
+
+fn method(effects: &[&str], degree: usize) -> SpaceTimeGaussians {
+    let effects = Effects::Named(effects.iter().map(|name| name.to_string()).collect());
+    let harmonics = Harmonics { degree, ..Harmonics::default() };
+    let shared = Shared { effects, harmonics, ..Realtime4dgs::shared_defaults() };
+    let switches = Switches::new(&shared.effects);
+    SpaceTimeGaussians { shared, settings: Settings::default(), switches }
+}
+
+fn first_state(method: &dyn Method<f32>, dataset: &Dataset) -> ModelState<f32> {
+    let points = dataset.initial_points(&Shared::default().initial_points, 0).unwrap();
+    let start = Start { dataset, supplements: &NOTHING };
+    method.initialize(&start, &points, &mut generator(0, Stream::Initial)).unwrap()
+}
+
+/// A tape with the splats of a state at a time and degree, and the names of the operations.
+fn splats(
+    method: &SpaceTimeGaussians,
+    state: &ModelState<f32>,
+    dataset: &Dataset,
+    time: f64,
+    sh_degree: usize,
+) -> (Tape<f32>, SplatVars, Vec<&'static str>) {
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let camera = dataset.train[0].camera;
+    let moment = Moment { scene: &dataset.scene, phase: TRAIN, time, camera: &camera, sh_degree };
+    let splats = method.splats(&mut tape, &model, &moment).unwrap();
+    let operations = tape.profile().ops.keys().copied().collect();
+    let rows = method.rows(&mut tape, &model, &moment).unwrap();
+    assert!(rows.is_none_or(|rows| rows.len() == tape.value(splats.positions).rows()));
+    (tape, splats, operations)
+}
+
+#[test]
+fn without_motion_it_is_static3dgs() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir);
+    let still = method(&["temporal-color", "rigid"], 3);
+    let plain = methods::find("static3dgs").unwrap().build_f32(&TrainingParams::of("static3dgs").unwrap()).unwrap();
+    let state = first_state(&still, &dataset);
+    assert_eq!(state, first_state(&*plain, &dataset), "the same bytes");
+    assert!(splats(&still, &state, &dataset, 0.5, 0).2.is_empty(), "and no operation");
+}
+
+#[test]
+fn colours_without_time_have_no_waves() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir);
+    let (full, plain) = (method(&["motion", "temporal-color"], 1), method(&["motion"], 1));
+    let (with, without) = (first_state(&full, &dataset), first_state(&plain, &dataset));
+    assert_eq!(with.get("gaussians.sh_waves").unwrap().shape(), [30, 8, 3]);
+    assert!(without.get("gaussians.sh_waves").is_err());
+    let waves = |method, state, degree| splats(method, state, &dataset, 0.5, degree).2.contains(&"temporal_harmonics");
+    assert!(waves(&full, &with, 1) && !waves(&full, &with, 0) && !waves(&plain, &without, 1));
+}
+
+#[test]
+fn gaussians_of_other_times_are_not_computed() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir);
+    let method = method(&["motion"], 0);
+    let mut state = first_state(&method, &dataset);
+    assert_eq!(splats(&method, &state, &dataset, 0.5, 0).0.profile().ops["slicing4d"].forward.calls, 1);
+    // Ten times, three Gaussians each, that last a hundredth.
+    state.insert("gaussians.times", Tensor::from_vec([30, 1], (0..30).map(|at| 0.1 * (at % 10) as f32).collect()));
+    state.insert("gaussians.log_scales_time", Tensor::full([30, 1], 0.01_f32.ln()));
+    let (tape, there, _) = splats(&method, &state, &dataset, 0.3, 0);
+    assert_eq!(tape.value(there.positions).shape(), [3, 3]);
+    let (tape, none, _) = splats(&method, &state, &dataset, 0.35, 0);
+    assert_eq!(tape.value(none.positions).shape(), [0, 3], "a moment that shows nothing is no error");
+}
+
+#[test]
+fn slices_can_be_saved_as_gaussians() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir);
+    let method = method(&["motion"], 0);
+    let state = first_state(&method, &dataset);
+    let (tape, there, _) = splats(&method, &state, &dataset, 0.5, 0);
+    let saved = baked(&tape, &there, 0);
+    let stored = state.get("gaussians.log_scales").unwrap().as_slice();
+    let sorted = |values: &[f32]| {
+        let mut values = values.to_vec();
+        values.sort_by(f32::total_cmp);
+        values
+    };
+    let difference = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-4;
+    assert_eq!(saved.log_scales.len(), 90, "half a clip away nothing has faded below 5 %");
+    assert!(sorted(&saved.log_scales).iter().zip(&sorted(stored)).all(difference), "nothing is tilted yet");
+}
+
+#[test]
+fn neighbours_that_move_alike_cost_nothing() {
+    let settings = Settings { rigid_samples: 10, rigid_neighbors: 3, ..Settings::default() };
+    let loss_of = |velocities: Vec<f64>| {
+        let mut tape = Tape::<f64>::new(Device::Cpu);
+        let positions = tape.constant(Tensor::from_vec([5, 3], (0..15).map(|at| 0.01 * f64::from(at)).collect()));
+        let velocities = tape.constant(Tensor::from_vec([5, 3], velocities));
+        let loss = rigidity::loss(&mut tape, positions, velocities, &settings, &mut generator(0, Stream::Method));
+        tape.value(loss.unwrap()).as_slice()[0]
+    };
+    assert_eq!(loss_of([1.0, 2.0, 3.0].repeat(5)), 0.0);
+    assert!(loss_of((0..15).map(f64::from).collect()) > 0.1);
+}
