@@ -92,3 +92,44 @@ impl ScreenGradients {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use shaders::tape::{Device, Tape};
+
+    use super::*;
+    use crate::method::SplatRows;
+
+    /// A render of two splats in an image of 20 × 10 pixels, of which only the first is visible.
+    fn render(rows: Option<(SplatRows, Vec<f32>)>) -> (WatchedRender, Tensor<f64>) {
+        let means2d = Tape::<f64>::new(Device::Cpu).constant(Tensor::zeros([2, 2]));
+        let (visible, radius_px, size_px) = (vec![true, false], vec![3.0, 5.0], [20.0, 10.0]);
+        let render = WatchedRender { population: "points".into(), means2d, visible, radius_px, size_px, rows };
+        (render, Tensor::from_vec([2, 2], vec![0.1, 0.2, 7.0, 7.0]))
+    }
+
+    #[test]
+    fn splats_count_for_the_rows_that_they_are() {
+        let row_of_splat = Arc::new(vec![2, 0]);
+        let rows = SplatRows { population: "points", row_of_splat, looked_at: vec![true, false, true] };
+        let (render, gradient) = render(Some((rows, vec![0.25, 0.5])));
+        let mut screen = ScreenGradients::empty("points", &render);
+        screen.add(&render, Some(&gradient));
+        screen.add(&render, Some(&gradient));
+        assert_eq!(screen.visible, [false, false, true]);
+        assert_eq!(screen.gradient_ndc, [[0.0; 2], [0.0; 2], [2.0, 2.0]]);
+        assert_eq!(screen.radius_px, [0.0, 0.0, 3.0]);
+        assert_eq!((screen.opacity, screen.looks), (vec![1.0, 0.0, 0.5], vec![2, 0, 2]));
+    }
+
+    #[test]
+    fn splats_that_are_the_rows_count_in_order() {
+        let (render, gradient) = render(None);
+        let mut screen = ScreenGradients::empty("points", &render);
+        screen.add(&render, Some(&gradient));
+        assert_eq!((screen.visible, screen.gradient_ndc), (vec![true, false], vec![[1.0, 1.0], [0.0; 2]]));
+        assert!(screen.opacity.is_empty() && screen.looks.is_empty());
+    }
+}
