@@ -7,10 +7,10 @@ use crate::tape::{Op, Real, Tensor};
 pub enum Sampling {
     /// Always bilinear: for what varies smoothly.
     Bilinear,
-    /// The nearest pixel where the 2 × 2 window varies, in any channel, by more than this share of its largest magnitude
-    /// or holds a value that is not finite: for depth and flow, whose mean across an edge belongs to no surface.
+    /// The nearest pixel where any channel varies within the 2 × 2 window by more than this share of the window's largest
+    /// magnitude, or where a value is not finite: for depth and flow, whose mean across an edge belongs to no surface.
     NearestAcrossEdges {
-        /// Of the largest magnitude, as 0.1.
+        /// Of the largest magnitude of all channels, as 0.1.
         relative: f64,
     },
 }
@@ -69,15 +69,19 @@ impl Lookup {
         (0..4).filter(is_used).all(is_finite).then_some(window)
     }
 
-    /// Whether any channel varies by more than `relative` of its largest magnitude; what is not finite varies.
+    /// Whether any channel varies by more than `relative` of the largest magnitude; what is not finite varies.
     fn varies<T: Real>(&self, image: &[T], texels: &[usize; 4], relative: T) -> bool {
-        let is_flat = |channel: usize| {
+        let (mut spread, mut largest) = (T::ZERO, T::ZERO);
+        for channel in 0..self.channels {
             let values = texels.map(|texel| image[texel * self.channels + channel]);
-            let [low, high] =
-                [values.into_iter().reduce(T::min), values.into_iter().reduce(T::max)].map(Option::unwrap);
-            values.iter().all(|value| value.is_finite()) && high - low <= relative * high.abs().max(low.abs())
-        };
-        !(0..self.channels).all(is_flat)
+            if !values.iter().all(|value| value.is_finite()) {
+                return true;
+            }
+            let (low, high) = values.iter().fold((values[0], values[0]), |(low, high), &v| (low.min(v), high.max(v)));
+            spread = spread.max(high - low);
+            largest = largest.max(high.abs()).max(low.abs());
+        }
+        spread > relative * largest
     }
 
     fn texel<'a, T: Real>(&self, image: &'a [T], texel: usize) -> &'a [T] {

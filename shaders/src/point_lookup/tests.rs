@@ -157,6 +157,13 @@ fn a_depth_edge_is_not_interpolated_but_a_slope_is() {
 }
 
 #[test]
+fn a_channel_that_crosses_zero_is_no_edge_beside_a_large_one() {
+    let flow = Tensor::from_vec([1, 2, 2], vec![5.0, -0.1, 5.2, 0.1]);
+    let (between, _) = sample(&flow, &[[1.0, 0.5]], EDGES);
+    assert!((between[0] - 5.1).abs() <= 1e-12 && between[1].abs() <= 1e-12, "{between:?}");
+}
+
+#[test]
 fn holes_are_not_valid_and_do_not_spread_where_the_nearest_pixel_is_known() {
     let holed = Tensor::from_vec([1, 3], vec![2.0, f64::NAN, 4.0]);
     let positions = [[0.9, 0.5], [1.1, 0.5], [2.5, 0.5]];

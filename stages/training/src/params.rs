@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 
 use engine::ParamProblem;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
@@ -345,6 +346,16 @@ fn positive(value: f64) -> bool {
 
 fn open_share(value: f64) -> bool {
     value > 0.0 && value < 1.0
+}
+
+/// Reads a table whose missing keys have these defaults instead of its type's.
+pub(crate) fn over_defaults<'de, S: Serialize + DeserializeOwned, D: Deserializer<'de>>(
+    defaults: &S,
+    deserializer: D,
+) -> Result<S, D::Error> {
+    let given = Value::deserialize(deserializer)?;
+    let defaults = serde_json::to_value(defaults).map_err(serde::de::Error::custom)?;
+    serde_json::from_value(merge(defaults, given)).map_err(serde::de::Error::custom)
 }
 
 /// `base` with every value of `over` laid over it; tables merge, everything else replaces.

@@ -5,6 +5,7 @@ mod deformable4dgs;
 mod kineticgs;
 mod l4dgs;
 mod modecgs;
+mod phys4dgs;
 mod realtime4dgs;
 mod scgs;
 mod static3dgs;
@@ -29,6 +30,7 @@ pub fn registry() -> Vec<Registration> {
         Registration::of::<deformable4dgs::Deformable4dgs>(),
         Registration::of::<l4dgs::L4dgs>(),
         Registration::of::<realtime4dgs::Realtime4dgs>(),
+        Registration::of::<phys4dgs::Phys4dgs>(),
         Registration::of::<scgs::Scgs>(),
         Registration::of::<vcgs::Vcgs>(),
         Registration::of::<modecgs::Modecgs>(),

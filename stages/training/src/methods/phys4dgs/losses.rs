@@ -1,0 +1,194 @@
+//! Equations 3 to 11, in frames and motion units.
+
+use shaders::pointwise::{add, scale, sub};
+use shaders::rows::weighted_mean_squared_difference;
+use shaders::splat::Rendered;
+use shaders::tape::{Real, Tensor, Var};
+
+use super::observation::{Observed, Sight, flow_displacements, surface_depth, true_displacements};
+use super::trajectories::{Trajectories, differences, foreground, frame_of, sample};
+use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
+use crate::method::{Step, TrainingView};
+
+/// Components of a vector: the reduction averages over them, the paper's squared norms sum.
+const AXES: f64 = 3.0;
+
+/// What the model says of M Gaussians, per frame; [M, 3] each.
+struct Kinematics {
+    /// v^sf at t, t + δt, …: from one evaluation of the field to the next.
+    moved: Vec<Var>,
+    /// v^attr at t.
+    velocity: Option<Var>,
+    /// δv^attr at t, t + δt.
+    variations: Vec<Var>,
+}
+
+/// How squared differences become losses.
+struct Scales {
+    /// [M] of 1.
+    everyone: Var,
+    /// The ramp, over the squared motion unit and the number of views.
+    factor: f64,
+    /// Scene units.
+    motion_unit: f64,
+}
+
+impl PhysicalGaussians {
+    /// Adds the physical losses of one view (eq 11), `gain` times their weights.
+    pub(super) fn physical_losses<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        view: &TrainingView<T>,
+        rendered: &Rendered,
+        gain: f64,
+    ) -> anyhow::Result<()> {
+        let candidates = foreground(step.tape, rendered, step.supplements.moving(view.index));
+        let all = rendered.visible.len();
+        step.count_skipped("physical losses of Gaussians in the background", all - candidates.len(), all);
+        let rows = sample(candidates, self.settings.sample_share, self.settings.sample_max, step.random);
+        let frames_ahead = self.parts.frames_ahead();
+        let Some(followed) = Trajectories::follow(step, &self.base, rows, view.time, frames_ahead) else {
+            return Ok(());
+        };
+        let kinematics = self.kinematics(step, &followed);
+        let motion_unit = followed.motion_unit;
+        let scales = Scales {
+            everyone: step.tape.constant(Tensor::full([followed.count], T::ONE)),
+            factor: gain * AXES / (motion_unit * motion_unit * step.views.len() as f64),
+            motion_unit,
+        };
+        self.compare_velocities(step, &scales, &kinematics);
+        self.compare_higher_orders(step, &scales, &kinematics);
+        if self.observes(step, view) {
+            step.clock.enter("loss flow");
+            self.compare_observations(step, &scales, &kinematics, &followed, view, rendered)?;
+        }
+        Ok(())
+    }
+
+    /// Evaluates the heads that some loss needs, at the instants that some loss needs.
+    fn kinematics<T: Real>(&self, step: &mut Step<'_, T>, followed: &Trajectories) -> Kinematics {
+        let moved = followed.displacements(step.tape);
+        // The heads speak in extents per duration of the capture, so that their outputs are of the order of 1.
+        let unit = step.scene.extent * frame_of(step.scene);
+        let mut head = |name: &str, instant: usize| {
+            let points = &followed.points[instant];
+            let said = self.base.further_head(step.tape, step.model, step.scene, name, points);
+            scale(step.tape, said, unit)
+        };
+        let velocity = self.parts.needs_velocity().then(|| head(VELOCITY_HEAD.0, 0));
+        // A change of velocity is compared with two displacements, a change of that with three.
+        let variations = match self.parts.needs_variation() {
+            true => usize::from(moved.len() >= 2) + usize::from(self.parts.higher_order && moved.len() >= 3),
+            false => 0,
+        };
+        let variations = (0..variations).map(|instant| head(VARIATION_HEAD.0, instant)).collect();
+        Kinematics { moved, velocity, variations }
+    }
+
+    /// Velocities (eq 3, at t and at t + δt), displacements (eq 5, at t) and how slowly velocities change (eq 10).
+    fn compare_velocities<T: Real>(&self, step: &mut Step<'_, T>, scales: &Scales, kinematics: &Kinematics) {
+        let (weights, Kinematics { moved, velocity, variations }) = (&self.settings.weights, kinematics);
+        let Some(velocity) = *velocity else { return };
+        let here = scales.mean_square(step, velocity, moved[0]);
+        if self.parts.displacement {
+            scales.add(step, "displacement", weights.displacement, here);
+        }
+        if !self.parts.velocity {
+            return;
+        }
+        let Some(&variation) = variations.first() else {
+            return scales.add(step, "velocity", weights.velocity, here);
+        };
+        let next = add(step.tape, velocity, variation);
+        let next = scales.mean_square(step, next, moved[1]);
+        scales.add(step, "velocity", 0.5 * weights.velocity, here);
+        scales.add(step, "velocity", 0.5 * weights.velocity, next);
+
+        let none = step.tape.constant(Tensor::zeros(step.tape.value(variation).shape()));
+        let said = scales.mean_square(step, variation, none);
+        let seen = scales.mean_square(step, moved[1], moved[0]);
+        scales.add(step, "temporal", weights.temporal, said);
+        scales.add(step, "temporal", weights.temporal, seen);
+    }
+
+    /// Accelerations (eq 8) and jerks (eq 9).
+    fn compare_higher_orders<T: Real>(&self, step: &mut Step<'_, T>, scales: &Scales, kinematics: &Kinematics) {
+        if !self.parts.higher_order {
+            return;
+        }
+        let (weights, Kinematics { moved, variations, .. }) = (&self.settings.weights, kinematics);
+        let accelerations = differences(step.tape, moved);
+        if let (Some(&said), Some(&seen)) = (variations.first(), accelerations.first()) {
+            let value = scales.mean_square(step, said, seen);
+            scales.add(step, "acceleration", weights.acceleration, value);
+        }
+        let (said, seen) = (differences(step.tape, variations), differences(step.tape, &accelerations));
+        if let (Some(&said), Some(&seen)) = (said.first(), seen.first()) {
+            let value = scales.mean_square(step, said, seen);
+            scales.add(step, "jerk", weights.jerk, value);
+        }
+    }
+
+    /// What images show of the motion: optical flow (the β and γ of eqs 3 and 5) and exact displacements (eq 4).
+    fn compare_observations<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        scales: &Scales,
+        kinematics: &Kinematics,
+        followed: &Trajectories,
+        view: &TrainingView<T>,
+        rendered: &Rendered,
+    ) -> anyhow::Result<()> {
+        let (weights, positions) = (&self.settings.weights, followed.points[0].positions);
+        let surface = surface_depth(step.tape, rendered, self.settings.min_coverage);
+        let sight = Sight::of(step.tape.value(positions), &view.camera, step.raster.near_view, surface);
+        if let Some(velocity) = self.velocity_of(step, view) {
+            let truth = true_displacements(&sight, velocity, step.scene.time_map.frame_secs);
+            let (truth, valid) = truth.constants(step);
+            let value = weighted_mean_squared_difference(step.tape, kinematics.moved[0], truth, valid);
+            scales.add(step, "true_displacement", weights.true_displacement, value);
+        }
+        let Some(flow) = self.flow_of(step, view) else { return Ok(()) };
+        let time_to = step.scene.time_map.normalized(flow.time_to_secs);
+        let frames = (time_to - view.time) / frame_of(step.scene);
+        let surface_to = self.surface_at(step, time_to, flow)?;
+        let seen = flow_displacements(&sight, &view.camera, flow, &surface_to, frames);
+        let arrived = followed.positions_at(step, &self.base, time_to);
+        let moved = sub(step.tape, arrived, positions);
+        let moved = scale(step.tape, moved, 1.0 / frames);
+        for estimate in [kinematics.velocity, Some(moved)].into_iter().flatten() {
+            let seen =
+                seen.without_outliers(step.tape.value(estimate), self.settings.flow_outlier * scales.motion_unit);
+            let (target, weight) = seen.constants(step);
+            let value = weighted_mean_squared_difference(step.tape, estimate, target, weight);
+            scales.add(step, "flow", weights.flow * self.flow_weight(), value);
+        }
+        Ok(())
+    }
+
+    /// Flow is a part of eq 3 and of eq 5, which are one equation in frames.
+    fn flow_weight(&self) -> f64 {
+        let weights = &self.settings.weights;
+        let parts = [(self.parts.velocity, weights.velocity), (self.parts.displacement, weights.displacement)];
+        parts.into_iter().filter(|(on, _)| *on).map(|(_, weight)| weight).sum()
+    }
+}
+
+impl Scales {
+    /// The mean of ‖a − b‖² over all Gaussians, up to [`AXES`].
+    fn mean_square<T: Real>(&self, step: &mut Step<'_, T>, a: Var, b: Var) -> Var {
+        weighted_mean_squared_difference(step.tape, a, b, self.everyone)
+    }
+
+    fn add<T: Real>(&self, step: &mut Step<'_, T>, name: &'static str, weight: f64, value: Var) {
+        step.add_loss(name, weight * self.factor, value);
+    }
+}
+
+impl<T: Real> Observed<T> {
+    /// On the tape: [M, 3] and the weights [M], which no gradient reaches.
+    fn constants(&self, step: &mut Step<'_, T>) -> (Var, Var) {
+        (step.tape.detach_value(self.displacements.clone()), step.tape.detach_value(self.weights.clone()))
+    }
+}

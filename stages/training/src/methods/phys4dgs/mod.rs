@@ -1,0 +1,219 @@
+//! Phys4DGS: a hexplane field whose velocities, displacements and higher derivatives are held consistent.
+
+mod losses;
+mod observation;
+mod settings;
+#[cfg(test)]
+mod tests;
+mod trajectories;
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape};
+
+use super::MethodFolder;
+use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings};
+use crate::effects::{Effect, Effects, Need};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
+use crate::params::Shared;
+use crate::schedule::{LogLinear, stretch};
+use crate::state::{ModelState, Variables};
+use settings::Phys4dgsSettings;
+
+/// The head that says a Gaussian's velocity, v in the paper.
+const VELOCITY_HEAD: FurtherHead = ("velocity", 3);
+/// The head that says how the velocity changes until the next frame, δv in the paper.
+const VARIATION_HEAD: FurtherHead = ("velocity_variation", 3);
+
+/// The folder's entry.
+pub struct Phys4dgs;
+
+impl MethodFolder for Phys4dgs {
+    const NAME: &'static str = "phys4dgs";
+    const ABOUT: &'static str = "Phys4DGS: 4DGaussians with consistent velocities and higher derivatives of motion";
+    type Settings = Phys4dgsSettings;
+
+    fn shared_defaults() -> Shared {
+        HexplaneSettings::shared_defaults()
+    }
+
+    fn effects() -> Vec<Effect> {
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        vec![
+            effect("motion", "a hexplane field moves the Gaussians", &[Need::Times(2), Need::Motion]),
+            effect(
+                "velocity",
+                "Gaussians know their velocity, which agrees with how they move and changes slowly (eqs 3, 10)",
+                &[Need::Times(2), Need::Motion],
+            ),
+            effect(
+                "displacement",
+                "known velocities agree with displacements from frame to frame (eq 5)",
+                &[Need::Times(2), Need::Motion],
+            ),
+            effect(
+                "higher-order",
+                "known changes of velocity agree with acceleration and jerk (eqs 8, 9)",
+                &[Need::Times(4), Need::Motion],
+            ),
+            effect(
+                "flow",
+                "velocity and displacement agree with optical flow as well (eq 2)",
+                &[Need::Times(2), Need::Motion, Need::Flow],
+            ),
+            Effect {
+                name: "true-displacement",
+                about: "displacements agree with the exact ones of a synthetic scene (eq 4)",
+                needs: &[Need::Times(2), Need::Motion],
+                by_default: false,
+            },
+        ]
+    }
+
+    fn check(settings: &Phys4dgsSettings) -> Result<(), String> {
+        settings.check()
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> Phys4dgsSettings {
+        Phys4dgsSettings::tiny()
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: Phys4dgsSettings) -> Box<dyn Method<T>> {
+        Box::new(PhysicalGaussians::new(shared, settings))
+    }
+}
+
+/// The parts of the method that an effect switches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Parts {
+    velocity: bool,
+    displacement: bool,
+    higher_order: bool,
+    flow: bool,
+    true_displacement: bool,
+}
+
+impl Parts {
+    /// Nothing without motion; and flow is a third voice in the comparison of velocities or displacements, nothing by
+    /// itself.
+    fn of(effects: &Effects) -> Self {
+        let has = |name: &str| effects.has("motion") && effects.has(name);
+        let (velocity, displacement) = (has("velocity"), has("displacement"));
+        Self {
+            velocity,
+            displacement,
+            higher_order: has("higher-order"),
+            flow: (velocity || displacement) && has("flow"),
+            true_displacement: has("true-displacement"),
+        }
+    }
+
+    fn needs_velocity(self) -> bool {
+        self.velocity || self.displacement
+    }
+
+    fn needs_variation(self) -> bool {
+        self.velocity || self.higher_order
+    }
+
+    fn further_heads(self) -> Vec<FurtherHead> {
+        let heads = [(self.needs_velocity(), VELOCITY_HEAD), (self.needs_variation(), VARIATION_HEAD)];
+        heads.into_iter().filter(|(needed, _)| *needed).map(|(_, head)| head).collect()
+    }
+
+    /// Frames after the view's own at which the field is evaluated; 0 where nothing is compared.
+    fn frames_ahead(self) -> usize {
+        match self {
+            Self { higher_order: true, .. } => 3,
+            Self { velocity: true, .. } => 2,
+            Self { displacement: true, .. } | Self { true_displacement: true, .. } => 1,
+            _ => 0,
+        }
+    }
+}
+
+struct PhysicalGaussians {
+    base: HexplaneGaussians,
+    settings: Phys4dgsSettings,
+    parts: Parts,
+    /// First and last iteration of `fine` between which the weights grow.
+    ramp: [u64; 2],
+}
+
+impl PhysicalGaussians {
+    fn new(shared: &Shared, settings: Phys4dgsSettings) -> Self {
+        let parts = Parts::of(&shared.effects);
+        let base = HexplaneGaussians::new(shared, settings.field.clone()).with_further_heads(parts.further_heads());
+        let ramp = settings.ramp.map(|iteration| stretch(iteration, shared.schedule_scale));
+        Self { base, settings, parts, ramp }
+    }
+
+    /// How far the weights have grown, 0 to 1.
+    fn gain(&self, phase: &str, iteration: u64) -> f64 {
+        let [first, last] = self.ramp.map(|iteration| iteration as f64);
+        match self.base.moves(phase) && self.parts.frames_ahead() > 0 {
+            true if iteration as f64 >= last => 1.0,
+            true => ((iteration as f64 - first) / (last - first)).max(0.0),
+            false => 0.0,
+        }
+    }
+}
+
+impl<T: Real> Method<T> for PhysicalGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        self.base.phases()
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        self.base.initialize(start.scene(), points)
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        state: ModelState<T>,
+        start: &Start<'_>,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        Ok(self.base.enter_phase(phase, state, start.scene(), random))
+    }
+
+    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        self.base.learning_rate(tensor, scene)
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        Ok(self.base.splats(tape, model, moment))
+    }
+
+    /// The photometric loss of every view, and beside it the physical ones (eq 11).
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        let gain = self.gain(step.phase, step.iteration);
+        for view in step.views {
+            step.clock.enter("motion");
+            let moment = step.moment(view);
+            let splats = self.base.splats(step.tape, step.model, &moment);
+            step.raster.depth = gain > 0.0 && self.observes(step, view);
+            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
+            step.photometric(rendered.color, view);
+            if gain > 0.0 {
+                step.clock.enter("loss physics");
+                self.physical_losses(step, view, &rendered, gain)?;
+            }
+        }
+        self.base.regularize(step);
+        Ok(())
+    }
+
+    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        self.base.population_controls()
+    }
+}

@@ -1,0 +1,279 @@
+mod geometry;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use scene::LabelMap;
+use serde_json::{Value, json};
+use shaders::check::noise;
+use shaders::tape::{Device, Tensor};
+
+use super::*;
+use crate::clock::{ClockReading, PhaseClock};
+use crate::dataset::Dataset;
+use crate::method::{SkippedWork, TrainingView, raster_settings};
+use crate::params::TrainingParams;
+use crate::sampler::{Stream, generator};
+use crate::step::run_step;
+use crate::supplements::{NOTHING, Supplements};
+use crate::test_scene::TestScene;
+use crate::trainer::Trainer;
+
+const PHYSICS: [&str; 5] = ["velocity", "displacement", "higher-order", "flow", "true-displacement"];
+
+fn named(effects: &[&str]) -> Effects {
+    Effects::Named(effects.iter().map(ToString::to_string).collect())
+}
+
+/// The test scene with everything that can be known of it.
+struct World {
+    dataset: Dataset,
+    supplements: Supplements,
+    _dir: tempfile::TempDir,
+}
+
+impl World {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let scene = TestScene { size: 16, ..TestScene::default() };
+        let dataset = Dataset::load(scene.write(dir.path()), 1).unwrap();
+        let supplements = scene.supplements(&dataset);
+        Self { dataset, supplements, _dir: dir }
+    }
+
+    fn params(&self, method: &str, effects: &[&str], settings: Value) -> TrainingParams {
+        let mut params = TrainingParams::of(method).unwrap();
+        params.shared.effects = named(effects);
+        params.shared.initial_points.max_count = 8;
+        params.settings = settings;
+        params
+    }
+
+    fn phys4dgs(&self, effects: &[&str], settings: &Phys4dgsSettings) -> TrainingParams {
+        self.params("phys4dgs", effects, serde_json::to_value(settings).unwrap())
+    }
+
+    fn deformable4dgs(&self, effects: &[&str], settings: &HexplaneSettings) -> TrainingParams {
+        self.params("deformable4dgs", effects, serde_json::to_value(settings).unwrap())
+    }
+
+    /// The first step of `fine` on a training view.
+    fn step(&self, params: &TrainingParams, view: usize) -> Observation {
+        let method = crate::methods::find(&params.method).unwrap().build_f64(params).unwrap();
+        let start = Start { dataset: &self.dataset, supplements: &self.supplements };
+        let points = self.dataset.initial_points(&params.shared.initial_points, 0).unwrap();
+        let mut state = method.initialize(&start, &points, &mut generator(1, Stream::Initial)).unwrap();
+        let mut random = generator(1, Stream::Method);
+        for phase in method.phases() {
+            state = method.enter_phase(phase.name, state, &start, &mut random).unwrap();
+        }
+        vary_in_time(&mut state);
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |name| method.learning_rate("fine", name, &self.dataset.scene).is_some());
+        let view: TrainingView<f64> = self.dataset.train[view].to_training();
+        let step = Step {
+            tape: &mut tape,
+            model: &model,
+            views: std::slice::from_ref(&view),
+            scene: &self.dataset.scene,
+            dataset: &self.dataset,
+            supplements: &self.supplements,
+            shared: &params.shared,
+            phase: "fine",
+            iteration: 1,
+            sh_degree: 0,
+            raster: raster_settings(&self.dataset.scene, 0),
+            random: &mut random,
+            clock: &mut PhaseClock::start("test", ClockReading::default()),
+            losses: Vec::new(),
+            renders: Vec::new(),
+            skipped: SkippedWork::new(),
+        };
+        let outcome = run_step(&*method, step).unwrap();
+        Observation {
+            tensors: state.names().map(String::from).collect(),
+            losses: outcome.losses,
+            skipped: outcome.skipped,
+            operations: tape.profile().ops.iter().map(|(name, cost)| (*name, cost.forward.calls)).collect(),
+        }
+    }
+}
+
+/// Moves the time planes, which are constant in a fresh field.
+fn vary_in_time(state: &mut ModelState<f64>) {
+    let planes: Vec<String> = state.names().filter(|name| name.starts_with("field.plane_")).map(String::from).collect();
+    for name in planes.into_iter().filter(|name| name.ends_with('t')) {
+        let plane = state.get(&name).unwrap();
+        let moved = plane.as_slice().iter().zip(noise(plane.len(), 5)).map(|(value, shift)| value + 0.1 * shift);
+        state.insert(name, Tensor::from_vec(plane.shape(), moved.collect()));
+    }
+}
+
+/// What a step did.
+struct Observation {
+    tensors: BTreeSet<String>,
+    losses: BTreeMap<&'static str, f64>,
+    skipped: SkippedWork,
+    operations: BTreeMap<&'static str, u64>,
+}
+
+impl Observation {
+    /// The losses that the base does not have.
+    fn physics(&self) -> Vec<&str> {
+        let of_base = ["photometric", "spatial_smoothness", "temporal_smoothness", "time_to_one"];
+        self.losses.keys().copied().filter(|name| !of_base.contains(name)).collect()
+    }
+}
+
+#[test]
+fn what_is_off_has_no_tensors_no_losses_and_no_operations() {
+    let (world, tiny) = (World::new(), Phys4dgsSettings::tiny());
+    let plain = world.step(&world.deformable4dgs(&["motion"], &tiny.field), 3);
+    // Effects beside motion, tensors beside the base's, evaluations of the field beside the render's, losses.
+    type Row<'a> = (&'a [&'a str], usize, u64, &'a [&'a str]);
+    let rows: [Row<'_>; 8] = [
+        (&[], 0, 0, &[]),
+        (&["flow"], 0, 0, &[]),
+        (&["displacement"], 4, 2, &["displacement"]),
+        (&["velocity"], 8, 3, &["temporal", "velocity"]),
+        (&["higher-order"], 4, 4, &["acceleration", "jerk"]),
+        (&["true-displacement"], 0, 2, &["true_displacement"]),
+        (&["velocity", "flow"], 8, 3, &["flow", "temporal", "velocity"]),
+        (
+            &PHYSICS,
+            8,
+            4,
+            &["acceleration", "displacement", "flow", "jerk", "temporal", "true_displacement", "velocity"],
+        ),
+    ];
+    for (effects, tensors, evaluations, losses) in rows {
+        let found = world.step(&world.phys4dgs(&[&["motion"], effects].concat(), &tiny), 3);
+        assert_eq!(found.tensors.len(), plain.tensors.len() + tensors, "{effects:?}");
+        assert_eq!(found.operations["hexplane"], plain.operations["hexplane"] + evaluations, "{effects:?}");
+        assert_eq!(found.physics(), losses, "{effects:?}");
+        assert!(losses.iter().all(|name| found.losses[name] > 0.0), "{effects:?}: {:?}", found.losses);
+        if losses.is_empty() {
+            assert_eq!(found.operations, plain.operations, "{effects:?}");
+            assert_eq!(found.losses, plain.losses, "{effects:?}");
+        }
+    }
+}
+
+#[test]
+fn without_motion_nothing_else_is_simulated() {
+    let world = World::new();
+    let found = world.step(&world.phys4dgs(&PHYSICS, &Phys4dgsSettings::tiny()), 3);
+    assert!(found.tensors.iter().all(|name| name.starts_with("gaussians.") || name == "field.bounds"));
+    assert!(found.physics().is_empty() && !found.operations.contains_key("hexplane"));
+}
+
+#[test]
+fn without_physics_a_training_ends_in_the_tensors_of_deformable4dgs() {
+    let world = World::new();
+    let train = |mut params: TrainingParams| {
+        params.shared.iterations = BTreeMap::from([("coarse".into(), 6), ("fine".into(), 10)]);
+        let mut trainer = Trainer::new(&world.dataset, &NOTHING, &params).unwrap();
+        while !trainer.is_done() {
+            trainer.advance().unwrap();
+        }
+        trainer.finish().unwrap().tensors
+    };
+    let tiny = Phys4dgsSettings::tiny();
+    let of_base = train(world.deformable4dgs(&["motion"], &tiny.field));
+    let mut params = world.phys4dgs(&["motion"], &tiny);
+    assert!(train(params.clone()) == of_base);
+    // The planted fault: other first values are noticed.
+    params.shared.seed = 1;
+    assert!(train(params) != of_base);
+}
+
+#[test]
+fn only_terms_whose_frames_exist_are_compared() {
+    let (mut world, tiny) = (World::new(), Phys4dgsSettings::tiny());
+    world.supplements = NOTHING.clone();
+    let params = world.phys4dgs(&["motion", "velocity", "higher-order"], &tiny);
+    // Eight views; a frame is an eighth of the time and a view lasts a seventh.
+    assert_eq!(world.step(&params, 7).physics(), Vec::<&str>::new());
+    assert_eq!(world.step(&params, 6).physics(), ["velocity"]);
+    assert_eq!(world.step(&params, 5).physics(), ["acceleration", "temporal", "velocity"]);
+    assert_eq!(world.step(&params, 4).physics(), ["acceleration", "jerk", "temporal", "velocity"]);
+}
+
+#[test]
+fn gaussians_that_stand_still_are_left_out_and_counted() {
+    let (world, mut tiny) = (World::new(), Phys4dgsSettings::tiny());
+    tiny.field.zero_heads = true; // A field without effect.
+    let found = world.step(&world.phys4dgs(&[&["motion"][..], &PHYSICS].concat(), &tiny), 3);
+    let [skipped, of] = found.skipped["physical losses of Gaussians that stand still"];
+    assert!(skipped == of && of > 0 && found.physics().is_empty(), "{skipped} of {of}, {:?}", found.losses);
+    let moving = world.step(&world.phys4dgs(&["motion", "velocity"], &Phys4dgsSettings::tiny()), 3);
+    let [skipped, of] = moving.skipped["physical losses of Gaussians that stand still"];
+    assert!(skipped < of, "{skipped} of {of}");
+}
+
+#[test]
+fn a_view_where_nothing_moves_has_no_physical_losses() {
+    let mut world = World::new();
+    let params = world.phys4dgs(&[&["motion"][..], &PHYSICS].concat(), &Phys4dgsSettings::tiny());
+    let index = world.dataset.train[3].index;
+    let background = |world: &World| world.step(&params, 3).skipped["physical losses of Gaussians in the background"];
+    let [some, all] = background(&world);
+    assert!(0 < some && some < all, "{some} of {all}");
+    world.supplements.moving[index] = Some(LabelMap { width: 16, height: 16, labels: vec![0; 256] });
+    assert_eq!(background(&world), [all, all]);
+    assert!(world.step(&params, 3).physics().is_empty());
+}
+
+#[test]
+fn flow_is_compared_only_where_something_moves_and_flow_leads_on() {
+    let mut world = World::new();
+    let params = world.phys4dgs(&["motion", "velocity", "flow"], &Phys4dgsSettings::tiny());
+    let index = world.dataset.train[3].index;
+    assert!(world.step(&params, 3).losses.contains_key("flow"));
+    let flow = world.supplements.priors[index].flow.as_mut().unwrap();
+    flow.time_to_secs = world.dataset.capture.views[index].time_secs;
+    assert!(!world.step(&params, 3).losses.contains_key("flow"));
+}
+
+#[test]
+fn weights_grow_from_nothing_within_the_stretched_ramp() {
+    let mut shared = HexplaneSettings::shared_defaults();
+    shared.schedule_scale = 0.1;
+    let method = PhysicalGaussians::new(&shared, Phys4dgsSettings { ramp: [1000, 3000], ..Phys4dgsSettings::tiny() });
+    assert_eq!([50, 100, 200, 300, 900].map(|iteration| method.gain("fine", iteration)), [0.0, 0.0, 0.5, 1.0, 1.0]);
+    assert_eq!(method.gain("coarse", 900), 0.0);
+    shared.effects = named(&["motion", "flow"]);
+    assert_eq!(PhysicalGaussians::new(&shared, Phys4dgsSettings::tiny()).gain("fine", 900), 0.0);
+}
+
+#[test]
+fn a_partial_field_table_keeps_the_papers_rates() {
+    let read = |value: Value| serde_json::from_value::<Phys4dgsSettings>(value);
+    let settings = read(json!({ "field": { "channels": 8 }, "weights": { "jerk": 0.0 } })).unwrap();
+    assert_eq!(settings.field.plane_rate, Phys4dgsSettings::default().field.plane_rate);
+    assert_eq!((settings.field.channels, settings.weights.velocity), (8, 0.001));
+    assert!(read(json!({ "field": { "chanels": 8 } })).is_err());
+    let bad = [json!({ "sample_share": 0.0 }), json!({ "ramp": [5, 4] }), json!({ "weights": { "flow": -1.0 } })];
+    assert!(bad.into_iter().all(|table| read(table).unwrap().check().is_err()));
+}
+
+#[test]
+fn samples_are_distinct_rows_and_every_row_can_be_drawn() {
+    let mut random = generator(4, Stream::Method);
+    let mut drawn = BTreeSet::new();
+    for _ in 0..60 {
+        let rows = trajectories::sample((10..40).collect(), 0.2, 5, &mut random);
+        assert!(rows.len() == 5 && rows.is_sorted_by(|a, b| a < b), "{rows:?}");
+        drawn.extend(rows);
+    }
+    assert!(drawn.into_iter().eq(10..40));
+    assert_eq!(trajectories::sample(vec![7, 8], 0.1, 5, &mut random).len(), 1);
+    assert!(trajectories::sample(Vec::new(), 1.0, 5, &mut random).is_empty());
+}
+
+#[test]
+fn a_training_without_supplements_compares_what_the_model_says_alone() {
+    let mut world = World::new();
+    world.supplements = NOTHING.clone();
+    let found = world.step(&world.phys4dgs(&[&["motion"][..], &PHYSICS].concat(), &Phys4dgsSettings::tiny()), 3);
+    assert_eq!(found.physics(), ["acceleration", "displacement", "jerk", "temporal", "velocity"]);
+}

@@ -1,0 +1,111 @@
+//! What is observed of a wall that moves before a camera that moves.
+
+use glam::DVec3;
+use scene::{Camera, FlowMap, Intrinsics, VelocityMap};
+use shaders::splat::PinholeCamera;
+use shaders::tape::Tensor;
+
+use crate::methods::phys4dgs::observation::{Observed, Sight, flow_displacements, true_displacements};
+use crate::supplements::FlowPrior;
+
+/// A camera at `position` that looks along z.
+fn camera_at(position: DVec3) -> Camera {
+    let (width, height) = (40, 30);
+    let intrinsics = Intrinsics { width, height, focal_x: 50.0, focal_y: 50.0, center_x: 20.0, center_y: 15.0 };
+    Camera::look_at(intrinsics, position, position + DVec3::Z, DVec3::NEG_Y)
+}
+
+/// A wall at z = 4 moves by (0.2, −0.1, 0.5) within two frames while the camera moves by (0.3, 0, −0.2).
+struct MovingWall {
+    before: Camera,
+    after: Camera,
+    displacement: DVec3,
+}
+
+impl MovingWall {
+    fn new() -> Self {
+        let (before, after) = (camera_at(DVec3::ZERO), camera_at(DVec3::new(0.3, 0.0, -0.2)));
+        Self { before, after, displacement: DVec3::new(0.2, -0.1, 0.5) }
+    }
+
+    fn depth(z: f64) -> Tensor<f64> {
+        Tensor::full([30, 40], z)
+    }
+
+    /// On the wall left of the middle, on it near the right border, behind it, outside of the image.
+    fn points(&self) -> Tensor<f64> {
+        Tensor::from_vec([4, 3], vec![-0.3, 0.4, 4.0, 1.5, 0.0, 4.0, 0.2, 0.2, 5.0, 9.0, 0.0, 4.0])
+    }
+
+    fn sight(&self) -> Sight<f64> {
+        Sight::of(&self.points(), &PinholeCamera::from(&self.before), 0.2, Self::depth(4.0))
+    }
+
+    fn flow(&self) -> FlowPrior {
+        let flow_at = |pixel: usize| {
+            let here = glam::DVec2::new((pixel % 40) as f64 + 0.5, (pixel / 40) as f64 + 0.5);
+            let moved = self.before.ray_view(here) * 4.0 + self.displacement;
+            let (there, _) = self.after.project(moved).unwrap();
+            (there - here).to_array().map(|value| value as f32)
+        };
+        let map = FlowMap { width: 40, height: 30, flow_px: (0..1200).map(flow_at).collect() };
+        FlowPrior { map, camera_to: self.after, time_to_secs: 1.0, view_to: None }
+    }
+
+    fn observed(&self, flow: &FlowPrior) -> Observed<f64> {
+        // The wall is 0.5 farther, the camera 0.2 closer to where it was.
+        flow_displacements(&self.sight(), &PinholeCamera::from(&self.before), flow, &Self::depth(4.7), 2.0)
+    }
+}
+
+#[test]
+fn flow_and_depth_of_a_moving_camera_give_the_displacement() {
+    let wall = MovingWall::new();
+    let observed = wall.observed(&wall.flow());
+    assert_eq!(observed.weights.as_slice(), [1.0, 1.0, 0.0, 0.0], "hidden points and those outside have no flow");
+    for row in 0..2 {
+        let expected = (0.5 * wall.displacement).to_array();
+        let error =
+            observed.displacements.row(row).iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        // Flow is stored in f32 and interpolated.
+        assert!(error <= 1e-3, "{:?}", observed.displacements.row(row));
+    }
+    // The planted fault: taking the first camera for the second is seen.
+    let wrong = FlowPrior { camera_to: wall.before, ..wall.flow() };
+    let off = (wall.observed(&wrong).displacements.row(0)[0] - 0.5 * wall.displacement.x).abs();
+    assert!(off >= 0.1, "{off}");
+}
+
+#[test]
+fn flow_with_a_hole_or_out_of_the_image_is_not_seen() {
+    let wall = MovingWall::new();
+    let mut flow = wall.flow();
+    flow.map.flow_px.iter_mut().for_each(|flow| flow[0] += 12.0);
+    assert_eq!(wall.observed(&flow).weights.as_slice(), [1.0, 0.0, 0.0, 0.0], "the second point leaves the image");
+    flow.map.flow_px.fill([f32::NAN; 2]);
+    let observed = wall.observed(&flow);
+    assert_eq!(observed.weights.as_slice(), [0.0; 4]);
+    assert!(observed.displacements.as_slice().iter().all(|&value| value == 0.0));
+}
+
+#[test]
+fn exact_velocities_become_displacements_within_a_frame() {
+    let wall = MovingWall::new();
+    let velocity = VelocityMap { width: 40, height: 30, velocity_world: vec![[2.0, 0.0, -4.0]; 1200] };
+    let observed = true_displacements(&wall.sight(), &velocity, 0.25);
+    assert_eq!(observed.weights.as_slice(), [1.0, 1.0, 0.0, 0.0]);
+    assert_eq!(observed.displacements.row(0), [0.5, 0.0, -1.0]);
+}
+
+#[test]
+fn outliers_pull_with_constant_force() {
+    let wall = MovingWall::new();
+    let observed = wall.observed(&wall.flow());
+    let mut estimate = observed.displacements.clone();
+    estimate.make_mut()[0] += 0.1;
+    estimate.make_mut()[4] += 5.0;
+    let weights = observed.without_outliers(&estimate, 0.2).weights;
+    // The force is weight times distance: 0.1 within the limit, the limit beyond it.
+    let expected = [1.0, 0.2 / 5.0, 0.0, 0.0];
+    assert!(weights.as_slice().iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-12), "{weights:?}");
+}
