@@ -1,6 +1,7 @@
 use std::collections::BTreeSet;
 
 use serde_json::{Value, json};
+use shaders::splat::PinholeCamera;
 use shaders::tape::Device;
 
 use super::*;
@@ -8,7 +9,7 @@ use crate::artifact::Model;
 use crate::dataset::Dataset;
 use crate::params::TrainingParams;
 use crate::player::Player;
-use crate::supplements::Supplements;
+use crate::supplements::{FeatureTokens, Supplements};
 use crate::test_scene::TestScene;
 use crate::trainer::Trainer;
 use tokens::{CELLS, TokenGrid};
@@ -191,6 +192,77 @@ fn settings_that_cannot_work_are_refused() {
         L4dgsSettings { teacher: settings::TeacherSettings { theta: 1.5, ..teacher() }, ..L4dgsSettings::default() },
     ];
     assert!(bad.iter().all(|settings| settings.check().is_err()));
+}
+
+/// Classes of the test scene's blobs: red, green, blue; and the dark behind them.
+const CLASSES: usize = 4;
+/// Width of the classes' embeddings.
+const EMBEDDING: usize = 8;
+
+/// The class of a colour: its largest channel, or the dark where nothing opaque is in sight.
+fn class_of(color: &[f32]) -> usize {
+    let largest = (0..3).max_by(|&a, &b| color[a].total_cmp(&color[b])).unwrap();
+    if color[largest] >= 0.5 { largest } else { 3 }
+}
+
+/// Tokens of one pixel each that say the class of what the training views show, and one embedding per class.
+fn class_features(dataset: &Dataset) -> FeatureTokens {
+    let embedding = |class: usize| (0..EMBEDDING).map(move |at| f32::from(u8::from(at == class)));
+    let mut visual = vec![None; dataset.capture.views.len()];
+    for view in &dataset.train {
+        let image = view.to_training::<f32>().image;
+        let tokens = image.as_slice().chunks(3).flat_map(|color| embedding(class_of(color))).collect();
+        visual[view.index] = Some(Tensor::from_vec([view.camera.height, view.camera.width, EMBEDDING], tokens));
+    }
+    FeatureTokens {
+        visual,
+        text: Tensor::from_vec([CLASSES, EMBEDDING], (0..CLASSES).flat_map(embedding).collect()),
+        prompts: ["red", "green", "blue", "dark"].map(String::from).to_vec(),
+    }
+}
+
+/// Intersection over union of the pixels that are `prompt` by relevancy and `class` by the render's colour.
+fn overlap(player: &Player, time_secs: f64, camera: &PinholeCamera, prompt: usize, class: usize) -> f64 {
+    let color = player.render(time_secs, camera).unwrap();
+    let prompts = player.prompts().unwrap();
+    let relevancy = player.prompt_relevancy(time_secs, camera, &prompts).unwrap().unwrap();
+    let pixels = color.as_slice().chunks(3).zip(relevancy.as_slice().chunks(CLASSES));
+    let [mut both, mut either] = [0.0, 0.0];
+    for (color, relevancy) in pixels {
+        let (is_class, is_prompt) = (class_of(color) == class, relevancy[prompt] > 0.5);
+        both += f64::from(u8::from(is_class && is_prompt));
+        either += f64::from(u8::from(is_class || is_prompt));
+    }
+    both / either
+}
+
+#[test]
+fn a_prompt_selects_what_it_means() {
+    let (_dir, dataset) = dataset(TestScene { train_views: 10, size: 40, ..TestScene::default() });
+    let supplements = Supplements { features: Some(class_features(&dataset)), ..Supplements::default() };
+    let params = json!({
+        "method": "l4dgs",
+        "effects": ["motion", "static-semantics", "dynamic-semantics", "attention-focus", "language"],
+        "iterations": { "coarse": 150, "teacher": 400, "fine": 300 },
+        "curve": { "points": 0 },
+        "learning_rates": { "sh_dc": 1e-2, "scale": 1e-2, "position": { "start": 1e-3, "end": 1e-4, "steps": 450 } },
+        "l4dgs": {
+            "hexplane": { "channels": 4, "spatial_resolution": 8, "width": 16 },
+            "teacher": { "pixels_per_token": 2, "channels": [8, 16, 16], "width": 32, "decoder_width": 32, "rate": 3e-3 },
+            "ramp": [0, 50],
+            "semantic_rate": 2e-2,
+        },
+    });
+    let (model, _) = train(&dataset, &supplements, params);
+    let player = Player::new(&model).unwrap();
+    for view in dataset.train.iter().step_by(4) {
+        let time_secs = dataset.capture.views[view.index].time_secs;
+        for prompt in 0..3 {
+            let right = overlap(&player, time_secs, &view.camera, prompt, prompt);
+            let wrong = overlap(&player, time_secs, &view.camera, prompt, (prompt + 1) % 3);
+            assert!(right >= 0.5 && wrong <= 0.1, "prompt {prompt} overlaps {right:.2}, another {wrong:.2}");
+        }
+    }
 }
 
 #[test]
