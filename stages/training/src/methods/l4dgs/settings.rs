@@ -92,7 +92,7 @@ impl Default for L4dgsSettings {
 impl Default for TeacherSettings {
     fn default() -> Self {
         Self {
-            pixels_per_token: 8,
+            pixels_per_token: 4,
             tokens_per_side: 32,
             channels: [32, 64, 64],
             theta: 0.7,

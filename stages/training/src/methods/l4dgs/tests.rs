@@ -153,7 +153,7 @@ fn each_phase_learns_its_own_tensors() {
 #[test]
 fn grids_follow_the_shape_of_the_image() {
     let grid = |height, width| TokenGrid::of_image(height, width, &settings::TeacherSettings::default());
-    assert_eq!(grid(96, 96), TokenGrid { rows: 12, columns: 12 });
+    assert_eq!(grid(96, 96), TokenGrid { rows: 24, columns: 24 });
     assert_eq!(grid(800, 800), TokenGrid { rows: 32, columns: 32 });
     assert_eq!(grid(1014, 1352), TokenGrid { rows: 24, columns: 32 });
     assert_eq!(grid(3, 900), TokenGrid { rows: 1, columns: 32 });

@@ -17,6 +17,11 @@ use crate::method::{Method as _, Moment, Step, TrainingView, photometric_losses}
 use observed::{RenderedTokens, color_statistics, depth_cells, rendered_tokens};
 use terms::{CellMask, add_angle, add_distance, focus, normalized, still};
 
+/// Semantic features, which follow unit vectors, say nothing of a direction where they, or their changes, are shorter.
+const MIN_FEATURE_NORM: f64 = 1e-2;
+/// The relief of a token's depth is flat below this, in extents of the scene.
+const MIN_RELIEF_NORM: f64 = 1e-4;
+
 /// The semantic losses of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Due {
@@ -151,7 +156,7 @@ impl LanguageGuided {
         let weight = due.weight * self.settings.weights.statics;
         add_distance(step, "static_semantics", weight, [lesson.features, features], &weights);
         let angle = weight * self.settings.weights.angle;
-        add_angle(step, "static_semantics", angle, [lesson.features, features], &weights);
+        add_angle(step, "static_semantics", angle, [lesson.features, features], &weights, MIN_FEATURE_NORM);
     }
 
     /// Equation 4 for depths as vectors of cells: Σ w·(‖D − D*‖² + λ·(1 − cos(D − mean D, D* − mean D*))) over the cells
@@ -178,7 +183,7 @@ impl LanguageGuided {
         let masked = [target, depth].map(|depth| mask.masked(step.tape, depth));
         add_distance(step, "static_depth", weight, masked, &weights);
         let centered = masked.map(|depth| mask.centered(step.tape, depth));
-        add_angle(step, "static_depth", weight * angle, centered, &weights);
+        add_angle(step, "static_depth", weight * angle, centered, &weights, MIN_RELIEF_NORM);
     }
 
     /// Equations 6 to 8, from the view's time to one frame later as the same camera sees it.
@@ -239,7 +244,7 @@ impl LanguageGuided {
     ) {
         let changes = [lessons, features].map(|[now, later]| sub(step.tape, later, now));
         let angle = due.weight * self.settings.weights.change_angle;
-        add_angle(step, "dynamic_semantics", angle, changes, weights);
+        add_angle(step, "dynamic_semantics", angle, changes, weights, MIN_FEATURE_NORM);
         add_distance(step, "dynamic_semantics", due.weight, [lessons[1], lessons[0]], weights);
         add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], &still(weights));
     }

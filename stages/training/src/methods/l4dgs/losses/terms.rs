@@ -8,8 +8,6 @@ use crate::method::Step;
 
 /// Shorter vectors count as this long in a cosine.
 const MIN_NORM: f64 = 1e-6;
-/// Vectors shorter than this have no direction worth following: the gradient of their angle would explode.
-const MIN_DIRECTED_NORM: f64 = 1e-4;
 
 /// How much attention every token receives: the mean over the rows of the attention map.
 pub fn focus<T: Real>(probabilities: &Tensor<T>) -> Vec<f64> {
@@ -83,10 +81,18 @@ pub fn add_distance<T: Real>(
     step.add_loss(name, weight, value);
 }
 
-/// Adds weight · Σ wₙ(1 − cos(aₙ, bₙ)) over the rows in which both have a direction.
-pub fn add_angle<T: Real>(step: &mut Step<'_, T>, name: &'static str, weight: f64, [a, b]: [Var; 2], weights: &[f64]) {
+/// Adds weight · Σ wₙ(1 − cos(aₙ, bₙ)) over the rows in which both are at least `min_norm` long: below that a direction
+/// is noise, and the gradient of its angle explodes.
+pub fn add_angle<T: Real>(
+    step: &mut Step<'_, T>,
+    name: &'static str,
+    weight: f64,
+    [a, b]: [Var; 2],
+    weights: &[f64],
+    min_norm: f64,
+) {
     let length = |row: &[T]| row.iter().map(|value| value.to_f64().powi(2)).sum::<f64>().sqrt();
-    let directed = |row: usize| [a, b].iter().all(|&var| length(step.tape.value(var).row(row)) >= MIN_DIRECTED_NORM);
+    let directed = |row: usize| [a, b].iter().all(|&var| length(step.tape.value(var).row(row)) >= min_norm);
     let weights: Vec<f64> =
         weights.iter().enumerate().map(|(row, &weight)| if directed(row) { weight } else { 0.0 }).collect();
     let distance = cosine_distance(step.tape, a, b, MIN_NORM);

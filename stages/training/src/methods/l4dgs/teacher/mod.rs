@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use shaders::attention::{TopKAttention, top_k_attention};
 use shaders::linear::Activation;
 use shaders::pointwise::add;
-use shaders::rows::concat_columns;
+use shaders::rows::{concat_columns, normalize};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::settings::TeacherSettings;
@@ -29,6 +29,8 @@ use network::Network;
 pub const TEACHER: &str = "teacher";
 /// Embeddings of the prompts, [P, E]; not learnt.
 pub const TEXT: &str = "teacher.prompts";
+/// Shorter features have no direction.
+const MIN_NORM: f64 = 1e-6;
 /// Mean and standard deviation of three colours.
 const COLOR_STATISTICS: usize = 6;
 
@@ -39,7 +41,7 @@ pub struct Teacher<'a> {
 
 /// What the teacher says about one image.
 pub struct Lesson {
-    /// [tokens, features]: SMSA.
+    /// [tokens, features]: SMSA, of unit length.
     pub features: Var,
     /// [tokens, tokens]: attention of every token to every other, averaged over the heads.
     pub probabilities: Var,
@@ -114,12 +116,15 @@ impl<'a> Teacher<'a> {
         }
         let attention = self.attend(tape, model, "attention", [tokens, tokens], self.settings.top_k);
         let features = apply_matrix(tape, model, "teacher.attention.output", attention.mixed);
+        // Without a scale of its own the teacher would set the weight of every loss that follows it.
+        let features = normalize(tape, features, MIN_NORM);
         Lesson { features, probabilities: attention.probabilities }
     }
 
-    /// [M, 6 + F] for semantic features [M, features]: mean and standard deviation of the colours, and a visual token.
+    /// [M, 6 + F] for the directions of semantic features [M, features]: mean and standard deviation of the colours, and a visual token.
     fn decode<T: Real>(tape: &mut Tape<T>, model: &Variables, features: Var) -> Var {
-        let hidden = apply_layer(tape, model, "teacher.decoder.0", features, Activation::Relu);
+        let directions = normalize(tape, features, MIN_NORM);
+        let hidden = apply_layer(tape, model, "teacher.decoder.0", directions, Activation::Relu);
         apply_layer(tape, model, "teacher.decoder.1", hidden, Activation::Identity)
     }
 

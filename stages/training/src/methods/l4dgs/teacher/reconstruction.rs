@@ -5,13 +5,11 @@ use shaders::pointwise::sub;
 use shaders::rows::{columns, cosine_distance, squared_norm};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::{COLOR_STATISTICS, Teacher};
+use super::{COLOR_STATISTICS, MIN_NORM, Teacher};
 use crate::state::Variables;
 
 /// Weight of the angle between a decoded token and the token (Qin et al. 2024).
 const ANGLE_WEIGHT: f64 = 1e-3;
-/// Shorter vectors have no direction.
-const MIN_NORM: f64 = 1e-6;
 
 /// The parts of the reconstruction loss, each a scalar with its weight.
 pub type WeightedLosses = Vec<(f64, Var)>;
