@@ -4,6 +4,7 @@ mod deformable3dgs;
 mod deformable4dgs;
 mod kineticgs;
 mod l4dgs;
+mod mcgs;
 mod modecgs;
 mod phys4dgs;
 mod realtime4dgs;
@@ -32,6 +33,7 @@ pub fn registry() -> Vec<Registration> {
         Registration::of::<realtime4dgs::Realtime4dgs>(),
         Registration::of::<phys4dgs::Phys4dgs>(),
         Registration::of::<scgs::Scgs>(),
+        Registration::of::<mcgs::Mcgs>(),
         Registration::of::<vcgs::Vcgs>(),
         Registration::of::<modecgs::Modecgs>(),
         Registration::of::<kineticgs::Kineticgs>(),

@@ -1,0 +1,197 @@
+//! The Markov chain: the last states of every node, encoded, looked back on and continued by one step (equations 3 to 5, 14
+//! and 15).
+
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use shaders::attention::window_attention;
+use shaders::layer_norm::layer_norm;
+use shaders::linear::Activation;
+use shaders::pointwise::{add, relu};
+use shaders::quaternion;
+use shaders::rows::{RowIndex, columns, concat_columns, gather, reshape};
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use super::motion::NodeMotion;
+use crate::bases::control_nodes::identity_rotations;
+use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix, normal};
+use crate::state::{ModelState, Variables};
+
+/// Columns of a state: position and quaternion.
+const STATE: usize = 7;
+
+/// First standard deviation of the embedding of time within the window: of the order of the encoder's outputs. The states
+/// of a window hardly differ from each other, so that with less the attention could not tell them apart.
+const FIRST_EMBEDDING: f64 = 0.5;
+
+/// Sizes of the chain.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ChainSettings {
+    /// States that are looked back on.
+    pub window: usize,
+    /// Width of the encoder, of the attention and of the predictor.
+    pub width: usize,
+    /// Attention heads.
+    pub heads: usize,
+    /// Whether the attention is told how long ago a state was.
+    pub embeds_time: bool,
+}
+
+impl Default for ChainSettings {
+    fn default() -> Self {
+        Self { window: 5, width: 128, heads: 4, embeds_time: true }
+    }
+}
+
+impl ChainSettings {
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        let good = [
+            ((1..=1024).contains(&self.window), "chain.window must be 1 to 1024"),
+            ((1..=4096).contains(&self.width), "chain.width must be 1 to 4096"),
+            (self.heads > 0 && self.width.is_multiple_of(self.heads), "chain.heads must divide chain.width"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+}
+
+/// Encoder, attention and predictor; tensors are called `chain.…`.
+pub struct Chain {
+    settings: ChainSettings,
+    attends: bool,
+}
+
+impl Chain {
+    /// The name of the network.
+    pub const NAME: &'static str = "chain";
+
+    /// A chain that looks back over its window if it `attends`, else at the last state alone.
+    pub fn new(settings: &ChainSettings, attends: bool) -> Self {
+        Self { settings: settings.clone(), attends }
+    }
+
+    /// States that a prediction looks back on.
+    pub fn window(&self) -> usize {
+        if self.attends { self.settings.window } else { 1 }
+    }
+
+    /// Adds all layers; the predictor's last one starts at zero, so that a node goes on as it was.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+        let width = self.settings.width;
+        for (layer, inputs) in [STATE, width].into_iter().enumerate() {
+            insert_layer(state, &format!("chain.encoder.{layer}"), inputs, width, FirstWeights::FanIn, random);
+            state.insert(format!("chain.encoder.{layer}.scale"), Tensor::full([width], T::ONE));
+            state.insert(format!("chain.encoder.{layer}.offset"), Tensor::zeros([width]));
+        }
+        if self.attends {
+            for map in ["query", "key", "value", "output"] {
+                insert_matrix(state, &format!("chain.{map}"), width, width, random);
+            }
+            if self.settings.embeds_time {
+                state.insert("chain.time", normal(&[self.window(), width], FIRST_EMBEDDING, random));
+            }
+        }
+        for layer in 0..2 {
+            insert_layer(state, &format!("chain.predictor.{layer}"), width, width, FirstWeights::FanIn, random);
+        }
+        insert_layer(state, "chain.predictor.2", width, STATE, FirstWeights::Zero, random);
+    }
+
+    /// The motion at `times` times of M nodes from the states before: `history` holds (window + times)·M rows, state by
+    /// state, of which the last of all is not looked at. The result has times·M rows.
+    ///
+    /// A prediction is the last state's motion and a step: Δμ + δμ, and δq⊗Δq with δq the direction of (1, 0, 0, 0) + δ.
+    pub fn predict<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        history: NodeMotion,
+        nodes: usize,
+        times: usize,
+    ) -> NodeMotion {
+        let encoded = self.encode(tape, model, history, nodes);
+        let states = self.window() + times;
+        let last = |tape: &mut Tape<T>, var: Var| {
+            let first = (self.window() - 1) * nodes;
+            let rows = (first..first + times * nodes).map(|row| row as u32).collect();
+            gather(tape, var, &RowIndex::new(rows, states * nodes))
+        };
+        let seen = match self.attends {
+            true => self.look_back(tape, model, encoded, nodes, times),
+            false => last(tape, encoded),
+        };
+        let steps = self.step(tape, model, seen);
+        let (shift, turn) = (columns(tape, steps, 0..3), columns(tape, steps, 3..STATE));
+        let identity = identity_rotations(tape, times * nodes);
+        let raw = add(tape, identity, turn);
+        let turn = quaternion::normalize(tape, raw);
+        let (translations, rotations) = (last(tape, history.translations), last(tape, history.rotations));
+        NodeMotion {
+            translations: add(tape, translations, shift),
+            rotations: quaternion::multiply(tape, turn, rotations),
+        }
+    }
+
+    /// h = MLP([μ, q]) of every state (equation 3); q on the side of the identity, since −q would be encoded otherwise.
+    fn encode<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, history: NodeMotion, nodes: usize) -> Var {
+        let rows = tape.value(history.translations).rows();
+        let canonical = tape.detach(model.get("nodes.positions"));
+        let node_of_row = RowIndex::new((0..rows).map(|row| (row % nodes) as u32).collect(), nodes);
+        let canonical = gather(tape, canonical, &node_of_row);
+        let positions = add(tape, canonical, history.translations);
+        let identity = identity_rotations(tape, rows);
+        let rotations = quaternion::align(tape, history.rotations, identity);
+        let mut hidden = concat_columns(tape, &[positions, rotations]);
+        for layer in 0..2 {
+            let name = format!("chain.encoder.{layer}");
+            let mapped = apply_layer(tape, model, &name, hidden, Activation::Identity);
+            let [scale, offset] = ["scale", "offset"].map(|part| model.get(&format!("{name}.{part}")));
+            let normalised = layer_norm(tape, mapped, scale, offset);
+            hidden = relu(tape, normalised);
+        }
+        hidden
+    }
+
+    /// Attention of the newest state to the window of every node and time (equations 14 and 15).
+    fn look_back<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        encoded: Var,
+        nodes: usize,
+        times: usize,
+    ) -> Var {
+        let (window, width) = (self.window(), self.settings.width);
+        let windows = times * nodes;
+        // Row (time, node, state of the window) of what is looked at is row (time + state, node) of what is encoded.
+        let items = 0..windows * window;
+        let row_of_item = items.clone().map(|item| {
+            let (at, state) = (item / window, item % window);
+            ((at / nodes + state) * nodes + at % nodes) as u32
+        });
+        let mut seen = gather(tape, encoded, &RowIndex::new(row_of_item.collect(), (window + times) * nodes));
+        if self.settings.embeds_time {
+            let state_of_item = RowIndex::new(items.map(|item| (item % window) as u32).collect(), window);
+            let ages = gather(tape, model.get("chain.time"), &state_of_item);
+            seen = add(tape, seen, ages);
+        }
+        let newest = (0..windows).map(|at| (at * window + window - 1) as u32).collect();
+        let newest = gather(tape, seen, &RowIndex::new(newest, windows * window));
+        let query = apply_matrix(tape, model, "chain.query", newest);
+        let query = reshape(tape, query, [windows, 1, width]);
+        let [key, value] = ["chain.key", "chain.value"].map(|name| {
+            let mapped = apply_matrix(tape, model, name, seen);
+            reshape(tape, mapped, [windows, window, width])
+        });
+        let attended = window_attention(tape, query, key, value, self.settings.heads);
+        let attended = reshape(tape, attended, [windows, width]);
+        apply_matrix(tape, model, "chain.output", attended)
+    }
+
+    /// MLP_φ: three layers (equation 5).
+    fn step<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, seen: Var) -> Var {
+        let first = apply_layer(tape, model, "chain.predictor.0", seen, Activation::Relu);
+        let second = apply_layer(tape, model, "chain.predictor.1", first, Activation::Relu);
+        apply_layer(tape, model, "chain.predictor.2", second, Activation::Identity)
+    }
+}

@@ -1,0 +1,247 @@
+//! MCGS: control nodes whose motion is half said by a coordinate network, half predicted from their last states.
+
+mod controls;
+mod markov;
+mod motion;
+mod noise;
+mod physics;
+mod settings;
+#[cfg(test)]
+mod tests;
+
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
+use shaders::pointwise::add;
+use shaders::rows::{RowIndex, gather};
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape};
+
+use super::MethodFolder;
+use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
+use crate::bases::control_nodes::{Rigidity, farthest_points, insert_nodes, published_decay, rows_of, sides};
+use crate::bases::gaussians::{self, GAUSSIANS, logit};
+use crate::effects::{Effect, Need};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
+use crate::params::Shared;
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables};
+use controls::{Ramp, Visibility};
+use motion::{NodeMotion, Nodes};
+use settings::Settings;
+
+/// Gaussians fainter than this do not become nodes: they mark no surface.
+const MIN_NODE_OPACITY: f64 = 0.1;
+
+/// The folder's entry.
+pub struct Mcgs;
+
+impl MethodFolder for Mcgs {
+    const NAME: &'static str = "mcgs";
+    const ABOUT: &'static str = "MCGS: control nodes whose motion follows a Markov chain";
+    type Settings = Settings;
+
+    fn shared_defaults() -> Shared {
+        Shared { iterations: [(WARM_UP.into(), 3000), (ALL.into(), 27_000)].into(), ..Shared::default() }
+    }
+
+    fn effects() -> Vec<Effect> {
+        const MOTION: &[Need] = &[Need::Times(2), Need::Motion];
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        vec![
+            effect(
+                "motion",
+                "control nodes carry the Gaussians; a coordinate network and a Markov chain move them",
+                MOTION,
+            ),
+            effect("attention", "the chain looks back over a window of states, not at the last one alone", MOTION),
+            effect("noise", "annealed noise on predicted motion, more where nodes are seldom seen", MOTION),
+            effect("arap", "neighbouring nodes move as rigidly as possible", MOTION),
+            effect("physics", "nodes avoid acceleration and haste", &[Need::Times(3), Need::Motion]),
+        ]
+    }
+
+    fn check(settings: &Settings) -> Result<(), String> {
+        settings.check()
+    }
+
+    #[cfg(test)]
+    fn tiny_settings() -> Settings {
+        Settings::tiny()
+    }
+
+    fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
+        let moves = shared.effects.has("motion");
+        let on = |name: &str| moves && shared.effects.has(name);
+        Box::new(MarkovGaussians {
+            canonical: CanonicalGaussians::new(shared),
+            nodes: Nodes::new(&settings, on("attention")),
+            moves,
+            has_noise: on("noise"),
+            is_rigid: on("arap"),
+            has_physics: on("physics"),
+            shared: shared.clone(),
+            settings,
+        })
+    }
+}
+
+struct MarkovGaussians {
+    shared: Shared,
+    settings: Settings,
+    canonical: CanonicalGaussians,
+    nodes: Nodes,
+    moves: bool,
+    has_noise: bool,
+    is_rigid: bool,
+    has_physics: bool,
+}
+
+impl<T: Real> Method<T> for MarkovGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        [WARM_UP, ALL].map(|name| self.canonical.phase(name)).to_vec()
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        _random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        self.canonical.insert(&mut state, start.scene(), points)?;
+        Ok(state)
+    }
+
+    fn enter_phase(
+        &self,
+        phase: &str,
+        mut state: ModelState<T>,
+        _start: &Start<'_>,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        if self.moves && phase == ALL {
+            self.choose_nodes(&mut state)?;
+            self.nodes.insert(&mut state, random);
+            controls::insert(&mut state, &self.settings, self.has_noise)?;
+        }
+        Ok(state)
+    }
+
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        let of_nodes = || Some(self.nodes.learning_rate(tensor)?.after(self.canonical.iterations(WARM_UP)));
+        self.canonical.learning_rate(phase, tensor, scene).or_else(of_nodes)
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
+        if !self.moves || moment.phase == WARM_UP {
+            return Ok(canonical);
+        }
+        let predictions = self.nodes.predict(tape, model, &[moment.time], moment.scene);
+        let motion = self.nodes.mix(tape, model, &predictions);
+        Ok(self.nodes.carry(tape, model, canonical, &motion))
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if !self.moves || step.phase == WARM_UP {
+            return photometric_losses(self, step);
+        }
+        for view in step.views {
+            step.clock.enter("motion");
+            let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);
+            let motion = self.training_motion(step, view.time);
+            let splats = self.nodes.carry(step.tape, step.model, canonical, &motion);
+            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
+            step.photometric(rendered.color, view);
+        }
+        Ok(())
+    }
+
+    fn population_controls(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+        let mut controls: Vec<Box<dyn PopulationControl>> = Vec::new();
+        if self.moves && phase == ALL {
+            let scale = self.shared.schedule_scale;
+            let before = self.canonical.iterations(WARM_UP);
+            controls.push(Box::new(Ramp::new(&self.settings, before, scale)));
+            if self.has_noise {
+                controls.push(Box::new(Visibility::new(self.settings.nodes.per_gaussian)));
+            }
+        }
+        // Last: it changes the number of Gaussians that the others look at.
+        controls.push(self.canonical.population_control(phase, scene));
+        controls
+    }
+}
+
+impl MarkovGaussians {
+    /// Nodes on Gaussians that lie far apart.
+    fn choose_nodes<T: Real>(&self, state: &mut ModelState<T>) -> anyhow::Result<()> {
+        let positions = state.get("gaussians.positions")?;
+        let opacities = state.get("gaussians.opacity_logits")?.as_slice();
+        let faintest = T::from_f64(logit(MIN_NODE_OPACITY));
+        let mut solid: Vec<usize> = (0..opacities.len()).filter(|&at| opacities[at] >= faintest).collect();
+        if solid.len() < self.settings.nodes.count {
+            solid = (0..opacities.len()).collect();
+        }
+        let solid = rows_of(positions, &solid);
+        let chosen = rows_of(&solid, &farthest_points(&solid, self.settings.nodes.count));
+        let diagonal = sides(&chosen).iter().map(|side| side * side).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+        insert_nodes(state, chosen, self.settings.nodes.first_radius * diagonal);
+        Ok(())
+    }
+
+    /// The nodes' motion at the time of a training view, and the losses that look at the frames around it.
+    fn training_motion<T: Real>(&self, step: &mut Step<'_, T>, time: f64) -> NodeMotion {
+        let frame = motion::frame_interval(step.scene);
+        let has_neighbors = time - frame >= 0.0 && time + frame <= 1.0;
+        let weight = self.rigidity_weight(step.iteration);
+        if !has_neighbors || !(self.has_physics || weight > 0.0) {
+            let predictions = self.nodes.predict(step.tape, step.model, &[time], step.scene);
+            return self.noisy(step, &predictions);
+        }
+        let times = [time - frame, time, time + frame];
+        let predictions = self.nodes.predict(step.tape, step.model, &times, step.scene);
+        let motions = self.nodes.mix(step.tape, step.model, &predictions);
+        let frames = self.nodes.split(step.tape, &motions, times.len());
+        if self.has_physics {
+            physics::add_losses(step, &self.settings.physics, &frames);
+        }
+        if weight > 0.0 {
+            self.add_rigidity(step, weight, &frames);
+        }
+        if !self.has_noise {
+            return frames[1];
+        }
+        let nodes = step.tape.value(frames[1].translations).rows();
+        let middle = RowIndex::new((nodes..2 * nodes).map(|row| row as u32).collect(), times.len() * nodes);
+        let of_middle = predictions.map(|var| gather(step.tape, var, &middle));
+        self.noisy(step, &of_middle)
+    }
+
+    /// The mixture of direct and predicted motion, with noise on what was predicted where the scene calls for it.
+    fn noisy<T: Real>(&self, step: &mut Step<'_, T>, predictions: &motion::Predictions) -> NodeMotion {
+        let predictions = match self.has_noise {
+            true => noise::disturb(step, predictions, &self.settings.noise),
+            false => *predictions,
+        };
+        self.nodes.mix(step.tape, step.model, &predictions)
+    }
+
+    /// The rigidity of the nodes between a frame and the next.
+    fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, weight: f64, frames: &[NodeMotion]) {
+        let nodes = step.model.get("nodes.positions");
+        let Some(rigidity) = Rigidity::new(step.tape.value(nodes), self.settings.nodes.rigid_neighbors) else { return };
+        let [before, after] = [1, 2].map(|frame| add(step.tape, nodes, frames[frame].translations));
+        let energy = rigidity.energy(step.tape, before, after);
+        step.add_loss("rigidity", weight, energy);
+    }
+
+    /// The weight of rigidity; its schedule counts all steps.
+    fn rigidity_weight(&self, iteration: u64) -> f64 {
+        if !self.is_rigid {
+            return 0.0;
+        }
+        let unstretched = iteration as f64 / self.shared.schedule_scale + self.canonical.iterations(WARM_UP) as f64;
+        self.settings.rigidity * published_decay(unstretched)
+    }
+}

@@ -1,0 +1,178 @@
+//! How the nodes move: a direct branch, the Markov chain, and their mixture; and how they carry the Gaussians.
+
+use rand_chacha::ChaCha8Rng;
+use shaders::neighbor_blend::{Neighbors, blend, weights};
+use shaders::pointwise::{add, mix};
+use shaders::quaternion;
+use shaders::rows::{RowIndex, gather};
+use shaders::splat::SplatVars;
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use super::markov::Chain;
+use super::settings::Settings;
+use crate::bases::canonical::{Moved, moved, scales_and_rotations};
+use crate::bases::control_nodes::{NODES, identity_rotations};
+use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
+use crate::bases::layers::FirstWeights;
+use crate::method::SceneFacts;
+use crate::schedule::LogLinear;
+use crate::state::{ModelState, Variables, belongs};
+
+/// What the direct branch says; next to no motion at first.
+const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
+const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
+
+/// Changes of nodes against the canonical moment, time by time where there are several.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeMotion {
+    /// [T·M, 3], scene units.
+    pub translations: Var,
+    /// [T·M, 4] unit quaternions.
+    pub rotations: Var,
+}
+
+/// What both branches say of the same nodes and times.
+#[derive(Clone, Copy, Debug)]
+pub struct Predictions {
+    /// From where and when alone (equations 8 and 9).
+    pub direct: NodeMotion,
+    /// From the states before (equation 5).
+    pub chained: NodeMotion,
+}
+
+impl Predictions {
+    /// Every tensor mapped.
+    pub fn map(&self, mut f: impl FnMut(Var) -> Var) -> Self {
+        let mut both = |NodeMotion { translations, rotations }| NodeMotion {
+            translations: f(translations),
+            rotations: f(rotations),
+        };
+        Self { direct: both(self.direct), chained: both(self.chained) }
+    }
+}
+
+/// The time from one frame to the next, in shares of the whole time.
+pub fn frame_interval(scene: &SceneFacts) -> f64 {
+    1.0 / scene.time_count.saturating_sub(1).max(1) as f64
+}
+
+/// The nodes with both branches.
+pub struct Nodes {
+    settings: Settings,
+    network: CoordinateMlp,
+    chain: Chain,
+}
+
+impl Nodes {
+    /// With the method's settings.
+    pub fn new(settings: &Settings, attends: bool) -> Self {
+        let heads = [TRANSLATION, ROTATION];
+        let network = CoordinateMlp::new("network", &settings.network, FirstWeights::FanIn, &heads);
+        Self { settings: settings.clone(), network, chain: Chain::new(&settings.chain, attends) }
+    }
+
+    /// Adds both branches.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+        self.network.insert(state, random);
+        self.chain.insert(state, random);
+    }
+
+    /// Step sizes of nodes and branches.
+    pub fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
+        let is_learnt = ["nodes.positions", "nodes.log_radii"].contains(&tensor);
+        let of_nodes = || is_learnt.then_some(self.settings.nodes.rate);
+        let of_chain = || belongs(tensor, Chain::NAME).then_some(self.settings.network.rate);
+        self.network.learning_rate(tensor).or_else(of_chain).or_else(of_nodes)
+    }
+
+    /// Both branches at times that follow each other by one frame interval.
+    ///
+    /// The states that the chain looks back on are the direct branch's, so that any time can be asked for by itself; they
+    /// are held fixed. Times before the start are the start's.
+    pub fn predict<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        times: &[f64],
+        scene: &SceneFacts,
+    ) -> Predictions {
+        let window = self.chain.window();
+        let first = times[0] - window as f64 * frame_interval(scene);
+        let earlier = (0..window).map(|at| (first + at as f64 * frame_interval(scene)).max(0.0));
+        let states: Vec<f64> = earlier.chain(times.iter().copied()).collect();
+        let motion = self.direct(tape, model, &states);
+        let nodes = tape.value(model.get("nodes.positions")).rows();
+        let last_states = RowIndex::new(rows(window * nodes, times.len() * nodes), states.len() * nodes);
+        let direct = NodeMotion {
+            translations: gather(tape, motion.translations, &last_states),
+            rotations: gather(tape, motion.rotations, &last_states),
+        };
+        let history =
+            NodeMotion { translations: tape.detach(motion.translations), rotations: tape.detach(motion.rotations) };
+        let chained = self.chain.predict(tape, model, history, nodes, times.len());
+        Predictions { direct, chained }
+    }
+
+    /// The direct branch at every time.
+    fn direct<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, times: &[f64]) -> NodeMotion {
+        let hidden = self.network.hidden(tape, model, model.get("nodes.positions"), times);
+        let [translations, turns] =
+            [TRANSLATION, ROTATION].map(|head| self.network.head(tape, model, head.name, hidden));
+        let identity = identity_rotations(tape, tape.value(turns).rows());
+        let raw = add(tape, identity, turns);
+        NodeMotion { translations, rotations: quaternion::normalize(tape, raw) }
+    }
+
+    /// (1 − λ)·direct + λ·chained, spherically for rotations (equations 10 and 11).
+    pub fn mix<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, predictions: &Predictions) -> NodeMotion {
+        let Predictions { direct, chained } = predictions;
+        let shares = tape.value(model.get(super::controls::SHARES)).as_slice().to_vec();
+        let rows = tape.value(direct.rotations).rows();
+        let of_rotation = tape.constant(Tensor::full([rows, 1], shares[1]));
+        NodeMotion {
+            translations: mix(tape, direct.translations, chained.translations, shares[0].to_f64()),
+            rotations: quaternion::slerp(tape, direct.rotations, chained.rotations, of_rotation),
+        }
+    }
+
+    /// Motions of several times, one by one.
+    pub fn split<T: Real>(&self, tape: &mut Tape<T>, motions: &NodeMotion, times: usize) -> Vec<NodeMotion> {
+        let nodes = tape.value(motions.translations).rows() / times;
+        let part = |time: usize| {
+            let index = RowIndex::new(rows(time * nodes, nodes), times * nodes);
+            let mut of_time = |var| gather(tape, var, &index);
+            NodeMotion { translations: of_time(motions.translations), rotations: of_time(motions.rotations) }
+        };
+        (0..times).map(part).collect()
+    }
+
+    /// The Gaussians where their nodes take them: x + Σ wₖ·Δμₖ and Δq⊗q, Δq the blend of the nodes' rotations.
+    pub fn carry<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        canonical: SplatVars,
+        motion: &NodeMotion,
+    ) -> SplatVars {
+        let nodes = model.get(&format!("{NODES}.positions"));
+        let log_radii = model.get(&format!("{NODES}.log_radii"));
+        let (points, count) = (canonical.positions, self.settings.nodes.per_gaussian);
+        let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), count);
+        let weights = weights(tape, points, nodes, log_radii, None, &neighbors);
+        let shift = blend(tape, weights, motion.translations, &neighbors);
+        // q and −q are one rotation, but do not add up to it.
+        let identity = identity_rotations(tape, tape.value(motion.rotations).rows());
+        let aligned = quaternion::align(tape, motion.rotations, identity);
+        let sum = blend(tape, weights, aligned, &neighbors);
+        let turn = quaternion::normalize(tape, sum);
+        let (_, rotations) = scales_and_rotations(&canonical);
+        let positions = add(tape, points, shift);
+        let rotations = quaternion::multiply(tape, turn, rotations);
+        moved(tape, canonical, Moved { positions, rotations, scale_changes: None })
+    }
+}
+
+/// `first..first + count` as indices.
+fn rows(first: usize, count: usize) -> Vec<u32> {
+    (first..first + count).map(|row| row as u32).collect()
+}

@@ -1,0 +1,95 @@
+//! What only this method understands.
+
+use serde::{Deserialize, Serialize};
+
+use super::markov::ChainSettings;
+use super::noise::NoiseSettings;
+use super::physics::PhysicsSettings;
+use crate::bases::control_nodes::ControlNodeSettings;
+use crate::bases::coordinate_mlp::CoordinateMlpSettings;
+
+/// The method's table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// The network of the direct motion.
+    pub network: CoordinateMlpSettings,
+    /// The nodes.
+    pub nodes: ControlNodeSettings,
+    /// The Markov chain.
+    pub chain: ChainSettings,
+    /// How the two motions are mixed.
+    pub mixing: Mixing,
+    /// The effect `noise`.
+    pub noise: NoiseSettings,
+    /// First weight of the effect `arap`.
+    pub rigidity: f64,
+    /// The effect `physics`.
+    pub physics: PhysicsSettings,
+}
+
+/// The chain's shares λ of the motion (equations 10 and 11), which grow evenly.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Mixing {
+    /// λ where motion begins.
+    pub first: f64,
+    /// λ_pos in the end.
+    pub position: f64,
+    /// λ_rot in the end.
+    pub rotation: f64,
+    /// The iteration at which that is reached, counted from the start of the training.
+    pub until: u64,
+}
+
+impl Default for Mixing {
+    fn default() -> Self {
+        Self { first: 0.0, position: 0.5, rotation: 0.5, until: 15_000 }
+    }
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            network: CoordinateMlpSettings::default(),
+            nodes: ControlNodeSettings::default(),
+            chain: ChainSettings::default(),
+            mixing: Mixing::default(),
+            noise: NoiseSettings::default(),
+            rigidity: 1e-4,
+            physics: PhysicsSettings::default(),
+        }
+    }
+}
+
+impl Settings {
+    /// Small, with every part, and losses that weigh enough to be seen, but not so much that small gradients are lost in
+    /// the rounding of their sum.
+    #[cfg(test)]
+    pub(crate) fn tiny() -> Self {
+        Self {
+            network: CoordinateMlpSettings::tiny(),
+            nodes: ControlNodeSettings::tiny(),
+            chain: ChainSettings { window: 2, width: 8, heads: 2, ..ChainSettings::default() },
+            mixing: Mixing { first: 0.5, ..Mixing::default() },
+            noise: NoiseSettings { rotation: 0.2, ..NoiseSettings::default() },
+            rigidity: 0.01,
+            physics: PhysicsSettings { acceleration: 0.01, haste: 0.01, ..PhysicsSettings::default() },
+        }
+    }
+
+    /// Why these settings cannot work, if so.
+    pub fn check(&self) -> Result<(), String> {
+        self.network.check()?;
+        self.nodes.check()?;
+        self.chain.check()?;
+        let shares = [self.mixing.first, self.mixing.position, self.mixing.rotation];
+        let PhysicsSettings { acceleration, haste, turning } = self.physics;
+        let weights = [self.rigidity, acceleration, haste, turning, self.noise.position, self.noise.rotation];
+        let good = [
+            (shares.iter().all(|share| (0.0..=1.0).contains(share)), "shares of the mixing must be 0 to 1"),
+            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
+        ];
+        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+    }
+}

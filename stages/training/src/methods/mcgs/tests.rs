@@ -1,0 +1,128 @@
+use serde_json::to_value;
+use shaders::check::noise;
+use shaders::tape::{Device, Tensor, Var};
+
+use super::*;
+use crate::bases::control_nodes::identity_rotations;
+use crate::sampler::{Stream, generator};
+use crate::test_training::ShortTraining;
+
+fn train(effects: &[&str]) -> ShortTraining {
+    ShortTraining::run(Mcgs::NAME, to_value(Mcgs::tiny_settings()).unwrap(), effects)
+}
+
+fn scene(time_count: usize) -> SceneFacts {
+    let time_map = scene::TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
+    SceneFacts { extent: 3.0, time_map, background: [0.0; 3], time_count }
+}
+
+#[test]
+fn without_motion_there_are_neither_nodes_nor_networks() {
+    let (moving, still) = (train(&["motion"]), train(&[]));
+    let parts = ["network.", "nodes.", "chain.", "mixing."];
+    assert!(parts.iter().all(|prefix| moving.count_tensors(prefix) > 0 && still.count_tensors(prefix) == 0));
+    let added = ["neighbor_weights", "neighbor_blend", "slerp", "standardize", "linear", "quaternion_multiply"];
+    assert!(added.iter().all(|operation| moving.ran(operation) && !still.ran(operation)), "{:?}", still.operations);
+    let everything_else = train(&["attention", "noise", "arap", "physics"]);
+    assert_eq!(everything_else.checkpoint, still.checkpoint);
+}
+
+#[test]
+fn attention_is_its_maps_and_its_window() {
+    let (without, with) = (train(&["motion"]), train(&["motion", "attention"]));
+    assert!(with.ran("window_attention") && !without.ran("window_attention"));
+    let added: Vec<_> = with.tensors.difference(&without.tensors).map(String::as_str).collect();
+    assert_eq!(
+        added,
+        ["chain.key.weight", "chain.output.weight", "chain.query.weight", "chain.time", "chain.value.weight"]
+    );
+}
+
+#[test]
+fn noise_is_its_strength_and_the_visibility() {
+    let (without, with) = (train(&["motion"]), train(&["motion", "noise"]));
+    let added: Vec<_> = with.tensors.difference(&without.tensors).map(String::as_str).collect();
+    assert_eq!(added, ["mixing.noise", "nodes.visibility"]);
+    assert_ne!(with.checkpoint, without.checkpoint);
+}
+
+#[test]
+fn rigidity_and_physics_cost_operations_and_no_tensors() {
+    let plain = train(&["motion"]);
+    for (effect, operation) in [("arap", "quaternion_rotate"), ("physics", "magnitude")] {
+        let with = train(&["motion", effect]);
+        assert_eq!(with.tensors, plain.tensors);
+        assert!(with.ran(operation) && !plain.ran(operation), "{effect}");
+    }
+}
+
+/// Nodes with settings, their state and canonical positions.
+fn nodes(settings: &Settings) -> (Nodes, ModelState<f64>) {
+    let nodes = Nodes::new(settings, true);
+    let mut state = ModelState::new();
+    insert_nodes(&mut state, Tensor::from_vec([5, 3], noise(15, 1)), 0.3);
+    nodes.insert(&mut state, &mut generator(1, Stream::Initial));
+    controls::insert(&mut state, settings, false).unwrap();
+    (nodes, state)
+}
+
+#[test]
+fn several_times_at_once_are_each_time_alone() {
+    let (nodes, state) = nodes(&Settings::tiny());
+    let scene = scene(11);
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let mut at = |times: &[f64]| {
+        let predictions = nodes.predict(&mut tape, &model, times, &scene);
+        let motion = nodes.mix(&mut tape, &model, &predictions);
+        [motion.translations, motion.rotations].map(|var| tape.value(var).as_slice().to_vec())
+    };
+    let together = at(&[0.4, 0.5, 0.6]);
+    let alone = [0.4, 0.5, 0.6].map(|time| at(&[time]));
+    for part in 0..2 {
+        let joined = alone.each_ref().map(|motion| motion[part].clone()).concat();
+        let worst = together[part].iter().zip(&joined).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst <= 1e-12, "{worst}");
+    }
+}
+
+#[test]
+fn a_chain_that_has_learnt_nothing_goes_on_as_the_last_state_was() {
+    let (nodes, state) = nodes(&Settings::tiny());
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let now = nodes.predict(&mut tape, &model, &[0.5], &scene(11));
+    let before = nodes.predict(&mut tape, &model, &[0.4], &scene(11));
+    let values = |var| tape.value(var).as_slice();
+    let close = |a: Var, b: Var| values(a).iter().zip(values(b)).all(|(a, b)| (a - b).abs() <= 1e-12);
+    assert!(close(now.chained.translations, before.direct.translations));
+    assert!(close(now.chained.rotations, before.direct.rotations));
+    assert!(!close(now.direct.translations, before.direct.translations));
+}
+
+#[test]
+fn the_window_begins_with_the_start_of_the_video() {
+    let (nodes, state) = nodes(&Settings::tiny());
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let first = nodes.predict(&mut tape, &model, &[0.0], &scene(11));
+    let values = |var| tape.value(var).as_slice();
+    assert_eq!(values(first.chained.translations), values(first.direct.translations));
+    assert!(values(first.chained.rotations).iter().all(|value| value.is_finite()));
+}
+
+#[test]
+fn no_motion_leaves_the_gaussians_where_they_are() {
+    let (nodes, mut state) = nodes(&Settings::tiny());
+    let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
+    gaussians::insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01).unwrap();
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let canonical = gaussians::static_splats(&mut tape, &model, GAUSSIANS, 0);
+    let translations = tape.constant(Tensor::zeros([5, 3]));
+    let rest = NodeMotion { translations, rotations: identity_rotations(&mut tape, 5) };
+    let carried = nodes.carry(&mut tape, &model, canonical, &rest);
+    assert_eq!(tape.value(carried.positions), tape.value(canonical.positions));
+    let rotations = |splats: &SplatVars| tape.value(splats.shape.scales_and_rotations().unwrap().1).clone();
+    shaders::check::agree(&rotations(&carried), &rotations(&canonical), 1e-14).unwrap();
+}
