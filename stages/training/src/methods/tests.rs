@@ -8,7 +8,7 @@ use shaders::tape::{Device, Tape, Tensor};
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::dataset::Dataset;
-use crate::method::{SkippedWork, Start, Step, TrainingView, raster_settings};
+use crate::method::{Moment, SkippedWork, Start, Step, TrainingView, raster_settings};
 use crate::sampler::{Stream, generator};
 use crate::state::ModelState;
 use crate::step::{StepOutcome, run_step};
@@ -66,6 +66,11 @@ impl Case {
         }
         let view = dataset.train[3].to_training();
         Self { method, params, phase: phases[phase_index].name, state: moved, view, dataset, supplements, _dir: dir }
+    }
+
+    fn view_moment(&self, sh_degree: usize) -> Moment<'_> {
+        let Self { dataset, view, phase, .. } = self;
+        Moment { scene: &dataset.scene, phase, time: view.time, camera: &view.camera, sh_degree }
     }
 
     fn learns(&self, name: &str) -> bool {
@@ -210,4 +215,18 @@ fn unused_sources_are_all_other_folders_and_exist() {
 #[test]
 fn an_unknown_method_is_refused_with_the_known_ones() {
     assert!(find("nerf").err().unwrap().contains("deformable4dgs"));
+}
+
+#[test]
+fn rows_name_every_splat_once() {
+    for (name, case) in cases() {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = case.state.bind(&mut tape, |_| false);
+        let degree = case.params.shared.harmonics.degree;
+        let moment = case.view_moment(degree);
+        let splats = case.method.splats(&mut tape, &model, &moment).unwrap();
+        let Some(rows) = case.method.rows(&mut tape, &model, &moment).unwrap() else { continue };
+        assert_eq!(rows.len(), tape.value(splats.positions).rows(), "{name}");
+        assert!(rows.is_sorted_by(|a, b| a < b), "{name}: rows repeat or are out of order");
+    }
 }

@@ -104,6 +104,17 @@ impl KineticGaussians {
         self.motion.particles(tape, model, self.has(ACTIVATION))
     }
 
+    /// The Gaussians of a view at a moment.
+    fn spawned<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SpawnedGaussians {
+        if !self.moves(moment.phase) {
+            let canonical = anchors::Anchors::stored(model);
+            return anchors::spawn(tape, model, &canonical, moment.camera);
+        }
+        let particles = self.particles(tape, model);
+        let moved = self.motion.at(tape, model, &particles, moment.time);
+        self.gaussians(tape, model, &moved, moment)
+    }
+
     /// The Gaussians of anchors that are where they are at a moment.
     fn gaussians<T: Real>(
         &self,
@@ -175,13 +186,11 @@ impl<T: Real> Method<T> for KineticGaussians {
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
-        if !self.moves(moment.phase) {
-            let canonical = anchors::Anchors::stored(model);
-            return Ok(anchors::spawn(tape, model, &canonical, moment.camera).splats);
-        }
-        let particles = self.particles(tape, model);
-        let moved = self.motion.at(tape, model, &particles, moment.time);
-        Ok(self.gaussians(tape, model, &moved, moment).splats)
+        Ok(self.spawned(tape, model, moment).splats)
+    }
+
+    fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
+        Ok(Some(self.spawned(tape, model, moment).slots.to_vec()))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {

@@ -197,6 +197,10 @@ impl<T: Real> Method<T> for MotionDecomposition {
         Ok(self.gaussians(tape, model, moment).splats)
     }
 
+    fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
+        Ok(Some(self.gaussians(tape, model, moment).slots.to_vec()))
+    }
+
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         for view in step.views {
             step.clock.enter("motion");
