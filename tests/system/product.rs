@@ -33,8 +33,8 @@ when = { method = "deformable4dgs" }
 nodes.train.params.iterations = { coarse = 10, fine = 30 }
 "#;
 
-/// Jobs of [`TINY`]: 2 captures, 4 of each other kind, and the report.
-pub const TINY_JOBS: usize = 2 + 3 * 4 + 1;
+/// Jobs of [`TINY`]: 2 captures, 2 coarse phases, 4 of each other kind, and the report.
+pub const TINY_JOBS: usize = 2 + 2 + 3 * 4 + 1;
 
 /// The folder of the workspace.
 pub fn root() -> PathBuf {

@@ -37,7 +37,8 @@ fn main() -> anyhow::Result<()> {
     let params = TrainingParams::from_table(table).map_err(anyhow::Error::msg)?;
     let checkpoints = tempfile::tempdir()?;
     let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: checkpoints.path() };
-    let (model, report) = train(capture.clone(), &supplements, &params, &watch)?.context("nobody asked to stop")?;
+    let (model, report) =
+        train(capture.clone(), &supplements, &params, None, &watch)?.context("nobody asked to stop")?;
     println!("{:.1} ms per iteration, {:.1} s, {:?}", report.ms_per_iteration, report.training_secs, report.phases);
     println!("left out: {:?}", report.skipped);
     evaluate(&Player::new(&model)?, &capture)

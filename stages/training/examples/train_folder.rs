@@ -5,12 +5,14 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context as _, bail};
+use engine::ParamProblem;
 use scene::{Capture, Split, image_file};
 use serde_json::{Map, Value};
 use shaders::splat::PinholeCamera;
 use training::TrainingParams;
 use training::curve::{psnr, to_bytes};
 use training::dataset::Dataset;
+use training::planning::resolve_for;
 use training::player::Player;
 use training::run::{Watch, train};
 use training::supplements::NOTHING;
@@ -22,12 +24,13 @@ fn main() -> anyhow::Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let [capture, out, overrides @ ..] = &args[..] else { bail!("usage: train_folder CAPTURE OUT [key=value …]") };
     let capture = Capture::open(Path::new(capture))?;
-    let params = parse(overrides)?;
+    let problem = |problems: Vec<ParamProblem>| anyhow::anyhow!("{}: {}", problems[0].key, problems[0].message);
+    let params = resolve_for(parse(overrides)?, &capture).map_err(problem)?;
     std::fs::create_dir_all(out)?;
     let checkpoints = Path::new(out).join("checkpoint");
     std::fs::create_dir_all(&checkpoints)?;
     let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
-    let (model, report) = train(capture.clone(), &NOTHING, &params, &watch)?.context("nobody asked to stop")?;
+    let (model, report) = train(capture.clone(), &NOTHING, &params, None, &watch)?.context("nobody asked to stop")?;
     model.save(Path::new(out))?;
 
     for point in &report.curve {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context as _, bail, ensure};
+use engine::Decision;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use scene::{Protocol, TimeMap};
 use serde::{Deserialize, Serialize};
@@ -48,8 +49,8 @@ pub struct ModelHeader {
     pub iterations: Vec<(String, u64)>,
     /// The seed of every random choice.
     pub seed: u64,
-    /// Effects that were left out, each with the reason.
-    pub skipped: BTreeMap<String, String>,
+    /// The method's effects: whether each was simulated, and why.
+    pub effects: Vec<Decision>,
 }
 
 /// A row-major f32 tensor.
@@ -78,7 +79,7 @@ impl Model {
 
 impl engine::Artifact for Model {
     const NAME: &'static str = "model";
-    const SCHEMA: u32 = 1;
+    const SCHEMA: u32 = 2;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(HEADER);
@@ -173,7 +174,7 @@ pub(crate) mod tests {
             n_gaussians: 2,
             iterations: vec![("train".into(), 10)],
             seed: 0,
-            skipped: BTreeMap::new(),
+            effects: Vec::new(),
         };
         let values = (0..6).map(|i| i as f32 * 0.1).collect();
         let tensors = [("gaussians.positions".to_string(), NamedTensor { shape: vec![2, 3], values })].into();

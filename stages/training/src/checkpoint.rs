@@ -60,6 +60,8 @@ pub struct Progress {
     pub curve: Vec<CurvePoint>,
     /// The loss of the last step.
     pub loss: f64,
+    /// Weighted values summed over steps, by loss.
+    pub loss_sums: BTreeMap<String, f64>,
 }
 
 impl Checkpoint {
@@ -126,7 +128,7 @@ mod tests {
             phase: 1,
             iteration,
             sh_degree: 2,
-            sampler: ViewSampler::new(5, 4),
+            sampler: ViewSampler::new(5, generator(4, Stream::Views)),
             density_random: generator(4, Stream::Density),
             method_random: generator(4, Stream::Method),
             controls: vec![serde_json::json!({ "seen_count": [1, 2] })],
@@ -134,6 +136,7 @@ mod tests {
             clock: ClockReading::default(),
             curve: Vec::new(),
             loss: 0.1 + 0.2,
+            loss_sums: [("photometric".to_string(), 0.7)].into(),
         };
         let values = vec![0.1, -0.0, f32::MIN_POSITIVE / 8.0, 1e30];
         let tensors = [("value.gaussians.positions".to_string(), NamedTensor { shape: vec![4, 1], values })].into();

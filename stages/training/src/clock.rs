@@ -5,50 +5,104 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-/// Seconds spent per named activity; exactly one runs at any time.
+/// The phase before the first one: the data is read, the first values are made.
+pub const PREPARATION: &str = "preparation";
+
+/// Seconds spent per training phase and named activity; exactly one activity runs at any time.
 #[derive(Debug)]
 pub struct PhaseClock {
+    phase: String,
     current: &'static str,
     since: Instant,
-    secs: BTreeMap<String, f64>,
+    reading: ClockReading,
 }
 
 /// What a checkpoint keeps of a clock.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
 pub struct ClockReading {
-    /// Seconds by activity.
-    pub secs: BTreeMap<String, f64>,
+    /// Seconds by training phase and activity.
+    pub secs: BTreeMap<String, BTreeMap<String, f64>>,
 }
 
 impl PhaseClock {
-    /// Starts in an activity, with the seconds of an earlier reading.
+    /// Starts in an activity, before the first phase, with the seconds of an earlier reading.
     pub fn start(current: &'static str, earlier: ClockReading) -> Self {
-        Self { current, since: Instant::now(), secs: earlier.secs }
+        Self { phase: PREPARATION.into(), current, since: Instant::now(), reading: earlier }
     }
 
     /// Ends the running activity and starts another one.
     pub fn enter(&mut self, next: &'static str) {
         let now = Instant::now();
-        *self.secs.entry(self.current.into()).or_default() += (now - self.since).as_secs_f64();
+        self.reading.add(&self.phase, self.current, (now - self.since).as_secs_f64());
         (self.current, self.since) = (next, now);
     }
 
+    /// What follows belongs to this phase of the training.
+    pub fn enter_phase(&mut self, phase: &str) {
+        self.enter(self.current);
+        self.phase = phase.into();
+    }
+
     /// Moves measured seconds from one activity to another (a render is split into its kernels afterwards).
-    pub fn reassign(&mut self, from: &'static str, to: &'static str, secs: f64) {
-        *self.secs.entry(from.into()).or_default() -= secs;
-        *self.secs.entry(to.into()).or_default() += secs;
+    pub fn reassign(&mut self, from: &str, to: &str, secs: f64) {
+        self.reading.add(&self.phase, from, -secs);
+        self.reading.add(&self.phase, to, secs);
     }
 
     /// Everything so far.
     pub fn reading(&mut self) -> ClockReading {
         self.enter(self.current);
-        ClockReading { secs: self.secs.clone() }
+        self.reading.clone()
     }
 }
 
 impl ClockReading {
+    fn add(&mut self, phase: &str, activity: &str, secs: f64) {
+        let known = self.secs.get_mut(phase).and_then(|activities| activities.get_mut(activity));
+        match known {
+            Some(known) => *known += secs,
+            None => {
+                self.secs.entry(phase.into()).or_default().insert(activity.into(), secs);
+            }
+        }
+    }
+
     /// Seconds of everything but the given activities.
     pub fn total_except(&self, left_out: &[&str]) -> f64 {
-        self.secs.iter().filter(|(name, _)| !left_out.contains(&name.as_str())).map(|(_, secs)| secs).sum()
+        self.by_activity().iter().filter(|(name, _)| !left_out.contains(&name.as_str())).map(|(_, secs)| secs).sum()
+    }
+
+    /// Seconds by activity, over all phases.
+    pub fn by_activity(&self) -> BTreeMap<String, f64> {
+        let mut sums = BTreeMap::new();
+        for (activity, secs) in self.secs.values().flatten() {
+            *sums.entry(activity.clone()).or_default() += secs;
+        }
+        sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seconds_belong_to_the_phase_and_the_activity_in_which_they_passed() {
+        let earlier = ClockReading { secs: [("coarse".into(), [("render".into(), 2.0)].into())].into() };
+        let mut clock = PhaseClock::start("load", earlier);
+        clock.enter_phase("coarse");
+        clock.enter("render");
+        clock.reassign("render", "sort", 0.5);
+        clock.enter_phase("fine");
+        clock.enter("backward");
+        let reading = clock.reading();
+        let phases: Vec<&str> = reading.secs.keys().map(String::as_str).collect();
+        assert_eq!(phases, ["coarse", "fine", PREPARATION]);
+        assert_eq!(reading.secs["coarse"]["sort"], 0.5);
+        assert!((1.5..1.6).contains(&reading.secs["coarse"]["render"]));
+        let total: f64 = reading.by_activity().values().sum();
+        assert!((total - reading.total_except(&[])).abs() <= 1e-12);
+        assert!((total - 0.5 - reading.total_except(&["sort"])).abs() <= 1e-12);
     }
 }

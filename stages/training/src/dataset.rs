@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use engine::{Failure, FailureKind};
+use engine::{Facts, Failure, FailureKind};
 use rayon::prelude::*;
 use scene::cloud::PointCloud;
-use scene::{Capture, Split, View};
+use scene::{Capture, Split, View, facts};
 use shaders::splat::PinholeCamera;
 use shaders::tape::{Real, Tensor};
 
@@ -50,12 +50,11 @@ impl Dataset {
         let has_val = capture.views_of(Split::Val).next().is_some();
         let curve_split = if has_val { Split::Val } else { Split::Train };
         let curve_candidates: Vec<_> = capture.views_of(curve_split).collect();
-        let times: BTreeSet<u64> = train_views.iter().map(|(_, view)| view.time_secs.to_bits()).collect();
         let scene = SceneFacts {
             extent: capture.scene_extent(),
             time_map: capture.time_map,
             background: capture.background,
-            time_count: times.len(),
+            time_count: time_count(&capture),
         };
         let train = load_all(&capture, &train_views)?;
         let curve = load_all(&capture, &evenly(&curve_candidates, curve_views))?;
@@ -82,6 +81,19 @@ impl Dataset {
             }
         }
     }
+}
+
+/// What a capture tells about its scene without a pixel, in the words of [`scene::facts`].
+pub fn facts_of(capture: &Capture) -> Facts {
+    let times = time_count(capture);
+    let known = Facts::default().with(facts::TIMES, times);
+    // Nothing is seen to move at a single instant; what moves between several is not known from their times.
+    if times > 1 { known } else { known.with(facts::MOVING, false) }
+}
+
+/// Different times among the training views.
+fn time_count(capture: &Capture) -> usize {
+    capture.views_of(Split::Train).map(|(_, view)| view.time_secs.to_bits()).collect::<BTreeSet<u64>>().len()
 }
 
 impl LoadedView {

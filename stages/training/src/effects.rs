@@ -3,9 +3,26 @@
 //! A method declares its effects ([`crate::methods::MethodFolder::effects`]). A recipe says `effects = "auto"`, or names
 //! some, or changes the automatic choice with `+name` and `-name`. What is off is not read, not allocated, not computed.
 
+mod choice;
+mod evidence;
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
+
+pub use choice::{Choice, KnownInputs, known_inputs, outcomes};
+pub use evidence::{BACKGROUND, CAPTURE, FEATURES, LAYERS, PARTICLES, PRIORS};
+
+/// Colours that depend on the viewpoint: spherical harmonics beyond the constant one. Every method that has any in its
+/// defaults has this effect; where it is off, the degree is 0 and nothing is allocated for it.
+pub const VIEW_DEPENDENT_COLOR: Effect = Effect {
+    name: "view-dependent-color",
+    about: "spherical harmonics of degree 1 and more",
+    needs: &[Need::ViewDependence],
+    by_default: true,
+};
 
 /// Something that a method can simulate or leave out.
 #[derive(Clone, Copy, Debug)]
@@ -33,6 +50,10 @@ pub enum Need {
     Depth,
     /// Optical flow on the port `priors`.
     Flow,
+    /// Surface normals on the port `priors`.
+    Normals,
+    /// The seen surface's 3D velocity on the port `priors`.
+    Velocity,
     /// Tokens and embeddings on the port `features`.
     Features,
     /// Particles on the port `particles`.
@@ -41,6 +62,8 @@ pub enum Need {
     Layers,
     /// A filled static video on the port `background`.
     Background,
+    /// Another effect of the method that is on; it must stand before this one in the method's list.
+    Effect(&'static str),
 }
 
 /// What a recipe says about effects, or what that came to.

@@ -139,11 +139,6 @@ pub trait Method<T: Real>: Send + Sync {
     fn language(&self) -> Option<&dyn Language<T>> {
         None
     }
-
-    /// Effects that this scene does not call for, each with the reason.
-    fn skipped(&self, _scene: &SceneFacts) -> BTreeMap<String, String> {
-        BTreeMap::new()
-    }
 }
 
 /// Renders every view of the step and compares it with its image: what most methods start from.
@@ -340,10 +335,12 @@ impl<'a, T: Real> Step<'a, T> {
 
     /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
     pub fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
+        self.clock.enter("loss photometric");
         let share = 1.0 / self.views.len() as f64;
         let target = self.tape.constant(view.image.clone());
         let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
         self.add_loss("photometric", share, value);
+        self.clock.enter("losses");
     }
 
     /// Counts work that was left out because nothing called for it, as `("motion of static Gaussians", 900, 1000)`.

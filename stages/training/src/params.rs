@@ -39,6 +39,8 @@ pub struct Shared {
     pub schedule_scale: f64,
     /// Optimiser steps per phase, before stretching.
     pub iterations: BTreeMap<String, u64>,
+    /// The phase after which the training ends, for others to go on from; unset: the last one.
+    pub stop_after: Option<String>,
     /// Views per optimiser step.
     pub batch: usize,
     /// What is simulated beyond a static scene.
@@ -166,6 +168,7 @@ impl Default for Shared {
             seed: 0,
             schedule_scale: 1.0,
             iterations: BTreeMap::new(),
+            stop_after: None,
             batch: 1,
             effects: Effects::Auto,
             initial_points: InitialPoints::default(),
@@ -287,6 +290,11 @@ impl TrainingParams {
         let positive_rate = "must be positive";
         let checks = [
             (unknown_phase.is_none(), "iterations", format!("{} has the phases {known}", self.method)),
+            (
+                shared.stop_after.as_ref().is_none_or(|phase| phases.contains_key(phase)),
+                "stop_after",
+                format!("{} has the phases {known}", self.method),
+            ),
             (shared.iterations.values().any(|&n| n > 0), "iterations", "nothing to train for".into()),
             (positive(shared.schedule_scale), "schedule_scale", "must be positive".into()),
             (!(steps > MOST_STEPS), "schedule_scale", format!("{steps:e} iterations are more than {MOST_STEPS:e}")),
@@ -319,7 +327,9 @@ impl TrainingParams {
             (curve.points == 0 || curve.views > 0, "curve.views", "must be at least 1".into()),
         ];
         let problem = |(_, key, message): (bool, &str, String)| ParamProblem { key: key.into(), message, hint: None };
-        checks.into_iter().filter(|(good, ..)| !good).map(problem).collect()
+        let effects = methods::find(&self.method).expect("checked when read").effects();
+        let values = checks.into_iter().filter(|(good, ..)| !good).map(problem);
+        values.chain(shared.effects.problems(&effects)).collect()
     }
 }
 

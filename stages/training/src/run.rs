@@ -4,16 +4,21 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use engine::{JobContext, ParamProblem, Port, Progress, Resources, Stage};
+use anyhow::Context as _;
+use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage};
 use scene::Capture;
+use serde::Deserialize as _;
 
 use crate::artifact::Model;
 use crate::checkpoint::Checkpoint;
 use crate::dataset::Dataset;
+use crate::effects::CAPTURE;
+use crate::inputs::{self, OptionalInputs, START};
 use crate::methods;
 use crate::params::TrainingParams;
-use crate::supplements::{NOTHING, Supplements};
-use crate::trainer::{Report, Trainer};
+use crate::planning;
+use crate::supplements::Supplements;
+use crate::trainer::{Earlier, Report, Trainer};
 
 /// A minute of lost work at most; a checkpoint of 100k Gaussians takes a fraction of a second. Not a parameter: it
 /// cannot change the model.
@@ -37,11 +42,22 @@ impl Stage for Training {
     const ABOUT: &'static str = "trains a dynamic (or static) Gaussian model on a capture";
 
     fn ports() -> Vec<Port> {
-        vec![Port::one::<CaptureArtifact>("capture")]
+        [Port::one::<CaptureArtifact>(CAPTURE)].into_iter().chain(inputs::optional_ports()).collect()
     }
 
     fn check_params(params: &TrainingParams) -> Vec<ParamProblem> {
         params.problems()
+    }
+
+    fn facts(params: &TrainingParams, _context: &PlanContext<'_>) -> Facts {
+        planning::facts(params)
+    }
+
+    fn resolve(
+        params: TrainingParams,
+        context: &PlanContext<'_>,
+    ) -> Result<Resolution<TrainingParams>, Vec<ParamProblem>> {
+        planning::resolve(params, context)
     }
 
     fn resources(_params: &TrainingParams) -> Resources {
@@ -53,11 +69,20 @@ impl Stage for Training {
     }
 
     fn run(context: &JobContext, params: &TrainingParams) -> anyhow::Result<Model> {
-        let capture = context.input::<CaptureArtifact>("capture")?.0;
+        let capture = context.input::<CaptureArtifact>(CAPTURE)?.0;
+        let start = match context.optional_input::<Model>(START)? {
+            Some(model) => Some((model, earlier(context)?)),
+            None => None,
+        };
+        let given = OptionalInputs::open(context)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let watch =
             Watch { stop: &context.stop, on_progress: &*context.on_progress, checkpoint_dir: context.checkpoint_dir() };
-        let Some((model, report)) = pool.install(|| train(capture, &NOTHING, params, &watch))? else {
+        let trained = pool.install(|| {
+            let supplements = given.load(&capture)?;
+            train(capture, &supplements, params, start, &watch)
+        });
+        let Some((model, report)) = trained? else {
             return Err(context.interrupted());
         };
         measure(context, &report, pool.current_num_threads())?;
@@ -76,17 +101,28 @@ pub struct Watch<'a> {
     pub checkpoint_dir: &'a Path,
 }
 
-/// Trains to the end, from the newest checkpoint if there is one; `None` if it was asked to stop (a checkpoint is saved).
+/// What the training measured whose model lies on the port `start`.
+fn earlier(context: &JobContext) -> anyhow::Result<Earlier> {
+    let record = context.input_record(START)?;
+    let earlier = Earlier::deserialize(&record.measurements);
+    earlier.with_context(|| format!("cannot use the measurements of {}", record.producer))
+}
+
+/// Trains to the end, from the newest checkpoint if there is one, else from `start` (a model that another training left
+/// after a shared phase, and what it measured); `None` if it was asked to stop (a checkpoint is saved).
 pub fn train(
     capture: Capture,
     supplements: &Supplements,
     params: &TrainingParams,
+    start: Option<(Model, Earlier)>,
     watch: &Watch<'_>,
 ) -> anyhow::Result<Option<(Model, Report)>> {
     let dataset = Dataset::load(capture, params.shared.curve.views)?;
-    let mut trainer = match Checkpoint::load(watch.checkpoint_dir, &serde_json::to_value(params)?) {
-        Some(checkpoint) => Trainer::resume(&dataset, supplements, params, checkpoint)?,
-        None => Trainer::new(&dataset, supplements, params)?,
+    let checkpoint = Checkpoint::load(watch.checkpoint_dir, &serde_json::to_value(params)?);
+    let mut trainer = match (checkpoint, start) {
+        (Some(checkpoint), _) => Trainer::resume(&dataset, supplements, params, checkpoint)?,
+        (None, Some((model, earlier))) => Trainer::go_on(&dataset, supplements, params, &model, earlier)?,
+        (None, None) => Trainer::new(&dataset, supplements, params)?,
     };
     let (mut saved, mut told) = (Instant::now(), Instant::now());
     while !trainer.is_done() {
@@ -114,7 +150,11 @@ fn measure(context: &JobContext, report: &Report, threads: usize) -> anyhow::Res
     context.measure("training_secs", report.training_secs)?;
     context.measure("total_secs", report.total_secs)?;
     context.measure("ms_per_iteration", report.ms_per_iteration)?;
+    context.measure("ms_per_iteration_by_phase", &report.ms_per_iteration_by_phase)?;
+    context.measure("loss_shares", &report.loss_shares)?;
+    context.measure("loss_sums", &report.loss_sums)?;
     context.measure("phases", &report.phases)?;
+    context.measure("seconds_by_phase", &report.seconds_by_phase)?;
     context.measure("kernels_ms", &report.kernels)?;
     context.measure("skipped_work", &report.skipped)?;
     context.measure("curve", &report.curve)?;
@@ -152,6 +192,9 @@ mod tests {
             action_key: String::new(),
         };
         context.inputs.insert("capture".into(), vec![record]);
+        for port in inputs::optional_ports() {
+            context.inputs.insert(port.name.into(), Vec::new());
+        }
         context
     }
 

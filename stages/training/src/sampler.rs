@@ -14,9 +14,9 @@ pub struct ViewSampler {
 
 impl ViewSampler {
     /// A sampler of `count` views (at least one).
-    pub fn new(count: usize, seed: u64) -> Self {
+    pub fn new(count: usize, random: ChaCha8Rng) -> Self {
         assert!(count > 0, "a sampler needs views");
-        Self { count, remaining: Vec::new(), random: generator(seed, Stream::Views) }
+        Self { count, remaining: Vec::new(), random }
     }
 
     /// The next view's index.
@@ -42,10 +42,19 @@ pub enum Stream {
     Method = 3,
 }
 
-/// The generator of one stream.
+/// Streams per phase; more than there are kinds, so that a new kind moves no draw of the old ones.
+const STREAMS_PER_PHASE: u64 = 16;
+
+/// The generator of one stream at the start of a training.
 pub fn generator(seed: u64, stream: Stream) -> ChaCha8Rng {
+    phase_generator(seed, stream, 0)
+}
+
+/// The generator of one stream at the start of a phase (counted from 0): what a phase draws does not depend on how much
+/// the ones before it drew, nor on who ran them.
+pub fn phase_generator(seed: u64, stream: Stream, phase: usize) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    random.set_stream(stream as u64);
+    random.set_stream(STREAMS_PER_PHASE * phase as u64 + stream as u64);
     random
 }
 
@@ -55,7 +64,7 @@ mod tests {
 
     #[test]
     fn every_epoch_sees_every_view_once_in_another_order() {
-        let mut sampler = ViewSampler::new(17, 3);
+        let mut sampler = ViewSampler::new(17, generator(3, Stream::Views));
         let epochs: Vec<Vec<usize>> = (0..3).map(|_| (0..17).map(|_| sampler.next_view()).collect()).collect();
         for epoch in &epochs {
             let mut sorted = epoch.clone();
@@ -67,13 +76,24 @@ mod tests {
 
     #[test]
     fn the_state_survives_serialisation_and_the_seed_decides() {
-        let mut sampler = ViewSampler::new(9, 1);
+        let new = |seed| ViewSampler::new(9, generator(seed, Stream::Views));
+        let mut sampler = new(1);
         (0..5).for_each(|_| {
             sampler.next_view();
         });
         let mut copy: ViewSampler = serde_json::from_str(&serde_json::to_string(&sampler).unwrap()).unwrap();
         let draw = |sampler: &mut ViewSampler| (0..30).map(|_| sampler.next_view()).collect::<Vec<_>>();
         assert_eq!(draw(&mut sampler), draw(&mut copy));
-        assert_ne!(draw(&mut ViewSampler::new(9, 1)), draw(&mut ViewSampler::new(9, 2)));
+        assert_ne!(draw(&mut new(1)), draw(&mut new(2)));
+    }
+
+    #[test]
+    fn every_phase_and_every_stream_draws_its_own_numbers() {
+        let streams = [Stream::Initial, Stream::Views, Stream::Density, Stream::Method];
+        let first = |(stream, phase)| phase_generator(3, stream, phase).random::<u64>();
+        let cases: Vec<_> = streams.iter().flat_map(|&stream| (0..3).map(move |phase| (stream, phase))).collect();
+        let drawn: std::collections::BTreeSet<u64> = cases.iter().map(|&case| first(case)).collect();
+        assert_eq!(drawn.len(), cases.len());
+        assert_eq!(first((Stream::Views, 0)), generator(3, Stream::Views).random::<u64>());
     }
 }

@@ -2,9 +2,12 @@
 //!
 //! A method reads only what its active effects need; whatever a recipe does not give is empty here.
 
+use engine::Facts;
 use image::RgbImage;
-use scene::{Camera, DepthMap, FlowMap, LabelMap, NormalMap, PointCloud, VelocityMap};
+use scene::{Camera, DepthMap, FlowMap, LabelMap, NormalMap, PointCloud, VelocityMap, facts};
 use shaders::tape::Tensor;
+
+use crate::effects::{BACKGROUND, FEATURES, LAYERS, PARTICLES};
 
 /// Everything that the optional inputs of a training gave, in memory.
 #[derive(Clone, Debug, Default)]
@@ -87,6 +90,28 @@ impl Supplements {
     /// The priors of a view, where there are any.
     pub fn view(&self, index: usize) -> Option<&ViewPriors> {
         self.priors.get(index)
+    }
+
+    /// What priors there are; none where nothing was given.
+    pub fn prior_facts(&self) -> Option<Facts> {
+        let any = |has: fn(&ViewPriors) -> bool| self.priors.iter().any(has);
+        let known = Facts::default()
+            .with(facts::DEPTH, any(|view| view.depth.is_some()))
+            .with(facts::FLOW, any(|view| view.flow.is_some()))
+            .with(facts::NORMALS, any(|view| view.normals.is_some()))
+            .with(facts::VELOCITY, any(|view| view.velocity.is_some()));
+        (!self.priors.is_empty()).then_some(known)
+    }
+
+    /// The ports, besides that of priors, on which something was given.
+    pub fn given(&self) -> Vec<&'static str> {
+        let given = [
+            (FEATURES, self.features.is_some()),
+            (PARTICLES, self.particles.is_some()),
+            (LAYERS, !self.moving.is_empty()),
+            (BACKGROUND, !self.background.is_empty()),
+        ];
+        given.into_iter().filter(|(_, given)| *given).map(|(port, _)| port).collect()
     }
 
     /// The moving part of a view, where it is known.

@@ -4,13 +4,14 @@
 //! let the population controls act. Phases follow each other with fresh optimisers. Nothing depends on the thread count
 //! or the clock, so a training resumed from a checkpoint ends in the same bytes as an undisturbed one.
 
+mod report;
 #[cfg(test)]
 mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::ensure;
-use engine::{Failure, FailureKind};
+use anyhow::{Context as _, ensure};
+use engine::{Decision, Facts, Failure, FailureKind};
 use rand_chacha::ChaCha8Rng;
 use shaders::splat::{self, PinholeCamera, SplatVars};
 use shaders::tape::{Device, Profile, Tape, Tensor};
@@ -18,17 +19,23 @@ use shaders::tape::{Device, Profile, Tape, Tensor};
 use crate::artifact::{Model, ModelHeader};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::clock::{ClockReading, PhaseClock};
+use crate::coarse::check_start;
 use crate::curve::{self, CurvePoint};
-use crate::dataset::Dataset;
+use crate::dataset::{self, Dataset};
+use crate::effects::{CAPTURE, PRIORS, outcomes};
 use crate::method::{Method, Moment, Phase, PopulationControl, SkippedWork, Start, Step, raster_settings, too_large};
 use crate::methods;
 use crate::optimizer::Optimizer;
 use crate::params::TrainingParams;
-use crate::sampler::{Stream, ViewSampler, generator};
+use crate::sampler::{Stream, ViewSampler, generator, phase_generator};
 use crate::schedule::{LogLinear, stretch};
 use crate::state::ModelState;
 use crate::step::run_step;
 use crate::supplements::Supplements;
+
+pub use report::{Earlier, LossShare, Report};
+
+use report::{kernel_milliseconds, loss_shares, milliseconds_by_phase};
 
 /// The activity that the training clock leaves out.
 pub const EVALUATION: &str = "evaluation";
@@ -54,19 +61,61 @@ pub struct Trainer<'a> {
     clock: PhaseClock,
     profile: Profile,
     skipped: SkippedWork,
+    /// Weighted values summed over steps, by loss.
+    loss_sums: BTreeMap<String, f64>,
 }
 
 impl<'a> Trainer<'a> {
     /// A training before its first step.
     pub fn new(dataset: &'a Dataset, supplements: &'a Supplements, params: &'a TrainingParams) -> anyhow::Result<Self> {
+        let mut trainer = Self::prepare(dataset, supplements, params)?;
+        let seed = params.shared.seed;
+        let points = dataset.initial_points(&params.shared.initial_points, seed)?;
+        let state = trainer.method.initialize(&trainer.start, &points, &mut generator(seed, Stream::Initial))?;
+        trainer.enter_phase(0, state)?;
+        trainer.skip_finished_phases()?;
+        Ok(trainer)
+    }
+
+    /// A training that goes on where another one stopped, which must have been what this one would have done up to there.
+    /// `earlier` is what that one measured, so that time and curve count from the very beginning.
+    pub fn go_on(
+        dataset: &'a Dataset,
+        supplements: &'a Supplements,
+        params: &'a TrainingParams,
+        from: &Model,
+        earlier: Earlier,
+    ) -> anyhow::Result<Self> {
+        check_start(from, params, dataset)?;
+        let mut trainer = Self::prepare(dataset, supplements, params)?;
+        let done = from.header.iterations.len();
+        let own = trainer.phases.iter().take(done).map(|phase| (phase.name.to_string(), phase.iterations));
+        ensure!(
+            own.eq(from.header.iterations.iter().cloned()) && done < trainer.phases.len(),
+            "the model on `start` ends after {:?}, which is not how this training begins",
+            from.header.iterations
+        );
+        trainer.sh_degree = from.header.sh_degree;
+        (trainer.curve, trainer.loss_sums) = (earlier.curve, earlier.losses);
+        trainer.clock = PhaseClock::start("load", earlier.clock);
+        trainer.enter_phase(done, ModelState::from_named(&from.tensors))?;
+        trainer.skip_finished_phases()?;
+        Ok(trainer)
+    }
+
+    /// Everything but a state: no phase is entered yet.
+    fn prepare(dataset: &'a Dataset, supplements: &'a Supplements, params: &'a TrainingParams) -> anyhow::Result<Self> {
         let start = Start { dataset, supplements };
         let method = methods::find(&params.method).map_err(anyhow::Error::msg)?.build_f32(params)?;
         let seed = params.shared.seed;
-        let points = dataset.initial_points(&params.shared.initial_points, seed)?;
-        let state = method.initialize(&start, &points, &mut generator(seed, Stream::Initial))?;
-        let phases = method.phases();
+        let mut phases = method.phases();
+        // The curve is that of the whole training, wherever it stops.
         let total = phases.iter().map(|phase| phase.iterations).sum();
-        let mut trainer = Self {
+        if let Some(last) = &params.shared.stop_after {
+            let at = phases.iter().position(|phase| phase.name == last);
+            phases.truncate(at.with_context(|| format!("{} has no phase {last}", params.method))? + 1);
+        }
+        Ok(Self {
             start,
             dataset,
             params,
@@ -77,7 +126,7 @@ impl<'a> Trainer<'a> {
             sh_degree: 0,
             optimizer: Optimizer::default(),
             controls: Vec::new(),
-            sampler: ViewSampler::new(dataset.train.len(), seed),
+            sampler: ViewSampler::new(dataset.train.len(), generator(seed, Stream::Views)),
             density_random: generator(seed, Stream::Density),
             method_random: generator(seed, Stream::Method),
             curve_at: curve::schedule(&params.shared.curve, total),
@@ -86,10 +135,8 @@ impl<'a> Trainer<'a> {
             clock: PhaseClock::start("load", ClockReading::default()),
             profile: Profile::default(),
             skipped: SkippedWork::new(),
-        };
-        trainer.enter_phase(0, state)?;
-        trainer.skip_finished_phases()?;
-        Ok(trainer)
+            loss_sums: BTreeMap::new(),
+        })
     }
 
     /// The training that a checkpoint was taken of, with the same data and parameters.
@@ -99,7 +146,7 @@ impl<'a> Trainer<'a> {
         params: &'a TrainingParams,
         checkpoint: Checkpoint,
     ) -> anyhow::Result<Self> {
-        let mut trainer = Self::new(dataset, supplements, params)?;
+        let mut trainer = Self::prepare(dataset, supplements, params)?;
         let Checkpoint { progress, tensors } = checkpoint;
         ensure!(progress.phase < trainer.phases.len(), "the checkpoint has more phases than the method");
         let rates = trainer.learning_rates(progress.phase);
@@ -113,7 +160,9 @@ impl<'a> Trainer<'a> {
             (progress.phase, progress.iteration, progress.sh_degree);
         (trainer.sampler, trainer.curve, trainer.loss) = (progress.sampler, progress.curve, progress.loss);
         (trainer.density_random, trainer.method_random) = (progress.density_random, progress.method_random);
+        trainer.loss_sums = progress.loss_sums;
         trainer.clock = PhaseClock::start("load", progress.clock);
+        trainer.clock.enter_phase(trainer.phases[trainer.phase].name);
         Ok(trainer)
     }
 
@@ -133,6 +182,7 @@ impl<'a> Trainer<'a> {
             clock: self.clock.reading(),
             curve: self.curve.clone(),
             loss: self.loss,
+            loss_sums: self.loss_sums.clone(),
         };
         Ok(Checkpoint { progress, tensors })
     }
@@ -200,8 +250,12 @@ impl<'a> Trainer<'a> {
             count[1] += of;
         }
         self.loss = outcome.total();
-        for (name, value) in &outcome.losses {
+        for (&name, value) in &outcome.losses {
             self.check_finite(value.is_finite(), &format!("loss {name}"), Some(&tape))?;
+            match self.loss_sums.get_mut(name) {
+                Some(sum) => *sum += value,
+                None => drop(self.loss_sums.insert(name.into(), *value)),
+            }
         }
 
         self.clock.enter("optimizer");
@@ -226,9 +280,14 @@ impl<'a> Trainer<'a> {
         self.check_not_empty()
     }
 
-    /// Starts a phase on the state that the one before ended with.
+    /// Starts a phase on the state that the one before ended with. Nothing else is handed over from phase to phase but the
+    /// degree of the harmonics: random numbers begin anew, so that it does not matter who ran the phases before.
     fn enter_phase(&mut self, phase: usize, state: ModelState<f32>) -> anyhow::Result<()> {
         let name = self.phases[phase].name;
+        self.clock.enter_phase(name);
+        let random = |stream| phase_generator(self.params.shared.seed, stream, phase);
+        self.sampler = ViewSampler::new(self.dataset.train.len(), random(Stream::Views));
+        (self.density_random, self.method_random) = (random(Stream::Density), random(Stream::Method));
         let state = self.method.enter_phase(name, state, &self.start, &mut self.method_random)?;
         self.optimizer = Optimizer::new(state, self.learning_rates(phase));
         self.controls = self.method.population_controls(name, &self.dataset.scene);
@@ -340,12 +399,26 @@ impl<'a> Trainer<'a> {
             training_secs,
             total_secs: clock.total_except(&[]),
             ms_per_iteration: 1e3 * training_secs / steps.max(1) as f64,
-            phases: clock.secs,
+            ms_per_iteration_by_phase: milliseconds_by_phase(&clock, &self.phases[..=self.phase], self.iteration),
+            loss_shares: loss_shares(&self.loss_sums, &clock),
+            loss_sums: self.loss_sums.clone(),
+            phases: clock.by_activity(),
+            seconds_by_phase: clock,
             curve: self.curve.clone(),
             curve_split: self.dataset.curve_split,
             kernels: kernel_milliseconds(&self.profile),
             skipped: self.skipped.clone(),
         }
+    }
+
+    /// What became of each effect, as the model tells it.
+    fn effect_outcomes(&self) -> Vec<Decision> {
+        let effects = methods::find(&self.params.method).expect("the method was found before").effects();
+        let (capture, priors) = (dataset::facts_of(&self.dataset.capture), self.start.supplements.prior_facts());
+        let none = Facts::default();
+        let given = self.start.supplements.given().into_iter().map(|port| (port, &none));
+        let known = given.chain([(CAPTURE, &capture)]).chain(priors.as_ref().map(|facts| (PRIORS, facts))).collect();
+        outcomes(&self.params.shared.effects, &effects, &known)
     }
 
     /// The trained model.
@@ -370,34 +443,8 @@ impl<'a> Trainer<'a> {
             n_gaussians,
             iterations: phases,
             seed: self.params.shared.seed,
-            skipped: self.method.skipped(&self.dataset.scene),
+            effects: self.effect_outcomes(),
         };
         Ok(Model { header, tensors: self.optimizer.into_state().to_named() })
     }
-}
-
-/// What a training measures besides its model.
-#[derive(Clone, Debug)]
-pub struct Report {
-    /// Seconds, evaluation excluded.
-    pub training_secs: f64,
-    /// Seconds, evaluation included.
-    pub total_secs: f64,
-    /// Training time per step.
-    pub ms_per_iteration: f64,
-    /// Seconds per activity.
-    pub phases: BTreeMap<String, f64>,
-    /// Quality over seconds.
-    pub curve: Vec<CurvePoint>,
-    /// The split that the curve was measured on.
-    pub curve_split: scene::Split,
-    /// Milliseconds per call of every kernel, forward and backward, since the last resumption.
-    pub kernels: BTreeMap<String, [f64; 2]>,
-    /// Work left out because nothing called for it, since the last resumption.
-    pub skipped: SkippedWork,
-}
-
-fn kernel_milliseconds(profile: &Profile) -> BTreeMap<String, [f64; 2]> {
-    let mean = |cost: &shaders::tape::Cost| 1e3 * cost.secs / cost.calls.max(1) as f64;
-    profile.ops.iter().map(|(name, cost)| (name.to_string(), [mean(&cost.forward), mean(&cost.backward)])).collect()
 }

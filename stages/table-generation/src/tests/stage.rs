@@ -1,6 +1,5 @@
 //! The stage on real artifacts.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use engine::{Artifact, Coordinates, Failure, InputRecord, JobContext, Stage};
@@ -45,7 +44,7 @@ fn write_artifacts(root: &Path) {
         n_gaussians: 7,
         iterations: vec![("train".into(), 10)],
         seed: 0,
-        skipped: BTreeMap::new(),
+        effects: Vec::new(),
     };
     let tensor = NamedTensor { shape: vec![7, 3], values: vec![0.5; 21] };
     Model { header, tensors: [("gaussians.positions".to_owned(), tensor)].into() }.save(&model).expect("written");

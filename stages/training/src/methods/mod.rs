@@ -19,7 +19,8 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use shaders::tape::Real;
 
-use crate::effects::Effect;
+use crate::coarse::CoarseSharing;
+use crate::effects::{Effect, VIEW_DEPENDENT_COLOR};
 use crate::method::Method;
 use crate::params::{Shared, TrainingParams};
 
@@ -52,9 +53,15 @@ pub trait MethodFolder: 'static {
     /// The method's own defaults of what all methods understand.
     fn shared_defaults() -> Shared;
 
-    /// What the method can simulate or leave out, in the order of its README.
+    /// What the method can simulate or leave out, in the order of its README. View-dependent colour is added where the
+    /// method's defaults have spherical harmonics.
     fn effects() -> Vec<Effect> {
         Vec::new()
+    }
+
+    /// The first phase, if it is one that other methods begin with as well: then one job trains it for all of them.
+    fn coarse(_shared: &Shared, _settings: &Self::Settings) -> Option<CoarseSharing> {
+        None
     }
 
     /// Why these settings cannot work, if so.
@@ -72,6 +79,9 @@ pub trait MethodFolder: 'static {
     fn build<T: Real>(shared: &Shared, settings: Self::Settings) -> Box<dyn Method<T>>;
 }
 
+/// What a method shares of its first phase, from what all methods understand and its own table.
+type Coarse = fn(&Shared, &Value) -> anyhow::Result<Option<CoarseSharing>>;
+
 /// Makes a method from what all methods understand and its own table.
 type Build<T> = fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<T>>>;
 
@@ -83,10 +93,10 @@ pub struct Registration {
     pub about: &'static str,
     /// The method's own defaults of what all methods understand.
     pub shared_defaults: fn() -> Shared,
-    /// What the method can simulate or leave out.
-    pub effects: fn() -> Vec<Effect>,
+    own_effects: fn() -> Vec<Effect>,
     /// Checks the method's table and fills in its defaults.
     pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
+    coarse: Coarse,
     #[cfg(test)]
     tiny_settings: fn() -> Value,
     build_f32: Build<f32>,
@@ -99,13 +109,30 @@ impl Registration {
             name: M::NAME,
             about: M::ABOUT,
             shared_defaults: M::shared_defaults,
-            effects: M::effects,
+            own_effects: M::effects,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
+            coarse: |shared, given| Ok(M::coarse(shared, &read_settings::<M>(given)?)),
             #[cfg(test)]
             tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),
             build_f32: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
             build_f64: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
         }
+    }
+
+    /// What the method can simulate or leave out.
+    pub fn effects(&self) -> Vec<Effect> {
+        let shared = self.has_harmonics().then_some(VIEW_DEPENDENT_COLOR);
+        (self.own_effects)().into_iter().chain(shared).collect()
+    }
+
+    /// The first phase, if other methods begin with it as well.
+    pub fn coarse(&self, params: &TrainingParams) -> anyhow::Result<Option<CoarseSharing>> {
+        (self.coarse)(&params.shared, &params.settings)
+    }
+
+    /// Whether the method's colours are spherical harmonics.
+    pub fn has_harmonics(&self) -> bool {
+        (self.shared_defaults)().harmonics.degree > 0
     }
 
     /// The method as it trains and renders.

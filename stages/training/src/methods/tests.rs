@@ -1,6 +1,6 @@
 //! Every registered method: its registration, and its gradients in f64 against central differences.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use shaders::check::noise;
 use shaders::tape::{Device, Tape, Tensor};
@@ -8,6 +8,7 @@ use shaders::tape::{Device, Tape, Tensor};
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::dataset::Dataset;
+use crate::effects::{Effects, Need};
 use crate::method::{Moment, SkippedWork, Start, Step, TrainingView, raster_settings};
 use crate::sampler::{Stream, generator};
 use crate::state::ModelState;
@@ -39,6 +40,11 @@ struct Case {
 impl Case {
     /// The state at the start of `phase` with every value moved a little, so that nothing is at a special point.
     fn new(entry: &Registration, phase_index: usize) -> Self {
+        Self::with(entry, phase_index, |_| ())
+    }
+
+    /// The same with changed parameters.
+    fn with(entry: &Registration, phase_index: usize, change: impl FnOnce(&mut Shared)) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let test_scene = TestScene { size: 16, ..TestScene::default() };
         let dataset = Dataset::load(test_scene.write(dir.path()), 1).unwrap();
@@ -46,6 +52,7 @@ impl Case {
         params.settings = (entry.tiny_settings)();
         params.shared.loss.lambda_dssim = 0.2;
         params.shared.initial_points.max_count = 8;
+        change(&mut params.shared);
         let method = entry.build_f64(&params).unwrap();
         let points = dataset.initial_points(&params.shared.initial_points, 0).unwrap();
         let supplements = test_scene.supplements(&dataset);
@@ -109,6 +116,13 @@ impl Case {
         let total = outcome.total();
         let take = |(name, var): (&str, _)| Some((name.to_string(), outcome.gradients.take(var)?));
         (total, model.iter().filter_map(take).collect())
+    }
+
+    /// Operations of one step, and its losses.
+    fn operations(&self) -> (usize, f64) {
+        let mut tape = Tape::new(Device::Cpu);
+        let (loss, _) = self.evaluate_on(&mut tape, &self.state);
+        (tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum(), loss)
     }
 
     /// Everything that the methods' losses hold constant although it was computed from the model.
@@ -210,6 +224,59 @@ fn unused_sources_are_all_other_folders_and_exist() {
         assert!(unused.iter().all(|path| !path.ends_with(entry.name)));
         assert!(unused.iter().all(|path| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path).is_dir()));
     }
+}
+
+/// What a training costs (optional inputs read, values learnt, operations of one step in each phase), and its losses.
+fn cost(entry: &Registration, on: &BTreeSet<String>) -> ([usize; 3], f64) {
+    let change = |shared: &mut Shared| {
+        if !on.contains(VIEW_DEPENDENT_COLOR.name) {
+            shared.harmonics.degree = 0;
+        }
+        shared.effects = Effects::Named(on.clone());
+    };
+    let mut params = TrainingParams::of(entry.name).unwrap();
+    params.settings = (entry.tiny_settings)();
+    change(&mut params.shared);
+    let phases = entry.build_f64(&params).unwrap().phases().len();
+    let needed = entry.effects().into_iter().filter(|effect| on.contains(effect.name));
+    let ports: BTreeSet<&str> = needed.flat_map(|effect| effect.needs).filter_map(|need| need.port()).collect();
+    let (mut cost, mut losses) = ([ports.len(), 0, 0], 0.0);
+    for index in 0..phases {
+        let case = Case::with(entry, index, change);
+        let learnt = case.state.iter().filter(|(name, _)| case.learns(name));
+        cost[1] += learnt.map(|(_, tensor)| tensor.len()).sum::<usize>();
+        let (operations, loss) = case.operations();
+        cost[2] += operations;
+        losses += loss;
+    }
+    (cost, losses)
+}
+
+#[test]
+fn an_effect_that_is_off_costs_nothing() {
+    let mut complaints = Vec::new();
+    for entry in registry() {
+        let effects = entry.effects();
+        let all: BTreeSet<String> = effects.iter().map(|effect| effect.name.to_owned()).collect();
+        let (full, full_loss) = cost(&entry, &all);
+        for effect in &effects {
+            let mut rest = all.clone();
+            rest.remove(effect.name);
+            // What needs an effect goes with it.
+            for other in &effects {
+                if other.needs.iter().any(|need| matches!(need, Need::Effect(name) if !rest.contains(*name))) {
+                    rest.remove(other.name);
+                }
+            }
+            let (without, loss) = cost(&entry, &rest);
+            let costs_more = without.iter().zip(&full).any(|(without, full)| without > full);
+            // An effect that costs the same must at least do something.
+            if costs_more || (without == full && loss == full_loss) {
+                complaints.push(format!("{} without {}: {without:?} after {full:?}", entry.name, effect.name));
+            }
+        }
+    }
+    assert!(complaints.is_empty(), "{complaints:#?}");
 }
 
 #[test]

@@ -75,7 +75,7 @@ fn a_checkpoint_that_lost_its_random_state_is_noticed() {
     let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
     (0..10).for_each(|_| trainer.advance().unwrap());
     let mut checkpoint = trainer.checkpoint().unwrap();
-    checkpoint.progress.sampler = ViewSampler::new(dataset.train.len(), 99);
+    checkpoint.progress.sampler = ViewSampler::new(dataset.train.len(), generator(99, Stream::Views));
     let resumed = train_to_end(Trainer::resume(&dataset, &NOTHING, &params, checkpoint).unwrap());
     assert_ne!(bits(&resumed), bits(&undisturbed));
 }

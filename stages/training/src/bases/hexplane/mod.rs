@@ -21,6 +21,8 @@ pub use field::TimeAxis;
 pub use network::{FurtherHead, Heads, MovedPoints};
 
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::coarse::CoarseSharing;
+use crate::effects::{Effect, Need};
 use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Step};
 use crate::params::{Density, LearningRates, Loss, Shared};
 use crate::schedule::{LogLinear, stretch};
@@ -34,6 +36,19 @@ pub const COARSE: &str = "coarse";
 pub const FINE: &str = "fine";
 /// The name of the field.
 const FIELD: &str = "field";
+
+/// Where it is off there is no field and no network: `fine` goes on as `coarse` did.
+pub const MOTION: Effect = Effect {
+    name: "motion",
+    about: "a hexplane field moves the Gaussians",
+    needs: &[Need::Times(2), Need::Motion],
+    by_default: true,
+};
+
+/// `coarse` as other methods on this base can share it: it reads nothing of [`HexplaneSettings`].
+pub fn coarse_sharing() -> CoarseSharing {
+    CoarseSharing { base: "hexplane", phase: COARSE, settings: serde_json::Value::Null }
+}
 
 /// The field, the network and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -168,7 +183,7 @@ impl HexplaneGaussians {
     /// Whether anything moves in a phase. Without the effect `motion` there is neither field nor network, and `fine`
     /// goes on as `coarse` does.
     pub fn moves(&self, phase: &str) -> bool {
-        phase == FINE && self.shared.effects.has("motion")
+        phase == FINE && self.shared.effects.has(MOTION.name)
     }
 
     /// `coarse` and `fine`.

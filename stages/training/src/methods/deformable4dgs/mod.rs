@@ -6,7 +6,9 @@ use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
-use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings};
+use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::coarse::CoarseSharing;
+use crate::effects::Effect;
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
 use crate::params::Shared;
 use crate::schedule::LogLinear;
@@ -22,6 +24,14 @@ impl MethodFolder for Deformable4dgs {
 
     fn shared_defaults() -> Shared {
         HexplaneSettings::shared_defaults()
+    }
+
+    fn effects() -> Vec<Effect> {
+        vec![MOTION]
+    }
+
+    fn coarse(_shared: &Shared, _settings: &HexplaneSettings) -> Option<CoarseSharing> {
+        Some(coarse_sharing())
     }
 
     fn check(settings: &HexplaneSettings) -> Result<(), String> {

@@ -11,8 +11,6 @@ mod settings;
 mod tests;
 mod weights;
 
-use std::collections::BTreeMap;
-
 use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
@@ -51,10 +49,14 @@ impl MethodFolder for Kineticgs {
         let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
         vec![
             effect(MOTION, "particles and the Gaussians of all anchors move", &[Need::Times(2), Need::Motion]),
-            effect(MOMENTUM_INIT, "particles begin where things move; other anchors stand still", &[Need::Particles]),
-            effect(ACTIVATION, "every particle moves within a window of time", &[Need::Times(4), Need::Motion]),
-            effect(ENERGY_FLOW, "particles follow the optical flow", &[Need::Flow, Need::Depth]),
-            effect(COHERENCE, "neighbours move alike and at the same time", &[Need::Times(2), Need::Motion]),
+            effect(
+                MOMENTUM_INIT,
+                "particles begin where things move; other anchors stand still",
+                &[Need::Particles, Need::Effect(MOTION)],
+            ),
+            effect(ACTIVATION, "every particle moves within a window of time", &[Need::Times(4), Need::Effect(MOTION)]),
+            effect(ENERGY_FLOW, "particles follow the optical flow", &[Need::Flow, Need::Depth, Need::Effect(MOTION)]),
+            effect(COHERENCE, "neighbours move alike and at the same time", &[Need::Effect(MOTION)]),
         ]
     }
 
@@ -200,13 +202,5 @@ impl<T: Real> Method<T> for KineticGaussians {
     fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
         let Shared { density, schedule_scale, .. } = &self.shared;
         vec![Box::new(AnchorGrowth::new(density, &self.settings.anchors, *schedule_scale))]
-    }
-
-    fn skipped(&self, _scene: &SceneFacts) -> BTreeMap<String, String> {
-        let left_out = |effect: &Effect| {
-            let reason = if self.shared.effects.has(effect.name) { "needs motion" } else { "left out" };
-            (!self.has(effect.name)).then(|| (effect.name.to_string(), reason.to_string()))
-        };
-        Kineticgs::effects().iter().filter_map(left_out).collect()
     }
 }

@@ -17,7 +17,8 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
-use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings};
+use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Need};
 use crate::language::Language;
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
@@ -47,10 +48,10 @@ impl MethodFolder for L4dgs {
     }
 
     fn effects() -> Vec<Effect> {
-        const CHANGE: &[Need] = &[Need::Times(2), Need::Motion];
+        const CHANGE: &[Need] = &[Need::Effect(MOTION.name)];
         let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
         vec![
-            effect("motion", "a hexplane field moves the Gaussians", CHANGE),
+            MOTION,
             effect("dynamic-semantics", "semantic features change as the teacher's tokens do (equations 6, 7)", CHANGE),
             effect("static-semantics", "semantic features follow the teacher's tokens (equation 3)", &[]),
             effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
@@ -58,6 +59,10 @@ impl MethodFolder for L4dgs {
             effect("attention-focus", "tokens weigh as much as the teacher attends to them", &[]),
             effect("language", "prompts modulate the teacher's tokens", &[Need::Features]),
         ]
+    }
+
+    fn coarse(_shared: &Shared, _settings: &L4dgsSettings) -> Option<CoarseSharing> {
+        Some(coarse_sharing())
     }
 
     fn check(settings: &L4dgsSettings) -> Result<(), String> {

@@ -3,8 +3,6 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
-
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
@@ -219,12 +217,5 @@ impl<T: Real> Method<T> for MotionDecomposition {
     fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
         let Shared { density, schedule_scale, .. } = &self.shared;
         vec![Box::new(AnchorGrowth::new(density, &self.settings.anchors, *schedule_scale))]
-    }
-
-    fn skipped(&self, _scene: &SceneFacts) -> BTreeMap<String, String> {
-        if self.shared.effects.has(MOTION) {
-            return BTreeMap::new();
-        }
-        BTreeMap::from([(MOTION.into(), "left out: anchors and Gaussians stand still".into())])
     }
 }

@@ -1,5 +1,7 @@
 //! Whole trainings on the test scene.
 
+use std::collections::BTreeMap;
+
 use serde_json::{Value, json};
 
 use super::*;

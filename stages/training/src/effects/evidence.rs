@@ -1,0 +1,102 @@
+//! What is known of a scene, held against what an effect needs.
+
+use engine::Facts;
+use scene::facts;
+
+use super::Need;
+
+/// The port of the capture.
+pub const CAPTURE: &str = "capture";
+/// The port of depth, flow, normals and velocity.
+pub const PRIORS: &str = "priors";
+/// The port of tokens and embeddings.
+pub const FEATURES: &str = "features";
+/// The port of particles.
+pub const PARTICLES: &str = "particles";
+/// The port of moving parts.
+pub const LAYERS: &str = "layers";
+/// The port of the static video.
+pub const BACKGROUND: &str = "background";
+
+/// The optional inputs that effects read.
+pub const SUPPLEMENTS: [&str; 5] = [PRIORS, FEATURES, PARTICLES, LAYERS, BACKGROUND];
+
+/// Whether a need is met, with the reason in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Evidence {
+    /// It is met.
+    Met(String),
+    /// Nobody can tell before the data is read; counts as met.
+    Unknown(String),
+    /// The scene does not call for the effect, which could be simulated all the same.
+    Idle(String),
+    /// What the effect reads does not exist.
+    Missing(String),
+}
+
+impl Need {
+    /// The port that shows whether the need is met; none where another effect does.
+    pub fn port(self) -> Option<&'static str> {
+        match self {
+            Self::Times(_) | Self::Motion | Self::ViewDependence => Some(CAPTURE),
+            Self::Depth | Self::Flow | Self::Normals | Self::Velocity => Some(PRIORS),
+            Self::Features => Some(FEATURES),
+            Self::Particles => Some(PARTICLES),
+            Self::Layers => Some(LAYERS),
+            Self::Background => Some(BACKGROUND),
+            Self::Effect(_) => None,
+        }
+    }
+
+    /// What `facts_on` (the facts of the artifact on a port; none where nothing is wired) say about the need. Another
+    /// effect as need is not looked at here.
+    pub(super) fn evidence<'a>(self, facts_on: impl Fn(&str) -> Option<&'a Facts>) -> Evidence {
+        let port = self.port().unwrap_or(CAPTURE);
+        let known = facts_on(port);
+        let flag = |name: &str| known.and_then(|known| known.flag(name));
+        match self {
+            Self::Times(needed) => times(known.and_then(|known| known.count(facts::TIMES)), needed),
+            Self::Motion => scene_has(flag(facts::MOVING), "motion", "something moves", "nothing moves"),
+            Self::ViewDependence => scene_has(
+                flag(facts::VIEW_DEPENDENT),
+                "view dependence",
+                "colours depend on the view",
+                "colours do not depend on the view",
+            ),
+            _ if known.is_none() => Evidence::Missing(format!("nothing is wired to `{port}`")),
+            Self::Depth => input_has(flag(facts::DEPTH), port, "depth"),
+            Self::Flow => input_has(flag(facts::FLOW), port, "flow"),
+            Self::Normals => input_has(flag(facts::NORMALS), port, "normals"),
+            Self::Velocity => input_has(flag(facts::VELOCITY), port, "velocity"),
+            Self::Features | Self::Particles | Self::Layers | Self::Background => {
+                Evidence::Met(format!("`{port}` are given"))
+            }
+            Self::Effect(_) => Evidence::Met(String::new()),
+        }
+    }
+}
+
+fn times(known: Option<u64>, needed: usize) -> Evidence {
+    match known {
+        None => Evidence::Unknown("number of times not known before import".into()),
+        Some(times) if times >= needed as u64 => Evidence::Met(format!("{times} times")),
+        Some(1) => Evidence::Idle(format!("1 time where {needed} are needed")),
+        Some(times) => Evidence::Idle(format!("{times} times where {needed} are needed")),
+    }
+}
+
+fn scene_has(known: Option<bool>, what: &str, yes: &str, no: &str) -> Evidence {
+    match known {
+        None => Evidence::Unknown(format!("{what} not known before import")),
+        Some(true) => Evidence::Met(yes.into()),
+        Some(false) => Evidence::Idle(no.into()),
+    }
+}
+
+fn input_has(known: Option<bool>, port: &str, what: &str) -> Evidence {
+    match known {
+        None => Evidence::Unknown(format!("{what} on `{port}` not known before import")),
+        Some(true) => Evidence::Met(format!("`{port}` have {what}")),
+        Some(false) => Evidence::Missing(format!("`{port}` have no {what}")),
+    }
+}

@@ -1,0 +1,91 @@
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use engine::{Facts, PlanContext, Resolution};
+use scene::facts;
+use serde_json::{Value, json};
+
+use super::*;
+
+fn params(value: Value) -> TrainingParams {
+    serde_json::from_value(value).unwrap()
+}
+
+/// What is known of a capture on the port `capture` and of models on the port `start`.
+fn context(capture: Facts, start: &[Facts]) -> PlanContext<'static> {
+    let inputs = BTreeMap::from([("capture".to_string(), vec![capture]), (START.to_string(), start.to_vec())]);
+    PlanContext { data_root: Path::new("unused"), inputs }
+}
+
+fn scene_at_rest() -> Facts {
+    Facts::default().with(facts::TIMES, 9).with(facts::MOVING, false).with(facts::VIEW_DEPENDENT, false)
+}
+
+fn effects(resolution: &Resolution<TrainingParams>) -> Value {
+    serde_json::to_value(&resolution.params.shared.effects).unwrap()
+}
+
+#[test]
+fn colours_that_do_not_depend_on_the_view_have_no_harmonics() {
+    let resolved = resolve(params(json!({})), &context(scene_at_rest(), &[])).unwrap();
+    assert_eq!((effects(&resolved), resolved.params.shared.harmonics.degree), (json!([]), 0));
+    assert_eq!(resolved.decisions[0].reason, "colours do not depend on the view");
+    let unknown = resolve(params(json!({})), &context(Facts::default(), &[])).unwrap();
+    assert_eq!((effects(&unknown), unknown.params.shared.harmonics.degree), (json!(["view-dependent-color"]), 3));
+    let low = resolve(params(json!({ "harmonics": { "degree": 1 } })), &context(Facts::default(), &[])).unwrap();
+    assert_eq!(low.params.shared.harmonics.degree, 1);
+}
+
+#[test]
+fn automatic_and_named_effects_give_one_training() {
+    for capture in [scene_at_rest(), Facts::default()] {
+        for method in methods::registry() {
+            let auto = json!({ "method": method.name });
+            let resolved = resolve(params(auto), &context(capture.clone(), &[])).unwrap();
+            let named = json!({ "method": method.name, "effects": effects(&resolved) });
+            let again = resolve(params(named), &context(capture.clone(), &[])).unwrap();
+            assert_eq!(again.params, resolved.params, "{}", method.name);
+            // Resolved parameters stay what they are.
+            assert_eq!(
+                resolve(resolved.params.clone(), &context(capture.clone(), &[])).unwrap().params,
+                resolved.params
+            );
+        }
+    }
+}
+
+#[test]
+fn a_degree_of_zero_is_a_decision_and_contradicts_the_effects_name() {
+    let zero = |effects: Value| {
+        resolve(params(json!({ "harmonics": { "degree": 0 }, "effects": effects })), &context(Facts::default(), &[]))
+    };
+    let resolved = zero(json!("auto")).unwrap();
+    assert_eq!((effects(&resolved), resolved.decisions[0].reason.as_str()), (json!([]), "harmonics.degree is 0"));
+    for named in [json!(["view-dependent-color"]), json!(["+view-dependent-color"])] {
+        assert!(zero(named).unwrap_err()[0].message.contains("harmonics.degree is 0"));
+    }
+}
+
+#[test]
+fn a_start_is_chosen_where_it_is_exactly_what_the_training_begins_with() {
+    let coarse = |change: Value| {
+        let mut table = json!({ "method": "deformable4dgs", "stop_after": "coarse" });
+        table.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
+        facts(&resolve(params(table), &context(Facts::default(), &[])).unwrap().params)
+    };
+    let start = |method: &str, offered: &[Facts]| {
+        let resolved = resolve(params(json!({ "method": method })), &context(Facts::default(), offered)).unwrap();
+        let sharing = resolved.decisions.iter().find(|decision| decision.effect == "shared coarse phase").cloned();
+        (resolved.chosen.get(START).copied(), sharing.map(|decision| (decision.on, decision.reason)))
+    };
+    let (equal, other) = (coarse(json!({})), coarse(json!({ "seed": 7, "iterations": { "coarse": 9, "fine": 1 } })));
+    let (chosen, decision) = start("deformable4dgs", &[other.clone(), Facts::default(), equal.clone()]);
+    assert_eq!((chosen, decision.unwrap().0), (Some(2), true));
+    let differences = "iterations 9 → 3000, seed 7 → 0".to_string();
+    assert_eq!(start("deformable4dgs", &[other]), (None, Some((false, differences))));
+    // What comes after the phase does not matter.
+    assert_eq!(coarse(json!({ "iterations": { "fine": 5 }, "deformable4dgs": { "width": 8 } })), equal);
+    // Who has no such phase is not told about it, and a model that was trained to its end is none.
+    assert_eq!(start("static3dgs", &[equal]), (None, None));
+    assert_eq!(start("deformable4dgs", &[coarse(json!({ "stop_after": null }))]), (None, None));
+}
