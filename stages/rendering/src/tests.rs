@@ -87,7 +87,7 @@ fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
     }))
     .unwrap();
     let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
-    let (model, _) = train(capture.clone(), &NOTHING, &params, &watch).unwrap().unwrap();
+    let (model, _) = train(capture.clone(), &NOTHING, &params, None, &watch).unwrap().unwrap();
     model.save(&model_dir).unwrap();
     (dir, model, capture)
 }
