@@ -14,7 +14,8 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
-use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings};
+use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, coarse_sharing};
+use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Effects, Need};
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
 use crate::params::Shared;
@@ -37,6 +38,10 @@ impl MethodFolder for Phys4dgs {
 
     fn shared_defaults() -> Shared {
         HexplaneSettings::shared_defaults()
+    }
+
+    fn coarse(_shared: &Shared, _settings: &Phys4dgsSettings) -> Option<CoarseSharing> {
+        Some(coarse_sharing())
     }
 
     fn effects() -> Vec<Effect> {
@@ -66,7 +71,7 @@ impl MethodFolder for Phys4dgs {
             Effect {
                 name: "true-displacement",
                 about: "displacements agree with the exact ones of a synthetic scene (eq 4)",
-                needs: &[Need::Times(2), Need::Motion],
+                needs: &[Need::Times(2), Need::Motion, Need::Velocity],
                 by_default: false,
             },
         ]
