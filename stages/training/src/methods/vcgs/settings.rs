@@ -72,13 +72,17 @@ impl Switches {
 pub fn effects() -> Vec<Effect> {
     let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
     vec![
-        effect("motion", "4D surfels on the moving pixels of every frame", &[Need::Times(2), Need::Motion]),
+        effect(
+            "motion",
+            "4D surfels on the moving pixels of every frame",
+            &[Need::Times(2), Need::Motion, Need::Depth],
+        ),
         effect(
             "view-plane-constraint",
             "surfels move across the viewing direction of the view that they come from",
             &[Need::Times(2), Need::Motion],
         ),
-        effect("layer-split", "what stands still is a layer of its own, trained first", &[Need::Layers]),
+        effect("layer-split", "what stands still is a layer of its own, trained first", &[Need::Layers, Need::Depth]),
         effect(
             "inpainting",
             "the static layer is trained on images without what moves",
