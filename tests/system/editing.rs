@@ -101,7 +101,7 @@ fn a_value_of_the_recipe_reruns_what_depends_on_it() {
     let deformable = |name: &str| name.contains("/deformable4dgs/") || name == "report";
     assert_eq!(after(&["nodes.train.params.deformable4dgs.channels=8"]), jobs(&before, deformable));
     let from_render = |name: &str| !["capture", "coarse", "train"].iter().any(|before| name.starts_with(before));
-    assert_eq!(after(&["nodes.render.params.depth=true"]), jobs(&before, from_render));
+    assert_eq!(after(&["nodes.render.params.maps=\"all\""]), jobs(&before, from_render));
     assert_eq!(after(&["nodes.train.params.batch=1"]), BTreeSet::new(), "a default spelled out");
 
     let dir = tempfile::tempdir().unwrap();

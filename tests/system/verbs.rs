@@ -31,7 +31,7 @@ fn second_run_executes_nothing(world: &World) {
     assert!(secs < 5.0, "{secs} s");
     world.call("run", &["--frozen"]).ok();
 
-    let changed = world.call("run", &["--frozen", "-s", "nodes.render.params.depth=true"]);
+    let changed = world.call("run", &["--frozen", "-s", "nodes.render.params.maps=\"all\""]);
     assert_eq!(changed.code, 5, "{}", changed.stderr);
     assert!(changed.stderr.contains("render/bouncing-spheres/static3dgs/0"), "{}", changed.stderr);
 }

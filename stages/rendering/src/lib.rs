@@ -9,8 +9,7 @@ pub mod surfaces;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::{RenderedView, Renders};
+pub use artifact::{RenderedView, Renders, SurfaceMaps};
 pub use frame_rate::FrameRate;
 pub use params::{Maps, RenderingParams};
 pub use run::Rendering;
-pub use surfaces::SurfaceMaps;

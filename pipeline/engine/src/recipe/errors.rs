@@ -69,7 +69,7 @@ pub(crate) struct Report {
 }
 
 impl Report {
-    /// Adds an error; the same one of several jobs counts once.
+    /// Adds an error; the same one counts once, whatever jobs and nodes it concerns.
     pub fn add(&mut self, place: &Place, key: impl Into<String>, message: impl Into<String>, hint: Option<String>) {
         let (line, column, source_line) = self.texts.line(place);
         let left = source_line.chars().count().saturating_sub(column - 1);
@@ -85,7 +85,8 @@ impl Report {
             source_line: source_line.into(),
             width: marked.min(left).max(1),
         };
-        if !self.errors.iter().any(|(_, known)| *known == error) {
+        let is_same = |(at, known): &(Place, RecipeError)| at == place && known.message == error.message;
+        if !self.errors.iter().any(is_same) {
             self.errors.push((*place, error));
         }
     }

@@ -5,7 +5,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rendering::SurfaceMaps;
-use rendering::surfaces::COVERED;
 use scene::{DepthMap, FlowMap, VelocityMap};
 
 use super::{Metric, Score, psnr_from_mse};
@@ -100,14 +99,14 @@ fn flow_error(rendered: &SurfaceMaps, truth: &[[f32; 2]], moving: &[bool]) -> Sc
 
 /// Mean |rendered − true| depth where both show a surface.
 fn depth_error(rendered: &SurfaceMaps, truth: &[f32]) -> Score {
-    let counts = |at: usize| truth[at] > 0.0 && rendered.alpha[at] >= COVERED;
+    let counts = |at: usize| truth[at] > 0.0 && rendered.alpha[at] >= SurfaceMaps::COVERED;
     let distance = |at: usize| difference(rendered.depth_view[at], truth[at]).abs();
     mean_over(truth.len(), counts, distance, "no pixel with a surface in render and truth")
 }
 
 /// Share of the truly covered pixels where the render shows nothing.
 fn hole_area(rendered: &SurfaceMaps, truth: &[f32]) -> Score {
-    let is_hole = |at: usize| f64::from(u8::from(rendered.alpha[at] < COVERED));
+    let is_hole = |at: usize| f64::from(u8::from(rendered.alpha[at] < SurfaceMaps::COVERED));
     mean_over(truth.len(), |at| truth[at] > 0.0, is_hole, "the truth shows no surface")
 }
 
@@ -115,7 +114,7 @@ fn hole_area(rendered: &SurfaceMaps, truth: &[f32]) -> Score {
 fn floater_area(rendered: &SurfaceMaps, truth: &[f32]) -> Score {
     let floats = |at: usize| {
         let before = truth[at] <= 0.0 || rendered.depth_view[at] < FLOATS_BEFORE * truth[at];
-        f64::from(u8::from(rendered.alpha[at] >= COVERED && before))
+        f64::from(u8::from(rendered.alpha[at] >= SurfaceMaps::COVERED && before))
     };
     mean_over(truth.len(), |_| true, floats, "no pixels")
 }
