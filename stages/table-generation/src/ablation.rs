@@ -28,7 +28,7 @@ fn ablation_table(group: &Group, method: &str) -> Option<Table> {
     let mut table = Table::new(caption, header.map(String::from).into());
     for row in rows {
         let mut cells = vec![Text::plain(row.variant.as_deref().unwrap_or_default())];
-        for column in [Column::Psnr, Column::TrainingSecs, Column::MsPerIteration] {
+        for column in [Column::PSNR, Column::TrainingSecs, Column::MsPerIteration] {
             let value = |row: &Row| row.headline.get(&column).and_then(|cell| cell.mean);
             let difference = value(row).zip(value(reference)).map(|(mine, base)| mine - base);
             let decimals = column.decimals();

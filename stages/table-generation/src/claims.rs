@@ -267,9 +267,9 @@ impl ClaimTable {
     /// Looks up what was published about the method of `row` on the scenes of `group`.
     pub fn new(row: &Row, group: &Group, claims: &[Claim], params: &TableGenerationParams) -> Option<Self> {
         let about = |claim: &&Claim| claim.method == row.method && claim.protocol.dataset == group.protocol.dataset;
-        let measured_in = |scene: &String| row.by_scene.get(scene)?.get(&Column::Psnr).cloned();
+        let measured_in = |scene: &String| row.by_scene.get(scene)?.get(&Column::PSNR).cloned();
         let mut measured: Vec<Cell> = group.scenes.iter().map(|scene| measured_in(scene).unwrap_or_default()).collect();
-        measured.push(row.headline.get(&Column::Psnr).cloned().unwrap_or_default());
+        measured.push(row.headline.get(&Column::PSNR).cloned().unwrap_or_default());
         let column = |claim: &Claim| {
             let differences = claim.protocol.differences(group);
             let verdict = |published: f64, cell: &Cell, same_set: bool| match cell.mean {

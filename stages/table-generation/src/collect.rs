@@ -209,7 +209,7 @@ impl Run {
         self.method.clone_from(&metrics.method);
         self.protocol = Some(metrics.protocol.clone());
         self.judged_by = Some(metrics.judged_by());
-        let figures = metrics.means.iter().map(|(metric, score)| (Column::of_metric(*metric), score.clone()));
+        let figures = metrics.means.iter().map(|(metric, score)| (Column::Metric(*metric), score.clone()));
         self.figures.extend(figures);
     }
 

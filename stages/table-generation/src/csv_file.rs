@@ -10,13 +10,13 @@ pub fn csv(report: &Report) -> anyhow::Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let keys = ["model", "renders", "metrics"];
     let lead = ["protocol", "method", "scene", "seed"].into_iter().map(String::from);
-    let figures = Column::ALL.into_iter().map(|column| column.key().to_owned());
+    let figures = Column::all().map(|column| column.key().to_owned());
     let trail = ["failure".to_owned()].into_iter().chain(keys.map(|port| format!("{port}_key")));
     writer.write_record(lead.chain(figures).chain(trail))?;
     for run in &report.runs {
         let protocol = group_name(report, run);
         let lead = [protocol, run.row.clone(), run.scene.clone(), run.seed.clone()].into_iter();
-        let figures = Column::ALL.into_iter().map(|column| {
+        let figures = Column::all().map(|column| {
             let value = run.figures.get(&column).and_then(Score::value).filter(|value| value.is_finite());
             value.map(|value| value.to_string()).unwrap_or_default()
         });

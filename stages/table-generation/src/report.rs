@@ -214,10 +214,10 @@ fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<String> {
 fn row(name: &str, scenes: &[String], runs: &[&Run]) -> Row {
     let runs: Vec<&Run> = runs.iter().copied().filter(|run| run.row == name).collect();
     let seeds = distinct(runs.iter().map(|run| run.seed.as_str()));
-    let headline = Column::ALL.map(|column| (column, headline_cell(&runs, scenes, &seeds, column)));
+    let headline = Column::all().map(|column| (column, headline_cell(&runs, scenes, &seeds, column)));
     let by_scene = scenes.iter().map(|scene| {
         let here: Vec<&Run> = runs.iter().copied().filter(|run| run.scene == *scene).collect();
-        (scene.clone(), Column::ALL.map(|column| (column, scene_cell(&here, seeds.len(), column))).into())
+        (scene.clone(), Column::all().map(|column| (column, scene_cell(&here, seeds.len(), column))).collect())
     });
     let mut phases = BTreeMap::<String, Vec<f64>>::new();
     for (phase, secs) in runs.iter().flat_map(|run| &run.phases) {
@@ -229,7 +229,7 @@ fn row(name: &str, scenes: &[String], runs: &[&Run]) -> Row {
         name: name.into(),
         method: runs.first().map(|run| run.method.clone()).unwrap_or_default(),
         variant: runs.first().and_then(|run| run.variant.clone()),
-        headline: headline.into(),
+        headline: headline.collect(),
         by_scene: by_scene.collect(),
         phases: phases
             .into_iter()
@@ -291,7 +291,7 @@ pub fn failure_mark(kind: FailureKind) -> &'static str {
 
 /// Ranks every column on rounded values: equal roundings share a rank; a single value has none.
 fn rank(rows: &mut [Row], scenes: &[String], one_machine: bool) {
-    for column in Column::ALL.into_iter().filter(|column| one_machine || !column.is_timing()) {
+    for column in Column::all().filter(|column| one_machine || !column.is_timing()) {
         rank_cells(rows.iter_mut().filter_map(|row| row.headline.get_mut(&column)).collect(), column);
         for scene in scenes {
             let cells = rows.iter_mut().filter_map(|row| row.by_scene.get_mut(scene)?.get_mut(&column));

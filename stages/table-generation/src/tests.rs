@@ -5,7 +5,7 @@ mod formats;
 mod stage;
 
 use engine::FailureKind;
-use metric_evaluation::Score;
+use metric_evaluation::{Metric, Score};
 use scene::Protocol;
 
 use crate::collect::RunFailure;
@@ -27,8 +27,8 @@ fn protocol(size: u32) -> Protocol {
 /// A measured run at 800 px.
 fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
     let figures = [
-        (Column::Psnr, psnr),
-        (Column::Ssim, 0.9 + psnr / 1000.0),
+        (Column::PSNR, psnr),
+        (Column::Metric(Metric::Ssim), 0.9 + psnr / 1000.0),
         (Column::TrainingSecs, 100.0 + psnr),
         (Column::Gaussians, 12345.0),
         (Column::SizeMb, 2.5),
@@ -47,7 +47,7 @@ fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
         action_keys: [("model".to_owned(), "0123456789ab".to_owned())].into(),
         ..Run::default()
     };
-    run.figures.insert(Column::MsSsim, Score::undefined("image smaller than 161 px"));
+    run.figures.insert(Column::Metric(Metric::MsSsim), Score::undefined("image smaller than 161 px"));
     run.set_curve((0..6).map(|i| point(f64::from(i), psnr)).collect());
     run
 }

@@ -25,7 +25,7 @@ pub fn document(report: &Report, params: &TableGenerationParams) -> Document {
         blocks.push(Block::Heading(format!("Protocol {}: {}", group.name, group.protocol.dataset)));
         blocks.push(Block::Paragraph(protocol_text(group)));
         blocks.push(Block::Table(headline_table(group)));
-        blocks.push(Block::Table(scene_table(group, Column::Psnr)));
+        blocks.push(Block::Table(scene_table(group, Column::PSNR)));
         blocks.extend(surface_tables(group).map(Block::Table));
         blocks.extend(ablation_tables(group).into_iter().map(Block::Table));
         blocks.extend(group.claims.iter().map(|claims| Block::Table(claim_table(claims))));
@@ -109,7 +109,7 @@ fn scene_table(group: &Group, column: Column) -> Table {
 
 /// The figures of surfaces that any run has, one table each, over the scenes that define it.
 fn surface_tables(group: &Group) -> impl Iterator<Item = Table> {
-    Column::SURFACES.into_iter().filter_map(|column| {
+    Column::surfaces().filter_map(|column| {
         let is_defined = |scene: &&String| {
             let cell = |row: &Row| row.by_scene.get(*scene)?.get(&column)?.mean;
             group.rows.iter().any(|row| cell(row).is_some())
@@ -155,7 +155,7 @@ fn claim_table(claims: &ClaimTable) -> Table {
     let mut table = Table::new(format!("{}: PSNR (dB) beside published values", claims.row), header);
     for (i, (line, measured)) in claims.lines.iter().zip(&claims.measured).enumerate() {
         let is_mean = i + 1 == claims.lines.len();
-        let ours = if is_mean { cell_text(measured, Column::Psnr) } else { scene_cell_text(measured, Column::Psnr) };
+        let ours = if is_mean { cell_text(measured, Column::PSNR) } else { scene_cell_text(measured, Column::PSNR) };
         let mut cells = vec![Text::plain(line), Text { rank: 0, ..ours }];
         cells.extend(claims.columns.iter().map(|column| Text::plain(claim_text(column, i, claims))));
         table.rows.push(cells);

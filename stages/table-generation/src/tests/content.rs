@@ -25,7 +25,7 @@ fn headline(report: &Report, row: usize, column: Column) -> &Cell {
 #[test]
 fn means_are_over_scenes_and_spread_is_over_seeds() {
     let report = report(two_by_two());
-    let cell = headline(&report, 1, Column::Psnr);
+    let cell = headline(&report, 1, Column::PSNR);
     assert!((cell.mean.expect("a mean") - 36.85).abs() <= 1e-12);
     assert!((cell.std.expect("a spread") - 0.2 / 2.0_f64.sqrt()).abs() <= 1e-12);
     assert_eq!((cell.n, cell.n_expected, cell.rank), (2, 2, Some(1)));
@@ -45,7 +45,7 @@ fn ranks_follow_direction_and_rounding() {
     let tied = [headline(&report, 0, Column::Gaussians), headline(&report, 1, Column::Gaussians)];
     assert_eq!(tied.map(|cell| cell.rank), [Some(1), Some(1)]);
     let near = super::report(vec![run("trex", "a", 0, 30.001), run("trex", "b", 0, 30.004)]);
-    assert_eq!([0, 1].map(|row| headline(&near, row, Column::Psnr).rank), [Some(1), Some(1)]);
+    assert_eq!([0, 1].map(|row| headline(&near, row, Column::PSNR).rank), [Some(1), Some(1)]);
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn times_of_different_machines_are_not_ranked() {
     runs[0].machines = vec!["training on another cpu, 8 threads".into()];
     let report = report(runs);
     assert_eq!(headline(&report, 0, Column::TrainingSecs).rank, None);
-    assert_eq!(headline(&report, 1, Column::Psnr).rank, Some(1));
+    assert_eq!(headline(&report, 1, Column::PSNR).rank, Some(1));
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn protocols_never_share_a_table() {
             run.protocol.as_ref() == Some(&group.protocol) && run.judged_by.as_ref() == Some(&group.judged_by)
         };
         let cells = group.rows.iter().flat_map(|row| row.by_scene.values());
-        let n_tabulated: usize = cells.map(|cells| cells[&Column::Psnr].n).sum();
+        let n_tabulated: usize = cells.map(|cells| cells[&Column::PSNR].n).sum();
         assert_eq!(n_tabulated, report.runs.iter().filter(same).count(), "group {}", group.name);
     }
     assert_eq!(report.groups[0].scenes, ["bouncingballs"]);
@@ -83,8 +83,8 @@ fn a_missing_scene_leaves_no_mean() {
     let mut runs = two_by_two();
     runs.retain(|run| !(run.scene == "trex" && run.row == "deformable4dgs"));
     let report = report(runs);
-    assert_eq!(headline(&report, 1, Column::Psnr).mean, None);
-    assert_eq!(headline(&report, 0, Column::Psnr).rank, None, "nothing to compare with");
+    assert_eq!(headline(&report, 1, Column::PSNR).mean, None);
+    assert_eq!(headline(&report, 0, Column::PSNR).rank, None, "nothing to compare with");
     let text = text(&report);
     assert!(text.contains("| deformable4dgs | – (c) | – (c) |"), "{text}");
     assert!(text.contains("(c) no mean: trex: not run"), "{text}");
@@ -95,12 +95,12 @@ fn failures_show_in_cells_and_in_their_own_table() {
     let mut runs = two_by_two();
     runs[3] = failed("trex", "deformable4dgs", 0, FailureKind::Diverged);
     let one_seed = report(runs.clone());
-    assert_eq!(headline(&one_seed, 1, Column::Psnr).n, 1);
+    assert_eq!(headline(&one_seed, 1, Column::PSNR).n, 1);
     assert!(text(&one_seed).contains("×1/2"), "{}", text(&one_seed));
     assert!(text(&one_seed).contains("1 of 2 seeds: trex: NaN"), "{}", text(&one_seed));
     runs[7] = failed("trex", "deformable4dgs", 1, FailureKind::OutOfMemory);
     let none = report(runs);
-    assert_eq!(headline(&none, 1, Column::Psnr).mean, None);
+    assert_eq!(headline(&none, 1, Column::PSNR).mean, None);
     let text = text(&none);
     assert!(text.contains("| NaN | train/trex/deformable4dgs/0 | trex went wrong |"), "{text}");
     assert!(text.contains("| OOM | train/trex/deformable4dgs/1 | trex went wrong |"), "{text}");
@@ -116,20 +116,20 @@ fn missing_data_is_reported_and_not_averaged_but_other_failures_leave_holes() {
     assert_eq!(missing.groups[0].scenes, ["bouncingballs", "trex"]);
     assert!(missing.failures.is_empty());
     assert!(text(&missing).contains("| lego | lego went wrong |"), "{}", text(&missing));
-    assert!(headline(&missing, 0, Column::Psnr).mean.is_some());
+    assert!(headline(&missing, 0, Column::PSNR).mean.is_some());
     runs.push(failed("hook", "static3dgs", 0, FailureKind::Crashed));
-    assert_eq!(headline(&report(runs), 0, Column::Psnr).mean, None, "a scene that failed for all was skipped");
+    assert_eq!(headline(&report(runs), 0, Column::PSNR).mean, None, "a scene that failed for all was skipped");
 }
 
 #[test]
 fn nan_never_reaches_a_table() {
     let mut runs = two_by_two();
-    runs[0].figures.insert(Column::Psnr, Score::Value(f64::NAN));
+    runs[0].figures.insert(Column::PSNR, Score::Value(f64::NAN));
     runs[1].figures.insert(Column::TrainingSecs, Score::Value(f64::INFINITY));
     let mut report = report(runs);
-    assert_eq!(headline(&report, 0, Column::Psnr).n, 1);
+    assert_eq!(headline(&report, 0, Column::PSNR).n, 1);
     assert!(!text(&report).contains("inf"), "{}", text(&report));
-    let cell = report.groups[0].rows[0].headline.get_mut(&Column::Psnr).expect("a cell");
+    let cell = report.groups[0].rows[0].headline.get_mut(&Column::PSNR).expect("a cell");
     cell.mean = Some(f64::NAN);
     assert!(report.check().is_err(), "NaN was accepted");
 }
@@ -187,9 +187,9 @@ fn variants_are_compared_with_the_first_in_quality_and_time() {
 #[test]
 fn figures_of_surfaces_have_a_table_over_the_scenes_that_define_them() {
     let mut moving = run("trex", "phys4dgs", 0, 30.0);
-    moving.figures.insert(Column::VelocityError, Score::Value(0.125));
+    moving.figures.insert(Column::Metric(Metric::VelocityError), Score::Value(0.125));
     let mut still = run("lego", "phys4dgs", 0, 30.0);
-    still.figures.insert(Column::VelocityError, Score::undefined("nothing moves in the image"));
+    still.figures.insert(Column::Metric(Metric::VelocityError), Score::undefined("nothing moves in the image"));
     let text = text(&report(vec![moving, still]));
     assert!(text.contains("velocity error (1/s) per scene (less is better)"), "{text}");
     assert!(text.contains("| method | trex |\n"), "{text}");

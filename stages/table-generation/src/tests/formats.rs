@@ -81,7 +81,7 @@ fn latex_is_balanced_and_escaped() {
 #[test]
 fn csv_parses_and_keeps_every_digit() {
     let mut runs = two_by_two();
-    runs[0].figures.insert(Column::Psnr, Score::Value(1.0 / 3.0));
+    runs[0].figures.insert(Column::PSNR, Score::Value(1.0 / 3.0));
     runs.push(failed("lego, \"test\"", "static3dgs", 0, FailureKind::MissingData));
     let text = csv_file::csv(&report(runs.clone())).expect("CSV");
     let mut reader = csv::Reader::from_reader(text.as_bytes());

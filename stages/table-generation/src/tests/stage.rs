@@ -113,7 +113,7 @@ fn artifacts_and_failures_become_a_report() {
     assert_eq!(figure(Column::Gaussians), Some(7.0));
     assert_eq!(figure(Column::SizeMb), Some(84e-6));
     assert_eq!(figure(Column::FpsDelivered), Some(60.0));
-    assert!(figure(Column::Psnr).is_some_and(|psnr| (psnr - 28.13).abs() <= 0.01));
+    assert!(figure(Column::PSNR).is_some_and(|psnr| (psnr - 28.13).abs() <= 0.01));
     assert_eq!(good.action_keys["model"], "train-012345");
     let failure = bad.failure.as_ref().expect("a failure");
     assert_eq!((failure.producer.as_str(), failure.message.as_str()), ("train/trex/deformable4dgs/0", "out of memory"));
