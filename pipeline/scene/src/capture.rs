@@ -17,6 +17,9 @@ use crate::{Camera, Protocol, TimeMap};
 /// The version of the folder format below.
 pub const SCHEMA: u32 = 1;
 
+/// What label 0 of a mask is called: everything that is no instance.
+pub const BACKGROUND: &str = "background";
+
 /// A capture on disk: `capture.json` (this structure) beside the image files that its views name.
 ///
 /// Images stay in their files (8 bit) and are read one at a time, so that a long capture does not need its size in
@@ -38,7 +41,7 @@ pub struct Capture {
     pub time_map: TimeMap,
     /// Every image, ordered by split, then time, then camera.
     pub views: Vec<View>,
-    /// Names of the instances in the masks: label k of a mask is `class_names[k - 1]`; 0 is the static background.
+    /// Names of the instances in the masks: label k of a mask is `class_names[k - 1]`; 0 is the static [`BACKGROUND`].
     pub class_names: Vec<String>,
     /// Whether `points.ply` holds a point cloud (from structure from motion, or sampled on surfaces).
     pub has_points: bool,

@@ -1,4 +1,4 @@
-//! Float images in OpenEXR files: one to four named f32 channels.
+//! Float images in OpenEXR files: named f32 channels.
 
 use std::io::Cursor;
 use std::path::Path;

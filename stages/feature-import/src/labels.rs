@@ -9,9 +9,6 @@ use scene::{Capture, FloatImage, LabelMap, ResizeFilter, View};
 use crate::Params;
 use crate::artifact::TokenGrid;
 
-/// What label 0 is called.
-const BACKGROUND: &str = "background";
-
 /// The classes of a capture and one embedding of each.
 pub struct Vocabulary {
     /// The background, then the capture's class names: label k is at position k.
@@ -24,8 +21,7 @@ pub struct Vocabulary {
 impl Vocabulary {
     /// One random direction per class, each orthogonal to all others.
     pub fn of(capture: &Capture, params: &Params) -> anyhow::Result<Self> {
-        let names = capture.class_names.iter().map(String::as_str);
-        let prompts: Vec<String> = std::iter::once(BACKGROUND).chain(names).map(str::to_owned).collect();
+        let prompts: Vec<String> = capture.label_names().map(str::to_owned).collect();
         if prompts.len() > params.dimension {
             let (classes, dimension) = (prompts.len(), params.dimension);
             let message = format!("{classes} classes cannot have orthogonal embeddings of length {dimension}");

@@ -8,6 +8,7 @@ use engine::{Artifact, Failure, FailureKind};
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 
+use crate::language::mean_overlaps;
 use crate::metrics::{MovingError, psnr_from_mse};
 use crate::{Metric, Quantise, Score};
 
@@ -33,6 +34,9 @@ pub struct Metrics {
     pub images: Vec<ImageMetrics>,
     /// Means over the images, and the figures that only a set has.
     pub means: BTreeMap<Metric, Score>,
+    /// [`Metric::PromptIou`] by prompt, over the images that show what the prompt means; a prompt that is no class says so.
+    #[serde(default)]
+    pub prompts: BTreeMap<String, Score>,
     /// How many images were judged.
     pub n_images: usize,
 }
@@ -53,6 +57,9 @@ pub struct ImageMetrics {
     /// The error on moving surfaces, where the capture knows them.
     #[serde(default)]
     pub moving: Option<MovingError>,
+    /// Intersection over union by prompt in sight, where the model answers prompts and the capture has labels.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub prompt_ious: BTreeMap<String, f64>,
     /// What a reader should know before trusting the values.
     pub remarks: BTreeSet<Remark>,
 }
@@ -117,7 +124,7 @@ impl Metrics {
 
 impl Artifact for Metrics {
     const NAME: &'static str = "metrics";
-    const SCHEMA: u32 = 1;
+    const SCHEMA: u32 = 2;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(FILE);
@@ -134,11 +141,16 @@ impl Artifact for Metrics {
             let moving_is_finite = image.moving.is_none_or(|moving| moving.mse.is_finite() && moving.pixels > 0);
             ensure!(moving_is_finite, "the error on moving surfaces of {} is not finite", image.name);
             ensure!(image.mse.is_finite() && image.mse >= 0.0, "mean squared error of {} is {}", image.name, image.mse);
+            let overlaps_are_shares = image.prompt_ious.values().all(|overlap| (0.0..=1.0).contains(overlap));
+            ensure!(overlaps_are_shares, "an overlap of prompts in {} is no share", image.name);
             check_scores(&image.values).with_context(|| format!("image {}", image.name))?;
         }
         check_scores(&self.means).context("means")?;
         let recomputed = Self::means_of(&self.images, &self.means.keys().copied().collect());
         ensure!(recomputed == self.means, "means are not the means of the images");
+        let mut prompts = self.prompts.clone();
+        prompts.retain(|_, score| score.value().is_some());
+        ensure!(mean_overlaps(&self.images) == prompts, "overlaps of prompts are not the means of the images");
         Ok(())
     }
 }

@@ -52,6 +52,7 @@ pub fn evaluate_folders_with(
         metric_version: METRIC_VERSION,
         quantise: params.quantise,
         means: Metrics::means_of(&images, &params.metrics),
+        prompts: BTreeMap::new(),
         n_images: images.len(),
         images,
     })

@@ -6,12 +6,15 @@
 mod artifact;
 mod folders;
 mod image_file;
+mod language;
 pub mod metrics;
 mod params;
 mod run;
 #[cfg(test)]
 mod stage_tests;
 mod summary;
+mod surfaces;
+mod test_set;
 #[cfg(test)]
 mod tests;
 

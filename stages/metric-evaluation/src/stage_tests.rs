@@ -4,9 +4,9 @@ use std::path::Path;
 
 use engine::{Artifact, Coordinates, Failure, InputRecord, JobContext, Stage};
 use glam::DVec3;
-use rendering::{RenderedView, Renders};
+use rendering::{RenderedView, Renders, SemanticMaps};
 use scene::capture::{CaptureInfo, CaptureWriter, Frame};
-use scene::{Camera, Capture, Intrinsics, Protocol, Split, TimeMap};
+use scene::{Camera, Capture, Intrinsics, LabelMap, Protocol, Split, TimeMap};
 use serde_json::Value;
 
 use super::*;
@@ -29,6 +29,12 @@ fn picture(shift: u8) -> image::RgbImage {
     image::RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| image::Rgb([3 * x as u8 + shift, 5 * y as u8, shift]))
 }
 
+/// A ball on the right half of every image.
+fn labels() -> LabelMap {
+    let labels = (0..SIZE[0] * SIZE[1]).map(|at| u8::from(at % SIZE[0] >= SIZE[0] / 2)).collect();
+    LabelMap { width: SIZE[0], height: SIZE[1], labels }
+}
+
 /// A capture with one training view and two test views.
 fn write_capture(dir: &Path) -> Capture {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.5 };
@@ -38,7 +44,7 @@ fn write_capture(dir: &Path) -> Capture {
         protocol: protocol(),
         background: [0.0; 3],
         time_map,
-        class_names: Vec::new(),
+        class_names: vec!["ball".into()],
         bounds_world: None,
     };
     let intrinsics =
@@ -58,7 +64,7 @@ fn write_capture(dir: &Path) -> Capture {
             alpha: None,
             depth: None,
             flow: None,
-            mask: None,
+            mask: Some(labels()),
             velocity: None,
         };
         writer.write_view(&frame).expect("written");
@@ -79,6 +85,7 @@ fn write_renders(dir: &Path, capture: &Capture) -> Renders {
             time_secs: view.time_secs,
             image,
             maps: None,
+            semantics: None,
         }
     };
     let renders = Renders {
@@ -86,6 +93,7 @@ fn write_renders(dir: &Path, capture: &Capture) -> Renders {
         method: "static3dgs".into(),
         protocol: capture.protocol.clone(),
         split: Split::Test,
+        prompts: Vec::new(),
         views: capture.views_of(Split::Test).map(|(_, view)| rendered(view)).collect(),
         n_gaussians: 1,
         model_size_bytes: 4,
@@ -122,6 +130,75 @@ fn the_stage_judges_the_split_in_the_order_of_the_capture() {
     let expected = -10.0 * (2.0 / 3.0 * (3.0_f64 / 255.0).powi(2)).log10();
     let psnr = metrics.means[&Metric::Psnr].value().expect("defined");
     assert!((psnr - expected).abs() <= 1e-9, "{psnr} dB, expected {expected}");
+}
+
+/// Maps that select the ball with the first of two prompts and have features of length 2.
+fn semantic_maps(features: [f32; 2]) -> SemanticMaps {
+    let is_ball = labels().labels.iter().map(|label| f32::from(*label)).collect();
+    let nowhere = vec![0.0; labels().labels.len()];
+    SemanticMaps {
+        width: SIZE[0],
+        height: SIZE[1],
+        alpha: vec![1.0; nowhere.len()],
+        features: features.map(|value| vec![value; nowhere.len()]).to_vec(),
+        relevancy: vec![is_ball, nowhere],
+    }
+}
+
+/// Renders that say what `features` says of both test views, to the prompts ball and unicorn.
+fn write_semantics(dir: &Path, capture: &Capture, features: [[f32; 2]; 2]) {
+    let mut renders = write_renders(dir, capture);
+    renders.prompts = ["ball", "unicorn"].map(String::from).to_vec();
+    for (view, features) in renders.views.iter_mut().zip(features) {
+        let file = Path::new("images").join(format!("{}.exr", view.name));
+        semantic_maps(features).write(&dir.join(&file)).expect("written");
+        view.semantics = Some(file);
+    }
+    renders.save(dir).expect("written");
+}
+
+#[test]
+fn prompts_and_features_are_compared_with_labels() {
+    let root = tempfile::tempdir().expect("temporary folder");
+    let capture = write_capture(&root.path().join("capture"));
+    let renders_dir = root.path().join("renders");
+    let judged = |features| {
+        write_semantics(&renders_dir, &capture, features);
+        let metrics = run(root.path()).expect("judged");
+        metrics.check().expect("valid");
+        metrics
+    };
+    let steady = judged([[1.0, 0.0], [2.0, 0.0]]);
+    assert_eq!(steady.means[&Metric::PromptIou], Score::Value(1.0));
+    assert_eq!(steady.means[&Metric::FeatureDrift], Score::Value(0.0));
+    assert_eq!(steady.prompts["ball"], Score::Value(1.0));
+    assert_eq!(steady.prompts["unicorn"], Score::undefined("no class of this name"));
+    let flipping = judged([[1.0, 0.0], [-1.0, 0.0]]);
+    assert_eq!(flipping.means[&Metric::FeatureDrift], Score::Value(1.0));
+
+    let mut forged = steady.clone();
+    forged.prompts.insert("ball".into(), Score::Value(0.5));
+    assert!(forged.check().is_err());
+}
+
+#[test]
+fn a_model_without_words_has_no_figures_of_language() {
+    let root = tempfile::tempdir().expect("temporary folder");
+    let capture = write_capture(&root.path().join("capture"));
+    let renders_dir = root.path().join("renders");
+    write_renders(&renders_dir, &capture);
+    let metrics = run(root.path()).expect("judged");
+    assert!(!metrics.means.contains_key(&Metric::PromptIou) && !metrics.means.contains_key(&Metric::FeatureDrift));
+    // Features without words: they may drift, but no prompt can be asked.
+    write_semantics(&renders_dir, &capture, [[1.0, 0.0]; 2]);
+    for name in ["test_0", "test_1"] {
+        let mute = SemanticMaps { relevancy: Vec::new(), ..semantic_maps([1.0, 0.0]) };
+        mute.write(&renders_dir.join(format!("images/{name}.exr"))).expect("written");
+    }
+    let metrics = run(root.path()).expect("judged");
+    assert_eq!(metrics.means[&Metric::FeatureDrift], Score::Value(0.0));
+    assert!(metrics.means[&Metric::PromptIou].value().is_none());
+    assert_eq!(metrics.prompts["unicorn"], Score::undefined("no class of this name"));
 }
 
 #[test]

@@ -7,6 +7,8 @@ use anyhow::{Context as _, ensure};
 use scene::{Protocol, Split, exr_file};
 use serde::{Deserialize, Serialize};
 
+use crate::SemanticMaps;
+
 /// The header's file name.
 const HEADER: &str = "renders.json";
 
@@ -23,6 +25,9 @@ pub struct Renders {
     pub protocol: Protocol,
     /// Which of the capture's views were rendered.
     pub split: Split,
+    /// The prompts that the model was trained with, in the order of [`SemanticMaps::relevancy`]; none where it reads no
+    /// words.
+    pub prompts: Vec<String>,
     /// In the capture's order.
     pub views: Vec<RenderedView>,
     /// Gaussians in the model.
@@ -47,6 +52,8 @@ pub struct RenderedView {
     pub image: PathBuf,
     /// The surfaces that the render shows ([`SurfaceMaps`]), relative to the folder; where they were asked for.
     pub maps: Option<PathBuf>,
+    /// What the render means ([`SemanticMaps`]), relative to the folder; where it was asked for and the model knows.
+    pub semantics: Option<PathBuf>,
 }
 
 impl Renders {
@@ -66,11 +73,24 @@ impl Renders {
     pub fn load_maps(&self, view: &RenderedView) -> anyhow::Result<Option<SurfaceMaps>> {
         view.maps.as_ref().map(|maps| SurfaceMaps::read(&self.dir.join(maps))).transpose()
     }
+
+    /// What a view's render means, where that was rendered; there is one relevancy per prompt, or none.
+    pub fn load_semantics(&self, view: &RenderedView) -> anyhow::Result<Option<SemanticMaps>> {
+        let Some(path) = view.semantics.as_ref().map(|file| self.dir.join(file)) else { return Ok(None) };
+        let maps = SemanticMaps::read(&path)?;
+        let (found, prompts) = (maps.relevancy.len(), self.prompts.len());
+        ensure!(
+            found == prompts || found == 0,
+            "relevancies of {found} prompts instead of {prompts}: {}",
+            path.display()
+        );
+        Ok(Some(maps))
+    }
 }
 
 impl engine::Artifact for Renders {
     const NAME: &'static str = "renders";
-    const SCHEMA: u32 = 2;
+    const SCHEMA: u32 = 3;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(HEADER);
@@ -90,8 +110,8 @@ impl engine::Artifact for Renders {
             let path = self.image_path(view);
             let size = image::image_dimensions(&path).with_context(|| format!("cannot read {}", path.display()))?;
             ensure!(size == expected, "image is {size:?} pixels instead of {expected:?}: {}", path.display());
-            if let Some(maps) = &view.maps {
-                ensure!(self.dir.join(maps).is_file(), "missing maps: {}", self.dir.join(maps).display());
+            for file in view.maps.iter().chain(&view.semantics) {
+                ensure!(self.dir.join(file).is_file(), "missing maps: {}", self.dir.join(file).display());
             }
         }
         Ok(())
@@ -172,12 +192,14 @@ mod tests {
             time_secs: 0.25,
             image: "images/a.png".into(),
             maps: None,
+            semantics: None,
         };
         let renders = Renders {
             dir: dir.to_path_buf(),
             method: "static3dgs".into(),
             protocol,
             split: Split::Test,
+            prompts: Vec::new(),
             views: vec![view],
             n_gaussians: 1,
             model_size_bytes: 4,

@@ -9,15 +9,16 @@ use serde::{Deserialize, Serialize};
 pub struct RenderingParams {
     /// Which of the capture's views are rendered.
     pub split: Split,
-    /// Whether coverage, depth, velocity and flow of the surfaces are written too.
+    /// Whether coverage, depth, velocity and flow of the surfaces are written too, and semantic features and the relevancy
+    /// of prompts where the model has them.
     pub maps: Maps,
 }
 
-/// When surfaces are rendered beside colours.
+/// When surfaces and semantics are rendered beside colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Maps {
-    /// For views of which the capture knows them exactly, so that they can be measured.
+    /// For views of which the capture knows what they can be measured by: surfaces by exact maps, semantics by labels.
     #[default]
     Known,
     /// For every view.

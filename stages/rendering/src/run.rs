@@ -1,6 +1,6 @@
 //! The stage: a model and a capture in, images out.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
 use image::RgbImage;
@@ -13,6 +13,7 @@ use training::{CaptureArtifact, Model};
 use crate::artifact::{RenderedView, Renders};
 use crate::frame_rate::{self, FrameRate, FrameTimes};
 use crate::params::{Maps, RenderingParams};
+use crate::semantics::semantics;
 use crate::surfaces::surfaces;
 
 /// The stage that renders.
@@ -66,11 +67,16 @@ pub fn render(
     std::fs::create_dir_all(out.join("images"))?;
     let render_one = |view: &&View| {
         let mut rendered = render_view(&player, view, out)?;
-        if wants_maps(params.maps, view) {
-            let file = Path::new("maps").join(format!("{}.exr", view.name));
-            std::fs::create_dir_all(out.join("maps"))?;
+        if wanted(params.maps, view.depth.is_some() || view.velocity.is_some() || view.flow.is_some()) {
+            let file = map_file(out, "maps", view)?;
             surfaces(&player, view, capture.time_map.frame_secs)?.write(&out.join(&file))?;
             rendered.maps = Some(file);
+        }
+        let semantics = if wanted(params.maps, view.mask.is_some()) { semantics(&player, view)? } else { None };
+        if let Some(semantics) = semantics {
+            let file = map_file(out, "semantics", view)?;
+            semantics.write(&out.join(&file))?;
+            rendered.semantics = Some(file);
         }
         Ok(rendered)
     };
@@ -82,6 +88,7 @@ pub fn render(
         method: model.header.method.clone(),
         protocol: capture.protocol.clone(),
         split: params.split,
+        prompts: player.prompt_names().to_vec(),
         views: rendered,
         n_gaussians: model.header.n_gaussians,
         model_size_bytes: model.size_bytes(),
@@ -90,13 +97,19 @@ pub fn render(
     Ok((renders, times))
 }
 
-/// Whether a view's surfaces are rendered.
-fn wants_maps(maps: Maps, view: &View) -> bool {
+/// Whether maps of a view are rendered whose truth is known or not.
+fn wanted(maps: Maps, is_known: bool) -> bool {
     match maps {
-        Maps::Known => view.depth.is_some() || view.velocity.is_some() || view.flow.is_some(),
+        Maps::Known => is_known,
         Maps::All => true,
         Maps::None => false,
     }
+}
+
+/// The file for maps of a kind, relative to `out`, in a folder that exists.
+fn map_file(out: &Path, kind: &str, view: &View) -> anyhow::Result<PathBuf> {
+    std::fs::create_dir_all(out.join(kind))?;
+    Ok(Path::new(kind).join(format!("{}.exr", view.name)))
 }
 
 fn render_view(player: &Player, view: &View, out: &Path) -> anyhow::Result<RenderedView> {
@@ -112,7 +125,7 @@ fn render_view(player: &Player, view: &View, out: &Path) -> anyhow::Result<Rende
     let image = Path::new("images").join(format!("{}.png", view.name));
     image_file::write_rgb(&out.join(&image), &to_image(color))?;
     let View { name, camera_index, frame_index, time_secs, .. } = view.clone();
-    Ok(RenderedView { name, camera_index, frame_index, time_secs, image, maps: None })
+    Ok(RenderedView { name, camera_index, frame_index, time_secs, image, maps: None, semantics: None })
 }
 
 /// [H, W, 3] to 8 bit: clamped to [0, 1], rounded half up.

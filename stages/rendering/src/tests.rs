@@ -7,10 +7,12 @@ use engine::{Artifact as _, Coordinates, InputRecord, JobContext, Stage as _};
 use glam::DVec3;
 use image::{Rgb, RgbImage};
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Protocol, Split, TimeMap, image_file};
+use serde_json::{Value, json};
 use shaders::splat::PinholeCamera;
+use shaders::tape::Tensor;
 use training::player::Player;
 use training::run::{Watch, train};
-use training::supplements::NOTHING;
+use training::supplements::{FeatureTokens, NOTHING, Supplements};
 use training::{Model, TrainingParams};
 
 use crate::export::ply_sequence;
@@ -72,22 +74,30 @@ fn frame(split: Split, name: String, at: u32) -> Frame {
 
 /// A folder with `capture` and `model`.
 fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
+    let iterations = match method {
+        "static3dgs" => json!({ "train": 30 }),
+        _ => json!({ "coarse": 10, "fine": 20 }),
+    };
+    trained_with(json!({ "method": method, "iterations": iterations }), &NOTHING)
+}
+
+/// The same, with parameters beside those that make any training small.
+fn trained_with(params: Value, supplements: &Supplements) -> (tempfile::TempDir, Model, Capture) {
     let dir = tempfile::tempdir().unwrap();
     let [capture_dir, model_dir, checkpoints] = ["capture", "model", "checkpoints"].map(|name| dir.path().join(name));
     for path in [&model_dir, &checkpoints] {
         std::fs::create_dir_all(path).unwrap();
     }
     let capture = write_capture(&capture_dir);
-    let params: TrainingParams = serde_json::from_value(serde_json::json!({
-        "method": method,
-        "iterations": if method == "static3dgs" { serde_json::json!({ "train": 30 }) } else { serde_json::json!({ "coarse": 10, "fine": 20 }) },
+    let small = json!({
         "initial_points": { "random_count": 60 },
         "harmonics": { "interval": 5 },
         "deformable4dgs": { "channels": 4, "spatial_resolution": 8, "width": 8 },
-    }))
-    .unwrap();
+    });
+    let tables = [small, params].into_iter().filter_map(|table| table.as_object().cloned());
+    let params: TrainingParams = serde_json::from_value(Value::Object(tables.flatten().collect())).unwrap();
     let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
-    let (model, _) = train(capture.clone(), &NOTHING, &params, None, &watch).unwrap().unwrap();
+    let (model, _) = train(capture.clone(), supplements, &params, None, &watch).unwrap().unwrap();
     model.save(&model_dir).unwrap();
     (dir, model, capture)
 }
@@ -111,6 +121,47 @@ fn images_are_the_players_images_in_the_captures_order() {
         assert_eq!(image_file::read_rgb(&renders.image_path(rendered)).unwrap(), expected);
         assert!(out.join(rendered.maps.as_ref().unwrap()).is_file());
     }
+}
+
+#[test]
+fn a_model_with_words_says_where_they_are() {
+    // The upper half of every training view is what "sky" means, the lower half what "ground" means.
+    let tokens = Tensor::from_vec([2, 1, 2], vec![1.0, 0.0, 0.0, 1.0]);
+    let features = FeatureTokens {
+        visual: (0..8).map(|view| (view < 6).then(|| tokens.clone())).collect(),
+        text: Tensor::from_vec([2, 2], vec![1.0, 0.0, 0.0, 1.0]),
+        prompts: ["sky", "ground"].map(String::from).to_vec(),
+    };
+    let supplements = Supplements { features: Some(features), ..Supplements::default() };
+    let params = json!({
+        "method": "l4dgs",
+        "iterations": { "coarse": 5, "teacher": 5, "fine": 5 },
+        "effects": ["motion", "static-semantics", "language"],
+        "l4dgs": { "hexplane": { "channels": 4, "spatial_resolution": 8, "width": 8 }, "teacher": { "channels": [4, 4, 4] } },
+    });
+    let (dir, model, capture) = trained_with(params, &supplements);
+    let out = dir.path().join("renders");
+    let (renders, _) =
+        render(&model, &capture, &RenderingParams { maps: Maps::All, ..RenderingParams::default() }, &out).unwrap();
+    renders.check().unwrap();
+    assert_eq!(renders.prompts, ["sky", "ground"]);
+    let player = Player::new(&model).unwrap();
+    let prompts = player.prompts().unwrap();
+    for (rendered, (_, view)) in renders.views.iter().zip(capture.views_of(Split::Test)) {
+        let maps = renders.load_semantics(rendered).unwrap().unwrap();
+        assert_eq!(((maps.width, maps.height), maps.relevancy.len()), ((SIZE, SIZE), 2));
+        let camera = PinholeCamera::from(&view.camera);
+        let features = player.render_semantics(view.time_secs, &camera).unwrap().unwrap().features;
+        let relevancy = player.prompt_relevancy(view.time_secs, &camera, &prompts).unwrap().unwrap();
+        for at in [0, 7, (SIZE * SIZE - 1) as usize] {
+            assert!((0..2).all(|prompt| maps.relevancy[prompt][at] == relevancy.as_slice()[2 * at + prompt]));
+            let width = maps.features.len();
+            assert!((0..width).all(|c| maps.features[c][at] == features.as_slice()[width * at + c]));
+        }
+    }
+    // No labels, no truth to compare with: by default nothing is written; a model without words never has any.
+    let unasked = render(&model, &capture, &RenderingParams::default(), &dir.path().join("unasked")).unwrap().0;
+    assert!(unasked.views.iter().all(|view| view.semantics.is_none()));
 }
 
 #[test]

@@ -51,6 +51,8 @@ pub struct ModelHeader {
     pub seed: u64,
     /// The method's effects: whether each was simulated, and why.
     pub effects: Vec<Decision>,
+    /// The prompts that the method was trained with, in the order of their embeddings; none where it reads no words.
+    pub prompts: Vec<String>,
 }
 
 /// A row-major f32 tensor.
@@ -79,7 +81,7 @@ impl Model {
 
 impl engine::Artifact for Model {
     const NAME: &'static str = "model";
-    const SCHEMA: u32 = 2;
+    const SCHEMA: u32 = 3;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(HEADER);
@@ -175,6 +177,7 @@ pub(crate) mod tests {
             iterations: vec![("train".into(), 10)],
             seed: 0,
             effects: Vec::new(),
+            prompts: Vec::new(),
         };
         let values = (0..6).map(|i| i as f32 * 0.1).collect();
         let tensors = [("gaussians.positions".to_string(), NamedTensor { shape: vec![2, 3], values })].into();

@@ -8,6 +8,7 @@ use shaders::tape::{Device, Real, Tape, Tensor, Var};
 use crate::method::too_large;
 use crate::player::Player;
 use crate::state::Variables;
+use crate::supplements::Supplements;
 
 /// Sharpness of the comparison between prompts (Qin et al. 2024).
 const SHARPNESS: f64 = 10.0;
@@ -23,6 +24,9 @@ pub trait Language<T: Real>: Send + Sync {
 
     /// The embeddings [P, E] of the prompts that the model was trained with, if any.
     fn prompts(&self, model: &Variables) -> Option<Var>;
+
+    /// These prompts by name, of what the training was given; none where it reads no words.
+    fn prompt_names(&self, supplements: &Supplements) -> Vec<String>;
 
     /// What semantic features [M, features] mean in the space of the prompts, [M, E]; none if the model was never told.
     fn meaning(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var>;
@@ -63,6 +67,11 @@ impl Player {
         let model = self.state.bind(&mut tape, |_| false);
         let prompts = self.method.language()?.prompts(&model)?;
         Some(tape.value(prompts).clone())
+    }
+
+    /// The prompts that the model was trained with, in the order of [`Player::prompts`].
+    pub fn prompt_names(&self) -> &[String] {
+        &self.prompt_names
     }
 
     /// How much every pixel is what each prompt [P, E] means rather than any other of them, [H, W, P] in [0, 1] (0 where

@@ -18,6 +18,7 @@ use crate::state::ModelState;
 pub struct Player {
     pub(crate) method: Box<dyn Method<f32>>,
     pub(crate) state: ModelState<f32>,
+    pub(crate) prompt_names: Vec<String>,
     scene: SceneFacts,
     phase: String,
     sh_degree: usize,
@@ -66,7 +67,8 @@ impl Player {
             time_count: header.time_count,
         };
         let state = ModelState::from_named(&model.tensors);
-        Ok(Self { method, state, scene, phase: phase.clone(), sh_degree: header.sh_degree })
+        let prompt_names = header.prompts.clone();
+        Ok(Self { method, state, prompt_names, scene, phase: phase.clone(), sh_degree: header.sh_degree })
     }
 
     /// The Gaussians at a time of the capture as a camera sees them, in the usual parametrisation.

@@ -421,6 +421,11 @@ impl<'a> Trainer<'a> {
         outcomes(&self.params.shared.effects, &effects, &known)
     }
 
+    /// The prompts that the method reads, in the order of their embeddings.
+    fn prompt_names(&self) -> Vec<String> {
+        self.method.language().map_or_else(Vec::new, |language| language.prompt_names(self.start.supplements))
+    }
+
     /// The trained model.
     pub fn finish(self) -> anyhow::Result<Model> {
         let phases = self.phases.iter().map(|phase| (phase.name.to_string(), phase.iterations)).collect();
@@ -444,6 +449,7 @@ impl<'a> Trainer<'a> {
             iterations: phases,
             seed: self.params.shared.seed,
             effects: self.effect_outcomes(),
+            prompts: self.prompt_names(),
         };
         Ok(Model { header, tensors: self.optimizer.into_state().to_named() })
     }

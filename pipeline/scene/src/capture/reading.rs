@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::{Capture, Split, View};
+use super::{BACKGROUND, Capture, Split, View};
 use crate::cloud::PointCloud;
 use crate::image_file::{self, GrayImage, RgbImage};
 use crate::index_file::{self, ViewFiles};
@@ -96,6 +96,11 @@ impl Capture {
             return Err(Error::new(message).at(self.dir.join(INDEX_FILE)));
         }
         Ok(mask)
+    }
+
+    /// What the labels 0, 1, … of masks are called.
+    pub fn label_names(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(BACKGROUND).chain(self.class_names.iter().map(String::as_str))
     }
 
     /// The point cloud, where the capture has one.

@@ -1,6 +1,7 @@
 //! Full-reference metrics in f64: of images, each by the definition that the splatting literature uses, and of surfaces
 //! where a capture knows them exactly.
 
+mod language;
 mod ms_ssim;
 mod psnr;
 mod ssim;
@@ -12,6 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
+pub use language::{ClassFeatures, PromptLabels, class_features, feature_drifts, prompt_overlaps};
 pub use ms_ssim::ms_ssim;
 pub use psnr::{PSNR_CAP_DB, mean_squared_error, psnr_from_mse};
 pub use ssim::{SsimMeans, ssim_means};
@@ -49,6 +51,12 @@ pub enum Metric {
     /// Share of all pixels where the render shows a surface that is more than a tenth nearer than the true one, or
     /// where there is none.
     FloaterArea,
+    /// Intersection over union of the pixels that a prompt selects and those labelled with its class, mean over the prompts
+    /// in sight ([`prompt_overlaps`]).
+    PromptIou,
+    /// 1 − cosine between the mean feature of a class in an image and its mean over all images, mean over the classes in
+    /// sight ([`feature_drifts`]).
+    FeatureDrift,
 }
 
 /// What a metric is called, how it is printed, and what it is computed from.
@@ -63,7 +71,7 @@ struct Definition {
 
 impl Metric {
     /// Every metric, in the order of tables.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::Psnr,
         Self::PsnrPooled,
         Self::Ssim,
@@ -76,6 +84,8 @@ impl Metric {
         Self::DepthError,
         Self::HoleArea,
         Self::FloaterArea,
+        Self::PromptIou,
+        Self::FeatureDrift,
     ];
 
     fn definition(self) -> Definition {
@@ -92,6 +102,7 @@ impl Metric {
             of_surfaces: true,
             ..image(key, heading, unit, decimals)
         };
+        let known = |key, heading, decimals| Definition { of_surfaces: true, ..image(key, heading, "", decimals) };
         let moving = |key, heading| Definition { of_surfaces: true, ..image(key, heading, "dB", 2) };
         // Decimals of the first five are those that the literature prints.
         match self {
@@ -107,6 +118,8 @@ impl Metric {
             Self::DepthError => error("depth_error", "depth error", "", 4),
             Self::HoleArea => error("hole_area", "holes", "", 4),
             Self::FloaterArea => error("floater_area", "floaters", "", 4),
+            Self::PromptIou => known("prompt_iou", "prompt IoU", 3),
+            Self::FeatureDrift => error("feature_drift", "feature drift", "", 4),
         }
     }
 
@@ -135,7 +148,8 @@ impl Metric {
         self.definition().higher_is_better
     }
 
-    /// Whether the figure needs maps that are exact; it is absent where the capture has none.
+    /// Whether the figure needs more of the capture than images: exact maps or labels. It is absent where the capture has
+    /// none, or where the model cannot say anything about it.
     pub fn is_of_surfaces(self) -> bool {
         self.definition().of_surfaces
     }

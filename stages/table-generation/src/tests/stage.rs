@@ -45,6 +45,7 @@ fn write_artifacts(root: &Path) {
         iterations: vec![("train".into(), 10)],
         seed: 0,
         effects: Vec::new(),
+        prompts: Vec::new(),
     };
     let tensor = NamedTensor { shape: vec![7, 3], values: vec![0.5; 21] };
     Model { header, tensors: [("gaussians.positions".to_owned(), tensor)].into() }.save(&model).expect("written");
@@ -56,12 +57,14 @@ fn write_artifacts(root: &Path) {
         time_secs: 0.0,
         image: "images/test_0.png".into(),
         maps: None,
+        semantics: None,
     };
     let rendered = Renders {
         dir: renders.clone(),
         method: "static3dgs".into(),
         protocol: protocol(8),
         split: Split::Test,
+        prompts: Vec::new(),
         views: vec![view],
         n_gaussians: 7,
         model_size_bytes: 84,

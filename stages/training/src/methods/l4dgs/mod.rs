@@ -25,6 +25,7 @@ use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start,
 use crate::params::Shared;
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables, belongs};
+use crate::supplements::Supplements;
 use settings::L4dgsSettings;
 use teacher::{TEACHER, TEXT, Teacher, prompt_embeddings};
 
@@ -146,9 +147,16 @@ impl LanguageGuided {
         let features = start.supplements.features.as_ref();
         let visual_tokens = features.and_then(|features| features.visual.iter().flatten().next());
         let token_width = visual_tokens.map(|tokens| tokens.shape()[2]);
-        let imported = || features.map(|features| features.text.cast()).filter(|text| text.rows() > 0);
-        let prompts = self.on.language.then(|| imported().unwrap_or_else(|| prompt_embeddings(&self.settings.prompts)));
+        let prompts = self.prompts(start.supplements).map(|(_, embeddings)| embeddings);
         self.teacher().insert(state, token_width, prompts, random);
+    }
+
+    /// The prompts and their embeddings [P, E]: imported ones, or else the settings'; none where nothing reads words.
+    fn prompts<T: Real>(&self, supplements: &Supplements) -> Option<(Vec<String>, Tensor<T>)> {
+        let features = supplements.features.as_ref().filter(|features| features.text.rows() > 0);
+        let imported = features.map(|features| (features.prompts.clone(), features.text.cast()));
+        let made_up = || (self.settings.prompts.clone(), prompt_embeddings(&self.settings.prompts));
+        (self.on.language && self.on.teacher()).then(|| imported.unwrap_or_else(made_up))
     }
 
     fn insert_semantics<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
@@ -236,6 +244,10 @@ impl<T: Real> Language<T> for LanguageGuided {
 
     fn prompts(&self, model: &Variables) -> Option<Var> {
         model.find(TEXT)
+    }
+
+    fn prompt_names(&self, supplements: &Supplements) -> Vec<String> {
+        self.prompts::<T>(supplements).map_or_else(Vec::new, |(names, _)| names)
     }
 
     fn meaning(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var> {

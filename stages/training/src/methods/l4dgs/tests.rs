@@ -121,6 +121,7 @@ fn nothing_that_is_asked_for_is_missing() {
     assert!(names(&model).is_superset(&[SEMANTICS, TEXT].into()));
     let prompts = &model.tensors[TEXT];
     assert_eq!(prompts.shape, [L4dgsSettings::default().prompts.len(), 64]);
+    assert_eq!(model.header.prompts, L4dgsSettings::default().prompts);
     for row in prompts.values.chunks(64) {
         assert!((row.iter().map(|value| value * value).sum::<f32>() - 1.0).abs() <= 1e-5);
     }
@@ -255,6 +256,7 @@ fn a_prompt_selects_what_it_means() {
     });
     let (model, _) = train(&dataset, &supplements, params);
     let player = Player::new(&model).unwrap();
+    assert_eq!(player.prompt_names(), ["red", "green", "blue", "dark"]);
     for view in dataset.train.iter().step_by(4) {
         let time_secs = dataset.capture.views[view.index].time_secs;
         for prompt in 0..3 {
@@ -271,6 +273,7 @@ fn a_model_without_semantics_has_nothing_to_say() {
     let (model, _) = train(&dataset, &Supplements::default(), few_steps("l4dgs", &["motion"]));
     let (player, view) = (Player::new(&model).unwrap(), &dataset.train[0]);
     assert!(player.render_semantics(0.0, &view.camera).unwrap().is_none() && player.prompts().is_none());
+    assert!(player.prompt_names().is_empty());
     // With semantics, but without visual tokens: features are there, their meaning is not known.
     let (model, _) = train(&dataset, &Supplements::default(), few_steps("l4dgs", &["static-semantics", "language"]));
     let player = Player::new(&model).unwrap();

@@ -1,0 +1,72 @@
+//! The rendered views of one split, each beside the capture's view that it should show.
+
+use std::collections::BTreeMap;
+
+use engine::{Failure, FailureKind};
+use rendering::{RenderedView, Renders};
+use scene::{Capture, View};
+
+use crate::Pair;
+use crate::artifact::empty_set;
+
+/// Every view of a split with its render, in the order of the capture.
+pub struct TestSet<'a> {
+    /// Where the renders lie.
+    pub renders: &'a Renders,
+    /// Where the truth lies.
+    pub capture: &'a Capture,
+    /// What was rendered, and what should have been.
+    pub views: Vec<(&'a RenderedView, &'a View)>,
+}
+
+impl<'a> TestSet<'a> {
+    /// Pairs every view of the rendered split with its render; none may be missing, since means are over the split.
+    pub fn new(renders: &'a Renders, capture: &'a Capture) -> Result<Self, Failure> {
+        if renders.protocol != capture.protocol {
+            let message = format!("renders belong to another capture: {}", renders.protocol.line());
+            let hint = format!("the capture is {}", capture.protocol.line());
+            return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
+        }
+        let mut rendered: BTreeMap<_, _> = renders.views.iter().map(|view| (view.name.as_str(), view)).collect();
+        let mut views = Vec::new();
+        for (_, view) in capture.views_of(renders.split) {
+            let Some(render) = rendered.remove(view.name.as_str()) else {
+                let message = format!("view {} of the capture was not rendered", view.name);
+                return Err(Failure::new(FailureKind::BadInput, message).at(&renders.dir));
+            };
+            views.push((render, view));
+        }
+        if views.is_empty() {
+            return Err(empty_set("split").at(&capture.dir));
+        }
+        match rendered.keys().next() {
+            None => Ok(Self { renders, capture, views }),
+            Some(name) => {
+                let message = format!("rendered view {name} is not in the split of the capture");
+                Err(Failure::new(FailureKind::BadInput, message).at(&renders.dir))
+            }
+        }
+    }
+
+    /// The images to compare, in the same order.
+    pub fn pairs(&self) -> Vec<Pair> {
+        let pair = |(rendered, view): &(&RenderedView, &View)| Pair {
+            name: view.name.clone(),
+            time_secs: Some(view.time_secs),
+            camera_index: Some(view.camera_index),
+            render: self.renders.image_path(rendered),
+            truth: self.capture.dir.join(&view.image),
+        };
+        self.views.iter().map(pair).collect()
+    }
+
+    /// Refuses maps of a render that have another size than the capture's view.
+    pub fn check_size(&self, view: &View, found: (u32, u32)) -> Result<(), Failure> {
+        let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        if found == size {
+            return Ok(());
+        }
+        let message = format!("maps of {} are {}×{} px instead of {}×{}", view.name, found.0, found.1, size.0, size.1);
+        Err(Failure::new(FailureKind::BadInput, message).at(&self.renders.dir))
+    }
+}
