@@ -244,6 +244,10 @@ pub struct EvalArgs {
     /// Folder with the true images of the same names
     #[arg(long, value_name = "DIR")]
     pub truth: PathBuf,
+    /// Folder with the weights of LPIPS: torchvision's alexnet-owt-7be5be79.pth, vgg16-397923af.pth,
+    /// squeezenet1_1-b8a52dc0.pth, and alex.pth, vgg.pth, squeeze.pth of LPIPS 0.1; what is there is used
+    #[arg(long, value_name = "DIR")]
+    pub lpips_weights: Option<PathBuf>,
     /// Print JSON with the values of every image
     #[arg(long)]
     pub json: bool,

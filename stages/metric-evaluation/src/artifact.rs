@@ -8,9 +8,9 @@ use engine::{Artifact, Failure, FailureKind};
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::language::mean_overlaps;
+use crate::judges::language::mean_overlaps;
 use crate::metrics::{MovingError, psnr_from_mse};
-use crate::{Metric, Quantise, Score};
+use crate::{Keep, MaskSource, Metric, Quantise, Score};
 
 /// The version of the metrics' definitions: numbers of different versions share no column.
 pub const METRIC_VERSION: u32 = 2;
@@ -30,6 +30,12 @@ pub struct Metrics {
     pub metric_version: u32,
     /// Levels that colours were brought to before they were compared.
     pub quantise: Quantise,
+    /// Which pixels the masked figures are over.
+    #[serde(default)]
+    pub mask: MaskSource,
+    /// Which values of the masks are kept.
+    #[serde(default)]
+    pub mask_keeps: Keep,
     /// One entry per image, in the order of the capture.
     pub images: Vec<ImageMetrics>,
     /// Means over the images, and the figures that only a set has.
@@ -86,7 +92,7 @@ impl Metrics {
             let score = match metric {
                 Metric::PsnrPooled => pooled_psnr(images),
                 Metric::PsnrEmerging => emerging_psnr(images)?,
-                metric if metric.is_of_surfaces() => mean_where_defined(images, *metric)?,
+                metric if metric.is_conditional() => mean_where_defined(images, *metric)?,
                 _ => mean_score(images, *metric),
             };
             Some((*metric, score))
@@ -106,7 +112,14 @@ impl Metrics {
             Quantise::Trunc8 => "8-bit levels (truncated)",
             Quantise::None => "levels as stored",
         };
-        format!("{split} images · {levels} · per-image means · metric version {}", self.metric_version)
+        let mask = match (self.mask, self.mask_keeps) {
+            (MaskSource::None, _) => "",
+            (MaskSource::Labels, Keep::Nonzero) => " · masked by labels",
+            (MaskSource::Labels, Keep::Zero) => " · masked by the background's label",
+            (MaskSource::Files, Keep::Nonzero) => " · masked by files",
+            (MaskSource::Files, Keep::Zero) => " · masked by files that mark what does not count",
+        };
+        format!("{split} images · {levels} · per-image means · metric version {}{mask}", self.metric_version)
     }
 
     /// The JSON text of `metrics.json`.

@@ -7,7 +7,8 @@ use engine::{Failure, FailureKind};
 use scene::{Protocol, Split};
 
 use crate::artifact::empty_set;
-use crate::{Background, METRIC_VERSION, MetricEvaluationParams, Metrics, Pair, evaluate_pairs};
+use crate::judges::perceptual::{self, Networks};
+use crate::{Background, Keep, METRIC_VERSION, MaskSource, MetricEvaluationParams, Metrics, Pair, evaluate_pairs};
 
 /// File name extensions that are read, in lower case.
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
@@ -20,18 +21,24 @@ const LISTED: usize = 5;
 /// An empty folder, a missing counterpart on either side, images of different sizes, transparent images (see
 /// [`evaluate_folders_with`]), an unreadable file.
 pub fn evaluate_folders(renders: &Path, truth: &Path) -> anyhow::Result<Metrics> {
-    evaluate_folders_with(renders, truth, &MetricEvaluationParams::default(), None)
+    evaluate_folders_with(renders, truth, &MetricEvaluationParams::default(), None, None)
 }
 
-/// [`evaluate_folders`] with chosen metrics; transparent images are composited on `background`.
+/// [`evaluate_folders`] with chosen metrics and the folder of LPIPS's weights; transparent images are composited on
+/// `background`.
 pub fn evaluate_folders_with(
     renders: &Path,
     truth: &Path,
     params: &MetricEvaluationParams,
+    lpips_weights: Option<&Path>,
     background: Option<Background>,
 ) -> anyhow::Result<Metrics> {
     let pairs = paired(renders, truth)?;
-    let (images, size) = evaluate_pairs(&pairs, params, background)?;
+    let (mut images, size) = evaluate_pairs(&pairs, params, background)?;
+    let networks = Networks::open(lpips_weights, &params.metrics)?;
+    for (image, pair) in images.iter_mut().zip(&pairs) {
+        perceptual::add(image, pair, &networks, params, background)?;
+    }
     let background = match background {
         None => "as given",
         Some(Background::White) => "white",
@@ -51,6 +58,8 @@ pub fn evaluate_folders_with(
         split: Split::Test,
         metric_version: METRIC_VERSION,
         quantise: params.quantise,
+        mask: MaskSource::None,
+        mask_keeps: Keep::Nonzero,
         means: Metrics::means_of(&images, &params.metrics),
         prompts: BTreeMap::new(),
         n_images: images.len(),

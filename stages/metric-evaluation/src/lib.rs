@@ -6,14 +6,16 @@
 mod artifact;
 mod folders;
 mod image_file;
-mod language;
+mod judges;
+pub mod lpips;
 pub mod metrics;
 mod params;
 mod run;
 #[cfg(test)]
 mod stage_tests;
 mod summary;
-mod surfaces;
+#[cfg(test)]
+mod test_images;
 mod test_set;
 #[cfg(test)]
 mod tests;
@@ -22,5 +24,5 @@ pub use artifact::{ImageMetrics, METRIC_VERSION, Metrics, Remark};
 pub use folders::{evaluate_folders, evaluate_folders_with};
 pub use image_file::{Background, Image};
 pub use metrics::{Metric, Score};
-pub use params::{MetricEvaluationParams, Quantise};
+pub use params::{Keep, MaskSource, MetricEvaluationParams, Quantise};
 pub use run::{MetricEvaluation, Pair, evaluate_pairs};

@@ -1,17 +1,24 @@
 //! The stage: pairs rendered views with the capture's images and judges them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Stage};
+use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
 use rayon::prelude::*;
 use rendering::Renders;
 
 use crate::artifact::empty_set;
+use crate::judges::perceptual::Networks;
+use crate::judges::{language, masked, perceptual, surfaces, video};
 use crate::metrics::{judge, mean_squared_error};
 use crate::test_set::TestSet;
-use crate::{Background, Image, ImageMetrics, METRIC_VERSION, MetricEvaluationParams, Metrics, Remark};
-use crate::{language, surfaces};
+use crate::{Background, Image, ImageMetrics, METRIC_VERSION, MetricEvaluationParams, Metrics, Remark, Score};
+
+/// Names under which the engine hands over folders.
+const LPIPS_WEIGHTS: &str = "lpips_weights";
+const MASK_FOLDER: &str = "mask_folder";
+const FRAME_FEATURES: &str = "frame_features";
 
 /// The stage `metric-evaluation`.
 pub struct MetricEvaluation;
@@ -26,19 +33,24 @@ impl Stage for MetricEvaluation {
     type Output = Metrics;
 
     const ID: &'static str = "metric-evaluation";
-    const ABOUT: &'static str = "judges rendered views against the capture's images (PSNR, SSIM, MS-SSIM), exact maps (velocity, flow, depth) and labels (prompts)";
+    const ABOUT: &'static str = "judges rendered views against the capture's images (PSNR, SSIM, MS-SSIM, LPIPS), exact maps (velocity, flow, depth) and labels (prompts)";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<Renders>("renders"), Port::one::<TrueImages>("capture")]
     }
 
+    fn sources(params: &Self::Params) -> Vec<Source> {
+        let folders = [
+            (LPIPS_WEIGHTS, &params.lpips_weights),
+            (MASK_FOLDER, &params.mask_folder),
+            (FRAME_FEATURES, &params.frame_features),
+        ];
+        let given = folders.into_iter().filter(|(_, path)| !path.as_os_str().is_empty());
+        given.map(|(name, path)| Source { name, path: path.clone() }).collect()
+    }
+
     fn check_params(params: &Self::Params) -> Vec<ParamProblem> {
-        let problem = ParamProblem {
-            key: "metrics".into(),
-            message: "no metric to compute".into(),
-            hint: Some("leave the key out to compute all".into()),
-        };
-        if params.metrics.is_empty() { vec![problem] } else { Vec::new() }
+        params.problems()
     }
 
     fn resources(_params: &Self::Params) -> Resources {
@@ -49,28 +61,17 @@ impl Stage for MetricEvaluation {
         let renders: Renders = context.input("renders")?;
         let capture: TrueImages = context.input("capture")?;
         let set = TestSet::new(&renders, &capture)?;
-        let pairs = set.pairs();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        // Between batches the job reports and may stop; a batch keeps every thread busy.
-        let batch = 4 * pool.current_num_threads();
-        let mut images = Vec::with_capacity(pairs.len());
-        for pairs_of_batch in pairs.chunks(batch) {
-            if context.should_stop() {
-                return Err(context.interrupted());
-            }
-            images.extend(pool.install(|| evaluate_pairs(pairs_of_batch, params, None))?.0);
-            context.progress(images.len() as u64, pairs.len() as u64, "images judged");
-        }
-        let prompts = pool.install(|| {
-            surfaces::add(&mut images, &set, params)?;
-            language::add(&mut images, &set, params)
-        })?;
+        let watch = Watch { stop: &context.stop, on_progress: &*context.on_progress, folders: &context.sources };
+        let (images, prompts) = pool.install(|| judge_all(&set, params, &watch))?;
         let metrics = Metrics {
             method: renders.method.clone(),
             protocol: renders.protocol.clone(),
             split: renders.split,
             metric_version: METRIC_VERSION,
             quantise: params.quantise,
+            mask: params.mask,
+            mask_keeps: params.mask_keeps,
             means: Metrics::means_of(&images, &params.metrics),
             prompts,
             n_images: images.len(),
@@ -79,6 +80,53 @@ impl Stage for MetricEvaluation {
         metrics.write(context.output_dir())?;
         Ok(metrics)
     }
+}
+
+/// Whom a judgement asks and tells while it runs.
+struct Watch<'a> {
+    stop: &'a AtomicBool,
+    on_progress: &'a (dyn Fn(Progress) + Send + Sync),
+    /// Absolute paths of the folders that the parameters name.
+    folders: &'a BTreeMap<String, PathBuf>,
+}
+
+impl Watch<'_> {
+    fn folder(&self, name: &str) -> Option<&Path> {
+        self.folders.get(name).map(PathBuf::as_path)
+    }
+
+    fn go_on(&self, done: usize, total: usize, message: &str) -> Result<(), Failure> {
+        (self.on_progress)(Progress { done: done as u64, total: total as u64, message: message.into() });
+        let stopped = || Failure::new(FailureKind::Interrupted, "stopped on request");
+        if self.stop.load(Ordering::Relaxed) { Err(stopped()) } else { Ok(()) }
+    }
+}
+
+/// Every figure of every image of the set, and the overlaps of prompts ([`Metrics::prompts`]).
+fn judge_all(
+    set: &TestSet<'_>,
+    params: &MetricEvaluationParams,
+    watch: &Watch<'_>,
+) -> anyhow::Result<(Vec<ImageMetrics>, BTreeMap<String, Score>)> {
+    let pairs = set.pairs();
+    let mut images = Vec::with_capacity(pairs.len());
+    // Between batches the job reports and may stop; a batch keeps every thread busy.
+    for batch in pairs.chunks(4 * rayon::current_num_threads()) {
+        images.extend(evaluate_pairs(batch, params, None)?.0);
+        watch.go_on(images.len(), pairs.len(), "images judged")?;
+    }
+    surfaces::add(&mut images, set, params)?;
+    video::add(&mut images, set, watch.folder(FRAME_FEATURES), params)?;
+    let prompts = language::add(&mut images, set, params)?;
+    let networks = Networks::open(watch.folder(LPIPS_WEIGHTS), &params.metrics)?;
+    for (index, image) in images.iter_mut().enumerate() {
+        perceptual::add(image, &pairs[index], &networks, params, None)?;
+        if masked::is_wanted(params) {
+            masked::add(image, index, set, watch.folder(MASK_FOLDER), &networks, params)?;
+        }
+        watch.go_on(index + 1, pairs.len(), "images judged by networks and masks")?;
+    }
+    Ok((images, prompts))
 }
 
 /// A render and the image that it should be.

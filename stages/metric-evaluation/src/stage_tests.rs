@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::*;
 
-const SIZE: [u32; 2] = [24, 16];
+pub const SIZE: [u32; 2] = [24, 16];
 
 fn protocol() -> Protocol {
     Protocol {
@@ -25,7 +25,7 @@ fn protocol() -> Protocol {
     }
 }
 
-fn picture(shift: u8) -> image::RgbImage {
+pub fn picture(shift: u8) -> image::RgbImage {
     image::RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| image::Rgb([3 * x as u8 + shift, 5 * y as u8, shift]))
 }
 
@@ -35,8 +35,13 @@ fn labels() -> LabelMap {
     LabelMap { width: SIZE[0], height: SIZE[1], labels }
 }
 
-/// A capture with one training view and two test views.
-fn write_capture(dir: &Path) -> Capture {
+/// A capture with one training view and two test views, from a camera that moves.
+pub fn write_capture(dir: &Path) -> Capture {
+    write_capture_along(dir, |time_secs| DVec3::new(0.0, time_secs, -3.0))
+}
+
+/// The same, from a camera that is at `position` at each time.
+pub fn write_capture_along(dir: &Path, position: fn(f64) -> DVec3) -> Capture {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.5 };
     let info = CaptureInfo {
         name: "tiny".into(),
@@ -56,7 +61,7 @@ fn write_capture(dir: &Path) -> Capture {
         let frame = Frame {
             name: name.into(),
             split,
-            camera: Camera::look_at(intrinsics, DVec3::new(0.0, time_secs, -3.0), DVec3::ZERO, DVec3::Y),
+            camera: Camera::look_at(intrinsics, position(time_secs), DVec3::ZERO, DVec3::Y),
             camera_index: 0,
             frame_index: 2 * time_secs as u32,
             time_secs,
@@ -73,7 +78,7 @@ fn write_capture(dir: &Path) -> Capture {
 }
 
 /// Renders of the capture's test views, each a little off.
-fn write_renders(dir: &Path, capture: &Capture) -> Renders {
+pub fn write_renders(dir: &Path, capture: &Capture) -> Renders {
     std::fs::create_dir_all(dir.join("images")).expect("folder made");
     let rendered = |view: &scene::View| {
         let image = Path::new("images").join(format!("{}.png", view.name));
@@ -103,6 +108,11 @@ fn write_renders(dir: &Path, capture: &Capture) -> Renders {
 }
 
 fn run(root: &Path) -> anyhow::Result<Metrics> {
+    run_with(root, &MetricEvaluationParams::default(), &[])
+}
+
+/// Runs the stage on `root/capture` and `root/renders`, with folders under the names that the engine gives them.
+pub fn run_with(root: &Path, params: &MetricEvaluationParams, folders: &[(&str, &Path)]) -> anyhow::Result<Metrics> {
     let mut context = JobContext::detached(root)?;
     for port in ["capture", "renders"] {
         let record = InputRecord {
@@ -114,7 +124,10 @@ fn run(root: &Path) -> anyhow::Result<Metrics> {
         };
         context.inputs.insert(port.into(), vec![record]);
     }
-    MetricEvaluation::run(&context, &MetricEvaluationParams::default())
+    context.sources = folders.iter().map(|(name, folder)| (name.to_string(), folder.to_path_buf())).collect();
+    let metrics = MetricEvaluation::run(&context, params)?;
+    metrics.check()?;
+    Ok(metrics)
 }
 
 #[test]

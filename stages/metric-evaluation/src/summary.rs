@@ -1,5 +1,6 @@
 //! Metrics as text for a terminal.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use crate::metrics::PSNR_CAP_DB;
@@ -9,7 +10,8 @@ impl Metrics {
     /// An aligned table: mean, worst value and worst image per metric, then what a reader should know.
     pub fn summary(&self) -> String {
         let mut rows = vec![["metric", "mean", "worst", "worst image"].map(String::from)];
-        rows.extend(self.means.iter().map(|(metric, mean)| self.summary_row(*metric, mean)));
+        let defined = self.means.iter().filter(|(_, mean)| mean.value().is_some());
+        rows.extend(defined.map(|(metric, mean)| self.summary_row(*metric, mean)));
         let widths: [usize; 4] =
             std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
         let mut text = format!("{} images · {}×{} px\n", self.n_images, self.protocol.width, self.protocol.height);
@@ -17,12 +19,21 @@ impl Metrics {
             let line = format!("{metric:<0$}  {mean:>1$}  {worst:>2$}  {name}", widths[0], widths[1], widths[2]);
             writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");
         }
+        text + &self.undefined_lines() + &self.remark_lines()
+    }
+
+    /// One line per reason.
+    fn undefined_lines(&self) -> String {
+        let mut by_reason = BTreeMap::<&str, Vec<&str>>::new();
         for (metric, mean) in &self.means {
             if let Score::Undefined { undefined } = mean {
-                writeln!(text, "{} is undefined: {undefined}", metric.heading()).expect("writing to a string succeeds");
+                by_reason.entry(undefined).or_default().push(metric.heading());
             }
         }
-        text + &self.remark_lines()
+        let line = |(reason, metrics): (&str, Vec<&str>)| {
+            format!("{} {} undefined: {reason}\n", metrics.join(", "), if metrics.len() == 1 { "is" } else { "are" })
+        };
+        by_reason.into_iter().map(line).collect()
     }
 
     fn summary_row(&self, metric: Metric, mean: &Score) -> [String; 4] {
@@ -32,7 +43,7 @@ impl Metrics {
         let worst = if metric.higher_is_better() { values.min_by(by_value) } else { values.max_by(by_value) };
         [
             metric.heading().into(),
-            mean.value().map_or("undefined".into(), number),
+            mean.value().map_or_else(String::new, number),
             worst.map_or(String::new(), |(value, _)| number(value)),
             worst.map_or(String::new(), |(_, name)| name.clone()),
         ]

@@ -1,13 +1,14 @@
 //! The rendered views of one split, each beside the capture's view that it should show.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use engine::{Failure, FailureKind};
 use rendering::{RenderedView, Renders};
 use scene::{Capture, View};
 
-use crate::Pair;
 use crate::artifact::empty_set;
+use crate::{Image, MetricEvaluationParams, Pair};
 
 /// Every view of a split with its render, in the order of the capture.
 pub struct TestSet<'a> {
@@ -58,6 +59,13 @@ impl<'a> TestSet<'a> {
             truth: self.capture.dir.join(&view.image),
         };
         self.views.iter().map(pair).collect()
+    }
+
+    /// The render and the truth at `index`, at the levels that are compared.
+    pub fn images(&self, index: usize, params: &MetricEvaluationParams) -> Result<[Image; 2], Failure> {
+        let (rendered, view) = self.views[index];
+        let read = |path: &Path| Image::read(path, params.quantise, None);
+        Ok([read(&self.renders.image_path(rendered))?, read(&self.capture.dir.join(&view.image))?])
     }
 
     /// Refuses maps of a render that have another size than the capture's view.

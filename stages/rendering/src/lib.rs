@@ -5,14 +5,12 @@ pub mod export;
 pub mod frame_rate;
 pub mod params;
 pub mod run;
-pub mod semantic_maps;
 pub mod semantics;
 pub mod surfaces;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::{RenderedView, Renders, SurfaceMaps};
+pub use artifact::{RenderedView, Renders, SemanticMaps, SurfaceMaps};
 pub use frame_rate::FrameRate;
 pub use params::{Maps, RenderingParams};
 pub use run::Rendering;
-pub use semantic_maps::SemanticMaps;

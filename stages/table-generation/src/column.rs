@@ -77,9 +77,9 @@ impl Column {
         Metric::ALL.into_iter().map(Self::Metric).chain(Self::COSTS)
     }
 
-    /// The columns of the tables of surfaces, where captures know them exactly.
-    pub fn surfaces() -> impl Iterator<Item = Self> {
-        Metric::ALL.into_iter().filter(|metric| metric.is_of_surfaces()).map(Self::Metric)
+    /// Figures that need more than images (exact maps, labels, masks, a camera at rest), which few captures have.
+    pub fn conditional() -> impl Iterator<Item = Self> {
+        Metric::ALL.into_iter().filter(|metric| metric.is_conditional()).map(Self::Metric)
     }
 
     fn metric(self) -> Option<Metric> {

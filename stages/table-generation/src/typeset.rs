@@ -26,7 +26,7 @@ pub fn document(report: &Report, params: &TableGenerationParams) -> Document {
         blocks.push(Block::Paragraph(protocol_text(group)));
         blocks.push(Block::Table(headline_table(group)));
         blocks.push(Block::Table(scene_table(group, Column::PSNR)));
-        blocks.extend(surface_tables(group).map(Block::Table));
+        blocks.extend(conditional_tables(group).map(Block::Table));
         blocks.extend(ablation_tables(group).into_iter().map(Block::Table));
         blocks.extend(group.claims.iter().map(|claims| Block::Table(claim_table(claims))));
     }
@@ -107,9 +107,9 @@ fn scene_table(group: &Group, column: Column) -> Table {
     table
 }
 
-/// The figures of surfaces that any run has, one table each, over the scenes that define it.
-fn surface_tables(group: &Group) -> impl Iterator<Item = Table> {
-    Column::surfaces().filter_map(|column| {
+/// The figures beyond images that any run has, one table each, over the scenes that define it.
+fn conditional_tables(group: &Group) -> impl Iterator<Item = Table> {
+    Column::conditional().filter_map(|column| {
         let is_defined = |scene: &&String| {
             let cell = |row: &Row| row.by_scene.get(*scene)?.get(&column)?.mean;
             group.rows.iter().any(|row| cell(row).is_some())

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use clap::CommandFactory;
 use engine::{Failure, FailureKind, Store, exit};
+use metric_evaluation::{MetricEvaluationParams, evaluate_folders_with};
 
 use crate::args::{Cli, EvalArgs};
 use crate::error::CliError;
@@ -31,7 +32,11 @@ pub fn inspect(dir: &Path) -> Result<u8, CliError> {
 pub fn eval(args: &EvalArgs) -> Result<u8, CliError> {
     require_folder(&args.renders)?;
     require_folder(&args.truth)?;
-    let metrics = metric_evaluation::evaluate_folders(&args.renders, &args.truth).map_err(CliError::of_input)?;
+    let weights = args.lpips_weights.as_deref();
+    weights.map_or(Ok(()), require_folder)?;
+    let params = MetricEvaluationParams::default();
+    let metrics = evaluate_folders_with(&args.renders, &args.truth, &params, weights, None);
+    let metrics = metrics.map_err(CliError::of_input)?;
     if args.json {
         print_json(&metrics)?;
     } else {

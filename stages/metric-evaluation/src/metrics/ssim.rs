@@ -65,6 +65,12 @@ fn ssim_of_window([mean_a, mean_b, mean_squares, mean_product]: Moments) -> (f64
     ((2.0 * luminance_product + C1) / (luminance_squares + C1) * contrast_structure, contrast_structure)
 }
 
+/// SSIM of a window from its means, variances and covariance.
+pub(super) fn index([a, b]: [f64; 2], [variance_a, variance_b]: [f64; 2], covariance: f64) -> f64 {
+    let luminance = (2.0 * a * b + C1) / (a * a + b * b + C1);
+    luminance * (2.0 * covariance + C2) / (variance_a + variance_b + C2)
+}
+
 /// The horizontal half of the window means, padded with zeros beyond the border.
 fn horizontal_moments(a: &[f64], b: &[f64], width: usize) -> Vec<Moments> {
     let window = gaussian_window();
@@ -91,7 +97,7 @@ fn add_scaled(sum: &mut [Moments], row: &[Moments], weight: f64) {
 }
 
 /// Gaussian taps that sum to 1.
-fn gaussian_window() -> [f64; TAPS] {
+pub(super) fn gaussian_window() -> [f64; TAPS] {
     let taps: [f64; TAPS] =
         std::array::from_fn(|tap| (-(tap as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
     let sum: f64 = taps.iter().sum();

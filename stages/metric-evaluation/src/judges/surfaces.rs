@@ -1,39 +1,34 @@
 //! Adds the figures of surfaces, as far as the capture knows them exactly.
 
 use rayon::prelude::*;
-use rendering::RenderedView;
-use scene::View;
 
-use crate::metrics::{Truths, judge_surfaces, psnr_of_moving};
+use crate::metrics::{Family, Truths, judge_surfaces, psnr_of_moving};
 use crate::test_set::TestSet;
-use crate::{Image, ImageMetrics, Metric, MetricEvaluationParams};
+use crate::{ImageMetrics, Metric, MetricEvaluationParams};
 
 /// Judges the surfaces of every image of the set.
 pub fn add(images: &mut [ImageMetrics], set: &TestSet<'_>, params: &MetricEvaluationParams) -> anyhow::Result<()> {
-    if !params.metrics.iter().any(|metric| metric.is_of_surfaces()) {
+    if !params.metrics.iter().any(|metric| metric.family() == Family::Surfaces) {
         return Ok(());
     }
-    let views = set.views.par_iter();
-    images.par_iter_mut().zip(views).try_for_each(|(image, (rendered, view))| judge(image, set, rendered, view, params))
+    images.par_iter_mut().enumerate().try_for_each(|(index, image)| judge(image, index, set, params))
 }
 
 fn judge(
     image: &mut ImageMetrics,
+    index: usize,
     set: &TestSet<'_>,
-    rendered: &RenderedView,
-    view: &View,
     params: &MetricEvaluationParams,
 ) -> anyhow::Result<()> {
-    let capture = set.capture;
+    let (capture, (rendered, view)) = (set.capture, set.views[index]);
     let truths = Truths {
         depth: capture.load_depth(view)?,
         velocity: capture.load_velocity(view)?,
         flow: capture.load_flow(view)?,
     };
     if let Some(moving) = truths.moving() {
-        let paths = [set.renders.image_path(rendered), capture.dir.join(&view.image)];
-        let [render, truth] = paths.map(|path| Image::read(&path, params.quantise, None));
-        let (score, error) = psnr_of_moving(&render?, &truth?, &moving);
+        let [render, truth] = set.images(index, params)?;
+        let (score, error) = psnr_of_moving(&render, &truth, &moving);
         image.moving = error;
         if params.metrics.contains(&Metric::PsnrMoving) {
             image.values.insert(Metric::PsnrMoving, score);

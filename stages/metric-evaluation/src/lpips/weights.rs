@@ -1,0 +1,96 @@
+//! Where the weights of LPIPS come from: the files that torchvision and the authors of LPIPS publish, verified by hash.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use engine::{Digest, Failure, FailureKind};
+
+use super::torch_file::{self, Tensor};
+use super::{Backbone, Lpips};
+
+/// A published file and what its SHA-256 begins with (torchvision publishes the first eight digits, in the name).
+struct Published {
+    file: &'static str,
+    sha256: &'static str,
+}
+
+const fn published(file: &'static str, sha256: &'static str) -> Published {
+    Published { file, sha256 }
+}
+
+const ALEX: &[Published] =
+    &[published("alexnet-owt-7be5be79.pth", "7be5be79"), published("alexnet-owt-4df8aa71.pth", "4df8aa71")];
+const VGG: &[Published] = &[published("vgg16-397923af.pth", "397923af")];
+const SQUEEZE: &[Published] =
+    &[published("squeezenet1_1-b8a52dc0.pth", "b8a52dc0"), published("squeezenet1_1-f364aa15.pth", "f364aa15")];
+const ALEX_HEAD: &[Published] =
+    &[published("alex.pth", "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0")];
+const VGG_HEAD: &[Published] =
+    &[published("vgg.pth", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868")];
+const SQUEEZE_HEAD: &[Published] =
+    &[published("squeeze.pth", "4a5350f23600cb79923ce65bb07cbf57dca461329894153e05a1346bd531cf76")];
+
+impl Backbone {
+    /// The file of the classifier (two names where torchvision published the same weights twice), and that of LPIPS's own
+    /// weights, version 0.1.
+    fn files(self) -> [&'static [Published]; 2] {
+        match self {
+            Self::Alex => [ALEX, ALEX_HEAD],
+            Self::Vgg => [VGG, VGG_HEAD],
+            Self::Squeeze => [SQUEEZE, SQUEEZE_HEAD],
+        }
+    }
+}
+
+/// LPIPS with one classifier, or why there is none.
+pub enum Weights {
+    /// Ready to measure.
+    Ready(Box<Lpips>),
+    /// Which file is not there.
+    Missing(String),
+}
+
+impl Weights {
+    /// Reads the files of a classifier in `folder`.
+    ///
+    /// # Errors
+    /// A file of the right name that is not the published one.
+    pub fn open(folder: &Path, backbone: Backbone) -> Result<Self, Failure> {
+        let [body, head] = backbone.files().map(|files| find(folder, files));
+        let (body, head) = match (body, head) {
+            (Ok(body), Ok(head)) => (body, head),
+            (Err(missing), _) | (_, Err(missing)) => return Ok(Self::Missing(missing)),
+        };
+        let [body, head] = [read_verified(&body)?, read_verified(&head)?];
+        let lpips = Lpips::new(backbone, &body, &head);
+        let refused = |reason| Failure::new(FailureKind::BadInput, format!("weights of another network: {reason}"));
+        lpips.map(|lpips| Self::Ready(Box::new(lpips))).map_err(|reason| refused(reason).at(folder))
+    }
+}
+
+/// The verified tensors of LPIPS's own weights alone.
+#[cfg(test)]
+pub(super) fn read_head(folder: &Path, backbone: Backbone) -> Result<BTreeMap<String, Tensor>, Failure> {
+    let missing = |missing| Failure::new(FailureKind::MissingData, missing);
+    read_verified(&find(folder, backbone.files()[1]).map_err(missing)?)
+}
+
+type Found = (PathBuf, &'static str);
+
+/// The first of the files that is there, and its hash; or what is missing.
+fn find(folder: &Path, files: &'static [Published]) -> Result<Found, String> {
+    let here = |published: &Published| Some((folder.join(published.file), published.sha256));
+    let found = files.iter().filter_map(here).find(|(path, _)| path.is_file());
+    found.ok_or_else(|| format!("no {} among the weights of LPIPS", files[0].file))
+}
+
+fn read_verified((path, sha256): &Found) -> Result<BTreeMap<String, Tensor>, Failure> {
+    let failure = |kind, message: String| Failure::new(kind, message).at(path);
+    let bytes = std::fs::read(path).map_err(|error| failure(FailureKind::World, format!("cannot read: {error}")))?;
+    let found = Digest::of(&bytes).to_string();
+    if !found.starts_with(sha256) {
+        let message = format!("SHA-256 is {found} where the published file has {sha256}…");
+        return Err(failure(FailureKind::BadInput, message).hint("download the file again"));
+    }
+    torch_file::read(&bytes).map_err(|reason| failure(FailureKind::BadInput, format!("cannot use weights: {reason}")))
+}
