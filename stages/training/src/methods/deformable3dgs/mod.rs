@@ -74,7 +74,7 @@ impl MethodFolder for Deformable3dgs {
             Effect {
                 name: "time-noise",
                 about: "annealed noise on the times of training views, against wrong poses of real scenes",
-                needs: &[Need::Times(2), Need::Motion],
+                needs: &[Need::Effect("motion")],
                 by_default: false,
             },
         ]

@@ -45,18 +45,18 @@ impl MethodFolder for Mcgs {
     }
 
     fn effects() -> Vec<Effect> {
-        const MOTION: &[Need] = &[Need::Times(2), Need::Motion];
+        const OF_MOTION: &[Need] = &[Need::Effect("motion")];
         let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
         vec![
             effect(
                 "motion",
                 "control nodes carry the Gaussians; a coordinate network and a Markov chain move them",
-                MOTION,
+                &[Need::Times(2), Need::Motion],
             ),
-            effect("attention", "the chain looks back over a window of states, not at the last one alone", MOTION),
-            effect("noise", "annealed noise on predicted motion, more where nodes are seldom seen", MOTION),
-            effect("arap", "neighbouring nodes move as rigidly as possible", MOTION),
-            effect("physics", "nodes avoid acceleration and haste", &[Need::Times(3), Need::Motion]),
+            effect("attention", "the chain looks back over a window of states, not at the last one alone", OF_MOTION),
+            effect("noise", "annealed noise on predicted motion, more where nodes are seldom seen", OF_MOTION),
+            effect("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
+            effect("physics", "nodes avoid acceleration and haste", &[Need::Times(3), Need::Effect("motion")]),
         ]
     }
 
@@ -227,11 +227,13 @@ impl MarkovGaussians {
         self.nodes.mix(step.tape, step.model, &predictions)
     }
 
-    /// The rigidity of the nodes between a frame and the next.
+    /// The rigidity of the nodes between a frame and the next, among those that are near each other at that time: on the
+    /// canonical nodes, which a warm-up without motion leaves on the trails of what moves, different things lie side by side.
     fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, weight: f64, frames: &[NodeMotion]) {
         let nodes = step.model.get("nodes.positions");
-        let Some(rigidity) = Rigidity::new(step.tape.value(nodes), self.settings.nodes.rigid_neighbors) else { return };
         let [before, after] = [1, 2].map(|frame| add(step.tape, nodes, frames[frame].translations));
+        let neighbors = self.settings.nodes.rigid_neighbors;
+        let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors) else { return };
         let energy = rigidity.energy(step.tape, before, after);
         step.add_loss("rigidity", weight, energy);
     }

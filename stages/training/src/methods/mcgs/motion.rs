@@ -96,20 +96,20 @@ impl Nodes {
         times: &[f64],
         scene: &SceneFacts,
     ) -> Predictions {
-        let window = self.chain.window();
-        let first = times[0] - window as f64 * frame_interval(scene);
-        let earlier = (0..window).map(|at| (first + at as f64 * frame_interval(scene)).max(0.0));
+        let before = self.chain.looks_back();
+        let first = times[0] - before as f64 * frame_interval(scene);
+        let earlier = (0..before).map(|at| (first + at as f64 * frame_interval(scene)).max(0.0));
         let states: Vec<f64> = earlier.chain(times.iter().copied()).collect();
         let motion = self.direct(tape, model, &states);
         let nodes = tape.value(model.get("nodes.positions")).rows();
-        let last_states = RowIndex::new(rows(window * nodes, times.len() * nodes), states.len() * nodes);
+        let last_states = RowIndex::new(rows(before * nodes, times.len() * nodes), states.len() * nodes);
         let direct = NodeMotion {
             translations: gather(tape, motion.translations, &last_states),
             rotations: gather(tape, motion.rotations, &last_states),
         };
         let history =
             NodeMotion { translations: tape.detach(motion.translations), rotations: tape.detach(motion.rotations) };
-        let chained = self.chain.predict(tape, model, history, nodes, times.len());
+        let chained = self.chain.predict(tape, model, history, nodes, times.len(), scene);
         Predictions { direct, chained }
     }
 

@@ -2,18 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 use shaders::losses::mean;
-use shaders::pointwise::{add, magnitude, mul, scale, square, sub};
+use shaders::pointwise::{add, magnitude, scale, square, sub};
 use shaders::quaternion;
 use shaders::rows::row_sum;
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::tape::{Real, Tape, Var};
 
-use super::motion::NodeMotion;
+use super::motion::{NodeMotion, frame_interval};
 use crate::method::Step;
 
-/// The least length that motion is measured in, as a share of the scene's extent: nodes at rest have none.
-const MIN_UNIT: f64 = 1e-4;
-
-/// Weights, once lengths are measured by how far the nodes are from their canonical places, and times in frames.
+/// Weights, once lengths per frame are measured in scene extents per duration of the capture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhysicsSettings {
@@ -31,25 +28,24 @@ impl Default for PhysicsSettings {
     }
 }
 
-/// λ_a·mean ‖μ₊ − 2μ + μ₋‖² / u² + λ_s·(mean ‖μ₊ − μ‖₁ / u + α·mean ‖q₊ − q‖₁) over the nodes at three frames; u is the root
-/// of the mean squared distance from the canonical places, held fixed.
+/// λ_a·mean ‖μ₊ − 2μ + μ₋‖² / u² + λ_s·(mean ‖μ₊ − μ‖₁ / u + α·mean ‖q₊ − q‖₁) over the nodes at three frames; what
+/// moves by the scene's extent while the capture lasts moves by u per frame. A unit that shrank with the motion would pull
+/// the harder the less moves.
 pub fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSettings, frames: &[NodeMotion]) {
     let [before, now, after] = frames else { unreachable!("three frames") };
-    let unit = unit_length(step.tape.value(now.translations), step.scene.extent);
+    let per_unit = 1.0 / (step.scene.extent * frame_interval(step.scene));
     let tape = &mut *step.tape;
-    let inverse = tape.detach_value(Tensor::scalar(T::from_f64(1.0 / unit)));
 
     let arriving = sub(tape, now.translations, before.translations);
     let leaving = sub(tape, after.translations, now.translations);
     let change = sub(tape, leaving, arriving);
     let squares = square(tape, change);
     let acceleration = mean_over_rows(tape, squares);
-    let acceleration = mul(tape, acceleration, inverse);
-    let acceleration = mul(tape, acceleration, inverse);
+    let acceleration = scale(tape, acceleration, per_unit * per_unit);
 
     let haste = magnitude(tape, leaving);
     let haste = mean_over_rows(tape, haste);
-    let haste = mul(tape, haste, inverse);
+    let haste = scale(tape, haste, per_unit);
     let next = quaternion::align(tape, after.rotations, now.rotations);
     let turn = sub(tape, next, now.rotations);
     let turn = magnitude(tape, turn);
@@ -65,9 +61,4 @@ pub fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSettings, f
 fn mean_over_rows<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     let sums = row_sum(tape, x);
     mean(tape, sums)
-}
-
-fn unit_length<T: Real>(translations: &Tensor<T>, extent: f64) -> f64 {
-    let squared: f64 = translations.as_slice().iter().map(|value| value.to_f64().powi(2)).sum();
-    (squared / translations.rows() as f64).sqrt().max(MIN_UNIT * extent)
 }

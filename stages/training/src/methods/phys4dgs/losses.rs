@@ -6,7 +6,7 @@ use shaders::splat::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
 use super::observation::{Observed, Sight, flow_displacements, surface_depth, true_displacements};
-use super::trajectories::{Trajectories, differences, foreground, frame_of, sample};
+use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit, sample};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::method::{Step, TrainingView};
 
@@ -29,8 +29,6 @@ struct Scales {
     everyone: Var,
     /// The ramp, over the squared motion unit and the number of views.
     factor: f64,
-    /// Scene units.
-    motion_unit: f64,
 }
 
 impl PhysicalGaussians {
@@ -51,11 +49,10 @@ impl PhysicalGaussians {
             return Ok(());
         };
         let kinematics = self.kinematics(step, &followed);
-        let motion_unit = followed.motion_unit;
+        let motion_unit = motion_unit(step.scene);
         let scales = Scales {
             everyone: step.tape.constant(Tensor::full([followed.count], T::ONE)),
             factor: gain * AXES / (motion_unit * motion_unit * step.views.len() as f64),
-            motion_unit,
         };
         self.compare_velocities(step, &scales, &kinematics);
         self.compare_higher_orders(step, &scales, &kinematics);
@@ -69,8 +66,8 @@ impl PhysicalGaussians {
     /// Evaluates the heads that some loss needs, at the instants that some loss needs.
     fn kinematics<T: Real>(&self, step: &mut Step<'_, T>, followed: &Trajectories) -> Kinematics {
         let moved = followed.displacements(step.tape);
-        // The heads speak in extents per duration of the capture, so that their outputs are of the order of 1.
-        let unit = step.scene.extent * frame_of(step.scene);
+        // The heads speak in motion units, so that their outputs are of the order of 1.
+        let unit = motion_unit(step.scene);
         let mut head = |name: &str, instant: usize| {
             let points = &followed.points[instant];
             let said = self.base.further_head(step.tape, step.model, step.scene, name, points);
@@ -157,9 +154,9 @@ impl PhysicalGaussians {
         let arrived = followed.positions_at(step, &self.base, time_to);
         let moved = sub(step.tape, arrived, positions);
         let moved = scale(step.tape, moved, 1.0 / frames);
+        let limit = self.settings.flow_outlier * seen.median_length().max(STANDS_STILL * step.scene.extent);
         for estimate in [kinematics.velocity, Some(moved)].into_iter().flatten() {
-            let seen =
-                seen.without_outliers(step.tape.value(estimate), self.settings.flow_outlier * scales.motion_unit);
+            let seen = seen.without_outliers(step.tape.value(estimate), limit);
             let (target, weight) = seen.constants(step);
             let value = weighted_mean_squared_difference(step.tape, estimate, target, weight);
             scales.add(step, "flow", weights.flow * self.flow_weight(), value);

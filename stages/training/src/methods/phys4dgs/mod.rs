@@ -51,27 +51,27 @@ impl MethodFolder for Phys4dgs {
             effect(
                 "velocity",
                 "Gaussians know their velocity, which agrees with how they move and changes slowly (eqs 3, 10)",
-                &[Need::Times(2), Need::Motion],
+                &[Need::Effect("motion")],
             ),
             effect(
                 "displacement",
                 "known velocities agree with displacements from frame to frame (eq 5)",
-                &[Need::Times(2), Need::Motion],
+                &[Need::Effect("motion")],
             ),
             effect(
                 "higher-order",
                 "known changes of velocity agree with acceleration and jerk (eqs 8, 9)",
-                &[Need::Times(4), Need::Motion],
+                &[Need::Times(4), Need::Effect("motion")],
             ),
             effect(
                 "flow",
                 "velocity and displacement agree with optical flow as well (eq 2)",
-                &[Need::Times(2), Need::Motion, Need::Flow],
+                &[Need::Flow, Need::Effect("motion")],
             ),
             Effect {
                 name: "true-displacement",
                 about: "displacements agree with the exact ones of a synthetic scene (eq 4)",
-                needs: &[Need::Times(2), Need::Motion, Need::Velocity],
+                needs: &[Need::Velocity, Need::Effect("motion")],
                 by_default: false,
             },
         ]

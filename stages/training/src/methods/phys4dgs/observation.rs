@@ -108,6 +108,15 @@ impl<T: Real> Observed<T> {
         }
     }
 
+    /// The middle one of the displacements' lengths, scene units per frame; 0 where nothing is seen.
+    pub fn median_length(&self) -> f64 {
+        let is_seen = |row: &usize| self.weights.as_slice()[*row] > T::ZERO;
+        let length = |row| self.displacements.row(row).iter().map(|value| value.to_f64().powi(2)).sum::<f64>().sqrt();
+        let mut lengths: Vec<f64> = (0..self.displacements.rows()).filter(is_seen).map(length).collect();
+        lengths.sort_unstable_by(f64::total_cmp);
+        lengths.get(lengths.len() / 2).copied().unwrap_or(0.0)
+    }
+
     /// Weighted so that the square pulls no harder than at a distance of `limit` from `estimate`: one step of
     /// iteratively reweighted least squares for the loss of Huber (1964).
     pub fn without_outliers(&self, estimate: &Tensor<T>, limit: f64) -> Self {

@@ -23,7 +23,8 @@ pub struct Phys4dgsSettings {
     pub sample_max: usize,
     /// Where a render covers a pixel less than this, its depth belongs to no surface and nothing is observed there.
     pub min_coverage: f64,
-    /// Flow that differs from the motion by more than so many motion units pulls with constant force (Huber 1964).
+    /// Flow that differs from the motion by more than so many times what it shows in the middle of all Gaussians of a view
+    /// pulls with constant force (Huber 1964).
     pub flow_outlier: f64,
 }
 

@@ -18,6 +18,13 @@ pub const STANDS_STILL: f64 = 1e-4;
 /// Up to this share of a frame, two instants are one, and an instant after the end is the end.
 const SAME_INSTANT: f64 = 1e-3;
 
+/// The length that motion within a frame is measured in: what moves by the scene's extent while the capture lasts moves by
+/// one unit per frame. It does not depend on how the model moves: divided by its own motion, losses of differences would
+/// pull the harder the less moves, and end all motion.
+pub fn motion_unit(scene: &SceneFacts) -> f64 {
+    scene.extent * frame_of(scene)
+}
+
 /// M Gaussians at a time and a few frames after it.
 pub struct Trajectories {
     /// M, at least 1.
@@ -28,9 +35,6 @@ pub struct Trajectories {
     times: Vec<f64>,
     /// The Gaussians at these times.
     pub points: Vec<MovedPoints>,
-    /// The root mean square of the displacement from the first to the second time, at least [`STANDS_STILL`] of the
-    /// extent, scene units. No gradient flows through it.
-    pub motion_unit: f64,
 }
 
 /// One frame in normalised time; infinite for a single instant.
@@ -73,8 +77,7 @@ impl Trajectories {
             .iter()
             .map(|at| MovedPoints { positions: of_moving(at.positions), hidden: of_moving(at.hidden) })
             .collect();
-        let motion_unit = motion_unit(step.tape, &points, STANDS_STILL * step.scene.extent);
-        Some(Self { count, canonical, times, points, motion_unit })
+        Some(Self { count, canonical, times, points })
     }
 
     /// xₖ₊₁ − xₖ [M, 3], for k = 0, 1, …: velocities in scene units per frame.
@@ -133,15 +136,6 @@ fn moving_rows<T: Real>(tape: &Tape<T>, points: &[MovedPoints], threshold: f64) 
         positions[1..].iter().any(|later| !(squared_distance(first, later.row(*row as usize)) < threshold * threshold))
     };
     (0..positions[0].rows() as u32).filter(moves).collect()
-}
-
-fn motion_unit<T: Real>(tape: &mut Tape<T>, points: &[MovedPoints], least: f64) -> f64 {
-    let [first, second] = [0, 1].map(|at| tape.value(points[at].positions));
-    let squared = |row: usize| squared_distance(first.row(row), second.row(row));
-    let mean = (0..first.rows()).map(squared).sum::<f64>() / first.rows() as f64;
-    // Through the tape, which knows that it is held constant.
-    let unit = tape.detach_value(Tensor::scalar(T::from_f64(mean.sqrt().max(least))));
-    tape.value(unit).as_slice()[0].to_f64()
 }
 
 fn squared_distance<T: Real>(a: &[T], b: &[T]) -> f64 {

@@ -53,10 +53,16 @@ impl Switches {
 
 /// What the method can simulate or leave out, in the order of its README.
 pub fn effects() -> Vec<Effect> {
-    let needs: &[Need] = &[Need::Times(2), Need::Motion];
+    let motion = Effect {
+        name: "motion",
+        about: "Gaussians have a time, move, turn and fade",
+        needs: &[Need::Times(2), Need::Motion],
+        by_default: true,
+    };
+    let of_motion = |name, about, by_default| Effect { name, about, needs: &[Need::Effect("motion")], by_default };
     vec![
-        Effect { name: "motion", about: "Gaussians have a time, move, turn and fade", needs, by_default: true },
-        Effect { name: "temporal-color", about: "colours change with time", needs, by_default: true },
-        Effect { name: "rigid", about: "neighbours move alike", needs, by_default: false },
+        motion,
+        of_motion("temporal-color", "colours change with time", true),
+        of_motion("rigid", "neighbours move alike", false),
     ]
 }

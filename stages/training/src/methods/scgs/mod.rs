@@ -92,7 +92,7 @@ impl MethodFolder for Scgs {
             Effect {
                 name: "arap",
                 about: "neighbouring nodes move as rigidly as possible",
-                needs: &[Need::Times(2), Need::Motion],
+                needs: &[Need::Effect("motion")],
                 by_default: true,
             },
         ]

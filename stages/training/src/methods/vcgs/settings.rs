@@ -80,13 +80,13 @@ pub fn effects() -> Vec<Effect> {
         effect(
             "view-plane-constraint",
             "surfels move across the viewing direction of the view that they come from",
-            &[Need::Times(2), Need::Motion],
+            &[Need::Effect("motion")],
         ),
         effect("layer-split", "what stands still is a layer of its own, trained first", &[Need::Layers, Need::Depth]),
         effect(
             "inpainting",
             "the static layer is trained on images without what moves",
-            &[Need::Layers, Need::Background],
+            &[Need::Background, Need::Effect("layer-split")],
         ),
     ]
 }
