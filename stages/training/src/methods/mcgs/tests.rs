@@ -1,6 +1,6 @@
 use serde_json::to_value;
 use shaders::check::noise;
-use shaders::tape::{Device, Tensor, Var};
+use shaders::tape::{Device, Tensor};
 
 use super::*;
 use crate::bases::control_nodes::identity_rotations;
@@ -57,8 +57,8 @@ fn rigidity_and_physics_cost_operations_and_no_tensors() {
 }
 
 /// Nodes with settings, their state and canonical positions.
-fn nodes(settings: &Settings) -> (Nodes, ModelState<f64>) {
-    let nodes = Nodes::new(settings, true);
+fn nodes(settings: &Settings, attends: bool) -> (Nodes, ModelState<f64>) {
+    let nodes = Nodes::new(settings, attends);
     let mut state = ModelState::new();
     insert_nodes(&mut state, Tensor::from_vec([5, 3], noise(15, 1)), 0.3);
     nodes.insert(&mut state, &mut generator(1, Stream::Initial));
@@ -68,7 +68,7 @@ fn nodes(settings: &Settings) -> (Nodes, ModelState<f64>) {
 
 #[test]
 fn several_times_at_once_are_each_time_alone() {
-    let (nodes, state) = nodes(&Settings::tiny());
+    let (nodes, state) = nodes(&Settings::tiny(), true);
     let scene = scene(11);
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
@@ -87,22 +87,36 @@ fn several_times_at_once_are_each_time_alone() {
 }
 
 #[test]
-fn a_chain_that_has_learnt_nothing_goes_on_as_the_last_state_was() {
-    let (nodes, state) = nodes(&Settings::tiny());
-    let mut tape = Tape::new(Device::Cpu);
-    let model = state.bind(&mut tape, |_| false);
-    let now = nodes.predict(&mut tape, &model, &[0.5], &scene(11));
-    let before = nodes.predict(&mut tape, &model, &[0.4], &scene(11));
-    let values = |var| tape.value(var).as_slice();
-    let close = |a: Var, b: Var| values(a).iter().zip(values(b)).all(|(a, b)| (a - b).abs() <= 1e-12);
-    assert!(close(now.chained.translations, before.direct.translations));
-    assert!(close(now.chained.rotations, before.direct.rotations));
-    assert!(!close(now.direct.translations, before.direct.translations));
+fn a_chain_that_has_learnt_nothing_goes_on_as_it_came() {
+    for attends in [true, false] {
+        let (nodes, state) = nodes(&Settings::tiny(), attends);
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let [earlier, before, now] = [0.3, 0.4, 0.5].map(|time| nodes.predict(&mut tape, &model, &[time], &scene(11)));
+        let values = |var| tape.value(var).as_slice();
+        let uniform: Vec<f64> = values(before.direct.translations)
+            .iter()
+            .zip(values(earlier.direct.translations))
+            .map(|(last, first)| 2.0 * last - first)
+            .collect();
+        let off = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off(values(now.chained.translations), &uniform) <= 1e-12, "attends: {attends}");
+        assert!(off(values(now.direct.translations), &uniform) > 1e-12, "the network happens to move uniformly");
+        // The turn from one state to the next is the turn before: the new state leans as far beyond the last as that
+        // beyond the one before.
+        for node in 0..5 {
+            let [a, b, c] = [earlier.direct.rotations, before.direct.rotations, now.chained.rotations]
+                .map(|var| tape.value(var).row(node).to_vec());
+            let dot = |p: &[f64], q: &[f64]| p.iter().zip(q).map(|(p, q)| p * q).sum::<f64>();
+            assert!((dot(&c, &c) - 1.0).abs() <= 1e-12 && dot(&a, &b) > 0.0);
+            assert!(dot(&c, &b) >= dot(&c, &a) - 1e-12, "attends: {attends}");
+        }
+    }
 }
 
 #[test]
 fn the_window_begins_with_the_start_of_the_video() {
-    let (nodes, state) = nodes(&Settings::tiny());
+    let (nodes, state) = nodes(&Settings::tiny(), true);
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
     let first = nodes.predict(&mut tape, &model, &[0.0], &scene(11));
@@ -113,7 +127,7 @@ fn the_window_begins_with_the_start_of_the_video() {
 
 #[test]
 fn no_motion_leaves_the_gaussians_where_they_are() {
-    let (nodes, mut state) = nodes(&Settings::tiny());
+    let (nodes, mut state) = nodes(&Settings::tiny(), true);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
     gaussians::insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01).unwrap();
     let mut tape = Tape::new(Device::Cpu);
