@@ -2,6 +2,8 @@
 //! [`blending`](crate::blending) composed, with or without gradients.
 
 #[cfg(test)]
+mod fuzz;
+#[cfg(test)]
 pub(crate) mod test_scene;
 #[cfg(test)]
 mod tests;
@@ -11,7 +13,7 @@ use crate::binning::{self, Grid, TILE};
 pub use crate::blending::Isa;
 use crate::blending::{self, Blended};
 use crate::projection;
-pub use crate::projection::{PinholeCamera, ProjectedVars, RasterSettings, ShapeVars, SplatVars};
+pub use crate::projection::{NOT_FINITE, PinholeCamera, ProjectedVars, RasterSettings, ShapeVars, SplatVars};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
 /// A render and what density control needs to know of it.

@@ -3,8 +3,11 @@
 mod architecture;
 mod command_line;
 mod crashes;
+mod damage;
 mod data;
 mod editing;
+mod evidence;
+mod numerics;
 mod product;
 mod readings;
 mod recipes;

@@ -90,9 +90,13 @@ impl World {
     /// [`TINY`] with some text replaced, and an empty store.
     pub fn with_edit(from: &str, to: &str) -> Self {
         assert!(TINY.contains(from), "the recipe lacks {from}");
+        Self::of(&if from.is_empty() { TINY.to_owned() } else { TINY.replace(from, to) })
+    }
+
+    /// A recipe, in which `@RECIPES@` stands for the folder of all recipes, and an empty store.
+    pub fn of(text: &str) -> Self {
         let recipes = root().join("recipes").display().to_string();
         let world = Self { dir: TempDir::new().expect("a folder for the test") };
-        let text = if from.is_empty() { TINY.to_owned() } else { TINY.replace(from, to) };
         std::fs::write(world.recipe(), text.replace("@RECIPES@", &recipes)).expect("the recipe is written");
         world
     }

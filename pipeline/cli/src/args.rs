@@ -1,9 +1,12 @@
 //! The command line.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use table_generation::Column;
+
+use crate::amount::{Amount, parse_limit, parse_metric};
 
 /// Trains, renders, measures and tabulates dynamic Gaussian-splatting methods, as a recipe says.
 #[derive(Debug, Parser)]
@@ -34,8 +37,10 @@ pub enum Verb {
     Graph(GraphArgs),
     /// Shows one job's result: folder, parameters, key, measurements
     Show(ShowArgs),
-    /// Prints the last table
+    /// Prints the last table, or tells whether it is the one that was committed
     Table(TableArgs),
+    /// Compares two results, paired by row, scene and seed
+    Compare(CompareArgs),
     /// Writes a model in a format of other programs
     Export(ExportArgs),
     /// Tells what is recognised in a capture's folder
@@ -78,6 +83,20 @@ pub struct RecipeArgs {
     /// Overrides a value of the recipe, as nodes.train.params.schedule_scale=0.5; can be repeated
     #[arg(short = 's', long = "set", value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Train with the seeds 0 to N − 1 instead of those of the recipe
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    pub replicates: Option<usize>,
+    /// Shorten the schedules of every training so that it takes about so long, as 60s or 10m; how much is measured when
+    /// it starts, so that such a result is not reproducible bit for bit
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
+    pub budget: Option<Duration>,
+}
+
+impl RecipeArgs {
+    /// A recipe as it is.
+    pub fn plain(recipe: &Path, data_root: &Path) -> Self {
+        Self { recipe: recipe.into(), data_root: data_root.into(), set: Vec::new(), replicates: None, budget: None }
+    }
 }
 
 /// Which jobs of a recipe.
@@ -197,6 +216,36 @@ pub struct TableArgs {
     /// The format
     #[arg(long, value_enum, default_value_t)]
     pub format: TableFormat,
+    /// Instead compare the table with this file, within its tolerances; exit code 11 if a number, row or protocol differs
+    #[arg(long, value_name = "FILE", conflicts_with = "format")]
+    pub check: Option<PathBuf>,
+    /// Instead write the table to this file, to check against; tolerances of a file that is there stay
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["format", "check"])]
+    pub write_check: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// What B is compared with: a recipe, the folder of a report, or its report.json
+    pub a: PathBuf,
+    /// The same
+    pub b: PathBuf,
+    /// Folder that the recipes' sources are relative to
+    #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+    pub data_root: PathBuf,
+    /// Compare this row of A with that row of B, as static3dgs=mcgs (default: rows of equal names); can be repeated
+    #[arg(long, value_parser = two_rows, value_name = "ROW_A=ROW_B")]
+    pub rows: Vec<(String, String)>,
+    /// Print this metric, as psnr or training_secs (default: psnr, ssim, training_secs); can be repeated
+    #[arg(long = "metric", value_parser = parse_metric, value_name = "METRIC", conflicts_with = "json")]
+    pub metrics: Vec<Column>,
+    /// Fail with exit code 11 where the mean of a row is worse in B by more, as 0.1dB, ssim=0.01 or training_secs=20%,
+    /// or where B lacks the value; can be repeated
+    #[arg(long, value_parser = parse_limit, value_name = "METRIC=AMOUNT")]
+    pub fail_if_worse: Vec<(Column, Amount)>,
+    /// Print JSON, with all metrics
+    #[arg(long)]
+    pub json: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
@@ -283,6 +332,17 @@ pub struct GcArgs {
 /// Times in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f64>);
+
+/// `ROW_A=ROW_B`; the names of rows may hold `=` themselves, as `l4dgs ablation=full`, and then both do.
+fn two_rows(text: &str) -> Result<(String, String), String> {
+    let signs: Vec<usize> = text.match_indices('=').map(|(at, _)| at).collect();
+    let middle = (signs.len() % 2 == 1).then(|| signs[signs.len() / 2]);
+    let (a, b) = middle.map(|at| (&text[..at], &text[at + 1..])).unwrap_or_default();
+    if a.is_empty() || b.is_empty() {
+        return Err(format!("expected ROW_A=ROW_B, as static3dgs=mcgs, not {text}"));
+    }
+    Ok((a.into(), b.into()))
+}
 
 /// A count of which 0 makes no sense.
 fn at_least_one(text: &str) -> Result<usize, String> {

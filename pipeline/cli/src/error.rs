@@ -7,6 +7,8 @@ use engine::plan::NothingSelected;
 use engine::recipe::RecipeErrors;
 use engine::{Failure, FailureKind, exit};
 
+use crate::comparison::ProtocolsDiffer;
+
 /// An error that ends the program.
 #[derive(Debug)]
 pub enum CliError {
@@ -14,6 +16,8 @@ pub enum CliError {
     Recipe(RecipeErrors),
     /// Nothing is called like that, or it has no result.
     Nothing { message: String, hint: Option<String> },
+    /// Numbers of different protocols were to be compared.
+    Incomparable(Box<ProtocolsDiffer>),
     /// With `--frozen`: these jobs would have to run.
     Frozen(Vec<String>),
     /// What the user gave to read is wrong.
@@ -41,7 +45,7 @@ impl CliError {
 
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Recipe(_) | Self::Input(_) => exit::INPUT,
+            Self::Recipe(_) | Self::Input(_) | Self::Incomparable(_) => exit::INPUT,
             Self::Nothing { .. } => exit::NOTHING,
             Self::Frozen(_) => exit::FROZEN,
             Self::Output(_) if self.reader_is_gone() => exit::READER_GONE,
@@ -58,6 +62,7 @@ impl fmt::Display for CliError {
                 write!(f, "error: {message}")?;
                 hint.iter().try_for_each(|hint| write!(f, "\nhint: {hint}"))
             }
+            Self::Incomparable(differ) => write!(f, "error: {differ}"),
             Self::Frozen(jobs) => {
                 let some: Vec<&str> = jobs.iter().take(5).map(String::as_str).collect();
                 let more = if jobs.len() > some.len() { ", …" } else { "" };

@@ -2,9 +2,13 @@
 //! else to standard error; exit codes are those of [`engine::exit`]. A library, so that the tests of the whole can
 //! build the very same program.
 
+mod amount;
 mod args;
+mod checked;
+mod comparison;
 mod display;
 mod error;
+mod measured;
 mod output;
 mod session;
 mod stages;
@@ -47,7 +51,8 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Status(args) => verbs::status::status(&store, &args),
         Verb::Graph(args) => verbs::graph::graph(&store, &args),
         Verb::Show(args) => verbs::results::show(&store, &args),
-        Verb::Table(args) => verbs::results::table(&store, &args),
+        Verb::Table(args) => verbs::table::table(&store, &args),
+        Verb::Compare(args) => verbs::compare::compare(&store, &args),
         Verb::Export(args) => verbs::results::export(&store, &args),
         Verb::Inspect { dir } => verbs::tools::inspect(&dir),
         Verb::Eval(args) => verbs::tools::eval(&args),

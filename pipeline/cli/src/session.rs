@@ -6,12 +6,47 @@ use std::path::{Path, PathBuf};
 use engine::scheduler::Sources;
 use engine::status::{History, Prediction, State, predict};
 use engine::store::ActionRecord;
-use engine::{Plan, Store};
+use engine::{Failure, FailureKind, Plan, Store};
 
 use crate::args::{RecipeArgs, SelectionArgs};
 use crate::error::CliError;
 use crate::output::tell;
 use crate::stages::stages;
+
+/// The stage that `--replicates` and `--budget` are about.
+const TRAINING: &str = "training";
+/// The axis that `--replicates` sets.
+const SEED: &str = "seed";
+
+/// The recipe with everything that the command line changes in it.
+fn resolve(recipe: &RecipeArgs) -> Result<Plan, CliError> {
+    let stages = stages();
+    let resolve = |overrides: &[String]| {
+        engine::recipe::resolve(&recipe.recipe, overrides, &stages, &recipe.data_root) //
+    };
+    let mut overrides = recipe.set.clone();
+    if let Some(count) = recipe.replicates {
+        let seeds: Vec<usize> = (0..count).collect();
+        overrides.push(format!("axes.{SEED} = {seeds:?}"));
+    }
+    let mut plan = resolve(&overrides)?;
+    let trainings = |plan: &Plan| -> BTreeSet<String> {
+        plan.nodes.iter().filter(|node| node.stage == TRAINING).map(|node| node.template.clone()).collect()
+    };
+    let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
+    if recipe.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
+        let hint = format!("add an axis `{SEED}`, train over it, and give it on: params.seed = \"{{{SEED}}}\"");
+        let failure = Failure::new(FailureKind::BadInput, "the recipe trains without seeds: nothing to replicate");
+        return Err(CliError::Input(failure.hint(hint).at(&recipe.recipe).into()));
+    }
+    if let Some(budget) = recipe.budget {
+        // Which jobs train is known now.
+        let of_node = |name: String| format!("nodes.{name}.params.budget_secs = {:?}", budget.as_secs_f64());
+        overrides.extend(trainings(&plan).into_iter().map(of_node));
+        plan = resolve(&overrides)?;
+    }
+    Ok(plan)
+}
 
 /// A resolved recipe, the store, and which of its jobs are meant.
 pub struct Session {
@@ -37,7 +72,7 @@ impl Session {
     }
 
     fn with(store: impl FnOnce() -> anyhow::Result<Store>, recipe: &RecipeArgs) -> Result<Self, CliError> {
-        let plan = engine::recipe::resolve(&recipe.recipe, &recipe.set, &stages(), &recipe.data_root)?;
+        let plan = resolve(recipe)?;
         let targets = (0..plan.nodes.len()).collect();
         let store = store()?;
         let data_root = recipe.data_root.clone();

@@ -6,6 +6,7 @@ pub(crate) mod tests;
 
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
+use std::path::Path;
 
 use anyhow::Context as _;
 use serde_json::Value;
@@ -43,6 +44,8 @@ pub trait AnyStage: Send + Sync {
     fn resources(&self, params: &Value) -> anyhow::Result<Resources>;
     /// [`Stage::unused_sources`].
     fn unused_sources(&self, params: &Value) -> anyhow::Result<Vec<String>>;
+    /// Opens an artifact of the stage and checks it.
+    fn open(&self, dir: &Path) -> anyhow::Result<()>;
     /// Runs the stage, checks the value that it returns, opens the output folder again and checks what was read.
     fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()>;
 }
@@ -125,14 +128,18 @@ impl<S: Stage> AnyStage for Erased<S> {
         Ok(S::unused_sources(&typed::<S>(params)?))
     }
 
+    fn open(&self, dir: &Path) -> anyhow::Result<()> {
+        let read = S::Output::open(dir)
+            .with_context(|| format!("cannot read back the {} that {} wrote", S::Output::NAME, S::ID))?;
+        read.check()
+            .with_context(|| format!("the {} that {} wrote is not valid when read back", S::Output::NAME, S::ID))
+    }
+
     fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()> {
         let made = S::run(context, &typed::<S>(params)?)?;
         made.check().with_context(|| format!("{} made a {} that is not valid", S::ID, S::Output::NAME))?;
         drop(made);
-        let read = S::Output::open(context.output_dir())
-            .with_context(|| format!("cannot read back the {} that {} wrote", S::Output::NAME, S::ID))?;
-        read.check()
-            .with_context(|| format!("the {} that {} wrote is not valid when read back", S::Output::NAME, S::ID))
+        self.open(context.output_dir())
     }
 }
 

@@ -15,6 +15,7 @@ pub mod float_image;
 pub mod gaussians;
 pub mod image_file;
 pub mod index_file;
+pub mod mangle;
 pub mod maps;
 pub mod npy_file;
 pub mod ply;

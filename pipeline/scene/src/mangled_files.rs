@@ -2,11 +2,9 @@
 
 use std::path::Path;
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use crate::cloud::PointCloud;
 use crate::image_file::RgbImage;
+use crate::mangle::refused;
 use crate::maps::{DepthMap, FlowMap};
 use crate::npy_file::tests::npy_bytes;
 use crate::ply::PlyFormat;
@@ -14,39 +12,6 @@ use crate::{Capture, Gaussians, Result, exr_file, image_file, npy_file};
 
 /// A reader that says whether it accepted the file.
 type Reader = fn(&Path) -> Result<()>;
-
-/// Cuts the bytes off, flips bits, or overwrites a run, at places drawn by `random`.
-fn mangled(bytes: &[u8], random: &mut ChaCha8Rng) -> Vec<u8> {
-    let mut bytes = bytes.to_vec();
-    match random.random_range(0..3) {
-        0 => bytes.truncate(random.random_range(0..bytes.len())),
-        1 => {
-            for _ in 0..random.random_range(1..8) {
-                let at = random.random_range(0..bytes.len());
-                bytes[at] ^= 1 << random.random_range(0..8);
-            }
-        }
-        _ => {
-            let at = random.random_range(0..bytes.len());
-            let end = (at + random.random_range(1..16)).min(bytes.len());
-            bytes[at..end].fill(random.random());
-        }
-    }
-    bytes
-}
-
-/// Reads `count` damaged versions of the file; how many were refused.
-fn refused(path: &Path, count: u64, reader: Reader) -> usize {
-    let original = std::fs::read(path).unwrap();
-    reader(path).unwrap();
-    let damaged = |seed: u64| {
-        std::fs::write(path, mangled(&original, &mut ChaCha8Rng::seed_from_u64(seed))).unwrap();
-        reader(path).is_err()
-    };
-    let refused = (0..count).filter(|seed| damaged(*seed)).count();
-    std::fs::write(path, original).unwrap();
-    refused
-}
 
 #[test]
 fn no_reader_panics_and_most_damage_is_noticed() {

@@ -8,6 +8,7 @@
 
 mod camera;
 mod factors;
+mod guards;
 mod harmonics;
 mod reference;
 mod settings;
@@ -19,13 +20,14 @@ use rayon::prelude::*;
 
 pub use camera::PinholeCamera;
 pub use factors::factors;
+pub use guards::{Culled, NOT_FINITE};
 pub use settings::RasterSettings;
 
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 use reference::{Projected, Splat, SplatGradient, View};
 use shape::Shape;
 
-/// The cutoff of a splat that is culled.
+/// The cutoff of a splat that is culled is this or less: [`Culled::code`].
 pub const CULLED: f64 = -1.0;
 
 /// Splats per parallel chunk: tens of microseconds.
@@ -68,7 +70,7 @@ impl ShapeVars {
     }
 }
 
-/// N splats in the image. A culled splat has zeros everywhere, the cutoff [`CULLED`], and gets no gradient.
+/// N splats in the image. A culled splat has zeros everywhere, a cutoff of [`CULLED`] or less, and gets no gradient.
 #[derive(Clone, Copy, Debug)]
 pub struct ProjectedVars {
     /// [N, 2] px.
@@ -110,7 +112,9 @@ pub fn project<T: Real>(
     let inputs: Vec<Var> = inputs.into_iter().map(|(var, _)| var).collect();
     let outputs = tape.apply(Projection { view: View::<T>::new(camera, settings), sh_len }, &inputs);
     let [means2d, conics, depths, opacities, colors, cutoffs] = outputs[..] else { unreachable!("six outputs") };
-    ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs }
+    let projected = ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs };
+    guards::count(tape, &projected, camera, settings);
+    projected
 }
 
 struct Projection<T> {
@@ -157,11 +161,14 @@ impl<T: Real> Op<T> for Projection<T> {
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let count = inputs[0].rows();
-        let project = |index| reference::project(&self.splat(inputs, index), &self.view);
-        let projected: Vec<Option<Projected<T>>> =
+        let project = |index| {
+            let splat = self.splat(inputs, index);
+            reference::project(&splat, &self.view).ok_or_else(|| reference::why_culled(&splat, &self.view))
+        };
+        let projected: Vec<Result<Projected<T>, Culled>> =
             (0..count).into_par_iter().with_min_len(SPLATS_PER_CHUNK).map(project).collect();
-        let culled = Projected { cutoff: T::from_f64(CULLED), ..Projected::default() };
-        let all = || projected.iter().map(|splat| splat.as_ref().unwrap_or(&culled));
+        let culled = Culled::ALL.map(|why| Projected { cutoff: T::from_f64(why.code()), ..Projected::default() });
+        let all = || projected.iter().map(|splat| splat.as_ref().unwrap_or_else(|why| &culled[*why as usize]));
         vec![
             Tensor::from_vec([count, 2], all().flat_map(|splat| splat.mean2d).collect()),
             Tensor::from_vec([count, 3], all().flat_map(|splat| splat.conic).collect()),

@@ -2,14 +2,14 @@
 
 use super::harmonics::{self, MAX_COEFFICIENTS};
 use super::shape::{Factor, Shape};
-use super::{PinholeCamera, RasterSettings};
+use super::{Culled, PinholeCamera, RasterSettings};
 use crate::algebra::{Mat3, Vec3, apply, combine, cross, dot, product, transposed};
 use crate::tape::Real;
 
 /// Below this distance between splat and camera centre, in scene units, the viewing direction is undefined.
 const MIN_DISTANCE: f64 = 1e-8;
 /// The local affine map is evaluated at most this fraction of the image size outside the image (Kerbl et al. 2023).
-const CLAMP_MARGIN: f64 = 0.15;
+pub const CLAMP_MARGIN: f64 = 0.15;
 
 /// Camera and settings, rounded once to the scalar type.
 pub struct View<T> {
@@ -101,6 +101,27 @@ pub fn project<T: Real>(splat: &Splat<T>, view: &View<T>) -> Option<Projected<T>
         color: color.unclamped.map(|value| value.max(T::ZERO)),
         cutoff,
     })
+}
+
+/// Why [`project`] culled a splat.
+pub fn why_culled<T: Real>(splat: &Splat<T>, view: &View<T>) -> Culled {
+    let coefficients = &splat.sh[..3 * harmonics::coefficient_count(view.sh_degree)];
+    let values = splat.position.iter().chain([&splat.opacity_logit]).chain(coefficients);
+    let log_scales = match &splat.shape {
+        Shape::ScaleRotation { log_scales, .. } => log_scales.as_slice(),
+        Shape::Factor(_) => &[],
+    };
+    // Minus infinity is a scale of zero.
+    let scales_are_numbers = log_scales.iter().all(|value| *value < T::from_f64(f64::INFINITY));
+    if !(values.into_iter().all(|value| value.is_finite()) && splat.shape.is_finite() && scales_are_numbers) {
+        return Culled::NotFinite;
+    }
+    let position_view = combine(T::ONE, apply(&view.rotation, splat.position), T::ONE, view.translation);
+    if position_view[2] < view.near {
+        return Culled::Near;
+    }
+    let in_range = position_view[2] < view.far;
+    if in_range && Geometry::new(splat, view).is_none() { Culled::Huge } else { Culled::Unseen }
 }
 
 /// The gradient of a splat that [`project`] did not cull; `sh_gradient` [K, 3] holds zeros on entry.

@@ -153,6 +153,11 @@ impl<T: Real> Tape<T> {
         &self.profile
     }
 
+    /// Notes how often something happened that a reader of the results wants to know of.
+    pub fn count(&mut self, what: &'static str, times: u64) {
+        self.profile.count(what, times);
+    }
+
     /// Runs an operation now and records it for the backward pass if any input needs a gradient.
     pub fn apply(&mut self, mut op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
         let tensors: Vec<&Tensor<T>> = inputs.iter().map(|&var| self.value(var)).collect();

@@ -27,10 +27,12 @@ pub struct OpCost {
     pub backward: Cost,
 }
 
-/// Wall-clock seconds and calls per operation name.
+/// What a tape has done: wall-clock seconds and calls per operation name, and what operations had to say.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Profile {
     pub ops: BTreeMap<&'static str, OpCost>,
+    /// How often something happened that a reader of the results wants to know of, as a value kept in range.
+    pub events: BTreeMap<&'static str, u64>,
 }
 
 impl Profile {
@@ -41,6 +43,12 @@ impl Profile {
             mine.forward.merge(cost.forward);
             mine.backward.merge(cost.backward);
         }
+        other.events.iter().for_each(|(what, count)| self.count(what, *count));
+    }
+
+    /// Adds to how often something happened.
+    pub(super) fn count(&mut self, what: &'static str, times: u64) {
+        *self.events.entry(what).or_default() += times;
     }
 
     pub(super) fn entry(&mut self, name: &'static str) -> &mut OpCost {

@@ -27,3 +27,17 @@ pub fn write(path: &Path, name: &str, shape: &[usize], values: &[f32]) -> anyhow
     let bytes = safetensors::serialize([(name, view)], None)?;
     std::fs::write(path, bytes).with_context(|| format!("cannot write the file: {}", path.display()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn damaged_tensor_files_never_panic() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.safetensors");
+        write(&path, "tokens", &[2, 3, 4], &[0.5; 24]).unwrap();
+        let refused = scene::mangle::refused(&path, 400, |path| read(path).map(drop));
+        assert!(refused >= 150, "only {refused} of 400 damaged files were refused");
+    }
+}

@@ -34,6 +34,7 @@ pub fn recipe(params: &TrainingParams) -> Option<Value> {
     let crate::params::Shared {
         seed,
         schedule_scale,
+        budget_secs,
         iterations,
         stop_after: _,
         batch,
@@ -45,6 +46,10 @@ pub fn recipe(params: &TrainingParams) -> Option<Value> {
         density,
         curve: _,
     } = &params.shared;
+    if budget_secs.is_some() {
+        // How long the phase will be is not known before the training has begun.
+        return None;
+    }
     Some(json!({
         "base": base, "phase": phase, "settings": settings, "seed": seed, "schedule_scale": schedule_scale,
         "iterations": iterations.get(phase), "batch": batch, "initial_points": initial_points, "harmonics": harmonics,

@@ -2,6 +2,7 @@
 
 pub mod artifact;
 pub mod bases;
+pub mod budget;
 pub mod checkpoint;
 pub mod clock;
 pub mod coarse;

@@ -3,12 +3,16 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context as _, ensure};
+use rayon::prelude::*;
 use shaders::adam::{Adam, Group, GroupState, Update};
 use shaders::tape::{Tape, Tensor};
 
 use crate::artifact::NamedTensor;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
+
+/// Values per parallel chunk of a search for the largest: tens of microseconds.
+const MAGNITUDES_PER_CHUNK: usize = 1 << 16;
 
 /// All tensors of a model in one phase, those that learn with their step sizes.
 #[derive(Default)]
@@ -61,15 +65,15 @@ impl Optimizer {
         Variables::new(self.learners.iter().map(bind).collect())
     }
 
-    /// The first tensor, in alphabetical order, whose gradient has a value that is not finite.
-    pub fn first_bad_gradient<'a>(gradients: &BTreeMap<&'a str, Tensor<f32>>) -> Option<&'a str> {
-        gradients.iter().find(|(_, gradient)| !gradient.is_finite()).map(|(name, _)| *name)
+    /// The largest magnitude in each gradient; NaN where one is NaN.
+    pub fn largest_magnitudes<'a>(gradients: &BTreeMap<&'a str, Tensor<f32>>) -> BTreeMap<&'a str, f32> {
+        gradients.iter().map(|(name, gradient)| (*name, largest_magnitude(gradient.as_slice()))).collect()
     }
 
-    /// The first tensor, in alphabetical order, that learns and has a value that is not finite.
+    /// The first tensor, in alphabetical order, that has a value that is not finite.
     pub fn first_bad_tensor(&self) -> Option<&str> {
-        let bad = |learner: &Learner| learner.rate.is_some() && !learner.group.tensor().is_finite();
-        self.learners.iter().find(|(_, learner)| bad(learner)).map(|(name, _)| name.as_str())
+        let is_bad = |learner: &Learner| !learner.group.tensor().is_finite();
+        self.learners.iter().find(|(_, learner)| is_bad(learner)).map(|(name, _)| name.as_str())
     }
 
     /// One Adam step with the rates of `iteration` (counted from 1); tensors without a gradient stay as they are.
@@ -192,6 +196,12 @@ const VALUE: &str = "value.";
 const FIRST: &str = "first_moment.";
 const SECOND: &str = "second_moment.";
 
+/// The largest magnitude, NaN where there is one: without their sign, floats order as their bits do, NaN last.
+fn largest_magnitude(values: &[f32]) -> f32 {
+    let of_part = |part: &[f32]| part.iter().fold(0, |largest: u32, value| largest.max(value.to_bits() & !(1 << 31)));
+    f32::from_bits(values.par_chunks(MAGNITUDES_PER_CHUNK).map(of_part).max().unwrap_or(0))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -246,16 +256,18 @@ mod tests {
     #[test]
     fn values_that_are_not_finite_are_found_by_name() {
         let mut gradients = gradients();
-        assert_eq!(Optimizer::first_bad_gradient(&gradients), None);
-        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let largest = |gradients: &BTreeMap<_, _>| Optimizer::largest_magnitudes(gradients)["points.b"];
+        for bad in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             gradients.insert("points.b", Tensor::from_vec([3, 1], vec![1.0, bad, -1.0]));
-            assert_eq!(Optimizer::first_bad_gradient(&gradients), Some("points.b"));
+            assert!(!largest(&gradients).is_finite(), "{bad}");
         }
+        gradients.insert("points.b", Tensor::from_vec([3, 1], vec![1.0, -3.0, 2.0]));
+        assert_eq!(largest(&gradients), 3.0);
         gradients.insert("points.b", Tensor::full([3, 1], f32::MAX));
         let mut optimizer = optimizer();
         assert_eq!(optimizer.first_bad_tensor(), None);
         optimizer.edit("points.a", |values| values[5] = f32::INFINITY).unwrap();
         assert_eq!(optimizer.first_bad_tensor(), Some("points.a"));
-        assert_eq!(Optimizer::first_bad_gradient(&gradients), None);
+        assert_eq!(largest(&gradients), f32::MAX);
     }
 }

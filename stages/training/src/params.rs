@@ -37,6 +37,9 @@ pub struct Shared {
     pub seed: u64,
     /// Stretches every schedule (iterations, learning rates, density control, harmonics) by this factor.
     pub schedule_scale: f64,
+    /// Seconds that the training may take: `schedule_scale` then follows from what steps are found to take (see
+    /// [`crate::budget`]), and the result is not reproducible bit for bit. Unset: no such limit.
+    pub budget_secs: Option<f64>,
     /// Optimiser steps per phase, before stretching.
     pub iterations: BTreeMap<String, u64>,
     /// The phase after which the training ends, for others to go on from; unset: the last one.
@@ -167,6 +170,7 @@ impl Default for Shared {
         Self {
             seed: 0,
             schedule_scale: 1.0,
+            budget_secs: None,
             iterations: BTreeMap::new(),
             stop_after: None,
             batch: 1,
@@ -297,6 +301,7 @@ impl TrainingParams {
             ),
             (shared.iterations.values().any(|&n| n > 0), "iterations", "nothing to train for".into()),
             (positive(shared.schedule_scale), "schedule_scale", "must be positive".into()),
+            (shared.budget_secs.is_none_or(positive), "budget_secs", "must be positive".into()),
             (!(steps > MOST_STEPS), "schedule_scale", format!("{steps:e} iterations are more than {MOST_STEPS:e}")),
             (within(shared.batch, MOST_VIEWS), "batch", format!("must be 1 to {MOST_VIEWS}")),
             (harmonics.degree <= 3, "harmonics.degree", "must be 0 to 3".into()),

@@ -78,10 +78,14 @@ const COARSE: &str = "coarse phase";
 /// Which of the models on the port `start` is exactly what this training would begin with, and the decision to take it.
 /// Where one of the same base differs, the training does that phase itself, and the decision says in what.
 fn chosen_start(params: &TrainingParams, context: &PlanContext<'_>) -> (Option<usize>, Option<Decision>) {
+    let decision = |on, reason| Some(Decision { effect: "shared coarse phase".into(), on, reason });
+    let begins_alike = || methods::find(&params.method).is_ok_and(|entry| matches!(entry.coarse(params), Ok(Some(_))));
+    if params.shared.budget_secs.is_some() && begins_alike() {
+        return (None, decision(false, "with a budget, every training finds its own schedule".into()));
+    }
     let Some(own) = coarse::recipe(params).filter(|_| params.shared.stop_after.is_none()) else { return (None, None) };
     let offered = context.inputs.get(START).into_iter().flatten().map(|facts| facts.value(COARSE));
     let offered: Vec<(usize, &Value)> = offered.enumerate().filter_map(|(at, recipe)| Some((at, recipe?))).collect();
-    let decision = |on, reason| Some(Decision { effect: "shared coarse phase".into(), on, reason });
     if let Some((at, _)) = offered.iter().find(|(_, recipe)| **recipe == own) {
         return (Some(*at), decision(true, "trained once for all methods that begin alike".into()));
     }

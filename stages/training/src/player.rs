@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context as _;
+use engine::{Failure, FailureKind};
 use scene::Gaussians;
 use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Device, Tape, Tensor, Var};
@@ -105,7 +106,7 @@ impl Player {
         Moment { scene: &self.scene, phase: &self.phase, time, camera, sh_degree: self.sh_degree }
     }
 
-    /// Rasterisation only.
+    /// Rasterisation only. A splat that is not finite is an error: an image without it would look like a worse model.
     pub fn rasterize(
         &self,
         tape: &mut Tape<f32>,
@@ -114,7 +115,14 @@ impl Player {
         camera: &PinholeCamera,
         settings: &RasterSettings,
     ) -> anyhow::Result<Rendered> {
-        Ok(splat::render(tape, splats, features, camera, settings).map_err(too_large)?)
+        let rendered = splat::render(tape, splats, features, camera, settings).map_err(too_large)?;
+        match tape.profile().events.get(splat::NOT_FINITE) {
+            Some(count) => {
+                let message = format!("a value of {count} splats is not finite");
+                Err(Failure::new(FailureKind::Diverged, message).into())
+            }
+            None => Ok(rendered),
+        }
     }
 
     /// [H, W, 3] colour at a time of the capture.

@@ -10,6 +10,7 @@ use scene::Capture;
 use serde::Deserialize as _;
 
 use crate::artifact::Model;
+use crate::budget;
 use crate::checkpoint::Checkpoint;
 use crate::dataset::Dataset;
 use crate::effects::CAPTURE;
@@ -118,6 +119,8 @@ pub fn train(
     watch: &Watch<'_>,
 ) -> anyhow::Result<Option<(Model, Report)>> {
     let dataset = Dataset::load(capture, params.shared.curve.views)?;
+    let Some((params, choice)) = budget::fit(&dataset, supplements, params, watch)? else { return Ok(None) };
+    let params = &params;
     let checkpoint = Checkpoint::load(watch.checkpoint_dir, &serde_json::to_value(params)?);
     let mut trainer = match (checkpoint, start) {
         (Some(checkpoint), _) => Trainer::resume(&dataset, supplements, params, checkpoint)?,
@@ -141,13 +144,16 @@ pub fn train(
             told = Instant::now();
         }
     }
-    let report = trainer.report();
+    let report = Report { budget: choice, ..trainer.report() };
     Ok(Some((trainer.finish()?, report)))
 }
 
 /// Everything that must not be in the artifact.
 fn measure(context: &JobContext, report: &Report, threads: usize) -> anyhow::Result<()> {
     context.measure("training_secs", report.training_secs)?;
+    if let Some(choice) = &report.budget {
+        context.measure("budget", choice)?;
+    }
     context.measure("total_secs", report.total_secs)?;
     context.measure("ms_per_iteration", report.ms_per_iteration)?;
     context.measure("ms_per_iteration_by_phase", &report.ms_per_iteration_by_phase)?;
@@ -157,6 +163,8 @@ fn measure(context: &JobContext, report: &Report, threads: usize) -> anyhow::Res
     context.measure("seconds_by_phase", &report.seconds_by_phase)?;
     context.measure("kernels_ms", &report.kernels)?;
     context.measure("skipped_work", &report.skipped)?;
+    context.measure("largest_gradients", &report.largest_gradients)?;
+    context.measure("guards", &report.guards)?;
     context.measure("curve", &report.curve)?;
     context.measure("curve_split", report.curve_split)?;
     context.measure("peak_memory_bytes", peak_memory_bytes())?;

@@ -4,6 +4,9 @@
 //! let the population controls act. Phases follow each other with fresh optimisers. Nothing depends on the thread count
 //! or the clock, so a training resumed from a checkpoint ends in the same bytes as an undisturbed one.
 
+mod finite;
+#[cfg(test)]
+mod poison;
 mod report;
 #[cfg(test)]
 mod tests;
@@ -11,7 +14,7 @@ mod tests;
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Context as _, ensure};
-use engine::{Decision, Facts, Failure, FailureKind};
+use engine::{Decision, Facts};
 use rand_chacha::ChaCha8Rng;
 use shaders::splat::{self, PinholeCamera, SplatVars};
 use shaders::tape::{Device, Profile, Tape, Tensor};
@@ -33,6 +36,7 @@ use crate::state::ModelState;
 use crate::step::run_step;
 use crate::supplements::Supplements;
 
+pub use finite::LargestGradient;
 pub use report::{Earlier, LossShare, Report};
 
 use report::{kernel_milliseconds, loss_shares, milliseconds_by_phase};
@@ -63,6 +67,8 @@ pub struct Trainer<'a> {
     skipped: SkippedWork,
     /// Weighted values summed over steps, by loss.
     loss_sums: BTreeMap<String, f64>,
+    /// By tensor, since the last resumption.
+    largest_gradients: BTreeMap<String, LargestGradient>,
 }
 
 impl<'a> Trainer<'a> {
@@ -136,6 +142,7 @@ impl<'a> Trainer<'a> {
             profile: Profile::default(),
             skipped: SkippedWork::new(),
             loss_sums: BTreeMap::new(),
+            largest_gradients: BTreeMap::new(),
         })
     }
 
@@ -163,6 +170,7 @@ impl<'a> Trainer<'a> {
         trainer.loss_sums = progress.loss_sums;
         trainer.clock = PhaseClock::start("load", progress.clock);
         trainer.clock.enter_phase(trainer.phases[trainer.phase].name);
+        trainer.check_values(&tensors)?;
         Ok(trainer)
     }
 
@@ -250,8 +258,8 @@ impl<'a> Trainer<'a> {
             count[1] += of;
         }
         self.loss = outcome.total();
+        self.check_losses(&outcome.losses, &tape)?;
         for (&name, value) in &outcome.losses {
-            self.check_finite(value.is_finite(), &format!("loss {name}"), Some(&tape))?;
             match self.loss_sums.get_mut(name) {
                 Some(sum) => *sum += value,
                 None => drop(self.loss_sums.insert(name.into(), *value)),
@@ -262,15 +270,11 @@ impl<'a> Trainer<'a> {
         let screens = outcome.screen_gradients();
         let gradients: BTreeMap<&str, Tensor<f32>> =
             model.iter().filter_map(|(name, var)| Some((name, outcome.gradients.take(var)?))).collect();
-        if let Some(name) = Optimizer::first_bad_gradient(&gradients) {
-            self.check_finite(false, &format!("gradient of {name}"), Some(&tape))?;
-        }
+        self.check_gradients(&gradients, &tape)?;
         // The tape shares the tensors; without it they are changed in place.
         drop(tape);
         self.optimizer.step(&gradients, self.iteration)?;
-        if let Some(name) = self.optimizer.first_bad_tensor() {
-            self.check_finite(false, name, None)?;
-        }
+        self.check_tensors()?;
 
         self.clock.enter("density");
         for control in &mut self.controls {
@@ -292,7 +296,7 @@ impl<'a> Trainer<'a> {
         self.optimizer = Optimizer::new(state, self.learning_rates(phase));
         self.controls = self.method.population_controls(name, &self.dataset.scene);
         (self.phase, self.iteration) = (phase, 0);
-        Ok(())
+        self.check_tensors()
     }
 
     /// Goes on to the next phase that has steps to do.
@@ -355,32 +359,6 @@ impl<'a> Trainer<'a> {
         self.profile.merge(tape.profile());
     }
 
-    /// The error that names what stopped being finite, when, and which operation made it.
-    fn check_finite(&self, finite: bool, what: &str, tape: Option<&Tape<f32>>) -> anyhow::Result<()> {
-        if finite {
-            return Ok(());
-        }
-        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
-        let origin = match tape.map(Tape::first_non_finite_op) {
-            Some(Some(op)) => format!("first in the output of {op}"),
-            Some(None) => "first in the backward pass".into(),
-            None => "after a finite gradient".into(),
-        };
-        let message = format!("{what} is not finite at iteration {iteration} of phase {phase} ({origin})");
-        let hint = "lower the learning rates; the training is not restarted because that would hide the cause";
-        Err(Failure::new(FailureKind::Diverged, message).hint(hint).into())
-    }
-
-    fn check_not_empty(&self) -> anyhow::Result<()> {
-        if self.optimizer.has_rows() {
-            return Ok(());
-        }
-        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
-        let message = format!("no Gaussians left after iteration {iteration} of phase {phase}");
-        let hint = "lower density.min_opacity, or give more initial points inside the cameras' view";
-        Err(Failure::new(FailureKind::Diverged, message).hint(hint).into())
-    }
-
     /// A few figures for whoever watches.
     pub fn status_line(&self) -> String {
         let phase = self.phases[self.phase].name;
@@ -397,6 +375,7 @@ impl<'a> Trainer<'a> {
         let training_secs = clock.total_except(&[EVALUATION]);
         Report {
             training_secs,
+            budget: None,
             total_secs: clock.total_except(&[]),
             ms_per_iteration: 1e3 * training_secs / steps.max(1) as f64,
             ms_per_iteration_by_phase: milliseconds_by_phase(&clock, &self.phases[..=self.phase], self.iteration),
@@ -408,6 +387,8 @@ impl<'a> Trainer<'a> {
             curve_split: self.dataset.curve_split,
             kernels: kernel_milliseconds(&self.profile),
             skipped: self.skipped.clone(),
+            largest_gradients: self.largest_gradients.clone(),
+            guards: self.profile.events.clone(),
         }
     }
 

@@ -1,6 +1,7 @@
 //! One function per verb, returning the exit code.
 
 pub mod cache;
+pub mod compare;
 pub mod decisions;
 pub mod explain;
 pub mod graph;
@@ -8,4 +9,5 @@ pub mod plan;
 pub mod results;
 pub mod run;
 pub mod status;
+pub mod table;
 pub mod tools;

@@ -1,11 +1,10 @@
-//! `show`, `table`, `export`: what jobs made.
+//! `show`, `export`: what jobs made.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use serde_json::json;
 
-use crate::args::{ExportArgs, ExportFormat, ShowArgs, TableArgs, TableFormat};
+use crate::args::{ExportArgs, ExportFormat, ShowArgs};
 use crate::error::CliError;
 use crate::output::{bytes, duration, print, print_json, print_line};
 use crate::session::Session;
@@ -41,30 +40,19 @@ pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
     Ok(engine::exit::OK)
 }
 
-pub fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?;
-    let file = match args.format {
-        TableFormat::Md => "report.md",
-        TableFormat::Latex => "report.tex",
-        TableFormat::Csv => "report.csv",
-        TableFormat::Json => "report.json",
-    };
-    let tables = table_nodes(&session);
-    if tables.is_empty() {
-        return Err(CliError::nothing("the recipe makes no table", "add a node with stage = \"table-generation\""));
-    }
-    for index in tables {
-        let record = session.record(index)?;
-        let path = session.store.view(&record.content)?.join(file);
-        print(&std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?)?;
-    }
-    Ok(engine::exit::OK)
-}
-
 /// The jobs of the recipe that make tables.
 pub fn table_nodes(session: &Session) -> Vec<usize> {
     let nodes = session.plan.nodes.iter().enumerate();
     nodes.filter(|(_, node)| node.stage == "table-generation").map(|(index, _)| index).collect()
+}
+
+/// The same, of a recipe that must make some.
+pub fn tables(session: &Session) -> Result<Vec<usize>, CliError> {
+    let tables = table_nodes(session);
+    if tables.is_empty() {
+        return Err(CliError::nothing("the recipe makes no table", "add a node with stage = \"table-generation\""));
+    }
+    Ok(tables)
 }
 
 pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {

@@ -173,3 +173,30 @@ fn exr_files_by_the_names_of_their_channels() {
     let error = read(&other, Content::Depth).unwrap_err().to_string();
     assert!(error.contains("no reader of depth files that end in .tiff") && error.contains("npz"), "{error}");
 }
+
+#[test]
+fn damaged_files_of_every_format_never_panic() {
+    let values: Vec<f32> = (0..24).map(|at| at as f32 - 3.0).collect();
+    let array = npy("<f4", false, "3, 4, 2", &bytes_of(&values));
+    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    archive.start_file("flow.npy", zip::write::SimpleFileOptions::default()).unwrap();
+    std::io::Write::write_all(&mut archive, &array).unwrap();
+    let flo = [b"PIEH".as_slice(), &4_u32.to_le_bytes(), &3_u32.to_le_bytes(), &bytes_of(&values)].concat();
+    let pfm = [b"PF\n4 2\n-1.0\n".as_slice(), &bytes_of(&values)].concat();
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    std::fs::write(path("a.npy"), &array).unwrap();
+    std::fs::write(path("a.npz"), archive.finish().unwrap().into_inner()).unwrap();
+    std::fs::write(path("a.flo"), flo).unwrap();
+    std::fs::write(path("a.pfm"), pfm).unwrap();
+    let codes = vec![40_000_u16; 36];
+    image::ImageBuffer::<image::Rgb<u16>, _>::from_vec(4, 3, codes).unwrap().save(path("a.png")).unwrap();
+    let channel = |at: usize| values[12 * at..12 * (at + 1)].to_vec();
+    exr_file::write(&path("a.exr"), 4, 3, &[("u", channel(0)), ("v", channel(1))]).unwrap();
+    for (name, at_least) in
+        [("a.npy", 60), ("a.npz", 100), ("a.flo", 60), ("a.pfm", 60), ("a.png", 150), ("a.exr", 100)]
+    {
+        let refused = scene::mangle::refused(&path(name), 300, |path| read(path, Content::Flow).map(drop));
+        assert!(refused >= at_least, "only {refused} of 300 damaged versions of {name} were refused");
+    }
+}

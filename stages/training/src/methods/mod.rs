@@ -135,6 +135,12 @@ impl Registration {
         (self.shared_defaults)().harmonics.degree > 0
     }
 
+    /// Settings so small that every gradient can be checked by differences.
+    #[cfg(test)]
+    pub fn tiny(&self) -> Value {
+        (self.tiny_settings)()
+    }
+
     /// The method as it trains and renders.
     pub fn build_f32(&self, params: &TrainingParams) -> anyhow::Result<Box<dyn Method<f32>>> {
         (self.build_f32)(&params.shared, &params.settings)

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shaders::tape::Profile;
 
-use super::EVALUATION;
+use super::{EVALUATION, LargestGradient};
+use crate::budget::Choice;
 use crate::clock::ClockReading;
 use crate::curve::CurvePoint;
 use crate::method::{Phase, SkippedWork};
@@ -15,6 +16,8 @@ use crate::method::{Phase, SkippedWork};
 pub struct Report {
     /// Seconds, evaluation excluded.
     pub training_secs: f64,
+    /// How the schedule was chosen, where there was a budget.
+    pub budget: Option<Choice>,
     /// Seconds, evaluation included.
     pub total_secs: f64,
     /// Training time per step.
@@ -37,6 +40,10 @@ pub struct Report {
     pub kernels: BTreeMap<String, [f64; 2]>,
     /// Work left out because nothing called for it, since the last resumption.
     pub skipped: SkippedWork,
+    /// The largest gradient of every tensor, since the last resumption.
+    pub largest_gradients: BTreeMap<String, LargestGradient>,
+    /// How often the rasteriser kept a number in range, summed over renders since the last resumption.
+    pub guards: BTreeMap<&'static str, u64>,
 }
 
 /// What a training measured that another one goes on from.

@@ -1,3 +1,4 @@
+use engine::{Failure, FailureKind};
 use serde_json::{Value, json};
 
 use super::*;

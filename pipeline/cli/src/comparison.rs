@@ -1,0 +1,330 @@
+//! Two results, run by run: the same scene and seed on both sides, so that what scenes and seeds differ in cancels.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+use table_generation::{Column, Run};
+
+use crate::amount::Amount;
+use crate::measured::{figure, name};
+
+/// Share of repetitions in which an interval holds the true mean difference.
+const CONFIDENCE: f64 = 0.95;
+
+/// Two results, side by side.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// One per pair of rows; then, of several rows, all of them together.
+    pub rows: Vec<ComparedRow>,
+    /// Runs of A without a partner in B.
+    pub only_in_a: Vec<String>,
+    /// Runs of B without a partner in A.
+    pub only_in_b: Vec<String>,
+    /// Why times are left out, if they are.
+    pub without_times: Option<String>,
+}
+
+/// A row of A beside a row of B.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ComparedRow {
+    /// The row of A.
+    pub a: String,
+    /// The row of B.
+    pub b: String,
+    /// What both sides have.
+    pub metrics: BTreeMap<Column, Paired>,
+    /// What A has and B lacks: metric → runs, each with the reason.
+    pub lost: BTreeMap<Column, Vec<String>>,
+}
+
+/// One metric over the pairs that both sides have it of.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Paired {
+    /// Pairs (scenes × seeds).
+    pub pairs: usize,
+    /// Mean over the pairs in A.
+    pub mean_a: f64,
+    /// Mean over the pairs in B.
+    pub mean_b: f64,
+    /// Mean of B − A.
+    pub difference: f64,
+    /// Student's interval of 95 % for the mean of B − A; none for a single pair.
+    pub interval: Option<[f64; 2]>,
+    /// Pairs in which B is better.
+    pub better: usize,
+    /// Pairs in which B is worse.
+    pub worse: usize,
+}
+
+/// Two runs whose numbers must not be compared.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProtocolsDiffer {
+    run: String,
+    a: [String; 2],
+    b: [String; 2],
+}
+
+impl fmt::Display for ProtocolsDiffer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { run, a, b } = self;
+        write!(f, "{run} was measured under different protocols, so that its numbers do not compare")?;
+        let lines = a.iter().zip(b).filter(|(a, b)| a != b);
+        lines.into_iter().try_for_each(|(a, b)| write!(f, "\n  A: {a}\n  B: {b}"))
+    }
+}
+
+/// Pairs the runs of two results. `rows` names the row of B for a row of A; where it is empty, rows of equal names are
+/// paired, or the only row of one side with the only row of the other.
+pub fn compare(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result<Comparison, ProtocolsDiffer> {
+    let rows = if rows.is_empty() { matching_rows(a, b) } else { rows.to_vec() };
+    let mut partners = Vec::new();
+    for (row_a, row_b) in &rows {
+        for run_a in a.iter().filter(|run| run.row == *row_a) {
+            let is_partner = |run: &&Run| run.row == *row_b && run.scene == run_a.scene && run.seed == run_a.seed;
+            partners.extend(b.iter().find(is_partner).map(|run_b| (run_a, run_b)));
+        }
+    }
+    partners.iter().try_for_each(|(a, b)| check_protocols(a, b))?;
+    let without_times = different_machines(&partners);
+    let row = |names: (&str, &str), pairs: &[(&Run, &Run)]| compared_row(names, pairs, without_times.is_none());
+    let of_rows = |(row_a, row_b): &(String, String)| {
+        let own: Vec<_> = partners.iter().copied().filter(|(a, b)| a.row == *row_a && b.row == *row_b).collect();
+        (!own.is_empty()).then(|| row((row_a, row_b), &own))
+    };
+    let mut compared: Vec<ComparedRow> = rows.iter().filter_map(of_rows).collect();
+    if compared.len() > 1 {
+        compared.push(row(("all", "all"), &partners));
+    }
+    let alone = |runs: &[Run], is_paired: &dyn Fn(&Run) -> bool| -> Vec<String> {
+        runs.iter().filter(|run| !is_paired(run)).map(name).collect()
+    };
+    Ok(Comparison {
+        rows: compared,
+        only_in_a: alone(a, &|run| partners.iter().any(|(a, _)| std::ptr::eq(*a, run))),
+        only_in_b: alone(b, &|run| partners.iter().any(|(_, b)| std::ptr::eq(*b, run))),
+        without_times,
+    })
+}
+
+/// The rows of equal names; where there are none, the only row of each side.
+fn matching_rows(a: &[Run], b: &[Run]) -> Vec<(String, String)> {
+    let distinct = |runs: &[Run]| {
+        let mut names: Vec<String> = Vec::new();
+        for run in runs.iter().filter(|run| !run.row.is_empty()) {
+            if !names.contains(&run.row) {
+                names.push(run.row.clone());
+            }
+        }
+        names
+    };
+    let (names_a, names_b) = (distinct(a), distinct(b));
+    let common = names_a.iter().filter(|name| names_b.contains(name)).map(|name| (name.clone(), name.clone()));
+    let common: Vec<_> = common.collect();
+    match (&common[..], &names_a[..], &names_b[..]) {
+        ([], [only_a], [only_b]) => vec![(only_a.clone(), only_b.clone())],
+        _ => common,
+    }
+}
+
+/// Refuses a pair that was measured on other images or judged by other definitions; a failed run has no numbers.
+fn check_protocols(a: &Run, b: &Run) -> Result<(), ProtocolsDiffer> {
+    let lines = |run: &Run| Some([run.protocol.as_ref()?.line(), run.judged_by.clone()?]);
+    match (lines(a), lines(b)) {
+        (Some(of_a), Some(of_b)) if of_a != of_b => Err(ProtocolsDiffer { run: name(a), a: of_a, b: of_b }),
+        _ => Ok(()),
+    }
+}
+
+/// Why times do not compare, if they do not.
+fn different_machines(partners: &[(&Run, &Run)]) -> Option<String> {
+    let on = |run: &Run| run.machines.join("; ");
+    let differ = partners.iter().find(|(a, b)| !a.machines.is_empty() && !b.machines.is_empty() && on(a) != on(b));
+    differ.map(|(a, b)| format!("times are left out: A was measured {}, B {}", on(a), on(b)))
+}
+
+fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -> ComparedRow {
+    let mut row = ComparedRow { a: names.0.into(), b: names.1.into(), metrics: BTreeMap::new(), lost: BTreeMap::new() };
+    for column in Column::all().filter(|column| with_times || !column.is_timing()) {
+        let mut values = Vec::new();
+        for (a, b) in pairs {
+            match (figure(a, column), figure(b, column)) {
+                (Ok(a), Ok(b)) => values.push([a, b]),
+                (Ok(_), Err(reason)) => {
+                    row.lost.entry(column).or_default().push(format!("{}: {reason}", name(b)));
+                }
+                _ => (),
+            }
+        }
+        row.metrics.extend(paired(&values, column).map(|paired| (column, paired)));
+    }
+    row
+}
+
+/// The figures of at least one pair of values.
+fn paired(values: &[[f64; 2]], column: Column) -> Option<Paired> {
+    let count = values.len() as f64;
+    let mean = |of: &dyn Fn(&[f64; 2]) -> f64| values.iter().map(of).sum::<f64>() / count;
+    let difference = mean(&|[a, b]| b - a);
+    let sign = if column.higher_is_better() { 1.0 } else { -1.0 };
+    let count_where = |holds: &dyn Fn(f64) -> bool| values.iter().filter(|[a, b]| holds(sign * (b - a))).count();
+    (!values.is_empty()).then(|| Paired {
+        pairs: values.len(),
+        mean_a: mean(&|[a, _]| *a),
+        mean_b: mean(&|[_, b]| *b),
+        difference,
+        interval: interval(values, difference),
+        better: count_where(&|gain| gain > 0.0),
+        worse: count_where(&|gain| gain < 0.0),
+    })
+}
+
+/// Student's interval for the mean of the differences: mean ± t·s/√n with n − 1 degrees of freedom.
+fn interval(values: &[[f64; 2]], mean: f64) -> Option<[f64; 2]> {
+    let count = values.len() as f64;
+    let squares: f64 = values.iter().map(|[a, b]| (b - a - mean).powi(2)).sum();
+    let quantile = StudentsT::new(0.0, 1.0, count - 1.0).ok()?.inverse_cdf(0.5 + 0.5 * CONFIDENCE);
+    let half = quantile * (squares / (count - 1.0) / count).sqrt();
+    Some([mean - half, mean + half])
+}
+
+impl Comparison {
+    /// What exceeds the limits: a row whose mean in B is worse than in A by more than allowed, or where B lacks a value
+    /// that A has. A metric that no row has cannot pass. All rows together say nothing that their rows do not.
+    pub fn violations(&self, limits: &[(Column, Amount)]) -> Vec<String> {
+        let rows = if self.rows.len() > 1 { &self.rows[..self.rows.len() - 1] } else { &self.rows[..] };
+        let is_judged =
+            |column: &Column| rows.iter().any(|row| row.metrics.contains_key(column) || row.lost.contains_key(column));
+        let unjudged = limits.iter().filter(|(column, _)| !is_judged(column));
+        let mut found: Vec<String> = unjudged
+            .map(|(column, _)| format!("{} cannot be judged: no row has it in A and B", column.key()))
+            .collect();
+        for row in rows {
+            for (column, amount) in limits {
+                found.extend(row.violation(*column, *amount));
+                let lost = row.lost.get(column).into_iter().flatten();
+                found.extend(lost.map(|run| format!("{} is lost: {run}", column.key())));
+            }
+        }
+        found
+    }
+}
+
+impl ComparedRow {
+    /// The row's name, or both where they differ.
+    pub fn name(&self) -> String {
+        if self.a == self.b { self.a.clone() } else { format!("{} → {}", self.a, self.b) }
+    }
+
+    fn violation(&self, column: Column, amount: Amount) -> Option<String> {
+        let Paired { mean_a, mean_b, difference, .. } = self.metrics.get(&column)?;
+        let loss = if column.higher_is_better() { -difference } else { *difference };
+        // A difference that is no number is a violation.
+        let holds = loss <= amount.of(*mean_a);
+        (!holds).then(|| {
+            format!(
+                "{}: {} went from {mean_a:.4} to {mean_b:.4}, worse by {loss:.4} where {amount} is allowed",
+                self.name(),
+                column.key()
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use metric_evaluation::{Metric, Score};
+
+    use super::*;
+
+    fn run(row: &str, scene: &str, seed: &str, psnr: Option<f64>) -> Run {
+        let figures = psnr.map(|value| (Column::PSNR, Score::Value(value))).into_iter().collect();
+        Run { row: row.into(), scene: scene.into(), seed: seed.into(), figures, ..Run::default() }
+    }
+
+    fn side(row: &str, values: [f64; 3]) -> Vec<Run> {
+        ["a", "b", "c"].into_iter().zip(values).map(|(scene, psnr)| run(row, scene, "0", Some(psnr))).collect()
+    }
+
+    #[test]
+    fn pairs_give_mean_interval_and_wins() {
+        let compared = compare(&side("m", [20.0, 30.0, 25.0]), &side("m", [21.0, 32.0, 24.0]), &[]).unwrap();
+        assert_eq!(compared.rows.len(), 1);
+        let found = compared.rows[0].metrics[&Column::PSNR];
+        // Differences 1, 2, −1: mean 2/3, s = √(7/3); t(0.975, 2) = 4.302653 (any table).
+        let half = 4.302_653 * (7.0 / 3.0_f64).sqrt() / 3.0_f64.sqrt();
+        assert!(
+            (found.difference - 2.0 / 3.0).abs() < 1e-12 && (found.mean_a, found.better, found.worse) == (25.0, 2, 1)
+        );
+        let [low, high] = found.interval.unwrap();
+        assert!((low - (2.0 / 3.0 - half)).abs() < 1e-4 && (high - (2.0 / 3.0 + half)).abs() < 1e-4, "{low} {high}");
+        let single = compare(&side("m", [1.0; 3])[..1], &side("m", [2.0; 3])[..1], &[]).unwrap();
+        assert_eq!(single.rows[0].metrics[&Column::PSNR].interval, None);
+    }
+
+    #[test]
+    fn rows_pair_by_name_or_as_told_or_as_the_only_ones() {
+        let both = [side("m", [1.0; 3]), side("n", [3.0; 3])].concat();
+        let compared = compare(&both, &both, &[]).unwrap();
+        assert_eq!(compared.rows.iter().map(ComparedRow::name).collect::<Vec<_>>(), ["m", "n", "all"]);
+        let told = compare(&both, &both, &[("m".into(), "n".into())]).unwrap();
+        assert_eq!((told.rows[0].name(), told.rows[0].metrics[&Column::PSNR].difference), ("m → n".into(), 2.0));
+        assert_eq!((told.only_in_a.len(), told.only_in_b.len()), (3, 3));
+        let only = compare(&side("m", [1.0; 3]), &side("n", [3.0; 3]), &[]).unwrap();
+        assert_eq!(only.rows[0].metrics[&Column::PSNR].pairs, 3);
+        assert!(compare(&both, &side("o", [1.0; 3]), &[]).unwrap().rows.is_empty());
+    }
+
+    #[test]
+    fn another_protocol_is_refused_with_what_differs() {
+        let with_height = |height: u32| {
+            let [dataset, split, resize, background, time] = ["d", "s", "none", "white", "t"].map(str::to_owned);
+            let protocol = scene::Protocol { dataset, split, width: 100, height, resize, background, time };
+            vec![Run { protocol: Some(protocol), judged_by: Some("test".into()), ..run("m", "a", "0", Some(20.0)) }]
+        };
+        assert!(compare(&with_height(100), &with_height(100), &[]).is_ok());
+        let refused = compare(&with_height(100), &with_height(200), &[]).unwrap_err().to_string();
+        assert!(
+            refused.contains("A: d · s split · 100×100") && refused.contains("B: d · s split · 100×200"),
+            "{refused}"
+        );
+        assert!(!refused.contains("A: test"), "{refused}");
+    }
+
+    #[test]
+    fn a_loss_beyond_the_limit_and_a_lost_value_are_violations() {
+        let (before, after) = (side("m", [20.0, 20.0, 20.0]), side("m", [19.9, 20.0, 19.8]));
+        let compared = compare(&before, &after, &[]).unwrap();
+        let limit = |amount| [(Column::PSNR, amount)];
+        assert_eq!(compared.violations(&limit(Amount::Absolute(0.11))), Vec::<String>::new());
+        assert!(compared.violations(&limit(Amount::Absolute(0.09)))[0].contains("worse by 0.1000"));
+        assert_eq!(compared.violations(&limit(Amount::Percent(1.0))), Vec::<String>::new());
+        assert_eq!(
+            compare(&after, &before, &[]).unwrap().violations(&limit(Amount::Absolute(0.0))),
+            Vec::<String>::new()
+        );
+        let lost = [&after[..2], &[run("m", "c", "0", None)]].concat();
+        let violations = compare(&before, &lost, &[]).unwrap().violations(&limit(Amount::Absolute(1.0)));
+        assert_eq!(violations, ["psnr is lost: m on c, seed 0: not measured"]);
+        assert!(
+            compared.violations(&[(Column::Metric(Metric::Ssim), Amount::Absolute(1.0))])[0]
+                .contains("ssim cannot be judged")
+        );
+    }
+
+    #[test]
+    fn times_of_different_machines_do_not_compare() {
+        let timed = |threads: u32| {
+            let mut run = run("m", "a", "0", Some(20.0));
+            run.figures.insert(Column::TrainingSecs, Score::Value(3.0));
+            run.machines = vec![format!("training on cpu, {threads} threads")];
+            vec![run]
+        };
+        let same = compare(&timed(2), &timed(2), &[]).unwrap();
+        assert!(same.without_times.is_none() && same.rows[0].metrics.contains_key(&Column::TrainingSecs));
+        let other = compare(&timed(2), &timed(4), &[]).unwrap();
+        assert!(other.without_times.unwrap().contains("4 threads"));
+        assert!(!other.rows[0].metrics.contains_key(&Column::TrainingSecs));
+    }
+}

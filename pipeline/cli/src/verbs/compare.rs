@@ -1,0 +1,71 @@
+//! `compare`: two results, paired by row, scene and seed.
+
+use std::path::Path;
+
+use engine::exit;
+use metric_evaluation::Metric;
+use serde_json::json;
+use table_generation::Column;
+
+use crate::args::CompareArgs;
+use crate::comparison::{self, ComparedRow, Comparison, Paired};
+use crate::error::CliError;
+use crate::measured;
+use crate::output::{count, print, print_json};
+
+/// What is printed where no metric is named.
+const USUAL: [Column; 3] = [Column::PSNR, Column::Metric(Metric::Ssim), Column::TrainingSecs];
+
+pub fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
+    let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.data_root));
+    let comparison =
+        comparison::compare(&a?, &b?, &args.rows).map_err(|differ| CliError::Incomparable(Box::new(differ)))?;
+    if comparison.rows.is_empty() {
+        let hint = "name the rows that belong together, as --rows static3dgs=mcgs";
+        return Err(CliError::nothing("no run of A has a partner in B: same row, scene and seed", hint));
+    }
+    let violations = comparison.violations(&args.fail_if_worse);
+    if args.json {
+        print_json(&json!({ "comparison": comparison, "violations": violations }))?;
+    } else {
+        let wanted = if args.metrics.is_empty() { &USUAL[..] } else { &args.metrics[..] };
+        print(&text(args, &comparison, wanted, &violations))?;
+    }
+    Ok(if violations.is_empty() { exit::OK } else { exit::DIFFERS })
+}
+
+fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violations: &[String]) -> String {
+    let mut text = format!("A: {}\nB: {}\n\n", args.a.display(), args.b.display());
+    text += "| row | metric | pairs | A | B | B − A | 95 % interval | B better | B worse |\n";
+    text += "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n";
+    for row in &comparison.rows {
+        for column in wanted {
+            text += &row.metrics.get(column).map(|paired| line(row, *column, paired)).unwrap_or_default();
+        }
+    }
+    text += "\n";
+    let mut notes: Vec<String> = comparison.without_times.iter().cloned().collect();
+    for (side, alone) in [("A", &comparison.only_in_a), ("B", &comparison.only_in_b)] {
+        if let Some(first) = alone.first() {
+            notes.push(format!("{} only in {side}, as {first}", count(alone.len(), "run")));
+        }
+    }
+    notes.iter().for_each(|note| text += &format!("note: {note}\n"));
+    violations.iter().for_each(|violation| text += &format!("WORSE: {violation}\n"));
+    text
+}
+
+fn line(row: &ComparedRow, column: Column, paired: &Paired) -> String {
+    let Paired { pairs, mean_a, mean_b, difference, interval, better, worse } = paired;
+    let decimals = column.decimals();
+    let interval = match interval {
+        Some([low, high]) => format!("{low:+.decimals$} … {high:+.decimals$}"),
+        None => "–".into(),
+    };
+    format!(
+        "| {} | {} | {pairs} | {mean_a:.decimals$} | {mean_b:.decimals$} | {difference:+.decimals$} | {interval} | \
+         {better} | {worse} |\n",
+        row.name(),
+        column.heading()
+    )
+}

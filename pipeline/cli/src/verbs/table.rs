@@ -1,0 +1,59 @@
+//! `table`: the last table, or whether it is the one that was committed.
+
+use std::path::Path;
+
+use anyhow::Context;
+use engine::exit;
+
+use crate::args::{TableArgs, TableFormat};
+use crate::checked::{CheckedTable, Findings};
+use crate::error::CliError;
+use crate::measured;
+use crate::output::{count, print};
+use crate::session::Session;
+use crate::verbs::results::tables;
+
+pub fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
+    let session = Session::look(store, &args.recipe)?;
+    match (&args.check, &args.write_check) {
+        (Some(file), _) => check(&session, file),
+        (None, Some(file)) => write_check(&session, file),
+        (None, None) => print_tables(&session, args.format),
+    }
+}
+
+fn print_tables(session: &Session, format: TableFormat) -> Result<u8, CliError> {
+    let file = match format {
+        TableFormat::Md => "report.md",
+        TableFormat::Latex => "report.tex",
+        TableFormat::Csv => "report.csv",
+        TableFormat::Json => "report.json",
+    };
+    for index in tables(session)? {
+        let record = session.record(index)?;
+        let path = session.store.view(&record.content)?.join(file);
+        print(&std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?)?;
+    }
+    Ok(exit::OK)
+}
+
+fn write_check(session: &Session, file: &Path) -> Result<u8, CliError> {
+    let runs = measured::current(session)?;
+    let earlier = file.exists().then(|| CheckedTable::read(file)).transpose()?;
+    let text = CheckedTable::of(&session.plan.recipe, &runs, earlier.as_ref()).to_text()?;
+    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
+    Ok(exit::OK)
+}
+
+fn check(session: &Session, file: &Path) -> Result<u8, CliError> {
+    let expected = CheckedTable::read(file)?;
+    let Findings { deviations, compared, nearest } = expected.check(&session.plan.recipe, &measured::current(session)?);
+    let mut text: String = deviations.iter().map(|line| format!("DEVIATES: {line}\n")).collect();
+    match &deviations[..] {
+        [] => text += &format!("{} within tolerance: {}\n", count(compared, "number"), file.display()),
+        some => text += &format!("{} from {}\n", count(some.len(), "deviation"), file.display()),
+    }
+    text += &nearest.map(|(share, line)| format!("nearest ({:.0} %): {line}\n", 100.0 * share)).unwrap_or_default();
+    print(&text)?;
+    Ok(if deviations.is_empty() { exit::OK } else { exit::DIFFERS })
+}

@@ -1,0 +1,107 @@
+//! What is not finite ends the training at the step where it arises, by name.
+
+use std::collections::BTreeMap;
+
+use engine::{Failure, FailureKind};
+use serde::{Deserialize, Serialize};
+use shaders::splat;
+use shaders::tape::{Tape, Tensor};
+
+use super::Trainer;
+use crate::artifact::NamedTensor;
+use crate::optimizer::Optimizer;
+
+/// The largest magnitude that a tensor's gradient had.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LargestGradient {
+    /// Loss per unit of the tensor.
+    pub magnitude: f64,
+    /// The phase in which it was.
+    pub phase: String,
+    /// The step within the phase.
+    pub iteration: u64,
+}
+
+impl Trainer<'_> {
+    /// Every loss must be finite, and so must every splat that was rendered: the rasteriser leaves the others out.
+    pub(super) fn check_losses(&self, losses: &BTreeMap<&str, f64>, tape: &Tape<f32>) -> anyhow::Result<()> {
+        if let Some(name) = losses.iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name) {
+            return Err(self.not_finite(&format!("loss {name}"), Some(tape)));
+        }
+        match tape.profile().events.get(splat::NOT_FINITE) {
+            Some(count) => Err(self.not_finite(&format!("a value of {count} splats"), Some(tape))),
+            None => Ok(()),
+        }
+    }
+
+    /// Every gradient must be finite; how large it is is kept.
+    pub(super) fn check_gradients(
+        &mut self,
+        gradients: &BTreeMap<&str, Tensor<f32>>,
+        tape: &Tape<f32>,
+    ) -> anyhow::Result<()> {
+        let largest = Optimizer::largest_magnitudes(gradients);
+        if let Some(name) = largest.iter().find(|(_, magnitude)| !magnitude.is_finite()).map(|(name, _)| name) {
+            return Err(self.not_finite(&format!("gradient of {name}"), Some(tape)));
+        }
+        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
+        for (name, magnitude) in largest.into_iter().map(|(name, magnitude)| (name, f64::from(magnitude))) {
+            if self.largest_gradients.get(name).is_none_or(|known| magnitude > known.magnitude) {
+                let largest = LargestGradient { magnitude, phase: phase.into(), iteration };
+                self.largest_gradients.insert(name.into(), largest);
+            }
+        }
+        Ok(())
+    }
+
+    /// Every tensor must be finite.
+    pub(super) fn check_tensors(&self) -> anyhow::Result<()> {
+        match self.optimizer.first_bad_tensor() {
+            Some(name) => Err(self.not_finite(name, None)),
+            None => Ok(()),
+        }
+    }
+
+    /// Every value and moment of a checkpoint must be finite.
+    pub(super) fn check_values(&self, tensors: &BTreeMap<String, NamedTensor>) -> anyhow::Result<()> {
+        let is_bad = |tensor: &NamedTensor| !tensor.values.iter().all(|value| value.is_finite());
+        match tensors.iter().find(|(_, tensor)| is_bad(tensor)) {
+            Some((name, _)) => Err(self.not_finite(&format!("{name} in the checkpoint"), None)),
+            None => Ok(()),
+        }
+    }
+
+    /// The error that names what stopped being finite, when, and where it came from: a tensor of the model, an operation
+    /// or the step itself.
+    fn not_finite(&self, what: &str, tape: Option<&Tape<f32>>) -> anyhow::Error {
+        let origin = match (self.optimizer.first_bad_tensor(), tape.map(Tape::first_non_finite_op)) {
+            (Some(tensor), Some(_)) => format!("because {tensor} was not before the step"),
+            (_, Some(Some(op))) => format!("first in the output of {op}"),
+            (_, Some(None)) => "first in the backward pass".into(),
+            (_, None) => "after a finite gradient".into(),
+        };
+        let largest = self.largest_gradients.iter().max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude));
+        let before = largest.map(|(name, largest)| {
+            let LargestGradient { magnitude, phase, iteration } = largest;
+            format!("; the largest gradient before was {magnitude:.1e}, of {name} at iteration {iteration} of {phase}")
+        });
+        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
+        let message = format!(
+            "{what} is not finite at iteration {iteration} of phase {phase} ({origin}{})",
+            before.unwrap_or_default()
+        );
+        let hint = "lower the learning rates; the training is not restarted because that would hide the cause";
+        Failure::new(FailureKind::Diverged, message).hint(hint).into()
+    }
+
+    /// A model without Gaussians cannot go on.
+    pub(super) fn check_not_empty(&self) -> anyhow::Result<()> {
+        if self.optimizer.has_rows() {
+            return Ok(());
+        }
+        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
+        let message = format!("no Gaussians left after iteration {iteration} of phase {phase}");
+        let hint = "lower density.min_opacity, or give more initial points inside the cameras' view";
+        Err(Failure::new(FailureKind::Diverged, message).hint(hint).into())
+    }
+}

@@ -1,0 +1,102 @@
+//! What a reader of results can rely on: a committed table is reproduced or the check fails, and nothing is compared
+//! that does not compare.
+
+use crate::product::{Ended, World};
+
+/// Jobs that [`World::run`] names on these tests' command lines.
+const ONLY_DYNAMIC: [&str; 2] = ["-s", "axes.method=[\"deformable4dgs\"]"];
+
+/// What makes the few iterations of these tests end in visibly worse images.
+const FEW_POINTS: &str = "nodes.train.params.initial_points.random_count=20";
+
+fn with<'a>(arguments: &[&'a str], more: &[&'a str]) -> Vec<&'a str> {
+    [arguments, more].concat()
+}
+
+#[test]
+fn a_committed_table_is_reproduced_and_a_loss_that_is_broken_is_noticed() {
+    let world = World::tiny();
+    let file = world.path("table.toml").display().to_string();
+    let table = |option: &str, more: &[&str]| -> Ended {
+        world.call("table", &with(&[option, &file], &with(&ONLY_DYNAMIC, more)))
+    };
+    let early = table("--write-check", &[]);
+    assert_eq!(early.code, 4, "a table of nothing: {}", early.stderr);
+    world.call("run", &ONLY_DYNAMIC).ok();
+    table("--write-check", &[]).ok();
+    let told = table("--check", &[]).ok();
+    assert!(told.contains("within tolerance"), "{told}");
+
+    // A weight of zero takes the loss out; so would a bug.
+    let broken = ["-s", "nodes.train.params.deformable4dgs.spatial_smoothness=0.0"];
+    assert_eq!(table("--check", &broken).code, 4, "an outdated table was checked");
+    world.call("run", &with(&ONLY_DYNAMIC, &broken)).ok();
+    let told = table("--check", &broken);
+    assert_eq!(told.code, 11, "{}", told.stdout);
+    assert!(told.stdout.contains("loss spatial_smoothness is gone"), "{}", told.stdout);
+    let sparse = ["-s", FEW_POINTS];
+    world.call("run", &with(&ONLY_DYNAMIC, &sparse)).ok();
+    let told = table("--check", &sparse);
+    assert!(told.code == 11 && told.stdout.contains(": psnr is "), "{}", told.stdout);
+
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.replace("swinging-arm", "static-blocks")).unwrap();
+    let told = table("--check", &[]);
+    assert_eq!(told.code, 11);
+    assert!(told.stdout.contains("is missing") && told.stdout.contains("is not in the file"), "{}", told.stdout);
+}
+
+#[test]
+fn results_compare_in_pairs_under_one_protocol_only() {
+    let world = World::tiny();
+    world.call("run", &[]).ok();
+    let kept = world.path("kept.json").display().to_string();
+    std::fs::write(&kept, world.call("table", &["--format", "json"]).ok()).unwrap();
+    let compare = |arguments: &[&str]| world.call("compare", &with(&[&kept], arguments));
+    let same = compare(&["--fail-if-worse", "0.0dB", "--fail-if-worse", "training_secs=0%"]).ok();
+    assert!(same.contains("| deformable4dgs | PSNR (dB) | 2 |") && same.contains("| all |"), "{same}");
+    let between = compare(&["--rows", "deformable4dgs=static3dgs"]).ok();
+    assert!(between.contains("deformable4dgs → static3dgs") && between.contains("2 runs only in A"), "{between}");
+
+    // The recipe as it is now is compared with what was kept: A is the recipe, B the file.
+    world.call("run", &["-s", FEW_POINTS]).ok();
+    let report = world.path("store/results/tiny/report").display().to_string();
+    let worse = Ended::of({
+        let mut command = world.command("compare", &[&report, "--fail-if-worse", "0.1dB", "--json"]);
+        command.current_dir(world.path(""));
+        command
+    });
+    assert_eq!(worse.code, 11, "{}", worse.stderr);
+    let told: serde_json::Value = serde_json::from_str(&worse.stdout).unwrap();
+    assert!(told["violations"][0].as_str().unwrap().contains("psnr went from"), "{told}");
+
+    let smaller = ["-s", "nodes.capture.params.width=24"];
+    world.call("run", &smaller).ok();
+    let refused = world.call("compare", &[&report]);
+    assert_eq!(refused.code, 3, "{}", refused.stdout);
+    for expected in ["different protocols", "32×32", "24×32"] {
+        assert!(refused.stderr.contains(expected), "no {expected} in {}", refused.stderr);
+    }
+}
+
+#[test]
+fn replicates_are_seeds_and_a_budget_is_for_every_training() {
+    let world = World::tiny();
+    let plan = world.call("plan", &["--replicates", "3"]).ok();
+    for seed in 0..3 {
+        assert!(plan.contains(&format!("train/swinging-arm/static3dgs/{seed}")), "{plan}");
+    }
+    assert!(!plan.contains("static3dgs/3"), "{plan}");
+    let job = "train/swinging-arm/deformable4dgs/0";
+    let explained = world.call("explain", &[job, "--budget", "90s"]).ok();
+    assert!(explained.lines().any(|line| line.contains("budget_secs") && line.contains("90")), "{explained}");
+    let plan = world.call("plan", &["--budget", "90s"]).ok();
+    assert!(!plan.contains("coarse/"), "a schedule that is not known yet cannot be shared:\n{plan}");
+
+    let over = "[nodes.coarse]\nover = [\"scene\"]\n[nodes.train]\nover = [\"scene\", \"method\"]\n\
+                [nodes.train.params]\nseed = 0";
+    let seedless = World::with_edit("[nodes.train.params]", over);
+    seedless.call("plan", &[]).ok();
+    let refused = seedless.call("plan", &["--replicates", "3"]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+}
