@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 /// Most images that one capture may have; more is a typing error.
 const MAX_VIEWS: usize = 100_000;
 
+/// Farthest origin of a scene: there, single precision has 6 cm steps.
+const MAX_ORIGIN: f64 = 1e6;
+
 /// Parameters of the stage; the defaults are a small capture like those of D-NeRF (Pumarola et al. 2021).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -46,6 +49,10 @@ pub struct Params {
     pub truths: BTreeSet<Truth>,
     /// Surface points in the point cloud, if it is written.
     pub points: usize,
+    /// Where the scene's centre lies; far from zero, single precision has few digits left for the scene.
+    pub origin_world: [f64; 3],
+    /// Share of the pixels of depth and flow maps that know nothing, 0 to 1, drawn by the seed.
+    pub holes: f64,
 }
 
 /// The scenes.
@@ -62,6 +69,20 @@ pub enum SceneKind {
     Occluder,
     /// Textured blocks that stand still.
     StaticBlocks,
+    /// Hard: a ball flies through the cameras' near plane.
+    NearFlyby,
+    /// Hard: bodies far thinner than a pixel.
+    Needles,
+    /// Hard: a ball that is suddenly elsewhere.
+    Teleport,
+    /// Hard: the occluder with a tunnel that hides the ball two thirds of the time.
+    LongOcclusion,
+    /// Hard: a body of one pixel.
+    Speck,
+    /// Hard: everything is black.
+    Black,
+    /// Hard: what moves is never seen, so that every mask is empty.
+    UnseenMotion,
 }
 
 /// How training cameras move; all look at the centre of the scene.
@@ -128,6 +149,8 @@ impl Default for Params {
             seed: 0,
             truths: [Truth::Alpha].into(),
             points: 5000,
+            origin_world: [0.0; 3],
+            holes: 0.0,
         }
     }
 }
@@ -163,6 +186,8 @@ impl Params {
             ("fps", self.fps > 0.0 && self.fps.is_finite(), "must be a positive number"),
             ("rig_cameras", cameras >= 1, "must be at least 1"),
             ("samples_per_pixel", samples && self.samples_per_pixel >= 1, "must be a square number up to 1024"),
+            ("origin_world", self.origin_world.iter().all(|at| at.abs() <= MAX_ORIGIN), "must be within ±1e6"),
+            ("holes", (0.0..=1.0).contains(&self.holes), "must be between 0 and 1"),
             ("specular", (0.0..=1.0).contains(&self.specular), "must be between 0 and 1"),
         ];
         let problem = |(key, _, message): (&str, bool, &str)| ParamProblem {

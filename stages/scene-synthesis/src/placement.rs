@@ -63,6 +63,12 @@ impl Placement {
         }
     }
 
+    /// The same pose and motion, elsewhere.
+    pub fn translated(mut self, offset: DVec3) -> Self {
+        self.world_from_object.translation += offset;
+        self
+    }
+
     /// Velocity of the body's point that is at `point_world`.
     pub fn velocity(&self, point_world: DVec3) -> DVec3 {
         self.linear_velocity + self.angular_velocity.cross(point_world - self.world_from_object.translation)

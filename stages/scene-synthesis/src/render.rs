@@ -18,6 +18,8 @@ const OCCLUSION_TOLERANCE: f64 = 1e-6;
 const MAX_MISSES_PER_POINT: usize = 50;
 /// Separates the random surface points from the other random numbers of the same seed.
 const POINT_STREAM: u64 = 2;
+/// The same for holes: the first of as many streams as there are views.
+const HOLE_STREAM: u64 = 16;
 
 /// Everything that the parameters ask for of one shot; maps that they do not ask for are not computed.
 pub fn render(world: &World, shot: &Shot, params: &Params) -> Frame {
@@ -27,6 +29,8 @@ pub fn render(world: &World, shot: &Shot, params: &Params) -> Frame {
     let maps = [Truth::Depth, Truth::Flow, Truth::Masks, Truth::Velocity];
     let hits = if maps.iter().any(|map| params.wants(*map)) { centre_hits(&instant, &shot.camera) } else { Vec::new() };
     let depth = |hit: &Option<Hit>| hit.map_or(0.0, |hit| hit.distance as f32);
+    // What depth and flow know of: the other maps have no holes.
+    let known = with_holes(&hits, shot, params);
     let label = |hit: &Option<Hit>| hit.map_or(0, |hit| instant.label(&hit));
     let velocity = |hit: &Option<Hit>| {
         hit.map_or([0.0; 3], |hit| instant.velocity_world(hit.body, hit.material).as_vec3().to_array())
@@ -46,12 +50,12 @@ pub fn render(world: &World, shot: &Shot, params: &Params) -> Frame {
         depth: params.wants(Truth::Depth).then(|| DepthMap {
             width,
             height,
-            depth_view: hits.iter().map(depth).collect(),
+            depth_view: known.iter().map(depth).collect(),
         }),
         flow: (params.wants(Truth::Flow) && has_next).then(|| FlowMap {
             width,
             height,
-            flow_px: flow_px(&world.at(next_secs), &shot.camera, &hits),
+            flow_px: flow_px(&world.at(next_secs), &shot.camera, &known),
         }),
         mask: params.wants(Truth::Masks).then(|| LabelMap { width, height, labels: hits.iter().map(label).collect() }),
         velocity: params.wants(Truth::Velocity).then(|| VelocityMap {
@@ -60,6 +64,15 @@ pub fn render(world: &World, shot: &Shot, params: &Params) -> Frame {
             velocity_world: hits.iter().map(velocity).collect(),
         }),
     }
+}
+
+/// The hits without a share of them, drawn per view.
+fn with_holes(hits: &[Option<Hit>], shot: &Shot, params: &Params) -> Vec<Option<Hit>> {
+    let mut random = ChaCha8Rng::seed_from_u64(params.seed);
+    let of_view = u64::from(shot.camera_index) << 32 | u64::from(shot.frame_index);
+    random.set_stream(HOLE_STREAM + of_view);
+    let mut keep = |hit: &Option<Hit>| hit.filter(|_| random.random::<f64>() >= params.holes);
+    if params.holes > 0.0 { hits.iter().map(&mut keep).collect() } else { hits.to_vec() }
 }
 
 /// Points on what random training pixels see at the first instant, with the colour that they see.

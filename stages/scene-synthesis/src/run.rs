@@ -141,6 +141,13 @@ impl SceneKind {
             Self::WavingCloth => "waving-cloth",
             Self::Occluder => "occluder",
             Self::StaticBlocks => "static-blocks",
+            Self::NearFlyby => "near-flyby",
+            Self::Needles => "needles",
+            Self::Teleport => "teleport",
+            Self::LongOcclusion => "long-occlusion",
+            Self::Speck => "speck",
+            Self::Black => "black",
+            Self::UnseenMotion => "unseen-motion",
         }
     }
 }

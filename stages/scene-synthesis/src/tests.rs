@@ -21,6 +21,15 @@ const SCENES: [SceneKind; 5] = [
     SceneKind::Occluder,
     SceneKind::StaticBlocks,
 ];
+const HARD: [SceneKind; 7] = [
+    SceneKind::NearFlyby,
+    SceneKind::Needles,
+    SceneKind::Teleport,
+    SceneKind::LongOcclusion,
+    SceneKind::Speck,
+    SceneKind::Black,
+    SceneKind::UnseenMotion,
+];
 const TRUTHS: [Truth; 6] = [Truth::Alpha, Truth::Depth, Truth::Flow, Truth::Masks, Truth::Velocity, Truth::Points];
 
 fn small(scene: SceneKind) -> Params {
@@ -389,4 +398,61 @@ fn what_is_known_before_rendering_holds_of_the_capture() {
             assert!(views().all(|view| view.depth.is_some() && view.flow.is_none() && view.velocity.is_none()));
         }
     }
+}
+
+#[test]
+fn hard_scenes_are_what_they_are_called() {
+    let frames = |scene: SceneKind, change: &dyn Fn(&mut Params)| {
+        let mut params = Params { width: 64, height: 64, frames: 24, camera: CameraPath::Arc, ..small(scene) };
+        change(&mut params);
+        let (world, shots) = scene_and_shots(&params);
+        let train = shots.iter().filter(|shot| shot.split == Split::Train);
+        train.map(|shot| render(&world, shot, &params)).collect::<Vec<Frame>>()
+    };
+    let plain = |scene| frames(scene, &|_| ());
+    let moving = |frame: &Frame| frame.mask.as_ref().unwrap().labels.iter().filter(|label| **label > 0).count();
+    let depth = |frame: &Frame| frame.depth.as_ref().unwrap().depth_view.clone();
+    for scene in HARD {
+        let seen = plain(scene);
+        assert_eq!(seen.len(), 24);
+        assert!(seen.iter().flat_map(&depth).all(|depth| depth >= 0.0 && depth.is_finite()), "{scene:?}");
+    }
+    // Nearer than 0.2, which is where rasterisers cut.
+    let near = plain(SceneKind::NearFlyby);
+    assert!(near.iter().any(|frame| depth(frame).iter().any(|&depth| depth > 0.0 && depth < 0.2)));
+    assert!(near.iter().any(|frame| moving(frame) > 0) && near.iter().any(|frame| moving(frame) == 0));
+    let speck = plain(SceneKind::Speck);
+    assert!(speck.iter().all(|frame| moving(frame) <= 2) && speck.iter().any(|frame| moving(frame) > 0));
+    assert!(
+        frames(SceneKind::Black, &|params| params.background = Background::Black).iter().all(|frame| frame
+            .image
+            .as_raw()
+            .iter()
+            .all(|value| *value == 0)
+            && moving(frame) > 0)
+    );
+    assert!(plain(SceneKind::UnseenMotion).iter().all(|frame| moving(frame) == 0));
+    let hidden = plain(SceneKind::LongOcclusion).iter().filter(|frame| moving(frame) == 0).count();
+    assert!(hidden >= 8, "hidden in {hidden} of 24 frames");
+    let jumps = plain(SceneKind::Teleport);
+    let flows = jumps.iter().filter_map(|frame| frame.flow.as_ref());
+    let longest = flows.flat_map(|flow| &flow.flow_px).map(|flow| flow[0].hypot(flow[1]));
+    assert!(longest.filter(|length| !length.is_nan()).fold(0.0, f32::max) > 5.0, "no jump is seen");
+    assert!(jumps.iter().flat_map(|frame| &frame.velocity.as_ref().unwrap().velocity_world).all(|v| *v == [0.0; 3]));
+
+    let far = frames(SceneKind::SwingingArm, &|params| params.origin_world = [1e4, -1e4, 1e4]);
+    let here = plain(SceneKind::SwingingArm);
+    let difference = |a: &Frame, b: &Frame| {
+        a.image.as_raw().iter().zip(b.image.as_raw()).filter(|(a, b)| a.abs_diff(**b) > 2).count()
+    };
+    assert!(far.iter().zip(&here).all(|(far, here)| difference(far, here) < 10), "moved, a scene looks the same");
+    let holes = frames(SceneKind::SwingingArm, &|params| params.holes = 0.7);
+    let known = |frames: &[Frame]| frames.iter().flat_map(&depth).filter(|depth| *depth > 0.0).count() as f64;
+    let share = known(&holes) / known(&here);
+    assert!((share - 0.3).abs() < 0.03, "{share} of the depth is left");
+    assert_ne!(
+        depth(&holes[0]).iter().map(|d| *d > 0.0).collect::<Vec<_>>(),
+        depth(&holes[1]).iter().map(|d| *d > 0.0).collect::<Vec<_>>()
+    );
+    assert!(holes.iter().zip(&here).all(|(holes, here)| holes.image == here.image && holes.mask == here.mask));
 }
