@@ -16,6 +16,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     for path in watched.chain([root.join("Cargo.toml"), root.join("Cargo.lock"), binary.join("Cargo.toml")]) {
         println!("cargo:rerun-if-changed={}", path.display());
     }
-    std::fs::write(PathBuf::from(std::env::var("OUT_DIR")?).join("code.rs"), scan::code_table(&crates))?;
+    let table = scan::code_table(&crates) + &compiler()?;
+    std::fs::write(PathBuf::from(std::env::var("OUT_DIR")?).join("code.rs"), table)?;
     Ok(())
+}
+
+/// The compiler that builds this program, as a line of Rust.
+fn compiler() -> Result<String, Box<dyn Error>> {
+    let output = std::process::Command::new(std::env::var("RUSTC")?).arg("--version").output()?;
+    let version = String::from_utf8(output.stdout)?;
+    Ok(format!("/// The compiler that built this program.\npub const COMPILER: &str = {:?};\n", version.trim()))
 }

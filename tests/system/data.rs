@@ -16,11 +16,11 @@ fn missing_data_is_named_with_what_to_do_about_it() {
     let run = dnerf("run", dir.path(), &dir.path().join("store"));
     assert_eq!(run.code, 4, "{}", run.stderr);
     let missing = dir.path().join("dnerf/bouncingballs").display().to_string();
-    for expected in ["8 missing data", "capture/trex: the data is not there", "--data-root", &missing] {
+    for expected in ["9 missing data", "capture/trex: the data is not there", "--data-root", &missing] {
         assert!(run.stderr.contains(expected), "no {expected} in\n{}", run.stderr);
     }
     let plan = dnerf("plan", dir.path(), &dir.path().join("store")).ok();
-    assert!(plan.contains("missing data capture/lego") && plan.contains("8 missing data"), "{plan}");
+    assert!(plan.contains("missing data capture/lego") && plan.contains("9 missing data"), "{plan}");
 }
 
 #[test]

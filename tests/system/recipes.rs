@@ -30,6 +30,22 @@ fn every_recipe_plans() {
 }
 
 #[test]
+fn reports_name_the_recipe_that_they_belong_to() {
+    let mut n_named = 0;
+    for recipe in recipes() {
+        let plan = engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data")).expect("planned above");
+        let reports = plan.nodes.iter().filter(|node| node.stage == "table-generation");
+        for named in reports.map(|node| node.params["recipe"].as_str().expect("text").to_owned()) {
+            let own = recipe.strip_prefix(root()).expect("below the root").display().to_string();
+            // A recipe that says nothing has commands with a placeholder; one that inherits the name of another is wrong.
+            assert!(named == "RECIPE" || named == own, "{own} names {named}");
+            n_named += usize::from(named == own);
+        }
+    }
+    assert!(n_named >= 10, "only {n_named} reports name their recipe");
+}
+
+#[test]
 fn all_errors_of_a_recipe_come_at_once_with_line_and_suggestion() {
     let world = World::with_edit("density = { from = 10, interval = 10,", "density = { from = 10, intervall = 10,");
     let text = std::fs::read_to_string(world.recipe()).unwrap();

@@ -12,6 +12,7 @@ pub fn stages() -> Registry {
 /// Every stage that recipes can name, as if it had been built from other sources.
 pub fn stages_of(code: CodeTable) -> Registry {
     Registry::new(code)
+        .compiled_by(COMPILER)
         .with::<scene_synthesis::SceneSynthesis>()
         .with::<sfm_import::SfmImport>()
         .with::<feature_import::FeatureImport>()

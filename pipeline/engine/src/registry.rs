@@ -11,12 +11,17 @@ use std::path::Path;
 use anyhow::Context as _;
 use serde_json::Value;
 
+use crate::canonical;
 use crate::fingerprint::{Code, CodeTable, UnusedSources, stage_code};
 use crate::{Artifact, Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
+
+/// Digits that tell two builds apart at a glance.
+const SHORT_DIGEST: usize = 12;
 
 /// All stages by id. The one list of stages builds it: `Registry::new(CODE).with::<Training>()`.
 pub struct Registry {
     code: CodeTable,
+    built_with: &'static str,
     stages: BTreeMap<&'static str, Box<dyn AnyStage>>,
 }
 
@@ -53,7 +58,25 @@ pub trait AnyStage: Send + Sync {
 impl Registry {
     /// A registry without stages; `code` is the table of sources that the binary was built from.
     pub fn new(code: CodeTable) -> Self {
-        Self { code, stages: BTreeMap::new() }
+        Self { code, built_with: "unknown", stages: BTreeMap::new() }
+    }
+
+    /// The same registry, of a program that this compiler built, as `rustc 1.95.0`. Never part of a key.
+    pub fn compiled_by(mut self, compiler: &'static str) -> Self {
+        self.built_with = compiler;
+        self
+    }
+
+    /// The compiler that built the program.
+    pub fn built_with(&self) -> &'static str {
+        self.built_with
+    }
+
+    /// The first digits of a SHA-256 over all sources that the program was built from.
+    pub fn sources_digest(&self) -> String {
+        let crates = self.code.crates.iter().map(|code| (code.name, code.files, code.external));
+        let digest = canonical::sha256_hex("pipeline/sources/1", &serde_json::json!(crates.collect::<Vec<_>>()));
+        digest[..SHORT_DIGEST].to_owned()
     }
 
     /// The same registry with one more stage.

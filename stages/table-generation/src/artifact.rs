@@ -5,16 +5,18 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use engine::Artifact;
 
-use crate::curves::{ALL_CURVES, svg_files};
-use crate::{Report, TableGenerationParams, csv_file, html, latex, markdown, typeset};
+use crate::document::Block;
+use crate::pictures::Sheet;
+use crate::{Report, TableGenerationParams, csv_file, html, latex, markdown, sections, svg};
 
 const JSON: &str = "report.json";
 const MARKDOWN: &str = "report.md";
 const LATEX: &str = "report.tex";
 const CSV: &str = "report.csv";
+const FRAMES: &str = "frames.csv";
 const HTML: &str = "index.html";
 
-/// A report's folder: `report.{json,md,tex,csv}`, `index.html`, `curves.svg` and one SVG per scene.
+/// A report's folder: `report.{json,md,tex,csv}`, `frames.csv`, `index.html` and one SVG per figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReportFolder {
     /// The folder.
@@ -25,17 +27,27 @@ pub struct ReportFolder {
 
 impl ReportFolder {
     /// Checks `report` and writes every format into `dir`; equal reports give equal bytes.
-    pub fn write(report: Report, params: &TableGenerationParams, dir: &Path) -> anyhow::Result<Self> {
+    pub fn write(
+        report: Report,
+        sheets: Vec<Sheet>,
+        params: &TableGenerationParams,
+        dir: &Path,
+    ) -> anyhow::Result<Self> {
         report.check()?;
-        let document = typeset::document(&report, params);
+        let document = sections::document(&report, sheets, params)?;
         let mut files = vec![
             (JSON.to_owned(), serde_json::to_string_pretty(&report)? + "\n"),
             (MARKDOWN.to_owned(), markdown::markdown(&document)),
             (LATEX.to_owned(), latex::latex(&document)),
-            (CSV.to_owned(), csv_file::csv(&report)?),
+            (CSV.to_owned(), csv_file::runs(&report)?),
+            (FRAMES.to_owned(), csv_file::frames(&report)?),
             (HTML.to_owned(), html::html(&document)),
         ];
-        files.extend(svg_files(&report, params));
+        for block in document.sections.iter().flat_map(|section| &section.blocks) {
+            if let Block::Figure(figure) = block {
+                files.push((figure.file.clone(), svg::file(figure)));
+            }
+        }
         for (name, text) in files {
             let path = dir.join(name);
             std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
@@ -52,7 +64,7 @@ impl ReportFolder {
 
 impl Artifact for ReportFolder {
     const NAME: &'static str = "report";
-    const SCHEMA: u32 = 1;
+    const SCHEMA: u32 = 2;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(JSON);
@@ -63,7 +75,7 @@ impl Artifact for ReportFolder {
 
     fn check(&self) -> anyhow::Result<()> {
         self.report.check()?;
-        for name in [JSON, MARKDOWN, LATEX, CSV, HTML, ALL_CURVES] {
+        for name in [JSON, MARKDOWN, LATEX, CSV, FRAMES, HTML] {
             let path = self.dir.join(name);
             let size = std::fs::metadata(&path).map(|file| file.len()).unwrap_or(0);
             ensure!(size > 0, "file is missing or empty: {}", path.display());

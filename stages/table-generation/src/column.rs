@@ -28,6 +28,26 @@ pub enum Column {
     /// The same for 99 %.
     #[serde(rename = "secs_to_99")]
     SecsTo99,
+    /// Seconds of training until the PSNR of the curve first reached 25 dB.
+    #[serde(rename = "secs_to_25_db")]
+    SecsTo25Db,
+    /// The same for 30 dB.
+    #[serde(rename = "secs_to_30_db")]
+    SecsTo30Db,
+    /// The same for 35 dB.
+    #[serde(rename = "secs_to_35_db")]
+    SecsTo35Db,
+    /// PSNR of the curve after 10 seconds of training: what a deadline would have got.
+    #[serde(rename = "psnr_at_10s")]
+    PsnrAt10s,
+    /// The same after a minute.
+    #[serde(rename = "psnr_at_60s")]
+    PsnrAt60s,
+    /// The same after five minutes.
+    #[serde(rename = "psnr_at_300s")]
+    PsnrAt300s,
+    /// PSNR of the curve at its end.
+    PsnrAtEnd,
     /// Milliseconds per training iteration.
     MsPerIteration,
     /// Largest resident memory of the training process / 10⁶ bytes.
@@ -42,7 +62,7 @@ impl Column {
     pub const PSNR: Self = Self::Metric(Metric::Psnr);
 
     /// What a run is measured by beside metrics, in the order of the CSV file.
-    const COSTS: [Self; 11] = [
+    const COSTS: [Self; 18] = [
         Self::TrainingSecs,
         Self::Gaussians,
         Self::SizeMb,
@@ -52,6 +72,13 @@ impl Column {
         Self::SecsTo90,
         Self::SecsTo95,
         Self::SecsTo99,
+        Self::SecsTo25Db,
+        Self::SecsTo30Db,
+        Self::SecsTo35Db,
+        Self::PsnrAt10s,
+        Self::PsnrAt60s,
+        Self::PsnrAt300s,
+        Self::PsnrAtEnd,
         Self::MsPerIteration,
         Self::PeakMemoryMb,
     ];
@@ -69,8 +96,14 @@ impl Column {
         Self::FpsDelivered,
     ];
 
-    /// The columns of the table of time to quality.
-    pub const TIME_TO_QUALITY: [Self; 4] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99, Self::TrainingSecs];
+    /// Seconds to a share of the run's own last PSNR.
+    pub const TIME_TO_SHARE: [Self; 3] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99];
+
+    /// Seconds to a fixed PSNR.
+    pub const TIME_TO_DB: [Self; 3] = [Self::SecsTo25Db, Self::SecsTo30Db, Self::SecsTo35Db];
+
+    /// PSNR under a deadline, and without one.
+    pub const BUDGETS: [Self; 4] = [Self::PsnrAt10s, Self::PsnrAt60s, Self::PsnrAt300s, Self::PsnrAtEnd];
 
     /// Every column, in the order of the CSV file.
     pub fn all() -> impl Iterator<Item = Self> {
@@ -101,6 +134,13 @@ impl Column {
             Self::SecsTo90 => "secs_to_90",
             Self::SecsTo95 => "secs_to_95",
             Self::SecsTo99 => "secs_to_99",
+            Self::SecsTo25Db => "secs_to_25_db",
+            Self::SecsTo30Db => "secs_to_30_db",
+            Self::SecsTo35Db => "secs_to_35_db",
+            Self::PsnrAt10s => "psnr_at_10s",
+            Self::PsnrAt60s => "psnr_at_60s",
+            Self::PsnrAt300s => "psnr_at_300s",
+            Self::PsnrAtEnd => "psnr_at_end",
             Self::MsPerIteration => "ms_per_iteration",
             Self::PeakMemoryMb => "peak_memory_mb",
             Self::Metric(metric) => metric.key(),
@@ -116,9 +156,16 @@ impl Column {
             Self::FpsRaster => ("FPS raster", ""),
             Self::FpsModel => ("FPS model", ""),
             Self::FpsDelivered => ("FPS delivered", ""),
-            Self::SecsTo90 => ("90 %", "s"),
-            Self::SecsTo95 => ("95 %", "s"),
-            Self::SecsTo99 => ("99 %", "s"),
+            Self::SecsTo90 => ("to 90 %", "s"),
+            Self::SecsTo95 => ("to 95 %", "s"),
+            Self::SecsTo99 => ("to 99 %", "s"),
+            Self::SecsTo25Db => ("to 25 dB", "s"),
+            Self::SecsTo30Db => ("to 30 dB", "s"),
+            Self::SecsTo35Db => ("to 35 dB", "s"),
+            Self::PsnrAt10s => ("at 10 s", "dB"),
+            Self::PsnrAt60s => ("at 1 min", "dB"),
+            Self::PsnrAt300s => ("at 5 min", "dB"),
+            Self::PsnrAtEnd => ("full", "dB"),
             Self::MsPerIteration => ("iteration", "ms"),
             Self::PeakMemoryMb => ("peak memory", "MB"),
             Self::Metric(metric) => (metric.heading(), metric.unit()),
@@ -131,6 +178,7 @@ impl Column {
         match self {
             Self::Gaussians => 0,
             Self::SizeMb | Self::MsPerIteration => 2,
+            Self::PsnrAt10s | Self::PsnrAt60s | Self::PsnrAt300s | Self::PsnrAtEnd => Metric::Psnr.decimals(),
             Self::PeakMemoryMb => 0,
             _ => self.metric().map_or(1, Metric::decimals),
         }
@@ -139,11 +187,11 @@ impl Column {
     /// Whether more is better.
     pub fn higher_is_better(self) -> bool {
         let is_rate = matches!(self, Self::FpsRaster | Self::FpsModel | Self::FpsDelivered);
-        self.metric().map_or(is_rate, Metric::higher_is_better)
+        self.metric().map_or(is_rate || Self::BUDGETS.contains(&self), Metric::higher_is_better)
     }
 
     /// Whether the value depends on the machine, so that ranks need one machine.
     pub fn is_timing(self) -> bool {
-        self.metric().is_none() && !matches!(self, Self::Gaussians | Self::SizeMb)
+        self.metric().is_none() && !matches!(self, Self::Gaussians | Self::SizeMb | Self::PsnrAtEnd)
     }
 }

@@ -1,7 +1,6 @@
 //! Documents as LaTeX tables, to be read with `\input` in a document that loads `booktabs`.
 
-use crate::document::{Block, Document, Table, Text};
-use crate::markdown::note_line;
+use crate::document::{Block, Document, Figure, Table, Text};
 
 /// The document's tables as LaTeX; figures stay in their SVG files.
 pub fn latex(document: &Document) -> String {
@@ -12,31 +11,39 @@ pub fn latex(document: &Document) -> String {
          \\providecommand{\\third}[1]{\\textit{#1}}\n",
     );
     text += &format!("\\section*{{{}}}\n", escape(&document.title));
-    for block in &document.blocks {
-        text += "\n";
-        match block {
-            Block::Heading(heading) => text += &format!("\\subsection*{{{}}}\n", escape(heading)),
-            Block::Paragraph(paragraph) => text += &format!("{}\n", escape(paragraph)),
-            Block::Table(table) => text += &table_text(table),
-            Block::Figure { file, caption, .. } => text += &format!("% figure {file}: {}\n", escape(caption)),
+    for section in document.sections.iter().filter(|section| !section.page_only) {
+        text += &format!("\n\\subsection*{{{}}}\n", escape(section.heading));
+        for block in &section.blocks {
+            text += "\n";
+            match block {
+                Block::Heading(heading) => text += &format!("\\subsubsection*{{{}}}\n", escape(heading)),
+                Block::Paragraph(paragraph) => text += &format!("{}\n", escape(paragraph)),
+                Block::Table(table) => text += &table_text(table),
+                Block::Figure(Figure { file, caption, .. }) => {
+                    text += &format!("% figure {file}: {}\n", escape(caption));
+                }
+                Block::Pictures(_) => {}
+            }
         }
     }
     text
 }
 
 fn table_text(table: &Table) -> String {
-    let alignment = "l".to_owned() + &"r".repeat(table.header.len().saturating_sub(1));
+    let n_numbers = table.header.len().saturating_sub(table.n_text);
+    let alignment = "l".repeat(table.header.len() - n_numbers) + &"r".repeat(n_numbers);
     let line = |cells: Vec<String>| format!("{} \\\\\n", cells.join(" & "));
     let mut text = format!("\\begin{{table}}\n\\centering\n\\caption{{{}}}\n", escape(&table.caption));
     text += &format!("\\begin{{tabular}}{{{alignment}}}\n\\toprule\n");
-    text += &line(table.header.iter().map(|heading| escape(heading)).collect());
+    text += &line(table.flat_header().iter().map(|heading| escape(heading)).collect());
     text += "\\midrule\n";
     for row in &table.rows {
-        text += &line(row.iter().map(cell).collect());
+        let blank = (row.len()..table.header.len()).map(|_| String::new());
+        text += &line(row.iter().map(cell).chain(blank).collect());
     }
     text += "\\bottomrule\n\\end{tabular}\n";
-    for (index, note) in table.notes.iter().enumerate() {
-        text += &format!("\\par\\footnotesize {}\n", escape(&note_line(index, note)));
+    for line in table.lines_below() {
+        text += &format!("\\par\\footnotesize {}\n", escape(&line));
     }
     text + "\\end{table}\n"
 }
@@ -65,6 +72,10 @@ fn escape(text: &str) -> String {
         '·' => "$\\cdot$".into(),
         '−' => "$-$".into(),
         '–' => "--".into(),
+        '≈' => "$\\approx$".into(),
+        '≥' => "$\\ge$".into(),
+        '✓' => "$\\surd$".into(),
+        'Δ' => "$\\Delta$".into(),
         '\n' => " ".into(),
         _ => c.into(),
     };

@@ -1,17 +1,20 @@
 //! Documents as Markdown with pipe tables.
 
-use crate::document::{Block, Document, Table, Text, note_mark};
+use crate::document::{Block, Document, Figure, Table, Text};
 
-/// The document as Markdown.
+/// The document as Markdown, without the details that the page has.
 pub fn markdown(document: &Document) -> String {
     let mut text = format!("# {}\n", escape(&document.title));
-    for block in &document.blocks {
-        text += "\n";
-        match block {
-            Block::Heading(heading) => text += &format!("## {}\n", escape(heading)),
-            Block::Paragraph(paragraph) => text += &format!("{}\n", escape(paragraph)),
-            Block::Table(table) => text += &table_text(table),
-            Block::Figure { file, caption, .. } => text += &format!("![{}]({file})\n", escape(caption)),
+    for section in document.sections.iter().filter(|section| !section.page_only) {
+        text += &format!("\n## {}\n", escape(section.heading));
+        for block in &section.blocks {
+            match block {
+                Block::Heading(heading) => text += &format!("\n### {}\n", escape(heading)),
+                Block::Paragraph(paragraph) => text += &format!("\n{}\n", escape(paragraph)),
+                Block::Table(table) => text += &format!("\n{}", table_text(table)),
+                Block::Figure(Figure { file, caption, .. }) => text += &format!("\n![{}]({file})\n", escape(caption)),
+                Block::Pictures(_) => {}
+            }
         }
     }
     text
@@ -19,22 +22,18 @@ pub fn markdown(document: &Document) -> String {
 
 fn table_text(table: &Table) -> String {
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
-    let rule = (0..table.header.len()).map(|column| if column == 0 { "---" } else { "---:" }.to_owned());
+    let rule = (0..table.header.len()).map(|column| if column < table.n_text { "---" } else { "---:" }.to_owned());
     let mut text = format!("**{}**\n\n", escape(&table.caption));
-    text += &line(table.header.iter().map(|heading| escape(heading)).collect());
+    text += &line(table.flat_header().iter().map(|heading| escape(heading)).collect());
     text += &line(rule.collect());
     for row in &table.rows {
-        text += &line(row.iter().map(cell).collect());
+        let blank = (row.len()..table.header.len()).map(|_| String::new());
+        text += &line(row.iter().map(cell).chain(blank).collect());
     }
-    for (index, note) in table.notes.iter().enumerate() {
-        text += &format!("{}{}  \n", if index == 0 { "\n" } else { "" }, escape(&note_line(index, note)));
+    for (index, line) in table.lines_below().enumerate() {
+        text += &format!("{}{}  \n", if index == 0 { "\n" } else { "" }, escape(&line));
     }
     text
-}
-
-/// A footnote with its mark; sources bring their own.
-pub fn note_line(index: usize, note: &str) -> String {
-    if note.starts_with(['[', '±']) { note.into() } else { format!("({}) {note}", note_mark(index)) }
 }
 
 fn cell(cell: &Text) -> String {

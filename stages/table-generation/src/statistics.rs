@@ -1,4 +1,6 @@
-//! Mean and spread.
+//! Mean, spread, and what a spread lets one say about a difference.
+
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Mean of at least one number.
 pub fn mean(values: &[f64]) -> Option<f64> {
@@ -21,5 +23,50 @@ pub fn median(values: &[f64]) -> Option<f64> {
         0 => None,
         n if n % 2 == 1 => Some(sorted[middle]),
         _ => Some((sorted[middle - 1] + sorted[middle]) / 2.0),
+    }
+}
+
+/// Half the width of the 95 % interval of a mean of `n` values with this standard deviation; none below two values.
+pub fn half_width(std: f64, n: usize) -> Option<f64> {
+    (n > 1).then(|| t_quantile((n - 1) as f64) * std / (n as f64).sqrt())
+}
+
+/// Half the width of the 95 % interval of a difference of two means of independent values (Welch 1947), each given by
+/// its standard deviation and count; none below two values on either side.
+pub fn welch_half_width((std_a, n_a): (f64, usize), (std_b, n_b): (f64, usize)) -> Option<f64> {
+    if n_a < 2 || n_b < 2 {
+        return None;
+    }
+    let (a, b) = (std_a * std_a / n_a as f64, std_b * std_b / n_b as f64);
+    if a + b == 0.0 {
+        return Some(0.0);
+    }
+    let freedom = (a + b).powi(2) / (a * a / (n_a - 1) as f64 + b * b / (n_b - 1) as f64);
+    Some(t_quantile(freedom) * (a + b).sqrt())
+}
+
+/// The 97.5 % quantile of Student's t.
+fn t_quantile(freedom: f64) -> f64 {
+    // Degrees of freedom of at least one value are positive, which is all that the distribution asks for.
+    StudentsT::new(0.0, 1.0, freedom).map_or(f64::INFINITY, |t| t.inverse_cdf(0.975))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intervals_follow_student_and_welch() {
+        // Three values 1, 2, 3: standard deviation 1, t(2) = 4.303.
+        let width = half_width(1.0, 3).expect("three values");
+        assert!((width - 4.303 / 3.0_f64.sqrt()).abs() <= 1e-3);
+        // Equal spreads and counts: 2 (n - 1) degrees of freedom.
+        let equal = welch_half_width((1.0, 3), (1.0, 3)).expect("three each");
+        assert!((equal - 2.776 * (2.0_f64 / 3.0).sqrt()).abs() <= 1e-3);
+        // One side without spread leaves the other's degrees of freedom.
+        let one_sided = welch_half_width((1.0, 3), (0.0, 5)).expect("both sides");
+        assert!((one_sided - 4.303 / 3.0_f64.sqrt()).abs() <= 1e-3);
+        assert_eq!((welch_half_width((1.0, 1), (1.0, 3)), half_width(1.0, 1)), (None, None));
+        assert!((t_quantile(60.0) - 2.000).abs() <= 1e-3);
     }
 }

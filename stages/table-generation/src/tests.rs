@@ -2,6 +2,9 @@
 
 mod content;
 mod formats;
+mod page;
+mod papers;
+mod seeds;
 mod stage;
 
 use engine::FailureKind;
@@ -9,7 +12,7 @@ use metric_evaluation::{Metric, Score};
 use scene::Protocol;
 
 use crate::collect::RunFailure;
-use crate::{Column, CurvePoint, Report, Run, TableGenerationParams, built_in_claims};
+use crate::{Column, CurvePoint, FrameScore, Job, Machine, Report, Run, TableGenerationParams, built_in_claims};
 
 /// The protocol of D-NeRF at a size, as the importer names it.
 fn protocol(size: u32) -> Protocol {
@@ -43,13 +46,31 @@ fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
         judged_by: Some("test images · 8-bit levels (rounded) · per-image means · metric version 1".into()),
         figures: figures.into_iter().map(|(column, value)| (column, Score::Value(value))).collect(),
         phases: [("blend".to_owned(), 30.0), ("custom".to_owned(), 2.0)].into(),
-        machines: vec!["training on cpu, 2 threads".into()],
-        action_keys: [("model".to_owned(), "0123456789ab".to_owned())].into(),
+        machines: [("training".to_owned(), machine("Processor 1"))].into(),
+        jobs: [("model".to_owned(), job("train", scene, method, seed))].into(),
+        schedule_scale: Some(1.0),
+        frames: (0..4).map(|i| frame(i, psnr)).collect(),
         ..Run::default()
     };
     run.figures.insert(Column::Metric(Metric::MsSsim), Score::undefined("image smaller than 161 px"));
     run.set_curve((0..6).map(|i| point(f64::from(i), psnr)).collect());
     run
+}
+
+/// A machine with this processor.
+fn machine(cpu: &str) -> Machine {
+    Machine { device: "cpu".into(), threads: Some(2), cpu: Some(cpu.into()), ..Machine::default() }
+}
+
+fn job(node: &str, scene: &str, method: &str, seed: u32) -> Job {
+    let key = "0123456789ab".into();
+    Job { name: format!("{node}/{scene}/{method}/{seed}"), key, wall_secs: Some(12.0) }
+}
+
+/// The third frame is 3 dB below `psnr`, the others 1 dB above.
+fn frame(i: u32, psnr: f64) -> FrameScore {
+    let psnr = if i == 2 { psnr - 3.0 } else { psnr + 1.0 };
+    FrameScore { name: format!("test_{i}"), time_secs: Some(f64::from(i) / 4.0), psnr }
 }
 
 /// A curve that approaches `psnr`.

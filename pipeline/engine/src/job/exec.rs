@@ -13,7 +13,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::Context;
 use serde_json::{Value, json};
 
-use super::{InputSpec, JobSpec, JobStatus, Line, failure, log, signals};
+use super::{InputSpec, JobSpec, JobStatus, Line, failure, log, machine, signals};
 use crate::digest::SourceDigests;
 use crate::store::{ActionRecord, Provenance, Publication, Store};
 use crate::{ActionKey, AnyStage, Failure, FailureKind, InputRecord, JobContext, Progress, Registry, exit};
@@ -66,6 +66,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
     let peak_rss_bytes = peak_rss_bytes();
     let mut measurements = context.measurements.take();
     measurements.insert("job".into(), json!({ "wall_secs": wall_secs, "peak_rss_bytes": peak_rss_bytes }));
+    measurements.insert("machine".into(), machine::card(registry));
     let publication = store.publish(&context.output_dir, &Value::Object(measurements))?;
     let provenance = Provenance {
         recipe: spec.recipe.clone(),

@@ -4,6 +4,7 @@ mod child;
 mod exec;
 mod failure;
 mod log;
+mod machine;
 mod signals;
 
 use std::collections::BTreeMap;

@@ -17,13 +17,14 @@ pub(crate) struct Instance {
     pub params: Table,
 }
 
-/// All jobs of the template called `name`, the last axis varying fastest.
+/// All jobs of the template called `name`, the last axis varying fastest, for the values that the template is there for.
 pub(crate) fn instances(recipe: &RawRecipe, name: &str, template: &Template, report: &mut Report) -> Vec<Instance> {
     let mut combinations = vec![Vec::new()];
     for &axis in &template.over {
+        let is_there = |value: &&AxisValue| template.only.get(&axis).is_none_or(|only| only.contains(&value.text));
         let longer = |head: &Vec<(usize, AxisValue)>| {
             let with = |value: &AxisValue| head.iter().cloned().chain([(axis, value.clone())]).collect();
-            recipe.axes[axis].values.iter().map(with).collect::<Vec<_>>()
+            recipe.axes[axis].values.iter().filter(is_there).map(with).collect::<Vec<_>>()
         };
         combinations = combinations.iter().flat_map(longer).collect();
     }

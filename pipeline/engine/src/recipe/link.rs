@@ -71,6 +71,7 @@ impl<'a> Linker<'a> {
         let mut inputs: Vec<PlanInput> =
             ports.iter().map(|port| plan_input(recipe, template, port, &values, &self.made)).collect();
         self.wired.push(inputs.iter().flat_map(|input| input.producers.iter().copied()).collect());
+        self.refuse_gaps(template_name, template, &ports, &inputs);
 
         // What the stage makes of what is known of its producers decides which of them it reads.
         let context = self.context(&inputs);
@@ -108,6 +109,18 @@ impl<'a> Linker<'a> {
         self.made[index].push((self.plan.nodes.len(), values));
         self.plan.origins.insert(node.name.clone(), draft.origins);
         self.plan.nodes.push(node);
+    }
+
+    /// A producer that is there for some values only leaves those who need it for others without.
+    fn refuse_gaps(&mut self, name: &str, template: &Template, ports: &[Port], inputs: &[PlanInput]) {
+        for (port, _) in
+            ports.iter().zip(inputs).filter(|(port, input)| port.arity == Arity::One && input.producers.is_empty())
+        {
+            let Some(wire) = template.inputs.iter().find(|wire| wire.port.name == port.name) else { continue };
+            let message = format!("no producer on port `{}` for some of the node's jobs", port.name);
+            let hint = Some("give this node the same `only` as its producer".into());
+            self.report.add(&wire.port.at, format!("nodes.{name}.inputs.{}", port.name), message, hint);
+        }
     }
 
     /// What is known of the producers on each port.

@@ -38,12 +38,17 @@ pub(crate) struct AxisValue {
     pub value: Value,
 }
 
+/// Axis index → the values that are meant.
+pub(crate) type Conditions = BTreeMap<usize, BTreeSet<String>>;
+
 /// One `[nodes.NAME]`.
 pub(crate) struct Template {
     pub at: Place,
     pub stage: Named,
     /// Indices into the axes, increasing.
     pub over: Vec<usize>,
+    /// Axis index → the values for which there are jobs; all where an axis is not in here.
+    pub only: Conditions,
     pub inputs: Vec<Wire>,
     /// The jobs whose parameters, rules included, lie below this one's.
     pub like: Option<Like>,
@@ -74,13 +79,13 @@ pub(crate) struct Wire {
 /// One `[[set]]`, or the overrides of the command line.
 pub(crate) struct Rule {
     /// Axis index → the values for which the rule holds.
-    pub when: BTreeMap<usize, BTreeSet<String>>,
+    pub when: Conditions,
     /// Template → parameters to lay over its own.
     pub params: Vec<(String, Table)>,
 }
 
 const ROOT_KEYS: [&str; 5] = ["extends", "name", "axes", "nodes", "set"];
-const NODE_KEYS: [&str; 5] = ["stage", "over", "inputs", "like", "params"];
+const NODE_KEYS: [&str; 6] = ["stage", "over", "only", "inputs", "like", "params"];
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
 /// Reads the merged text.
@@ -93,7 +98,8 @@ pub(crate) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
         recipe.axes.insert(key.clone(), Axis { values });
     }
     for (key, item) in table_at(&loaded.root, "nodes", "nodes", report) {
-        if let Some(template) = template(key, item, &recipe.axes, report) {
+        let axes = Axes { here: &recipe.axes, anywhere: &loaded.axis_values };
+        if let Some(template) = template(key, item, axes, report) {
             recipe.templates.insert(key.clone(), template);
         }
     }
@@ -140,7 +146,14 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
     values
 }
 
-fn template(name: &str, item: &Item, axes: &IndexMap<String, Axis>, report: &mut Report) -> Option<Template> {
+/// The axes of a recipe, and every value that any layer of it gives them.
+#[derive(Clone, Copy)]
+struct Axes<'a> {
+    here: &'a IndexMap<String, Axis>,
+    anywhere: &'a BTreeMap<String, BTreeSet<String>>,
+}
+
+fn template(name: &str, item: &Item, axes: Axes<'_>, report: &mut Report) -> Option<Template> {
     let key = format!("nodes.{name}");
     check_name(name, item.key_at, &key, report);
     let fields = as_table(item, &key, report)?;
@@ -148,12 +161,14 @@ fn template(name: &str, item: &Item, axes: &IndexMap<String, Axis>, report: &mut
     // A node without a stage stays, so that nobody is told that it is unknown.
     let stage = fields.get("stage").and_then(|item| self::name(item, &format!("{key}.stage"), report));
     let params = fields.get("params");
+    let over = over(fields, &key, axes.here, report);
     Some(Template {
         at: item.key_at,
         stage: stage.unwrap_or(Named { name: String::new(), at: item.key_at }),
-        over: over(fields, &key, axes, report),
+        only: only(fields, &key, &over, axes, report),
+        over,
         inputs: wires(fields, &key, report),
-        like: fields.get("like").and_then(|item| like(item, &format!("{key}.like"), axes, report)),
+        like: fields.get("like").and_then(|item| like(item, &format!("{key}.like"), axes.here, report)),
         params: params.and_then(|item| as_table(item, &format!("{key}.params"), report)).cloned().unwrap_or_default(),
         params_at: params.map_or(item.key_at, |item| item.key_at),
     })
@@ -173,6 +188,18 @@ fn over(fields: &Table, key: &str, axes: &IndexMap<String, Axis>, report: &mut R
         }
     }
     over.into_iter().collect()
+}
+
+/// The values for which a node has jobs, on axes that it is expanded over.
+fn only(fields: &Table, key: &str, over: &[usize], axes: Axes<'_>, report: &mut Report) -> Conditions {
+    let key = format!("{key}.only");
+    let only = conditions(fields, "only", &key, axes, report);
+    if let Some((axis, _)) = only.keys().filter(|axis| !over.contains(axis)).find_map(|axis| axes.here.get_index(*axis))
+    {
+        let message = format!("the node is not expanded over axis `{axis}`");
+        report.add(&fields["only"].key_at, key, message, Some("add it to the node's `over`".into()));
+    }
+    only
 }
 
 fn wires(fields: &Table, key: &str, report: &mut Report) -> Vec<Wire> {
@@ -218,7 +245,8 @@ fn rule(
 ) -> Option<Rule> {
     let fields = as_table(item, "set", report)?;
     refuse_unknown(fields, "set.", &RULE_KEYS, report);
-    let when = conditions(fields, recipe, known, report);
+    let axes = Axes { here: &recipe.axes, anywhere: known };
+    let when = conditions(fields, "when", "set.when", axes, report);
     let mut params = Vec::new();
     for (name, item) in table_at(fields, "nodes", "set.nodes", report) {
         let key = format!("set.nodes.{name}");
@@ -241,22 +269,18 @@ fn rule(
     Some(Rule { when, params })
 }
 
-fn conditions(
-    fields: &Table,
-    recipe: &RawRecipe,
-    known: &BTreeMap<String, BTreeSet<String>>,
-    report: &mut Report,
-) -> BTreeMap<usize, BTreeSet<String>> {
-    let mut when = BTreeMap::new();
-    for (axis, item) in table_at(fields, "when", "set.when", report) {
-        let key = format!("set.when.{axis}");
-        let Some((index, _, values)) = recipe.axes.get_full(axis) else {
-            let hint = names_hint(axis, recipe.axes.keys().map(String::as_str));
+/// The values per axis in the table `name`, which must be values that the axes can have.
+fn conditions(fields: &Table, name: &str, dotted: &str, axes: Axes<'_>, report: &mut Report) -> Conditions {
+    let mut conditions = Conditions::new();
+    for (axis, item) in table_at(fields, name, dotted, report) {
+        let key = format!("{dotted}.{axis}");
+        let Some((index, _, values)) = axes.here.get_full(axis) else {
+            let hint = names_hint(axis, axes.here.keys().map(String::as_str));
             report.add(&item.key_at, key, format!("unknown axis `{axis}`"), hint);
             continue;
         };
         let mut allowed: BTreeSet<&str> = values.values.iter().map(|value| value.text.as_str()).collect();
-        allowed.extend(known.get(axis).into_iter().flatten().map(String::as_str));
+        allowed.extend(axes.anywhere.get(axis).into_iter().flatten().map(String::as_str));
         let wanted = if let Tree::Array(items) = &item.tree { items.as_slice() } else { std::slice::from_ref(item) };
         for item in wanted {
             let text = axis_text(item).unwrap_or_default();
@@ -265,9 +289,9 @@ fn conditions(
                 report.add(&item.at, &key, format!("axis `{axis}` has no value `{text}`"), hint);
             }
         }
-        when.insert(index, wanted.iter().filter_map(axis_text).collect());
+        conditions.insert(index, wanted.iter().filter_map(axis_text).collect());
     }
-    when
+    conditions
 }
 
 /// Names end up in job names, folders and patterns.

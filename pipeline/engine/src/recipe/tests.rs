@@ -342,3 +342,25 @@ fn a_line_that_is_wrong_for_many_jobs_is_one_error() {
     let found = errors(&text, &[]);
     assert_eq!(found, ["20: nodes.train.params.steps: invalid type: string \"ball\", expected usize"]);
 }
+
+#[test]
+fn a_node_may_be_there_for_some_values_only() {
+    let text = GRID.replace(
+        "over = [\"seed\", \"scene\", \"method\"]",
+        "over = [\"seed\", \"scene\", \"method\"]\nonly = { scene = \"lego\", seed = [1] }",
+    );
+    let plan = plan(&text, &[]);
+    let names: Vec<&str> = plan.nodes.iter().map(|node| node.name.as_str()).collect();
+    assert_eq!(names, ["capture/ball", "capture/lego", "train/lego/a/1", "train/lego/b/1", "table"]);
+
+    let wrong =
+        |only: &str| errors(&GRID.replace("over = [\"scene\"]", &format!("over = [\"scene\"]\nonly = {only}")), &[]);
+    let unknown = wrong("{ scene = \"bal\" }");
+    assert!(unknown[0].contains("axis `scene` has no value `bal`") && unknown[0].contains("ball"), "{unknown:?}");
+    assert!(wrong("{ seed = 0 }")[0].contains("not expanded over axis `seed`"));
+    assert!(wrong("{ speed = 0 }")[0].contains("unknown axis `speed`"));
+    // Trainings on lego would have no capture.
+    let gap = wrong("{ scene = \"ball\" }");
+    assert_eq!(gap.len(), 1, "{gap:?}");
+    assert!(gap[0].contains("no producer on port `text`") && gap[0].contains("the same `only`"), "{gap:?}");
+}

@@ -167,8 +167,8 @@ pub enum Readiness {
 
 /// Whether node `index` can run, given what became of the nodes so far.
 ///
-/// On a port for many, producers without an artifact are outcomes that the job shows, unless all of them miss their
-/// data (a table of nothing) or one was interrupted (the table would have to be made again).
+/// On a port for many, producers without an artifact are outcomes that the job shows, unless one was interrupted (the
+/// table would have to be made again).
 pub fn readiness(plan: &Plan, index: usize, rests: &[Option<Rest>], sources: &Sources) -> Readiness {
     let node = &plan.nodes[index];
     let digests = match sources.digests(node) {
@@ -190,11 +190,9 @@ pub fn readiness(plan: &Plan, index: usize, rests: &[Option<Rest>], sources: &So
 /// The rest that a job comes to because of a producer on this port, if one keeps it from running.
 fn blocked_by(plan: &Plan, port: &PlanInput, rests: &[Option<Rest>]) -> Option<Rest> {
     let failure = |producer: usize| rests[producer].as_ref().and_then(Rest::failure);
-    let missing = |&producer: &usize| failure(producer).is_some_and(|failure| failure.kind == FailureKind::MissingData);
-    let all_missing = port.producers.iter().all(missing);
     let blocks = |&producer: &usize| match failure(producer) {
         None => false,
-        Some(failure) => !port.many || all_missing || failure.kind == FailureKind::Interrupted,
+        Some(failure) => !port.many || failure.kind == FailureKind::Interrupted,
     };
     let producer = port.producers.iter().copied().find(blocks)?;
     Some(match rests[producer].clone()? {

@@ -31,7 +31,7 @@ pub struct RunSummary {
 
 impl RunSummary {
     /// The program's exit code (see [`exit`]). Missing data alone is no failure while anything at the end of the
-    /// graph could be made, unless the user requires all data.
+    /// graph could be made of data that is there, unless the user requires all data.
     pub fn exit_code(&self, require_data: bool) -> u8 {
         let counts = &self.counts;
         if let Some(signal) = &self.stopped_by {
@@ -51,7 +51,11 @@ impl RunSummary {
             return exit::FAILED;
         }
         let some_sink_is_done = self.sinks.iter().any(|name| self.is_done(name));
-        if some_sink_is_done { exit::OK } else { exit::NOTHING }
+        // A table that shows nothing but missing data is made all the same; it is no success.
+        let on_the_way = |name: &&String| !self.sinks.contains(name);
+        let of_something =
+            counts.missing_data == 0 || self.results.keys().filter(on_the_way).any(|name| self.is_done(name));
+        if some_sink_is_done && of_something { exit::OK } else { exit::NOTHING }
     }
 
     /// Failed jobs with their failures, by name.

@@ -119,8 +119,10 @@ fn missing_data_skips_what_needs_it() {
 }
 
 fn nothing_but_missing_data_is_no_success() {
-    let summary = from_files().run(&[]);
-    assert_eq!((summary.counts.missing_data, summary.counts.skipped), (2, 5));
+    let world = from_files();
+    let summary = world.run(&[]);
+    assert_eq!((summary.counts.missing_data, summary.counts.skipped, summary.counts.executed), (2, 4, 1));
+    assert!(world.text(&summary, "list").contains("MissingData"), "the list shows what is missing");
     assert_eq!((summary.exit_code(false), summary.exit_code(true)), (exit::NOTHING, exit::FAILED));
 }
 

@@ -2,12 +2,13 @@
 
 use engine::Artifact;
 
+use super::content::document;
 use super::*;
-use crate::curves::svg_files;
-use crate::{ReportFolder, csv_file, html, latex, typeset};
+use crate::document::{Block, Figure};
+use crate::{ReportFolder, csv_file, latex, svg};
 
 /// A report with every kind of content and awkward names.
-fn awkward() -> Report {
+pub fn awkward() -> Report {
     let mut runs = two_by_two();
     runs.push(run("a_b & <c>|d", "static3dgs", 0, 21.0));
     runs.push(failed("a_b & <c>|d", "deformable4dgs", 0, FailureKind::Diverged));
@@ -19,8 +20,8 @@ fn awkward() -> Report {
 fn equal_reports_have_equal_bytes_and_read_back() {
     let (first, second) = (tempfile::tempdir().expect("folder"), tempfile::tempdir().expect("folder"));
     let params = TableGenerationParams::default();
-    let written = ReportFolder::write(awkward(), &params, first.path()).expect("written");
-    ReportFolder::write(awkward(), &params, second.path()).expect("written");
+    let written = ReportFolder::write(awkward(), Vec::new(), &params, first.path()).expect("written");
+    ReportFolder::write(awkward(), Vec::new(), &params, second.path()).expect("written");
     let opened = ReportFolder::open(first.path()).expect("opened");
     opened.check().expect("valid");
     assert_eq!(opened, written);
@@ -31,14 +32,14 @@ fn equal_reports_have_equal_bytes_and_read_back() {
         assert_eq!(read(&first), read(&second), "{name:?}");
         n_files += 1;
     }
-    assert_eq!(n_files, 6 + 3, "five texts, all curves, and one SVG per scene");
+    assert_eq!(n_files, 6 + 4, "six texts, and the figures of costs, curves, frames and the front");
     std::fs::remove_file(first.path().join("report.tex")).expect("removed");
     assert!(opened.check().is_err(), "a missing file was accepted");
 }
 
 #[test]
 fn markdown_rows_have_as_many_cells_as_their_header() {
-    let text = crate::markdown::markdown(&typeset::document(&awkward(), &TableGenerationParams::default()));
+    let text = crate::markdown::markdown(&document(&awkward()));
     let cells = |line: &str| line.replace("\\|", "").matches('|').count();
     let lines: Vec<&str> = text.lines().collect();
     let mut n_tables = 0;
@@ -53,7 +54,7 @@ fn markdown_rows_have_as_many_cells_as_their_header() {
 
 #[test]
 fn latex_is_balanced_and_escaped() {
-    let text = latex::latex(&typeset::document(&awkward(), &TableGenerationParams::default()));
+    let text = latex::latex(&document(&awkward()));
     let mut environments = Vec::new();
     for (start, _) in text.match_indices("\\begin{").chain(text.match_indices("\\end{")) {
         environments.push(start);
@@ -83,7 +84,7 @@ fn csv_parses_and_keeps_every_digit() {
     let mut runs = two_by_two();
     runs[0].figures.insert(Column::PSNR, Score::Value(1.0 / 3.0));
     runs.push(failed("lego, \"test\"", "static3dgs", 0, FailureKind::MissingData));
-    let text = csv_file::csv(&report(runs.clone())).expect("CSV");
+    let text = csv_file::runs(&report(runs.clone())).expect("CSV");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().expect("a header").clone();
     let column = |name: &str| header.iter().position(|heading| heading == name).expect("a column");
@@ -96,35 +97,39 @@ fn csv_parses_and_keeps_every_digit() {
 }
 
 #[test]
-fn html_closes_every_element_and_needs_no_other_file() {
-    let text = html::html(&typeset::document(&awkward(), &TableGenerationParams::default()));
-    for element in ["html", "head", "body", "table", "thead", "tbody", "tr", "td", "th", "p", "svg", "g", "figure"] {
-        let opened = text.matches(&format!("<{element}>")).count() + text.matches(&format!("<{element} ")).count();
-        assert_eq!(opened, text.matches(&format!("</{element}>")).count(), "{element}");
-    }
-    assert!(!text.contains("src=") && !text.contains("href="), "refers to another file");
-    assert!(text.contains("a_b &amp; &lt;c&gt;|d"));
+fn frames_have_a_line_each() {
+    let text = csv_file::frames(&report(two_by_two())).expect("CSV");
+    assert_eq!(text.lines().count(), 1 + 8 * 4);
+    assert!(text.contains("A,static3dgs,bouncingballs,0,test_2,0.5,22\n"), "{text}");
+}
+
+/// The figure in the file of this name.
+fn figure(report: &Report, params: &TableGenerationParams, file: &str) -> Option<Figure> {
+    let document = crate::sections::document(report, Vec::new(), params).expect("a document");
+    let blocks = document.sections.into_iter().flat_map(|section| section.blocks);
+    blocks.into_iter().find_map(|block| match block {
+        Block::Figure(figure) if figure.file == file => Some(figure),
+        _ => None,
+    })
 }
 
 #[test]
-fn curves_have_a_line_a_label_and_a_band_per_method() {
+fn curves_have_a_line_a_number_and_a_band_per_method() {
     for log_time in [false, true] {
         let params = TableGenerationParams { log_time, ..Default::default() };
-        let files = svg_files(&report(two_by_two()), &params);
-        let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(names, ["curves.svg", "curves-bouncingballs.svg", "curves-trex.svg"]);
-        let svg = &files[1].1;
-        for part in [
-            ">static3dgs ",
-            ">deformable4dgs ",
-            "stroke-dasharray=\"7 3\"",
-            "training time (s)",
-            "PSNR on validation views (dB)",
-        ] {
-            assert!(svg.contains(part), "{part} is missing: {svg}");
+        let figure = figure(&report(two_by_two()), &params, "curves.svg").expect("curves");
+        let titles: Vec<&str> = figure.panels.iter().map(|panel| panel.title.as_str()).collect();
+        assert_eq!(titles, ["bouncingballs", "trex", "mean of 2 scenes"]);
+        let labels: Vec<String> = figure.legend.iter().map(crate::document::Key::text).collect();
+        assert_eq!(labels, ["1 static3dgs", "2 deformable4dgs"]);
+        let text = svg::file(&figure);
+        for part in
+            ["stroke-dasharray=\"7 3\"", ">training time (s", "PSNR, validation views (dB)", ">2 deformable4dgs<"]
+        {
+            assert!(text.contains(part), "{part} is missing: {text}");
         }
-        assert_eq!(svg.matches("opacity=\"0.15\"").count(), 2, "a band per method with two seeds");
-        assert!(!svg.contains("NaN") && !svg.contains("inf") && !svg.contains('–'), "{svg}");
+        assert_eq!(text.matches("opacity=\"0.15\"").count(), 6, "a band per method with two seeds");
+        assert!(!text.contains("NaN") && !text.contains("inf") && !text.contains('–'), "{text}");
     }
 }
 
@@ -133,20 +138,21 @@ fn degenerate_curves_are_drawn_or_left_out() {
     let with_curve = |curve: Vec<CurvePoint>| {
         let mut run = run("trex", "static3dgs", 0, 30.0);
         run.set_curve(curve);
-        svg_files(&report(vec![run]), &TableGenerationParams::default())
+        figure(&report(vec![run]), &TableGenerationParams::default(), "curves.svg")
     };
     let at = |seconds, psnr_val| CurvePoint { seconds, iteration: 0, n_gaussians: 0, psnr_val };
     let cases = [
-        (vec![], 1),
-        (vec![at(1.0, None)], 1),
-        (vec![at(f64::NAN, Some(20.0))], 1),
-        (vec![at(0.0, Some(20.0))], 2),
-        (vec![at(5.0, Some(20.0)), at(9.0, Some(20.0))], 2),
-        (vec![at(5.0, Some(20.0)), at(5.0, Some(21.0))], 2),
+        (vec![], false),
+        (vec![at(1.0, None)], false),
+        (vec![at(f64::NAN, Some(20.0))], false),
+        (vec![at(0.0, Some(20.0))], true),
+        (vec![at(5.0, Some(20.0)), at(9.0, Some(20.0))], true),
+        (vec![at(5.0, Some(20.0)), at(5.0, Some(21.0))], true),
     ];
-    for (i, (curve, n_files)) in cases.into_iter().enumerate() {
-        let files = with_curve(curve);
-        assert_eq!(files.len(), n_files, "case {i}");
-        assert!(files.iter().all(|(_, svg)| !svg.contains("NaN") && !svg.contains('–')), "case {i}: {files:?}");
+    for (i, (curve, is_drawn)) in cases.into_iter().enumerate() {
+        let figure = with_curve(curve);
+        assert_eq!(figure.is_some(), is_drawn, "case {i}");
+        let text = figure.map(|figure| svg::file(&figure)).unwrap_or_default();
+        assert!(!text.contains("NaN") && !text.contains('–'), "case {i}: {text}");
     }
 }

@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use engine::{Artifact, Coordinates, Failure, InputRecord, JobContext, Stage};
+use glam::DVec3;
 use metric_evaluation::evaluate_folders;
 use rendering::{RenderedView, Renders};
-use scene::{Split, TimeMap};
+use scene::capture::{CaptureInfo, CaptureWriter, Frame};
+use scene::{Camera, Intrinsics, Split, TimeMap};
 use serde_json::{Value, json};
 use training::{Model, ModelHeader, NamedTensor};
 
@@ -34,7 +36,7 @@ fn write_artifacts(root: &Path) {
         .for_each(|dir| std::fs::create_dir_all(dir).expect("folder"));
     let header = ModelHeader {
         method: "static3dgs".into(),
-        method_params: json!({}),
+        method_params: json!({ "schedule_scale": 0.25 }),
         protocol: protocol(8),
         background: [1.0; 3],
         time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
@@ -78,6 +80,42 @@ fn write_artifacts(root: &Path) {
     judged.write(&metrics).expect("written");
 }
 
+/// A capture with the one view that was rendered, and its record: no seed and no method made it.
+fn capture_record(root: &Path) -> InputRecord {
+    let dir = root.join("capture");
+    let info = CaptureInfo {
+        name: "trex".into(),
+        pose_source: "analytic".into(),
+        protocol: protocol(8),
+        background: [1.0; 3],
+        time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
+        class_names: Vec::new(),
+        bounds_world: None,
+    };
+    let intrinsics = Intrinsics { width: 8, height: 8, focal_x: 8.0, focal_y: 8.0, center_x: 4.0, center_y: 4.0 };
+    let writer = CaptureWriter::create(&dir, info).expect("a capture");
+    for (name, split, level) in [("train_0", Split::Train, 80), ("test_0", Split::Test, 90)] {
+        let frame = Frame {
+            name: name.into(),
+            split,
+            camera: Camera::look_at(intrinsics, DVec3::new(0.0, 0.0, -3.0), DVec3::ZERO, DVec3::Y),
+            camera_index: 0,
+            frame_index: 0,
+            time_secs: 0.0,
+            image: image::RgbImage::from_pixel(8, 8, image::Rgb([level; 3])),
+            alpha: None,
+            depth: None,
+            flow: None,
+            mask: None,
+            velocity: None,
+        };
+        writer.write_view(&frame).expect("written");
+    }
+    writer.finish().expect("a capture");
+    let coordinates = [("scene".to_owned(), "trex".to_owned())].into();
+    InputRecord { coordinates, ..record("capture", "", Ok(&dir), Value::Null) }
+}
+
 /// A plain PNG of 8×8 px.
 fn image(path: &Path, level: u8) {
     let capture_image = image::RgbImage::from_pixel(8, 8, image::Rgb([level; 3]));
@@ -94,7 +132,8 @@ fn artifacts_and_failures_become_a_report() {
     let trained = json!({
         "training_secs": 12.5, "total_secs": 20.0, "peak_memory_bytes": 3_000_000_u64, "ms_per_iteration": 4.5,
         "curve": [{ "seconds": 1.0, "iteration": 10, "n_gaussians": 7, "psnr_val": 20.0, "loss": 0.1 }],
-        "phases": { "blend": 3.0 }, "device": "cpu", "threads": 2
+        "phases": { "blend": 3.0 }, "device": "cpu", "threads": 2, "job": { "wall_secs": 20.0 },
+        "machine": { "cpu": "Processor 1", "cores": null, "hardware_threads": 4 }
     });
     let rendered = json!({ "fps_raster": rate(90.0), "fps_model": rate(80.0), "fps_delivered": rate(60.0) });
     for (port, node, measured) in
@@ -107,6 +146,7 @@ fn artifacts_and_failures_become_a_report() {
         ];
         context.inputs.insert(port.into(), records);
     }
+    context.inputs.insert("capture".into(), vec![capture_record(root.path())]);
     let folder = TableGeneration::run(&context, &TableGenerationParams::default()).expect("a report");
     assert_eq!(ReportFolder::open(&root.path().join("output")).expect("opened"), folder);
     let [good, bad] = folder.report.runs.as_slice() else { panic!("two runs") };
@@ -117,12 +157,17 @@ fn artifacts_and_failures_become_a_report() {
     assert_eq!(figure(Column::SizeMb), Some(84e-6));
     assert_eq!(figure(Column::FpsDelivered), Some(60.0));
     assert!(figure(Column::PSNR).is_some_and(|psnr| (psnr - 28.13).abs() <= 0.01));
-    assert_eq!(good.action_keys["model"], "train-012345");
+    assert_eq!((good.jobs["model"].key.as_str(), good.jobs["model"].wall_secs), ("train-012345", Some(20.0)));
+    assert_eq!(good.machines["training"].line(), "cpu (Processor 1), 2 threads");
+    assert_eq!((good.schedule_scale, good.frames.len()), (Some(0.25), 1));
     let failure = bad.failure.as_ref().expect("a failure");
     assert_eq!((failure.producer.as_str(), failure.message.as_str()), ("train/trex/deformable4dgs/0", "out of memory"));
     let text = folder.markdown().expect("read");
     assert!(text.contains("| deformable4dgs | OOM |"), "{text}");
     assert!(!text.contains("/some/path"), "paths differ between machines");
+    let page = std::fs::read_to_string(root.path().join("output/index.html")).expect("read");
+    assert_eq!(page.matches("src=\"data:image/jpeg;base64,").count(), 3, "truth, render and error");
+    assert!(page.contains("static3dgs: error on trex, view test_0"), "{page}");
 }
 
 #[test]
@@ -133,7 +178,7 @@ fn unreadable_measurements_blame_their_producer() {
     let dir = root.path().join("model");
     let wrong = json!({ "training_secs": "fast" });
     context.inputs.insert("model".into(), vec![record("train", "static3dgs", Ok(&dir), wrong)]);
-    context.inputs.extend(["renders", "metrics"].map(|port| (port.to_owned(), Vec::new())));
+    context.inputs.extend(["renders", "metrics", "capture"].map(|port| (port.to_owned(), Vec::new())));
     let error = TableGeneration::run(&context, &TableGenerationParams::default()).expect_err("must be refused");
     assert!(error.to_string().contains("train/trex/static3dgs/0"), "{error:#}");
 }

@@ -1,13 +1,8 @@
-//! Where the time of a training goes: milliseconds per iteration by phase, what each loss weighs and takes, and the
-//! work that nothing called for.
+//! What trainings measure of where their time goes.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-
-use crate::document::{Table, Text};
-use crate::format::{NONE, number};
-use crate::report::{Group, Row};
 
 /// What trainings measured, beside their sum.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -65,60 +60,6 @@ impl Costs {
         let shares = self.loss_shares.values().flat_map(|share| [share.value_share, share.forward_secs.unwrap_or(0.0)]);
         times.copied().chain(shares).all(f64::is_finite)
     }
-}
-
-/// The tables of one group; those without rows are left out.
-pub fn cost_tables(group: &Group) -> impl Iterator<Item = Table> {
-    [iteration_table(group), loss_table(group), skipped_table(group)].into_iter().filter(|table| !table.rows.is_empty())
-}
-
-/// Milliseconds per iteration: a row per method and phase, a column per activity.
-fn iteration_table(group: &Group) -> Table {
-    let phases = |row: &Row| row.costs.ms_per_iteration_by_phase.clone();
-    let names: BTreeSet<String> =
-        group.rows.iter().flat_map(|row| phases(row).into_values().flat_map(BTreeMap::into_keys)).collect();
-    let header = ["method · phase".into(), "all".into()].into_iter().chain(names.iter().cloned()).collect();
-    let caption = format!("Protocol {}: milliseconds per iteration by phase, mean over runs", group.name);
-    let mut table = Table::new(caption, header);
-    for row in &group.rows {
-        for (phase, activities) in phases(row) {
-            let all: f64 = activities.values().sum();
-            let cells = names.iter().map(|name| activities.get(name).map_or(NONE.into(), |ms| number(*ms, 2)));
-            let cells = [format!("{} · {phase}", row.name), number(all, 2)].into_iter().chain(cells);
-            table.rows.push(cells.map(Text::plain).collect());
-        }
-    }
-    table
-}
-
-/// What each loss weighs in the sum, and how long its forward pass takes.
-fn loss_table(group: &Group) -> Table {
-    let header = ["method · loss", "share of the value (%)", "forward (s)"].map(String::from);
-    let mut table = Table::new(format!("Protocol {}: losses, mean over runs", group.name), header.into());
-    // A method with one loss has nothing to share.
-    for row in group.rows.iter().filter(|row| row.costs.loss_shares.len() > 1) {
-        for (name, share) in &row.costs.loss_shares {
-            let secs = share.forward_secs.map_or(NONE.into(), |secs| number(secs, 2));
-            let cells = [format!("{} · {name}", row.name), number(100.0 * share.value_share, 2), secs];
-            table.rows.push(cells.map(Text::plain).into());
-        }
-    }
-    table
-}
-
-/// What was left out because nothing called for it.
-fn skipped_table(group: &Group) -> Table {
-    let header = ["method · work", "left out", "of", "share (%)"].map(String::from);
-    let caption = format!("Protocol {}: work that no scene called for, sum over runs", group.name);
-    let mut table = Table::new(caption, header.into());
-    for row in &group.rows {
-        for (what, [skipped, of]) in &row.costs.skipped_work {
-            let share = 100.0 * *skipped as f64 / (*of).max(1) as f64;
-            let cells = [format!("{} · {what}", row.name), skipped.to_string(), of.to_string(), number(share, 1)];
-            table.rows.push(cells.map(Text::plain).into());
-        }
-    }
-    table
 }
 
 #[cfg(test)]

@@ -1,0 +1,101 @@
+//! What a measurement says about a published value.
+
+use serde::{Deserialize, Serialize};
+
+use crate::format::signed;
+use crate::report::Cell;
+use crate::statistics::half_width;
+
+/// What our measurement says about a published PSNR.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "verdict", rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Within the allowed difference.
+    Reproduced {
+        /// Measured minus published, dB.
+        delta_db: f64,
+    },
+    /// Farther away, but inside the 95 % interval of our mean over seeds.
+    WithinSpread {
+        /// Measured minus published, dB.
+        delta_db: f64,
+    },
+    /// Measured below by more than that.
+    Below {
+        /// Measured minus published, dB.
+        delta_db: f64,
+    },
+    /// Measured above by more than that.
+    Above {
+        /// Measured minus published, dB.
+        delta_db: f64,
+    },
+    /// The protocols differ, or the source does not state its own.
+    NotComparable,
+    /// We have no number.
+    NotMeasured,
+}
+
+impl Verdict {
+    /// The verdict on a published value; `differences` are those of the protocols.
+    pub fn new(published: f64, measured: &Cell, differences: &[String], tolerance_db: f64) -> Self {
+        let Some(mean) = measured.mean else { return Self::NotMeasured };
+        if !differences.is_empty() {
+            return Self::NotComparable;
+        }
+        let spread_db = measured.std.and_then(|std| half_width(std, measured.n())).unwrap_or(0.0);
+        Self::of(mean - published, tolerance_db, spread_db)
+    }
+
+    fn of(delta_db: f64, tolerance_db: f64, spread_db: f64) -> Self {
+        // Published values have two decimals: a difference is decided on as many, so that 0.30 is within 0.3.
+        let rounded = (delta_db * 100.0).round() / 100.0;
+        if rounded.abs() <= tolerance_db {
+            Self::Reproduced { delta_db }
+        } else if delta_db.abs() <= spread_db {
+            Self::WithinSpread { delta_db }
+        } else if delta_db < 0.0 {
+            Self::Below { delta_db }
+        } else {
+            Self::Above { delta_db }
+        }
+    }
+
+    /// In words, with the difference where there is a verdict.
+    pub fn text(&self) -> String {
+        match self {
+            Self::Reproduced { delta_db } => format!("reproduced ({})", signed(*delta_db, 2)),
+            Self::WithinSpread { delta_db } => format!("within spread ({})", signed(*delta_db, 2)),
+            Self::Below { delta_db } => format!("measured below ({})", signed(*delta_db, 2)),
+            Self::Above { delta_db } => format!("measured above ({})", signed(*delta_db, 2)),
+            Self::NotComparable => "not comparable".into(),
+            Self::NotMeasured => "not measured".into(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn verdicts_are_decided_on_two_decimals() {
+        assert!(matches!(Verdict::of(0.3, 0.3, 0.0), Verdict::Reproduced { .. }));
+        assert!(matches!(Verdict::of(-0.304, 0.3, 0.0), Verdict::Reproduced { .. }));
+        assert!(matches!(Verdict::of(-0.306, 0.3, 0.0), Verdict::Below { .. }));
+        assert!(matches!(Verdict::of(0.306, 0.3, 0.0), Verdict::Above { .. }));
+    }
+
+    #[test]
+    fn a_spread_over_seeds_excuses_a_difference_only_with_several_seeds() {
+        let cell = |values: &[f64], std| Cell { mean: Some(30.0), std, values: values.into(), ..Cell::default() };
+        // Half a decibel of spread over three seeds: the interval reaches 4.303 · 0.5 / √3 = 1.24 dB.
+        let spread = cell(&[29.5, 30.0, 30.5], Some(0.5));
+        let verdict = |published| Verdict::new(published, &spread, &[], 0.3);
+        assert!(matches!(verdict(31.2), Verdict::WithinSpread { .. }));
+        assert!(matches!(verdict(31.3), Verdict::Below { .. }));
+        assert!(matches!(Verdict::new(31.2, &cell(&[30.0], None), &[], 0.3), Verdict::Below { .. }));
+        assert_eq!(Verdict::new(30.0, &spread, &["other images".into()], 0.3), Verdict::NotComparable);
+        assert_eq!(Verdict::new(30.0, &Cell::default(), &[], 0.3), Verdict::NotMeasured);
+    }
+}

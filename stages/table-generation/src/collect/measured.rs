@@ -1,0 +1,70 @@
+//! What stages measure beside their artifacts.
+
+use std::collections::BTreeMap;
+
+use anyhow::Context as _;
+use engine::InputRecord;
+use scene::Split;
+use serde::Deserialize;
+
+use super::costs::Costs;
+use super::run::{CurvePoint, Machine};
+
+/// What training measures beside its model.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub struct TrainingMeasurements {
+    pub training_secs: Option<f64>,
+    pub ms_per_iteration: Option<f64>,
+    pub peak_memory_bytes: Option<f64>,
+    pub curve: Vec<CurvePoint>,
+    pub curve_split: Option<Split>,
+    pub phases: BTreeMap<String, f64>,
+    #[serde(flatten)]
+    pub costs: Costs,
+}
+
+/// What rendering measures beside its images.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub struct RenderingMeasurements {
+    pub fps_raster: Option<FrameRate>,
+    pub fps_model: Option<FrameRate>,
+    pub fps_delivered: Option<FrameRate>,
+}
+
+/// Frames per second over the rendered views.
+#[derive(Deserialize)]
+pub struct FrameRate {
+    pub median: f64,
+}
+
+/// What every job measures.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct JobMeasurements {
+    job: Wall,
+    machine: Machine,
+    device: Option<String>,
+    threads: Option<u64>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Wall {
+    wall_secs: Option<f64>,
+}
+
+/// The producer's measurements; a producer that measured nothing has none.
+pub fn measurements<T: Default + for<'a> Deserialize<'a>>(record: &InputRecord) -> anyhow::Result<T> {
+    if record.measurements.is_null() {
+        return Ok(T::default());
+    }
+    T::deserialize(&record.measurements).with_context(|| format!("cannot read the measurements of {}", record.producer))
+}
+
+/// Seconds that the producer took, and what it ran on, where it says so.
+pub fn circumstances(record: &InputRecord) -> anyhow::Result<(Option<f64>, Option<Machine>)> {
+    let JobMeasurements { job, machine, device, threads } = measurements(record)?;
+    Ok((job.wall_secs, device.map(|device| Machine { device, threads, ..machine })))
+}

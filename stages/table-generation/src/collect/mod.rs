@@ -1,0 +1,227 @@
+//! From the inputs of a job to runs: one per scene, method and seed, with everything that was measured about it.
+
+pub mod costs;
+mod measured;
+mod run;
+
+use std::path::Path;
+
+use engine::{Artifact, Coordinates, Input, InputRecord, JobContext};
+use metric_evaluation::{Metric, Metrics, Score};
+use rendering::Renders;
+use serde_json::Value;
+use training::{Model, ModelHeader};
+
+pub use run::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure};
+
+use crate::Column;
+use measured::{RenderingMeasurements, TrainingMeasurements, circumstances, measurements};
+
+/// The axis whose values are variants of a method; the first value that a recipe lists is what others are compared with.
+pub const VARIANTS: &str = "ablation";
+
+/// Hexadecimal digits of an action key that tables show.
+const SHORT_KEY: usize = 12;
+
+/// A model without its tensors, so that a report over many models does not hold them all in memory.
+pub struct ModelSummary {
+    header: ModelHeader,
+    size_bytes: u64,
+}
+
+impl Artifact for ModelSummary {
+    const NAME: &'static str = Model::NAME;
+    const SCHEMA: u32 = Model::SCHEMA;
+
+    fn open(dir: &Path) -> anyhow::Result<Self> {
+        let model = Model::open(dir)?;
+        model.check()?;
+        Ok(Self { size_bytes: model.size_bytes(), header: model.header })
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+engine::artifact! {
+    /// The capture whose images are the truth.
+    pub struct TrueImages(scene::Capture) = "capture" @ scene::capture::SCHEMA;
+}
+
+/// What a job reads, opened and checked; a producer that failed is an outcome.
+pub struct Inputs {
+    models: Vec<Input<ModelSummary>>,
+    renders: Vec<Input<Renders>>,
+    metrics: Vec<Input<Metrics>>,
+    captures: Vec<Input<TrueImages>>,
+}
+
+impl Inputs {
+    /// Opens the producers on the ports `model`, `renders`, `metrics` and `capture`.
+    pub fn open(context: &JobContext) -> anyhow::Result<Self> {
+        Ok(Self {
+            models: context.inputs("model")?,
+            renders: context.inputs("renders")?,
+            metrics: context.inputs("metrics")?,
+            captures: context.inputs("capture")?,
+        })
+    }
+
+    /// Joins models, renders and metrics to runs, in the order of the recipe.
+    pub fn runs(&self) -> anyhow::Result<Vec<Run>> {
+        let records = || records(&self.models).chain(records(&self.renders)).chain(records(&self.metrics));
+        // A run is the finest set of coordinates; a producer that lacks an axis belongs to all of its runs.
+        let mut finest: Vec<&Coordinates> = Vec::new();
+        for InputRecord { coordinates, .. } in records() {
+            let coarser =
+                records().any(|other| other.coordinates != *coordinates && is_part(coordinates, &other.coordinates));
+            if !coarser && !finest.contains(&coordinates) {
+                finest.push(coordinates);
+            }
+        }
+        finest.into_iter().map(|coordinates| self.run_at(coordinates)).collect()
+    }
+
+    fn run_at(&self, coordinates: &Coordinates) -> anyhow::Result<Run> {
+        let mut run = Run { scene: axis(coordinates, "scene"), seed: axis(coordinates, "seed"), ..Run::default() };
+        for input in belonging(&self.models, coordinates) {
+            run.add_model(input)?;
+        }
+        for input in belonging(&self.renders, coordinates) {
+            run.add_renders(input)?;
+        }
+        for input in belonging(&self.metrics, coordinates) {
+            run.add_metrics(input)?;
+        }
+        run.name_row(coordinates);
+        Ok(run)
+    }
+
+    /// The renders of a run and the capture that they show, where both are there.
+    pub fn images_of(&self, run: &Run) -> Option<(&Renders, &TrueImages)> {
+        let job = run.jobs.get("renders")?;
+        let rendered = self.renders.iter().find(|input| input.record.producer == job.name)?;
+        let capture = self.captures.iter().find(|input| {
+            is_part(&input.record.coordinates, &rendered.record.coordinates)
+                && input.artifact.as_ref().is_ok_and(|capture| Some(&capture.protocol) == run.protocol.as_ref())
+        })?;
+        Some((rendered.artifact.as_ref().ok()?, capture.artifact.as_ref().ok()?))
+    }
+}
+
+fn is_part(part: &Coordinates, whole: &Coordinates) -> bool {
+    part.iter().all(|(axis, value)| whole.get(axis) == Some(value))
+}
+
+fn belonging<'a, A>(inputs: &'a [Input<A>], coordinates: &Coordinates) -> impl Iterator<Item = &'a Input<A>> {
+    inputs.iter().filter(move |input| is_part(&input.record.coordinates, coordinates))
+}
+
+fn records<A>(inputs: &[Input<A>]) -> impl Iterator<Item = &InputRecord> {
+    inputs.iter().map(|input| &input.record)
+}
+
+/// The value of an axis; a recipe without the axis has one nameless value.
+fn axis(coordinates: &Coordinates, name: &str) -> String {
+    coordinates.get(name).cloned().unwrap_or_else(|| "–".into())
+}
+
+impl Run {
+    fn add_model(&mut self, input: &Input<ModelSummary>) -> anyhow::Result<()> {
+        let Some(model) = self.add_record("model", input, "training")? else { return Ok(()) };
+        self.method.clone_from(&model.header.method);
+        self.protocol = Some(model.header.protocol.clone());
+        let number = |name: &str| model.header.method_params.get(name).and_then(Value::as_f64);
+        self.schedule_scale = number("schedule_scale");
+        self.budget_secs = number("budget_secs");
+        self.set(Column::Gaussians, Some(model.header.n_gaussians as f64));
+        self.set(Column::SizeMb, Some(model.size_bytes as f64 / 1e6));
+        let measured: TrainingMeasurements = measurements(&input.record)?;
+        self.set(Column::TrainingSecs, measured.training_secs);
+        self.set(Column::MsPerIteration, measured.ms_per_iteration);
+        self.set(Column::PeakMemoryMb, measured.peak_memory_bytes.map(|bytes| bytes / 1e6));
+        self.phases = measured.phases;
+        self.costs = measured.costs;
+        self.curve_split = measured.curve_split;
+        self.set_curve(measured.curve);
+        Ok(())
+    }
+
+    fn add_renders(&mut self, input: &Input<Renders>) -> anyhow::Result<()> {
+        let Some(renders) = self.add_record("renders", input, "rendering")? else { return Ok(()) };
+        self.method.clone_from(&renders.method);
+        self.protocol = Some(renders.protocol.clone());
+        let measured: RenderingMeasurements = measurements(&input.record)?;
+        self.set(Column::FpsRaster, measured.fps_raster.map(|rate| rate.median));
+        self.set(Column::FpsModel, measured.fps_model.map(|rate| rate.median));
+        self.set(Column::FpsDelivered, measured.fps_delivered.map(|rate| rate.median));
+        Ok(())
+    }
+
+    fn add_metrics(&mut self, input: &Input<Metrics>) -> anyhow::Result<()> {
+        let Some(metrics) = self.add_record("metrics", input, "judging")? else { return Ok(()) };
+        self.method.clone_from(&metrics.method);
+        self.protocol = Some(metrics.protocol.clone());
+        self.judged_by = Some(metrics.judged_by());
+        let figures = metrics.means.iter().map(|(metric, score)| (Column::Metric(*metric), score.clone()));
+        self.figures.extend(figures);
+        self.frames = metrics
+            .images
+            .iter()
+            .filter_map(|image| {
+                let psnr = image.values.get(&Metric::Psnr)?.value().filter(|psnr| psnr.is_finite())?;
+                Some(FrameScore { name: image.name.clone(), time_secs: image.time_secs, psnr })
+            })
+            .collect();
+        Ok(())
+    }
+
+    /// Keeps the job, its machine and the first failure; returns the artifact if there is one.
+    fn add_record<'a, A>(&mut self, port: &str, input: &'a Input<A>, work: &str) -> anyhow::Result<Option<&'a A>> {
+        let record = &input.record;
+        let (wall_secs, machine) = circumstances(record)?;
+        let key = record.action_key.chars().take(SHORT_KEY).collect();
+        self.jobs.insert(port.into(), Job { name: record.producer.clone(), key, wall_secs });
+        self.machines.extend(machine.map(|machine| (work.to_owned(), machine)));
+        if let Err(failure) = &input.artifact {
+            let hint = failure.hint.as_ref().map(|hint| format!("; {hint}")).unwrap_or_default();
+            self.failure.get_or_insert_with(|| RunFailure {
+                producer: record.producer.clone(),
+                kind: failure.kind,
+                message: format!("{}{hint}", failure.message),
+            });
+        }
+        Ok(input.artifact.as_ref().ok())
+    }
+
+    /// The row is named by the method and every axis that is neither scene nor seed.
+    fn name_row(&mut self, coordinates: &Coordinates) {
+        if let Some(method) = coordinates.get("method") {
+            self.method.clone_from(method);
+        }
+        self.variant = coordinates.get(VARIANTS).cloned();
+        let named = |name: &str| matches!(name, "scene" | "seed" | "method");
+        let others = coordinates.iter().filter(|(name, _)| !named(name)).map(|(name, value)| format!("{name}={value}"));
+        let method = Some(self.method.clone()).filter(|method| !method.is_empty());
+        self.row = method.into_iter().chain(others).collect::<Vec<_>>().join(" ");
+    }
+
+    /// Keeps the curve and what follows from it: seconds to a quality, quality after some seconds.
+    pub(crate) fn set_curve(&mut self, curve: Vec<CurvePoint>) {
+        self.curve = curve;
+        if self.curve.iter().all(|point| point.psnr_val.is_none()) {
+            return;
+        }
+        for column in Column::TIME_TO_SHARE.into_iter().chain(Column::TIME_TO_DB).chain(Column::BUDGETS) {
+            let score = column.of_curve(&self.curve).unwrap_or_else(|| Score::undefined("not measured"));
+            self.figures.insert(column, score);
+        }
+    }
+
+    fn set(&mut self, column: Column, value: Option<f64>) {
+        if let Some(value) = value {
+            self.figures.insert(column, Score::Value(value));
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! From runs to groups of rows: what may be compared, and means over scenes and seeds.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use metric_evaluation::Score;
+use scene::Protocol;
+
+use crate::claims::{Claim, ClaimTable};
+use crate::collect::Run;
+use crate::collect::costs::Costs;
+use crate::format::number;
+use crate::ranks::rank;
+use crate::report::{Cell, Cells, Group, Row, ScenePart, failure_mark};
+use crate::statistics::{mean, sample_std};
+use crate::{Column, TableGenerationParams};
+
+/// One group per protocol and metric definition among the measured runs, in order of appearance.
+pub fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -> Vec<Group> {
+    let key = |run: &Run| Some((run.protocol.as_ref()?.line(), run.judged_by.clone()?));
+    let mut keys = Vec::new();
+    for run in runs {
+        keys.extend(key(run).filter(|key| !keys.contains(key)));
+    }
+    let measured_scenes: BTreeSet<&str> =
+        runs.iter().filter(|run| key(run).is_some()).map(|run| run.scene.as_str()).collect();
+    let in_group = |name: usize, wanted: &(String, String)| {
+        let members: Vec<&Run> = runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted)).collect();
+        let member_scenes: BTreeSet<&str> = members.iter().map(|run| run.scene.as_str()).collect();
+        // A failed run has no protocol: it leaves a hole wherever its scene is tabulated, or, where its scene failed
+        // for every method, in every group, so that no mean silently skips that scene.
+        let leaves_hole = |run: &Run| {
+            key(run).is_none()
+                && (member_scenes.contains(run.scene.as_str()) || !measured_scenes.contains(run.scene.as_str()))
+        };
+        let relevant: Vec<&Run> =
+            runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted) || leaves_hole(run)).collect();
+        group(name, &members, &relevant, claims, params)
+    };
+    keys.iter().enumerate().filter_map(|(name, wanted)| in_group(name, wanted)).collect()
+}
+
+/// The group of the measured runs `members`; `relevant` adds the failed ones.
+fn group(
+    index: usize,
+    members: &[&Run],
+    relevant: &[&Run],
+    claims: &[Claim],
+    params: &TableGenerationParams,
+) -> Option<Group> {
+    let protocol = members.first()?.protocol.clone()?;
+    let scenes = distinct(relevant.iter().map(|run| run.scene.as_str()));
+    let parts = parts_of(&protocol, &scenes);
+    let names = distinct(relevant.iter().map(|run| run.row.as_str()));
+    let mut rows: Vec<Row> = names.iter().map(|name| row(name, &scenes, &parts, relevant)).collect();
+    let works = || members.iter().flat_map(|run| &run.machines).map(|(work, machine)| (work, machine.line()));
+    let machines: BTreeSet<(&String, String)> = works().collect();
+    // Times of different machines do not compare.
+    let one_machine = machines.len() == works().map(|(work, _)| work).collect::<BTreeSet<_>>().len();
+    rank(&mut rows, &scenes, one_machine);
+    let mut group = Group {
+        name: char::from(b'A' + (index % 26) as u8).to_string().repeat(index / 26 + 1),
+        protocol,
+        judged_by: members.first()?.judged_by.clone()?,
+        machines: machines.into_iter().map(|(work, machine)| format!("{work} on {machine}")).collect(),
+        scenes,
+        parts,
+        rows,
+        claims: Vec::new(),
+    };
+    group.claims = group.rows.iter().filter_map(|row| ClaimTable::new(row, &group, claims, params)).collect();
+    Some(group)
+}
+
+/// D-NeRF's Lego shows another state in its test images than in training: half of the literature leaves it out of
+/// means, half does not, so that both means stand side by side.
+fn parts_of(protocol: &Protocol, scenes: &[String]) -> Vec<ScenePart> {
+    let others: Vec<String> = scenes.iter().filter(|scene| *scene != "lego").cloned().collect();
+    let is_both = protocol.dataset == "dnerf" && !others.is_empty() && others.len() < scenes.len();
+    is_both.then(|| ScenePart { name: "without lego".into(), scenes: others }).into_iter().collect()
+}
+
+/// The distinct values in order of appearance, which is that of the recipe.
+pub fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut seen = Vec::new();
+    for value in values {
+        if !seen.iter().any(|other| other == value) {
+            seen.push(value.to_owned());
+        }
+    }
+    seen
+}
+
+fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row {
+    let runs: Vec<&Run> = runs.iter().copied().filter(|run| run.row == name).collect();
+    let seeds = distinct(runs.iter().map(|run| run.seed.as_str()));
+    let means = |scenes: &[String]| -> Cells {
+        Column::all().map(|column| (column, mean_cell(&runs, scenes, &seeds, column))).collect()
+    };
+    let by_scene = scenes.iter().map(|scene| {
+        let here: Vec<&Run> = runs.iter().copied().filter(|run| run.scene == *scene).collect();
+        (scene.clone(), Column::all().map(|column| (column, scene_cell(&here, seeds.len(), column))).collect())
+    });
+    Row {
+        name: name.into(),
+        method: runs.iter().map(|run| run.method.clone()).find(|method| !method.is_empty()).unwrap_or_default(),
+        variant: runs.first().and_then(|run| run.variant.clone()),
+        headline: means(scenes),
+        parts: parts.iter().map(|part| means(&part.scenes)).collect(),
+        by_scene: by_scene.collect(),
+        shortened: shortened(&runs),
+        phases: mean_phases(&runs),
+        costs: Costs::mean(runs.iter().map(|run| &run.costs)),
+    }
+}
+
+/// Seconds per phase, mean over the runs that measured any.
+fn mean_phases(runs: &[&Run]) -> BTreeMap<String, f64> {
+    let n_measured = runs.iter().filter(|run| !run.phases.is_empty()).count();
+    let mut phases = BTreeMap::<String, f64>::new();
+    for (phase, secs) in runs.iter().flat_map(|run| &run.phases) {
+        *phases.entry(phase.clone()).or_default() += secs / n_measured as f64;
+    }
+    phases
+}
+
+/// How the runs' schedules differ from the method's own.
+fn shortened(runs: &[&Run]) -> Option<String> {
+    let scale = |run: &&Run| run.schedule_scale.filter(|scale| *scale != 1.0);
+    let scales = runs.iter().filter_map(scale).map(|scale| format!("schedule at {} of its length here", short(scale)));
+    let budgets = runs.iter().filter_map(|run| run.budget_secs);
+    let budgets = budgets.map(|secs| format!("training cut to {} s here", short(secs)));
+    let texts: Vec<String> = scales.chain(budgets).collect();
+    let texts = distinct(texts.iter().map(String::as_str));
+    (!texts.is_empty()).then(|| texts.join(", "))
+}
+
+/// The number with up to four decimals.
+fn short(value: f64) -> String {
+    let text = number(value, 4);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// A figure of a run, or why it has none.
+fn figure(run: &Run, column: Column) -> Result<f64, String> {
+    match run.figures.get(&column) {
+        Some(Score::Value(value)) if value.is_finite() => Ok(*value),
+        Some(Score::Value(_)) => Err("not finite".into()),
+        Some(Score::Undefined { undefined }) => Err(undefined.clone()),
+        None => Err(run.failure.as_ref().map_or("not measured".into(), |failure| failure_mark(failure.kind).into())),
+    }
+}
+
+/// Mean over the seeds of one scene.
+fn scene_cell(runs: &[&Run], n_expected: usize, column: Column) -> Cell {
+    let figures: Vec<_> = runs.iter().map(|run| figure(run, column)).collect();
+    let values: Vec<f64> = figures.iter().filter_map(|figure| figure.clone().ok()).collect();
+    let reason = figures.into_iter().find_map(Result::err);
+    cell(values, n_expected, if runs.is_empty() { Some("not run".into()) } else { reason })
+}
+
+/// Mean over scenes for each seed, then mean and spread over the seeds for which no scene is missing.
+fn mean_cell(runs: &[&Run], scenes: &[String], seeds: &[String], column: Column) -> Cell {
+    let mut reason = None;
+    let mut replicate = |seed: &String| {
+        let value_in = |scene: &String| {
+            let run = runs.iter().find(|run| run.scene == *scene && run.seed == *seed);
+            run.map_or(Err("not run".into()), |run| figure(run, column)).map_err(|why| format!("{scene}: {why}"))
+        };
+        let values: Result<Vec<f64>, String> = scenes.iter().map(value_in).collect();
+        values.map_err(|why| reason.get_or_insert(why).clone()).ok().and_then(|values| mean(&values))
+    };
+    let replicates: Vec<f64> = seeds.iter().filter_map(&mut replicate).collect();
+    cell(replicates, seeds.len(), reason)
+}
+
+fn cell(values: Vec<f64>, n_expected: usize, reason: Option<String>) -> Cell {
+    Cell { mean: mean(&values), std: sample_std(&values), values, n_expected, reason, ..Cell::default() }
+}

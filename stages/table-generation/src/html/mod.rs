@@ -1,0 +1,142 @@
+//! Documents as one HTML page that needs no other file and no script.
+
+mod pictures;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use crate::document::{Block, Document, Figure, Section, Table, Text};
+use crate::svg::{Panel, SAMPLE};
+
+/// How the page looks: light and dark, narrow and wide, on paper.
+const STYLE: &str = include_str!("style.css");
+
+/// The document as a self-contained page.
+pub fn html(document: &Document) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (document.title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                header {
+                    h1 { (document.title) }
+                    nav aria-label="sections" {
+                        ul { @for Section { id, heading, .. } in &document.sections { li { a href={ "#" (id) } { (heading) } } } }
+                    }
+                }
+                main { @for part in &document.sections { (section(part)) } }
+            }
+        }
+    };
+    page.into_string() + "\n"
+}
+
+fn section(part: &Section) -> Markup {
+    html! {
+        section id=(part.id) {
+            h2 { (part.heading) }
+            @for block in &part.blocks {
+                @match block {
+                    Block::Heading(heading) => h3 { (heading) },
+                    Block::Paragraph(paragraph) => p { (paragraph) },
+                    Block::Table(content) => (table(content)),
+                    Block::Figure(content) => (figure(content)),
+                    Block::Pictures(sheets) => (pictures::sheets(sheets)),
+                }
+            }
+        }
+    }
+}
+
+fn table(table: &Table) -> Markup {
+    html! {
+        div class="wide" tabindex="0" role="region" aria-label=(table.caption) {
+            table {
+                caption { span { (table.caption) } }
+                thead {
+                    @if !table.groups.is_empty() {
+                        tr { @for (text, columns) in &table.groups { th colspan=(columns) scope="colgroup" { (text) } } }
+                    }
+                    tr {
+                        @for (at, heading) in table.header.iter().enumerate() {
+                            th scope="col" class=[(at < table.n_text).then_some("text")] { (heading) }
+                        }
+                    }
+                }
+                tbody { @for cells in &table.rows { (row(cells, table)) } }
+            }
+        }
+        @for line in table.lines_below() { p class="note" { (line) } }
+    }
+}
+
+/// A row whose first cell names it, or a heading over the rows below it.
+fn row(cells: &[Text], table: &Table) -> Markup {
+    html! {
+        tr {
+            @match cells {
+                [only] if table.header.len() > 1 => {
+                    th class="over" colspan=(table.header.len()) scope="colgroup" { (cell(only)) }
+                },
+                [first, others @ ..] => {
+                    th scope="row" id=[&first.id] { (cell(first)) }
+                    @for (at, other) in others.iter().enumerate() {
+                        td id=[&other.id] class=[class(other, at + 1 < table.n_text)] { (cell(other)) }
+                    }
+                },
+                [] => {},
+            }
+        }
+    }
+}
+
+fn class(text: &Text, is_text: bool) -> Option<&'static str> {
+    match text.rank {
+        1 => Some("best"),
+        2 => Some("second"),
+        3 => Some("third"),
+        _ => (is_text || text.is_code).then_some("text"),
+    }
+}
+
+fn cell(text: &Text) -> Markup {
+    html! {
+        @if let Some(link) = &text.link {
+            a href={ "#" (link.to) } title=(link.hint) { (text.text) }
+        } @else if text.is_code {
+            code { (text.text) }
+        } @else {
+            (text.text)
+        }
+    }
+}
+
+fn figure(figure: &Figure) -> Markup {
+    html! {
+        figure {
+            ul class="legend" {
+                @for key in &figure.legend {
+                    li {
+                        svg width=(SAMPLE[0]) height=(SAMPLE[1]) aria-hidden="true" { (key.sample) }
+                        " " (key.text())
+                    }
+                }
+            }
+            div class="panels" { @for content in &figure.panels { (panel(content)) } }
+            figcaption { (figure.caption) }
+        }
+    }
+}
+
+fn panel(panel: &Panel) -> Markup {
+    let Panel { title, width, height, drawing } = panel;
+    html! {
+        svg viewBox=(format!("0 0 {width} {height}")) width=(width) height=(height) role="img" aria-label=(title) {
+            (drawing)
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! Which values of a column are best, and which cannot be told from it.
+
+use crate::report::{Cell, Row};
+use crate::statistics::welch_half_width;
+use crate::{Column, format};
+
+/// Ranks every column on rounded values: equal roundings share a rank; a single value has none. Times of several
+/// machines have none either.
+pub fn rank(rows: &mut [Row], scenes: &[String], one_machine: bool) {
+    let n_parts = rows.first().map_or(0, |row| row.parts.len());
+    for column in Column::all().filter(|column| one_machine || !column.is_timing()) {
+        rank_cells(rows.iter_mut().filter_map(|row| row.headline.get_mut(&column)).collect(), column);
+        for part in 0..n_parts {
+            rank_cells(rows.iter_mut().filter_map(|row| row.parts[part].get_mut(&column)).collect(), column);
+        }
+        for scene in scenes {
+            let cells = rows.iter_mut().filter_map(|row| row.by_scene.get_mut(scene)?.get_mut(&column));
+            rank_cells(cells.collect(), column);
+        }
+    }
+}
+
+fn rank_cells(mut cells: Vec<&mut Cell>, column: Column) {
+    let rounded = |cell: &Cell| format::number(cell.mean?, column.decimals()).parse::<f64>().ok();
+    let values: Vec<f64> = cells.iter().filter_map(|cell| rounded(cell)).collect();
+    if values.len() < 2 {
+        return;
+    }
+    for cell in &mut cells {
+        let better = |mine: f64| {
+            values
+                .iter()
+                .filter(|other| if column.higher_is_better() { **other > mine } else { **other < mine })
+                .count()
+        };
+        cell.rank = rounded(cell).map(|mine| 1 + better(mine));
+    }
+    mark_noise(&mut cells);
+}
+
+/// Marks what the spread over seeds does not tell from the best: the 95 % interval of the difference holds 0.
+fn mark_noise(cells: &mut [&mut Cell]) {
+    let Some(best) = cells.iter().find(|cell| cell.rank == Some(1)).map(|cell| (**cell).clone()) else { return };
+    let (Some(best_mean), Some(best_std)) = (best.mean, best.std) else { return };
+    for cell in cells.iter_mut().filter(|cell| cell.rank.is_some_and(|rank| rank > 1)) {
+        let (Some(mean), Some(std)) = (cell.mean, cell.std) else { continue };
+        let noise = welch_half_width((best_std, best.n()), (std, cell.n()));
+        cell.within_noise = noise.is_some_and(|noise| (best_mean - mean).abs() <= noise);
+    }
+}

@@ -1,0 +1,71 @@
+//! What each effect is worth: variants of one method against the first of them, in quality and in time.
+
+use super::Content;
+use super::cells::traced;
+use crate::Column;
+use crate::document::{Block, Table, Text};
+use crate::format::{NONE, number, signed};
+use crate::grouping::distinct;
+use crate::report::{Cell, Group, Row};
+use crate::statistics::welch_half_width;
+
+/// One table per method with variants.
+pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let tables = content.report.groups.iter().flat_map(|group| {
+        let variants = group.rows.iter().filter(|row| row.variant.is_some());
+        let methods = distinct(variants.map(|row| row.method.as_str()));
+        methods.into_iter().filter_map(move |method| ablation_table(content, group, &method)).collect::<Vec<_>>()
+    });
+    tables.map(Block::Table).collect()
+}
+
+/// PSNR and seconds of each variant, and their differences to the first.
+fn ablation_table(content: &Content<'_>, group: &Group, method: &str) -> Option<Table> {
+    let rows: Vec<&Row> = group.rows.iter().filter(|row| row.method == method && row.variant.is_some()).collect();
+    let [reference, _, ..] = rows[..] else { return None };
+    let first = reference.variant.as_deref().unwrap_or_default();
+    let caption = format!("Protocol {}: ablation of {method}, differences to {first}", group.name);
+    let header =
+        ["variant", "PSNR (dB)", "Δ dB", "training (s)", "Δ s", "iteration (ms)", "Δ ms", "dB per extra minute"];
+    let mut table = Table::new(caption, header.map(String::from).into());
+    for row in rows {
+        let mut cells = vec![Text::plain(row.variant.as_deref().unwrap_or_default())];
+        for column in [Column::PSNR, Column::TrainingSecs, Column::MsPerIteration] {
+            let decimals = column.decimals();
+            let text = Text::plain(mean(row, column).map_or(NONE.into(), |value| number(value, decimals)));
+            cells.push(traced(text, content.traces.row(&row.name)));
+            cells.push(Text::plain(difference_text(row, reference, column)));
+        }
+        cells.push(Text::plain(worth(row, reference)));
+        table.rows.push(cells);
+    }
+    if table.rows.iter().any(|row| row.iter().any(|cell| cell.text.contains('±'))) {
+        table.remarks.push("± of a difference is half its 95 % interval over seeds (Welch).".into());
+    }
+    Some(table)
+}
+
+fn mean(row: &Row, column: Column) -> Option<f64> {
+    row.headline.get(&column)?.mean
+}
+
+/// The difference to the reference, with its interval where there are several seeds.
+fn difference_text(row: &Row, reference: &Row, column: Column) -> String {
+    let Some(difference) = mean(row, column).zip(mean(reference, column)).map(|(mine, base)| mine - base) else {
+        return NONE.into();
+    };
+    let spread = |row: &Row| row.headline.get(&column).and_then(|cell: &Cell| Some((cell.std?, cell.n())));
+    let interval = spread(row).zip(spread(reference)).and_then(|(mine, base)| welch_half_width(mine, base));
+    let interval = interval.filter(|_| row.name != reference.name);
+    let text = signed(difference, column.decimals());
+    interval.map_or(text.clone(), |width| format!("{text} ± {}", number(width, column.decimals())))
+}
+
+/// The gain per minute of additional training; none where nothing was gained or paid.
+fn worth(row: &Row, reference: &Row) -> String {
+    let difference = |column| mean(row, column).zip(mean(reference, column)).map(|(mine, base)| mine - base);
+    match difference(Column::PSNR).zip(difference(Column::TrainingSecs)) {
+        Some((gain_db, extra_secs)) if gain_db > 0.0 && extra_secs > 0.0 => number(gain_db / (extra_secs / 60.0), 2),
+        _ => NONE.into(),
+    }
+}

@@ -1,0 +1,122 @@
+//! Where the time of a training goes: seconds per phase, milliseconds per iteration, what each loss weighs and takes,
+//! and the work that nothing called for.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::Content;
+use crate::document::{Block, Figure, Key, Table, Text};
+use crate::format::{NONE, number};
+use crate::report::{Group, Row};
+use crate::svg::area_sample;
+use crate::svg::bars::Bars;
+
+/// Activities of training in the order of a step; others follow by name.
+const ACTIVITIES: [&str; 10] =
+    ["load", "motion", "projection", "sort", "blend", "losses", "backward", "optimizer", "density", "evaluation"];
+
+/// A figure and tables per group.
+pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let mut blocks = Vec::new();
+    for group in &content.report.groups {
+        blocks.extend(phase_figure(content, group).map(Block::Figure));
+        let tables = [phase_table(group), iteration_table(group), loss_table(group), skipped_table(group)];
+        blocks.extend(tables.into_iter().filter(|table| !table.rows.is_empty()).map(Block::Table));
+    }
+    blocks
+}
+
+/// The activities that any row measured.
+fn activities(group: &Group) -> Vec<&str> {
+    let names: BTreeSet<&str> = group.rows.iter().flat_map(|row| row.phases.keys().map(String::as_str)).collect();
+    let known = ACTIVITIES.into_iter().filter(|activity| names.contains(activity));
+    known.chain(names.iter().copied().filter(|name| !ACTIVITIES.contains(name))).collect()
+}
+
+/// Seconds by activity as bars; evaluation is no training and left out.
+fn phase_figure(content: &Content<'_>, group: &Group) -> Option<Figure> {
+    let drawn: Vec<&str> = activities(group).into_iter().filter(|activity| *activity != "evaluation").collect();
+    let bar = |row: &Row| {
+        let segments = drawn.iter().map(|activity| row.phases.get(*activity).copied().unwrap_or(0.0)).collect();
+        (row.name.clone(), segments)
+    };
+    let rows: Vec<(String, Vec<f64>)> = group.rows.iter().filter(|row| !row.phases.is_empty()).map(bar).collect();
+    if rows.is_empty() {
+        return None;
+    }
+    let label = group.label(content.report);
+    let suffix = if label.is_empty() { String::new() } else { format!("-{}", group.name) };
+    let title = if label.is_empty() { "seconds of training".into() } else { format!("seconds of training ({label})") };
+    let legend = drawn.iter().enumerate().map(|(at, activity)| Key {
+        sample: area_sample(at),
+        number: Some(at + 1),
+        label: (*activity).to_owned(),
+    });
+    Some(Figure {
+        file: format!("costs{suffix}.svg"),
+        caption: "Seconds of training by activity, mean over runs; evaluation excluded.".into(),
+        legend: legend.collect(),
+        panels: vec![Bars { title, x_label: "seconds".into(), rows }.panel()],
+    })
+}
+
+/// Seconds by activity as numbers.
+fn phase_table(group: &Group) -> Table {
+    let activities = activities(group);
+    let header = ["method"].into_iter().chain(activities.iter().copied()).map(String::from).collect();
+    let caption = format!("Protocol {}: seconds per phase of training, mean over runs", group.name);
+    let mut table = Table::new(caption, header);
+    for row in group.rows.iter().filter(|row| !row.phases.is_empty()) {
+        let secs = |activity: &&str| Text::plain(row.phases.get(*activity).map_or(NONE.into(), |s| number(*s, 1)));
+        table.rows.push([Text::plain(&row.name)].into_iter().chain(activities.iter().map(secs)).collect());
+    }
+    table
+}
+
+/// Milliseconds per iteration: a row per method and phase, a column per activity.
+fn iteration_table(group: &Group) -> Table {
+    let phases = |row: &Row| row.costs.ms_per_iteration_by_phase.clone();
+    let names: BTreeSet<String> =
+        group.rows.iter().flat_map(|row| phases(row).into_values().flat_map(BTreeMap::into_keys)).collect();
+    let header = ["method · phase".into(), "all".into()].into_iter().chain(names.iter().cloned()).collect();
+    let caption = format!("Protocol {}: milliseconds per iteration by phase, mean over runs", group.name);
+    let mut table = Table::new(caption, header);
+    for row in &group.rows {
+        for (phase, activities) in phases(row) {
+            let all: f64 = activities.values().sum();
+            let cells = names.iter().map(|name| activities.get(name).map_or(NONE.into(), |ms| number(*ms, 2)));
+            let cells = [format!("{} · {phase}", row.name), number(all, 2)].into_iter().chain(cells);
+            table.rows.push(cells.map(Text::plain).collect());
+        }
+    }
+    table
+}
+
+/// What each loss weighs in the sum, and how long its forward pass takes.
+fn loss_table(group: &Group) -> Table {
+    let header = ["method · loss", "share of the value (%)", "forward (s)"].map(String::from);
+    let mut table = Table::new(format!("Protocol {}: losses, mean over runs", group.name), header.into());
+    // A method with one loss has nothing to share.
+    for row in group.rows.iter().filter(|row| row.costs.loss_shares.len() > 1) {
+        for (name, share) in &row.costs.loss_shares {
+            let secs = share.forward_secs.map_or(NONE.into(), |secs| number(secs, 2));
+            let cells = [format!("{} · {name}", row.name), number(100.0 * share.value_share, 2), secs];
+            table.rows.push(cells.map(Text::plain).into());
+        }
+    }
+    table
+}
+
+/// What was left out because nothing called for it.
+fn skipped_table(group: &Group) -> Table {
+    let header = ["method · work", "left out", "of", "share (%)"].map(String::from);
+    let caption = format!("Protocol {}: work that no scene called for, sum over runs", group.name);
+    let mut table = Table::new(caption, header.into());
+    for row in &group.rows {
+        for (what, [skipped, of]) in &row.costs.skipped_work {
+            let share = 100.0 * *skipped as f64 / (*of).max(1) as f64;
+            let cells = [format!("{} · {what}", row.name), skipped.to_string(), of.to_string(), number(share, 1)];
+            table.rows.push(cells.map(Text::plain).into());
+        }
+    }
+    table
+}

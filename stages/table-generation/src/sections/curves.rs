@@ -1,0 +1,220 @@
+//! Quality over seconds: one panel per scene and one for their mean, one line per method, and the curves of others where
+//! they were measured on the same images.
+
+use scene::Split;
+
+use super::Content;
+use super::pareto::legend;
+use crate::claims::curves::{self, PublishedCurve, PublishedCurves};
+use crate::collect::{CurvePoint, Run};
+use crate::document::{Block, Figure, Key};
+use crate::report::{Group, Report, Row};
+use crate::statistics::{mean, median};
+use crate::svg::line_sample;
+use crate::svg::lines::{Lines, Series};
+use crate::{Column, TableGenerationParams};
+
+/// A curve as seconds and dB.
+type Curve = Vec<(f64, f64)>;
+
+/// A figure per group in which any run recorded a curve.
+pub fn blocks(content: &Content<'_>) -> anyhow::Result<Vec<Block>> {
+    let others = curves::built_in()?;
+    let groups = content.report.groups.iter();
+    Ok(groups.flat_map(|group| group_blocks(content, group, &others)).collect())
+}
+
+fn group_blocks(content: &Content<'_>, group: &Group, others: &PublishedCurves) -> Vec<Block> {
+    let differences = others.protocol.differences_of_images(group);
+    let others_fit = differences.is_empty();
+    let theirs: Vec<&PublishedCurve> = if others_fit { relevant(others, group) } else { Vec::new() };
+    let mut labels: Vec<&str> = theirs.iter().map(|curve| curve.label.as_str()).collect();
+    labels.dedup();
+    let drawing = Drawing { content, group, theirs: &theirs, labels: &labels };
+    let mut panels: Vec<Lines> = group.scenes.iter().filter_map(|scene| drawing.of_scene(scene)).collect();
+    if panels.is_empty() {
+        return Vec::new();
+    }
+    if group.scenes.len() > 1 {
+        panels.extend(drawing.of_mean());
+    }
+    let mut keys = legend(group);
+    keys.extend(labels.iter().enumerate().map(|(at, label)| Key {
+        sample: line_sample(group.rows.len() + at),
+        number: Some(group.rows.len() + at + 1),
+        label: format!("{label}, by others"),
+    }));
+    let suffix = if content.report.groups.len() > 1 { format!("-{}", group.name) } else { String::new() };
+    let figure = Figure {
+        file: format!("curves{suffix}.svg"),
+        caption: caption(others, others_fit),
+        legend: keys,
+        panels: panels.into_iter().map(Lines::panel).collect(),
+    };
+    let is_close = group.protocol.dataset == others.protocol.dataset && !others_fit;
+    let absent = format!("Curves by {} are not drawn here: {}.", others.source, differences.join("; "));
+    let absent = is_close.then_some(Block::Paragraph(absent));
+    [Block::Figure(figure)].into_iter().chain(absent).collect()
+}
+
+fn caption(others: &PublishedCurves, others_fit: bool) -> String {
+    let mut text = String::from(
+        "PSNR over seconds of training, evaluation excluded: median over seeds, band from the lowest to the highest.",
+    );
+    if others_fit {
+        text += &format!(
+            " Lines by others are {}, on {}, as of {}: test views there. Filled markers are our final test scores, \
+             which alone compare with them.",
+            others.source, others.hardware, others.taken
+        );
+        text.extend(others.notes.iter().map(|note| format!(" Note: {note}.")));
+    }
+    text
+}
+
+/// The curves of others on the scenes of a group, by method.
+fn relevant<'a>(others: &'a PublishedCurves, group: &Group) -> Vec<&'a PublishedCurve> {
+    let mut curves: Vec<_> = others.curve.iter().filter(|curve| group.scenes.contains(&curve.scene)).collect();
+    curves.sort_by_key(|curve| &curve.label);
+    curves
+}
+
+/// What panels of one group are drawn from.
+struct Drawing<'a> {
+    content: &'a Content<'a>,
+    group: &'a Group,
+    theirs: &'a [&'a PublishedCurve],
+    labels: &'a [&'a str],
+}
+
+impl Drawing<'_> {
+    fn of_scene(&self, scene: &str) -> Option<Lines> {
+        let ours = self.group.rows.iter().enumerate().filter_map(|(style, row)| {
+            let curves: Vec<Curve> = self.runs(row, scene).map(|run| points(&run.curve)).collect();
+            let mark = self.marked(row.by_scene.get(scene));
+            series(style, &curves, mark)
+        });
+        let theirs = self.theirs.iter().filter(|curve| curve.scene == scene);
+        let theirs = theirs.filter_map(|curve| series(self.style(&curve.label), &[published(curve)], None));
+        let lines: Vec<Series> = ours.chain(theirs).collect();
+        (!lines.is_empty())
+            .then(|| self.lines(scene.to_owned(), curve_split(self.content.report, self.group, scene), lines))
+    }
+
+    /// The mean over the scenes; a scene whose training is over keeps its last value.
+    fn of_mean(&self) -> Option<Lines> {
+        let ours = self.group.rows.iter().enumerate().filter_map(|(style, row)| {
+            let by_scene: Vec<Vec<Curve>> = self
+                .group
+                .scenes
+                .iter()
+                .map(|scene| self.runs(row, scene).map(|run| points(&run.curve)).collect())
+                .collect();
+            let n_seeds = by_scene.iter().map(Vec::len).min()?;
+            let of_seed = |seed: usize| mean_curve(&by_scene.iter().map(|curves| &curves[seed]).collect::<Vec<_>>());
+            let curves: Vec<Curve> = (0..n_seeds).map(of_seed).collect();
+            series(style, &curves, self.marked(Some(&row.headline)))
+        });
+        let theirs = self.labels.iter().filter_map(|label| {
+            let curves: Vec<Curve> =
+                self.theirs.iter().filter(|curve| curve.label == *label).map(|curve| published(curve)).collect();
+            let is_whole = curves.len() == self.group.scenes.len();
+            let curve = is_whole.then(|| mean_curve(&curves.iter().collect::<Vec<_>>()))?;
+            series(self.style(label), &[curve], None)
+        });
+        let lines: Vec<Series> = ours.chain(theirs).collect();
+        let split = curve_split(self.content.report, self.group, self.group.scenes.first()?);
+        let title = format!("mean of {} scenes", self.group.scenes.len());
+        (!lines.is_empty()).then(|| self.lines(title, split, lines))
+    }
+
+    fn runs<'r>(&'r self, row: &'r Row, scene: &'r str) -> impl Iterator<Item = &'r Run> {
+        let belongs = move |run: &&Run| run.scene == scene && run.row == row.name && self.group.holds(run);
+        self.content.report.runs.iter().filter(belongs).filter(|run| !points(&run.curve).is_empty())
+    }
+
+    /// Our final test score, which is drawn where others' test scores are.
+    fn marked(&self, cells: Option<&crate::report::Cells>) -> Option<[f64; 2]> {
+        let mean = |column| cells?.get(&column)?.mean;
+        mean(Column::TrainingSecs).zip(mean(Column::PSNR)).filter(|_| !self.theirs.is_empty()).map(|(x, y)| [x, y])
+    }
+
+    fn style(&self, label: &str) -> usize {
+        self.group.rows.len() + self.labels.iter().position(|known| *known == label).unwrap_or(0)
+    }
+
+    fn lines(&self, title: String, split: &str, series: Vec<Series>) -> Lines {
+        let TableGenerationParams { log_time, .. } = *self.content.params;
+        let label = self.group.label(self.content.report);
+        let title = if label.is_empty() { title } else { format!("{title} ({label})") };
+        let x_label = if log_time { "training time (s, log)" } else { "training time (s)" };
+        Lines { title, x_label: x_label.into(), y_label: format!("PSNR, {split} views (dB)"), log_x: log_time, series }
+    }
+}
+
+/// The views that a scene's curves were measured on; a capture without validation views has training views only.
+fn curve_split(report: &Report, group: &Group, scene: &str) -> &'static str {
+    let belongs = |run: &&Run| run.scene == scene && group.holds(run);
+    match report.runs.iter().filter(belongs).find_map(|run| run.curve_split) {
+        Some(Split::Train) => "training",
+        Some(Split::Test) => "test",
+        Some(Split::Val) | None => "validation",
+    }
+}
+
+fn points(curve: &[CurvePoint]) -> Curve {
+    let point = |point: &CurvePoint| {
+        let value = (point.seconds, point.psnr_val?);
+        (value.0.is_finite() && value.1.is_finite()).then_some(value)
+    };
+    curve.iter().filter_map(point).collect()
+}
+
+fn published(curve: &PublishedCurve) -> Curve {
+    curve.seconds.iter().copied().zip(curve.psnr.iter().copied()).collect()
+}
+
+/// The mean of curves at every moment at which one of them was evaluated and all have begun.
+fn mean_curve(curves: &[&Curve]) -> Curve {
+    let start = curves.iter().filter_map(|curve| curve.first()).map(|(secs, _)| *secs).fold(0.0, f64::max);
+    let at = |secs: f64| {
+        let values: Vec<f64> = curves.iter().map(|curve| interpolated(curve, secs)).collect();
+        Some((secs, mean(&values)?))
+    };
+    moments(curves.iter().copied(), |secs| secs >= start).into_iter().filter_map(at).collect()
+}
+
+/// Median, lowest and highest value over the seeds, at every moment that one of them was evaluated and all have begun
+/// and none has ended.
+fn series(style: usize, curves: &[Curve], mark: Option<[f64; 2]>) -> Option<Series> {
+    let curves: Vec<&Curve> = curves.iter().filter(|curve| !curve.is_empty()).collect();
+    let start = curves.iter().map(|curve| curve[0].0).max_by(f64::total_cmp)?;
+    let end = curves.iter().map(|curve| curve[curve.len() - 1].0).min_by(f64::total_cmp)?;
+    let at = |seconds: f64| {
+        let values: Vec<f64> = curves.iter().map(|curve| interpolated(curve, seconds)).collect();
+        let low = values.iter().copied().min_by(f64::total_cmp)?;
+        let high = values.iter().copied().max_by(f64::total_cmp)?;
+        Some((seconds, [low, median(&values)?, high]))
+    };
+    let within = moments(curves.iter().copied(), |seconds| (start..=end).contains(&seconds));
+    let points: Vec<_> = within.into_iter().filter_map(at).collect();
+    (!points.is_empty()).then(|| Series { style, points, has_band: curves.len() > 1, mark })
+}
+
+/// The moments of evaluation that are wanted, ascending, each once.
+fn moments<'a>(curves: impl Iterator<Item = &'a Curve>, is_wanted: impl Fn(f64) -> bool) -> Vec<f64> {
+    let mut moments: Vec<f64> = curves.flatten().map(|(seconds, _)| *seconds).filter(|secs| is_wanted(*secs)).collect();
+    moments.sort_by(f64::total_cmp);
+    moments.dedup();
+    moments
+}
+
+/// Linear interpolation between the two neighbours in time; beyond the ends, the value there.
+fn interpolated(curve: &[(f64, f64)], seconds: f64) -> f64 {
+    let after = curve.partition_point(|point| point.0 < seconds);
+    match (after.checked_sub(1).and_then(|before| curve.get(before)), curve.get(after)) {
+        (Some(before), Some(after)) => before.1 + (after.1 - before.1) * (seconds - before.0) / (after.0 - before.0),
+        (Some(only), None) | (None, Some(only)) => only.1,
+        (None, None) => f64::NAN,
+    }
+}

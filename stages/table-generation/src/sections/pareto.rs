@@ -1,0 +1,125 @@
+//! Quality against what it costs: seconds of training, and time per rendered frame.
+
+use super::Content;
+use super::cells::traced;
+use crate::Column;
+use crate::document::{Block, Figure, Key, Table, Text};
+use crate::format::{NONE, number};
+use crate::report::{Cell, Group, Row};
+use crate::svg::line_sample;
+use crate::svg::scatter::{Point, Scatter};
+
+/// The costs: seconds, for which less is better, and frames per second, for which more is.
+const COSTS: [(Column, &str); 2] =
+    [(Column::TrainingSecs, "training time (s, log)"), (Column::FpsModel, "FPS, motion and raster (log)")];
+
+/// A figure and a table per group that can be drawn.
+pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+    content.report.groups.iter().flat_map(|group| group_blocks(content, group)).collect()
+}
+
+fn group_blocks(content: &Content<'_>, group: &Group) -> Vec<Block> {
+    let drawn = COSTS.map(|(cost, label)| (cost, label, points(group, cost)));
+    if drawn.iter().all(|(_, _, points)| points.is_empty()) {
+        return Vec::new();
+    }
+    let table = front_table(content, group, &drawn);
+    let title = |cost: Column| match (cost, group.label(content.report)) {
+        (Column::TrainingSecs, label) if label.is_empty() => "quality over training time".to_owned(),
+        (_, label) if label.is_empty() => "quality over speed".to_owned(),
+        (Column::TrainingSecs, label) => format!("quality over training time ({label})"),
+        (_, label) => format!("quality over speed ({label})"),
+    };
+    let panels = drawn.into_iter().filter(|(_, _, points)| !points.is_empty()).map(|(cost, label, points)| {
+        let scatter = Scatter { title: title(cost), x_label: label.into(), y_label: "test PSNR (dB)".into(), points };
+        scatter.panel()
+    });
+    let suffix = if content.report.groups.len() > 1 { format!("-{}", group.name) } else { String::new() };
+    let figure = Figure {
+        file: format!("pareto{suffix}.svg"),
+        caption: format!(
+            "Means over {} scenes. Filled: no other method is better in one and at least as good in the other; the \
+             dotted line joins these. Crosses: standard deviation over seeds; dots: single seeds.",
+            group.scenes.len()
+        ),
+        legend: legend(group),
+        panels: panels.collect(),
+    };
+    vec![Block::Figure(figure), Block::Table(table)]
+}
+
+/// A number, a marker and a name per row.
+pub fn legend(group: &Group) -> Vec<Key> {
+    let key = |(style, row): (usize, &Row)| Key {
+        sample: line_sample(style),
+        number: Some(style + 1),
+        label: row.name.clone(),
+    };
+    group.rows.iter().enumerate().map(key).collect()
+}
+
+/// The rows that have both figures.
+fn points(group: &Group, cost: Column) -> Vec<Point> {
+    let cells = |row: &'_ Row| -> Option<[Cell; 2]> {
+        let [cost, quality] = [cost, Column::PSNR].map(|column| row.headline.get(&column).cloned());
+        Some([cost?, quality?])
+    };
+    let point = |(style, row): (usize, &Row)| {
+        let [cost, quality] = cells(row)?;
+        let at = [cost.mean.filter(|cost| *cost > 0.0)?, quality.mean?];
+        let paired = cost.n() == quality.n() && cost.n() > 1;
+        let seeds = cost.values.iter().zip(&quality.values).map(|(cost, quality)| [*cost, *quality]);
+        let seeds = if paired { seeds.collect() } else { Vec::new() };
+        let std = [cost.std.unwrap_or(0.0), quality.std.unwrap_or(0.0)];
+        Some(Point { style, at, std, seeds, on_front: false })
+    };
+    let mut points: Vec<Point> = group.rows.iter().enumerate().filter_map(point).collect();
+    let places: Vec<[f64; 2]> = points.iter().map(|point| point.at).collect();
+    for point in &mut points {
+        point.on_front = !places.iter().any(|other| dominates(*other, point.at, cost.higher_is_better()));
+    }
+    points
+}
+
+/// Whether `a` is at least as good as `b` in both and better in one.
+fn dominates(a: [f64; 2], b: [f64; 2], more_is_better: bool) -> bool {
+    let (cost_a, cost_b) = if more_is_better { (-a[0], -b[0]) } else { (a[0], b[0]) };
+    cost_a <= cost_b && a[1] >= b[1] && (cost_a < cost_b || a[1] > b[1])
+}
+
+/// The same in words, for readers and formats without the figure.
+fn front_table(content: &Content<'_>, group: &Group, drawn: &[(Column, &str, Vec<Point>)]) -> Table {
+    let columns = [Column::PSNR, Column::TrainingSecs, Column::FpsModel];
+    let on_front = drawn.iter().map(|(cost, _, _)| match cost {
+        Column::TrainingSecs => "on the front of time".to_owned(),
+        _ => "on the front of speed".to_owned(),
+    });
+    let header = ["method".into()].into_iter().chain(columns.map(Column::heading)).chain(on_front).collect();
+    let mut table = Table::new(format!("Protocol {}: quality against cost", group.name), header);
+    for (style, row) in group.rows.iter().enumerate() {
+        let mut cells = vec![Text::plain(&row.name)];
+        for column in columns {
+            let mean = row.headline.get(&column).and_then(|cell| cell.mean);
+            let text = Text::plain(mean.map_or(NONE.into(), |mean| number(mean, column.decimals())));
+            cells.push(traced(text, content.traces.row(&row.name)));
+        }
+        for (_, _, points) in drawn {
+            let point = points.iter().find(|point| point.style == style);
+            cells.push(Text::plain(point.map_or(NONE, |point| if point.on_front { "yes" } else { "no" })));
+        }
+        table.rows.push(cells);
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_is_beaten_only_by_one_that_is_nowhere_worse() {
+        assert!(dominates([1.0, 30.0], [2.0, 29.0], false) && dominates([1.0, 30.0], [1.0, 29.0], false));
+        assert!(!dominates([1.0, 28.0], [2.0, 29.0], false) && !dominates([1.0, 30.0], [1.0, 30.0], false));
+        assert!(dominates([90.0, 30.0], [80.0, 30.0], true) && !dominates([80.0, 30.0], [90.0, 30.0], true));
+    }
+}

@@ -1,0 +1,129 @@
+//! What was measured, one part per protocol: means, scenes, gains over the baseline, surfaces.
+
+use super::Content;
+use super::cells::{explain_marks, mean_text, scene_cells, traced};
+use crate::Column;
+use crate::document::{Block, Table, Text};
+use crate::format::{NONE, signed};
+use crate::report::{Cells, Group, Report, Row};
+
+/// The parts of all groups.
+pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let mut blocks = Vec::new();
+    if content.report.groups.is_empty() {
+        blocks.push(Block::Paragraph("No run was measured; see what failed below.".into()));
+    }
+    for group in &content.report.groups {
+        blocks.push(Block::Heading(format!("Protocol {}: {}", group.name, group.protocol.dataset)));
+        blocks.push(Block::Paragraph(protocol_text(group, content.report)));
+        blocks.extend(mean_tables(content, group).into_iter().map(Block::Table));
+        blocks.push(Block::Table(scene_table(content, group, Column::PSNR)));
+        blocks.extend(gain_table(content, group).map(Block::Table));
+        blocks.extend(conditional_tables(content, group).map(Block::Table));
+    }
+    blocks
+}
+
+/// The protocol in one line, what means are over, and where the same data set is judged otherwise.
+fn protocol_text(group: &Group, report: &Report) -> String {
+    let n_scenes = group.scenes.len();
+    let scenes = format!("{n_scenes} scene{} ({})", if n_scenes == 1 { "" } else { "s" }, group.scenes.join(", "));
+    let is_sibling = |other: &&Group| other.name != group.name && other.protocol.dataset == group.protocol.dataset;
+    let siblings = report.groups.iter().filter(is_sibling);
+    let siblings: String = siblings
+        .map(|other| format!(" Judged otherwise: {} (protocol {}).", other.scenes.join(", "), other.name))
+        .collect();
+    format!("{} · {}. Means over {scenes}.{siblings}", group.protocol.line(), group.judged_by)
+}
+
+/// Means over all scenes, and over the parts of them that have means of their own.
+fn mean_tables(content: &Content<'_>, group: &Group) -> Vec<Table> {
+    let whole = mean_table(content, group, format!("means over {} scenes", group.scenes.len()), |row| &row.headline);
+    let of_part = |(at, part): (usize, &crate::report::ScenePart)| {
+        mean_table(content, group, format!("means over {} scenes ({})", part.scenes.len(), part.name), move |row| {
+            &row.parts[at]
+        })
+    };
+    [whole].into_iter().chain(group.parts.iter().enumerate().map(of_part)).collect()
+}
+
+fn mean_table<'g>(
+    content: &Content<'_>,
+    group: &'g Group,
+    what: String,
+    cells_of: impl Fn(&'g Row) -> &'g Cells,
+) -> Table {
+    let columns = Column::HEADLINE;
+    let header = ["method".into()].into_iter().chain(columns.map(Column::heading)).chain(["seeds".into()]).collect();
+    let mut table = Table::new(format!("Protocol {}: {what}", group.name), header);
+    for row in &group.rows {
+        let cells = cells_of(row);
+        let n_seeds = cells.values().map(|cell| cell.n_expected).max().unwrap_or(0);
+        let mut texts = vec![Text::plain(&row.name)];
+        for column in columns {
+            let text = mean_text(cells, column, &mut table);
+            texts.push(traced(text, content.traces.row(&row.name)));
+        }
+        texts.push(Text::plain(n_seeds.to_string()));
+        table.rows.push(texts);
+    }
+    explain_marks(&mut table, group.rows.iter().flat_map(|row| cells_of(row).values()));
+    table
+}
+
+/// One figure: a column per scene, and every mean side by side.
+fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
+    let means = [format!("mean of {}", group.scenes.len())]
+        .into_iter()
+        .chain(group.parts.iter().map(|part| format!("mean of {} ({})", part.scenes.len(), part.name)));
+    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(means).collect();
+    let mut table = Table::new(format!("Protocol {}: {} per scene", group.name, column.heading()), header);
+    for row in &group.rows {
+        let mut cells = scene_cells(content, row, &group.scenes, column);
+        for means in [&row.headline].into_iter().chain(&row.parts) {
+            let text = mean_text(means, column, &mut table);
+            cells.push(traced(text, content.traces.row(&row.name)));
+        }
+        table.rows.push(cells);
+    }
+    table
+}
+
+/// PSNR above that of the baseline, where the baseline was measured.
+fn gain_table(content: &Content<'_>, group: &Group) -> Option<Table> {
+    let baseline = group.rows.iter().find(|row| row.method == content.params.baseline && row.variant.is_none())?;
+    let others: Vec<&Row> = group.rows.iter().filter(|row| row.name != baseline.name).collect();
+    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(["scenes above".into()]);
+    let caption = format!("Protocol {}: PSNR above {} (dB)", group.name, baseline.name);
+    let mut table = Table::new(caption, header.collect());
+    for row in others {
+        let psnr = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&Column::PSNR)?.mean;
+        let gain = |scene| psnr(row, scene).zip(psnr(baseline, scene)).map(|(mine, base)| mine - base);
+        let gains: Vec<Option<f64>> = group.scenes.iter().map(gain).collect();
+        let n_above = gains.iter().flatten().filter(|gain| **gain > 0.0).count();
+        let texts = gains.iter().zip(&group.scenes).map(|(gain, scene)| {
+            let text = Text::plain(gain.map_or(NONE.into(), |gain| signed(gain, Column::PSNR.decimals())));
+            traced(text, content.traces.scene(&row.name, scene))
+        });
+        let count = Text::plain(format!("{n_above} of {}", gains.len()));
+        table.rows.push([Text::plain(&row.name)].into_iter().chain(texts).chain([count]).collect());
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
+/// The figures beyond images that any run has, one table each, over the scenes that define it.
+fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Item = Table> {
+    Column::conditional().filter_map(|column| {
+        let is_defined = |scene: &&String| {
+            let cell = |row: &Row| row.by_scene.get(*scene)?.get(&column)?.mean;
+            group.rows.iter().any(|row| cell(row).is_some())
+        };
+        let scenes: Vec<String> = group.scenes.iter().filter(is_defined).cloned().collect();
+        let header = ["method".into()].into_iter().chain(scenes.iter().cloned()).collect();
+        let better = if column.higher_is_better() { "more" } else { "less" };
+        let caption = format!("Protocol {}: {} per scene ({better} is better)", group.name, column.heading());
+        let mut table = Table::new(caption, header);
+        table.rows = group.rows.iter().map(|row| scene_cells(content, row, &scenes, column)).collect();
+        (!scenes.is_empty()).then_some(table)
+    })
+}

@@ -1,0 +1,57 @@
+//! Every run with its jobs: where numbers come from, and how to make them again.
+
+use super::Content;
+use super::traces::command;
+use crate::collect::Run;
+use crate::document::{Block, Table, Text};
+use crate::format::{NONE, number};
+use crate::grouping::distinct;
+use crate::report::failure_mark;
+
+/// The jobs of a run by port, and what their column is called.
+const JOBS: [(&str, &str); 3] = [("model", "training"), ("renders", "rendering"), ("metrics", "judging")];
+
+/// The job whose seconds are not asked for.
+const UNTIMED: &str = "metrics";
+
+/// The table of runs, which links from numbers lead to.
+pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let report = content.report;
+    let header = ["method", "scene", "seed", "outcome"].into_iter().map(String::from);
+    let columns = |(port, work): &(&str, &str)| {
+        let seconds = (*port != UNTIMED).then(|| format!("{work} (s)"));
+        [format!("{work}: key")].into_iter().chain(seconds).collect::<Vec<_>>()
+    };
+    let header = header.chain(JOBS.iter().flat_map(columns)).chain(["command".into()]).collect();
+    let mut table = Table::new("Runs, their jobs, and the command that makes them", header).with_text_columns(4);
+    for row in distinct(report.runs.iter().map(|run| run.row.as_str())) {
+        let mut place = content.traces.row(&row).map(|link| link.to);
+        for scene in distinct(report.runs.iter().map(|run| run.scene.as_str())) {
+            let mut scene_place = content.traces.scene(&row, &scene).map(|link| link.to);
+            for run in report.runs.iter().filter(|run| run.row == row && run.scene == scene) {
+                let first = Text { id: place.take(), ..Text::plain(&run.row) };
+                let second = Text { id: scene_place.take(), ..Text::plain(&run.scene) };
+                table.rows.push([first, second].into_iter().chain(details(content, run)).collect());
+            }
+        }
+    }
+    table.remarks.push(
+        "Seconds are those of the whole job, with loading and evaluation. `pipeline show RECIPE JOB` has a job's folder, \
+         parameters and whole key. A command makes what the job needs too, and nothing that is in the store."
+            .into(),
+    );
+    vec![Block::Table(table)]
+}
+
+fn details(content: &Content<'_>, run: &Run) -> Vec<Text> {
+    let outcome = run.failure.as_ref().map_or("finished", |failure| failure_mark(failure.kind));
+    let mut texts = vec![Text::plain(&run.seed), Text::plain(outcome)];
+    for (port, _) in JOBS {
+        let job = run.jobs.get(port);
+        let key = job.map(|job| job.key.as_str()).filter(|key| !key.is_empty()).unwrap_or(NONE);
+        let secs = job.and_then(|job| job.wall_secs).map_or(NONE.into(), |secs| number(secs, 1));
+        texts.extend([Text::code(key)].into_iter().chain((port != UNTIMED).then(|| Text::plain(secs))));
+    }
+    texts.push(Text::code(command(run, content.params)));
+    texts
+}

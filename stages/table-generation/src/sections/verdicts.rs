@@ -1,0 +1,124 @@
+//! What a reader wants to know first: what ran, what is best, what the spread allows to say, what is reproduced.
+
+use std::collections::BTreeMap;
+
+use super::Content;
+use super::published::who;
+use crate::Column;
+use crate::claims::{ClaimColumn, Verdict};
+use crate::document::{Block, Table, Text};
+use crate::format::number;
+use crate::report::{Group, Report, Row, failure_mark};
+use crate::statistics::{mean, welch_half_width};
+
+/// The first section.
+pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let mut sentences = vec![what_ran(content.report)];
+    sentences.extend(content.report.groups.iter().flat_map(|group| [best(group), noise(group)]));
+    let mut blocks: Vec<Block> = sentences.into_iter().map(Block::Paragraph).collect();
+    let table = published(content);
+    if content.report.groups.is_empty() {
+        blocks.push(Block::Paragraph("Nothing was measured.".into()));
+    } else if table.rows.is_empty() {
+        blocks.push(Block::Paragraph("No source at hand prints values for what was measured here.".into()));
+    } else {
+        blocks.push(Block::Table(table));
+    }
+    blocks
+}
+
+/// How many runs finished, and what became of the others.
+fn what_ran(report: &Report) -> String {
+    let mut failed: BTreeMap<&str, usize> = BTreeMap::new();
+    for failure in report.runs.iter().filter_map(|run| run.failure.as_ref()) {
+        *failed.entry(failure_mark(failure.kind)).or_default() += 1;
+    }
+    let n_runs = report.runs.len();
+    let n_finished = n_runs - failed.values().sum::<usize>();
+    let others: String = failed.iter().map(|(what, count)| format!(", {count} × {what}")).collect();
+    format!("{n_runs} runs: {n_finished} finished{others}.")
+}
+
+/// Who leads in quality and in time.
+fn best(group: &Group) -> String {
+    let leader = |column: Column, what: &str, unit: &str| {
+        let is_best = |row: &&Row| row.headline.get(&column).is_some_and(|cell| cell.rank == Some(1));
+        let best: Vec<&Row> = group.rows.iter().filter(is_best).collect();
+        let value = best.first()?.headline.get(&column)?.mean?;
+        let names: Vec<&str> = best.iter().map(|row| row.name.as_str()).collect();
+        Some(format!("{what} {} ({} {unit})", names.join(" and "), number(value, column.decimals())))
+    };
+    let leaders = [
+        leader(Column::PSNR, "highest PSNR", "dB"),
+        leader(Column::TrainingSecs, "shortest training", "s"),
+        leader(Column::FpsModel, "fastest rendering", "frames per second"),
+    ];
+    let leaders: Vec<String> = leaders.into_iter().flatten().collect();
+    let [width, height] = [group.protocol.width, group.protocol.height];
+    let about = format!("Protocol {} ({}, {width}×{height})", group.name, group.protocol.dataset);
+    if leaders.is_empty() {
+        return format!("{about}: nothing to rank.");
+    }
+    format!("{about}: {}.", leaders.join("; "))
+}
+
+/// The smallest difference in mean PSNR that the seeds can tell from noise.
+fn noise(group: &Group) -> String {
+    let cells = || group.rows.iter().filter_map(|row| row.headline.get(&Column::PSNR));
+    let variances: Vec<f64> = cells().filter_map(|cell| cell.std).map(|std| std * std).collect();
+    let n_seeds = cells().filter(|cell| cell.std.is_some()).map(|cell| cell.n()).min();
+    let width = mean(&variances).zip(n_seeds).and_then(|(variance, n)| {
+        let one = (variance.sqrt(), n);
+        welch_half_width(one, one)
+    });
+    match (width, n_seeds) {
+        (Some(width), Some(n)) => format!(
+            "With {n} seeds, methods of protocol {} whose mean PSNR differs by less than {} dB cannot be told apart (95 %).",
+            group.name,
+            number(width, 2)
+        ),
+        _ => format!(
+            "Protocol {} has one seed per run: nothing is known about noise, and small differences may be it.",
+            group.name
+        ),
+    }
+}
+
+/// Every source beside every row, with its verdict in one line.
+fn published(content: &Content<'_>) -> Table {
+    let header = ["method", "source", "who measured", "verdict on PSNR"].map(String::from).into();
+    let mut table = Table::new("Published values and what they come to here", header).with_text_columns(4);
+    for (group, claims) in content.report.groups.iter().flat_map(|group| group.claims.iter().map(move |c| (group, c))) {
+        for column in &claims.columns {
+            let label = match group.label(content.report) {
+                label if label.is_empty() => claims.row.clone(),
+                label => format!("{} ({label})", claims.row),
+            };
+            let source = format!("{} ({})", column.claim.source, column.claim.label);
+            let texts = [source, who(column.claim.kind).into(), summary(column, &claims.lines)];
+            let first = Text::plain(label).linked(content.traces.row(&claims.row));
+            table.rows.push([first].into_iter().chain(texts.map(Text::plain)).collect());
+        }
+    }
+    table
+}
+
+/// How many lines are reproduced, and which are not.
+fn summary(column: &ClaimColumn, lines: &[String]) -> String {
+    if !column.differences.is_empty() {
+        return format!("not comparable: {}", column.differences.join("; "));
+    }
+    let entries = || column.entries.iter().zip(lines).filter_map(|(entry, line)| Some((&entry.as_ref()?.1, line)));
+    let judged = entries().filter(|(verdict, _)| !matches!(verdict, Verdict::NotComparable | Verdict::NotMeasured));
+    let agrees = |verdict: &Verdict| matches!(verdict, Verdict::Reproduced { .. } | Verdict::WithinSpread { .. });
+    let n_judged = judged.clone().count();
+    let n_agreeing = judged.clone().filter(|(verdict, _)| agrees(verdict)).count();
+    let others: String = judged
+        .filter(|(verdict, _)| !agrees(verdict))
+        .map(|(verdict, line)| format!("; {line}: {}", verdict.text()))
+        .collect();
+    match n_judged {
+        0 => "not measured, or over other scenes".into(),
+        n => format!("{n_agreeing} of {n} reproduced{others}"),
+    }
+}

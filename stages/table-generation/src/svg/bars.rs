@@ -1,0 +1,69 @@
+//! What a total is made of: a bar of segments per row.
+
+use maud::html;
+
+use super::plot::{linear_ticks, tick_decimals};
+use super::{Panel, WIDTH, colour, text};
+use crate::format::number;
+
+/// A row's height, that of its bar, and the edges of the plot, px.
+const ROW: f64 = 37.0;
+const BAR: f64 = 14.0;
+const LEFT: f64 = 4.0;
+const RIGHT: f64 = WIDTH - 16.0;
+const TOP: f64 = 26.0;
+/// A segment that holds a number is at least so wide, px.
+const NUMBERED: f64 = 14.0;
+
+/// A chart of bars.
+pub struct Bars {
+    /// What it shows.
+    pub title: String,
+    /// What the lengths are, with the unit.
+    pub x_label: String,
+    /// Label and segments of each bar; a segment's number in the legend is its index and one more.
+    pub rows: Vec<(String, Vec<f64>)>,
+}
+
+impl Bars {
+    /// The chart as a panel.
+    pub fn panel(self) -> Panel {
+        let longest = self.rows.iter().map(|(_, segments)| segments.iter().sum::<f64>()).fold(0.0, f64::max);
+        let scale = (RIGHT - LEFT) / longest.max(f64::MIN_POSITIVE);
+        let bottom = TOP + ROW * self.rows.len() as f64;
+        let ticks = if longest > 0.0 { linear_ticks(0.0, longest) } else { Vec::new() };
+        let decimals = tick_decimals(&ticks);
+        let drawing = html! {
+            text x="4" y="16" class="title" { (self.title) }
+            @for &tick in &ticks {
+                @let at = LEFT + tick * scale;
+                path class="grid" d=(format!("M{} {TOP}V{bottom}", number(at, 1))) {}
+                (text([at.max(8.0), bottom + 14.0], "middle", &number(tick, decimals)))
+            }
+            @for (row, (label, segments)) in self.rows.iter().enumerate() {
+                @let y = TOP + ROW * row as f64;
+                (text([LEFT, y + 14.0], "start", &format!("{label}: {}", number(segments.iter().sum(), 1))))
+                @for (at, (start, length)) in starts(segments).enumerate().filter(|(_, (_, length))| *length > 0.0) {
+                    @let x = LEFT + start * scale;
+                    rect x=(number(x, 1)) y=(y + 19.0) width=(number(length * scale, 1)) height=(BAR)
+                        fill=(colour(at)) stroke="#fff" stroke-width="0.7" class="paper-edge" {}
+                    @if length * scale >= NUMBERED {
+                        text x=(number(x + length * scale / 2.0, 1)) y=(y + 30.0) text-anchor="middle" fill="#000"
+                            class="on-colour" { (at + 1) }
+                    }
+                }
+            }
+            (text([(LEFT + RIGHT) / 2.0, bottom + 31.0], "middle", &self.x_label))
+        };
+        Panel { title: self.title, width: WIDTH, height: bottom + 38.0, drawing }
+    }
+}
+
+/// Start and length of every segment.
+fn starts(segments: &[f64]) -> impl Iterator<Item = (f64, f64)> {
+    segments.iter().scan(0.0, |end, length| {
+        let start = *end;
+        *end += length;
+        Some((start, *length))
+    })
+}

@@ -1,0 +1,78 @@
+//! Charts hold what they are given, in bounds and without overlap.
+
+use super::bars::Bars;
+use super::scatter::{Point, Scatter};
+use super::strips::Strips;
+use super::*;
+use crate::document::{Figure, Key};
+
+fn numbers(text: &str, attribute: &str) -> Vec<f64> {
+    let start = format!(" {attribute}=\"");
+    text.match_indices(&start)
+        .filter_map(|(at, found)| text[at + found.len()..].split('"').next()?.parse().ok())
+        .collect()
+}
+
+#[test]
+fn segments_of_bars_are_as_long_as_their_values() {
+    let rows = vec![("a".into(), vec![1.0, 2.0, 0.0]), ("b".into(), vec![4.0, 4.0, 2.0])];
+    let drawing = Bars { title: "t".into(), x_label: "s".into(), rows }.panel().drawing.into_string();
+    let widths = numbers(&drawing, "width");
+    assert_eq!(widths.len(), 5, "no segment for nothing: {drawing}");
+    let per_unit = widths[0];
+    let expected = [1.0, 2.0, 4.0, 4.0, 2.0].map(|value| value * per_unit);
+    assert!(widths.iter().zip(expected).all(|(width, wanted)| (width - wanted).abs() <= 0.1 * wanted), "{widths:?}");
+    assert!(drawing.contains("a: 3.0") && drawing.contains("b: 10.0"));
+}
+
+#[test]
+fn strips_are_light_where_values_are_high() {
+    let rows = vec![("m".into(), vec![("first".into(), 20.0), ("second".into(), 30.0)])];
+    let strips = Strips { title: "t".into(), ends: ["0".into(), "1".into()], range: [20.0, 30.0], rows };
+    let drawing = strips.panel().drawing.into_string();
+    assert!(drawing.contains(&hex(strips::SCALE, 0.0)) && drawing.contains(&hex(strips::SCALE, 1.0)), "{drawing}");
+    assert!(drawing.contains("<title>second</title>"));
+}
+
+#[test]
+fn numbers_of_points_do_not_lie_on_each_other() {
+    let point =
+        |style: usize, at: [f64; 2]| Point { style, at, std: [0.0; 2], seeds: Vec::new(), on_front: style == 0 };
+    let points =
+        vec![point(0, [10.0, 30.0]), point(1, [10.05, 30.02]), point(2, [10.1, 29.98]), point(3, [90.0, 20.0])];
+    let scatter = Scatter { title: "t".into(), x_label: "x".into(), y_label: "y".into(), points };
+    let drawing = scatter.panel().drawing.into_string();
+    let places: Vec<(f64, f64)> = (1..=4)
+        .map(|number| {
+            let end = drawing.find(&format!(">{number}</text>")).expect("a number");
+            let tag = &drawing[drawing[..end].rfind("<text").expect("its tag")..end];
+            (numbers(tag, "x")[0], numbers(tag, "y")[0])
+        })
+        .collect();
+    for (i, a) in places.iter().enumerate() {
+        for b in &places[i + 1..] {
+            assert!((a.0 - b.0).abs() >= 9.0 || (a.1 - b.1).abs() >= 9.0, "{places:?}");
+        }
+    }
+    assert_eq!(drawing.matches("class=\"paper\"").count(), 3, "points that are not on the front are hollow");
+}
+
+#[test]
+fn files_are_balanced_and_neither_load_nor_link_anything() {
+    let panel = || Panel {
+        title: "t".into(),
+        width: 100.0,
+        height: 50.0,
+        drawing: html! { (text([1.0, 2.0], "end", "a & b")) },
+    };
+    let legend = vec![Key { sample: line_sample(0), number: Some(1), label: "one <1>".into() }];
+    let figure =
+        Figure { file: "f.svg".into(), caption: "c".into(), legend, panels: (0..5).map(|_| panel()).collect() };
+    let file = file(&figure);
+    for element in ["svg", "g", "text", "path", "rect", "style"] {
+        let opened = file.matches(&format!("<{element}>")).count() + file.matches(&format!("<{element} ")).count();
+        assert_eq!(opened, file.matches(&format!("</{element}>")).count(), "{element}");
+    }
+    assert!(file.contains("a &amp; b") && file.contains("1 one &lt;1&gt;") && !file.contains("href"));
+    assert!(file.contains("width=\"300\""), "three panels side by side: {}", &file[..200]);
+}

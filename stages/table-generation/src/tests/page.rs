@@ -1,0 +1,118 @@
+//! The page: well formed, whole without any other file, and every link leads somewhere.
+
+use std::collections::BTreeSet;
+
+use super::content::document;
+use super::formats::awkward;
+use super::*;
+use crate::html;
+
+fn page(report: &Report) -> String {
+    html::html(&document(report))
+}
+
+/// The values of an attribute, in order.
+fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
+    let start = format!(" {name}=\"");
+    page.match_indices(&start).filter_map(|(at, found)| page[at + found.len()..].split('"').next()).collect()
+}
+
+/// What is wrong with a page that must stand alone.
+fn problems(page: &str) -> Vec<String> {
+    let ids: BTreeSet<&str> = attributes(page, "id").into_iter().collect();
+    let dead = attributes(page, "href").into_iter().filter(|to| {
+        let place = to.strip_prefix('#');
+        !place.is_some_and(|place| ids.contains(place))
+    });
+    let foreign = ["src", "srcset", "xlink:href", "data", "poster", "action"];
+    let loaded = foreign.iter().flat_map(|name| attributes(page, name)).filter(|from| !from.starts_with("data:"));
+    let twice = attributes(page, "id").len() - ids.len();
+    let style = page.split("<style>").nth(1).and_then(|rest| rest.split("</style>").next()).unwrap_or_default();
+    let in_style = ["@import", "url("].into_iter().filter(|word| style.contains(word));
+    let elements = ["<script", "<link", "<iframe", "<object", "<embed"].into_iter().filter(|tag| page.contains(tag));
+    dead.map(|to| format!("dead link {to}"))
+        .chain(loaded.map(|from| format!("loads {from}")))
+        .chain(in_style.map(|word| format!("{word} in the style")))
+        .chain(elements.map(|tag| format!("element {tag}")))
+        .chain((twice > 0).then(|| format!("{twice} ids are there twice")))
+        .collect()
+}
+
+#[test]
+fn the_page_needs_nothing_else_and_every_link_resolves() {
+    let page = page(&awkward());
+    assert_eq!(problems(&page), Vec::<String>::new());
+    assert!(attributes(&page, "href").iter().filter(|to| to.starts_with("#run-")).count() > 40, "numbers have links");
+}
+
+#[test]
+fn planted_faults_of_a_page_are_noticed() {
+    let good = page(&awkward());
+    let planted = [
+        ("</main>", "<img src=\"https://example.org/x.png\"></main>"),
+        ("</main>", "<a href=\"#nowhere\">x</a></main>"),
+        ("</main>", "<a href=\"other.html\">x</a></main>"),
+        ("</main>", "<script>1</script></main>"),
+        ("<style>", "<style>@import \"x.css\";"),
+        ("</main>", "<p id=\"runs\"></p></main>"),
+    ];
+    for (from, to) in planted {
+        assert_eq!(problems(&good.replacen(from, to, 1)).len(), 1, "{to} was not noticed");
+    }
+}
+
+#[test]
+fn a_number_leads_to_its_run_with_job_key_and_command() {
+    let params = TableGenerationParams { recipe: "recipes/x.toml".into(), ..TableGenerationParams::default() };
+    let document = crate::sections::document(&report(two_by_two()), Vec::new(), &params).expect("a document");
+    let page = html::html(&document);
+    // 40.6 dB is the mean over two seeds of deformable4dgs on bouncingballs.
+    let cell = page.split("<td").find(|cell| cell.contains(">40.60 ± 0.14<")).expect("the cell");
+    let target = attributes(cell, "href")[0].trim_start_matches('#').to_owned();
+    assert!(attributes(cell, "title")[0].contains("train/bouncingballs/deformable4dgs/0 · key 0123456789ab"), "{cell}");
+    let row = page.split("<tr>").find(|row| row.contains(&format!("id=\"{target}\""))).expect("the row of the run");
+    let command = "pipeline run recipes/x.toml --only train/bouncingballs/deformable4dgs/0";
+    for part in ["deformable4dgs", "bouncingballs", "0123456789ab", ">12.0<", command] {
+        assert!(row.contains(part), "{part} is missing: {row}");
+    }
+}
+
+#[test]
+fn every_element_is_closed_and_text_is_escaped() {
+    let page = page(&awkward());
+    let elements =
+        ["html", "head", "body", "main", "section", "table", "thead", "tbody", "tr", "td", "th", "p", "svg", "g", "a"];
+    for element in elements {
+        let opened = page.matches(&format!("<{element}>")).count() + page.matches(&format!("<{element} ")).count();
+        assert_eq!(opened, page.matches(&format!("</{element}>")).count(), "{element}");
+    }
+    assert!(page.contains("a_b &amp; &lt;c&gt;|d") && !page.contains("<c>"));
+}
+
+#[test]
+fn tables_say_what_their_cells_are_about() {
+    let page = page(&awkward());
+    assert_eq!(page.matches("<table>").count(), page.matches("<caption>").count());
+    let headings = page.matches("<th ").count();
+    let body = page.split("</style>").nth(1).expect("a body");
+    assert_eq!(headings, body.matches(" scope=\"").count(), "a heading without a scope");
+    assert_eq!(
+        page.matches("<svg ").count(),
+        page.matches("role=\"img\"").count() + page.matches("aria-hidden").count()
+    );
+}
+
+#[test]
+fn no_cell_is_a_number_that_is_none() {
+    let mut runs = two_by_two();
+    runs[0].figures.insert(Column::PSNR, Score::Value(f64::NAN));
+    runs[1].frames[0].psnr = f64::NAN;
+    runs[2].phases.insert("blend".into(), f64::INFINITY);
+    let refused = Report::new(runs.clone(), &[], &TableGenerationParams::default());
+    assert!(refused.check().is_err(), "an infinite phase was accepted");
+    runs[2].phases.remove("blend");
+    let page = page(&Report::new(runs, &[], &TableGenerationParams::default()));
+    let cells: Vec<&str> = page.split("<td").skip(1).filter_map(|cell| cell.split("</td>").next()).collect();
+    assert!(cells.len() > 100);
+    assert!(cells.iter().all(|cell| !cell.contains("NaN") && !cell.contains("inf")), "{cells:?}");
+}
