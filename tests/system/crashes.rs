@@ -66,7 +66,7 @@ fn children(scheduler: &Child) -> Vec<Pid> {
 fn an_interrupted_run_stops_and_the_next_one_resumes() {
     const ONLY: [&str; 2] = ["--only", "train/bouncing-spheres/static3dgs/0"];
     const TRAIN: &str = "train/bouncing-spheres/static3dgs/0";
-    let longer = || World::with_edit("{ train = 40 }", "{ train = 2000 }");
+    let longer = || World::with_edit("{ train = 40 }", "{ train = 10000 }");
     let world = longer();
     let mut run = world.command("run", &["--json", ONLY[0], ONLY[1]]);
     let mut run = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

@@ -139,7 +139,10 @@ fn check_protocols(a: &Run, b: &Run) -> Result<(), ProtocolsDiffer> {
 
 /// Why times do not compare, if they do not.
 fn different_machines(partners: &[(&Run, &Run)]) -> Option<String> {
-    let on = |run: &Run| run.machines.join("; ");
+    let on = |run: &Run| {
+        let machines = run.machines.iter().map(|(work, machine)| format!("{work} on {}", machine.line()));
+        machines.collect::<Vec<_>>().join("; ")
+    };
     let differ = partners.iter().find(|(a, b)| !a.machines.is_empty() && !b.machines.is_empty() && on(a) != on(b));
     differ.map(|(a, b)| format!("times are left out: A was measured {}, B {}", on(a), on(b)))
 }
@@ -236,6 +239,8 @@ impl ComparedRow {
 mod tests {
     use metric_evaluation::{Metric, Score};
 
+    use table_generation::Machine;
+
     use super::*;
 
     fn run(row: &str, scene: &str, seed: &str, psnr: Option<f64>) -> Run {
@@ -315,10 +320,11 @@ mod tests {
 
     #[test]
     fn times_of_different_machines_do_not_compare() {
-        let timed = |threads: u32| {
+        let timed = |threads: u64| {
             let mut run = run("m", "a", "0", Some(20.0));
             run.figures.insert(Column::TrainingSecs, Score::Value(3.0));
-            run.machines = vec![format!("training on cpu, {threads} threads")];
+            let machine = Machine { device: "cpu".into(), threads: Some(threads), ..Machine::default() };
+            run.machines = [("training".to_string(), machine)].into();
             vec![run]
         };
         let same = compare(&timed(2), &timed(2), &[]).unwrap();

@@ -1,5 +1,7 @@
 //! What a recipe says, key by key, before stages are asked what they think of it.
 
+mod conditions;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use indexmap::IndexMap;
@@ -9,6 +11,9 @@ use super::errors::{Report, names_hint};
 use super::load::Loaded;
 use super::places::Place;
 use super::tree::{Item, Table, Tree};
+use conditions::{Axes, conditions, only};
+
+pub(crate) use conditions::Conditions;
 
 /// A recipe whose keys are all known and of the right type; what was not is in the report and left out here.
 #[derive(Default)]
@@ -37,9 +42,6 @@ pub(crate) struct AxisValue {
     pub text: String,
     pub value: Value,
 }
-
-/// Axis index → the values that are meant.
-pub(crate) type Conditions = BTreeMap<usize, BTreeSet<String>>;
 
 /// One `[nodes.NAME]`.
 pub(crate) struct Template {
@@ -146,13 +148,6 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
     values
 }
 
-/// The axes of a recipe, and every value that any layer of it gives them.
-#[derive(Clone, Copy)]
-struct Axes<'a> {
-    here: &'a IndexMap<String, Axis>,
-    anywhere: &'a BTreeMap<String, BTreeSet<String>>,
-}
-
 fn template(name: &str, item: &Item, axes: Axes<'_>, report: &mut Report) -> Option<Template> {
     let key = format!("nodes.{name}");
     check_name(name, item.key_at, &key, report);
@@ -188,18 +183,6 @@ fn over(fields: &Table, key: &str, axes: &IndexMap<String, Axis>, report: &mut R
         }
     }
     over.into_iter().collect()
-}
-
-/// The values for which a node has jobs, on axes that it is expanded over.
-fn only(fields: &Table, key: &str, over: &[usize], axes: Axes<'_>, report: &mut Report) -> Conditions {
-    let key = format!("{key}.only");
-    let only = conditions(fields, "only", &key, axes, report);
-    if let Some((axis, _)) = only.keys().filter(|axis| !over.contains(axis)).find_map(|axis| axes.here.get_index(*axis))
-    {
-        let message = format!("the node is not expanded over axis `{axis}`");
-        report.add(&fields["only"].key_at, key, message, Some("add it to the node's `over`".into()));
-    }
-    only
 }
 
 fn wires(fields: &Table, key: &str, report: &mut Report) -> Vec<Wire> {
@@ -267,31 +250,6 @@ fn rule(
         params.push((name.clone(), table_at(fields, "params", &format!("{key}.params"), report).clone()));
     }
     Some(Rule { when, params })
-}
-
-/// The values per axis in the table `name`, which must be values that the axes can have.
-fn conditions(fields: &Table, name: &str, dotted: &str, axes: Axes<'_>, report: &mut Report) -> Conditions {
-    let mut conditions = Conditions::new();
-    for (axis, item) in table_at(fields, name, dotted, report) {
-        let key = format!("{dotted}.{axis}");
-        let Some((index, _, values)) = axes.here.get_full(axis) else {
-            let hint = names_hint(axis, axes.here.keys().map(String::as_str));
-            report.add(&item.key_at, key, format!("unknown axis `{axis}`"), hint);
-            continue;
-        };
-        let mut allowed: BTreeSet<&str> = values.values.iter().map(|value| value.text.as_str()).collect();
-        allowed.extend(axes.anywhere.get(axis).into_iter().flatten().map(String::as_str));
-        let wanted = if let Tree::Array(items) = &item.tree { items.as_slice() } else { std::slice::from_ref(item) };
-        for item in wanted {
-            let text = axis_text(item).unwrap_or_default();
-            if !allowed.contains(text.as_str()) {
-                let hint = names_hint(&text, allowed.iter().copied());
-                report.add(&item.at, &key, format!("axis `{axis}` has no value `{text}`"), hint);
-            }
-        }
-        conditions.insert(index, wanted.iter().filter_map(axis_text).collect());
-    }
-    conditions
 }
 
 /// Names end up in job names, folders and patterns.

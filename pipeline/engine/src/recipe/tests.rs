@@ -214,7 +214,7 @@ nodes.trian.params.steps = 1
         "3: axes.scene: axis values are strings or integers",
         "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`)",
         "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-join, test-list, test-work, test-write)",
-        "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, inputs, like, params)",
+        "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, only, inputs, like, params)",
         "9: nodes.other.over: unknown axis `scen` (did you mean `scene`? allowed: scene)",
         "10: nodes.other.params.text: unknown axis `sene` (did you mean `scene`? allowed: scene; for a literal brace write {{sene}})",
         "10: nodes.other.params.sorce: unknown key `sorce` (did you mean `source`? allowed: text, source)",

@@ -33,10 +33,10 @@ fn ablation_table(content: &Content<'_>, group: &Group, method: &str) -> Option<
         for column in [Column::PSNR, Column::TrainingSecs, Column::MsPerIteration] {
             let decimals = column.decimals();
             let text = Text::plain(mean(row, column).map_or(NONE.into(), |value| number(value, decimals)));
-            cells.push(traced(text, content.traces.row(&row.name)));
-            cells.push(Text::plain(difference_text(row, reference, column)));
+            let difference = Text::plain(difference_text(row, reference, column));
+            cells.extend([text, difference].map(|text| traced(text, content.traces.row(&row.name))));
         }
-        cells.push(Text::plain(worth(row, reference)));
+        cells.push(traced(Text::plain(worth(row, reference)), content.traces.row(&row.name)));
         table.rows.push(cells);
     }
     if table.rows.iter().any(|row| row.iter().any(|cell| cell.text.contains('±'))) {

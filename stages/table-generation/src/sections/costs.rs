@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::Content;
+use super::cells::traced;
 use crate::document::{Block, Figure, Key, Table, Text};
 use crate::format::{NONE, number};
 use crate::report::{Group, Row};
@@ -19,7 +20,7 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut blocks = Vec::new();
     for group in &content.report.groups {
         blocks.extend(phase_figure(content, group).map(Block::Figure));
-        let tables = [phase_table(group), iteration_table(group), loss_table(group), skipped_table(group)];
+        let tables = [phase_table, iteration_table, loss_table, skipped_table].map(|table| table(content, group));
         blocks.extend(tables.into_iter().filter(|table| !table.rows.is_empty()).map(Block::Table));
     }
     blocks
@@ -59,21 +60,27 @@ fn phase_figure(content: &Content<'_>, group: &Group) -> Option<Figure> {
     })
 }
 
+/// A line of a table: its name, and figures that lead to the runs of the row.
+fn line(content: &Content<'_>, row: &Row, name: String, figures: impl Iterator<Item = String>) -> Vec<Text> {
+    let figures = figures.map(|figure| traced(Text::plain(figure), content.traces.row(&row.name)));
+    [Text::plain(name)].into_iter().chain(figures).collect()
+}
+
 /// Seconds by activity as numbers.
-fn phase_table(group: &Group) -> Table {
+fn phase_table(content: &Content<'_>, group: &Group) -> Table {
     let activities = activities(group);
     let header = ["method"].into_iter().chain(activities.iter().copied()).map(String::from).collect();
     let caption = format!("Protocol {}: seconds per phase of training, mean over runs", group.name);
     let mut table = Table::new(caption, header);
     for row in group.rows.iter().filter(|row| !row.phases.is_empty()) {
-        let secs = |activity: &&str| Text::plain(row.phases.get(*activity).map_or(NONE.into(), |s| number(*s, 1)));
-        table.rows.push([Text::plain(&row.name)].into_iter().chain(activities.iter().map(secs)).collect());
+        let secs = |activity: &&str| row.phases.get(*activity).map_or(NONE.into(), |secs| number(*secs, 1));
+        table.rows.push(line(content, row, row.name.clone(), activities.iter().map(secs)));
     }
     table
 }
 
 /// Milliseconds per iteration: a row per method and phase, a column per activity.
-fn iteration_table(group: &Group) -> Table {
+fn iteration_table(content: &Content<'_>, group: &Group) -> Table {
     let phases = |row: &Row| row.costs.ms_per_iteration_by_phase.clone();
     let names: BTreeSet<String> =
         group.rows.iter().flat_map(|row| phases(row).into_values().flat_map(BTreeMap::into_keys)).collect();
@@ -84,38 +91,38 @@ fn iteration_table(group: &Group) -> Table {
         for (phase, activities) in phases(row) {
             let all: f64 = activities.values().sum();
             let cells = names.iter().map(|name| activities.get(name).map_or(NONE.into(), |ms| number(*ms, 2)));
-            let cells = [format!("{} · {phase}", row.name), number(all, 2)].into_iter().chain(cells);
-            table.rows.push(cells.map(Text::plain).collect());
+            let name = format!("{} · {phase}", row.name);
+            table.rows.push(line(content, row, name, [number(all, 2)].into_iter().chain(cells)));
         }
     }
     table
 }
 
 /// What each loss weighs in the sum, and how long its forward pass takes.
-fn loss_table(group: &Group) -> Table {
+fn loss_table(content: &Content<'_>, group: &Group) -> Table {
     let header = ["method · loss", "share of the value (%)", "forward (s)"].map(String::from);
     let mut table = Table::new(format!("Protocol {}: losses, mean over runs", group.name), header.into());
     // A method with one loss has nothing to share.
     for row in group.rows.iter().filter(|row| row.costs.loss_shares.len() > 1) {
         for (name, share) in &row.costs.loss_shares {
             let secs = share.forward_secs.map_or(NONE.into(), |secs| number(secs, 2));
-            let cells = [format!("{} · {name}", row.name), number(100.0 * share.value_share, 2), secs];
-            table.rows.push(cells.map(Text::plain).into());
+            let cells = [number(100.0 * share.value_share, 2), secs];
+            table.rows.push(line(content, row, format!("{} · {name}", row.name), cells.into_iter()));
         }
     }
     table
 }
 
 /// What was left out because nothing called for it.
-fn skipped_table(group: &Group) -> Table {
+fn skipped_table(content: &Content<'_>, group: &Group) -> Table {
     let header = ["method · work", "left out", "of", "share (%)"].map(String::from);
     let caption = format!("Protocol {}: work that no scene called for, sum over runs", group.name);
     let mut table = Table::new(caption, header.into());
     for row in &group.rows {
         for (what, [skipped, of]) in &row.costs.skipped_work {
             let share = 100.0 * *skipped as f64 / (*of).max(1) as f64;
-            let cells = [format!("{} · {what}", row.name), skipped.to_string(), of.to_string(), number(share, 1)];
-            table.rows.push(cells.map(Text::plain).into());
+            let cells = [skipped.to_string(), of.to_string(), number(share, 1)];
+            table.rows.push(line(content, row, format!("{} · {what}", row.name), cells.into_iter()));
         }
     }
     table

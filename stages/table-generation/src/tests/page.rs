@@ -78,6 +78,20 @@ fn a_number_leads_to_its_run_with_job_key_and_command() {
 }
 
 #[test]
+fn figures_of_every_kind_lead_to_runs() {
+    let page = page(&awkward());
+    for section in ["pareto", "budgets", "costs"] {
+        let start = page.find(&format!("<section id=\"{section}\">")).expect("the section");
+        let text = page[start..].split("</section>").next().expect("its text");
+        let cells = text.split("<td").skip(1).map(|cell| cell.split("</td>").next().unwrap_or_default());
+        let figures: Vec<&str> =
+            cells.filter(|cell| cell.ends_with(|c: char| c.is_ascii_digit()) || cell.contains("</a>")).collect();
+        assert!(figures.len() >= 3, "{section}: {figures:?}");
+        assert!(figures.iter().all(|cell| cell.contains("href=\"#run-")), "{section}: {figures:?}");
+    }
+}
+
+#[test]
 fn every_element_is_closed_and_text_is_escaped() {
     let page = page(&awkward());
     let elements =

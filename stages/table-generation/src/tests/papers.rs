@@ -85,7 +85,9 @@ fn missing_data_fills_cells_and_fails_nothing() {
     assert_eq!(row(&all[0], "Ours", None)[5..7], [".998", "missing data"]);
     let mut some = runs(&SCENES[..5], 1.0);
     some.extend(SCENES[5..].iter().map(|scene| failed(scene, "mcgs", 0, FailureKind::MissingData)));
-    assert_eq!(row(&tables(some, &["mcgs"])[0], "Ours", None)[2], "missing data (3 of 7 scenes)");
+    let table = &tables(some, &["mcgs"])[0];
+    assert_eq!(row(table, "Ours", None)[2], "– (a)");
+    assert_eq!(table.notes[0], "missing data (3 of 7 scenes)");
 }
 
 #[test]
