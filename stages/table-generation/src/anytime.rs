@@ -37,7 +37,7 @@ impl Column {
     pub fn of_curve(self, curve: &[CurvePoint]) -> Option<Score> {
         let question = self.question()?;
         let evaluated = || curve.iter().filter_map(|point| Some((point.seconds, point.psnr_val?)));
-        let (_, last) = evaluated().last()?;
+        let (_, last) = evaluated().next_back()?;
         let reached = |wanted: f64| evaluated().find(|(_, psnr)| *psnr >= wanted).map(|(seconds, _)| seconds);
         let answer = match question {
             Question::SecondsToShare(share) => reached(share * last),

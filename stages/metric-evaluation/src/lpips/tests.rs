@@ -90,7 +90,8 @@ fn small_images_have_no_distance() {
 #[test]
 fn wrong_tensors_are_named() {
     let [body, heads] = generated(Backbone::Alex);
-    let refused = |change: &dyn Fn(&mut BTreeMap<String, Tensor>, &mut BTreeMap<String, Tensor>), expected: &str| {
+    type Tensors = BTreeMap<String, Tensor>;
+    let refused = |change: &dyn Fn(&mut Tensors, &mut Tensors), expected: &str| {
         let (mut body, mut heads) = (body.clone(), heads.clone());
         change(&mut body, &mut heads);
         let error = Lpips::new(Backbone::Alex, &body, &heads).err().expect("must be refused");

@@ -198,7 +198,7 @@ fn series(style: usize, curves: &[Curve], mark: Option<[f64; 2]>) -> Option<Seri
     };
     let within = moments(curves.iter().copied(), |seconds| (start..=end).contains(&seconds));
     let points: Vec<_> = within.into_iter().filter_map(at).collect();
-    (!points.is_empty()).then(|| Series { style, points, has_band: curves.len() > 1, mark })
+    (!points.is_empty()).then_some(Series { style, points, has_band: curves.len() > 1, mark })
 }
 
 /// The moments of evaluation that are wanted, ascending, each once.

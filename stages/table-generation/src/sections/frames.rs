@@ -48,7 +48,7 @@ fn strips(content: &Content<'_>, group: &Group, scene: &str) -> Option<Panel> {
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
     let times = || rows.first().map(|(_, frames)| frames.iter().filter_map(|frame| frame.time_secs));
     let end = |time: Option<f64>, name: &str| time.map_or(name.into(), |secs| format!("{} s", number(secs, 2)));
-    let ends = [end(times()?.next(), "first"), end(times()?.last(), "last")];
+    let ends = [end(times()?.next(), "first"), end(times()?.next_back(), "last")];
     let strip = |(row, frames): &(&Row, Vec<FrameScore>)| {
         let worst = frames.iter().map(|frame| frame.psnr).fold(f64::INFINITY, f64::min);
         let best = frames.iter().map(|frame| frame.psnr).fold(f64::NEG_INFINITY, f64::max);
