@@ -1,6 +1,11 @@
 //! How images came to be what they are: numbers share a column only if their protocols are equal.
 
+mod presets;
+
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+
+pub use presets::{PRESETS, Preset, SceneSet, scene_sets};
 
 /// The part of the evaluation protocol that the data fixes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,12 +26,117 @@ pub struct Protocol {
     pub time: String,
 }
 
+/// Hexadecimal digits of a protocol's hash: a million protocols would rarely share one.
+const HASH_DIGITS: usize = 8;
+
 impl Protocol {
-    /// One line that names every field; two protocols are equal exactly when their lines are.
+    /// One line with the preset's name, if it is one, the hash and every field; two protocols are equal exactly when their
+    /// lines are.
     pub fn line(&self) -> String {
+        let name = self.preset().map(|preset| format!("{} ", preset.name)).unwrap_or_default();
+        format!("{name}[{}] {}", self.hash(), self.fields())
+    }
+
+    /// The first eight digits of the SHA-256 of all fields: what numbers of one protocol have in common, on any machine.
+    pub fn hash(&self) -> String {
+        let digest = Sha256::digest(self.fields());
+        digest.iter().map(|byte| format!("{byte:02x}")).take(HASH_DIGITS / 2).collect()
+    }
+
+    /// The preset that this is, to the last field.
+    pub fn preset(&self) -> Option<&'static Preset> {
+        PRESETS.iter().find(|preset| preset.protocol() == *self)
+    }
+
+    /// Every field in which this protocol is not `other`, as `background black instead of white`.
+    pub fn differences(&self, other: &Self) -> Vec<String> {
+        let pairs = self.named().into_iter().zip(other.named());
+        let differs = |((name, ours), (_, theirs)): (&(&str, String), &(&str, String))| {
+            (ours != theirs).then(|| format!("{name} {ours} instead of {theirs}"))
+        };
+        pairs.filter_map(|(ours, theirs)| differs((&ours, &theirs))).collect()
+    }
+
+    fn named(&self) -> [(&'static str, String); 6] {
+        let Self { dataset, split, width, height, resize, background, time } = self;
+        [
+            ("dataset", dataset.clone()),
+            ("split", split.clone()),
+            ("size", format!("{width}×{height}")),
+            ("resize", resize.clone()),
+            ("background", background.clone()),
+            ("time", time.clone()),
+        ]
+    }
+
+    fn fields(&self) -> String {
         let Self { dataset, split, width, height, resize, background, time } = self;
         format!(
             "{dataset} · {split} split · {width}×{height} · resize {resize} · {background} background · time {time}"
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    fn white() -> Protocol {
+        Preset::named("dnerf-800-white").unwrap().protocol()
+    }
+
+    #[test]
+    fn presets_are_found_by_name_and_by_their_fields() {
+        let names: BTreeSet<_> = PRESETS.iter().map(|preset| preset.name).collect();
+        assert_eq!(names.len(), PRESETS.len());
+        for preset in PRESETS {
+            assert_eq!(Preset::named(preset.name).map(|found| found.name), Some(preset.name));
+            assert_eq!(preset.protocol().preset().map(|found| found.name), Some(preset.name), "two presets are equal");
+        }
+        assert!(Preset::named("dnerf-801-white").is_none());
+    }
+
+    /// The hash is printed beside numbers: it must not change with the version of this program.
+    #[test]
+    fn hashes_are_golden_and_every_field_changes_them() {
+        assert_eq!(white().hash(), "d1704790");
+        let changes: [fn(&mut Protocol); 7] = [
+            |p| p.dataset = "dnerf2".into(),
+            |p| p.split = "official, tested on val".into(),
+            |p| p.width = 400,
+            |p| p.height = 400,
+            |p| p.resize = "area".into(),
+            |p| p.background = "black".into(),
+            |p| p.time = "index".into(),
+        ];
+        let mut seen = BTreeSet::from([white().hash()]);
+        for change in changes {
+            let mut changed = white();
+            change(&mut changed);
+            assert!(seen.insert(changed.hash()), "{}", changed.line());
+            assert_eq!(changed.differences(&white()).len(), 1);
+        }
+    }
+
+    #[test]
+    fn lines_begin_with_name_and_hash() {
+        assert!(white().line().starts_with("dnerf-800-white [d1704790] dnerf · official split · 800×800"));
+        let own = Protocol { width: 200, height: 200, ..white() };
+        assert!(own.line().starts_with(&format!("[{}] dnerf", own.hash())) && own.preset().is_none());
+        assert_eq!(own.differences(&white()), ["size 200×200 instead of 800×800"]);
+    }
+
+    #[test]
+    fn means_are_over_named_sets_of_scenes() {
+        let [eight, seven] = scene_sets(&white()) else { panic!("D-NeRF has two means") };
+        assert_eq!((eight.name, eight.scenes.len()), ("mean of 8", 8));
+        assert_eq!((seven.name, seven.scenes.len()), ("mean of 7", 7));
+        assert!(eight.scenes.contains(&"lego") && !seven.scenes.contains(&"lego"));
+        let own = Protocol { width: 200, height: 200, ..white() };
+        assert_eq!(scene_sets(&own).len(), 2, "at any size");
+        let synthetic = Protocol { dataset: "synthetic".into(), ..white() };
+        assert!(scene_sets(&synthetic).is_empty());
     }
 }

@@ -3,6 +3,7 @@
 use std::path::{Component, Path, PathBuf};
 
 use engine::ParamProblem;
+use scene::protocol::{PRESETS, Preset};
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the stage `sfm-import`.
@@ -22,6 +23,9 @@ pub struct Params {
     pub background: Background,
     /// Blender: which official split is tested on; `val` is what the literature does for D-NeRF's Lego.
     pub test_split: TestSplit,
+    /// The name of the protocol that the capture must come to have, as `dnerf-800-white` (`scene::protocol::PRESETS`); anything
+    /// else is then refused. Empty: any.
+    pub protocol: String,
     /// COLMAP: every n-th image, from the first, is a test view; 0 makes none.
     pub every_nth: u32,
     /// Validation views. Unset: Blender's official val split unless it is tested on, none elsewhere. A number: so
@@ -96,6 +100,7 @@ impl Default for Params {
             resize: None,
             background: Background::White,
             test_split: TestSplit::Test,
+            protocol: String::new(),
             every_nth: 8, // the split of LLFF, Mip-NeRF 360 and the 3DGS loaders
             val_count: None,
             frame_step: 1,
@@ -187,6 +192,19 @@ impl Params {
             message: message.into(),
             hint: Some(hint.into()),
         };
-        checks.into_iter().filter(|check| check.0).map(problem).collect()
+        let problems = checks.into_iter().filter(|check| check.0).map(problem);
+        problems.chain(self.unknown_protocol()).collect()
+    }
+
+    fn unknown_protocol(&self) -> Option<ParamProblem> {
+        if self.protocol.is_empty() || Preset::named(&self.protocol).is_some() {
+            return None;
+        }
+        let names: Vec<_> = PRESETS.iter().map(|preset| preset.name).collect();
+        Some(ParamProblem {
+            key: "protocol".into(),
+            message: format!("no protocol is called {:?}", self.protocol),
+            hint: Some(format!("one of {}", names.join(", "))),
+        })
     }
 }

@@ -8,6 +8,7 @@ use engine::{
 };
 use rayon::prelude::*;
 use scene::float_image::{FloatImage, ResizeFilter};
+use scene::protocol::Preset;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 
 use crate::params::Resize;
@@ -97,7 +98,9 @@ fn convert(
     on_view: &(dyn Fn(u64, u64) -> bool + Sync),
 ) -> anyhow::Result<Capture> {
     let conversion = Conversion::plan(source, params)?;
-    let mut writer = CaptureWriter::create(output_dir, conversion.info(source, params)).map_err(not_written)?;
+    let info = conversion.info(source, params);
+    check_protocol(&info.protocol, params)?;
+    let mut writer = CaptureWriter::create(output_dir, info).map_err(not_written)?;
     if !source.points.is_empty() {
         let positions = source.points.iter().map(|(position, _)| position.map(|value| value as f32)).collect();
         let colors = source.points.iter().map(|(_, rgb)| *rgb).collect();
@@ -111,6 +114,17 @@ fn convert(
         if go_on { Ok(()) } else { Err(stopped().into()) }
     })?;
     Ok(writer.finish()?)
+}
+
+/// Refuses a capture that has not the protocol by the name that the recipe wants.
+fn check_protocol(protocol: &Protocol, params: &Params) -> Result<()> {
+    let Some(preset) = Preset::named(&params.protocol) else { return Ok(()) };
+    let differences = protocol.differences(&preset.protocol());
+    if differences.is_empty() {
+        return Ok(());
+    }
+    let message = format!("the capture has not the protocol {}: {}", preset.name, differences.join(", "));
+    Err(bad(message).hint("change width, resize, background, test_split or protocol"))
 }
 
 /// What was read is good, so what cannot be written is the machine's fault.

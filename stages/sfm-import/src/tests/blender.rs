@@ -1,4 +1,5 @@
-use scene::{Split, TimeMap};
+use scene::protocol::Preset;
+use scene::{Protocol, Split, TimeMap};
 use serde_json::json;
 
 use super::support::*;
@@ -15,7 +16,7 @@ fn cameras_times_and_splits_are_those_of_the_files() {
     assert_eq!(capture.bounds_world, Some([[-1.3; 3], [1.3; 3]]));
     let expected =
         "dnerf · official split · 24×16 · resize none · white background · time (file time - min) / (max - min)";
-    assert_eq!(capture.protocol.line(), expected);
+    assert!(capture.protocol.line().ends_with(expected), "{}", capture.protocol.line());
     for (index, (_, view)) in capture.views_of(Split::Train).enumerate() {
         let focal = 12.0 / 0.35_f64.tan();
         assert!((view.camera.intrinsics.focal_x - focal).abs() <= 1e-12 * focal);
@@ -29,6 +30,26 @@ fn cameras_times_and_splits_are_those_of_the_files() {
         assert!(view.camera.project(glam::DVec3::Z).unwrap().0.y < pixel.y);
         assert_eq!(view.time_secs, index as f64 / 4.0);
     }
+}
+
+#[test]
+fn a_capture_must_have_the_protocol_that_the_recipe_names() {
+    let dir = blender_scene();
+    let named = |protocol: &str| Params { protocol: protocol.into(), ..Params::default() };
+    let message = refusal(dir.path(), &named("dnerf-800-black"));
+    let expected = "not the protocol dnerf-800-black: size 24×16 instead of 800×800, background white instead of black";
+    assert!(message.contains(expected), "{message}");
+    let problems = named("dnerf-801").problems();
+    assert!(problems.len() == 1 && problems[0].key == "protocol", "{problems:?}");
+    assert!(problems[0].hint.as_ref().unwrap().contains("dnerf-800-white"));
+    // The preset's own fields are those that the importer writes: only the size of the test scene differs.
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let preset = Preset::named("dnerf-800-white").unwrap().protocol();
+    assert_eq!(Protocol { width: 800, height: 800, ..capture.protocol }, preset);
+    let tested_on_val = Params { test_split: TestSplit::Val, ..Params::default() };
+    let (_root, capture) = run(dir.path(), &tested_on_val).unwrap();
+    let preset = Preset::named("dnerf-800-white-val").unwrap().protocol();
+    assert_eq!(Protocol { width: 800, height: 800, ..capture.protocol }, preset);
 }
 
 #[test]

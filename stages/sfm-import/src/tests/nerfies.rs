@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use glam::{DMat3, DVec2, DVec3};
+use scene::protocol::Preset;
 use scene::{Camera, Split, facts};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -186,6 +187,24 @@ fn dychecks_own_split_and_cameras_come_first() {
     let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
     assert_eq!((capture.protocol.dataset.as_str(), capture.protocol.split.as_str()), ("dycheck", "DyCheck"));
     assert_eq!((capture.views_of(Split::Train).count(), capture.views_of(Split::Test).count()), (2, 1));
+}
+
+/// Only the test scene's size, and that it is opaque, keep it from the protocols that are known by name.
+#[test]
+fn half_size_imports_have_the_named_protocols() {
+    let dir = capture(11, [0.0; 5]);
+    let differs_from = |name: &str| {
+        let (_root, capture) = run(dir.path(), &Params { width: Some(WIDTH / 2), ..Params::default() }).unwrap();
+        let differences = capture.protocol.differences(&Preset::named(name).unwrap().protocol());
+        differences.into_iter().filter(|difference| !difference.starts_with("size ")).collect::<Vec<_>>()
+    };
+    assert!(differs_from("hypernerf-vrig-536").is_empty());
+    let ids: Vec<String> = (1..=11).map(|id| format!("{id:06}")).collect();
+    write_json(dir.path(), "dataset.json", &json!({ "count": 11, "ids": ids, "train_ids": ids, "val_ids": [] }));
+    assert!(differs_from("hypernerf-interp-536").is_empty());
+    write_json(dir.path(), "splits/train.json", &json!({ "frame_names": ["000001", "000002"], "camera_ids": [0, 0] }));
+    write_json(dir.path(), "splits/val.json", &json!({ "frame_names": ["000004"], "camera_ids": [1] }));
+    assert_eq!(differs_from("dycheck-360"), ["background none instead of black"]);
 }
 
 #[test]
