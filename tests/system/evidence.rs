@@ -100,3 +100,21 @@ fn replicates_are_seeds_and_a_budget_is_for_every_training() {
     let refused = seedless.call("plan", &["--replicates", "3"]);
     assert_eq!(refused.code, 3, "{}", refused.stderr);
 }
+
+/// Also on a machine that gives this test a fraction of a core after the miniatures were measured.
+const SLOWEST: f64 = 10.0;
+
+#[test]
+fn a_training_with_a_budget_takes_about_as_long_and_says_so() {
+    let world = World::with_edit("iterations = { train = 40 }", "iterations = { train = 100000 }");
+    let only_static = ["-s", "axes.method=[\"static3dgs\"]", "-s", "axes.scene=[\"swinging-arm\"]"];
+    world.call("run", &with(&only_static, &["--budget", "2s"])).ok();
+    let table = |more: &[&str]| world.call("table", &with(&only_static, &with(&["--budget", "2s"], more))).ok();
+    let told = table(&[]);
+    assert!(told.contains("training cut to 2 s (all)"), "{told}");
+    let report: serde_json::Value = serde_json::from_str(&table(&["--format", "json"])).unwrap();
+    let run = &report["runs"][0];
+    let (scale, secs) = (run["schedule_scale"].as_f64().unwrap(), run["figures"]["training_secs"].as_f64().unwrap());
+    assert!(scale > 40.0 / 100_000.0 && scale < 1.0 && run["budget_secs"] == 2.0, "{run}");
+    assert!(secs > 2.0 / SLOWEST && secs < 2.0 * SLOWEST, "{secs} s of training for a budget of 2 s");
+}

@@ -16,14 +16,27 @@ const CONFIDENCE: f64 = 0.95;
 /// Two results, side by side.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// One per pair of rows; then, of several rows, all of them together.
-    pub rows: Vec<ComparedRow>,
+    /// What was measured under equal protocols, in order of appearance.
+    pub protocols: Vec<UnderOneProtocol>,
     /// Runs of A without a partner in B.
     pub only_in_a: Vec<String>,
     /// Runs of B without a partner in A.
     pub only_in_b: Vec<String>,
     /// Why times are left out, if they are.
     pub without_times: Option<String>,
+}
+
+/// Runs whose numbers may share a mean.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UnderOneProtocol {
+    /// How the images came to be, with name and hash.
+    pub protocol: String,
+    /// Which images were judged, and by which definitions.
+    pub judged_by: String,
+    /// One per pair of rows.
+    pub rows: Vec<ComparedRow>,
+    /// All of them together, where there are several.
+    pub all: Option<ComparedRow>,
 }
 
 /// A row of A beside a row of B.
@@ -88,24 +101,44 @@ pub fn compare(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result<Compar
     }
     partners.iter().try_for_each(|(a, b)| check_protocols(a, b))?;
     let without_times = different_machines(&partners);
-    let row = |names: (&str, &str), pairs: &[(&Run, &Run)]| compared_row(names, pairs, without_times.is_none());
-    let of_rows = |(row_a, row_b): &(String, String)| {
-        let own: Vec<_> = partners.iter().copied().filter(|(a, b)| a.row == *row_a && b.row == *row_b).collect();
-        (!own.is_empty()).then(|| row((row_a, row_b), &own))
-    };
-    let mut compared: Vec<ComparedRow> = rows.iter().filter_map(of_rows).collect();
-    if compared.len() > 1 {
-        compared.push(row(("all", "all"), &partners));
+    let mut keys = Vec::new();
+    for key in partners.iter().filter_map(common_protocol) {
+        if !keys.contains(&key) {
+            keys.push(key);
+        }
     }
+    let under = |key: [String; 2]| {
+        let own: Vec<_> =
+            partners.iter().copied().filter(|pair| common_protocol(pair).as_ref() == Some(&key)).collect();
+        under_one_protocol(key, &rows, &own, without_times.is_none())
+    };
+    let protocols = keys.into_iter().map(under).collect();
     let alone = |runs: &[Run], is_paired: &dyn Fn(&Run) -> bool| -> Vec<String> {
         runs.iter().filter(|run| !is_paired(run)).map(name).collect()
     };
     Ok(Comparison {
-        rows: compared,
+        protocols,
         only_in_a: alone(a, &|run| partners.iter().any(|(a, _)| std::ptr::eq(*a, run))),
         only_in_b: alone(b, &|run| partners.iter().any(|(_, b)| std::ptr::eq(*b, run))),
         without_times,
     })
+}
+
+/// The rows of pairs that were measured under the protocol `key`.
+fn under_one_protocol(
+    key: [String; 2],
+    rows: &[(String, String)],
+    pairs: &[(&Run, &Run)],
+    with_times: bool,
+) -> UnderOneProtocol {
+    let of_rows = |(row_a, row_b): &(String, String)| {
+        let own: Vec<_> = pairs.iter().copied().filter(|(a, b)| a.row == *row_a && b.row == *row_b).collect();
+        (!own.is_empty()).then(|| compared_row((row_a, row_b), &own, with_times))
+    };
+    let compared: Vec<ComparedRow> = rows.iter().filter_map(of_rows).collect();
+    let all = (compared.len() > 1).then(|| compared_row(("all", "all"), pairs, with_times));
+    let [protocol, judged_by] = key;
+    UnderOneProtocol { protocol, judged_by, rows: compared, all }
 }
 
 /// The rows of equal names; where there are none, the only row of each side.
@@ -128,9 +161,18 @@ fn matching_rows(a: &[Run], b: &[Run]) -> Vec<(String, String)> {
     }
 }
 
-/// Refuses a pair that was measured on other images or judged by other definitions; a failed run has no numbers.
+/// How a run's images came to be, and who judged which; a failed run has no numbers.
+fn lines(run: &Run) -> Option<[String; 2]> {
+    Some([run.protocol.as_ref()?.line(), run.judged_by.clone()?])
+}
+
+/// The protocol of a pair whose numbers compare; none where neither was measured.
+fn common_protocol((a, b): &(&Run, &Run)) -> Option<[String; 2]> {
+    lines(a).or_else(|| lines(b))
+}
+
+/// Refuses a pair that was measured on other images or judged by other definitions.
 fn check_protocols(a: &Run, b: &Run) -> Result<(), ProtocolsDiffer> {
-    let lines = |run: &Run| Some([run.protocol.as_ref()?.line(), run.judged_by.clone()?]);
     match (lines(a), lines(b)) {
         (Some(of_a), Some(of_b)) if of_a != of_b => Err(ProtocolsDiffer { run: name(a), a: of_a, b: of_b }),
         _ => Ok(()),
@@ -196,14 +238,14 @@ impl Comparison {
     /// What exceeds the limits: a row whose mean in B is worse than in A by more than allowed, or where B lacks a value
     /// that A has. A metric that no row has cannot pass. All rows together say nothing that their rows do not.
     pub fn violations(&self, limits: &[(Column, Amount)]) -> Vec<String> {
-        let rows = if self.rows.len() > 1 { &self.rows[..self.rows.len() - 1] } else { &self.rows[..] };
+        let rows = || self.protocols.iter().flat_map(|under| &under.rows);
         let is_judged =
-            |column: &Column| rows.iter().any(|row| row.metrics.contains_key(column) || row.lost.contains_key(column));
+            |column: &Column| rows().any(|row| row.metrics.contains_key(column) || row.lost.contains_key(column));
         let unjudged = limits.iter().filter(|(column, _)| !is_judged(column));
         let mut found: Vec<String> = unjudged
             .map(|(column, _)| format!("{} cannot be judged: no row has it in A and B", column.key()))
             .collect();
-        for row in rows {
+        for row in rows() {
             for (column, amount) in limits {
                 found.extend(row.violation(*column, *amount));
                 let lost = row.lost.get(column).into_iter().flatten();
@@ -236,101 +278,4 @@ impl ComparedRow {
 }
 
 #[cfg(test)]
-mod tests {
-    use metric_evaluation::{Metric, Score};
-
-    use table_generation::Machine;
-
-    use super::*;
-
-    fn run(row: &str, scene: &str, seed: &str, psnr: Option<f64>) -> Run {
-        let figures = psnr.map(|value| (Column::PSNR, Score::Value(value))).into_iter().collect();
-        Run { row: row.into(), scene: scene.into(), seed: seed.into(), figures, ..Run::default() }
-    }
-
-    fn side(row: &str, values: [f64; 3]) -> Vec<Run> {
-        ["a", "b", "c"].into_iter().zip(values).map(|(scene, psnr)| run(row, scene, "0", Some(psnr))).collect()
-    }
-
-    #[test]
-    fn pairs_give_mean_interval_and_wins() {
-        let compared = compare(&side("m", [20.0, 30.0, 25.0]), &side("m", [21.0, 32.0, 24.0]), &[]).unwrap();
-        assert_eq!(compared.rows.len(), 1);
-        let found = compared.rows[0].metrics[&Column::PSNR];
-        // Differences 1, 2, −1: mean 2/3, s = √(7/3); t(0.975, 2) = 4.302653 (any table).
-        let half = 4.302_653 * (7.0 / 3.0_f64).sqrt() / 3.0_f64.sqrt();
-        assert!(
-            (found.difference - 2.0 / 3.0).abs() < 1e-12 && (found.mean_a, found.better, found.worse) == (25.0, 2, 1)
-        );
-        let [low, high] = found.interval.unwrap();
-        assert!((low - (2.0 / 3.0 - half)).abs() < 1e-4 && (high - (2.0 / 3.0 + half)).abs() < 1e-4, "{low} {high}");
-        let single = compare(&side("m", [1.0; 3])[..1], &side("m", [2.0; 3])[..1], &[]).unwrap();
-        assert_eq!(single.rows[0].metrics[&Column::PSNR].interval, None);
-    }
-
-    #[test]
-    fn rows_pair_by_name_or_as_told_or_as_the_only_ones() {
-        let both = [side("m", [1.0; 3]), side("n", [3.0; 3])].concat();
-        let compared = compare(&both, &both, &[]).unwrap();
-        assert_eq!(compared.rows.iter().map(ComparedRow::name).collect::<Vec<_>>(), ["m", "n", "all"]);
-        let told = compare(&both, &both, &[("m".into(), "n".into())]).unwrap();
-        assert_eq!((told.rows[0].name(), told.rows[0].metrics[&Column::PSNR].difference), ("m → n".into(), 2.0));
-        assert_eq!((told.only_in_a.len(), told.only_in_b.len()), (3, 3));
-        let only = compare(&side("m", [1.0; 3]), &side("n", [3.0; 3]), &[]).unwrap();
-        assert_eq!(only.rows[0].metrics[&Column::PSNR].pairs, 3);
-        assert!(compare(&both, &side("o", [1.0; 3]), &[]).unwrap().rows.is_empty());
-    }
-
-    #[test]
-    fn another_protocol_is_refused_with_what_differs() {
-        let with_height = |height: u32| {
-            let [dataset, split, resize, background, time] = ["d", "s", "none", "white", "t"].map(str::to_owned);
-            let protocol = scene::Protocol { dataset, split, width: 100, height, resize, background, time };
-            vec![Run { protocol: Some(protocol), judged_by: Some("test".into()), ..run("m", "a", "0", Some(20.0)) }]
-        };
-        assert!(compare(&with_height(100), &with_height(100), &[]).is_ok());
-        let refused = compare(&with_height(100), &with_height(200), &[]).unwrap_err().to_string();
-        assert!(
-            refused.contains("A: d · s split · 100×100") && refused.contains("B: d · s split · 100×200"),
-            "{refused}"
-        );
-        assert!(!refused.contains("A: test"), "{refused}");
-    }
-
-    #[test]
-    fn a_loss_beyond_the_limit_and_a_lost_value_are_violations() {
-        let (before, after) = (side("m", [20.0, 20.0, 20.0]), side("m", [19.9, 20.0, 19.8]));
-        let compared = compare(&before, &after, &[]).unwrap();
-        let limit = |amount| [(Column::PSNR, amount)];
-        assert_eq!(compared.violations(&limit(Amount::Absolute(0.11))), Vec::<String>::new());
-        assert!(compared.violations(&limit(Amount::Absolute(0.09)))[0].contains("worse by 0.1000"));
-        assert_eq!(compared.violations(&limit(Amount::Percent(1.0))), Vec::<String>::new());
-        assert_eq!(
-            compare(&after, &before, &[]).unwrap().violations(&limit(Amount::Absolute(0.0))),
-            Vec::<String>::new()
-        );
-        let lost = [&after[..2], &[run("m", "c", "0", None)]].concat();
-        let violations = compare(&before, &lost, &[]).unwrap().violations(&limit(Amount::Absolute(1.0)));
-        assert_eq!(violations, ["psnr is lost: m on c, seed 0: not measured"]);
-        assert!(
-            compared.violations(&[(Column::Metric(Metric::Ssim), Amount::Absolute(1.0))])[0]
-                .contains("ssim cannot be judged")
-        );
-    }
-
-    #[test]
-    fn times_of_different_machines_do_not_compare() {
-        let timed = |threads: u64| {
-            let mut run = run("m", "a", "0", Some(20.0));
-            run.figures.insert(Column::TrainingSecs, Score::Value(3.0));
-            let machine = Machine { device: "cpu".into(), threads: Some(threads), ..Machine::default() };
-            run.machines = [("training".to_string(), machine)].into();
-            vec![run]
-        };
-        let same = compare(&timed(2), &timed(2), &[]).unwrap();
-        assert!(same.without_times.is_none() && same.rows[0].metrics.contains_key(&Column::TrainingSecs));
-        let other = compare(&timed(2), &timed(4), &[]).unwrap();
-        assert!(other.without_times.unwrap().contains("4 threads"));
-        assert!(!other.rows[0].metrics.contains_key(&Column::TrainingSecs));
-    }
-}
+mod tests;

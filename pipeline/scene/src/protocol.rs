@@ -5,7 +5,7 @@ mod presets;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-pub use presets::{PRESETS, Preset, SceneSet, scene_sets};
+pub use presets::{PRESETS, Preset};
 
 /// The part of the evaluation protocol that the data fixes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -129,14 +129,11 @@ mod tests {
     }
 
     #[test]
-    fn means_are_over_named_sets_of_scenes() {
-        let [eight, seven] = scene_sets(&white()) else { panic!("D-NeRF has two means") };
-        assert_eq!((eight.name, eight.scenes.len()), ("mean of 8", 8));
-        assert_eq!((seven.name, seven.scenes.len()), ("mean of 7", 7));
-        assert!(eight.scenes.contains(&"lego") && !seven.scenes.contains(&"lego"));
+    fn means_are_over_sets_of_scenes_at_any_size() {
         let own = Protocol { width: 200, height: 200, ..white() };
-        assert_eq!(scene_sets(&own).len(), 2, "at any size");
-        let synthetic = Protocol { dataset: "synthetic".into(), ..white() };
-        assert!(scene_sets(&synthetic).is_empty());
+        let [eight, seven] = own.quoted_means() else { panic!("D-NeRF has two means") };
+        assert_eq!((eight.len(), seven.len()), (8, 7));
+        assert!(eight.contains(&"lego") && !seven.contains(&"lego"));
+        assert!(Protocol { dataset: "synthetic".into(), ..own }.quoted_means().is_empty());
     }
 }

@@ -84,10 +84,11 @@ impl Column {
     ];
 
     /// The columns of the headline table.
-    pub const HEADLINE: [Self; 9] = [
+    pub const HEADLINE: [Self; 10] = [
         Self::PSNR,
         Self::Metric(Metric::Ssim),
         Self::Metric(Metric::MsSsim),
+        Self::Metric(Metric::LpipsAlex),
         Self::TrainingSecs,
         Self::Gaussians,
         Self::SizeMb,

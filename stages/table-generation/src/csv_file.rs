@@ -9,13 +9,14 @@ use crate::{Column, Report};
 pub fn runs(report: &Report) -> anyhow::Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let ports = ["model", "renders", "metrics"];
-    let lead = ["protocol", "method", "scene", "seed"].into_iter().map(String::from);
+    let lead = ["protocol", "protocol_hash", "method", "scene", "seed"].into_iter().map(String::from);
     let figures = Column::all().map(|column| column.key().to_owned());
     let trail = ["failure".to_owned()].into_iter().chain(ports.map(|port| format!("{port}_key")));
     writer.write_record(lead.chain(figures).chain(trail))?;
     for run in &report.runs {
         let protocol = report.group_of(run).map(|group| group.name.clone()).unwrap_or_default();
-        let lead = [protocol, run.row.clone(), run.scene.clone(), run.seed.clone()].into_iter();
+        let hash = run.protocol.as_ref().map(scene::Protocol::hash).unwrap_or_default();
+        let lead = [protocol, hash, run.row.clone(), run.scene.clone(), run.seed.clone()].into_iter();
         let figures = Column::all().map(|column| {
             let value = run.figures.get(&column).and_then(Score::value).filter(|value| value.is_finite());
             value.map(|value| value.to_string()).unwrap_or_default()

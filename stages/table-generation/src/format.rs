@@ -13,6 +13,11 @@ pub fn number(value: f64, decimals: usize) -> String {
     if is_zero { text.trim_start_matches('-').into() } else { text }
 }
 
+/// `1 scene`, `2 scenes`.
+pub fn scenes(count: usize) -> String {
+    format!("{count} scene{}", if count == 1 { "" } else { "s" })
+}
+
 /// `value` with a sign, for differences.
 pub fn signed(value: f64, decimals: usize) -> String {
     let text = number(value, decimals);

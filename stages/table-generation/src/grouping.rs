@@ -71,12 +71,18 @@ fn group(
     Some(group)
 }
 
-/// D-NeRF's Lego shows another state in its test images than in training: half of the literature leaves it out of
-/// means, half does not, so that both means stand side by side.
+/// The parts of the scenes that the literature has means of, as D-NeRF without Lego, named by what they leave out.
 fn parts_of(protocol: &Protocol, scenes: &[String]) -> Vec<ScenePart> {
-    let others: Vec<String> = scenes.iter().filter(|scene| *scene != "lego").cloned().collect();
-    let is_both = protocol.dataset == "dnerf" && !others.is_empty() && others.len() < scenes.len();
-    is_both.then(|| ScenePart { name: "without lego".into(), scenes: others }).into_iter().collect()
+    let mut parts = Vec::new();
+    for quoted in protocol.quoted_means() {
+        let (own, others): (Vec<_>, Vec<_>) =
+            scenes.iter().cloned().partition(|scene| quoted.contains(&scene.as_str()));
+        let part = ScenePart { name: format!("without {}", others.join(", ")), scenes: own };
+        if !part.scenes.is_empty() && !others.is_empty() && !parts.contains(&part) {
+            parts.push(part);
+        }
+    }
+    parts
 }
 
 /// The distinct values in order of appearance, which is that of the recipe.
@@ -126,9 +132,9 @@ fn mean_phases(runs: &[&Run]) -> BTreeMap<String, f64> {
 /// How the runs' schedules differ from the method's own.
 fn shortened(runs: &[&Run]) -> Option<String> {
     let scale = |run: &&Run| run.schedule_scale.filter(|scale| *scale != 1.0);
-    let scales = runs.iter().filter_map(scale).map(|scale| format!("schedule at {} of its length here", short(scale)));
+    let scales = runs.iter().filter_map(scale).map(|scale| format!("schedule at {} of its length", short(scale)));
     let budgets = runs.iter().filter_map(|run| run.budget_secs);
-    let budgets = budgets.map(|secs| format!("training cut to {} s here", short(secs)));
+    let budgets = budgets.map(|secs| format!("training cut to {} s", short(secs)));
     let texts: Vec<String> = scales.chain(budgets).collect();
     let texts = distinct(texts.iter().map(String::as_str));
     (!texts.is_empty()).then(|| texts.join(", "))

@@ -29,7 +29,7 @@ mod tests;
 
 pub use artifact::ReportFolder;
 pub use claims::{Claim, ClaimColumn, ClaimTable, Verdict, built_in_claims};
-pub use collect::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure};
+pub use collect::{CurvePoint, FrameScore, Job, LargestGradient, Machine, Run, RunFailure};
 pub use column::Column;
 pub use params::TableGenerationParams;
 pub use report::{Cell, Group, Report, Row};

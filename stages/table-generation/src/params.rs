@@ -22,6 +22,8 @@ pub struct TableGenerationParams {
     pub reproduced_within_db: f64,
     /// The method that every other one is compared with, scene by scene.
     pub baseline: String,
+    /// Whether there is a table of what became of every run; it is there in any case where one diverged.
+    pub hard_cases: bool,
     /// Per scene, how many of the worst views are shown beside the median one; 0 shows none.
     pub shown_views: usize,
     /// Pixels per row of the images in the page, at most.
@@ -37,6 +39,7 @@ impl Default for TableGenerationParams {
             log_time: false,
             reproduced_within_db: 0.3,
             baseline: "static3dgs".into(),
+            hard_cases: false,
             shown_views: 2,
             image_width: 200, // a render and its error side by side on a phone; some 10 kB a pair
         }

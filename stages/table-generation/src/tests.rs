@@ -2,6 +2,7 @@
 
 mod content;
 mod formats;
+mod hard_cases;
 mod page;
 mod papers;
 mod seeds;
@@ -53,6 +54,7 @@ fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
         ..Run::default()
     };
     run.figures.insert(Column::Metric(Metric::MsSsim), Score::undefined("image smaller than 161 px"));
+    run.figures.insert(Column::Metric(Metric::LpipsAlex), Score::undefined("no weights"));
     run.set_curve((0..6).map(|i| point(f64::from(i), psnr)).collect());
     run
 }

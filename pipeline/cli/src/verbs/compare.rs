@@ -20,9 +20,9 @@ pub fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
     let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.data_root));
     let comparison =
         comparison::compare(&a?, &b?, &args.rows).map_err(|differ| CliError::Incomparable(Box::new(differ)))?;
-    if comparison.rows.is_empty() {
+    if comparison.protocols.is_empty() {
         let hint = "name the rows that belong together, as --rows static3dgs=mcgs";
-        return Err(CliError::nothing("no run of A has a partner in B: same row, scene and seed", hint));
+        return Err(CliError::nothing("no measured run of A has a partner in B: same row, scene and seed", hint));
     }
     let violations = comparison.violations(&args.fail_if_worse);
     if args.json {
@@ -35,12 +35,15 @@ pub fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
 }
 
 fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violations: &[String]) -> String {
-    let mut text = format!("A: {}\nB: {}\n\n", args.a.display(), args.b.display());
-    text += "| row | metric | pairs | A | B | B − A | 95 % interval | B better | B worse |\n";
-    text += "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n";
-    for row in &comparison.rows {
-        for column in wanted {
-            text += &row.metrics.get(column).map(|paired| line(row, *column, paired)).unwrap_or_default();
+    let mut text = format!("A: {}\nB: {}\n", args.a.display(), args.b.display());
+    for under in &comparison.protocols {
+        text += &format!("\n{} · {}\n\n", under.protocol, under.judged_by);
+        text += "| row | metric | pairs | A | B | B − A | 95 % interval | B better | B worse |\n";
+        text += "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n";
+        for row in under.rows.iter().chain(&under.all) {
+            for column in wanted {
+                text += &row.metrics.get(column).map(|paired| line(row, *column, paired)).unwrap_or_default();
+            }
         }
     }
     text += "\n";

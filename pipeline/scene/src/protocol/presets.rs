@@ -17,15 +17,6 @@ pub struct Preset {
     time: &'static str,
 }
 
-/// Scenes that a mean is over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SceneSet {
-    /// As tables have it: `mean of 7`.
-    pub name: &'static str,
-    /// In the order of the data set's table.
-    pub scenes: &'static [&'static str],
-}
-
 /// Every preset; where importers offer no filter of a source's own, the nearest that they offer.
 pub const PRESETS: &[Preset] = &[
     dnerf(
@@ -141,47 +132,41 @@ impl Preset {
     }
 }
 
-const DNERF: &[SceneSet] = &[
-    SceneSet {
-        name: "mean of 8",
-        scenes: &["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex"],
-    },
+/// Names of scenes, in the order of the data set's table.
+type Scenes = &'static [&'static str];
+
+const DNERF: &[Scenes] = &[
+    &["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex"],
     // Lego's test views show another state than its training views: the literature drops it more often than not.
-    SceneSet {
-        name: "mean of 7",
-        scenes: &["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "mutant", "standup", "trex"],
-    },
+    &["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "mutant", "standup", "trex"],
 ];
-const N3V: &[SceneSet] = &[
-    SceneSet {
-        name: "mean of 6",
-        scenes: &["coffee_martini", "cook_spinach", "cut_roasted_beef", "flame_salmon_1", "flame_steak", "sear_steak"],
-    },
+const N3V: &[Scenes] = &[
+    &["coffee_martini", "cook_spinach", "cut_roasted_beef", "flame_salmon", "flame_steak", "sear_steak"],
     // HexPlane leaves out the scene with a camera that is badly synchronised.
-    SceneSet {
-        name: "mean of 5",
-        scenes: &["cook_spinach", "cut_roasted_beef", "flame_salmon_1", "flame_steak", "sear_steak"],
-    },
+    &["cook_spinach", "cut_roasted_beef", "flame_salmon", "flame_steak", "sear_steak"],
 ];
-const VRIG: &[SceneSet] =
-    &[SceneSet { name: "mean of 4", scenes: &["vrig-3dprinter", "broom2", "vrig-chicken", "vrig-peel-banana"] }];
-const DYCHECK: &[SceneSet] = &[
-    SceneSet {
-        name: "mean of 7",
-        scenes: &["apple", "block", "paper-windmill", "space-out", "spin", "teddy", "wheel"],
-    },
+const HYPERNERF: &[Scenes] = &[
+    // Two cameras, tested on the other one.
+    &["vrig-3dprinter", "broom2", "vrig-chicken", "vrig-peel-banana"],
+    // One camera, tested between frames.
+    &["aleks-teapot", "chickchicken", "cut-lemon1", "hand1-dense-v2", "slice-banana", "torchocolate"],
+];
+const DYCHECK: &[Scenes] = &[
+    &["apple", "block", "paper-windmill", "space-out", "spin", "teddy", "wheel"],
     // Shape of Motion leaves out two.
-    SceneSet { name: "mean of 5", scenes: &["apple", "block", "paper-windmill", "spin", "teddy"] },
+    &["apple", "block", "paper-windmill", "spin", "teddy"],
 ];
 
-/// The sets of scenes whose means are quoted of a protocol's data set, at whatever size; side by side where there are
-/// several, since they differ by more than most methods do.
-pub fn scene_sets(protocol: &Protocol) -> &'static [SceneSet] {
-    match protocol.dataset.as_str() {
-        "dnerf" => DNERF,
-        "n3v" => N3V,
-        "nerfies" if protocol.split.starts_with("official") => VRIG,
-        "dycheck" => DYCHECK,
-        _ => &[],
+impl Protocol {
+    /// The sets of scenes whose means are quoted of this data set, at whatever size; side by side where there are
+    /// several, since they differ by more than most methods do.
+    pub fn quoted_means(&self) -> &'static [Scenes] {
+        match self.dataset.as_str() {
+            "dnerf" => DNERF,
+            "n3v" => N3V,
+            "nerfies" => HYPERNERF,
+            "dycheck" => DYCHECK,
+            _ => &[],
+        }
     }
 }

@@ -35,7 +35,7 @@ fn cameras_times_and_splits_are_those_of_the_files() {
 #[test]
 fn a_capture_must_have_the_protocol_that_the_recipe_names() {
     let dir = blender_scene();
-    let named = |protocol: &str| Params { protocol: protocol.into(), ..Params::default() };
+    let named = |protocol: &str| Params { source: "lego".into(), protocol: protocol.into(), ..Params::default() };
     let message = refusal(dir.path(), &named("dnerf-800-black"));
     let expected = "not the protocol dnerf-800-black: size 24×16 instead of 800×800, background white instead of black";
     assert!(message.contains(expected), "{message}");

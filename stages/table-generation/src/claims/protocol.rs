@@ -1,6 +1,7 @@
 //! How published numbers came to be, and in what that differs from a group of ours.
 
 use scene::Split;
+use scene::protocol::PRESETS;
 use serde::{Deserialize, Serialize};
 
 use crate::report::{Group, Row};
@@ -82,7 +83,20 @@ impl ClaimProtocol {
             Some(Levels::Float) => "float renders",
         };
         let images = format!("{} images", self.images_judged());
-        format!("{dataset} · {split} · {images} · {size} · {background} · {checkpoint} · {levels}")
+        let name = self.preset_name().map(|name| format!("{name} · ")).unwrap_or_default();
+        format!("{name}{dataset} · {split} · {images} · {size} · {background} · {checkpoint} · {levels}")
+    }
+
+    /// The only protocol by name that agrees with what is stated of the images, where all of that is stated.
+    fn preset_name(&self) -> Option<&'static str> {
+        let stated = (self.split.as_ref()?, self.width?, self.height?, self.background.as_ref()?);
+        let mut presets = PRESETS.iter().filter(|preset| {
+            let named = preset.protocol();
+            self.images == Split::Test
+                && self.is_of(&named.dataset)
+                && (&named.split, named.width, named.height, &named.background) == stated
+        });
+        presets.next().filter(|_| presets.next().is_none()).map(|preset| preset.name)
     }
 
     fn images_judged(&self) -> &'static str {
@@ -106,7 +120,7 @@ impl ClaimProtocol {
             Some(Levels::Float) => differences.push("float renders there, 8-bit images here".into()),
             Some(Levels::Eight) => {}
         }
-        differences.extend(row.shortened.clone());
+        differences.extend(row.shortened.as_ref().map(|how| format!("{how} here")));
         differences
     }
 

@@ -8,7 +8,7 @@ use scene::Split;
 use serde::Deserialize;
 
 use super::costs::Costs;
-use super::run::{CurvePoint, Machine};
+use super::run::{CurvePoint, LargestGradient, Machine};
 
 /// What training measures beside its model.
 #[derive(Default, Deserialize)]
@@ -20,8 +20,19 @@ pub struct TrainingMeasurements {
     pub curve: Vec<CurvePoint>,
     pub curve_split: Option<Split>,
     pub phases: BTreeMap<String, f64>,
+    pub largest_gradients: BTreeMap<String, LargestGradient>,
+    pub guards: BTreeMap<String, u64>,
     #[serde(flatten)]
     pub costs: Costs,
+}
+
+impl TrainingMeasurements {
+    /// The largest gradient of all tensors.
+    pub fn largest_gradient(&self) -> Option<LargestGradient> {
+        let all = self.largest_gradients.iter();
+        let (tensor, largest) = all.max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude))?;
+        Some(LargestGradient { tensor: tensor.clone(), ..largest.clone() })
+    }
 }
 
 /// What rendering measures beside its images.

@@ -12,7 +12,7 @@ use rendering::Renders;
 use serde_json::Value;
 use training::{Model, ModelHeader};
 
-pub use run::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure};
+pub use run::{CurvePoint, FrameScore, Job, LargestGradient, Machine, Run, RunFailure};
 
 use crate::Column;
 use measured::{RenderingMeasurements, TrainingMeasurements, circumstances, measurements};
@@ -141,6 +141,8 @@ impl Run {
         self.set(Column::TrainingSecs, measured.training_secs);
         self.set(Column::MsPerIteration, measured.ms_per_iteration);
         self.set(Column::PeakMemoryMb, measured.peak_memory_bytes.map(|bytes| bytes / 1e6));
+        self.largest_gradient = measured.largest_gradient();
+        self.guards = measured.guards;
         self.phases = measured.phases;
         self.costs = measured.costs;
         self.curve_split = measured.curve_split;

@@ -39,6 +39,12 @@ pub struct Run {
     pub phases: BTreeMap<String, f64>,
     /// The same by phase, loss and what was left out.
     pub costs: Costs,
+    /// The largest gradient of the training.
+    #[serde(default)]
+    pub largest_gradient: Option<LargestGradient>,
+    /// How often the rasteriser kept a number in range, by what was out of it.
+    #[serde(default)]
+    pub guards: BTreeMap<String, u64>,
     /// The factor that the method's own schedule was stretched by; 1 is the whole schedule.
     pub schedule_scale: Option<f64>,
     /// The seconds that the training was cut to, if it was.
@@ -64,6 +70,20 @@ pub struct CurvePoint {
     pub n_gaussians: u64,
     /// PSNR in dB on a few views of the run's `curve_split`.
     pub psnr_val: Option<f64>,
+}
+
+/// The largest gradient that any tensor had during a training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LargestGradient {
+    /// The tensor.
+    #[serde(default)]
+    pub tensor: String,
+    /// Loss per unit of the tensor.
+    pub magnitude: f64,
+    /// The phase in which it was.
+    pub phase: String,
+    /// The step within the phase.
+    pub iteration: u64,
 }
 
 /// Quality of one image.

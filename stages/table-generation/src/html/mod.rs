@@ -54,7 +54,8 @@ fn section(part: &Section) -> Markup {
 
 fn table(table: &Table) -> Markup {
     html! {
-        div class="wide" tabindex="0" role="region" aria-label=(table.caption) {
+        @let noted = table.lines_below().next().is_some();
+        div class=(if noted { "wide noted" } else { "wide" }) tabindex="0" role="region" aria-label=(table.caption) {
             table {
                 caption { span { (table.caption) } }
                 thead {

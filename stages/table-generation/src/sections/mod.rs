@@ -7,6 +7,7 @@ mod costs;
 mod curves;
 mod failures;
 mod frames;
+mod hard_cases;
 mod machine;
 mod papers;
 mod pareto;
@@ -46,6 +47,7 @@ pub fn document(report: &Report, sheets: Vec<Sheet>, params: &TableGenerationPar
         everywhere("costs", "Where the time goes", costs::blocks(&content)),
         everywhere("frames", "Frame by frame", frames::blocks(&content)),
         on_page("images", "Renders, truth and error", pictures),
+        everywhere("hard-cases", "Hard cases", hard_cases::blocks(&content)),
         everywhere("failures", "Failures", failures::blocks(&content)),
         everywhere("machine", "Machine", machine::blocks(&content)),
         on_page("runs", "Runs", runs::blocks(&content)),

@@ -4,7 +4,7 @@ use super::Content;
 use super::cells::traced;
 use crate::Column;
 use crate::document::{Block, Figure, Key, Table, Text};
-use crate::format::{NONE, number};
+use crate::format::{NONE, number, scenes};
 use crate::report::{Cell, Group, Row};
 use crate::svg::line_sample;
 use crate::svg::scatter::{Point, Scatter};
@@ -38,9 +38,9 @@ fn group_blocks(content: &Content<'_>, group: &Group) -> Vec<Block> {
     let figure = Figure {
         file: format!("pareto{suffix}.svg"),
         caption: format!(
-            "Means over {} scenes. Filled: no other method is better in one and at least as good in the other; the \
+            "Means over {}. Filled: no other method is better in one and at least as good in the other; the \
              dotted line joins these. Crosses: standard deviation over seeds; dots: single seeds.",
-            group.scenes.len()
+            scenes(group.scenes.len())
         ),
         legend: legend(group),
         panels: panels.collect(),

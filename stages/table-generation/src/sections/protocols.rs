@@ -4,7 +4,8 @@ use super::Content;
 use super::cells::{explain_marks, mean_text, scene_cells, traced};
 use crate::Column;
 use crate::document::{Block, Table, Text};
-use crate::format::{NONE, signed};
+use crate::format::{NONE, scenes, signed};
+use crate::grouping::distinct;
 use crate::report::{Cells, Group, Report, Row};
 
 /// The parts of all groups.
@@ -26,8 +27,7 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
 
 /// The protocol in one line, what means are over, and where the same data set is judged otherwise.
 fn protocol_text(group: &Group, report: &Report) -> String {
-    let n_scenes = group.scenes.len();
-    let scenes = format!("{n_scenes} scene{} ({})", if n_scenes == 1 { "" } else { "s" }, group.scenes.join(", "));
+    let scenes = format!("{} ({})", scenes(group.scenes.len()), group.scenes.join(", "));
     let is_sibling = |other: &&Group| other.name != group.name && other.protocol.dataset == group.protocol.dataset;
     let siblings = report.groups.iter().filter(is_sibling);
     let siblings: String = siblings
@@ -38,9 +38,9 @@ fn protocol_text(group: &Group, report: &Report) -> String {
 
 /// Means over all scenes, and over the parts of them that have means of their own.
 fn mean_tables(content: &Content<'_>, group: &Group) -> Vec<Table> {
-    let whole = mean_table(content, group, format!("means over {} scenes", group.scenes.len()), |row| &row.headline);
+    let whole = mean_table(content, group, format!("means over {}", scenes(group.scenes.len())), |row| &row.headline);
     let of_part = |(at, part): (usize, &crate::report::ScenePart)| {
-        mean_table(content, group, format!("means over {} scenes ({})", part.scenes.len(), part.name), move |row| {
+        mean_table(content, group, format!("means over {} ({})", scenes(part.scenes.len()), part.name), move |row| {
             &row.parts[at]
         })
     };
@@ -68,7 +68,19 @@ fn mean_table<'g>(
         table.rows.push(texts);
     }
     explain_marks(&mut table, group.rows.iter().flat_map(|row| cells_of(row).values()));
+    table.remarks.extend(shortened(group));
     table
+}
+
+/// Which rows were not trained as long as their methods ask for, one line per way.
+fn shortened(group: &Group) -> impl Iterator<Item = String> {
+    let ways = distinct(group.rows.iter().filter_map(|row| row.shortened.as_deref()));
+    ways.into_iter().map(|way| {
+        let rows = group.rows.iter().filter(|row| row.shortened.as_ref() == Some(&way));
+        let rows: Vec<&str> = rows.map(|row| row.name.as_str()).collect();
+        let who = if rows.len() == group.rows.len() { "all".into() } else { rows.join(", ") };
+        format!("Not the method's own length of training: {way} ({who}).")
+    })
 }
 
 /// One figure: a column per scene, and every mean side by side.
@@ -111,19 +123,18 @@ fn gain_table(content: &Content<'_>, group: &Group) -> Option<Table> {
     (!table.rows.is_empty()).then_some(table)
 }
 
-/// The figures beyond images that any run has, one table each, over the scenes that define it.
+/// The figures beyond images that any run has, one table each, over the scenes and methods that define it.
 fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Item = Table> {
     Column::conditional().filter_map(|column| {
-        let is_defined = |scene: &&String| {
-            let cell = |row: &Row| row.by_scene.get(*scene)?.get(&column)?.mean;
-            group.rows.iter().any(|row| cell(row).is_some())
-        };
-        let scenes: Vec<String> = group.scenes.iter().filter(is_defined).cloned().collect();
+        let mean = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&column)?.mean;
+        let in_scene = |scene: &&String| group.rows.iter().any(|row| mean(row, scene).is_some());
+        let scenes: Vec<String> = group.scenes.iter().filter(in_scene).cloned().collect();
+        let rows = group.rows.iter().filter(|row| scenes.iter().any(|scene| mean(row, scene).is_some()));
         let header = ["method".into()].into_iter().chain(scenes.iter().cloned()).collect();
         let better = if column.higher_is_better() { "more" } else { "less" };
         let caption = format!("Protocol {}: {} per scene ({better} is better)", group.name, column.heading());
         let mut table = Table::new(caption, header);
-        table.rows = group.rows.iter().map(|row| scene_cells(content, row, &scenes, column)).collect();
+        table.rows = rows.map(|row| scene_cells(content, row, &scenes, column)).collect();
         (!scenes.is_empty()).then_some(table)
     })
 }

@@ -86,8 +86,8 @@ fn a_missing_scene_leaves_no_mean() {
     assert_eq!(headline(&report, 1, Column::PSNR).mean, None);
     assert_eq!(headline(&report, 0, Column::PSNR).rank, None, "nothing to compare with");
     let text = text(&report);
-    assert!(text.contains("| deformable4dgs | – (c) | – (c) |"), "{text}");
-    assert!(text.contains("(c) no mean: trex: not run"), "{text}");
+    assert!(text.contains("| deformable4dgs | – (d) | – (d) |"), "{text}");
+    assert!(text.contains("(d) no mean: trex: not run"), "{text}");
 }
 
 #[test]

@@ -1,0 +1,110 @@
+use metric_evaluation::{Metric, Score};
+use table_generation::Machine;
+
+use super::*;
+
+fn run(row: &str, scene: &str, seed: &str, psnr: Option<f64>) -> Run {
+    let figures = psnr.map(|value| (Column::PSNR, Score::Value(value))).into_iter().collect();
+    let measured = Run { row: row.into(), scene: scene.into(), seed: seed.into(), figures, ..Run::default() };
+    with_height(measured, 100)
+}
+
+/// The run on images of 100 pixels per row and `height` rows.
+fn with_height(run: Run, height: u32) -> Run {
+    let [dataset, split, resize, background, time] = ["d", "s", "none", "white", "t"].map(str::to_owned);
+    let protocol = scene::Protocol { dataset, split, width: 100, height, resize, background, time };
+    Run { protocol: Some(protocol), judged_by: Some("test".into()), ..run }
+}
+
+fn side(row: &str, values: [f64; 3]) -> Vec<Run> {
+    ["a", "b", "c"].into_iter().zip(values).map(|(scene, psnr)| run(row, scene, "0", Some(psnr))).collect()
+}
+
+#[test]
+fn pairs_give_mean_interval_and_wins() {
+    let compared = compare(&side("m", [20.0, 30.0, 25.0]), &side("m", [21.0, 32.0, 24.0]), &[]).unwrap();
+    assert_eq!(compared.protocols[0].rows.len(), 1);
+    let found = compared.protocols[0].rows[0].metrics[&Column::PSNR];
+    // Differences 1, 2, −1: mean 2/3, s = √(7/3); t(0.975, 2) = 4.302653 (any table).
+    let half = 4.302_653 * (7.0 / 3.0_f64).sqrt() / 3.0_f64.sqrt();
+    assert!((found.difference - 2.0 / 3.0).abs() < 1e-12 && (found.mean_a, found.better, found.worse) == (25.0, 2, 1));
+    let [low, high] = found.interval.unwrap();
+    assert!((low - (2.0 / 3.0 - half)).abs() < 1e-4 && (high - (2.0 / 3.0 + half)).abs() < 1e-4, "{low} {high}");
+    let single = compare(&side("m", [1.0; 3])[..1], &side("m", [2.0; 3])[..1], &[]).unwrap();
+    assert_eq!(single.protocols[0].rows[0].metrics[&Column::PSNR].interval, None);
+}
+
+#[test]
+fn rows_pair_by_name_or_as_told_or_as_the_only_ones() {
+    let both = [side("m", [1.0; 3]), side("n", [3.0; 3])].concat();
+    let compared = compare(&both, &both, &[]).unwrap();
+    assert_eq!(compared.protocols[0].rows.iter().map(ComparedRow::name).collect::<Vec<_>>(), ["m", "n"]);
+    let told = compare(&both, &both, &[("m".into(), "n".into())]).unwrap();
+    assert_eq!(
+        (told.protocols[0].rows[0].name(), told.protocols[0].rows[0].metrics[&Column::PSNR].difference),
+        ("m → n".into(), 2.0)
+    );
+    assert_eq!((told.only_in_a.len(), told.only_in_b.len()), (3, 3));
+    let only = compare(&side("m", [1.0; 3]), &side("n", [3.0; 3]), &[]).unwrap();
+    assert_eq!(only.protocols[0].rows[0].metrics[&Column::PSNR].pairs, 3);
+    assert!(compare(&both, &side("o", [1.0; 3]), &[]).unwrap().protocols.is_empty());
+}
+
+#[test]
+fn another_protocol_is_refused_with_what_differs() {
+    let with_height = |height: u32| vec![with_height(run("m", "a", "0", Some(20.0)), height)];
+    assert!(compare(&with_height(100), &with_height(100), &[]).is_ok());
+    let refused = compare(&with_height(100), &with_height(200), &[]).unwrap_err().to_string();
+    assert!(refused.contains("] d · s split · 100×100") && refused.contains("] d · s split · 100×200"), "{refused}");
+    assert!(!refused.contains("A: test"), "{refused}");
+}
+
+#[test]
+fn numbers_of_several_protocols_share_no_mean() {
+    let both = [run("m", "a", "0", Some(20.0)), with_height(run("m", "b", "0", Some(40.0)), 50)];
+    let compared = compare(&both, &both, &[]).unwrap();
+    let means: Vec<f64> = compared.protocols.iter().map(|under| under.rows[0].metrics[&Column::PSNR].mean_a).collect();
+    assert_eq!(means, [20.0, 40.0]);
+    assert!(compared.protocols[1].protocol.contains("] d · s split · 100×50"), "{:?}", compared.protocols);
+    let unmeasured = Run { protocol: None, judged_by: None, ..run("m", "b", "0", None) };
+    let lost = compare(&both, &[both[0].clone(), unmeasured], &[]).unwrap();
+    assert_eq!(
+        lost.protocols[1].rows[0].lost[&Column::PSNR].len(),
+        1,
+        "a failed run belongs to its partner's protocol"
+    );
+}
+
+#[test]
+fn a_loss_beyond_the_limit_and_a_lost_value_are_violations() {
+    let (before, after) = (side("m", [20.0, 20.0, 20.0]), side("m", [19.9, 20.0, 19.8]));
+    let compared = compare(&before, &after, &[]).unwrap();
+    let limit = |amount| [(Column::PSNR, amount)];
+    assert_eq!(compared.violations(&limit(Amount::Absolute(0.11))), Vec::<String>::new());
+    assert!(compared.violations(&limit(Amount::Absolute(0.09)))[0].contains("worse by 0.1000"));
+    assert_eq!(compared.violations(&limit(Amount::Percent(1.0))), Vec::<String>::new());
+    assert_eq!(compare(&after, &before, &[]).unwrap().violations(&limit(Amount::Absolute(0.0))), Vec::<String>::new());
+    let lost = [&after[..2], &[run("m", "c", "0", None)]].concat();
+    let violations = compare(&before, &lost, &[]).unwrap().violations(&limit(Amount::Absolute(1.0)));
+    assert_eq!(violations, ["psnr is lost: m on c, seed 0: not measured"]);
+    assert!(
+        compared.violations(&[(Column::Metric(Metric::Ssim), Amount::Absolute(1.0))])[0]
+            .contains("ssim cannot be judged")
+    );
+}
+
+#[test]
+fn times_of_different_machines_do_not_compare() {
+    let timed = |threads: u64| {
+        let mut run = run("m", "a", "0", Some(20.0));
+        run.figures.insert(Column::TrainingSecs, Score::Value(3.0));
+        let machine = Machine { device: "cpu".into(), threads: Some(threads), ..Machine::default() };
+        run.machines = [("training".to_string(), machine)].into();
+        vec![run]
+    };
+    let same = compare(&timed(2), &timed(2), &[]).unwrap();
+    assert!(same.without_times.is_none() && same.protocols[0].rows[0].metrics.contains_key(&Column::TrainingSecs));
+    let other = compare(&timed(2), &timed(4), &[]).unwrap();
+    assert!(other.without_times.unwrap().contains("4 threads"));
+    assert!(!other.protocols[0].rows[0].metrics.contains_key(&Column::TrainingSecs));
+}

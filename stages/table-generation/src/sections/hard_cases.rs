@@ -1,0 +1,86 @@
+//! What becomes of every method on every scene: what finished, what ended where, and what had to be held in range.
+
+use engine::FailureKind;
+
+use super::Content;
+use crate::Column;
+use crate::collect::Run;
+use crate::document::{Block, Table, Text};
+use crate::format::{NONE, signed};
+use crate::grouping::distinct;
+use crate::report::failure_mark;
+
+/// The table, where the recipe asks for it and where a training diverged.
+pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let diverged = |run: &Run| run.failure.as_ref().is_some_and(|failure| failure.kind == FailureKind::Diverged);
+    if !content.params.hard_cases && !content.report.runs.iter().any(diverged) {
+        return Vec::new();
+    }
+    vec![Block::Table(outcome_table(content))]
+}
+
+/// One line per run, below a heading per scene.
+fn outcome_table(content: &Content<'_>) -> Table {
+    let baseline = &content.params.baseline;
+    let gain = format!("above {baseline} (dB)");
+    let header = ["method", "outcome", "where", "guards that fired", &gain, "largest gradient"].map(String::from);
+    let mut table = Table::new("What became of every run", header.into()).with_text_columns(4);
+    let runs = || content.report.runs.iter().filter(|run| !run.misses_data());
+    let one_seed = distinct(runs().map(|run| run.seed.as_str())).len() == 1;
+    for scene in distinct(runs().map(|run| run.scene.as_str())) {
+        table.rows.push(vec![Text::plain(&scene)]);
+        for run in runs().filter(|run| run.scene == scene) {
+            let seed = if one_seed { String::new() } else { format!(", seed {}", run.seed) };
+            let name = Text::plain(format!("{}{seed}", run.row)).linked(content.traces.scene(&run.row, &scene));
+            let gradient = run.largest_gradient.as_ref().map_or(NONE.into(), |g| format!("{:.1e}", g.magnitude));
+            let figures = [outcome(run), place(run), guards(run), gain_text(content, run), gradient];
+            table.rows.push([name].into_iter().chain(figures.map(Text::plain)).collect());
+        }
+    }
+    table.remarks.push(
+        "Where: the step at which a run ended and what was no longer finite, or the tensor and the step of the largest \
+         gradient. Guards: how often the rasteriser kept a number in range, summed over all renders of the training. Both \
+         are counted from the last start of the training: what a shared coarse phase saw is not in them."
+            .into(),
+    );
+    table
+}
+
+fn outcome(run: &Run) -> String {
+    match &run.failure {
+        None => "finished".into(),
+        Some(failure) if failure.kind == FailureKind::Diverged => "diverged".into(),
+        Some(failure) => format!("failed: {}", failure_mark(failure.kind)),
+    }
+}
+
+/// What ended the run, or where its largest gradient was.
+fn place(run: &Run) -> String {
+    let of_gradient = || {
+        let largest = run.largest_gradient.as_ref()?;
+        Some(format!("{}, iteration {} of {}", largest.tensor, largest.iteration, largest.phase))
+    };
+    let of_failure = run.failure.as_ref().map(|failure| failure.message.clone());
+    of_failure.or_else(of_gradient).unwrap_or_else(|| NONE.into())
+}
+
+fn guards(run: &Run) -> String {
+    let fired: Vec<String> = run.guards.iter().map(|(what, times)| format!("{what} ×{times}")).collect();
+    if fired.is_empty() { NONE.into() } else { fired.join(", ") }
+}
+
+/// PSNR above that of the baseline with the same scene and seed, judged in the same way.
+fn gain_text(content: &Content<'_>, run: &Run) -> String {
+    let is_baseline = |other: &&Run| {
+        other.method == content.params.baseline
+            && other.variant.is_none()
+            && (&other.scene, &other.seed) == (&run.scene, &run.seed)
+            && (&other.protocol, &other.judged_by) == (&run.protocol, &run.judged_by)
+    };
+    let psnr = |run: &Run| run.figures.get(&Column::PSNR)?.value().filter(|psnr| psnr.is_finite());
+    let gain = || Some(psnr(run)? - psnr(content.report.runs.iter().find(is_baseline)?)?);
+    if run.method == content.params.baseline {
+        return NONE.into();
+    }
+    gain().map_or(NONE.into(), |gain| signed(gain, Column::PSNR.decimals()))
+}
