@@ -87,6 +87,11 @@ impl<'a> Start<'a> {
     pub fn scene(&self) -> &'a SceneFacts {
         &self.dataset.scene
     }
+
+    /// The points that Gaussians start on.
+    pub fn initial_points(&self, shared: &Shared) -> anyhow::Result<PointCloud> {
+        self.dataset.initial_points(&shared.initial_points, shared.seed)
+    }
 }
 
 /// A method of dynamic (or static) Gaussian splatting.

@@ -1,13 +1,20 @@
 //! The coordinate network of Deformable 3D Gaussians (Yang et al. 2024, section 3.3): where and when, positionally encoded,
 //! pass eight layers of 256 ReLUs, between which the input is joined in once more; linear heads say what changes.
+//!
+//! The network sees the world in the scene's box (`{name}.bounds`, [`crate::bases::bounds`]), and its shifts are in units
+//! of it. The published code reads world coordinates as they are, which its scenes keep near [−1, 1]; at coordinates of
+//! 10⁴ the highest frequencies of f32 would be noise.
 
 use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::linear::Activation;
+use shaders::pointwise::scale;
 use shaders::positional_encoding::PositionalEncoding;
 use shaders::rows::{RowIndex, concat_columns, gather};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
+use crate::bases::bounds::{self, Bounds};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
@@ -110,8 +117,9 @@ impl CoordinateMlp {
         Self { name, settings: settings.clone(), first, heads: heads.to_vec() }
     }
 
-    /// Adds all layers.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    /// Adds the box in which the network sees the points, and all layers.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+        Bounds::typical_cube(&points.positions).insert(state, self.name);
         let CoordinateMlpSettings { depth, width, time_features, .. } = self.settings;
         if time_features > 0 {
             let columns = self.time_encoding().columns(1);
@@ -130,10 +138,10 @@ impl CoordinateMlp {
 
     /// The step sizes of this network's tensors.
     pub fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
-        belongs(tensor, self.name).then_some(self.settings.rate)
+        (belongs(tensor, self.name) && tensor != bounds::tensor_name(self.name)).then_some(self.settings.rate)
     }
 
-    /// The last hidden layer at every position [N, 3] and time in [0, 1]: [T·N, width], time by time.
+    /// The last hidden layer at every position [N, 3] (world) and time in [0, 1]: [T·N, width], time by time.
     ///
     /// Positions enter without gradient, as published: a Gaussian does not move to where the motion suits it better.
     pub fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
@@ -150,6 +158,13 @@ impl CoordinateMlp {
         hidden.expect("at least one layer")
     }
 
+    /// The output of a head that speaks of lengths, for hidden rows: scene units.
+    pub fn lengths<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+        let inside = self.head(tape, model, head, hidden);
+        let half_side = bounds::half_side(tape, model, self.name);
+        scale(tape, inside, half_side)
+    }
+
     /// The output of a head for hidden rows.
     pub fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         apply_layer(tape, model, &self.tensor(head), hidden, Activation::Identity)
@@ -158,7 +173,8 @@ impl CoordinateMlp {
     /// Encoded positions beside what is made of the times: [T·N, input columns].
     fn input<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
         let held = tape.detach(positions);
-        let place = self.position_encoding().encode(tape, held);
+        let inside = bounds::inside(tape, model, self.name, held);
+        let place = self.position_encoding().encode(tape, inside);
         let times_column = times.iter().map(|&time| T::from_f64(time)).collect();
         let times_column = tape.constant(Tensor::from_vec([times.len(), 1], times_column));
         let mut moment = self.time_encoding().encode(tape, times_column);
@@ -218,7 +234,8 @@ mod tests {
         let heads = [Head { name: "position", outputs: 3, first: FirstWeights::FanIn }];
         let network = CoordinateMlp::new("network", settings, FirstWeights::FanIn, &heads);
         let mut state = ModelState::new();
-        network.insert(&mut state, &mut generator(1, Stream::Initial));
+        let points = PointCloud { positions: vec![[-1.0; 3], [0.0; 3], [1.0; 3]], colors: vec![[0; 3]; 3] };
+        network.insert(&mut state, &points, &mut generator(1, Stream::Initial));
         (network, state)
     }
 
@@ -246,6 +263,30 @@ mod tests {
         let alone = [0.1, 0.7].map(|time| network.hidden(&mut tape, &model, positions, &[time]));
         let joined = alone.map(|hidden| tape.value(hidden).as_slice().to_vec()).concat();
         assert_eq!(tape.value(together).as_slice(), joined);
+    }
+
+    #[test]
+    fn neither_the_origin_nor_the_unit_of_the_world_changes_what_is_said() {
+        let near = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 30, 2);
+        let to_far = |point: [f32; 3]| point.map(|value| 1e4 + 50.0 * value);
+        let far = PointCloud { positions: near.positions.iter().copied().map(to_far).collect(), ..near.clone() };
+        let said = |points: &PointCloud| {
+            let settings = CoordinateMlpSettings::tiny();
+            let heads = [Head { name: "position", outputs: 3, first: FirstWeights::FanIn }];
+            let network = CoordinateMlp::new("network", &settings, FirstWeights::FanIn, &heads);
+            let mut state = ModelState::<f64>::new();
+            network.insert(&mut state, points, &mut generator(1, Stream::Initial));
+            let mut tape = Tape::new(Device::Cpu);
+            let model = state.bind(&mut tape, |_| false);
+            let positions = points.positions.iter().flatten().map(|&value| f64::from(value)).collect();
+            let positions = tape.constant(Tensor::from_vec([points.len(), 3], positions));
+            let hidden = network.hidden(&mut tape, &model, positions, &[0.4]);
+            let lengths = network.lengths(&mut tape, &model, "position", hidden);
+            tape.value(lengths).as_slice().to_vec()
+        };
+        let (here, there) = (said(&near), said(&far));
+        let differ = |(here, there): (&f64, &f64)| !((50.0 * here - there).abs() <= 0.05);
+        assert!(!here.iter().zip(&there).any(differ) && here.iter().any(|length| length.abs() > 0.01));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What methods are built from. Bases know the trainer's vocabulary and no method.
 
 pub mod anchors;
+pub mod bounds;
 pub mod canonical;
 pub mod control_nodes;
 pub mod coordinate_mlp;

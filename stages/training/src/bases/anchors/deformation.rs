@@ -9,9 +9,10 @@ use shaders::splat::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use super::{ANCHORS, AnchorSettings};
+use crate::bases::bounds::Bounds;
 use crate::bases::heads::HeadedNetwork;
 use crate::bases::hexplane::TimeAxis;
-use crate::bases::hexplane::field::{self, Field, PlaneWeights};
+use crate::bases::hexplane::field::{Field, PlaneWeights};
 use crate::method::{SceneFacts, Step};
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
@@ -263,6 +264,6 @@ fn insert_box<T: Real>(state: &mut ModelState<T>, field: &str) -> anyhow::Result
     let positions = state.get(&format!("{ANCHORS}.positions"))?;
     let row = |index: usize| std::array::from_fn(|axis| positions.row(index)[axis].to_f64() as f32);
     let positions: Vec<[f32; 3]> = (0..positions.rows()).map(row).collect();
-    field::insert_bounds(state, field, &positions);
+    Bounds::enclosing(&positions).insert(state, field);
     Ok(())
 }

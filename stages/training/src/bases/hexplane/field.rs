@@ -3,8 +3,9 @@
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::hexplane::{HexplaneShape, distance_to_one, hexplane, is_time_plane, smoothness};
-use shaders::tape::{Op, Real, Tape, Tensor, Var};
+use shaders::tape::{Real, Tape, Var};
 
+use crate::bases::bounds;
 use crate::bases::layers::uniform;
 use crate::method::Step;
 use crate::state::{ModelState, Variables};
@@ -13,8 +14,6 @@ use crate::state::{ModelState, Variables};
 const SPATIAL_START: [f64; 2] = [0.1, 0.5];
 /// What a plane's name has after its field's.
 const PLANE: &str = ".plane_";
-/// The thinnest box, as a share of its longest side, so that a planar cloud does not divide by zero.
-const MIN_SIDE: f64 = 1e-3;
 
 /// Where normalised time in [0, 1] falls on the time axis of the planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,7 +39,7 @@ pub struct PlaneWeights {
 
 /// A field's planes: sizes, and the names of their tensors.
 ///
-/// A field called `field` has the box `field.bounds` ([2, 3], smallest and largest corner, world; it never learns) and
+/// A field called `field` has the box `field.bounds` ([`crate::bases::bounds`]) and
 /// the planes `field.plane_{scale}_{pair}`.
 #[derive(Clone, Debug)]
 pub struct Field {
@@ -98,8 +97,7 @@ impl Field {
 
     /// Positions [N, 3] (world) in the field's box, as [−1, 1].
     pub fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
-        let bounds = model.get(&bounds_name(self.name));
-        tape.apply_one(ToBox, &[positions, bounds])
+        bounds::inside(tape, model, self.name, positions)
     }
 
     /// Adds the regularisers of the planes to a step's losses; one of weight 0 is not evaluated.
@@ -133,70 +131,5 @@ impl Field {
     fn plane_name(&self, index: usize) -> String {
         const PAIRS: [&str; 6] = ["xy", "xz", "xt", "yz", "yt", "zt"];
         format!("{}{PLANE}{}_{}", self.name, index / 6, PAIRS[index % 6])
-    }
-}
-
-/// The box of the field of that name.
-pub fn bounds_name(field: &str) -> String {
-    format!("{field}.bounds")
-}
-
-/// Adds the box of positions as that of the field of that name.
-pub fn insert_bounds<T: Real>(state: &mut ModelState<T>, field: &str, positions: &[[f32; 3]]) {
-    let mut corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
-    for point in positions {
-        for axis in 0..3 {
-            let value = f64::from(point[axis]);
-            corners[0][axis] = corners[0][axis].min(value);
-            corners[1][axis] = corners[1][axis].max(value);
-        }
-    }
-    let [low, high] = corners;
-    let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
-    let margin =
-        |axis: usize| 0.5 * ((MIN_SIDE * longest).max(f64::from(f32::EPSILON)) - (high[axis] - low[axis])).max(0.0);
-    let low = std::array::from_fn::<_, 3, _>(|axis| low[axis] - margin(axis));
-    let high = std::array::from_fn::<_, 3, _>(|axis| high[axis] + margin(axis));
-    let values = [low, high].concat().into_iter().map(T::from_f64).collect();
-    state.insert(bounds_name(field), Tensor::from_vec([2, 3], values));
-}
-
-/// Positions [N, 3] in a box [2, 3] to [−1, 1]: 2·(x − low) / (high − low) − 1; no gradient flows to the box.
-pub(super) struct ToBox;
-
-impl ToBox {
-    /// Factor and summand of each axis.
-    fn affine<T: Real>(bounds: &Tensor<T>) -> [(T, T); 3] {
-        let (low, high) = (bounds.row(0), bounds.row(1));
-        std::array::from_fn(|axis| {
-            let factor = T::from_f64(2.0) / (high[axis] - low[axis]);
-            (factor, -(low[axis] * factor) - T::ONE)
-        })
-    }
-}
-
-impl<T: Real> Op<T> for ToBox {
-    fn name(&self) -> &'static str {
-        "to_box"
-    }
-
-    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let affine = Self::affine(inputs[1]);
-        let map = |(at, &value): (usize, &T)| value.mul_add(affine[at % 3].0, affine[at % 3].1);
-        let values = inputs[0].as_slice().iter().enumerate().map(map).collect();
-        vec![Tensor::from_vec(inputs[0].shape(), values)]
-    }
-
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(gradient) = output_grads[0] else { return vec![None, None] };
-        let affine = Self::affine(inputs[1]);
-        let values = gradient.as_slice().iter().enumerate().map(|(at, &value)| value * affine[at % 3].0).collect();
-        vec![Some(Tensor::from_vec(gradient.shape(), values)), None]
     }
 }

@@ -20,6 +20,7 @@ use shaders::tape::{Real, Tape, Var};
 pub use field::TimeAxis;
 pub use network::{FurtherHead, Heads, MovedPoints};
 
+use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Need};
@@ -202,7 +203,7 @@ impl HexplaneGaussians {
         let mut state = ModelState::new();
         let lone_scale = gaussians::LONE_SCALE * scene.extent;
         gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)?;
-        field::insert_bounds(&mut state, FIELD, &points.positions);
+        Bounds::enclosing(&points.positions).insert(&mut state, FIELD);
         Ok(state)
     }
 

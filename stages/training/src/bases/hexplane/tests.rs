@@ -3,7 +3,7 @@ use std::collections::BTreeSet;
 use scene::TimeMap;
 use shaders::check;
 use shaders::splat::PinholeCamera;
-use shaders::tape::{Device, Op, Tensor};
+use shaders::tape::{Device, Tensor};
 
 use super::*;
 use crate::dataset::Dataset;
@@ -115,30 +115,6 @@ fn time_texels_follow_the_training_times_and_the_axis() {
     assert_eq!(time_texels(HexplaneSettings::tiny()), 3);
     assert_eq!(time_texels(HexplaneSettings { time_axis: TimeAxis::UpperHalf, ..HexplaneSettings::tiny() }), 5);
     assert_eq!(time_texels(HexplaneSettings { time_resolution: Some(75), ..HexplaneSettings::tiny() }), 38);
-}
-
-#[test]
-fn the_box_maps_to_the_unit_cube_with_the_right_gradient() {
-    let bounds = Tensor::from_vec([2, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5]);
-    let corners = Tensor::from_vec([3, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5, 0.0, 2.0, 2.25]);
-    let mapped = field::ToBox.forward(&[&corners, &bounds]).remove(0);
-    assert_eq!(mapped.as_slice(), [-1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
-    let map = |tape: &mut Tape<f64>, vars: &[shaders::tape::Var]| {
-        let bounds = tape.constant(bounds.clone());
-        tape.apply_one(field::ToBox, &[vars[0], bounds])
-    };
-    check::gradients(map, &[corners], check::TOLERANCE).unwrap();
-}
-
-#[test]
-fn a_flat_cloud_has_a_box_with_volume() {
-    let points = PointCloud { positions: vec![[0.0, 0.0, 5.0], [2.0, 1.0, 5.0]], colors: vec![[0; 3]; 2] };
-    for points in [points, PointCloud { positions: vec![[3.0; 3]], colors: vec![[0; 3]] }] {
-        let mut state = ModelState::<f64>::new();
-        field::insert_bounds(&mut state, FIELD, &points.positions);
-        let bounds = state.get(&field::bounds_name(FIELD)).unwrap();
-        assert!((0..3).all(|axis| bounds.row(1)[axis] > bounds.row(0)[axis]), "{bounds:?}");
-    }
 }
 
 #[test]

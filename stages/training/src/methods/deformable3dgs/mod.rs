@@ -26,11 +26,9 @@ use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables};
 
 /// What the network says: its heads start at random, as published.
-const HEADS: [Head; 3] = [
-    Head { name: "position", outputs: 3, first: FirstWeights::FanIn },
-    Head { name: "rotation", outputs: 4, first: FirstWeights::FanIn },
-    Head { name: "scale", outputs: 3, first: FirstWeights::FanIn },
-];
+const POSITION: Head = Head { name: "position", outputs: 3, first: FirstWeights::FanIn };
+const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::FanIn };
+const SCALE: Head = Head { name: "scale", outputs: 3, first: FirstWeights::FanIn };
 
 /// The folder's entry.
 pub struct Deformable3dgs;
@@ -94,7 +92,12 @@ impl MethodFolder for Deformable3dgs {
     fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
         Box::new(DeformedGaussians {
             canonical: CanonicalGaussians::new(shared),
-            network: CoordinateMlp::new("network", &settings.network, FirstWeights::FanIn, &HEADS),
+            network: CoordinateMlp::new(
+                "network",
+                &settings.network,
+                FirstWeights::FanIn,
+                &[POSITION, ROTATION, SCALE],
+            ),
             moves: shared.effects.has("motion"),
             has_time_noise: shared.effects.has("motion") && shared.effects.has("time-noise"),
             shared: shared.clone(),
@@ -132,11 +135,11 @@ impl<T: Real> Method<T> for DeformedGaussians {
         &self,
         phase: &str,
         mut state: ModelState<T>,
-        _start: &Start<'_>,
+        start: &Start<'_>,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
-            self.network.insert(&mut state, random);
+            self.network.insert(&mut state, &start.initial_points(&self.shared)?, random);
         }
         Ok(state)
     }
@@ -152,7 +155,8 @@ impl<T: Real> Method<T> for DeformedGaussians {
             return Ok(canonical);
         }
         let hidden = self.network.hidden(tape, model, canonical.positions, &[moment.time]);
-        let [shift, turn, growth] = HEADS.map(|head| self.network.head(tape, model, head.name, hidden));
+        let [shift, growth] = [POSITION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
+        let turn = self.network.head(tape, model, ROTATION.name, hidden);
         let (_, raw_rotations) = scales_and_rotations(&canonical);
         let unit_rotations = quaternion::normalize(tape, raw_rotations);
         let positions = add(tape, canonical.positions, shift);

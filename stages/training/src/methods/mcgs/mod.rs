@@ -116,12 +116,12 @@ impl<T: Real> Method<T> for MarkovGaussians {
         &self,
         phase: &str,
         mut state: ModelState<T>,
-        _start: &Start<'_>,
+        start: &Start<'_>,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
             self.choose_nodes(&mut state)?;
-            self.nodes.insert(&mut state, random);
+            self.nodes.insert(&mut state, &start.initial_points(&self.shared)?, random);
             controls::insert(&mut state, &self.settings, self.has_noise)?;
         }
         Ok(state)

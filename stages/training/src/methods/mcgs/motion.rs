@@ -1,6 +1,7 @@
 //! How the nodes move: a direct branch, the Markov chain, and their mixture; and how they carry the Gaussians.
 
 use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
 use shaders::neighbor_blend::{Neighbors, blend, weights};
 use shaders::pointwise::{add, mix};
 use shaders::quaternion;
@@ -71,9 +72,9 @@ impl Nodes {
         Self { settings: settings.clone(), network, chain: Chain::new(&settings.chain, attends) }
     }
 
-    /// Adds both branches.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
-        self.network.insert(state, random);
+    /// Adds both branches for a scene with these points.
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+        self.network.insert(state, points, random);
         self.chain.insert(state, random);
     }
 
@@ -116,8 +117,8 @@ impl Nodes {
     /// The direct branch at every time.
     fn direct<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, times: &[f64]) -> NodeMotion {
         let hidden = self.network.hidden(tape, model, model.get("nodes.positions"), times);
-        let [translations, turns] =
-            [TRANSLATION, ROTATION].map(|head| self.network.head(tape, model, head.name, hidden));
+        let translations = self.network.lengths(tape, model, TRANSLATION.name, hidden);
+        let turns = self.network.head(tape, model, ROTATION.name, hidden);
         let identity = identity_rotations(tape, tape.value(turns).rows());
         let raw = add(tape, identity, turns);
         NodeMotion { translations, rotations: quaternion::normalize(tape, raw) }

@@ -61,7 +61,8 @@ fn nodes(settings: &Settings, attends: bool) -> (Nodes, ModelState<f64>) {
     let nodes = Nodes::new(settings, attends);
     let mut state = ModelState::new();
     insert_nodes(&mut state, Tensor::from_vec([5, 3], noise(15, 1)), 0.3);
-    nodes.insert(&mut state, &mut generator(1, Stream::Initial));
+    let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
+    nodes.insert(&mut state, &points, &mut generator(1, Stream::Initial));
     controls::insert(&mut state, settings, false).unwrap();
     (nodes, state)
 }

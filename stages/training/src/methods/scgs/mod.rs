@@ -165,7 +165,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         if self.moves {
             let degree = self.shared.harmonics.degree;
             candidates::insert(&mut state, start.scene(), points, self.settings.candidates, degree)?;
-            self.nodes.insert_network(&mut state, random);
+            self.nodes.insert_network(&mut state, points, random);
         } else {
             self.canonical.insert(&mut state, start.scene(), points)?;
         }
@@ -184,7 +184,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         }
         let mut state = self.nodes.choose(state)?;
         // The Gaussians start anew from the points that the candidates were taken from.
-        let points = start.dataset.initial_points(&self.shared.initial_points, self.shared.seed)?;
+        let points = start.initial_points(&self.shared)?;
         self.canonical.insert(&mut state, start.scene(), &points)?;
         self.nodes.insert_gaussian_features(&mut state)?;
         Ok(state)

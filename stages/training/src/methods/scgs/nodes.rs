@@ -2,6 +2,7 @@
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
 use shaders::neighbor_blend::{Frames, Neighbors, blend, blend_frames, weights};
 use shaders::pointwise::add;
 use shaders::rows::{RowIndex, concat_columns, gather};
@@ -51,9 +52,9 @@ impl Nodes {
         Self { settings: settings.clone(), network }
     }
 
-    /// Adds the network.
-    pub fn insert_network<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
-        self.network.insert(state, random);
+    /// Adds the network for a scene with these points.
+    pub fn insert_network<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+        self.network.insert(state, points, random);
     }
 
     /// Candidates become nodes: those whose paths through time lie farthest apart. The rest of them is dropped.
@@ -120,15 +121,16 @@ impl Nodes {
     /// What the network adds to positions [N, 3] at each of the times: [T·N, 3], time by time.
     pub fn translations<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
         let hidden = self.network.hidden(tape, model, positions, times);
-        self.network.head(tape, model, TRANSLATION.name, hidden)
+        self.network.lengths(tape, model, TRANSLATION.name, hidden)
     }
 
     /// The Gaussians at a time: each is carried by the frames of its nodes, and takes over the blend of their changes.
     pub fn carry<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, canonical: SplatVars, time: f64) -> SplatVars {
         let positions = model.get("nodes.positions");
         let hidden = self.network.hidden(tape, model, positions, &[time]);
-        let [translations, turns, growth, frame] =
-            [TRANSLATION, ROTATION, SCALE, FRAME].map(|head| self.network.head(tape, model, head.name, hidden));
+        let [translations, growth] =
+            [TRANSLATION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
+        let [turns, frame] = [ROTATION, FRAME].map(|head| self.network.head(tape, model, head.name, hidden));
         let (neighbors, weights) = self.weights(tape, model, canonical.positions);
         let identity = identity_rotations(tape, tape.value(frame).rows());
         let rotations = add(tape, identity, frame);

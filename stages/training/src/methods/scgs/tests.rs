@@ -32,8 +32,8 @@ fn nodes_that_do_not_move_leave_the_gaussians_where_they_are() {
     let mut state = ModelState::<f64>::new();
     let nodes = Nodes::new(&Scgs::tiny_settings());
     let mut random = crate::sampler::generator(1, crate::sampler::Stream::Initial);
-    nodes.insert_network(&mut state, &mut random);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
+    nodes.insert_network(&mut state, &points, &mut random);
     let scene = crate::method::SceneFacts {
         extent: 3.0,
         time_map: scene::TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },

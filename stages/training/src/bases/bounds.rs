@@ -1,0 +1,173 @@
+//! The box of a scene: what reads coordinates reads them in its box, so that neither where the world's origin lies nor
+//! how long its unit is changes what is learnt.
+
+use shaders::tape::{Op, Real, Tape, Tensor, Var};
+
+use crate::state::{ModelState, Variables};
+
+/// The thinnest box, as a share of its longest side, so that a planar cloud does not divide by zero.
+const MIN_SIDE: f64 = 1e-3;
+/// Half a side of an even distribution in median absolute deviations: half of the points lie within half of the side.
+const HALF_SIDE_IN_DEVIATIONS: f64 = 2.0;
+
+/// Smallest and largest corner (world).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Smallest corner.
+    pub low: [f64; 3],
+    /// Largest corner.
+    pub high: [f64; 3],
+}
+
+impl Bounds {
+    /// The smallest box around positions (one at least), with some thickness along every axis.
+    pub fn enclosing(positions: &[[f32; 3]]) -> Self {
+        let low = along(positions, |values| values.into_iter().fold(f64::INFINITY, f64::min));
+        let high = along(positions, |values| values.into_iter().fold(f64::NEG_INFINITY, f64::max));
+        let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
+        let thinnest = (MIN_SIDE * longest).max(f64::from(f32::EPSILON));
+        let margin = |axis: usize| 0.5 * (thinnest - (high[axis] - low[axis])).max(0.0);
+        Self {
+            low: std::array::from_fn(|axis| low[axis] - margin(axis)),
+            high: std::array::from_fn(|axis| high[axis] + margin(axis)),
+        }
+    }
+
+    /// The cube that evenly distributed positions (one at least) fill; a few that lie far off do not widen it, as they
+    /// do the clouds of structure from motion.
+    pub fn typical_cube(positions: &[[f32; 3]]) -> Self {
+        let center = along(positions, median);
+        let deviations: Vec<[f32; 3]> = positions
+            .iter()
+            .map(|point| std::array::from_fn(|axis| (f64::from(point[axis]) - center[axis]).abs() as f32))
+            .collect();
+        let widest = along(&deviations, median).into_iter().fold(0.0, f64::max);
+        // Where most points are in one place, what is around them says how large the scene is.
+        let half = match HALF_SIDE_IN_DEVIATIONS * widest {
+            0.0 => along(&deviations, |values| values.into_iter().fold(0.0, f64::max)).into_iter().fold(0.0, f64::max),
+            half => half,
+        };
+        let half = if half > 0.0 { half } else { 1.0 };
+        Self { low: center.map(|value| value - half), high: center.map(|value| value + half) }
+    }
+
+    /// Adds the box to the model as `{name}.bounds` ([2, 3]; it never learns).
+    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, name: &str) {
+        let values = [self.low, self.high].concat().into_iter().map(T::from_f64).collect();
+        state.insert(tensor_name(name), Tensor::from_vec([2, 3], values));
+    }
+}
+
+/// What a box that was inserted under that name is called in the model.
+pub fn tensor_name(name: &str) -> String {
+    format!("{name}.bounds")
+}
+
+/// Positions [N, 3] (world) in the box of that name, as [−1, 1].
+pub fn inside<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, positions: Var) -> Var {
+    let bounds = model.get(&tensor_name(name));
+    tape.apply_one(ToBox, &[positions, bounds])
+}
+
+/// Half the first side of the box of that name: what a unit of [`inside`] is in the world, where the box is a cube.
+pub fn half_side<T: Real>(tape: &Tape<T>, model: &Variables, name: &str) -> f64 {
+    let bounds = tape.value(model.get(&tensor_name(name)));
+    0.5 * (bounds.row(1)[0].to_f64() - bounds.row(0)[0].to_f64())
+}
+
+/// One figure per axis of the values along it.
+fn along(positions: &[[f32; 3]], figure: impl Fn(Vec<f64>) -> f64) -> [f64; 3] {
+    std::array::from_fn(|axis| figure(positions.iter().map(|point| f64::from(point[axis])).collect()))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Positions [N, 3] in a box [2, 3] to [−1, 1]: 2·(x − low) / (high − low) − 1; no gradient flows to the box.
+struct ToBox;
+
+impl ToBox {
+    /// Middle and reciprocal half side of each axis.
+    fn frame<T: Real>(bounds: &Tensor<T>) -> [(T, T); 3] {
+        let (low, high) = (bounds.row(0), bounds.row(1));
+        let half = T::from_f64(0.5);
+        std::array::from_fn(|axis| (half * (low[axis] + high[axis]), T::ONE / (half * (high[axis] - low[axis]))))
+    }
+}
+
+impl<T: Real> Op<T> for ToBox {
+    fn name(&self) -> &'static str {
+        "to_box"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let frame = Self::frame(inputs[1]);
+        // The middle is subtracted first: far from the origin a product with the factor would cancel its last digits.
+        let map = |(at, &value): (usize, &T)| (value - frame[at % 3].0) * frame[at % 3].1;
+        let values = inputs[0].as_slice().iter().enumerate().map(map).collect();
+        vec![Tensor::from_vec(inputs[0].shape(), values)]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(gradient) = output_grads[0] else { return vec![None, None] };
+        let frame = Self::frame(inputs[1]);
+        let values = gradient.as_slice().iter().enumerate().map(|(at, &value)| value * frame[at % 3].1).collect();
+        vec![Some(Tensor::from_vec(gradient.shape(), values)), None]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shaders::check;
+
+    use super::*;
+
+    #[test]
+    fn the_box_maps_to_the_unit_cube_with_the_right_gradient() {
+        let bounds = Tensor::from_vec([2, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5]);
+        let corners = Tensor::from_vec([3, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5, 0.0, 2.0, 2.25]);
+        let mapped = ToBox.forward(&[&corners, &bounds]).remove(0);
+        assert_eq!(mapped.as_slice(), [-1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+        let map = |tape: &mut Tape<f64>, vars: &[Var]| {
+            let bounds = tape.constant(bounds.clone());
+            tape.apply_one(ToBox, &[vars[0], bounds])
+        };
+        check::gradients(map, &[corners], check::TOLERANCE).unwrap();
+    }
+
+    #[test]
+    fn flat_clouds_and_single_points_have_boxes_with_volume() {
+        for positions in [vec![[0.0, 0.0, 5.0], [2.0, 1.0, 5.0]], vec![[3.0; 3]]] {
+            for Bounds { low, high } in [Bounds::enclosing(&positions), Bounds::typical_cube(&positions)] {
+                assert!((0..3).all(|axis| high[axis] > low[axis]), "{low:?} {high:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn points_far_off_do_not_widen_the_typical_cube() {
+        let mut positions: Vec<[f32; 3]> =
+            (0..=100).map(|at| [10.0 + 0.02 * at as f32, 0.01 * at as f32, 0.0]).collect();
+        let even = Bounds::typical_cube(&positions);
+        assert!((even.low[0] - 10.0).abs() <= 0.03 && (even.high[0] - 12.0).abs() <= 0.03, "{even:?}");
+        positions.extend([[1e4; 3]; 3]);
+        let with_outliers = Bounds::typical_cube(&positions);
+        assert!((with_outliers.high[0] - even.high[0]).abs() <= 0.1, "{with_outliers:?}");
+        assert_eq!(Bounds::enclosing(&positions).high, [1e4; 3]);
+    }
+
+    #[test]
+    fn a_box_far_from_the_origin_keeps_what_its_coordinates_still_hold() {
+        let bounds = Tensor::from_vec([2, 3], [[9999.0_f32; 3], [10_001.0; 3]].concat());
+        let points = Tensor::from_vec([1, 3], vec![9999.5_f32, 10_000.25, 10_001.0]);
+        assert_eq!(ToBox.forward(&[&points, &bounds])[0].as_slice(), [-0.5, 0.25, 1.0]);
+    }
+}
