@@ -6,12 +6,13 @@ use serde::{Deserialize, Serialize};
 use shaders::attention::window_attention;
 use shaders::layer_norm::layer_norm;
 use shaders::linear::Activation;
-use shaders::pointwise::{add, relu, scale, sub};
+use shaders::pointwise::{add, relu, scale};
 use shaders::quaternion;
 use shaders::rows::{RowIndex, columns, concat_columns, gather, reshape};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::motion::{NodeMotion, frame_interval};
+use super::motion::{NETWORK, NodeMotion, frame_interval};
+use crate::bases::bounds;
 use crate::bases::control_nodes::identity_rotations;
 use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix, normal};
 use crate::method::SceneFacts;
@@ -76,12 +77,7 @@ impl Chain {
         if self.attends { self.settings.window } else { 1 }
     }
 
-    /// States before a time that a prediction stands on: the window, and at least two, between which there is motion.
-    pub fn looks_back(&self) -> usize {
-        self.window().max(2)
-    }
-
-    /// Adds all layers; the predictor's last one starts at zero, so that a node goes on as it did.
+    /// Adds all layers; the predictor's last one starts at zero, so that a node stays where it was.
     pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
         let width = self.settings.width;
         for (layer, inputs) in [STATE, width].into_iter().enumerate() {
@@ -103,13 +99,11 @@ impl Chain {
         insert_layer(state, "chain.predictor.2", width, STATE, FirstWeights::Zero, random);
     }
 
-    /// The motion at `times` times of M nodes from the states before: `history` holds ([`Chain::looks_back`] + times)·M
-    /// rows, state by state, of which the last of all is not looked at. The result has times·M rows.
+    /// The motion at `times` times of M nodes from the states before: `history` holds ([`Chain::window`] + times)·M rows,
+    /// state by state, of which the last of all is not looked at. The result has times·M rows.
     ///
-    /// A prediction goes on from the last state as from the one before to it, and adds what the network says (equations 5,
-    /// 12 and 13): Δμ + (Δμ − Δμ₋) + δμ and δq⊗(2·Δq − Δq₋), quaternions as directions, δq that of (1, 0, 0, 0) + δ.
-    /// Without the uniform motion, equal shares of a state and the one before would leave every motion free that changes
-    /// its sign from frame to frame.
+    /// A prediction is the last state and the step that the network says (equations 5, 12 and 13): Δμ + δμ and δq⊗Δq, δq
+    /// that of (1, 0, 0, 0) + δ.
     ///
     /// The network speaks of both in what a frame is of the capture's duration, and of lengths in the scene's extent:
     /// within a frame little happens, and an output of the order of 1 would throw nodes across the scene.
@@ -122,12 +116,12 @@ impl Chain {
         times: usize,
         scene: &SceneFacts,
     ) -> NodeMotion {
-        let states = self.looks_back() + times;
+        let states = self.window() + times;
         let part = |tape: &mut Tape<T>, var: Var, first: usize, count: usize| {
             let rows = (first * nodes..(first + count) * nodes).map(|row| row as u32).collect();
             gather(tape, var, &RowIndex::new(rows, states * nodes))
         };
-        let (last, before) = (self.looks_back() - 1, self.looks_back() - 2);
+        let last = self.window() - 1;
         let seen = match self.attends {
             true => {
                 let encoded = self.encode(tape, model, history, nodes);
@@ -149,25 +143,23 @@ impl Chain {
         let raw = add(tape, identity, turn);
         let turn = quaternion::normalize(tape, raw);
 
-        let [now, earlier] = [last, before].map(|first| part(tape, history.translations, first, times));
-        let translations = gone_on(tape, now, earlier);
-        let [now, earlier] = [last, before].map(|first| part(tape, history.rotations, first, times));
-        let earlier = quaternion::align(tape, earlier, now);
-        let raw = gone_on(tape, now, earlier);
-        let rotations = quaternion::normalize(tape, raw);
+        let translations = part(tape, history.translations, last, times);
+        let rotations = part(tape, history.rotations, last, times);
         NodeMotion {
             translations: add(tape, translations, shift),
             rotations: quaternion::multiply(tape, turn, rotations),
         }
     }
 
-    /// h = MLP([μ, q]) of every state (equation 3); q on the side of the identity, since −q would be encoded otherwise.
+    /// h = MLP([μ, q]) of every state (equation 3); μ in the box of the scene, q on the side of the identity, since −q would
+    /// be encoded otherwise.
     fn encode<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, history: NodeMotion, nodes: usize) -> Var {
         let rows = tape.value(history.translations).rows();
         let canonical = tape.detach(model.get("nodes.positions"));
         let node_of_row = RowIndex::new((0..rows).map(|row| (row % nodes) as u32).collect(), nodes);
         let canonical = gather(tape, canonical, &node_of_row);
         let positions = add(tape, canonical, history.translations);
+        let positions = bounds::inside(tape, model, NETWORK, positions);
         let identity = identity_rotations(tape, rows);
         let rotations = quaternion::align(tape, history.rotations, identity);
         let mut hidden = concat_columns(tape, &[positions, rotations]);
@@ -192,15 +184,13 @@ impl Chain {
     ) -> Var {
         let (window, width) = (self.window(), self.settings.width);
         let windows = times * nodes;
-        // Where the window is shorter than what a prediction stands on, the oldest states lie before it.
-        let first = self.looks_back() - window;
         // Row (time, node, state of the window) of what is looked at is row (time + state, node) of what is encoded.
         let items = 0..windows * window;
         let row_of_item = items.clone().map(|item| {
             let (at, state) = (item / window, item % window);
-            ((at / nodes + first + state) * nodes + at % nodes) as u32
+            ((at / nodes + state) * nodes + at % nodes) as u32
         });
-        let mut seen = gather(tape, encoded, &RowIndex::new(row_of_item.collect(), (first + window + times) * nodes));
+        let mut seen = gather(tape, encoded, &RowIndex::new(row_of_item.collect(), (window + times) * nodes));
         if self.settings.embeds_time {
             let state_of_item = RowIndex::new(items.map(|item| (item % window) as u32).collect(), window);
             let ages = gather(tape, model.get("chain.time"), &state_of_item);
@@ -225,10 +215,4 @@ impl Chain {
         let second = apply_layer(tape, model, "chain.predictor.1", first, Activation::Relu);
         apply_layer(tape, model, "chain.predictor.2", second, Activation::Identity)
     }
-}
-
-/// x + (x − x₋): where it is one frame later if it goes on like that.
-fn gone_on<T: Real>(tape: &mut Tape<T>, now: Var, earlier: Var) -> Var {
-    let step = sub(tape, now, earlier);
-    add(tape, now, step)
 }

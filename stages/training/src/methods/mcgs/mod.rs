@@ -9,6 +9,7 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
+use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::pointwise::add;
@@ -191,7 +192,15 @@ impl MarkovGaussians {
     }
 
     /// The nodes' motion at the time of a training view, and the losses that look at the frames around it.
+    ///
+    /// Some views are given the direct branch alone. The mixture goes on from that branch's last state: were images to show
+    /// the mixture only, whatever in the branch changes its sign from frame to frame would leave every mixture as it is.
     fn training_motion<T: Real>(&self, step: &mut Step<'_, T>, time: f64) -> NodeMotion {
+        if step.random.random::<f64>() < self.settings.mixing.direct_views {
+            step.count_skipped("chain in views of the direct branch", 1, 1);
+            return self.nodes.direct(step.tape, step.model, &[time]);
+        }
+        step.count_skipped("chain in views of the direct branch", 0, 1);
         let frame = motion::frame_interval(step.scene);
         let has_neighbors = time - frame >= 0.0 && time + frame <= 1.0;
         let weight = self.rigidity_weight(step.iteration);

@@ -19,6 +19,9 @@ use crate::method::SceneFacts;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
 
+/// The network of the direct branch.
+pub const NETWORK: &str = "network";
+
 /// What the direct branch says; next to no motion at first.
 const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
@@ -68,7 +71,7 @@ impl Nodes {
     /// With the method's settings.
     pub fn new(settings: &Settings, attends: bool) -> Self {
         let heads = [TRANSLATION, ROTATION];
-        let network = CoordinateMlp::new("network", &settings.network, FirstWeights::FanIn, &heads);
+        let network = CoordinateMlp::new(NETWORK, &settings.network, FirstWeights::FanIn, &heads);
         Self { settings: settings.clone(), network, chain: Chain::new(&settings.chain, attends) }
     }
 
@@ -97,7 +100,7 @@ impl Nodes {
         times: &[f64],
         scene: &SceneFacts,
     ) -> Predictions {
-        let before = self.chain.looks_back();
+        let before = self.chain.window();
         let first = times[0] - before as f64 * frame_interval(scene);
         let earlier = (0..before).map(|at| (first + at as f64 * frame_interval(scene)).max(0.0));
         let states: Vec<f64> = earlier.chain(times.iter().copied()).collect();
@@ -115,7 +118,7 @@ impl Nodes {
     }
 
     /// The direct branch at every time.
-    fn direct<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, times: &[f64]) -> NodeMotion {
+    pub fn direct<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, times: &[f64]) -> NodeMotion {
         let hidden = self.network.hidden(tape, model, model.get("nodes.positions"), times);
         let translations = self.network.lengths(tape, model, TRANSLATION.name, hidden);
         let turns = self.network.head(tape, model, ROTATION.name, hidden);

@@ -40,11 +40,13 @@ pub struct Mixing {
     pub rotation: f64,
     /// The iteration at which that is reached, counted from the start of the training.
     pub until: u64,
+    /// The share of training views that are shown the direct motion alone.
+    pub direct_views: f64,
 }
 
 impl Default for Mixing {
     fn default() -> Self {
-        Self { first: 0.0, position: 0.5, rotation: 0.5, until: 15_000 }
+        Self { first: 0.0, position: 0.5, rotation: 0.5, until: 15_000, direct_views: 0.5 }
     }
 }
 
@@ -71,7 +73,7 @@ impl Settings {
             network: CoordinateMlpSettings::tiny(),
             nodes: ControlNodeSettings::tiny(),
             chain: ChainSettings { window: 2, width: 8, heads: 2, ..ChainSettings::default() },
-            mixing: Mixing { first: 0.5, ..Mixing::default() },
+            mixing: Mixing { first: 0.5, direct_views: 0.0, ..Mixing::default() },
             noise: NoiseSettings { rotation: 0.2, ..NoiseSettings::default() },
             rigidity: 0.01,
             physics: PhysicsSettings { acceleration: 0.01, haste: 0.01, ..PhysicsSettings::default() },
@@ -83,7 +85,8 @@ impl Settings {
         self.network.check()?;
         self.nodes.check()?;
         self.chain.check()?;
-        let shares = [self.mixing.first, self.mixing.position, self.mixing.rotation];
+        let Mixing { first, position, rotation, direct_views, .. } = self.mixing;
+        let shares = [first, position, rotation, direct_views];
         let PhysicsSettings { acceleration, haste, turning } = self.physics;
         let weights = [self.rigidity, acceleration, haste, turning, self.noise.position, self.noise.rotation];
         let good = [
