@@ -23,7 +23,7 @@ pub fn optional_ports() -> Vec<Port> {
     vec![
         Port::optional::<Priors>(PRIORS),
         Port::optional::<Features>(FEATURES),
-        Port::optional::<Particles>(PARTICLES),
+        Port::optional::<Particles>(PARTICLES).relaying_measurements(),
         Port::optional::<Layers>(LAYERS),
         Port::optional::<Background>(BACKGROUND),
         Port::choice::<Model>(START).relaying_measurements(),
@@ -49,6 +49,11 @@ impl OptionalInputs {
             layers: context.optional_input(LAYERS)?,
             background: context.optional_input(BACKGROUND)?,
         })
+    }
+
+    /// Whether particles are given and read.
+    pub fn has_particles(&self) -> bool {
+        self.particles.is_some()
     }
 
     /// Reads everything for the training views of `capture`; the views of other splits stay empty, so that no method can

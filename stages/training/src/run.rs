@@ -87,6 +87,13 @@ impl Stage for Training {
             return Err(context.interrupted());
         };
         measure(context, &report, pool.current_num_threads())?;
+        if given.has_particles() {
+            // How well they were drawn belongs to what this training began with, and reports read trainings.
+            context.measure(
+                "particles_moving",
+                &context.input_record(crate::effects::PARTICLES)?.measurements["moving"],
+            )?;
+        }
         model.save(context.output_dir())?;
         Ok(model)
     }

@@ -14,6 +14,17 @@ pub struct Costs {
     pub loss_shares: BTreeMap<String, LossShare>,
     /// By what was left out: how much of how much.
     pub skipped_work: BTreeMap<String, [u64; 2]>,
+    /// Of the particles that a training began with, where the capture knows what moves.
+    pub particles_moving: Option<MovingShares>,
+}
+
+/// How much of what particles could be drawn from moves, and how much of what was drawn does.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MovingShares {
+    /// Of the pixels with depth at the first instant.
+    pub of_area: f64,
+    /// Of the particles.
+    pub of_particles: f64,
 }
 
 /// What one loss contributes, and what it takes.
@@ -51,6 +62,7 @@ impl Costs {
                 sum[1] += of;
             }
         }
+        total.particles_moving = MovingShares::mean(runs.filter_map(|run| run.particles_moving));
         total
     }
 
@@ -58,7 +70,17 @@ impl Costs {
     pub fn is_finite(&self) -> bool {
         let times = self.ms_per_iteration_by_phase.values().flat_map(BTreeMap::values);
         let shares = self.loss_shares.values().flat_map(|share| [share.value_share, share.forward_secs.unwrap_or(0.0)]);
-        times.copied().chain(shares).all(f64::is_finite)
+        let moving = self.particles_moving.iter().flat_map(|shares| [shares.of_area, shares.of_particles]);
+        times.copied().chain(shares).chain(moving).all(f64::is_finite)
+    }
+}
+
+impl MovingShares {
+    fn mean(all: impl Iterator<Item = Self>) -> Option<Self> {
+        let all: Vec<Self> = all.collect();
+        let mean = |of: fn(&Self) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
+        (!all.is_empty())
+            .then(|| Self { of_area: mean(|shares| shares.of_area), of_particles: mean(|shares| shares.of_particles) })
     }
 }
 
@@ -71,6 +93,7 @@ mod tests {
             ms_per_iteration_by_phase: [("fine".into(), [("motion".into(), ms)].into())].into(),
             loss_shares: [("flow".into(), LossShare { value_share: 0.01 * ms, forward_secs: Some(ms) })].into(),
             skipped_work: [("still Gaussians".into(), [skipped, 10])].into(),
+            particles_moving: Some(MovingShares { of_area: 0.1, of_particles: 0.1 * ms }),
         }
     }
 
@@ -81,6 +104,8 @@ mod tests {
         assert_eq!(mean.ms_per_iteration_by_phase["fine"]["motion"], 3.0, "over the runs that have the phase");
         assert_eq!(mean.loss_shares["flow"].forward_secs, Some(3.0));
         assert_eq!(mean.skipped_work["still Gaussians"], [8, 20]);
+        assert!((mean.particles_moving.unwrap().of_particles - 0.3).abs() <= 1e-12);
+        assert_eq!(Costs::mean([Costs::default()].iter()).particles_moving, None);
         assert!(mean.is_finite() && !costs(f64::NAN, 0).is_finite());
     }
 }

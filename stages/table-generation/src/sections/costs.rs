@@ -1,5 +1,5 @@
 //! Where the time of a training goes: seconds per phase, milliseconds per iteration, what each loss weighs and takes,
-//! and the work that nothing called for.
+//! the work that nothing called for, and how well particles were drawn.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,7 +20,8 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut blocks = Vec::new();
     for group in &content.report.groups {
         blocks.extend(phase_figure(content, group).map(Block::Figure));
-        let tables = [phase_table, iteration_table, loss_table, skipped_table].map(|table| table(content, group));
+        let tables = [phase_table, iteration_table, loss_table, skipped_table, particle_table]
+            .map(|table| table(content, group));
         blocks.extend(tables.into_iter().filter(|table| !table.rows.is_empty()).map(Block::Table));
     }
     blocks
@@ -123,6 +124,20 @@ fn skipped_table(content: &Content<'_>, group: &Group) -> Table {
             let share = 100.0 * *skipped as f64 / (*of).max(1) as f64;
             let cells = [skipped.to_string(), of.to_string(), number(share, 1)];
             table.rows.push(line(content, row, format!("{} · {what}", row.name), cells.into_iter()));
+        }
+    }
+    table
+}
+
+/// How much of what particles could be drawn from moves, and how much of the particles.
+fn particle_table(content: &Content<'_>, group: &Group) -> Table {
+    let header = ["method", "moving share of the area (%)", "of the particles (%)"].map(String::from);
+    let caption = format!("Protocol {}: particles on moving surfaces, mean over runs", group.name);
+    let mut table = Table::new(caption, header.into());
+    for row in &group.rows {
+        if let Some(shares) = row.costs.particles_moving {
+            let cells = [shares.of_area, shares.of_particles].map(|share| number(100.0 * share, 1));
+            table.rows.push(line(content, row, row.name.clone(), cells.into_iter()));
         }
     }
     table
