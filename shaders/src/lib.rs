@@ -1,5 +1,5 @@
 //! The differentiable kernels: a tape of coarse operations ([`tape`]) and one folder per kernel with its equations, its
-//! readable reference, its fast body and its tests.
+//! readable reference, its fast body, its tests and, where it has them, its kernels for a GPU ([`gpu`]).
 
 pub mod adam;
 pub(crate) mod algebra;
@@ -8,6 +8,7 @@ pub mod binning;
 pub mod blending;
 pub mod check;
 pub mod convolution;
+pub mod gpu;
 pub mod group_norm;
 pub mod hexplane;
 pub mod histogram;

@@ -40,6 +40,7 @@ const ALLOWED: [(&str, &[&str]); 16] = [
         &[
             "engine",
             "scene",
+            "shaders",
             "scene-synthesis",
             "sfm-import",
             "depth-flow-import",

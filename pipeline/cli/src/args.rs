@@ -58,6 +58,9 @@ pub enum Verb {
         /// Folder that recipes' sources are relative to
         #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
         data_root: PathBuf,
+        /// Look at this GPU only, which must be usable: part of its name, its PCI id as 10de:2335, its PCI bus, or auto
+        #[arg(long, value_name = "ADAPTER")]
+        device: Option<String>,
     },
     /// Prints completions for a shell
     Completions {

@@ -59,7 +59,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Cache(CacheVerb::Verify { repair }) => verbs::cache::verify(&store, repair),
         Verb::Cache(CacheVerb::Gc(args)) => verbs::cache::gc(&store, &args),
         Verb::Cache(CacheVerb::Du) => verbs::cache::du(&store),
-        Verb::Doctor { data_root } => verbs::tools::doctor(&store, &data_root),
+        Verb::Doctor { data_root, device } => verbs::doctor::doctor(&store, &data_root, device.as_deref()),
         Verb::Completions { shell } => verbs::tools::completions(shell),
         Verb::ExecJob { job } => Ok(engine::job::execute(&job, &stages())?),
     }

@@ -1,5 +1,6 @@
 use std::any::Any;
 
+use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -45,9 +46,18 @@ fn of_type<A: 'static, B: 'static, K: Copy + 'static>(a: &A, b: &B) -> K {
     *found.expect("a Real is f32 or f64")
 }
 
-struct Pointwise<T> {
-    expression: &'static Expression,
-    constants: Vec<T>,
+pub(super) struct Pointwise<T> {
+    pub(super) expression: &'static Expression,
+    pub(super) constants: Vec<T>,
+}
+
+impl<T: Real> Pointwise<T> {
+    /// The one shape of all inputs.
+    pub(super) fn shape<'a>(&self, inputs: &[&'a Tensor<T>]) -> &'a [usize] {
+        let shape = inputs[0].shape();
+        assert!(inputs.iter().all(|input| input.shape() == shape), "{}: shapes differ", self.expression.name);
+        shape
+    }
 }
 
 impl<T: Real> Op<T> for Pointwise<T> {
@@ -56,8 +66,7 @@ impl<T: Real> Op<T> for Pointwise<T> {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let shape = inputs[0].shape();
-        assert!(inputs.iter().all(|input| input.shape() == shape), "{}: shapes differ", self.expression.name);
+        let shape = self.shape(inputs);
         let kernel = self.expression.value::<T>();
         let mut out = vec![T::ZERO; inputs[0].len()];
         for_each_chunk(&mut out, CHUNK, |first, out| kernel(&parts(inputs, first, out.len()), &self.constants, out));
@@ -83,6 +92,22 @@ impl<T: Real> Op<T> for Pointwise<T> {
             Tensor::from_vec(dy.shape(), out)
         };
         (0..inputs.len()).map(|input| needs[input].then(|| gradient(input))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.value_on_gpu(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+        Some(self.gradients_on_gpu(gpu, inputs, outputs[0], dy, needs))
     }
 }
 

@@ -1,9 +1,13 @@
-//! Expressions over the elements of equally shaped tensors, written once and compiled to Rust (f32, f64) and to WGSL.
+//! Expressions over the elements of equally shaped tensors, written once and compiled to Rust (f32, f64) and to WGSL; the
+//! kernel around the WGSL text is made when it is first launched.
 
 mod expression;
 pub mod functions;
+mod gpu;
 #[cfg(test)]
 mod tests;
+
+pub(crate) use gpu::sum_on_gpu;
 
 pub use expression::{Expression, GradientKernel, ValueKernel};
 

@@ -1,5 +1,6 @@
 use super::*;
 use crate::check::{self, agree, gradients};
+use crate::gpu::layout::validate;
 use crate::tape::{Device, Tape, Tensor, Var};
 
 /// Every expression of this crate.
@@ -51,39 +52,19 @@ fn sigmoid_is_stable_at_the_extremes() {
 }
 
 #[test]
-fn every_expression_is_valid_wgsl() {
+fn every_kernel_is_valid_wgsl() {
     for expression in all() {
-        validate(&compute_shader(expression)).unwrap_or_else(|error| panic!("{}: {error}", expression.name));
+        validate(&expression.value_kernel()).unwrap_or_else(|error| panic!("{}: {error}", expression.name));
+        for mask in 1..1 << expression.inputs {
+            let needs: Vec<bool> = (0..expression.inputs).map(|input| mask & (1 << input) != 0).collect();
+            let kernel = expression.gradient_kernel(&needs);
+            validate(&kernel).unwrap_or_else(|error| panic!("{} {needs:?}: {error}", expression.name));
+        }
     }
 }
 
 #[test]
 fn the_wgsl_check_rejects_a_planted_fault() {
-    let shader = compute_shader(EXPRESSIONS[0]).replacen("return", "return 1u +", 1);
-    assert!(validate(&shader).is_err());
-}
-
-/// A complete compute shader that calls the value and every gradient.
-fn compute_shader(expression: &Expression) -> String {
-    let names = expression.wgsl.lines().filter_map(|line| line.strip_prefix("fn ")?.split('(').next());
-    let calls: String = names
-        .map(|name| {
-            let extra = if name == expression.name { 0 } else { 2 };
-            let arguments = vec!["data[id.x]"; expression.inputs + expression.constants + extra].join(", ");
-            format!("    data[id.x] = {name}({arguments});\n")
-        })
-        .collect();
-    assert_eq!(calls.lines().count(), 1 + expression.inputs, "{}", expression.wgsl);
-    format!(
-        "{}@group(0) @binding(0) var<storage, read_write> data: array<f32>;\n\
-         @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3<u32>) {{\n{calls}}}\n",
-        expression.wgsl
-    )
-}
-
-fn validate(shader: &str) -> Result<(), String> {
-    let module = naga::front::wgsl::parse_str(shader).map_err(|error| error.emit_to_string(shader))?;
-    let mut validator =
-        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
-    validator.validate(&module).map(|_| ()).map_err(|error| format!("{error:?}"))
+    let kernel = EXPRESSIONS[0].value_kernel().replacen("return a", "return 1u + a", 1);
+    assert!(validate(&kernel).is_err());
 }

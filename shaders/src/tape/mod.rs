@@ -15,6 +15,7 @@ mod tests;
 use std::ops::Range;
 use std::time::Instant;
 
+use crate::gpu::Gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub use real::Real;
 pub use tensor::{Device, Tensor};
@@ -23,7 +24,8 @@ pub use tensor::{Device, Tensor};
 #[derive(Copy, Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Var(usize);
 
-/// A differentiable operation; it runs on the device of its inputs.
+/// A differentiable operation. Its body for the CPU is `forward` and `backward`; where it has kernels for a GPU, the tape
+/// asks those first. A body gets its inputs wherever they are: [`Tensor`] brings them to where they are asked for.
 pub trait Op<T: Real>: Send {
     /// The name in profiles and messages.
     fn name(&self) -> &'static str;
@@ -43,6 +45,23 @@ pub trait Op<T: Real>: Send {
         needs: &[bool],
     ) -> Vec<Option<Tensor<T>>>;
 
+    /// As [`Op::forward`] with kernels for a GPU; `None` if there are none for these inputs.
+    fn forward_gpu(&mut self, _gpu: Gpu, _inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        None
+    }
+
+    /// As [`Op::backward`] with kernels for a GPU; `None` if there are none for these inputs.
+    fn backward_gpu(
+        &mut self,
+        _gpu: Gpu,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        _output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        None
+    }
+
     /// Adds what [`Op::backward`] returns to `totals`, the gradients of the inputs so far (`None`: zero).
     ///
     /// For an operation that touches little of a large input: adding in place saves it a pass over all of that input.
@@ -55,12 +74,7 @@ pub trait Op<T: Real>: Send {
         totals: &mut [Option<Tensor<T>>],
     ) {
         let terms = self.backward(inputs, outputs, output_grads, needs);
-        assert_eq!(terms.len(), totals.len(), "{}: one gradient per input", self.name());
-        for ((total, term), &needed) in totals.iter_mut().zip(terms).zip(needs) {
-            if let (true, Some(term)) = (needed, term) {
-                add_to(total, term);
-            }
-        }
+        add_all(self.name(), totals, terms, needs);
     }
 }
 
@@ -88,7 +102,9 @@ pub struct Tape<T: Real> {
 }
 
 impl<T: Real> Tape<T> {
+    /// An empty tape. Panics for f64 on a GPU, which computes in f32.
     pub fn new(device: Device) -> Self {
+        assert!(device == Device::Cpu || T::NAME == "f32", "a GPU computes in f32, not in {}", T::NAME);
         let (values, nodes, profile) = (Vec::new(), Vec::new(), Profile::default());
         Self { device, values, nodes, profile, detached: Vec::new(), replayed: None }
     }
@@ -162,7 +178,11 @@ impl<T: Real> Tape<T> {
     pub fn apply(&mut self, mut op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
         let tensors: Vec<&Tensor<T>> = inputs.iter().map(|&var| self.value(var)).collect();
         let start = Instant::now();
-        let outputs = op.forward(&tensors);
+        let on_gpu = match self.device {
+            Device::Cpu => None,
+            Device::Gpu(gpu) => op.forward_gpu(gpu, &tensors),
+        };
+        let outputs = on_gpu.unwrap_or_else(|| op.forward(&tensors));
         self.profile.entry(op.name()).forward.add(start.elapsed());
 
         let needs_gradient = inputs.iter().any(|&var| self.needs_gradient(var));
@@ -193,7 +213,7 @@ impl<T: Real> Tape<T> {
             gradients.accumulate("seed", *var, self.value(*var), seed.clone());
         }
         for node in self.nodes.iter_mut().rev() {
-            node.backward(&self.values, &mut gradients, &mut self.profile);
+            node.backward(self.device, &self.values, &mut gradients, &mut self.profile);
         }
         gradients
     }
@@ -212,7 +232,7 @@ impl<T: Real> Tape<T> {
 
 impl<T: Real> Node<T> {
     /// Adds this node's contribution to the gradients of its inputs; skipped if no gradient reached its outputs.
-    fn backward(&mut self, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
+    fn backward(&mut self, device: Device, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
         // Inputs were created before outputs.
         let (of_inputs, of_outputs) = gradients.tensors.split_at_mut(self.outputs.start);
         let output_grads: Vec<_> = of_outputs[..self.outputs.len()].iter().map(Option::as_ref).collect();
@@ -226,7 +246,14 @@ impl<T: Real> Node<T> {
         let mut totals: Vec<_> = self.inputs.iter().map(|var| of_inputs[var.0].take()).collect();
 
         let start = Instant::now();
-        self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals);
+        let on_gpu = match device {
+            Device::Cpu => None,
+            Device::Gpu(gpu) => self.op.backward_gpu(gpu, &inputs, &outputs, &output_grads, &needs),
+        };
+        match on_gpu {
+            Some(terms) => add_all(self.op.name(), &mut totals, terms, &needs),
+            None => self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals),
+        }
         profile.entry(self.op.name()).backward.add(start.elapsed());
 
         for (&var, total) in self.inputs.iter().zip(totals) {
@@ -259,12 +286,26 @@ impl<T: Real> Gradients<T> {
     }
 }
 
-/// total += term, where an absent total is zero.
+/// Adds the gradients of those inputs that need one to their totals.
+fn add_all<T: Real>(op: &str, totals: &mut [Option<Tensor<T>>], terms: Vec<Option<Tensor<T>>>, needs: &[bool]) {
+    assert_eq!(terms.len(), totals.len(), "{op}: one gradient per input");
+    for ((total, term), &needed) in totals.iter_mut().zip(terms).zip(needs) {
+        if let (true, Some(term)) = (needed, term) {
+            add_to(total, term);
+        }
+    }
+}
+
+/// total += term, where an absent total is zero; on the GPU where either of them is there.
 fn add_to<T: Real>(total: &mut Option<Tensor<T>>, term: Tensor<T>) {
     match total {
         None => *total = Some(term),
         Some(total) => {
             assert_eq!(term.shape(), total.shape(), "two gradients of one value differ in shape");
+            if let Some(gpu) = total.gpu().or(term.gpu()) {
+                *total = crate::pointwise::sum_on_gpu(gpu, total, &term);
+                return;
+            }
             let term = term.as_slice();
             chunks::for_each_chunk(total.make_mut(), chunks::CHUNK, |first, total| {
                 total.iter_mut().zip(&term[first..]).for_each(|(total, &term)| *total += term);

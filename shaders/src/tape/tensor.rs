@@ -1,28 +1,34 @@
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
 use super::Real;
 use super::chunks::CHUNK;
+use crate::gpu::{Gpu, GpuArray};
 
-/// Where values live and operations run.
+/// Where operations run.
 #[derive(Copy, Clone, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Device {
     #[default]
     Cpu,
+    /// f32 only. What has no kernel for it runs on the CPU.
+    Gpu(Gpu),
 }
 
-#[derive(Clone, Debug)]
-enum Storage<T> {
-    Cpu(Arc<Vec<T>>),
+/// The elements in the host's memory, in a GPU's, or in both; at least one of them is there.
+///
+/// A copy is made when it is first asked for and kept, so that whoever computes need not know where his inputs are.
+#[derive(Debug)]
+struct Elements<T> {
+    host: OnceLock<Vec<T>>,
+    gpu: OnceLock<GpuArray>,
 }
 
 /// A dense row-major array; cloning shares the data, writing copies it if it is shared.
 #[derive(Clone, Debug)]
 pub struct Tensor<T: Real> {
     shape: Vec<usize>,
-    storage: Storage<T>,
+    elements: Arc<Elements<T>>,
 }
 
 impl<T: Real> Tensor<T> {
@@ -30,7 +36,15 @@ impl<T: Real> Tensor<T> {
     pub fn from_vec(shape: impl Into<Vec<usize>>, data: Vec<T>) -> Self {
         let shape = shape.into();
         assert_eq!(shape.iter().product::<usize>(), data.len(), "tensor of shape {shape:?}: wrong number of elements");
-        Self { shape, storage: Storage::Cpu(Arc::new(data)) }
+        Self { shape, elements: Arc::new(Elements { host: data.into(), gpu: OnceLock::new() }) }
+    }
+
+    /// Takes an array of `shape.iter().product()` elements in a GPU's memory.
+    pub(crate) fn from_gpu(shape: impl Into<Vec<usize>>, array: GpuArray) -> Self {
+        let shape = shape.into();
+        assert_eq!(T::NAME, "f32", "a GPU holds f32");
+        assert_eq!(shape.iter().product::<usize>(), array.len(), "tensor of shape {shape:?}: wrong number of elements");
+        Self { shape, elements: Arc::new(Elements { host: OnceLock::new(), gpu: array.into() }) }
     }
 
     pub fn zeros(shape: impl Into<Vec<usize>>) -> Self {
@@ -54,11 +68,11 @@ impl<T: Real> Tensor<T> {
 
     /// The number of elements.
     pub fn len(&self) -> usize {
-        self.as_slice().len()
+        self.elements.host.get().map_or_else(|| self.shape.iter().product(), Vec::len)
     }
 
     pub fn is_empty(&self) -> bool {
-        self.as_slice().is_empty()
+        self.len() == 0
     }
 
     /// The first dimension; 1 for a tensor without dimensions.
@@ -71,15 +85,22 @@ impl<T: Real> Tensor<T> {
         self.shape.iter().skip(1).product()
     }
 
-    pub fn device(&self) -> Device {
-        match self.storage {
-            Storage::Cpu(_) => Device::Cpu,
-        }
+    /// The elements in the host's memory, read back first if a GPU computed them.
+    pub fn as_slice(&self) -> &[T] {
+        self.elements.host()
     }
 
-    pub fn as_slice(&self) -> &[T] {
-        let Storage::Cpu(data) = &self.storage;
-        data
+    /// The elements in the GPU's memory, uploaded first if they are not there.
+    pub(crate) fn on_gpu(&self, gpu: Gpu) -> &GpuArray {
+        let upload = || GpuArray::upload(gpu, T::as_f32(self.as_slice()).expect("a GPU holds f32"));
+        let array = self.elements.gpu.get_or_init(upload);
+        assert_eq!(array.gpu(), gpu, "a tensor is used on one GPU");
+        array
+    }
+
+    /// The GPU in whose memory the elements are, if they are in one's.
+    pub(crate) fn gpu(&self) -> Option<Gpu> {
+        self.elements.gpu.get().map(GpuArray::gpu)
     }
 
     pub fn row(&self, index: usize) -> &[T] {
@@ -89,21 +110,30 @@ impl<T: Real> Tensor<T> {
 
     /// The elements for writing; copied first if another tensor shares them.
     pub fn make_mut(&mut self) -> &mut [T] {
-        let Storage::Cpu(data) = &mut self.storage;
-        Arc::<Vec<T>>::make_mut(data)
+        if Arc::get_mut(&mut self.elements).is_none() {
+            *self = Self::from_vec(std::mem::take(&mut self.shape), self.as_slice().to_vec());
+        }
+        let elements = Arc::get_mut(&mut self.elements).expect("nobody shares them");
+        elements.host();
+        // A copy elsewhere would be out of date.
+        elements.gpu = OnceLock::new();
+        elements.host.get_mut().expect("it is there")
     }
 
     /// The elements as a vector; copied if another tensor shares them.
     pub fn into_vec(self) -> Vec<T> {
-        let Storage::Cpu(data) = self.storage;
-        Arc::unwrap_or_clone(data)
+        self.as_slice();
+        match Arc::try_unwrap(self.elements) {
+            Ok(elements) => elements.host.into_inner().expect("it is there"),
+            Err(shared) => shared.host().to_vec(),
+        }
     }
 
     /// The same elements under another shape of equal size.
     pub fn reshape(self, shape: impl Into<Vec<usize>>) -> Self {
         let shape = shape.into();
         assert_eq!(shape.iter().product::<usize>(), self.len(), "reshape {:?} to {shape:?}", self.shape);
-        Self { shape, storage: self.storage }
+        Self { shape, elements: self.elements }
     }
 
     /// The elements converted to another scalar type.
@@ -119,6 +149,17 @@ impl<T: Real> Tensor<T> {
             ..=CHUNK => finite(self.as_slice()),
             _ => self.as_slice().par_chunks(CHUNK).all(finite),
         }
+    }
+}
+
+impl<T: Real> Elements<T> {
+    fn host(&self) -> &Vec<T> {
+        self.host.get_or_init(|| {
+            let array = self.gpu.get().expect("elements are somewhere");
+            let mut data = vec![T::ZERO; array.len()];
+            array.read_into(T::as_f32_mut(&mut data).expect("a GPU holds f32"));
+            data
+        })
     }
 }
 

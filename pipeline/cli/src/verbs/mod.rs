@@ -3,6 +3,7 @@
 pub mod cache;
 pub mod compare;
 pub mod decisions;
+pub mod doctor;
 pub mod explain;
 pub mod graph;
 pub mod plan;

@@ -1,15 +1,14 @@
-//! `inspect`, `eval`, `doctor`, `completions`: without a recipe.
+//! `inspect`, `eval`, `completions`: without a recipe.
 
 use std::path::Path;
 
 use clap::CommandFactory;
-use engine::{Failure, FailureKind, Store, exit};
+use engine::{Failure, FailureKind, exit};
 use metric_evaluation::{MetricEvaluationParams, evaluate_folders_with};
 
 use crate::args::{Cli, EvalArgs};
 use crate::error::CliError;
 use crate::output::{print, print_json, print_line};
-use crate::stages::stages;
 
 /// An error if the user named a folder that is none.
 fn require_folder(path: &Path) -> Result<(), CliError> {
@@ -43,42 +42,6 @@ pub fn eval(args: &EvalArgs) -> Result<u8, CliError> {
         print_line(metrics.summary().trim_end())?;
     }
     Ok(exit::OK)
-}
-
-/// Looks at everything that a run needs; an exit code other than 0 if something is missing.
-pub fn doctor(store: &Path, data_root: &Path) -> Result<u8, CliError> {
-    let mut text = format!("pipeline {}\n", env!("CARGO_PKG_VERSION"));
-    text += &format!("threads      {}\n", std::thread::available_parallelism().map_or(1, usize::from));
-    let sound = match try_store(store) {
-        Ok(message) => {
-            text += &format!("store        {message}\n");
-            true
-        }
-        Err(error) => {
-            text += &format!("store        NOT USABLE: {error:#}\n");
-            false
-        }
-    };
-    let data = if data_root.is_dir() { "there" } else { "not there (sources of recipes will be missing data)" };
-    text += &format!("data root    {}: {data}\n", data_root.display());
-    for stage in stages().stages() {
-        text += &format!("stage        {:<18} {}\n", stage.id(), stage.about());
-    }
-    print(&text)?;
-    Ok(if sound { exit::OK } else { exit::INFRASTRUCTURE })
-}
-
-/// Opens the store and writes a file in it, to see that it can be written.
-fn try_store(path: &Path) -> anyhow::Result<String> {
-    let store = Store::look(path)?;
-    if !store.exists() {
-        return Ok(format!("{}: not there yet; the first run makes it", store.root().display()));
-    }
-    let in_use = store.lock_shared()?;
-    std::fs::write(store.scratch("doctor")?.path().join("probe"), "probe")?;
-    drop(in_use);
-    let busy = if store.try_lock_exclusive()?.is_some() { "idle" } else { "in use by a run" };
-    Ok(format!("{}: writable, {busy}", store.root().display()))
 }
 
 pub fn completions(shell: clap_complete::Shell) -> Result<u8, CliError> {

@@ -1,0 +1,99 @@
+//! `doctor`: what this machine has of what runs need.
+
+use std::path::Path;
+
+use engine::{Store, exit};
+use shaders::gpu::{self, AdapterReport};
+
+use crate::error::CliError;
+use crate::output::{bytes, print};
+use crate::stages::stages;
+
+/// Looks at everything that a run needs, and at GPUs; an exit code other than 0 if something is missing.
+pub fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Result<u8, CliError> {
+    let mut text = format!("pipeline {}\n", env!("CARGO_PKG_VERSION"));
+    text += &format!("threads      {}\n", std::thread::available_parallelism().map_or(1, usize::from));
+    let store_is_sound = match try_store(store) {
+        Ok(message) => {
+            text += &format!("store        {message}\n");
+            true
+        }
+        Err(error) => {
+            text += &format!("store        NOT USABLE: {error:#}\n");
+            false
+        }
+    };
+    let data = if data_root.is_dir() { "there" } else { "not there (sources of recipes will be missing data)" };
+    text += &format!("data root    {}: {data}\n", data_root.display());
+    for stage in stages().stages() {
+        text += &format!("stage        {:<18} {}\n", stage.id(), stage.about());
+    }
+    print(&text)?;
+    let device_is_sound = try_adapters(device)?;
+    Ok(if store_is_sound && device_is_sound { exit::OK } else { exit::INFRASTRUCTURE })
+}
+
+/// Opens the store and writes a file in it, to see that it can be written.
+fn try_store(path: &Path) -> anyhow::Result<String> {
+    let store = Store::look(path)?;
+    if !store.exists() {
+        return Ok(format!("{}: not there yet; the first run makes it", store.root().display()));
+    }
+    let in_use = store.lock_shared()?;
+    std::fs::write(store.scratch("doctor")?.path().join("probe"), "probe")?;
+    drop(in_use);
+    let busy = if store.try_lock_exclusive()?.is_some() { "idle" } else { "in use by a run" };
+    Ok(format!("{}: writable, {busy}", store.root().display()))
+}
+
+/// Describes the GPUs, or the one that is named, and lets each compute what the CPU computes; whether the named one can be
+/// used. Without a name nothing is required: everything runs on the CPU.
+fn try_adapters(device: Option<&str>) -> Result<bool, CliError> {
+    let chosen = match device {
+        None => Ok(gpu::adapters().iter().collect()),
+        Some(name) => gpu::choose(name).map(|adapter| vec![adapter]),
+    };
+    let adapters: Vec<&AdapterReport> = match chosen {
+        Ok(adapters) => adapters,
+        Err(error) => {
+            print(&format!("adapter      NOT USABLE: {error}\n"))?;
+            return Ok(false);
+        }
+    };
+    if adapters.is_empty() {
+        print("adapter      none: everything runs on the CPU\n")?;
+    }
+    let mut all_are_sound = true;
+    for adapter in adapters {
+        let (verdict, is_sound) = match try_adapter(adapter) {
+            Ok(message) => (message, true),
+            Err(error) => (format!("NOT USABLE: {error:#}"), false),
+        };
+        all_are_sound &= is_sound;
+        print(&format!("{}             conformance: {verdict}\n", describe(adapter)))?;
+    }
+    Ok(all_are_sound || device.is_none())
+}
+
+/// Name, limits and features, a line each.
+fn describe(adapter: &AdapterReport) -> String {
+    let AdapterReport { name, backend, kind, pci_id, pci_bus, driver, .. } = adapter;
+    let bus = if pci_bus.is_empty() { String::new() } else { format!(" at {pci_bus}") };
+    let features = if adapter.features.is_empty() { "none".to_owned() } else { adapter.features.join(", ") };
+    let (array, shared) = (bytes(adapter.max_array_bytes), bytes(adapter.max_workgroup_bytes.into()));
+    format!("adapter      {name}: {kind}, {backend}, PCI {pci_id}{bus}, {driver}\n")
+        + &format!("             limits: arrays of {array}, {} per kernel; ", adapter.max_arrays)
+        + &format!("workgroups of {} with {shared}\n", adapter.max_workgroup_size)
+        + &format!("             optional features: {features}\n")
+}
+
+/// Opens the adapter and compares it with the CPU.
+fn try_adapter(adapter: &AdapterReport) -> anyhow::Result<String> {
+    let gpu = adapter.open()?;
+    let conformance = gpu::conformance::check(gpu)?;
+    let launches = gpu.counts().launches;
+    Ok(format!(
+        "agrees with the CPU in {} comparisons ({launches} launches, {:.1} s)",
+        conformance.comparisons, conformance.secs
+    ))
+}

@@ -1,0 +1,196 @@
+//! Which adapters there are, what they can do, and the choice of one.
+
+use std::fmt;
+use std::sync::{Mutex, OnceLock};
+
+use super::launch::{STORAGE_ARRAYS, WORKGROUP_SIZE};
+use super::recorder::Recorder;
+use super::{Context, Counters, Gpu, array, lock};
+
+/// Workgroup memory that the largest kernel uses: the least that WebGPU guarantees.
+const WORKGROUP_BYTES: u32 = 16 * 1024;
+
+/// What an adapter is and can do.
+#[derive(Clone, Debug)]
+pub struct AdapterReport {
+    pub name: String,
+    /// `"Vulkan"`, `"Metal"`, `"DX12"`.
+    pub backend: String,
+    /// `"discrete"`, `"integrated"`, `"virtual"`, `"software"` or `"other"`.
+    pub kind: &'static str,
+    /// `vendor:device` in hexadecimal digits.
+    pub pci_id: String,
+    /// Where it is plugged in, if the driver tells.
+    pub pci_bus: String,
+    pub driver: String,
+    /// Bytes of the largest array that a kernel can see.
+    pub max_array_bytes: u64,
+    /// Bytes shared by a workgroup.
+    pub max_workgroup_bytes: u32,
+    /// Invocations per workgroup.
+    pub max_workgroup_size: u32,
+    /// Arrays that a kernel can see.
+    pub max_arrays: u32,
+    /// Optional features that kernels could use.
+    pub features: Vec<&'static str>,
+    adapter: wgpu::Adapter,
+}
+
+/// Why there is no GPU to compute on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum AdapterError {
+    /// No adapter at all.
+    None,
+    /// None of that name or id; the names that there are.
+    NotFound { wanted: String, found: Vec<String> },
+    /// It lacks what kernels need.
+    Lacking { name: String, what: String },
+    /// The driver refused.
+    Refused { name: String, reason: String },
+}
+
+impl fmt::Display for AdapterError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::None => write!(
+                formatter,
+                "no GPU adapter found; hint: install a Vulkan driver, or Mesa's software one (mesa-vulkan-drivers)"
+            ),
+            Self::NotFound { wanted, found } => {
+                write!(formatter, "no adapter {wanted:?}; hint: there are {}", found.join(", "))
+            }
+            Self::Lacking { name, what } => write!(formatter, "adapter {name:?} lacks {what}"),
+            Self::Refused { name, reason } => write!(formatter, "adapter {name:?} cannot be opened: {reason}"),
+        }
+    }
+}
+
+impl std::error::Error for AdapterError {}
+
+/// All adapters, the likely fastest first; looked for once per process.
+pub fn adapters() -> &'static [AdapterReport] {
+    static FOUND: OnceLock<Vec<AdapterReport>> = OnceLock::new();
+    FOUND.get_or_init(look_for_adapters)
+}
+
+fn look_for_adapters() -> Vec<AdapterReport> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::PRIMARY,
+        // No validation layers: naga validates every kernel.
+        flags: wgpu::InstanceFlags::empty(),
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    });
+    let found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    let mut reports: Vec<AdapterReport> = found.into_iter().map(AdapterReport::new).collect();
+    reports.sort_by_key(|report| KINDS.iter().position(|kind| *kind == report.kind));
+    reports
+}
+
+/// The adapter of that name (or part of it), PCI id (`10de:2335`) or PCI bus; the likely fastest for `"auto"`.
+pub fn choose(wanted: &str) -> Result<&'static AdapterReport, AdapterError> {
+    let reports = adapters();
+    if reports.is_empty() {
+        return Err(AdapterError::None);
+    }
+    reports.iter().find(|report| wanted == "auto" || report.is_called(wanted)).ok_or_else(|| {
+        let found = reports.iter().map(|report| format!("{:?} ({})", report.name, report.pci_id)).collect();
+        AdapterError::NotFound { wanted: wanted.to_owned(), found }
+    })
+}
+
+/// Kinds of adapters, the likely fastest first.
+const KINDS: [&str; 5] = ["discrete", "integrated", "virtual", "other", "software"];
+
+impl AdapterReport {
+    fn new(adapter: wgpu::Adapter) -> Self {
+        let (info, limits, has) = (adapter.get_info(), adapter.limits(), adapter.features());
+        let kind = match info.device_type {
+            wgpu::DeviceType::DiscreteGpu => "discrete",
+            wgpu::DeviceType::IntegratedGpu => "integrated",
+            wgpu::DeviceType::VirtualGpu => "virtual",
+            wgpu::DeviceType::Cpu => "software",
+            wgpu::DeviceType::Other => "other",
+        };
+        let optional = [
+            ("subgroups", wgpu::Features::SUBGROUP),
+            ("f16", wgpu::Features::SHADER_F16),
+            ("64-bit atomics", wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS),
+            ("timestamps", wgpu::Features::TIMESTAMP_QUERY),
+        ];
+        Self {
+            name: info.name,
+            backend: format!("{:?}", info.backend),
+            kind,
+            pci_id: format!("{:04x}:{:04x}", info.vendor, info.device),
+            pci_bus: info.device_pci_bus_id,
+            driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+            max_array_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+            max_workgroup_bytes: limits.max_compute_workgroup_storage_size,
+            max_workgroup_size: limits.max_compute_invocations_per_workgroup,
+            max_arrays: limits.max_storage_buffers_per_shader_stage,
+            features: optional.iter().filter(|(_, feature)| has.contains(*feature)).map(|(name, _)| *name).collect(),
+            adapter,
+        }
+    }
+
+    fn is_called(&self, wanted: &str) -> bool {
+        let wanted = wanted.to_lowercase();
+        self.name.to_lowercase().contains(&wanted) || self.pci_id == wanted || self.pci_bus == wanted
+    }
+
+    /// What kernels need and this adapter does not have.
+    fn lacking(&self) -> Option<String> {
+        let needs = [
+            ("arrays per kernel", self.max_arrays, STORAGE_ARRAYS),
+            ("invocations per workgroup", self.max_workgroup_size, WORKGROUP_SIZE),
+            ("bytes of workgroup memory", self.max_workgroup_bytes, WORKGROUP_BYTES),
+        ];
+        let short = needs.iter().filter(|(_, has, needed)| has < needed);
+        let list: Vec<String> = short.map(|(what, has, needed)| format!("{what} ({has} of {needed})")).collect();
+        (!list.is_empty()).then(|| list.join(", "))
+    }
+
+    /// The context of this adapter: made once per process and kept.
+    pub fn open(&self) -> Result<Gpu, AdapterError> {
+        static OPEN: Mutex<Vec<(String, Gpu)>> = Mutex::new(Vec::new());
+        let identity = format!("{} {} {} {}", self.name, self.backend, self.pci_id, self.pci_bus);
+        let mut open = lock(&OPEN);
+        if let Some((_, gpu)) = open.iter().find(|(known, _)| *known == identity) {
+            return Ok(*gpu);
+        }
+        if let Some(what) = self.lacking() {
+            return Err(AdapterError::Lacking { name: self.name.clone(), what });
+        }
+        let gpu = Gpu(Box::leak(Box::new(self.context()?)));
+        open.push((identity, gpu));
+        Ok(gpu)
+    }
+
+    fn context(&self) -> Result<Context, AdapterError> {
+        let limits = self.adapter.limits();
+        let request = self.adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("pipeline"),
+            required_features: wgpu::Features::empty(),
+            required_limits: limits.clone(),
+            experimental_features: wgpu::ExperimentalFeatures::disabled(),
+            memory_hints: wgpu::MemoryHints::Performance,
+            trace: wgpu::Trace::Off,
+        });
+        let refused = |error: wgpu::RequestDeviceError| AdapterError::Refused {
+            name: self.name.clone(),
+            reason: error.to_string(),
+        };
+        let (device, queue) = pollster::block_on(request).map_err(refused)?;
+        let recorder = Recorder::new(&device, limits.min_uniform_buffer_offset_alignment);
+        Ok(Context {
+            name: self.name.clone(),
+            device,
+            queue,
+            limits,
+            pipelines: Mutex::default(),
+            pool: Mutex::new(array::Pool::default()),
+            recorder: Mutex::new(recorder),
+            counters: Counters::default(),
+        })
+    }
+}

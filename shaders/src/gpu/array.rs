@@ -1,0 +1,139 @@
+//! Arrays in the memory of a GPU, from a pool: a training step takes and returns the same sizes again and again.
+
+use std::collections::BTreeMap;
+
+use super::{Gpu, count, lock};
+
+/// Bytes that the pool keeps at most: more is handed back to the driver.
+const POOL_BYTES: u64 = 1 << 30;
+/// The smallest buffer: zero bytes cannot be bound.
+const MIN_BYTES: u64 = 256;
+
+/// Buffers that nothing uses any more, by size.
+#[derive(Default)]
+pub struct Pool {
+    free: BTreeMap<u64, Vec<wgpu::Buffer>>,
+    bytes: u64,
+}
+
+/// An array of 32-bit numbers in the memory of a GPU; its buffer returns to the pool when it is dropped.
+///
+/// That is safe while kernels that use it are still to run, because whatever uses the buffer next runs after them.
+#[derive(Debug)]
+pub struct GpuArray {
+    gpu: Gpu,
+    /// `None` only while it is dropped.
+    buffer: Option<wgpu::Buffer>,
+    len: usize,
+}
+
+impl GpuArray {
+    /// An array whose content is undefined: the first kernel that uses it writes all of it.
+    pub fn new(gpu: Gpu, len: usize) -> Self {
+        let size = gpu.checked_size(len);
+        let pooled = lock(&gpu.0.pool).take(size);
+        let buffer = pooled.unwrap_or_else(|| gpu.create_buffer(size, false));
+        Self { gpu, buffer: Some(buffer), len }
+    }
+
+    /// An array with these numbers, f32 or u32.
+    pub fn upload<N: bytemuck::NoUninit>(gpu: Gpu, data: &[N]) -> Self {
+        assert_eq!(size_of::<N>(), 4, "arrays hold 32-bit numbers");
+        // Of a fresh buffer, which no recorded kernel reads.
+        let buffer = gpu.create_buffer(gpu.checked_size(data.len()), true);
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        if !bytes.is_empty() {
+            let mut mapped = buffer.get_mapped_range_mut(..bytes.len() as u64).expect("mapped at creation");
+            mapped.copy_from_slice(bytes);
+        }
+        buffer.unmap();
+        count(&gpu.0.counters.uploads, 1);
+        count(&gpu.0.counters.bytes_uploaded, bytes.len() as u64);
+        Self { gpu, buffer: Some(buffer), len: data.len() }
+    }
+
+    pub fn gpu(&self) -> Gpu {
+        self.gpu
+    }
+
+    /// The number of elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Bytes of the elements; at least those of one, as nothing cannot be bound.
+    pub fn bound_bytes(&self) -> u64 {
+        4 * self.len.max(1) as u64
+    }
+
+    pub fn buffer(&self) -> &wgpu::Buffer {
+        self.buffer.as_ref().expect("there until it is dropped")
+    }
+
+    /// Waits for the kernels so far and copies the elements, f32 or u32, to the host.
+    pub fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
+        assert_eq!((size_of::<N>(), out.len()), (4, self.len), "arrays hold 32-bit numbers");
+        if self.len > 0 {
+            self.gpu.read(self, bytemuck::cast_slice_mut(out));
+        }
+    }
+}
+
+impl Drop for GpuArray {
+    fn drop(&mut self) {
+        if let Some(buffer) = self.buffer.take() {
+            lock(&self.gpu.0.pool).put(buffer);
+        }
+    }
+}
+
+impl Pool {
+    fn take(&mut self, size: u64) -> Option<wgpu::Buffer> {
+        let buffer = self.free.get_mut(&size)?.pop()?;
+        self.bytes -= size;
+        Some(buffer)
+    }
+
+    fn put(&mut self, buffer: wgpu::Buffer) {
+        if self.bytes + buffer.size() <= POOL_BYTES {
+            self.bytes += buffer.size();
+            self.free.entry(buffer.size()).or_default().push(buffer);
+        }
+    }
+}
+
+impl Gpu {
+    /// Bytes of the buffer for so many elements. Panics if the adapter has none of that size.
+    fn checked_size(self, len: usize) -> u64 {
+        let (bytes, limits) = (4 * len as u64, &self.0.limits);
+        let largest = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        assert!(
+            bytes <= largest,
+            "adapter {:?} allows arrays of {largest} bytes, and {bytes} are needed; hint: fewer Gaussians, or the CPU",
+            self.0.name
+        );
+        rounded_size(bytes).min(limits.max_buffer_size & !3)
+    }
+
+    fn create_buffer(self, size: u64, mapped_at_creation: bool) -> wgpu::Buffer {
+        self.0.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation,
+        })
+    }
+}
+
+/// Rounded up to three significant bits: at most a seventh is wasted, and sizes that grow slowly meet in the pool.
+fn rounded_size(bytes: u64) -> u64 {
+    let bytes = bytes.max(MIN_BYTES);
+    let step = 1 << (bytes.ilog2() - 2);
+    bytes.next_multiple_of(step)
+}
+
+#[cfg(test)]
+#[test]
+fn sizes_round_up_a_little() {
+    assert_eq!([0, 256, 257, 1000, 1024, 1025].map(rounded_size), [256, 256, 320, 1024, 1024, 1280]);
+}

@@ -1,0 +1,101 @@
+//! Whether an adapter computes what the CPU computes: it must, before anybody relies on it.
+
+use std::time::Instant;
+
+use super::Gpu;
+use crate::check::{Mismatch, agree, noise};
+use crate::pointwise::{self, Expression};
+use crate::tape::{Device, Tape, Tensor, Var};
+
+/// Largest error of a pointwise value or gradient relative to the largest: ten times the error of Mesa's exponential (1.1e-6).
+const POINTWISE_TOLERANCE: f64 = 1e-5;
+/// Elements per expression: several workgroups, the last one not full.
+const ELEMENTS: usize = 1000;
+
+/// An adapter agrees with the CPU.
+#[derive(Clone, Copy, Debug)]
+pub struct Conformance {
+    /// Comparisons of values or of gradients.
+    pub comparisons: usize,
+    pub secs: f64,
+}
+
+/// What the adapter computed wrongly.
+#[derive(Clone, Debug)]
+pub struct Disagreement {
+    /// The kernel.
+    pub what: String,
+    pub mismatch: Mismatch,
+}
+
+impl std::fmt::Display for Disagreement {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(formatter, "{} differs from the CPU's: {}", self.what, self.mismatch)
+    }
+}
+
+impl std::error::Error for Disagreement {}
+
+/// Runs every kernel on small inputs, forward and backward, and compares with the CPU.
+pub fn check(gpu: Gpu) -> Result<Conformance, Disagreement> {
+    let (start, mut comparisons) = (Instant::now(), 0);
+    for expression in pointwise::EXPRESSIONS.iter().chain(crate::losses::EXPRESSIONS) {
+        comparisons += check_expression(gpu, expression)?;
+    }
+    Ok(Conformance { comparisons, secs: start.elapsed().as_secs_f64() })
+}
+
+/// Value and gradients of an expression.
+fn check_expression(gpu: Gpu, expression: &'static Expression) -> Result<usize, Disagreement> {
+    let input = |seed: usize| {
+        Tensor::from_vec([ELEMENTS], noise(ELEMENTS, seed as u64).iter().map(|x| 3.0 * *x as f32).collect())
+    };
+    let inputs: Vec<Tensor<f32>> = (0..expression.inputs).map(input).collect();
+    let constants = noise(expression.constants, 99);
+    let apply = |tape: &mut Tape<f32>, vars: &[Var]| vec![expression.apply(tape, vars, &constants)];
+    compare(gpu, expression.name, &inputs, POINTWISE_TOLERANCE, apply)
+}
+
+/// Compares the outputs of `f`, and the gradients of all inputs for fixed gradients of the outputs, on both devices; the
+/// number of comparisons.
+pub(crate) fn compare(
+    gpu: Gpu,
+    what: &str,
+    inputs: &[Tensor<f32>],
+    tolerance: f64,
+    f: impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var>,
+) -> Result<usize, Disagreement> {
+    let expected = run(Device::Cpu, inputs, &f);
+    let found = run(Device::Gpu(gpu), inputs, &f);
+    assert_eq!(found.len(), expected.len(), "{what}: one result on each device");
+    for ((name, found), (_, expected)) in found.iter().zip(&expected) {
+        let disagreement = |mismatch| Disagreement { what: format!("{name} of {what}"), mismatch };
+        agree(found, expected, tolerance).map_err(disagreement)?;
+    }
+    Ok(found.len())
+}
+
+/// Outputs, then gradients; zeros where none arrived.
+pub(crate) fn run(
+    device: Device,
+    inputs: &[Tensor<f32>],
+    f: impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var>,
+) -> Vec<(String, Tensor<f32>)> {
+    let mut tape = Tape::new(device);
+    let vars: Vec<Var> = inputs.iter().map(|input| tape.leaf(input.clone())).collect();
+    let outputs = f(&mut tape, &vars);
+    let seed = |index: usize, tensor: &Tensor<f32>| {
+        let weights = noise(tensor.len(), 500 + index as u64).iter().map(|&weight| weight as f32).collect();
+        Tensor::from_vec(tensor.shape(), weights)
+    };
+    let seeds: Vec<_> =
+        outputs.iter().enumerate().map(|(index, &output)| (output, seed(index, tape.value(output)))).collect();
+    let mut gradients = tape.backward(&seeds);
+    let values = outputs.iter().enumerate().map(|(at, &var)| (format!("output {at}"), tape.value(var).clone()));
+    let mut results: Vec<_> = values.collect();
+    for (at, (&var, input)) in vars.iter().zip(inputs).enumerate() {
+        let gradient = gradients.take(var).unwrap_or_else(|| Tensor::zeros(input.shape()));
+        results.push((format!("gradient {at}"), gradient));
+    }
+    results
+}

@@ -1,0 +1,155 @@
+//! Kernels: their text, their pipelines, and what a launch hands them.
+
+use std::sync::Arc;
+
+use super::{Context, Gpu, GpuArray, count, lock};
+
+/// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
+pub const STORAGE_ARRAYS: u32 = 14;
+/// Invocations per workgroup of every kernel for which no other number is stated; the least that WebGPU guarantees.
+pub const WORKGROUP_SIZE: u32 = 256;
+/// Workgroups along the first dimension of a dispatch; a larger dispatch is folded (`flat_group` in WGSL). The least that
+/// WebGPU guarantees.
+const MAX_GROUPS: u32 = 65_535;
+
+/// Text in front of every kernel.
+pub const PRELUDE: &str = include_str!("prelude.wgsl");
+
+/// One run of a kernel. Its constants are at binding 0 of group 0 (there must be some), its arrays from binding 1 on.
+pub struct Launch<'a> {
+    /// Kernel and specialisation: one pipeline is kept for each.
+    pub name: String,
+    /// The WGSL, whose entry point is `main`; asked for once.
+    pub source: &'a dyn Fn() -> String,
+    /// A `repr(C)` struct laid out as the kernel's.
+    pub constants: &'a [u8],
+    pub arrays: &'a [Binding<'a>],
+    /// Workgroups.
+    pub groups: usize,
+}
+
+/// What a kernel does with an array.
+#[derive(Clone, Copy)]
+pub enum Binding<'a> {
+    Read(&'a GpuArray),
+    Write(&'a GpuArray),
+}
+
+/// A compiled kernel.
+pub struct Pipeline {
+    pub compute: wgpu::ComputePipeline,
+    pub layout: wgpu::BindGroupLayout,
+}
+
+/// The text of a kernel whose constants of specialisation are `constants`.
+pub fn specialised(text: &str, constants: &[(&str, u32)]) -> String {
+    let lines = constants.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n"));
+    lines.collect::<String>() + PRELUDE + text
+}
+
+impl<'a> Binding<'a> {
+    fn array(self) -> &'a GpuArray {
+        match self {
+            Self::Read(array) | Self::Write(array) => array,
+        }
+    }
+
+    fn resource(self) -> wgpu::BindingResource<'a> {
+        let array = self.array();
+        let size = std::num::NonZero::new(array.bound_bytes());
+        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: array.buffer(), offset: 0, size })
+    }
+}
+
+impl Gpu {
+    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups.
+    pub fn launch(self, launch: &Launch) {
+        if launch.groups == 0 {
+            return;
+        }
+        assert!(launch.arrays.iter().all(|binding| binding.array().gpu() == self), "{}: another GPU", launch.name);
+        let pipeline = self.0.pipeline(launch);
+        let mut recorder = lock(&self.0.recorder);
+        if recorder.is_full(launch.constants.len()) {
+            recorder.submit(self.0);
+        }
+        recorder.record(self.0, &pipeline, launch, folded(launch.groups));
+        count(&self.0.counters.launches, 1);
+    }
+}
+
+/// Workgroups along two dimensions, none above the limit.
+fn folded(groups: usize) -> [u32; 2] {
+    let groups = u32::try_from(groups).expect("fewer than 2³² workgroups");
+    let columns = groups.min(MAX_GROUPS);
+    [columns, groups.div_ceil(columns)]
+}
+
+impl Context {
+    fn pipeline(&self, launch: &Launch) -> Arc<Pipeline> {
+        let mut pipelines = lock(&self.pipelines);
+        if let Some(pipeline) = pipelines.get(&launch.name) {
+            return pipeline.clone();
+        }
+        let pipeline = Arc::new(self.compile(launch));
+        pipelines.insert(launch.name.clone(), pipeline.clone());
+        pipeline
+    }
+
+    fn compile(&self, launch: &Launch) -> Pipeline {
+        let label = Some(launch.name.as_str());
+        let entry = |binding: u32, ty: wgpu::BufferBindingType| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+            count: None,
+        };
+        let array = |(index, binding): (usize, &Binding)| {
+            let read_only = matches!(binding, Binding::Read(_));
+            entry(index as u32 + 1, wgpu::BufferBindingType::Storage { read_only })
+        };
+        let arrays = launch.arrays.iter().enumerate().map(array);
+        let entries: Vec<_> = std::iter::once(entry(0, wgpu::BufferBindingType::Uniform)).chain(arrays).collect();
+        let layout =
+            self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
+        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label,
+            source: wgpu::ShaderSource::Wgsl((launch.source)().into()),
+        });
+        let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label,
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let compute = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label,
+            layout: Some(&pipeline_layout),
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                // No kernel reads workgroup memory that it has not written.
+                zero_initialize_workgroup_memory: false,
+                ..Default::default()
+            },
+            cache: None,
+        });
+        Pipeline { compute, layout }
+    }
+
+    pub fn bind_group(&self, pipeline: &Pipeline, launch: &Launch, constants: wgpu::BufferBinding) -> wgpu::BindGroup {
+        let resources = std::iter::once(wgpu::BindingResource::Buffer(constants));
+        let resources = resources.chain(launch.arrays.iter().map(|binding| binding.resource())).enumerate();
+        let entry = |(index, resource)| wgpu::BindGroupEntry { binding: index as u32, resource };
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &pipeline.layout,
+            entries: &resources.map(entry).collect::<Vec<_>>(),
+        })
+    }
+}
+
+#[cfg(test)]
+#[test]
+fn large_dispatches_fold() {
+    assert_eq!([1, 65_535, 65_536, 1_000_000].map(folded), [[1, 1], [65_535, 1], [65_535, 2], [65_535, 16]]);
+}

@@ -1,0 +1,113 @@
+//! The second device: one context per adapter, in which kernels are recorded and submitted in batches.
+//!
+//! A kernel is WGSL text ([`Launch`]); an operation hands it the arrays of its tensors and a block of constants. What is
+//! recorded runs in that order, and reading anything back submits first. Nothing here depends on a race: kernels use no
+//! float atomics, and every array is written by exactly one kernel before it is read.
+
+mod adapter;
+mod array;
+pub mod conformance;
+mod launch;
+#[cfg(test)]
+pub(crate) mod layout;
+mod recorder;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+pub use adapter::{AdapterError, AdapterReport, adapters, choose};
+pub(crate) use array::GpuArray;
+pub(crate) use launch::{Binding, Launch, specialised};
+
+use launch::Pipeline;
+use recorder::Recorder;
+
+/// An adapter that is in use: a handle to the one context that this process keeps of it.
+#[derive(Clone, Copy)]
+pub struct Gpu(&'static Context);
+
+/// What a GPU was asked to do so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Kernels started.
+    pub launches: u64,
+    /// Batches of kernels handed to the driver.
+    pub submissions: u64,
+    /// Times that somebody waited for an array.
+    pub readbacks: u64,
+    pub bytes_read: u64,
+    pub uploads: u64,
+    pub bytes_uploaded: u64,
+}
+
+struct Context {
+    name: String,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    limits: wgpu::Limits,
+    /// By kernel and specialisation.
+    pipelines: Mutex<BTreeMap<String, Arc<Pipeline>>>,
+    /// Buffers that nothing uses any more, by size.
+    pool: Mutex<array::Pool>,
+    recorder: Mutex<Recorder>,
+    counters: Counters,
+}
+
+#[derive(Default)]
+struct Counters {
+    launches: AtomicU64,
+    submissions: AtomicU64,
+    readbacks: AtomicU64,
+    bytes_read: AtomicU64,
+    uploads: AtomicU64,
+    bytes_uploaded: AtomicU64,
+}
+
+impl Gpu {
+    /// The adapter's name.
+    pub fn name(self) -> &'static str {
+        &self.0.name
+    }
+
+    /// What it was asked to do so far, by all threads.
+    pub fn counts(self) -> Counts {
+        let Counters { launches, submissions, readbacks, bytes_read, uploads, bytes_uploaded } = &self.0.counters;
+        let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Counts {
+            launches: load(launches),
+            submissions: load(submissions),
+            readbacks: load(readbacks),
+            bytes_read: load(bytes_read),
+            uploads: load(uploads),
+            bytes_uploaded: load(bytes_uploaded),
+        }
+    }
+}
+
+/// Two handles are equal if they are of the same context.
+impl PartialEq for Gpu {
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::eq(self.0, other.0)
+    }
+}
+
+impl Eq for Gpu {}
+
+impl fmt::Debug for Gpu {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "Gpu({})", self.0.name)
+    }
+}
+
+fn count(counter: &AtomicU64, amount: u64) {
+    counter.fetch_add(amount, Ordering::Relaxed);
+}
+
+/// A thread that panicked while recording leaves nothing half done that matters: its tape is gone.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}

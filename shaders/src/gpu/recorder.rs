@@ -1,0 +1,102 @@
+//! Kernels that were launched and have not been handed to the driver yet.
+
+use std::sync::Arc;
+
+use super::launch::{Launch, Pipeline};
+use super::{Context, Gpu, GpuArray, count, lock};
+
+/// Bytes of constants per submission, and so its length: 256 launches at the usual alignment.
+const CONSTANT_BYTES: usize = 64 * 1024;
+
+struct Dispatch {
+    pipeline: Arc<Pipeline>,
+    bind_group: wgpu::BindGroup,
+    groups: [u32; 2],
+}
+
+/// Launches of the next submission.
+pub struct Recorder {
+    dispatches: Vec<Dispatch>,
+    /// The constants of all of them, each aligned.
+    constants: Vec<u8>,
+    /// Where they lie when the kernels run: written once per submission, before it.
+    constants_buffer: wgpu::Buffer,
+    alignment: usize,
+}
+
+impl Recorder {
+    pub fn new(device: &wgpu::Device, alignment: u32) -> Self {
+        let constants_buffer = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("constants"),
+            size: CONSTANT_BYTES as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Self { dispatches: Vec::new(), constants: Vec::new(), constants_buffer, alignment: alignment as usize }
+    }
+
+    /// Whether so many bytes of constants no longer fit.
+    pub fn is_full(&self, bytes: usize) -> bool {
+        self.constants.len() + bytes > CONSTANT_BYTES
+    }
+
+    pub fn record(&mut self, context: &Context, pipeline: &Arc<Pipeline>, launch: &Launch, groups: [u32; 2]) {
+        let size = launch.constants.len();
+        let offset = self.constants.len();
+        self.constants.extend_from_slice(launch.constants);
+        self.constants.resize(self.constants.len().next_multiple_of(self.alignment), 0);
+        let size = std::num::NonZero::new(size as u64);
+        let constants = wgpu::BufferBinding { buffer: &self.constants_buffer, offset: offset as u64, size };
+        let bind_group = context.bind_group(pipeline, launch, constants);
+        self.dispatches.push(Dispatch { pipeline: pipeline.clone(), bind_group, groups });
+    }
+
+    /// Hands everything to the driver, in order.
+    pub fn submit(&mut self, context: &Context) {
+        self.submit_and(context, |_| {});
+    }
+
+    fn submit_and(&mut self, context: &Context, then: impl FnOnce(&mut wgpu::CommandEncoder)) {
+        let mut encoder = context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        if !self.dispatches.is_empty() {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            for Dispatch { pipeline, bind_group, groups } in self.dispatches.drain(..) {
+                pass.set_pipeline(&pipeline.compute);
+                pass.set_bind_group(0, &bind_group, &[]);
+                pass.dispatch_workgroups(groups[0], groups[1], 1);
+            }
+        }
+        then(&mut encoder);
+        // A write to a buffer comes after all earlier submissions and before this one.
+        context.queue.write_buffer(&self.constants_buffer, 0, &self.constants);
+        self.constants.clear();
+        context.queue.submit([encoder.finish()]);
+        count(&context.counters.submissions, 1);
+    }
+}
+
+impl Gpu {
+    /// Copies the bytes of an array to the host, after everything recorded.
+    pub(super) fn read(self, array: &GpuArray, out: &mut [u8]) {
+        let size = out.len() as u64;
+        let staging = self.0.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("readback"),
+            size,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let copy = |encoder: &mut wgpu::CommandEncoder| {
+            encoder.copy_buffer_to_buffer(array.buffer(), 0, &staging, 0, Some(size));
+        };
+        lock(&self.0.recorder).submit_and(self.0, copy);
+        let (sender, receiver) = std::sync::mpsc::channel();
+        staging.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
+        let waited = self.0.device.poll(wgpu::PollType::wait_indefinitely());
+        waited.unwrap_or_else(|error| panic!("adapter {:?} stopped: {error}", self.0.name));
+        let mapped = receiver.recv().expect("the callback ran while waiting");
+        mapped.unwrap_or_else(|error| panic!("adapter {:?} cannot be read: {error}", self.0.name));
+        out.copy_from_slice(&staging.get_mapped_range(..).expect("mapped"));
+        count(&self.0.counters.readbacks, 1);
+        count(&self.0.counters.bytes_read, size);
+    }
+}
