@@ -5,7 +5,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use shaders::binning::{self, Grid, TileLists};
+use shaders::binning::{self, Grid, Lists};
 use shaders::blending;
 use shaders::check::noise;
 use shaders::projection;
@@ -45,7 +45,7 @@ struct Prepared {
     tape: Tape<f32>,
     splats: SplatVars,
     projected: ProjectedVars,
-    lists: Arc<TileLists>,
+    lists: Arc<Lists>,
 }
 
 fn prepare(size: usize) -> Prepared {
@@ -78,8 +78,8 @@ fn fresh_tape(prepared: &Prepared, with_gradients: bool) -> (Tape<f32>, Projecte
 fn blend(criterion: &mut Criterion) {
     for size in [200, 800] {
         let prepared = prepare(size);
-        let intersections = prepared.lists.ranks.len();
-        println!("{size}×{size}: {} visible, {intersections} intersections", prepared.lists.order.len());
+        let intersections = prepared.lists.entry_count();
+        println!("{size}×{size}: {} visible, {intersections} intersections", prepared.lists.visible_count());
         let mut group = criterion.benchmark_group(format!("blend {size}"));
         group.throughput(Throughput::Elements(256 * intersections as u64)).sample_size(20);
         for isa in Isa::available().into_iter().filter(|&isa| isa != Isa::Portable) {

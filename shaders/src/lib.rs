@@ -25,6 +25,7 @@ pub mod projection;
 pub mod quaternion;
 pub mod rows;
 pub mod slicing4d;
+mod sort;
 pub mod splat;
 pub mod ssim;
 pub mod tape;

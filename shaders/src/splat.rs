@@ -4,6 +4,9 @@
 #[cfg(test)]
 mod fuzz;
 #[cfg(test)]
+mod gpu_tests;
+pub(crate) mod seeded;
+#[cfg(test)]
 pub(crate) mod test_scene;
 #[cfg(test)]
 mod tests;
@@ -45,8 +48,8 @@ pub struct RenderStats {
     pub intersections: usize,
     /// (Pixel, splat) pairs of all intersections: the nominal work.
     pub nominal_pixel_splats: u64,
-    /// (Pixel, splat) pairs that were blended.
-    pub blended_pixel_splats: u64,
+    /// (Pixel, splat) pairs that were blended; not counted on a GPU.
+    pub blended_pixel_splats: Option<u64>,
 }
 
 /// Renders splats and, with the same weights, their `features` [N, F]; differentiable in all parameters and features.
@@ -62,13 +65,13 @@ pub fn render<T: Real>(
     let lists = binning::bin(tape, &projected, grid)?;
     let Blended { color, alpha, depth, features, blended_count } =
         blending::blend(tape, &projected, features, &lists, settings);
-    let visible: Vec<bool> = lists.rank_of_splat.iter().map(|&rank| rank != binning::TileLists::NO_RANK).collect();
+    let visible = lists.visible();
     let conics = tape.value(projected.conics).as_slice().as_chunks::<3>().0;
     let radius = |(conic, &is_visible): (&[T; 3], &bool)| if is_visible { radius_px(conic) } else { 0.0 };
     let stats = RenderStats {
-        visible: lists.order.len(),
-        intersections: lists.ranks.len(),
-        nominal_pixel_splats: (lists.ranks.len() * TILE * TILE) as u64,
+        visible: lists.visible_count(),
+        intersections: lists.entry_count(),
+        nominal_pixel_splats: (lists.entry_count() * TILE * TILE) as u64,
         blended_pixel_splats: blended_count,
     };
     let radii_px = conics.iter().zip(&visible).map(radius).collect();

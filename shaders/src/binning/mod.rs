@@ -5,6 +5,7 @@
 //! Everything is integer after one pass over the ellipses, so that what is counted is what is listed.
 
 mod ellipse;
+mod gpu;
 #[cfg(test)]
 mod tests;
 
@@ -13,9 +14,11 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
+use crate::gpu::Gpu;
 use crate::projection::ProjectedVars;
 use crate::tape::{Op, Real, Tape, Tensor, chunks};
 use ellipse::Ellipse;
+pub use gpu::GpuLists;
 
 /// Tiles are squares of this many pixels: a row is one vector of 16 lanes.
 pub const TILE: usize = 16;
@@ -97,6 +100,52 @@ impl TileLists {
     }
 }
 
+/// The lists of a render, where it runs.
+#[derive(Debug)]
+pub enum Lists {
+    Host(TileLists),
+    Gpu(GpuLists),
+}
+
+impl Lists {
+    /// The lists in the host's memory. Panics if a GPU made them: its kernels use them there.
+    pub fn on_host(&self) -> &TileLists {
+        match self {
+            Self::Host(lists) => lists,
+            Self::Gpu(_) => panic!("the lists of tiles are on a GPU"),
+        }
+    }
+
+    /// Splats that some tile holds.
+    pub fn visible_count(&self) -> usize {
+        match self {
+            Self::Host(lists) => lists.order.len(),
+            Self::Gpu(lists) => lists.visible,
+        }
+    }
+
+    /// (Tile, splat) pairs.
+    pub fn entry_count(&self) -> usize {
+        match self {
+            Self::Host(lists) => lists.ranks.len(),
+            Self::Gpu(lists) => lists.ranks.len(),
+        }
+    }
+
+    /// [N]: whether any tile holds the splat.
+    pub fn visible(&self) -> Vec<bool> {
+        let has_rank = |ranks: &[u32]| ranks.iter().map(|&rank| rank != TileLists::NO_RANK).collect();
+        match self {
+            Self::Host(lists) => has_rank(&lists.rank_of_splat),
+            Self::Gpu(lists) => {
+                let mut ranks = vec![0; lists.rank_of_splat.len()];
+                lists.rank_of_splat.read_into(&mut ranks);
+                has_rank(&ranks)
+            }
+        }
+    }
+}
+
 /// The splats cover so many tiles that the render would not fit in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyIntersections {
@@ -118,7 +167,7 @@ pub fn bin<T: Real>(
     tape: &mut Tape<T>,
     projected: &ProjectedVars,
     grid: Grid,
-) -> Result<Arc<TileLists>, TooManyIntersections> {
+) -> Result<Arc<Lists>, TooManyIntersections> {
     let result = Arc::new(OnceLock::new());
     let inputs = [projected.means2d, projected.conics, projected.depths, projected.cutoffs];
     tape.apply(Binning { grid, result: result.clone() }, &inputs);
@@ -129,7 +178,13 @@ pub fn bin<T: Real>(
 /// Computes no values: an operation so that its time is listed among the others.
 struct Binning {
     grid: Grid,
-    result: Arc<OnceLock<Result<Arc<TileLists>, TooManyIntersections>>>,
+    result: Arc<OnceLock<Result<Arc<Lists>, TooManyIntersections>>>,
+}
+
+impl Binning {
+    fn tell(&self, lists: Result<Lists, TooManyIntersections>) {
+        assert!(self.result.set(lists.map(Arc::new)).is_ok(), "an operation runs forward once");
+    }
 }
 
 impl<T: Real> Op<T> for Binning {
@@ -145,8 +200,7 @@ impl<T: Real> Op<T> for Binning {
             depths: depths.as_slice(),
             cutoffs: cutoffs.as_slice(),
         };
-        let lists = tile_lists(&splats, self.grid).map(Arc::new);
-        self.result.set(lists).expect("an operation runs forward once");
+        self.tell(tile_lists(&splats, self.grid).map(Lists::Host));
         Vec::new()
     }
 
@@ -158,6 +212,14 @@ impl<T: Real> Op<T> for Binning {
         _needs: &[bool],
     ) -> Vec<Option<Tensor<T>>> {
         vec![None; inputs.len()]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        let &[means2d, conics, depths, cutoffs] = inputs else { unreachable!("four inputs") };
+        // Where there are too many, the CPU counts them for the message.
+        let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid)?;
+        self.tell(Ok(Lists::Gpu(lists)));
+        Some(Vec::new())
     }
 }
 

@@ -10,6 +10,7 @@
 //! e = dx + k·dy. The rows of a splat are added in a fixed order: the result does not depend on scheduling.
 
 mod cpu;
+mod gpu;
 mod isa;
 mod kernel;
 mod lanes;
@@ -24,7 +25,8 @@ use rayon::prelude::*;
 
 pub use isa::Isa;
 
-use crate::binning::{TILE, TileLists};
+use crate::binning::{Lists, TILE};
+use crate::gpu::Gpu;
 use crate::projection::{ProjectedVars, RasterSettings};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 use cpu::{PackedSplats, Tile};
@@ -49,8 +51,8 @@ pub struct Blended {
     pub depth: Option<Var>,
     /// [H, W, F]: Σ wᵢfᵢ.
     pub features: Option<Var>,
-    /// (Pixel, splat) pairs that were blended.
-    pub blended_count: u64,
+    /// (Pixel, splat) pairs that were blended; not counted on a GPU.
+    pub blended_count: Option<u64>,
 }
 
 /// Blends projected splats and, with the same weights, their features [N, F].
@@ -58,7 +60,7 @@ pub fn blend<T: Real>(
     tape: &mut Tape<T>,
     projected: &ProjectedVars,
     features: Option<Var>,
-    lists: &Arc<TileLists>,
+    lists: &Arc<Lists>,
     settings: &RasterSettings,
 ) -> Blended {
     let ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs } = *projected;
@@ -76,6 +78,7 @@ pub fn blend<T: Real>(
         isa: (!settings.smooth_cutoff).then_some(settings.isa),
         splats: RankedSplats::default(),
         transmittance: Vec::new(),
+        kept: None,
         blended_count: blended_count.clone(),
     };
     let mut outputs = tape.apply(op, &inputs).into_iter();
@@ -85,7 +88,7 @@ pub fn blend<T: Real>(
         alpha: next(),
         depth: settings.depth.then(&mut next),
         features: features.map(|_| next()),
-        blended_count: blended_count.load(Ordering::Relaxed),
+        blended_count: matches!(**lists, Lists::Host(_)).then(|| blended_count.load(Ordering::Relaxed)),
     }
 }
 
@@ -159,7 +162,7 @@ impl<T: Real> RankedSplats<T> {
 }
 
 struct Blend<T> {
-    lists: Arc<TileLists>,
+    lists: Arc<Lists>,
     constants: Constants<T>,
     depth_count: usize,
     feature_count: usize,
@@ -168,6 +171,8 @@ struct Blend<T> {
     splats: RankedSplats<T>,
     /// [tiles, 256], after the last splat.
     transmittance: Vec<T>,
+    /// The same on a GPU.
+    kept: Option<gpu::Kept>,
     blended_count: Arc<AtomicU64>,
 }
 
@@ -206,13 +211,13 @@ impl<T: Real> Blend<T> {
     }
 
     fn tile(&self, index: usize) -> Tile<'_> {
-        let grid = self.lists.grid;
-        Tile { origin: grid.origin(index), extent: grid.extent(index), ranks: self.lists.tile(index) }
+        let grid = self.lists.on_host().grid;
+        Tile { origin: grid.origin(index), extent: grid.extent(index), ranks: self.lists.on_host().tile(index) }
     }
 
     /// An image of `count` channels from the planes of all tiles; `finish(value, transmittance, channel)` gives its values.
     fn image(&self, planes: &[T], first: usize, count: usize, finish: impl Fn(T, T, usize) -> T + Sync) -> Vec<T> {
-        let (grid, plane_count) = (self.lists.grid, 4 + self.extra_count());
+        let (grid, plane_count) = (self.lists.on_host().grid, 4 + self.extra_count());
         let mut image = vec![T::ZERO; grid.width * grid.height * count];
         image.par_chunks_mut((grid.width * count).max(1)).enumerate().for_each(|(y, row)| {
             for (column, segment) in row.chunks_mut(TILE * count).enumerate() {
@@ -235,11 +240,11 @@ impl<T: Real> Blend<T> {
         let mut first_plane = 1;
         for (kind, (output, gradient)) in outputs.iter().zip(output_grads).enumerate() {
             let is_alpha = kind == 1;
-            let count = output.len() / (self.lists.grid.width * self.lists.grid.height);
+            let count = output.len() / (self.lists.on_host().grid.width * self.lists.on_host().grid.height);
             if let Some(gradient) = gradient {
                 for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
                     let pixel = y * TILE + x;
-                    let at = ((top + y) * self.lists.grid.width + left + x) * count;
+                    let at = ((top + y) * self.lists.on_host().grid.width + left + x) * count;
                     let (output, gradient) = (&output.as_slice()[at..at + count], &gradient.as_slice()[at..at + count]);
                     if is_alpha {
                         planes[pixel] -= gradient[0] * self.transmittance[index * PIXELS + pixel];
@@ -259,11 +264,11 @@ impl<T: Real> Blend<T> {
     /// [entries, row]: the sums of every (tile, splat).
     fn entry_rows(&self, outputs: &[&Tensor<T>], output_grads: &[Option<&Tensor<T>>]) -> Vec<T> {
         let row_len = ROW_COLORS + 3 + self.extra_count();
-        let mut rows = vec![T::ZERO; self.lists.ranks.len() * row_len];
+        let mut rows = vec![T::ZERO; self.lists.on_host().ranks.len() * row_len];
         let mut rest = &mut rows[..];
-        let mut rows_of_tiles = Vec::with_capacity(self.lists.grid.tiles());
-        for tile in 0..self.lists.grid.tiles() {
-            let (rows_of_tile, after) = rest.split_at_mut(self.lists.tile(tile).len() * row_len);
+        let mut rows_of_tiles = Vec::with_capacity(self.lists.on_host().grid.tiles());
+        for tile in 0..self.lists.on_host().grid.tiles() {
+            let (rows_of_tile, after) = rest.split_at_mut(self.lists.on_host().tile(tile).len() * row_len);
             rows_of_tiles.push(rows_of_tile);
             rest = after;
         }
@@ -278,10 +283,10 @@ impl<T: Real> Blend<T> {
     /// [N, row]: the sums of every splat, over its tiles in a fixed order.
     fn splat_rows(&self, entry_rows: &[T]) -> Vec<T> {
         let row_len = ROW_COLORS + 3 + self.extra_count();
-        let mut totals = vec![T::ZERO; self.lists.rank_of_splat.len() * row_len];
+        let mut totals = vec![T::ZERO; self.lists.on_host().rank_of_splat.len() * row_len];
         let rows = totals.par_chunks_exact_mut(row_len).with_min_len(SPLATS_PER_CHUNK).enumerate();
         rows.for_each(|(splat, total)| {
-            for &entry in self.lists.entries_of_splat(splat) {
+            for &entry in self.lists.on_host().entries_of_splat(splat) {
                 let row = &entry_rows[entry as usize * row_len..][..row_len];
                 total.iter_mut().zip(row).for_each(|(total, &value)| *total += value);
             }
@@ -296,8 +301,8 @@ impl<T: Real> Op<T> for Blend<T> {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        self.splats = RankedSplats::new(inputs, &self.lists.order);
-        let grid = self.lists.grid;
+        self.splats = RankedSplats::new(inputs, &self.lists.on_host().order);
+        let grid = self.lists.on_host().grid;
         let planes_len = (4 + self.extra_count()) * PIXELS;
         let mut planes = vec![T::ZERO; grid.tiles() * planes_len];
         let body = self.body();
@@ -355,5 +360,27 @@ impl<T: Real> Op<T> for Blend<T> {
             first += input.row_len();
         }
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        let lists = self.lists.clone();
+        match &*lists {
+            Lists::Gpu(lists) => Some(self.blend_on_gpu(gpu, inputs, lists)),
+            Lists::Host(_) => None,
+        }
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        match &*self.lists {
+            Lists::Gpu(lists) => Some(self.backward_on_gpu(gpu, inputs, outputs, output_grads, lists)),
+            Lists::Host(_) => None,
+        }
     }
 }

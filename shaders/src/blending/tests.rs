@@ -67,7 +67,7 @@ fn run<T: Real>(scene: &Scene, size: [usize; 2], settings: &RasterSettings) -> (
     let mut gradients = tape.backward(&[(blended.color, seed)]);
     let images = [blended.color, blended.alpha].map(|var| tape.value(var).clone());
     let gradients = vars.map(|var| gradients.take(var).expect("a gradient"));
-    (images.into_iter().chain(gradients).collect(), blended.blended_count)
+    (images.into_iter().chain(gradients).collect(), blended.blended_count.expect("counted on the CPU"))
 }
 
 #[test]

@@ -61,20 +61,32 @@ impl GpuArray {
         self.len
     }
 
-    /// Bytes of the elements; at least those of one, as nothing cannot be bound.
+    /// Bytes of the elements; those of one vector if there are none, as nothing cannot be bound.
     pub fn bound_bytes(&self) -> u64 {
-        4 * self.len.max(1) as u64
+        if self.is_empty() { 16 } else { 4 * self.len as u64 }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
     }
 
     pub fn buffer(&self) -> &wgpu::Buffer {
         self.buffer.as_ref().expect("there until it is dropped")
     }
 
+    /// Waits for the kernels so far and copies one element to the host.
+    pub fn read_one(&self, at: usize) -> u32 {
+        assert!(at < self.len, "element {at} of {}", self.len);
+        let mut out = [0];
+        self.gpu.read(self, at, bytemuck::cast_slice_mut(&mut out));
+        out[0]
+    }
+
     /// Waits for the kernels so far and copies the elements, f32 or u32, to the host.
     pub fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
         assert_eq!((size_of::<N>(), out.len()), (4, self.len), "arrays hold 32-bit numbers");
         if self.len > 0 {
-            self.gpu.read(self, bytemuck::cast_slice_mut(out));
+            self.gpu.read(self, 0, bytemuck::cast_slice_mut(out));
         }
     }
 }

@@ -5,12 +5,25 @@ use std::time::Instant;
 use super::Gpu;
 use crate::check::{Mismatch, agree, noise};
 use crate::pointwise::{self, Expression};
+use crate::projection::RasterSettings;
+use crate::splat::{self, seeded};
 use crate::tape::{Device, Tape, Tensor, Var};
 
-/// Largest error of a pointwise value or gradient relative to the largest: ten times the error of Mesa's exponential (1.1e-6).
-const POINTWISE_TOLERANCE: f64 = 1e-5;
+/// Ten times the error of Mesa's exponential (1.1e-6).
+const POINTWISE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
+/// Sums over hundreds of splats and pixels; nothing jumps, as alpha fades at its threshold.
+const SMOOTH_RENDER: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
+/// A pixel on the edge of a splat may see it on one device only: up to half a grey level, twice.
+const RENDER: Tolerance = Tolerance { value: 2.0 / 255.0, gradient: 2e-2 };
 /// Elements per expression: several workgroups, the last one not full.
 const ELEMENTS: usize = 1000;
+
+/// Largest errors, relative to the largest value or gradient of a tensor.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tolerance {
+    pub value: f64,
+    pub gradient: f64,
+}
 
 /// An adapter agrees with the CPU.
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +55,9 @@ pub fn check(gpu: Gpu) -> Result<Conformance, Disagreement> {
     for expression in pointwise::EXPRESSIONS.iter().chain(crate::losses::EXPRESSIONS) {
         comparisons += check_expression(gpu, expression)?;
     }
+    for (smooth_cutoff, tolerance) in [(true, SMOOTH_RENDER), (false, RENDER)] {
+        comparisons += check_render(gpu, smooth_cutoff, tolerance)?;
+    }
     Ok(Conformance { comparisons, secs: start.elapsed().as_secs_f64() })
 }
 
@@ -53,7 +69,23 @@ fn check_expression(gpu: Gpu, expression: &'static Expression) -> Result<usize, 
     let inputs: Vec<Tensor<f32>> = (0..expression.inputs).map(input).collect();
     let constants = noise(expression.constants, 99);
     let apply = |tape: &mut Tape<f32>, vars: &[Var]| vec![expression.apply(tape, vars, &constants)];
-    compare(gpu, expression.name, &inputs, POINTWISE_TOLERANCE, apply)
+    compare(gpu, expression.name, &inputs, POINTWISE, apply)
+}
+
+/// Colour, alpha, depth and features of a seeded scene, and the gradients of all parameters.
+fn check_render(gpu: Gpu, smooth_cutoff: bool, tolerance: Tolerance) -> Result<usize, Disagreement> {
+    let settings = RasterSettings { smooth_cutoff, depth: true, background: [0.3, 0.1, 0.6], ..Default::default() };
+    let camera = seeded::camera(50, 41);
+    let mut inputs: Vec<Tensor<f32>> =
+        seeded::tensors(&seeded::splats(300, -2.2, 3)).iter().map(Tensor::cast).collect();
+    inputs.push(Tensor::from_vec([300, 2], noise(600, 5)).cast());
+    let render = |tape: &mut Tape<f32>, vars: &[Var]| {
+        let features = Some(vars[5]);
+        let rendered = splat::render(tape, &seeded::vars(&vars[..5]), features, &camera, &settings);
+        seeded::images(&rendered.expect("a few intersections"))
+    };
+    let what = if smooth_cutoff { "a render without thresholds" } else { "a render" };
+    compare(gpu, what, &inputs, tolerance, render)
 }
 
 /// Compares the outputs of `f`, and the gradients of all inputs for fixed gradients of the outputs, on both devices; the
@@ -62,7 +94,7 @@ pub(crate) fn compare(
     gpu: Gpu,
     what: &str,
     inputs: &[Tensor<f32>],
-    tolerance: f64,
+    tolerance: Tolerance,
     f: impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var>,
 ) -> Result<usize, Disagreement> {
     let expected = run(Device::Cpu, inputs, &f);
@@ -70,7 +102,8 @@ pub(crate) fn compare(
     assert_eq!(found.len(), expected.len(), "{what}: one result on each device");
     for ((name, found), (_, expected)) in found.iter().zip(&expected) {
         let disagreement = |mismatch| Disagreement { what: format!("{name} of {what}"), mismatch };
-        agree(found, expected, tolerance).map_err(disagreement)?;
+        let allowed = if name.starts_with("gradient") { tolerance.gradient } else { tolerance.value };
+        agree(found, expected, allowed).map_err(disagreement)?;
     }
     Ok(found.len())
 }

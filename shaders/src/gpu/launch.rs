@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::{Context, Gpu, GpuArray, count, lock};
 
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
-pub const STORAGE_ARRAYS: u32 = 14;
+pub const STORAGE_ARRAYS: u32 = 16;
 /// Invocations per workgroup of every kernel for which no other number is stated; the least that WebGPU guarantees.
 pub const WORKGROUP_SIZE: u32 = 256;
 /// Workgroups along the first dimension of a dispatch; a larger dispatch is folded (`flat_group` in WGSL). The least that
@@ -45,6 +45,57 @@ pub struct Pipeline {
 pub fn specialised(text: &str, constants: &[(&str, u32)]) -> String {
     let lines = constants.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n"));
     lines.collect::<String>() + PRELUDE + text
+}
+
+/// Defines a block of constants, laid out as a struct of the kernels: a test compares them.
+macro_rules! uniforms {
+    ($(#[$meta:meta])* struct $name:ident as $wgsl:literal { $($field:ident: $type:ty),+ $(,)? }) => {
+        $(#[$meta])*
+        #[repr(C)]
+        #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+        struct $name { $($field: $type),+ }
+
+        #[cfg(test)]
+        impl $crate::gpu::layout::Fields for $name {
+            const NAME: &'static str = $wgsl;
+            fn offsets() -> Vec<(&'static str, usize)> {
+                vec![$((stringify!($field), std::mem::offset_of!($name, $field))),+]
+            }
+        }
+    };
+}
+pub(crate) use uniforms;
+
+/// A kernel whose text lies in files.
+pub struct Kernel {
+    pub name: &'static str,
+    /// Parts of the text, in order.
+    pub text: &'static [&'static str],
+}
+
+impl Kernel {
+    /// The text, specialised.
+    pub fn source(&self, specialisation: &[(&str, u32)]) -> String {
+        specialised(&self.text.concat(), specialisation)
+    }
+
+    /// Records one run.
+    pub fn launch(
+        &self,
+        gpu: Gpu,
+        specialisation: &[(&str, u32)],
+        constants: &impl bytemuck::NoUninit,
+        arrays: &[Binding],
+        groups: usize,
+    ) {
+        gpu.launch(&Launch {
+            name: format!("{} {specialisation:?}", self.name),
+            source: &|| self.source(specialisation),
+            constants: bytemuck::bytes_of(constants),
+            arrays,
+            groups,
+        });
+    }
 }
 
 impl<'a> Binding<'a> {

@@ -1,4 +1,10 @@
-//! Tests of kernels without a GPU.
+//! Tests of kernels without a GPU: the text is valid, and its blocks of constants are laid out as the Rust structs.
+
+/// The fields of a block of constants, as [`super::uniforms`] lists them.
+pub trait Fields {
+    const NAME: &'static str;
+    fn offsets() -> Vec<(&'static str, usize)>;
+}
 
 /// Parses and validates a kernel without optional features.
 pub fn validate(source: &str) -> Result<naga::Module, String> {
@@ -7,4 +13,22 @@ pub fn validate(source: &str) -> Result<naga::Module, String> {
         naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
     validator.validate(&module).map_err(|error| format!("{error:?}"))?;
     Ok(module)
+}
+
+/// An error unless the struct of the name of `T` in a kernel has its fields at the same places and its size.
+pub fn check_layout<T: Fields>(source: &str) -> Result<(), String> {
+    let module = validate(source)?;
+    let named = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(T::NAME));
+    let Some((_, naga::Type { inner: naga::TypeInner::Struct { members, span }, .. })) = named else {
+        return Err(format!("the kernel has no struct {}", T::NAME));
+    };
+    let found: Vec<(&str, usize)> = members
+        .iter()
+        .map(|member| (member.name.as_deref().unwrap_or("without name"), member.offset as usize))
+        .collect();
+    if found != T::offsets() || *span as usize != size_of::<T>() {
+        let (span, offsets, size) = (*span, T::offsets(), size_of::<T>());
+        return Err(format!("{}: {found:?} and {span} bytes instead of {offsets:?} and {size}", T::NAME));
+    }
+    Ok(())
 }

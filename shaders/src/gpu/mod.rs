@@ -12,7 +12,7 @@ mod launch;
 pub(crate) mod layout;
 mod recorder;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,7 +21,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
 pub(crate) use array::GpuArray;
-pub(crate) use launch::{Binding, Launch, specialised};
+pub(crate) use launch::{Binding, Kernel, Launch, specialised, uniforms};
 
 use launch::Pipeline;
 use recorder::Recorder;

@@ -76,8 +76,8 @@ impl Recorder {
 }
 
 impl Gpu {
-    /// Copies the bytes of an array to the host, after everything recorded.
-    pub(super) fn read(self, array: &GpuArray, out: &mut [u8]) {
+    /// Copies the bytes of an array from an element on to the host, after everything recorded.
+    pub(super) fn read(self, array: &GpuArray, from: usize, out: &mut [u8]) {
         let size = out.len() as u64;
         let staging = self.0.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("readback"),
@@ -86,7 +86,7 @@ impl Gpu {
             mapped_at_creation: false,
         });
         let copy = |encoder: &mut wgpu::CommandEncoder| {
-            encoder.copy_buffer_to_buffer(array.buffer(), 0, &staging, 0, Some(size));
+            encoder.copy_buffer_to_buffer(array.buffer(), 4 * from as u64, &staging, 0, Some(size));
         };
         lock(&self.0.recorder).submit_and(self.0, copy);
         let (sender, receiver) = std::sync::mpsc::channel();

@@ -1,4 +1,4 @@
-use super::conformance::{compare, run};
+use super::conformance::{Tolerance, compare, run};
 use super::*;
 use crate::pointwise;
 use crate::tape::{Device, Op, Tape, Tensor, Var};
@@ -37,9 +37,10 @@ fn a_gpu_that_computes_something_else_is_noticed() {
         let factor = if tape.device() == Device::Cpu { 1.0 } else { 1.001 };
         vec![pointwise::scale(tape, vars[0], factor)]
     };
-    assert!(compare(gpu, "scale", std::slice::from_ref(&x), 1e-5, wrong).is_err());
+    let tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
+    assert!(compare(gpu, "scale", std::slice::from_ref(&x), tolerance, wrong).is_err());
     let right = |tape: &mut Tape<f32>, vars: &[Var]| vec![pointwise::scale(tape, vars[0], 2.0)];
-    assert_eq!(compare(gpu, "scale", &[x], 1e-5, right).map_err(|error| error.to_string()), Ok(2));
+    assert_eq!(compare(gpu, "scale", &[x], tolerance, right).map_err(|error| error.to_string()), Ok(2));
 }
 
 /// y = x + 1, without a kernel for a GPU.

@@ -8,6 +8,7 @@
 
 mod camera;
 mod factors;
+mod gpu;
 mod guards;
 mod harmonics;
 mod reference;
@@ -23,6 +24,7 @@ pub use factors::factors;
 pub use guards::{Culled, NOT_FINITE};
 pub use settings::RasterSettings;
 
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 use reference::{Projected, Splat, SplatGradient, View};
 use shape::Shape;
@@ -122,6 +124,19 @@ struct Projection<T> {
     sh_len: usize,
 }
 
+/// What the inputs after positions, opacities and harmonics are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ShapeInputs {
+    ScalesAndRotations,
+    Factors,
+}
+
+impl ShapeInputs {
+    fn of<T: Real>(inputs: &[&Tensor<T>]) -> Self {
+        if inputs.len() == 4 { Self::Factors } else { Self::ScalesAndRotations }
+    }
+}
+
 impl<T: Real> Projection<T> {
     fn splat<'a>(&self, inputs: &[&'a Tensor<T>], index: usize) -> Splat<'a, T> {
         Splat {
@@ -216,6 +231,21 @@ impl<T: Real> Op<T> for Projection<T> {
             _ => unreachable!("scales and rotations, or factors"),
         }
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(self.project_on_gpu(gpu, inputs))
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(self.backward_on_gpu(gpu, inputs, outputs[5], output_grads))
     }
 }
 

@@ -13,18 +13,18 @@ pub const CLAMP_MARGIN: f64 = 0.15;
 
 /// Camera and settings, rounded once to the scalar type.
 pub struct View<T> {
-    rotation: Mat3<T>,
-    translation: Vec3<T>,
-    position_world: Vec3<T>,
-    focal: [T; 2],
-    center: [T; 2],
-    size: [T; 2],
+    pub rotation: Mat3<T>,
+    pub translation: Vec3<T>,
+    pub position_world: Vec3<T>,
+    pub focal: [T; 2],
+    pub center: [T; 2],
+    pub size: [T; 2],
     /// Range of x/z and y/z within which the affine map follows the splat.
-    slope_range: [(T, T); 2],
-    near: T,
-    far: T,
-    dilation: T,
-    alpha_min: T,
+    pub slope_range: [(T, T); 2],
+    pub near: T,
+    pub far: T,
+    pub dilation: T,
+    pub alpha_min: T,
     pub sh_degree: usize,
 }
 

@@ -1,0 +1,38 @@
+// The tiles of every rank, tiles ascending, each with the rank. Should this pass find fewer than were counted, the rest
+// belong to no tile; more are not written.
+
+@group(0) @binding(4) var<storage, read> order: array<u32>;
+@group(0) @binding(5) var<storage, read> hit_starts: array<u32>;
+@group(0) @binding(6) var<storage, read_write> hit_tiles: array<u32>;
+@group(0) @binding(7) var<storage, read_write> hit_ranks: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let rank = flat_group(group, groups) * 256u + local;
+    if (rank >= grid.count) {
+        return;
+    }
+    var hit = hit_starts[rank];
+    let end = hit_starts[rank + 1u];
+    if (hit == end) {
+        return;
+    }
+    let ellipse = ellipse_of(order[rank]);
+    let rows = rows_of(ellipse);
+    for (var row = rows.first; row < rows.end; row++) {
+        let columns = columns_of(ellipse, row);
+        for (var column = columns.first; column < columns.end && hit < end; column++) {
+            hit_tiles[hit] = row * grid.columns + column;
+            hit_ranks[hit] = rank;
+            hit++;
+        }
+    }
+    for (; hit < end; hit++) {
+        hit_tiles[hit] = grid.tiles;
+        hit_ranks[hit] = rank;
+    }
+}

@@ -1,0 +1,199 @@
+//! The kernels of blending.
+
+use super::{Blend, Constants, ROW_COLORS};
+use crate::binning::{GpuLists, Grid};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::projection::RasterSettings;
+use crate::tape::{Real, Tensor};
+
+const SAMPLE: &str = include_str!("sample.wgsl");
+const PACK: Kernel = Kernel { name: "blending, records", text: &[include_str!("blending_pack.wgsl")] };
+const FORWARD: Kernel = Kernel { name: "blending", text: &[SAMPLE, include_str!("blending.wgsl")] };
+const BACKWARD: Kernel = Kernel { name: "blending backward", text: &[SAMPLE, include_str!("blending_bwd.wgsl")] };
+const SUM: Kernel = Kernel { name: "blending, sums", text: &[include_str!("blending_sum.wgsl")] };
+
+/// Splats per workgroup of the kernels over splats.
+const PACK_GROUP: usize = 256;
+const SUM_GROUP: usize = 64;
+/// Elements of a splat's record.
+const RECORD: usize = 12;
+
+uniforms! {
+    struct PackBlock as "Pack" {
+        count: u32,
+        features: u32,
+    }
+}
+
+uniforms! {
+    struct BlendBlock as "Blend" {
+        width: u32,
+        height: u32,
+        columns: u32,
+        tiles: u32,
+        alpha_cap: f32,
+        stop: f32,
+        alpha_threshold: f32,
+        padding: f32,
+        background: [f32; 4],
+    }
+}
+
+uniforms! {
+    struct SumBlock as "Sum" {
+        count: u32,
+    }
+}
+
+/// What the backward pass needs of the forward pass.
+pub(super) struct Kept {
+    /// [ranks, 12].
+    records: GpuArray,
+    /// [ranks, E].
+    extras: GpuArray,
+    /// [H, W], after the last splat.
+    transmittances: GpuArray,
+    /// [H, W]: entries of the tile up to the last that was blended.
+    last_entries: GpuArray,
+}
+
+impl BlendBlock {
+    fn new<T: Real>(constants: &Constants<T>, grid: Grid) -> Self {
+        let f = |value: T| value.to_f64() as f32;
+        let [r, g, b] = constants.background.map(f);
+        Self {
+            width: grid.width as u32,
+            height: grid.height as u32,
+            columns: grid.columns() as u32,
+            tiles: grid.tiles() as u32,
+            alpha_cap: f(constants.alpha_cap),
+            stop: f(constants.stop),
+            alpha_threshold: RasterSettings::ALPHA_THRESHOLD as f32,
+            padding: 0.0,
+            background: [r, g, b, 0.0],
+        }
+    }
+}
+
+impl<T: Real> Blend<T> {
+    /// What the kernels are specialised for.
+    fn specialisation(&self) -> [(&'static str, u32); 3] {
+        let is_smooth = u32::from(self.constants.smooth_cutoff);
+        [("EXTRAS", self.extra_count() as u32), ("DEPTH", self.depth_count as u32), ("SMOOTH", is_smooth)]
+    }
+
+    /// Depths and features, each with something in its place where there is none.
+    fn extras_of<X: Copy>(&self, extras: &[X], otherwise: X) -> [X; 2] {
+        let depth = if self.depth_count > 0 { extras[0] } else { otherwise };
+        [depth, if self.feature_count > 0 { extras[self.depth_count] } else { otherwise }]
+    }
+
+    /// Colour, alpha and, where they are rendered, depth and features.
+    pub(super) fn blend_on_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists) -> Vec<Tensor<T>> {
+        let (grid, pixels) = (lists.grid, lists.grid.width * lists.grid.height);
+        let (records, extras) = self.pack_on_gpu(gpu, inputs, lists);
+        let [color, alpha, depth, features] =
+            [3, 1, self.depth_count, self.feature_count].map(|channels| GpuArray::new(gpu, pixels * channels));
+        let [transmittances, last_entries] = [(); 2].map(|()| GpuArray::new(gpu, pixels));
+        let read = [&records, &extras, &lists.ranks, &lists.tile_starts].map(Binding::Read);
+        let written = [&color, &alpha, &depth, &features, &transmittances, &last_entries].map(Binding::Write);
+        let constants = BlendBlock::new(&self.constants, grid);
+        FORWARD.launch(gpu, &self.specialisation(), &constants, &[&read[..], &written].concat(), grid.tiles());
+        self.kept = Some(Kept { records, extras, transmittances, last_entries });
+
+        let size = [grid.height, grid.width];
+        let mut images = vec![Tensor::from_gpu([size[0], size[1], 3], color), Tensor::from_gpu(size, alpha)];
+        images.extend((self.depth_count > 0).then(|| Tensor::from_gpu(size, depth)));
+        let features_shape = [size[0], size[1], self.feature_count];
+        images.extend((self.feature_count > 0).then(|| Tensor::from_gpu(features_shape, features)));
+        images
+    }
+
+    /// The records and extras of the splats by rank.
+    fn pack_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists) -> (GpuArray, GpuArray) {
+        let records = GpuArray::new(gpu, lists.visible * RECORD);
+        let extras = GpuArray::new(gpu, lists.visible * self.extra_count());
+        let [depths, features] = self.extras_of(&inputs[5..], inputs[4]);
+        let read = inputs[..5].iter().chain([&depths, &features]).map(|input| Binding::Read(input.on_gpu(gpu)));
+        let written = [Binding::Write(&records), Binding::Write(&extras)];
+        let arrays: Vec<Binding> = [Binding::Read(&lists.order)].into_iter().chain(read).chain(written).collect();
+        let constants = PackBlock { count: lists.visible as u32, features: self.feature_count as u32 };
+        let [_, depth, _] = self.specialisation();
+        PACK.launch(gpu, &[depth], &constants, &arrays, lists.visible.div_ceil(PACK_GROUP));
+        (records, extras)
+    }
+
+    /// The gradients of all inputs but the cutoffs, which have none.
+    pub(super) fn backward_on_gpu(
+        &self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        lists: &GpuLists,
+    ) -> Vec<Option<Tensor<T>>> {
+        let rows = self.entry_rows_on_gpu(gpu, outputs, output_grads, lists);
+        let count = inputs[0].rows();
+        // The extras' gradients exist even where there are no extras: every array of a kernel must.
+        let [depth_len, features_len] = [count * self.depth_count, count * self.feature_count];
+        let lens = [2 * count, 3 * count, count, 3 * count, depth_len, features_len];
+        let gradients = lens.map(|len| GpuArray::new(gpu, len));
+        let read = [&rows, &lists.entry_of_hit, &lists.hit_starts, &lists.rank_of_splat, inputs[1].on_gpu(gpu)];
+        let read = read.into_iter().chain([inputs[2].on_gpu(gpu)]).map(Binding::Read);
+        let arrays: Vec<Binding> = read.chain(gradients.iter().map(Binding::Write)).collect();
+        let [extras, depth, _] = self.specialisation();
+        SUM.launch(gpu, &[extras, depth], &SumBlock { count: count as u32 }, &arrays, count.div_ceil(SUM_GROUP));
+
+        let [means2d, conics, opacities, colors, depths, features] = gradients;
+        let mut gradients = vec![Some(means2d), Some(conics), Some(opacities), Some(colors), None];
+        gradients.extend((self.depth_count > 0).then_some(Some(depths)));
+        gradients.extend((self.feature_count > 0).then_some(Some(features)));
+        let tensor = |(array, input): (Option<GpuArray>, &&Tensor<T>)| Some(Tensor::from_gpu(input.shape(), array?));
+        gradients.into_iter().zip(inputs).map(tensor).collect()
+    }
+
+    /// [entries, row]: the sums of every (tile, splat).
+    fn entry_rows_on_gpu(
+        &self,
+        gpu: Gpu,
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        lists: &GpuLists,
+    ) -> GpuArray {
+        let Kept { records, extras, transmittances, last_entries } = self.kept.as_ref().expect("forward has run");
+        let rows = GpuArray::new(gpu, lists.ranks.len() * (ROW_COLORS + 3 + self.extra_count()));
+        let color = outputs[0].on_gpu(gpu);
+        let [depth, features] = self.extras_of(&outputs[2..], outputs[0]).map(|output| output.on_gpu(gpu));
+        // Where no gradient arrives, the colours stand in for it.
+        let [g_depth, g_features] = self.extras_of(&output_grads[2..], None);
+        let arriving = [output_grads[0], output_grads[1], g_depth, g_features];
+        let mask = arriving.iter().enumerate().fold(0, |mask, (bit, g)| mask | u32::from(g.is_some()) << bit);
+        let arriving = arriving.map(|gradient| gradient.map_or(color, |gradient| gradient.on_gpu(gpu)));
+        let read = [records, extras, &lists.ranks, &lists.tile_starts, transmittances, last_entries];
+        let read = read.into_iter().chain([color, depth, features]).chain(arriving).map(Binding::Read);
+        let arrays: Vec<Binding> = read.chain([Binding::Write(&rows)]).collect();
+        let [extras, depth, smooth] = self.specialisation();
+        let constants = BlendBlock::new(&self.constants, lists.grid);
+        if !lists.ranks.is_empty() {
+            let specialisation = [extras, depth, smooth, ("ARRIVING", mask)];
+            BACKWARD.launch(gpu, &specialisation, &constants, &arrays, lists.grid.tiles());
+        }
+        rows
+    }
+}
+
+#[cfg(test)]
+#[test]
+fn kernels_are_valid_for_every_kind_of_channel() {
+    use crate::gpu::layout::{Fields, check_layout};
+    fn check<T: Fields>(kernel: &Kernel, specialisation: &[(&'static str, u32)]) {
+        check_layout::<T>(&kernel.source(specialisation)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
+    }
+    for (extras, depth) in [(0, 0), (1, 0), (1, 1), (9, 1), (16, 0)] {
+        let (extras, depth, smooth) = (("EXTRAS", extras), ("DEPTH", depth), ("SMOOTH", depth));
+        check::<PackBlock>(&PACK, &[depth]);
+        check::<BlendBlock>(&FORWARD, &[extras, depth, smooth]);
+        check::<BlendBlock>(&BACKWARD, &[extras, depth, smooth, ("ARRIVING", 0b1011)]);
+        check::<SumBlock>(&SUM, &[extras, depth]);
+    }
+}

@@ -1,0 +1,77 @@
+// The image of every splat; a culled splat has zeros and a negative cutoff that tells why.
+
+@group(0) @binding(6) var<storage, read_write> means2d: array<f32>;
+@group(0) @binding(7) var<storage, read_write> conics: array<f32>;
+@group(0) @binding(8) var<storage, read_write> depths: array<f32>;
+@group(0) @binding(9) var<storage, read_write> opacities: array<f32>;
+@group(0) @binding(10) var<storage, read_write> colors: array<f32>;
+@group(0) @binding(11) var<storage, read_write> cutoffs: array<f32>;
+
+const UNSEEN: f32 = -1.0;
+const NEAR: f32 = -2.0;
+const HUGE: f32 = -3.0;
+const NOT_FINITE: f32 = -4.0;
+
+fn parameters_are_finite(splat: u32) -> bool {
+    var finite = is_finite3(position_of(splat)) && is_finite(opacity_logits[splat]) && shape_is_finite(splat);
+    for (var k = 0u; k < COEFFICIENTS; k++) {
+        finite = finite && is_finite3(coefficient(splat, k));
+    }
+    if (GIVEN_FACTORS == 0u) {
+        for (var axis = 0u; axis < 3u; axis++) {
+            // Minus infinity is a scale of zero.
+            let value = shapes[3u * splat + axis];
+            finite = finite && (is_finite(value) || bitcast<u32>(value) == 0xff800000u);
+        }
+    }
+    return finite;
+}
+
+fn why_culled(splat: u32, geometry: Geometry) -> f32 {
+    if (!parameters_are_finite(splat)) {
+        return NOT_FINITE;
+    }
+    let z = geometry.position_view.z;
+    if (z < view.near) {
+        return NEAR;
+    }
+    return select(UNSEEN, HUGE, z < view.far && !geometry.usable);
+}
+
+fn write_image(splat: u32, mean2d: vec2<f32>, conic: vec3<f32>, depth: f32, opacity: f32, color: vec3<f32>, cutoff: f32) {
+    for (var axis = 0u; axis < 2u; axis++) {
+        means2d[2u * splat + axis] = mean2d[axis];
+    }
+    for (var axis = 0u; axis < 3u; axis++) {
+        conics[3u * splat + axis] = conic[axis];
+        colors[3u * splat + axis] = color[axis];
+    }
+    depths[splat] = depth;
+    opacities[splat] = opacity;
+    cutoffs[splat] = cutoff;
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let splat = flat_group(group, groups) * 64u + local;
+    if (splat >= view.count) {
+        return;
+    }
+    let geometry = geometry_of(splat);
+    let opacity = sigmoid(opacity_logits[splat]);
+    let cutoff = log(opacity / view.alpha_min);
+    let color = color_of(splat);
+    var drawn = geometry.usable && is_finite(cutoff) && cutoff >= 0.0;
+    drawn = drawn && touches_image(geometry, cutoff) && is_finite3(color.unclamped) && shape_is_finite(splat);
+    if (drawn) {
+        let clamped = max(color.unclamped, vec3<f32>(0.0));
+        write_image(splat, geometry.mean2d, geometry.conic, geometry.position_view.z, opacity, clamped, cutoff);
+    } else {
+        let nothing = vec3<f32>(0.0);
+        write_image(splat, nothing.xy, nothing, 0.0, 0.0, nothing, why_culled(splat, geometry));
+    }
+}

@@ -1,0 +1,78 @@
+//! Stable radix sort and prefix sums of whole numbers on a GPU: reduce, then scan, then scatter, which needs no progress
+//! guarantee between workgroups (Merrill and Grimshaw 2011).
+
+#[cfg(test)]
+mod tests;
+
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+
+const SCAN: Kernel = Kernel { name: "scan", text: &[include_str!("scan.wgsl")] };
+const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: &[include_str!("scan_add.wgsl")] };
+const COUNT: Kernel = Kernel { name: "sort, counts", text: &[include_str!("sort_count.wgsl")] };
+const SCATTER: Kernel = Kernel { name: "sort, scatter", text: &[include_str!("sort_scatter.wgsl")] };
+
+/// Elements per workgroup of every kernel but the offsets.
+const BLOCK: usize = 1024;
+/// Elements per workgroup of the offsets.
+const ADD_GROUP: usize = 256;
+/// Bits per pass, and the digits that they make.
+const DIGIT_BITS: u32 = 4;
+const DIGITS: usize = 1 << DIGIT_BITS;
+
+/// Sums stop here: they stay monotonic where they would overflow.
+pub const SUM_CAP: u32 = 1 << 29;
+
+uniforms! {
+    struct ScanBlock as "Scan" {
+        len: u32,
+    }
+}
+
+uniforms! {
+    struct SortBlock as "Sort" {
+        len: u32,
+        blocks: u32,
+        shift: u32,
+    }
+}
+
+/// The sum of all elements before each; at most [`SUM_CAP`].
+pub fn exclusive_sums(gpu: Gpu, input: &GpuArray) -> GpuArray {
+    let (sums, blocks) = (GpuArray::new(gpu, input.len()), input.len().div_ceil(BLOCK));
+    let block_sums = GpuArray::new(gpu, blocks);
+    let constants = ScanBlock { len: input.len() as u32 };
+    let arrays = [Binding::Read(input), Binding::Write(&sums), Binding::Write(&block_sums)];
+    SCAN.launch(gpu, &[], &constants, &arrays, blocks);
+    if blocks > 1 {
+        let before = exclusive_sums(gpu, &block_sums);
+        let arrays = [Binding::Read(&before), Binding::Write(&sums)];
+        SCAN_ADD.launch(gpu, &[], &constants, &arrays, input.len().div_ceil(ADD_GROUP));
+    }
+    sums
+}
+
+/// The keys in rising order and, for each, where it was; equal keys keep their order. Only the lowest `bits` count.
+pub fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
+    let pass = |keys: &GpuArray, values: Option<&GpuArray>, shift: u32| {
+        let (len, blocks) = (keys.len(), keys.len().div_ceil(BLOCK));
+        let constants = SortBlock { len: len as u32, blocks: blocks as u32, shift };
+        let counts = GpuArray::new(gpu, DIGITS * blocks);
+        COUNT.launch(gpu, &[], &constants, &[Binding::Read(keys), Binding::Write(&counts)], blocks);
+        let offsets = exclusive_sums(gpu, &counts);
+        let (sorted_keys, sorted_values) = (GpuArray::new(gpu, len), GpuArray::new(gpu, len));
+        let arrays = [
+            Binding::Read(keys),
+            Binding::Read(values.unwrap_or(keys)),
+            Binding::Read(&offsets),
+            Binding::Write(&sorted_keys),
+            Binding::Write(&sorted_values),
+        ];
+        SCATTER.launch(gpu, &[("FIRST", u32::from(values.is_none()))], &constants, &arrays, blocks);
+        (sorted_keys, sorted_values)
+    };
+    let mut sorted = pass(keys, None, 0);
+    for shift in (DIGIT_BITS..bits).step_by(DIGIT_BITS as usize) {
+        sorted = pass(&sorted.0, Some(&sorted.1), shift);
+    }
+    sorted
+}

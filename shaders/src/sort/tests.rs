@@ -1,0 +1,81 @@
+use super::*;
+use crate::gpu::layout::{check_layout, validate};
+use crate::gpu::tests::test_gpu;
+
+/// Around the sizes of workgroups and blocks, and two levels of blocks.
+const LENGTHS: [usize; 9] = [0, 1, 255, 256, 257, 1023, 1025, 65_535, 65_537];
+
+/// Numbers without order.
+fn scrambled(len: usize) -> Vec<u32> {
+    (0..len as u32).map(|index| index.wrapping_add(1).wrapping_mul(0x9e37_79b9) ^ index << 7).collect()
+}
+
+fn read(array: &GpuArray) -> Vec<u32> {
+    let mut out = vec![0; array.len()];
+    array.read_into(&mut out);
+    out
+}
+
+#[test]
+fn kernels_are_valid() {
+    for source in [SCAN.source(&[]), SCAN_ADD.source(&[])] {
+        validate(&source).and_then(|_| check_layout::<ScanBlock>(&source)).unwrap_or_else(|error| panic!("{error}"));
+    }
+    for source in [COUNT.source(&[]), SCATTER.source(&[("FIRST", 0)]), SCATTER.source(&[("FIRST", 1)])] {
+        validate(&source).and_then(|_| check_layout::<SortBlock>(&source)).unwrap_or_else(|error| panic!("{error}"));
+    }
+}
+
+#[test]
+fn sums_of_any_length_are_exact() {
+    let Some(gpu) = test_gpu() else { return };
+    // The last has three levels of blocks.
+    for len in LENGTHS.into_iter().chain([(1 << 20) + 1]) {
+        let numbers: Vec<u32> = scrambled(len).iter().map(|number| number % 100).collect();
+        let sums = read(&exclusive_sums(gpu, &GpuArray::upload(gpu, &numbers)));
+        let mut expected = 0;
+        for (index, (&sum, &number)) in sums.iter().zip(&numbers).enumerate() {
+            assert_eq!(sum, expected, "element {index} of {len}");
+            expected += number;
+        }
+    }
+}
+
+#[test]
+fn sums_that_would_overflow_saturate() {
+    let Some(gpu) = test_gpu() else { return };
+    // 2³² + 5 in total.
+    let mut numbers = vec![1 << 20; 4096];
+    numbers.push(5);
+    numbers.push(0);
+    let sums = read(&exclusive_sums(gpu, &GpuArray::upload(gpu, &numbers)));
+    assert!(sums.is_sorted() && sums[511] == 511 << 20 && sums[513..].iter().all(|&sum| sum == SUM_CAP));
+}
+
+/// Whether this is what a stable sort of `keys` gives.
+fn is_stably_sorted(keys: &[u32], (sorted, places): (&[u32], &[u32])) -> bool {
+    let mut expected: Vec<usize> = (0..keys.len()).collect();
+    expected.sort_by_key(|&place| keys[place]);
+    expected.iter().zip(places).all(|(&expected, &place)| expected == place as usize)
+        && places.iter().zip(sorted).all(|(&place, &key)| keys[place as usize] == key)
+}
+
+#[test]
+fn sorts_of_any_length_are_stable() {
+    let Some(gpu) = test_gpu() else { return };
+    for len in LENGTHS {
+        let few: Vec<u32> = scrambled(len).iter().map(|key| key % 11).collect();
+        for (keys, bits) in [(scrambled(len), 32), (few, 4), (vec![7; len], 32), ((0..len as u32).rev().collect(), 32)]
+        {
+            let (sorted, places) = sort(gpu, &GpuArray::upload(gpu, &keys), bits);
+            assert!(is_stably_sorted(&keys, (&read(&sorted), &read(&places))), "{len} keys of {bits} bits");
+        }
+    }
+}
+
+#[test]
+fn a_sort_that_is_not_stable_is_noticed() {
+    let keys = [3, 1, 1, 2];
+    assert!(is_stably_sorted(&keys, (&[1, 1, 2, 3], &[1, 2, 3, 0])));
+    assert!(!is_stably_sorted(&keys, (&[1, 1, 2, 3], &[2, 1, 3, 0])));
+}
