@@ -79,6 +79,15 @@ pub enum Effects {
 }
 
 impl Effects {
+    /// The same choice, as far as it is about these effects.
+    pub fn among(&self, effects: &[Effect]) -> Self {
+        let Self::Named(names) = self else { return Self::Auto };
+        let is_change = |name: &String| name.starts_with(['+', '-']);
+        let is_kept = |name: &&String| effects.iter().any(|effect| effect.name == name.trim_start_matches(['+', '-']));
+        let kept: BTreeSet<String> = names.iter().filter(is_kept).cloned().collect();
+        if kept.is_empty() && names.iter().any(is_change) { Self::Auto } else { Self::Named(kept) }
+    }
+
     /// Whether an effect is on. Before resolution everything is.
     pub fn has(&self, name: &str) -> bool {
         match self {

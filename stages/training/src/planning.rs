@@ -28,15 +28,20 @@ pub fn resolve(
     if constant_color.is_some() {
         effects.retain(|effect| effect.name != VIEW_DEPENDENT_COLOR.name);
     }
+    let shares_phase = coarse::offered(&params).is_some();
+    if shares_phase {
+        // What only later phases simulate is not asked for here, nor are its inputs.
+        effects.retain(|effect| effect.name == VIEW_DEPENDENT_COLOR.name);
+        params.shared.effects = params.shared.effects.among(&effects);
+    }
     let choice = params.shared.effects.choose(&effects, &known_inputs(context))?;
     if !choice.on.contains(VIEW_DEPENDENT_COLOR.name) {
         params.shared.harmonics.degree = 0;
     }
     params.shared.effects = Effects::Named(choice.on);
     let mut decisions = choice.decisions;
-    if coarse::offered(&params).is_some() {
+    if shares_phase {
         params = without_the_rest(params);
-        decisions.retain(|decision| decision.on == params.shared.effects.has(&decision.effect));
     }
     let (start, sharing) = chosen_start(&params, context);
     decisions.extend(constant_color.into_iter().chain(sharing));
@@ -52,9 +57,6 @@ fn without_the_rest(params: TrainingParams) -> TrainingParams {
         if Some(phase) != lean.shared.stop_after.as_ref() {
             *steps = defaults.shared.iterations.get(phase).copied().unwrap_or(*steps);
         }
-    }
-    if let Effects::Named(names) = &mut lean.shared.effects {
-        names.retain(|name| name == VIEW_DEPENDENT_COLOR.name);
     }
     // The base says what its phase reads; a method may hold that it reads some of its own settings.
     if coarse::recipe(&lean) == coarse::recipe(&params) { lean } else { params }

@@ -12,3 +12,4 @@ pub mod hexplane;
 pub mod layers;
 pub mod primitives4d;
 pub mod space_filling_curves;
+pub mod stillness;

@@ -85,6 +85,7 @@ fn a_start_is_chosen_where_it_is_exactly_what_the_training_begins_with() {
     assert_eq!(start("deformable4dgs", &[other]), (None, Some((false, differences))));
     // What comes after the phase does not matter.
     assert_eq!(coarse(json!({ "iterations": { "fine": 5 }, "deformable4dgs": { "width": 8 } })), equal);
+    assert_eq!(coarse(json!({ "effects": ["+skip-still"] })), equal, "its inputs are not asked for either");
     // Who has no such phase is not told about it, and a model that was trained to its end is none.
     assert_eq!(start("static3dgs", &[equal]), (None, None));
     assert_eq!(start("deformable4dgs", &[coarse(json!({ "stop_after": null }))]), (None, None));

@@ -22,9 +22,10 @@ pub use network::{FurtherHead, Heads, MovedPoints};
 
 use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::bases::stillness::{self, SKIP_STILL};
 use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Need};
-use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Step};
+use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Start, Step};
 use crate::params::{Density, LearningRates, Loss, Shared};
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables, belongs};
@@ -212,14 +213,18 @@ impl HexplaneGaussians {
         &self,
         phase: &str,
         mut state: ModelState<T>,
-        scene: &SceneFacts,
+        start: &Start<'_>,
         random: &mut ChaCha8Rng,
-    ) -> ModelState<T> {
+    ) -> anyhow::Result<ModelState<T>> {
         if self.moves(phase) {
+            let scene = start.scene();
             self.field(scene).insert_planes(&mut state, random);
             self.network(scene).insert(&mut state, self.settings.zero_heads, random);
+            if self.shared.effects.has(SKIP_STILL.name) {
+                stillness::insert(&mut state, GAUSSIANS, start)?;
+            }
         }
-        state
+        Ok(state)
     }
 
     /// The step size of a tensor; the box never learns, the field and the network only exist in `fine`.
@@ -239,8 +244,10 @@ impl HexplaneGaussians {
         if !self.moves(moment.phase) {
             return canonical;
         }
-        let features = self.field(moment.scene).at(tape, model, canonical.positions, moment.time);
-        self.network(moment.scene).deform(tape, model, features, canonical, moment.sh_degree)
+        stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, _| {
+            let features = self.field(moment.scene).at(tape, model, some.positions, moment.time);
+            self.network(moment.scene).deform(tape, model, features, some, moment.sh_degree)
+        })
     }
 
     /// Where points [N, 3] of the canonical space are at a time in [0, 1]; as [`HexplaneGaussians::splats`] moves the

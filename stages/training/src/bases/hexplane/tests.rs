@@ -9,6 +9,7 @@ use super::*;
 use crate::dataset::Dataset;
 use crate::effects::Effects;
 use crate::sampler::{Stream, generator};
+use crate::supplements::NOTHING;
 use crate::test_scene::TestScene;
 
 fn scene_facts() -> SceneFacts {
@@ -29,14 +30,25 @@ fn fine_model_of(base: HexplaneGaussians) -> (HexplaneGaussians, ModelState<f64>
     let positions: Vec<[f32; 3]> = (0..6).map(|at| [at as f32, (at * at % 5) as f32, (at % 3) as f32 - 1.0]).collect();
     let points = PointCloud { colors: vec![[10, 200, 90]; positions.len()], positions };
     let state = base.initialize(&scene_facts(), &points).unwrap();
-    let state = base.enter_phase(FINE, state, &scene_facts(), &mut generator(3, Stream::Method));
+    let state = enter_fine(&base, state);
     (base, state)
 }
 
-fn camera() -> PinholeCamera {
+/// The test scene's views with the facts of these tests.
+fn dataset() -> Dataset {
     let dir = tempfile::tempdir().unwrap();
     let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
-    dataset.train[0].camera
+    Dataset { scene: scene_facts(), ..dataset }
+}
+
+fn enter_fine(base: &HexplaneGaussians, coarse: ModelState<f64>) -> ModelState<f64> {
+    let dataset = dataset();
+    let start = Start { dataset: &dataset, supplements: &NOTHING };
+    base.enter_phase(FINE, coarse, &start, &mut generator(3, Stream::Method)).unwrap()
+}
+
+fn camera() -> PinholeCamera {
+    dataset().train[0].camera
 }
 
 /// Every attribute at a time in a phase.
@@ -86,7 +98,7 @@ fn without_motion_there_is_no_field_and_fine_goes_on_as_coarse() {
     let base = HexplaneGaussians::new(&shared, HexplaneSettings::tiny());
     let points = PointCloud { positions: vec![[0.0; 3], [1.0; 3]], colors: vec![[9; 3]; 2] };
     let coarse: ModelState<f64> = base.initialize(&scene_facts(), &points).unwrap();
-    let fine = base.enter_phase(FINE, coarse.clone(), &scene_facts(), &mut generator(3, Stream::Method));
+    let fine = enter_fine(&base, coarse.clone());
     assert_eq!(fine, coarse);
     assert_eq!(attributes(&base, &fine, FINE, 0.7), attributes(&base, &fine, COARSE, 0.7));
 }

@@ -19,6 +19,7 @@ use crate::bases::canonical::{ALL, CanonicalGaussians, Moved, WARM_UP, moved, sc
 use crate::bases::coordinate_mlp::{CoordinateMlp, CoordinateMlpSettings, Head};
 use crate::bases::gaussians::{self, GAUSSIANS};
 use crate::bases::layers::FirstWeights;
+use crate::bases::stillness::{self, SKIP_STILL};
 use crate::effects::{Effect, Need};
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, TrainingView};
 use crate::params::Shared;
@@ -69,6 +70,7 @@ impl MethodFolder for Deformable3dgs {
                 needs: &[Need::Times(2), Need::Motion],
                 by_default: true,
             },
+            SKIP_STILL,
             Effect {
                 name: "time-noise",
                 about: "annealed noise on the times of training views, against wrong poses of real scenes",
@@ -140,6 +142,9 @@ impl<T: Real> Method<T> for DeformedGaussians {
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
             self.network.insert(&mut state, &start.initial_points(&self.shared)?, random);
+            if self.shared.effects.has(SKIP_STILL.name) {
+                stillness::insert(&mut state, GAUSSIANS, start)?;
+            }
         }
         Ok(state)
     }
@@ -154,17 +159,20 @@ impl<T: Real> Method<T> for DeformedGaussians {
         if !self.moves || moment.phase == WARM_UP {
             return Ok(canonical);
         }
-        let hidden = self.network.hidden(tape, model, canonical.positions, &[moment.time]);
-        let [shift, growth] = [POSITION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
-        let turn = self.network.head(tape, model, ROTATION.name, hidden);
-        let (_, raw_rotations) = scales_and_rotations(&canonical);
-        let unit_rotations = quaternion::normalize(tape, raw_rotations);
-        let positions = add(tape, canonical.positions, shift);
-        let rotations = add(tape, unit_rotations, turn);
-        Ok(moved(tape, canonical, Moved { positions, rotations, scale_changes: Some(growth) }))
+        Ok(stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, _| {
+            let hidden = self.network.hidden(tape, model, some.positions, &[moment.time]);
+            let [shift, growth] = [POSITION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
+            let turn = self.network.head(tape, model, ROTATION.name, hidden);
+            let (_, raw_rotations) = scales_and_rotations(&some);
+            let unit_rotations = quaternion::normalize(tape, raw_rotations);
+            let positions = add(tape, some.positions, shift);
+            let rotations = add(tape, unit_rotations, turn);
+            moved(tape, some, Moved { positions, rotations, scale_changes: Some(growth) })
+        }))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        stillness::count_skipped(step, GAUSSIANS);
         for view in step.views {
             step.clock.enter("motion");
             let time = self.training_time(step, view);

@@ -6,7 +6,9 @@ use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
+use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::bases::stillness::{self, SKIP_STILL};
 use crate::coarse::CoarseSharing;
 use crate::effects::Effect;
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
@@ -27,7 +29,7 @@ impl MethodFolder for Deformable4dgs {
     }
 
     fn effects() -> Vec<Effect> {
-        vec![MOTION]
+        vec![MOTION, SKIP_STILL]
     }
 
     fn coarse(_shared: &Shared, _settings: &HexplaneSettings) -> Option<CoarseSharing> {
@@ -73,7 +75,7 @@ impl<T: Real> Method<T> for FourDGaussians {
         start: &Start<'_>,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
-        Ok(self.base.enter_phase(phase, state, start.scene(), random))
+        self.base.enter_phase(phase, state, start, random)
     }
 
     fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
@@ -87,6 +89,7 @@ impl<T: Real> Method<T> for FourDGaussians {
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         photometric_losses(self, step)?;
         self.base.regularize(step);
+        stillness::count_skipped(step, GAUSSIANS);
         Ok(())
     }
 

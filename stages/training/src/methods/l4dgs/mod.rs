@@ -18,6 +18,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::bases::stillness::{self, SKIP_STILL};
 use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Need};
 use crate::language::Language;
@@ -53,6 +54,7 @@ impl MethodFolder for L4dgs {
         let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
         vec![
             MOTION,
+            SKIP_STILL,
             effect("dynamic-semantics", "semantic features change as the teacher's tokens do (equations 6, 7)", CHANGE),
             effect("static-semantics", "semantic features follow the teacher's tokens (equation 3)", &[]),
             effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
@@ -194,7 +196,7 @@ impl<T: Real> Method<T> for LanguageGuided {
         start: &Start<'_>,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
-        let mut state = self.base.enter_phase(phase, state, start.scene(), random);
+        let mut state = self.base.enter_phase(phase, state, start, random)?;
         if phase == TEACHER {
             self.insert_teacher(&mut state, start, random);
         }
@@ -224,6 +226,7 @@ impl<T: Real> Method<T> for LanguageGuided {
             return Ok(());
         }
         self.image_losses(step)?;
+        stillness::count_skipped(step, GAUSSIANS);
         self.base.regularize(step);
         Ok(())
     }

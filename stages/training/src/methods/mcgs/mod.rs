@@ -21,6 +21,7 @@ use super::MethodFolder;
 use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
 use crate::bases::control_nodes::{Rigidity, farthest_points, insert_nodes, published_decay, rows_of, sides};
 use crate::bases::gaussians::{self, GAUSSIANS, logit};
+use crate::bases::stillness::{self, SKIP_STILL};
 use crate::effects::{Effect, Need};
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
 use crate::params::Shared;
@@ -54,6 +55,7 @@ impl MethodFolder for Mcgs {
                 "control nodes carry the Gaussians; a coordinate network and a Markov chain move them",
                 &[Need::Times(2), Need::Motion],
             ),
+            SKIP_STILL,
             effect("attention", "the chain looks back over a window of states, not at the last one alone", OF_MOTION),
             effect("noise", "annealed noise on predicted motion, more where nodes are seldom seen", OF_MOTION),
             effect("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
@@ -124,6 +126,9 @@ impl<T: Real> Method<T> for MarkovGaussians {
             self.choose_nodes(&mut state)?;
             self.nodes.insert(&mut state, &start.initial_points(&self.shared)?, random);
             controls::insert(&mut state, &self.settings, self.has_noise)?;
+            if self.shared.effects.has(SKIP_STILL.name) {
+                stillness::insert(&mut state, GAUSSIANS, start)?;
+            }
         }
         Ok(state)
     }
@@ -147,6 +152,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
         if !self.moves || step.phase == WARM_UP {
             return photometric_losses(self, step);
         }
+        stillness::count_skipped(step, GAUSSIANS);
         for view in step.views {
             step.clock.enter("motion");
             let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);

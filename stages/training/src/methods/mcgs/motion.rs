@@ -14,7 +14,9 @@ use super::settings::Settings;
 use crate::bases::canonical::{Moved, moved, scales_and_rotations};
 use crate::bases::control_nodes::{NODES, identity_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
+use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
+use crate::bases::stillness;
 use crate::method::SceneFacts;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
@@ -152,6 +154,18 @@ impl Nodes {
 
     /// The Gaussians where their nodes take them: x + Σ wₖ·Δμₖ and Δq⊗q, Δq the blend of the nodes' rotations.
     pub fn carry<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        canonical: SplatVars,
+        motion: &NodeMotion,
+    ) -> SplatVars {
+        stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, _| {
+            self.carry_all(tape, model, some, motion)
+        })
+    }
+
+    fn carry_all<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,

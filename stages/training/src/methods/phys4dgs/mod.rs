@@ -14,7 +14,8 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
-use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, coarse_sharing};
+use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::bases::stillness::{self, SKIP_STILL};
 use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Effects, Need};
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
@@ -47,7 +48,8 @@ impl MethodFolder for Phys4dgs {
     fn effects() -> Vec<Effect> {
         let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
         vec![
-            effect("motion", "a hexplane field moves the Gaussians", &[Need::Times(2), Need::Motion]),
+            MOTION,
+            SKIP_STILL,
             effect(
                 "velocity",
                 "Gaussians know their velocity, which agrees with how they move and changes slowly (eqs 3, 10)",
@@ -188,7 +190,7 @@ impl<T: Real> Method<T> for PhysicalGaussians {
         start: &Start<'_>,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
-        Ok(self.base.enter_phase(phase, state, start.scene(), random))
+        self.base.enter_phase(phase, state, start, random)
     }
 
     fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
@@ -202,6 +204,7 @@ impl<T: Real> Method<T> for PhysicalGaussians {
     /// The photometric loss of every view, and beside it the physical ones (eq 11).
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let gain = self.gain(step.phase, step.iteration);
+        stillness::count_skipped(step, GAUSSIANS);
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);

@@ -16,6 +16,7 @@ use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
 use crate::bases::control_nodes::{ControlNodeSettings, published_decay};
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::bases::stillness::{self, SKIP_STILL};
 use crate::effects::{Effect, Need};
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
 use crate::params::{Density, Shared};
@@ -89,6 +90,7 @@ impl MethodFolder for Scgs {
                 needs: &[Need::Times(2), Need::Motion],
                 by_default: true,
             },
+            SKIP_STILL,
             Effect {
                 name: "arap",
                 about: "neighbouring nodes move as rigidly as possible",
@@ -187,6 +189,9 @@ impl<T: Real> Method<T> for SparselyControlled {
         let points = start.initial_points(&self.shared)?;
         self.canonical.insert(&mut state, start.scene(), &points)?;
         self.nodes.insert_gaussian_features(&mut state)?;
+        if self.shared.effects.has(SKIP_STILL.name) {
+            stillness::insert(&mut state, GAUSSIANS, start)?;
+        }
         Ok(state)
     }
 
@@ -207,10 +212,13 @@ impl<T: Real> Method<T> for SparselyControlled {
             return Ok(candidates::splats(tape, model, &self.nodes, moment));
         }
         let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
-        Ok(self.nodes.carry(tape, model, canonical, moment.time))
+        Ok(stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, rows| {
+            self.nodes.carry(tape, model, some, rows, moment.time)
+        }))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        stillness::count_skipped(step, GAUSSIANS);
         let population = if self.moves && step.phase == CHOOSE_NODES { CANDIDATES } else { GAUSSIANS };
         for view in step.views {
             step.clock.enter("motion");

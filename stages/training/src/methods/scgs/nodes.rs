@@ -125,13 +125,21 @@ impl Nodes {
     }
 
     /// The Gaussians at a time: each is carried by the frames of its nodes, and takes over the blend of their changes.
-    pub fn carry<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, canonical: SplatVars, time: f64) -> SplatVars {
+    /// `rows` says which of the Gaussians these are, where they are not all.
+    pub fn carry<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        canonical: SplatVars,
+        rows: Option<&RowIndex>,
+        time: f64,
+    ) -> SplatVars {
         let positions = model.get("nodes.positions");
         let hidden = self.network.hidden(tape, model, positions, &[time]);
         let [translations, growth] =
             [TRANSLATION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
         let [turns, frame] = [ROTATION, FRAME].map(|head| self.network.head(tape, model, head.name, hidden));
-        let (neighbors, weights) = self.weights(tape, model, canonical.positions);
+        let (neighbors, weights) = self.weights(tape, model, canonical.positions, rows);
         let identity = identity_rotations(tape, tape.value(frame).rows());
         let rotations = add(tape, identity, frame);
         let frames = Frames { positions, translations, rotations };
@@ -143,12 +151,20 @@ impl Nodes {
     }
 
     /// The nodes that each Gaussian follows, and how much, in space and learnt coordinates together.
-    fn weights<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, gaussians: Var) -> (Neighbors, Var) {
+    fn weights<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        gaussians: Var,
+        rows: Option<&RowIndex>,
+    ) -> (Neighbors, Var) {
         let nodes = model.get("nodes.positions");
         let (points, nodes) = match self.settings.features {
             0 => (gaussians, nodes),
             _ => {
-                let points = concat_columns(tape, &[gaussians, model.get("gaussians.node_features")]);
+                let all = model.get("gaussians.node_features");
+                let features = rows.map_or(all, |rows| gather(tape, all, rows));
+                let points = concat_columns(tape, &[gaussians, features]);
                 (points, concat_columns(tape, &[nodes, model.get("nodes.features")]))
             }
         };

@@ -47,7 +47,7 @@ fn nodes_that_do_not_move_leave_the_gaussians_where_they_are() {
     let mut tape = Tape::new(shaders::tape::Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
     let canonical = gaussians::static_splats(&mut tape, &model, GAUSSIANS, 0);
-    let carried = nodes.carry(&mut tape, &model, canonical, 0.4);
+    let carried = nodes.carry(&mut tape, &model, canonical, None, 0.4);
     let distance = |(a, b): (&f64, &f64)| (a - b).abs();
     let (before, after) = (tape.value(canonical.positions).as_slice(), tape.value(carried.positions).as_slice());
     let farthest = before.iter().zip(after).map(distance).fold(0.0, f64::max);
