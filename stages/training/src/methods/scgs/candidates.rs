@@ -42,17 +42,19 @@ pub fn learning_rate(rates: &LearningRates, tensor: &str, scene: &SceneFacts) ->
     (tensor != "candidates.rotations").then_some(rate)
 }
 
-/// The candidates at a moment.
-pub fn splats<T: Real>(tape: &mut Tape<T>, model: &Variables, nodes: &Nodes, moment: &Moment<'_>) -> SplatVars {
+/// The candidates at a moment, moved where `nodes` are given.
+pub fn splats<T: Real>(tape: &mut Tape<T>, model: &Variables, nodes: Option<&Nodes>, moment: &Moment<'_>) -> SplatVars {
     let canonical = gaussians::static_splats(tape, model, CANDIDATES, moment.sh_degree);
-    let shift = nodes.translations(tape, model, canonical.positions, &[moment.time]);
+    let positions = match nodes {
+        Some(nodes) => {
+            let shift = nodes.translations(tape, model, canonical.positions, &[moment.time]);
+            add(tape, canonical.positions, shift)
+        }
+        None => canonical.positions,
+    };
     let (log_scales, rotations) = scales_and_rotations(&canonical);
     let sums = row_sum(tape, log_scales);
     let mean = scale(tape, sums, 1.0 / 3.0);
     let log_scales = concat_columns(tape, &[mean; 3]);
-    SplatVars {
-        positions: add(tape, canonical.positions, shift),
-        shape: ShapeVars::ScaleRotation { log_scales, rotations },
-        ..canonical
-    }
+    SplatVars { positions, shape: ShapeVars::ScaleRotation { log_scales, rotations }, ..canonical }
 }

@@ -20,12 +20,15 @@ use crate::bases::stillness::{self, SKIP_STILL};
 use crate::effects::{Effect, Need};
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
 use crate::params::{Density, Shared};
-use crate::schedule::LogLinear;
+use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables};
 use candidates::CANDIDATES;
 use nodes::Nodes;
 
-/// Candidates for nodes learn, each drawn as a Gaussian.
+/// Candidates for nodes learn where things are, each drawn as a Gaussian. Were they moved from the first step on, a network
+/// would learn to carry all of them out of the image: random points are worse than an empty background.
+const PLACE_CANDIDATES: &str = "place-candidates";
+/// Candidates move.
 const CHOOSE_NODES: &str = "choose-nodes";
 
 /// The folder's entry.
@@ -74,7 +77,7 @@ impl MethodFolder for Scgs {
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
-        let iterations = [(CHOOSE_NODES, 7500), (WARM_UP, 3000), (ALL, 67_000)];
+        let iterations = [(PLACE_CANDIDATES, 2000), (CHOOSE_NODES, 5500), (WARM_UP, 3000), (ALL, 67_000)];
         Shared {
             iterations: iterations.map(|(phase, count)| (phase.into(), count)).into(),
             density: Density { until: 50_000, ..Density::default() },
@@ -150,11 +153,12 @@ struct SparselyControlled {
 
 impl<T: Real> Method<T> for SparselyControlled {
     fn phases(&self) -> Vec<Phase> {
-        let candidates = match self.moves {
-            true => self.canonical.phase(CHOOSE_NODES),
-            false => Phase { name: CHOOSE_NODES, iterations: 0 },
+        let of_candidates = |name| match self.moves {
+            true => self.canonical.phase(name),
+            false => Phase { name, iterations: 0 },
         };
-        vec![candidates, self.canonical.phase(WARM_UP), self.canonical.phase(ALL)]
+        let [place, choose] = [PLACE_CANDIDATES, CHOOSE_NODES].map(of_candidates);
+        vec![place, choose, self.canonical.phase(WARM_UP), self.canonical.phase(ALL)]
     }
 
     fn initialize(
@@ -196,9 +200,11 @@ impl<T: Real> Method<T> for SparselyControlled {
     }
 
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        if phase == CHOOSE_NODES && self.moves {
-            let of_candidates = candidates::learning_rate(&self.shared.learning_rates, tensor, scene);
-            return of_candidates.or_else(|| self.nodes.learning_rate_among_candidates(tensor));
+        if self.has_candidates(phase) {
+            let law = candidates::learning_rate(&self.shared.learning_rates, tensor, scene);
+            let of_candidates = law.map(|law| law.after(self.steps_of_candidates_before(phase)));
+            let of_network = || self.nodes.learning_rate_among_candidates(tensor).filter(|_| phase == CHOOSE_NODES);
+            return of_candidates.or_else(of_network);
         }
         let of_gaussians = self.canonical.learning_rate(phase, tensor, scene);
         of_gaussians.or_else(|| self.nodes.learning_rate(tensor, phase == ALL, self.steps_before_all()))
@@ -208,8 +214,9 @@ impl<T: Real> Method<T> for SparselyControlled {
         if !self.moves {
             return Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree));
         }
-        if moment.phase == CHOOSE_NODES {
-            return Ok(candidates::splats(tape, model, &self.nodes, moment));
+        if self.has_candidates(moment.phase) {
+            let nodes = (moment.phase == CHOOSE_NODES).then_some(&self.nodes);
+            return Ok(candidates::splats(tape, model, nodes, moment));
         }
         let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
         Ok(stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, rows| {
@@ -219,14 +226,14 @@ impl<T: Real> Method<T> for SparselyControlled {
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         stillness::count_skipped(step, GAUSSIANS);
-        let population = if self.moves && step.phase == CHOOSE_NODES { CANDIDATES } else { GAUSSIANS };
+        let population = if self.has_candidates(step.phase) { CANDIDATES } else { GAUSSIANS };
         for view in step.views {
             step.clock.enter("motion");
             let splats = self.splats(step.tape, step.model, &step.moment(view))?;
             let rendered = step.render(&splats, None, view, Some(population))?;
             step.photometric(rendered.color, view);
         }
-        if self.is_rigid && step.phase != WARM_UP {
+        if self.is_rigid && [CHOOSE_NODES, ALL].contains(&step.phase) {
             let weight = match step.phase {
                 CHOOSE_NODES => self.settings.candidate_rigidity,
                 _ => self.rigidity_weight(step.iteration),
@@ -237,10 +244,12 @@ impl<T: Real> Method<T> for SparselyControlled {
     }
 
     fn population_controls(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        if phase == CHOOSE_NODES {
+        if [PLACE_CANDIDATES, CHOOSE_NODES].contains(&phase) {
             let white = scene.background == [1.0; 3];
             let density = Density { max_count: self.settings.max_candidates, ..self.shared.density.clone() };
-            let control = AdaptiveDensity::new(CANDIDATES, &density, self.shared.schedule_scale, white);
+            let scale = self.shared.schedule_scale;
+            let before = stretch(self.steps_of_candidates_before(phase), scale);
+            let control = AdaptiveDensity::new(CANDIDATES, &density, scale, white).after(before);
             return if self.moves { vec![Box::new(control)] } else { Vec::new() };
         }
         vec![self.canonical.population_control(phase, scene)]
@@ -248,9 +257,19 @@ impl<T: Real> Method<T> for SparselyControlled {
 }
 
 impl SparselyControlled {
+    /// Whether the model of a phase is candidates for nodes.
+    fn has_candidates(&self, phase: &str) -> bool {
+        self.moves && [PLACE_CANDIDATES, CHOOSE_NODES].contains(&phase)
+    }
+
+    /// The candidates' steps before a phase, before stretching.
+    fn steps_of_candidates_before(&self, phase: &str) -> u64 {
+        if phase == CHOOSE_NODES { self.canonical.iterations(PLACE_CANDIDATES) } else { 0 }
+    }
+
     /// Steps of the network before [`ALL`], before stretching.
     fn steps_before_all(&self) -> u64 {
-        self.canonical.iterations(CHOOSE_NODES) + self.canonical.iterations(WARM_UP)
+        [PLACE_CANDIDATES, CHOOSE_NODES, WARM_UP].map(|phase| self.canonical.iterations(phase)).iter().sum()
     }
 
     /// The weight of rigidity in [`ALL`]; its schedule counts the Gaussians' steps.
