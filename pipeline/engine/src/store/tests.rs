@@ -67,6 +67,23 @@ fn published_folder_is_found_and_reads_in_place() {
 }
 
 #[test]
+fn pages_in_views_are_files_by_their_own_name_and_damage_to_them_is_noticed() {
+    with_store(|store| {
+        let scratch = store.scratch("pages").unwrap();
+        let output = scratch.path().join("output");
+        fs::create_dir_all(&output).unwrap();
+        fs::write(output.join("index.html"), "<!DOCTYPE html>").unwrap();
+        let content = store.publish(&output, &json!(null)).unwrap().content;
+        let page = store.view(&content).unwrap().join("index.html");
+        assert!(fs::symlink_metadata(&page).unwrap().is_file());
+        fs::remove_file(&page).unwrap();
+        fs::write(&page, "<!DOCTYPE htm?>").unwrap();
+        let again = store.view(&content).unwrap().join("index.html");
+        assert_eq!(fs::read_to_string(again).unwrap(), "<!DOCTYPE html>");
+    });
+}
+
+#[test]
 fn damaged_view_is_built_again() {
     with_store(|store| {
         let content = publish(store, "a", "hello").content;

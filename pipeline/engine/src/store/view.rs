@@ -1,4 +1,6 @@
 //! Views: folders of links into `cas`, so that artifacts are read in place.
+//!
+//! Pages and drawings are copied: a browser follows a link first, and then takes a file without an extension for text.
 
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -34,7 +36,10 @@ impl Store {
         for file in &manifest.files {
             let link = building.join(&file.path);
             fs::create_dir_all(link.parent().unwrap_or(&building))?;
-            symlink(link_target(&file.path, &file.sha256), link)?;
+            match is_for_browsers(&file.path) {
+                true => fs::copy(self.blob_path(&file.sha256), link).map(drop)?,
+                false => symlink(link_target(&file.path, &file.sha256), link)?,
+            }
         }
         match fs::rename(&building, view) {
             // Another process made the same view.
@@ -44,6 +49,11 @@ impl Store {
     }
 }
 
+/// Whether what the file is shows in its name alone.
+fn is_for_browsers(path: &str) -> bool {
+    [".html", ".svg"].iter().any(|extension| path.ends_with(extension))
+}
+
 /// Where the link at `path` in a view points: out of the folders of `path`, the view and `views`, then into `cas`.
 fn link_target(path: &str, digest: &Digest) -> PathBuf {
     let depth = path.matches('/').count() + 2;
@@ -51,8 +61,12 @@ fn link_target(path: &str, digest: &Digest) -> PathBuf {
 }
 
 fn is_complete(view: &Path, manifest: &Manifest) -> bool {
-    let points_right = |file: &super::ManifestFile| {
-        fs::read_link(view.join(&file.path)).is_ok_and(|target| target == link_target(&file.path, &file.sha256))
+    let is_right = |file: &super::ManifestFile| {
+        let path = view.join(&file.path);
+        match is_for_browsers(&file.path) {
+            true => blob::is_whole(&path, &file.sha256, file.size_bytes),
+            false => fs::read_link(path).is_ok_and(|target| target == link_target(&file.path, &file.sha256)),
+        }
     };
-    manifest.files.iter().all(points_right)
+    manifest.files.iter().all(is_right)
 }
