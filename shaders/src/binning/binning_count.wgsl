@@ -4,8 +4,6 @@
 @group(0) @binding(5) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> keys: array<u32>;
 
-const NOWHERE: u32 = 0xffffffffu;
-
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,

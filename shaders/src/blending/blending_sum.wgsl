@@ -19,7 +19,6 @@ struct Sum {
 @group(0) @binding(11) var<storage, read_write> g_depths: array<f32>;
 @group(0) @binding(12) var<storage, read_write> g_features: array<f32>;
 
-const NOWHERE: u32 = 0xffffffffu;
 const ROW: u32 = 9u + EXTRAS;
 const FEATURES: u32 = EXTRAS - DEPTH;
 
