@@ -5,7 +5,8 @@ use shaders::splat::{PinholeCamera, ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::canonical::scales_and_rotations;
-use crate::effects::{Effect, Need};
+use crate::bases::gaussians::GAUSSIANS;
+use crate::effects::{Effect, Effects, Need};
 use crate::method::{Start, Step};
 use crate::state::{ModelState, Variables};
 
@@ -20,17 +21,18 @@ pub const SKIP_STILL: Effect = Effect {
 /// Standard deviations that a Gaussian reaches: beyond, less than 1/255 of an opaque one is left (√(2·ln 255)).
 const REACH: f64 = 3.33;
 
-/// What tells the Gaussians of a population that may move (1) from those that stand still (0): [N, 1]; it never learns,
-/// and what density control makes of a Gaussian is as that was.
-fn tensor_name(population: &str) -> String {
-    format!("{population}.may_move")
-}
+/// What tells the Gaussians that may move (1) from those that stand still (0): [N, 1]; it never learns, and what density
+/// control makes of a Gaussian is as that was.
+const MAY_MOVE: &str = "gaussians.may_move";
 
-/// Adds which Gaussians of a population may move: those that reach, in some training view, a pixel that moves. A view whose
-/// moving part is not known shows nothing; where that holds of all views, all may move.
-pub fn insert<T: Real>(state: &mut ModelState<T>, population: &str, start: &Start<'_>) -> anyhow::Result<()> {
+/// Adds, where the effect is on, which Gaussians may move: those that reach, in some training view, a pixel that moves. A
+/// view whose moving part is not known shows nothing; where that holds of all views, all may move.
+pub fn insert<T: Real>(state: &mut ModelState<T>, effects: &Effects, start: &Start<'_>) -> anyhow::Result<()> {
+    if !effects.has(SKIP_STILL.name) {
+        return Ok(());
+    }
     let vectors = |attribute: &str| -> anyhow::Result<Vec<[f64; 3]>> {
-        let tensor = state.get(&format!("{population}.{attribute}"))?;
+        let tensor = state.get(&format!("{GAUSSIANS}.{attribute}"))?;
         Ok((0..tensor.rows()).map(|row| [0, 1, 2].map(|axis| tensor.row(row)[axis].to_f64())).collect())
     };
     let positions = vectors("positions")?;
@@ -48,13 +50,13 @@ pub fn insert<T: Real>(state: &mut ModelState<T>, population: &str, start: &Star
         }
     }
     let values = may_move.iter().map(|&flag| T::from_f64(f64::from(u8::from(flag)))).collect();
-    state.insert(tensor_name(population), Tensor::from_vec([positions.len(), 1], values));
+    state.insert(MAY_MOVE, Tensor::from_vec([positions.len(), 1], values));
     Ok(())
 }
 
-/// Counts the Gaussians of a population that skip the motion model, once for every view of a step.
-pub fn count_skipped<T: Real>(step: &mut Step<'_, T>, population: &str) {
-    let Some(flags) = step.model.find(&tensor_name(population)) else { return };
+/// Counts the Gaussians that skip the motion model, once for every view of a step.
+pub fn count_skipped<T: Real>(step: &mut Step<'_, T>) {
+    let Some(flags) = step.model.find(MAY_MOVE) else { return };
     let flags = step.tape.value(flags);
     let still = flags.as_slice().iter().filter(|&&flag| flag == T::ZERO).count();
     let (views, all) = (step.views.len(), flags.rows());
@@ -65,11 +67,10 @@ pub fn count_skipped<T: Real>(step: &mut Step<'_, T>, population: &str) {
 pub fn move_some<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
-    population: &str,
     canonical: SplatVars,
     motion: impl FnOnce(&mut Tape<T>, SplatVars, Option<&RowIndex>) -> SplatVars,
 ) -> SplatVars {
-    let Some(flags) = model.find(&tensor_name(population)) else { return motion(tape, canonical, None) };
+    let Some(flags) = model.find(MAY_MOVE) else { return motion(tape, canonical, None) };
     let flags = tape.value(flags).as_slice();
     let rows: Vec<u32> = (0..flags.len() as u32).filter(|&row| flags[row as usize] > T::ZERO).collect();
     if rows.is_empty() {
@@ -77,10 +78,10 @@ pub fn move_some<T: Real>(
     }
     let all = flags.len();
     // Where a Gaussian is found among all of them, followed by those that were moved.
-    let mut row_of_item: Vec<u32> = (0..all as u32).collect();
-    rows.iter().enumerate().for_each(|(at, &row)| row_of_item[row as usize] = (all + at) as u32);
-    let (rows, merged) = (RowIndex::new(rows, all), all);
-    let merged = RowIndex::new(row_of_item, merged + rows.len());
+    let mut place: Vec<u32> = (0..all as u32).collect();
+    rows.iter().enumerate().for_each(|(at, &row)| place[row as usize] = (all + at) as u32);
+    let merged = RowIndex::new(place, all + rows.len());
+    let rows = RowIndex::new(rows, all);
 
     let some = map(canonical, |var| gather(tape, var, &rows));
     let moved = motion(tape, some, Some(&rows));
@@ -161,7 +162,7 @@ mod tests {
     use shaders::tape::Device;
 
     use super::*;
-    use crate::bases::gaussians::{GAUSSIANS, insert_gaussians};
+    use crate::bases::gaussians::insert_gaussians;
     use crate::dataset::Dataset;
     use crate::supplements::Supplements;
     use crate::test_scene::TestScene;
@@ -178,8 +179,8 @@ mod tests {
             let mut state = ModelState::<f64>::new();
             insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01).unwrap();
             state.insert("gaussians.log_scales", Tensor::full([40, 3], 0.001_f64.ln()));
-            insert(&mut state, GAUSSIANS, &Start { dataset: &dataset, supplements: &supplements }).unwrap();
-            state.get("gaussians.may_move").unwrap().as_slice().iter().filter(|&&flag| flag == 1.0).count()
+            insert(&mut state, &Effects::Auto, &Start { dataset: &dataset, supplements: &supplements }).unwrap();
+            state.get(MAY_MOVE).unwrap().as_slice().iter().filter(|&&flag| flag == 1.0).count()
         };
         let left_half = (0..256).map(|pixel| u8::from(pixel % 16 < 8)).collect();
         let some = moving_with(Some(left_half));
@@ -200,7 +201,7 @@ mod tests {
 
     fn flagged(tape: &mut Tape<f64>, flags: [f64; 5]) -> Variables {
         let flags = tape.constant(Tensor::from_vec([5, 1], flags.to_vec()));
-        Variables::new([("gaussians.may_move".into(), flags)].into())
+        Variables::new([(MAY_MOVE.into(), flags)].into())
     }
 
     #[test]
@@ -208,7 +209,7 @@ mod tests {
         let mut tape = Tape::new(Device::Cpu);
         let before = canonical(&mut tape);
         let model = flagged(&mut tape, [0.0, 1.0, 0.0, 1.0, 1.0]);
-        let after = move_some(&mut tape, &model, "gaussians", before, |tape, some, rows| {
+        let after = move_some(&mut tape, &model, before, |tape, some, rows| {
             assert_eq!(rows.unwrap().row_of_item(), [1, 3, 4]);
             assert_eq!(tape.value(some.positions).rows(), 3);
             SplatVars { positions: scale(tape, some.positions, 10.0), ..some }
@@ -229,10 +230,10 @@ mod tests {
         let mut tape = Tape::new(Device::Cpu);
         let before = canonical(&mut tape);
         let model = flagged(&mut tape, [0.0; 5]);
-        let after = move_some(&mut tape, &model, "gaussians", before, |_, _, _| panic!("nothing moves"));
+        let after = move_some(&mut tape, &model, before, |_, _, _| panic!("nothing moves"));
         assert_eq!(after.positions, before.positions);
         let unknown = Variables::new(std::collections::BTreeMap::new());
-        let all = move_some(&mut tape, &unknown, "gaussians", before, |_, all, rows| {
+        let all = move_some(&mut tape, &unknown, before, |_, all, rows| {
             assert!(rows.is_none());
             all
         });

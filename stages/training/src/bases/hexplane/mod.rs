@@ -22,7 +22,7 @@ pub use network::{FurtherHead, Heads, MovedPoints};
 
 use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::bases::stillness::{self, SKIP_STILL};
+use crate::bases::stillness;
 use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Need};
 use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Start, Step};
@@ -220,9 +220,7 @@ impl HexplaneGaussians {
             let scene = start.scene();
             self.field(scene).insert_planes(&mut state, random);
             self.network(scene).insert(&mut state, self.settings.zero_heads, random);
-            if self.shared.effects.has(SKIP_STILL.name) {
-                stillness::insert(&mut state, GAUSSIANS, start)?;
-            }
+            stillness::insert(&mut state, &self.shared.effects, start)?;
         }
         Ok(state)
     }
@@ -244,7 +242,7 @@ impl HexplaneGaussians {
         if !self.moves(moment.phase) {
             return canonical;
         }
-        stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, _| {
+        stillness::move_some(tape, model, canonical, |tape, some, _| {
             let features = self.field(moment.scene).at(tape, model, some.positions, moment.time);
             self.network(moment.scene).deform(tape, model, features, some, moment.sh_degree)
         })

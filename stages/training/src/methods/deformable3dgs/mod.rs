@@ -142,9 +142,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
             self.network.insert(&mut state, &start.initial_points(&self.shared)?, random);
-            if self.shared.effects.has(SKIP_STILL.name) {
-                stillness::insert(&mut state, GAUSSIANS, start)?;
-            }
+            stillness::insert(&mut state, &self.shared.effects, start)?;
         }
         Ok(state)
     }
@@ -159,7 +157,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
         if !self.moves || moment.phase == WARM_UP {
             return Ok(canonical);
         }
-        Ok(stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, _| {
+        Ok(stillness::move_some(tape, model, canonical, |tape, some, _| {
             let hidden = self.network.hidden(tape, model, some.positions, &[moment.time]);
             let [shift, growth] = [POSITION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
             let turn = self.network.head(tape, model, ROTATION.name, hidden);
@@ -172,7 +170,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
-        stillness::count_skipped(step, GAUSSIANS);
+        stillness::count_skipped(step);
         for view in step.views {
             step.clock.enter("motion");
             let time = self.training_time(step, view);

@@ -6,7 +6,6 @@ use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
-use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
 use crate::bases::stillness::{self, SKIP_STILL};
 use crate::coarse::CoarseSharing;
@@ -89,7 +88,7 @@ impl<T: Real> Method<T> for FourDGaussians {
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         photometric_losses(self, step)?;
         self.base.regularize(step);
-        stillness::count_skipped(step, GAUSSIANS);
+        stillness::count_skipped(step);
         Ok(())
     }
 

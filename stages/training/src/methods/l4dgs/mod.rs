@@ -226,7 +226,7 @@ impl<T: Real> Method<T> for LanguageGuided {
             return Ok(());
         }
         self.image_losses(step)?;
-        stillness::count_skipped(step, GAUSSIANS);
+        stillness::count_skipped(step);
         self.base.regularize(step);
         Ok(())
     }

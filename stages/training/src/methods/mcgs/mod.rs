@@ -126,9 +126,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             self.choose_nodes(&mut state)?;
             self.nodes.insert(&mut state, &start.initial_points(&self.shared)?, random);
             controls::insert(&mut state, &self.settings, self.has_noise)?;
-            if self.shared.effects.has(SKIP_STILL.name) {
-                stillness::insert(&mut state, GAUSSIANS, start)?;
-            }
+            stillness::insert(&mut state, &self.shared.effects, start)?;
         }
         Ok(state)
     }
@@ -152,7 +150,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
         if !self.moves || step.phase == WARM_UP {
             return photometric_losses(self, step);
         }
-        stillness::count_skipped(step, GAUSSIANS);
+        stillness::count_skipped(step);
         for view in step.views {
             step.clock.enter("motion");
             let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);

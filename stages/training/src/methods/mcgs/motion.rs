@@ -14,7 +14,6 @@ use super::settings::Settings;
 use crate::bases::canonical::{Moved, moved, scales_and_rotations};
 use crate::bases::control_nodes::{NODES, identity_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
-use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
 use crate::bases::stillness;
 use crate::method::SceneFacts;
@@ -160,9 +159,7 @@ impl Nodes {
         canonical: SplatVars,
         motion: &NodeMotion,
     ) -> SplatVars {
-        stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, _| {
-            self.carry_all(tape, model, some, motion)
-        })
+        stillness::move_some(tape, model, canonical, |tape, some, _| self.carry_all(tape, model, some, motion))
     }
 
     fn carry_all<T: Real>(

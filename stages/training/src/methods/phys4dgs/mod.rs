@@ -204,7 +204,7 @@ impl<T: Real> Method<T> for PhysicalGaussians {
     /// The photometric loss of every view, and beside it the physical ones (eq 11).
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let gain = self.gain(step.phase, step.iteration);
-        stillness::count_skipped(step, GAUSSIANS);
+        stillness::count_skipped(step);
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);

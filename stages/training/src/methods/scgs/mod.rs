@@ -193,9 +193,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         let points = start.initial_points(&self.shared)?;
         self.canonical.insert(&mut state, start.scene(), &points)?;
         self.nodes.insert_gaussian_features(&mut state)?;
-        if self.shared.effects.has(SKIP_STILL.name) {
-            stillness::insert(&mut state, GAUSSIANS, start)?;
-        }
+        stillness::insert(&mut state, &self.shared.effects, start)?;
         Ok(state)
     }
 
@@ -219,13 +217,13 @@ impl<T: Real> Method<T> for SparselyControlled {
             return Ok(candidates::splats(tape, model, nodes, moment));
         }
         let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
-        Ok(stillness::move_some(tape, model, GAUSSIANS, canonical, |tape, some, rows| {
+        Ok(stillness::move_some(tape, model, canonical, |tape, some, rows| {
             self.nodes.carry(tape, model, some, rows, moment.time)
         }))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
-        stillness::count_skipped(step, GAUSSIANS);
+        stillness::count_skipped(step);
         let population = if self.has_candidates(step.phase) { CANDIDATES } else { GAUSSIANS };
         for view in step.views {
             step.clock.enter("motion");
