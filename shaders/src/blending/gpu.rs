@@ -2,7 +2,7 @@
 
 use super::{Blend, Constants, ROW_COLORS};
 use crate::binning::{GpuLists, Grid};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
 use crate::projection::RasterSettings;
 use crate::tape::{Real, Tensor};
 
@@ -164,14 +164,11 @@ impl<T: Real> Blend<T> {
         let rows = GpuArray::new(gpu, lists.ranks.len() * (ROW_COLORS + 3 + self.extra_count()));
         let color = outputs[0].on_gpu(gpu);
         let [depth, features] = self.extras_of(&outputs[2..], outputs[0]).map(|output| output.on_gpu(gpu));
-        // Where no gradient arrives, the colours stand in for it.
         let [g_depth, g_features] = self.extras_of(&output_grads[2..], None);
-        let arriving = [output_grads[0], output_grads[1], g_depth, g_features];
-        let mask = arriving.iter().enumerate().fold(0, |mask, (bit, g)| mask | u32::from(g.is_some()) << bit);
-        let arriving = arriving.map(|gradient| gradient.map_or(color, |gradient| gradient.on_gpu(gpu)));
+        let (mask, arriving) = arriving(gpu, &[output_grads[0], output_grads[1], g_depth, g_features], color);
         let read = [records, extras, &lists.ranks, &lists.tile_starts, transmittances, last_entries];
-        let read = read.into_iter().chain([color, depth, features]).chain(arriving).map(Binding::Read);
-        let arrays: Vec<Binding> = read.chain([Binding::Write(&rows)]).collect();
+        let read = read.into_iter().chain([color, depth, features]).map(Binding::Read);
+        let arrays: Vec<Binding> = read.chain(arriving).chain([Binding::Write(&rows)]).collect();
         let [extras, depth, smooth] = self.specialisation();
         let constants = BlendBlock::new(&self.constants, lists.grid);
         if !lists.ranks.is_empty() {
@@ -185,15 +182,12 @@ impl<T: Real> Blend<T> {
 #[cfg(test)]
 #[test]
 fn kernels_are_valid_for_every_kind_of_channel() {
-    use crate::gpu::layout::{Fields, check_layout};
-    fn check<T: Fields>(kernel: &Kernel, specialisation: &[(&'static str, u32)]) {
-        check_layout::<T>(&kernel.source(specialisation)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
-    }
+    use crate::gpu::layout::assert_valid;
     for (extras, depth) in [(0, 0), (1, 0), (1, 1), (9, 1), (16, 0)] {
         let (extras, depth, smooth) = (("EXTRAS", extras), ("DEPTH", depth), ("SMOOTH", depth));
-        check::<PackBlock>(&PACK, &[depth]);
-        check::<BlendBlock>(&FORWARD, &[extras, depth, smooth]);
-        check::<BlendBlock>(&BACKWARD, &[extras, depth, smooth, ("ARRIVING", 0b1011)]);
-        check::<SumBlock>(&SUM, &[extras, depth]);
+        assert_valid::<PackBlock>(&PACK, &[depth]);
+        assert_valid::<BlendBlock>(&FORWARD, &[extras, depth, smooth]);
+        assert_valid::<BlendBlock>(&BACKWARD, &[extras, depth, smooth, ("ARRIVING", 0b1011)]);
+        assert_valid::<SumBlock>(&SUM, &[extras, depth]);
     }
 }

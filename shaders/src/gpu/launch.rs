@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::{Context, Gpu, GpuArray, count, lock};
+use crate::tape::{Real, Tensor};
 
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
 pub const STORAGE_ARRAYS: u32 = 16;
@@ -11,6 +12,12 @@ pub const WORKGROUP_SIZE: u32 = 256;
 /// Workgroups along the first dimension of a dispatch; a larger dispatch is folded (`flat_group` in WGSL). The least that
 /// WebGPU guarantees.
 const MAX_GROUPS: u32 = 65_535;
+
+/// `row_sum`, for kernels in which LANES invocations share a row ([`lanes_for`]).
+pub const ROW_SUM: &str = include_str!("row_sum.wgsl");
+
+/// `column_sum`, for kernels in which a workgroup adds up COLUMNS columns ([`columns_for`]).
+pub const COLUMN_SUM: &str = include_str!("column_sum.wgsl");
 
 /// Text in front of every kernel.
 pub const PRELUDE: &str = include_str!("prelude.wgsl");
@@ -35,6 +42,19 @@ pub enum Binding<'a> {
     Write(&'a GpuArray),
 }
 
+/// The gradients of an operation's outputs as a kernel reads them: by bits which of them there are, and an array for each,
+/// where there is none one that stands in for it and is not looked at.
+pub fn arriving<'a, T: Real>(
+    gpu: Gpu,
+    gradients: &[Option<&'a Tensor<T>>],
+    otherwise: &'a GpuArray,
+) -> (u32, Vec<Binding<'a>>) {
+    let mask =
+        gradients.iter().enumerate().fold(0, |mask, (bit, gradient)| mask | u32::from(gradient.is_some()) << bit);
+    let array = |gradient: &Option<&'a Tensor<T>>| gradient.map_or(otherwise, |gradient| gradient.on_gpu(gpu));
+    (mask, gradients.iter().map(|gradient| Binding::Read(array(gradient))).collect())
+}
+
 /// A compiled kernel.
 pub struct Pipeline {
     pub compute: wgpu::ComputePipeline,
@@ -45,6 +65,17 @@ pub struct Pipeline {
 pub fn specialised(text: &str, constants: &[(&str, u32)]) -> String {
     let lines = constants.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n"));
     lines.collect::<String>() + PRELUDE + text
+}
+
+/// Invocations that share a row of `len` terms: a power of two up to a workgroup, each with a few terms.
+pub fn lanes_for(len: usize) -> usize {
+    let terms = 4;
+    len.div_ceil(terms).next_power_of_two().min(WORKGROUP_SIZE as usize)
+}
+
+/// Columns of `len` that a workgroup adds up at once: a power of two up to 128 bytes, as memory is read.
+pub fn columns_for(len: usize) -> usize {
+    len.next_power_of_two().min(32)
 }
 
 /// Defines a block of constants, laid out as a struct of the kernels: a test compares them.
@@ -76,7 +107,18 @@ pub struct Kernel {
 impl Kernel {
     /// The text, specialised.
     pub fn source(&self, specialisation: &[(&str, u32)]) -> String {
-        specialised(&self.text.concat(), specialisation)
+        let text = self.text.concat();
+        #[cfg(test)]
+        let text = super::fault::planted(self.name, text);
+        specialised(&text, specialisation)
+    }
+
+    /// The name under which its pipeline is kept.
+    fn pipeline_name(&self, specialisation: &[(&str, u32)]) -> String {
+        let name = format!("{} {specialisation:?}", self.name);
+        #[cfg(test)]
+        let name = super::fault::marked(self.name, name);
+        name
     }
 
     /// Records one run.
@@ -89,7 +131,7 @@ impl Kernel {
         groups: usize,
     ) {
         gpu.launch(&Launch {
-            name: format!("{} {specialisation:?}", self.name),
+            name: self.pipeline_name(specialisation),
             source: &|| self.source(specialisation),
             constants: bytemuck::bytes_of(constants),
             arrays,

@@ -32,3 +32,8 @@ pub fn check_layout<T: Fields>(source: &str) -> Result<(), String> {
     }
     Ok(())
 }
+
+/// Panics unless a kernel is valid and has the block of constants `T`.
+pub fn assert_valid<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
+    check_layout::<T>(&kernel.source(specialisation)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
+}

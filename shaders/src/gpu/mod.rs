@@ -7,6 +7,8 @@
 mod adapter;
 mod array;
 pub mod conformance;
+#[cfg(test)]
+pub(crate) mod fault;
 mod launch;
 #[cfg(test)]
 pub(crate) mod layout;
@@ -21,7 +23,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
 pub(crate) use array::GpuArray;
-pub(crate) use launch::{Binding, Kernel, Launch, specialised, uniforms};
+pub(crate) use launch::{
+    Binding, COLUMN_SUM, Kernel, Launch, ROW_SUM, arriving, columns_for, lanes_for, specialised, uniforms,
+};
 
 use launch::Pipeline;
 use recorder::Recorder;

@@ -1,6 +1,7 @@
 //! Weighted sums of what the nodes of a point have.
 
-use super::{Neighbors, for_each_row};
+use super::{Neighbors, for_each_row, gpu};
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// Σₖ wₙₖ·vₖ over the nodes k of point n, for weights [N, K] and values [M, C] → [N, C].
@@ -59,5 +60,20 @@ impl<T: Real> Op<T> for Blend {
             Tensor::from_vec(values.shape(), out)
         };
         vec![needs[0].then(to_weights), needs[1].then(to_values)]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::blend(gpu, &self.neighbors, [inputs[0], inputs[1]])])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(gpu::blend_backward(gpu, &self.neighbors, [inputs[0], inputs[1]], output_grads[0]?, needs))
     }
 }

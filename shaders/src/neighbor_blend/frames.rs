@@ -1,10 +1,11 @@
 //! Points carried by the moving frames of their nodes.
 
-use super::{Neighbors, for_each_row};
+use super::{Neighbors, for_each_row, gpu};
 use crate::algebra::{
     Mat3, Quaternion, Vec3, apply, combine, dot, normalised, normalised_backward, rotation, rotation_backward,
     transposed,
 };
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// What the nodes of [`blend_frames`] are and do.
@@ -120,6 +121,21 @@ impl<T: Real> Op<T> for BlendFrames {
         ];
         gradients.extend(self.to_nodes(weights, points, dy, &frames).map(Some));
         gradients
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::blend_frames(gpu, &self.neighbors, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(gpu::blend_frames_backward(gpu, &self.neighbors, inputs, output_grads[0]?))
     }
 }
 

@@ -7,6 +7,7 @@
 
 mod blend;
 mod frames;
+mod gpu;
 mod nearest;
 #[cfg(test)]
 mod tests;

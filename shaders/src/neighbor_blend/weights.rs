@@ -1,6 +1,7 @@
 //! How much a point follows each of its nodes.
 
-use super::{Neighbors, for_each_row};
+use super::{Neighbors, for_each_row, gpu};
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// Added to every weight before they are divided by their sum, so that a point far from all nodes follows them equally
@@ -113,6 +114,21 @@ impl<T: Real> Op<T> for Weights {
         let mut gradients = vec![to_points, Some(to_nodes), Some(to_radii)];
         gradients.extend(named.gates.map(|_| Some(to_gates)));
         gradients
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::weights(gpu, &self.neighbors, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        gpu::weights_backward(gpu, &self.neighbors, inputs, [outputs[0], output_grads[0]?])
     }
 }
 

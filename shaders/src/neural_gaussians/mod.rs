@@ -11,17 +11,20 @@
 //! Gaussians with α ≤ 0 are left out. None of this has an edge that a render shows: opacities rise from 0.
 
 mod backward;
+mod gpu;
 #[cfg(test)]
 mod tests;
 
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 use scene::gaussians::SH_C0;
 
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 use backward::Gradients;
+use gpu::GpuChosen;
 
 /// Opacities are kept this far from 0 and 1, where their logit is infinite: far below what an image shows.
 const OPACITY_MARGIN: f64 = 1e-6;
@@ -88,6 +91,7 @@ struct Chosen {
     slots: Arc<Vec<u32>>,
     /// [N + 1]: the Gaussians of anchor n are those from `first[n]` to `first[n + 1]`.
     first: Vec<u32>,
+    on_gpu: OnceLock<GpuChosen>,
 }
 
 impl Chosen {
@@ -99,7 +103,7 @@ impl Chosen {
             slots.extend(chosen.map(|(k, _)| (anchor * per_anchor + k) as u32));
             first.push(slots.len() as u32);
         }
-        Self { per_anchor, slots: Arc::new(slots), first }
+        Self { per_anchor, slots: Arc::new(slots), first, on_gpu: OnceLock::new() }
     }
 
     /// [M, width]: `body(anchor, k, row)` for every Gaussian.
@@ -195,6 +199,21 @@ impl<T: Real> Op<T> for Spawn {
             needs[4].then(|| of.shapes()).flatten(),
             needs[5].then(|| of.colors()).flatten(),
         ]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(self.spawn_on_gpu(gpu, inputs))
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(self.backward_on_gpu(gpu, inputs, output_grads))
     }
 }
 

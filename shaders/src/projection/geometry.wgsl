@@ -29,26 +29,16 @@ struct View {
 
 // Standard deviations above this are overflow on its way.
 const MAX_SCALE: f32 = 1e9;
-// Quaternions shorter than the root of this count as no rotation.
-const MIN_SQUARED_NORM: f32 = 1e-12;
 // Below this distance to the camera the viewing direction is undefined.
 const MIN_DISTANCE: f32 = 1e-8;
 const COEFFICIENTS: u32 = (SH_DEGREE + 1u) * (SH_DEGREE + 1u);
-
-// A matrix by rows.
-struct Rows {
-    x: vec3<f32>,
-    y: vec3<f32>,
-    z: vec3<f32>,
-}
 
 // A splat's covariance as F·Fᵀ, with what the backward pass of F needs.
 struct Factor {
     in_range: bool,
     matrix: Rows,
-    // Unit quaternion (w, x, y, z), 1/|q| (zero where the rotation is undefined), standard deviations, rotation.
-    quaternion: vec4<f32>,
-    inverse_norm: f32,
+    unit: Unit,
+    // Standard deviations.
     scales: vec3<f32>,
     rotation: Rows,
 }
@@ -78,25 +68,6 @@ struct Color {
     unclamped: vec3<f32>,
 }
 
-// By bits: compilers may assume that no number is NaN.
-fn is_finite(value: f32) -> bool {
-    return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
-}
-
-fn is_finite3(v: vec3<f32>) -> bool {
-    return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
-}
-
-// v·m for a row v.
-fn times(v: vec3<f32>, m: Rows) -> vec3<f32> {
-    return v.x * m.x + v.y * m.y + v.z * m.z;
-}
-
-// m·diag(s).
-fn scale_columns(m: Rows, s: vec3<f32>) -> Rows {
-    return Rows(m.x * s, m.y * s, m.z * s);
-}
-
 fn camera_rotation() -> Rows {
     return Rows(view.rows[0].xyz, view.rows[1].xyz, view.rows[2].xyz);
 }
@@ -121,25 +92,6 @@ fn raw_rotation(splat: u32) -> vec4<f32> {
 fn coefficient(splat: u32, k: u32) -> vec3<f32> {
     let at = splat * view.sh_len + 3u * k;
     return vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
-}
-
-// 1 / (1 + e⁻ˣ) without overflow.
-fn sigmoid(x: f32) -> f32 {
-    let e = exp(-abs(x));
-    return select(e, 1.0, x >= 0.0) / (1.0 + e);
-}
-
-// The rotation of a unit quaternion (w, x, y, z).
-fn rotation_matrix(q: vec4<f32>) -> Rows {
-    let w = q.x;
-    let x = q.y;
-    let y = q.z;
-    let z = q.w;
-    return Rows(
-        vec3<f32>(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        vec3<f32>(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        vec3<f32>(2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    );
 }
 
 fn largest(m: Rows) -> f32 {
@@ -169,15 +121,8 @@ fn factor_of(splat: u32) -> Factor {
     // A logarithm of minus infinity is a scale of zero; that of a NaN is out of range.
     let is_number = is_finite3(factor.scales) && all(log_scales < vec3<f32>(3e38));
     factor.in_range = is_number && all(factor.scales <= vec3<f32>(MAX_SCALE));
-    let raw = raw_rotation(splat);
-    let squared = dot(raw, raw);
-    factor.quaternion = vec4<f32>(1.0, 0.0, 0.0, 0.0);
-    factor.inverse_norm = 0.0;
-    if (!(squared < MIN_SQUARED_NORM)) {
-        factor.inverse_norm = 1.0 / sqrt(squared);
-        factor.quaternion = raw * factor.inverse_norm;
-    }
-    factor.rotation = rotation_matrix(factor.quaternion);
+    factor.unit = normalised(raw_rotation(splat));
+    factor.rotation = rotation_matrix(factor.unit.quaternion);
     factor.matrix = scale_columns(factor.rotation, factor.scales);
     return factor;
 }
@@ -201,7 +146,7 @@ fn geometry_of(splat: u32) -> Geometry {
     }
     let world = geometry.factor_world.matrix;
     let rotation = camera_rotation();
-    geometry.factor_view = Rows(times(rotation.x, world), times(rotation.y, world), times(rotation.z, world));
+    geometry.factor_view = Rows(row_times(rotation.x, world), row_times(rotation.y, world), row_times(rotation.z, world));
     let slopes = p.xy / p.z;
     geometry.slopes = min(max(slopes, view.slope_low), view.slope_high);
     geometry.is_free = (slopes >= view.slope_low) & (slopes <= view.slope_high);

@@ -2,16 +2,18 @@
 
 use super::reference::View;
 use super::{Projection, ShapeInputs};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::algebra;
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
 use crate::tape::{Real, Tensor};
 
 /// Splats per workgroup: few, because each invocation holds many numbers.
 const GROUP: usize = 64;
 
 const GEOMETRY: &str = include_str!("geometry.wgsl");
-pub(super) const FORWARD: Kernel = Kernel { name: "projection", text: &[GEOMETRY, include_str!("projection.wgsl")] };
+pub(super) const FORWARD: Kernel =
+    Kernel { name: "projection", text: &[algebra::WGSL, GEOMETRY, include_str!("projection.wgsl")] };
 pub(super) const BACKWARD: Kernel =
-    Kernel { name: "projection backward", text: &[GEOMETRY, include_str!("projection_bwd.wgsl")] };
+    Kernel { name: "projection backward", text: &[algebra::WGSL, GEOMETRY, include_str!("projection_bwd.wgsl")] };
 
 uniforms! {
     /// As the `View` of the kernels.
@@ -99,10 +101,8 @@ impl<T: Real> Projection<T> {
         let mut bindings = parameters(gpu, inputs);
         let cutoffs = cutoffs.on_gpu(gpu);
         bindings.push(Binding::Read(cutoffs));
-        // Where no gradient arrives, the cutoffs stand in for it.
-        let arriving = &output_grads[..5];
-        bindings.extend(arriving.iter().map(|g| Binding::Read(g.map_or(cutoffs, |g| g.on_gpu(gpu)))));
-        let mask = arriving.iter().enumerate().fold(0, |mask, (bit, g)| mask | u32::from(g.is_some()) << bit);
+        let (mask, arriving) = arriving(gpu, &output_grads[..5], cutoffs);
+        bindings.extend(arriving);
         let gradients: Vec<GpuArray> = inputs.iter().map(|input| GpuArray::new(gpu, input.len())).collect();
         bindings.extend(gradients.iter().map(Binding::Write));
         let no_rotations = (inputs.len() == 4).then(|| GpuArray::new(gpu, 1));

@@ -60,26 +60,6 @@ fn covariance_gradient(conic: vec3<f32>, g: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(g_variance, 2.0 * k * g_variance - m * g.y, k * k * g_variance - k * m * g.y - m * m * g.z);
 }
 
-// The gradient of the unit quaternion from that of its rotation.
-fn quaternion_gradient(q: vec4<f32>, g: Rows) -> vec4<f32> {
-    let w = q.x;
-    let x = q.y;
-    let y = q.z;
-    let z = q.w;
-    let wx = g.z.y - g.y.z;
-    let wy = g.x.z - g.z.x;
-    let wz = g.y.x - g.x.y;
-    let xy = g.x.y + g.y.x;
-    let xz = g.x.z + g.z.x;
-    let yz = g.y.z + g.z.y;
-    return 2.0 * vec4<f32>(
-        x * wx + y * wy + z * wz,
-        y * xy + z * xz + w * wx - 2.0 * x * (g.y.y + g.z.z),
-        x * xy + z * yz + w * wy - 2.0 * y * (g.x.x + g.z.z),
-        x * xz + y * yz + w * wz - 2.0 * z * (g.x.x + g.y.y),
-    );
-}
-
 fn write_shape_row(first: u32, row: vec3<f32>) {
     for (var axis = 0u; axis < 3u; axis++) {
         g_shapes[first + axis] = row[axis];
@@ -96,9 +76,8 @@ fn write_shape_gradient(splat: u32, factor: Factor, g: Rows) {
     }
     let along = factor.rotation.x * g.x + factor.rotation.y * g.y + factor.rotation.z * g.z;
     write_shape_row(3u * splat, factor.scales * along);
-    let g_unit = quaternion_gradient(factor.quaternion, scale_columns(g, factor.scales));
-    let radial = dot(g_unit, factor.quaternion);
-    let g_raw = (g_unit - radial * factor.quaternion) * factor.inverse_norm;
+    let g_unit = rotation_backward(factor.unit.quaternion, scale_columns(g, factor.scales));
+    let g_raw = normalised_backward(factor.unit, g_unit);
     for (var i = 0u; i < 4u; i++) {
         g_rotations[4u * splat + i] = g_raw[i];
     }
@@ -140,9 +119,9 @@ fn geometry_backward(splat: u32, geometry: Geometry) -> vec3<f32> {
         vec3<f32>(camera.x.y, camera.y.y, camera.z.y),
         vec3<f32>(camera.x.z, camera.y.z, camera.z.z),
     );
-    let g_world = Rows(times(columns.x, g_view), times(columns.y, g_view), times(columns.z, g_view));
+    let g_world = Rows(row_times(columns.x, g_view), row_times(columns.y, g_view), row_times(columns.z, g_view));
     write_shape_gradient(splat, geometry.factor_world, g_world);
-    return times(g_position, camera);
+    return row_times(g_position, camera);
 }
 
 // Σₖ gₖ ∇Yₖ(direction), with the direction's components taken as independent.

@@ -1,9 +1,10 @@
 //! Rows picked by an index list, and rows summed by the same list: each is the other's backward pass.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
+use crate::gpu::{Gpu, GpuArray};
 use crate::tape::chunks::for_each_chunk;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -26,6 +27,18 @@ struct Lists {
     items: Vec<u32>,
     /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
     starts: Vec<u32>,
+    on_gpu: OnceLock<GpuIndex>,
+}
+
+/// The lists in a GPU's memory.
+#[derive(Debug)]
+pub(crate) struct GpuIndex {
+    /// [M].
+    pub row_of_item: GpuArray,
+    /// [M], sorted by row, then by item.
+    pub items: GpuArray,
+    /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
+    pub starts: GpuArray,
 }
 
 impl RowIndex {
@@ -42,7 +55,7 @@ impl RowIndex {
             items[next[row as usize] as usize] = item as u32;
             next[row as usize] += 1;
         }
-        Self { lists: Arc::new(Lists { row_of_item, items, starts }) }
+        Self { lists: Arc::new(Lists { row_of_item, items, starts, on_gpu: OnceLock::new() }) }
     }
 
     /// N.
@@ -69,6 +82,16 @@ impl RowIndex {
     pub fn items_of(&self, row: usize) -> &[u32] {
         let Lists { items, starts, .. } = &*self.lists;
         &items[starts[row] as usize..starts[row + 1] as usize]
+    }
+
+    /// The lists in the GPU's memory, uploaded once.
+    pub(crate) fn on_gpu(&self, gpu: Gpu) -> &GpuIndex {
+        let Lists { row_of_item, items, starts, on_gpu } = &*self.lists;
+        on_gpu.get_or_init(|| GpuIndex {
+            row_of_item: GpuArray::upload(gpu, row_of_item),
+            items: GpuArray::upload(gpu, items),
+            starts: GpuArray::upload(gpu, starts),
+        })
     }
 
     /// y[m] = x[row of m] for x [N, …].

@@ -2,6 +2,7 @@ use std::array::from_fn;
 
 use rayon::prelude::*;
 
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// Rows per parallel chunk: rows are short, so this is tens of microseconds.
@@ -20,6 +21,22 @@ pub trait RowMap<const I: usize>: Send + Sync + 'static {
 
     /// Writes the gradient of every input row, which holds zeros on entry.
     fn gradient<T: Real>(&self, inputs: [&[T]; I], y: &[T], dy: &[T], gradients: [&mut [T]; I]);
+
+    /// As [`RowMap::value`] for all rows, with kernels for a GPU; `None` if there are none for these inputs.
+    fn value_gpu<T: Real>(&self, _gpu: Gpu, _inputs: [&Tensor<T>; I]) -> Option<Tensor<T>> {
+        None
+    }
+
+    /// As [`RowMap::gradient`] for all rows, with kernels for a GPU; `None` if there are none for these inputs.
+    fn gradient_gpu<T: Real>(
+        &self,
+        _gpu: Gpu,
+        _inputs: [&Tensor<T>; I],
+        _y: &Tensor<T>,
+        _dy: &Tensor<T>,
+    ) -> Option<[Tensor<T>; I]> {
+        None
+    }
 }
 
 /// Applies `map` to the rows of I tensors of N rows each → [N, output columns].
@@ -76,5 +93,21 @@ impl<T: Real, M: RowMap<I>, const I: usize> Op<T> for MapRows<M, I> {
             }
         });
         inputs.iter().zip(gradients).map(|(input, values)| Some(Tensor::from_vec(input.shape(), values))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.map.value_gpu(gpu, from_fn(|input| inputs[input]))?])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let gradients = self.map.gradient_gpu(gpu, from_fn(|input| inputs[input]), outputs[0], output_grads[0]?)?;
+        Some(gradients.map(Some).into())
     }
 }

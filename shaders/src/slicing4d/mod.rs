@@ -10,14 +10,16 @@
 //! which is therefore positive semi-definite, also where a flat Gaussian is ten thousand times as long in time.
 
 mod algebra;
+mod gpu;
 mod reference;
 #[cfg(test)]
 mod tests;
 
 use rayon::prelude::*;
 
+use crate::gpu::{Gpu, GpuArray};
 use crate::rows::RowIndex;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Device, Op, Real, Tape, Tensor, Var};
 use reference::{Gaussian, Sliced};
 
 /// Gaussians per parallel chunk: tens of microseconds.
@@ -68,7 +70,8 @@ pub fn slice<T: Real>(tape: &mut Tape<T>, vars: &Gaussians4dVars, time: f64, row
         assert_eq!(tape.value(var).len(), count * row_len, "slicing: a parameter has the wrong shape");
     }
     assert_eq!(rows.rows(), count, "slicing: number of rows");
-    let outputs = tape.apply(Slicing { time: T::from_f64(time), rows: rows.clone() }, &vars.inputs());
+    let slicing = Slicing { time: T::from_f64(time), rows: rows.clone(), kept: None };
+    let outputs = tape.apply(slicing, &vars.inputs());
     let [displacements, velocities, factors, opacity_logits] = outputs[..] else { unreachable!("four outputs") };
     SlicedVars { displacements, velocities, factors, opacity_logits }
 }
@@ -76,6 +79,9 @@ pub fn slice<T: Real>(tape: &mut Tape<T>, vars: &Gaussians4dVars, time: f64, row
 /// The Gaussians of which more than `least_share` of the opacity is left at an instant.
 pub fn rows_at<T: Real>(tape: &Tape<T>, vars: &Gaussians4dVars, time: f64, least_share: f64) -> Vec<u32> {
     let inputs = vars.inputs().map(|var| tape.value(var));
+    if let Device::Gpu(gpu) = tape.device() {
+        return gpu::rows_at(gpu, &inputs, time, least_share.ln());
+    }
     let (time, least) = (T::from_f64(time), T::from_f64(least_share.ln()));
     let is_there = |&row: &u32| gaussian(&inputs, row as usize, time).log_share() > least;
     (0..inputs[4].len() as u32).into_par_iter().with_min_len(ROWS_PER_CHUNK).filter(is_there).collect()
@@ -84,6 +90,8 @@ pub fn rows_at<T: Real>(tape: &Tape<T>, vars: &Gaussians4dVars, time: f64, least
 struct Slicing<T> {
     time: T,
     rows: RowIndex,
+    /// What kernels for a GPU keep of the parameters.
+    kept: Option<GpuArray>,
 }
 
 impl<T: Real> Op<T> for Slicing<T> {
@@ -127,6 +135,21 @@ impl<T: Real> Op<T> for Slicing<T> {
             }
         }
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(self.slice_on_gpu(gpu, inputs))
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        self.backward_on_gpu(gpu, inputs, output_grads)
     }
 }
 

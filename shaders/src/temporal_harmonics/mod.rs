@@ -1,13 +1,15 @@
 //! Colours that change with time: a Fourier series of spherical harmonics (Yang et al. 2024, "Real-time photorealistic
 //! dynamic scene representation and rendering with 4D Gaussian splatting", equation 10).
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
 use std::f64::consts::TAU;
 
+use crate::gpu::Gpu;
 use crate::rows::{RowMap, map_rows, reshape};
-use crate::tape::{Real, Tape, Var};
+use crate::tape::{Real, Tape, Tensor, Var};
 
 /// Σₙ cos(2πn(t − μₜ))·wₙ, n = 1, 2, …: what the waves add to the constant harmonics at the time t in [0, 1].
 ///
@@ -69,5 +71,19 @@ impl RowMap<2> for Waves {
             let product: T = wave.iter().zip(dy).map(|(&value, &dy)| value * dy).sum();
             d_time[0] += frequency * phase.sin() * product;
         }
+    }
+
+    fn value_gpu<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; 2]) -> Option<Tensor<T>> {
+        Some(self.value_on_gpu(gpu, inputs))
+    }
+
+    fn gradient_gpu<T: Real>(
+        &self,
+        gpu: Gpu,
+        inputs: [&Tensor<T>; 2],
+        _y: &Tensor<T>,
+        dy: &Tensor<T>,
+    ) -> Option<[Tensor<T>; 2]> {
+        Some(self.gradient_on_gpu(gpu, inputs, dy))
     }
 }

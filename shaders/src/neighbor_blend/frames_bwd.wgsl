@@ -1,0 +1,31 @@
+// The gradients of weights and points: an invocation per point.
+
+@group(0) @binding(6) var<storage, read> node_of_item: array<u32>;
+@group(0) @binding(7) var<storage, read> dy: array<f32>;
+@group(0) @binding(8) var<storage, read_write> g_weights: array<f32>;
+@group(0) @binding(9) var<storage, read_write> g_points: array<f32>;
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let point = flat_group(group, groups) * 64u + local;
+    if (point >= sizes.points) {
+        return;
+    }
+    let x = point_at(point);
+    let g = vec3<f32>(dy[3u * point], dy[3u * point + 1u], dy[3u * point + 2u]);
+    var g_point = vec3<f32>(0.0);
+    for (var rank = 0u; rank < sizes.per_point; rank++) {
+        let item = point * sizes.per_point + rank;
+        let node = node_of_item[item];
+        let rotation = rotation_of(node);
+        g_weights[item] = dot(carried(rotation, node, x), g);
+        g_point += weights[item] * row_times(g, rotation);
+    }
+    for (var axis = 0u; axis < 3u; axis++) {
+        g_points[3u * point + axis] = g_point[axis];
+    }
+}

@@ -1,0 +1,32 @@
+// What the nodes of a point have, weighted: an invocation per value.
+
+struct Blend {
+    points: u32,
+    per_point: u32,
+    columns: u32,
+    nodes: u32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Blend;
+@group(0) @binding(1) var<storage, read> weights: array<f32>;
+@group(0) @binding(2) var<storage, read> values: array<f32>;
+@group(0) @binding(3) var<storage, read> node_of_item: array<u32>;
+@group(0) @binding(4) var<storage, read_write> y: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = flat_group(group, groups) * 256u + local;
+    if (at >= sizes.points * sizes.columns) {
+        return;
+    }
+    let first = at / sizes.columns * sizes.per_point;
+    var sum = 0.0;
+    for (var item = first; item < first + sizes.per_point; item++) {
+        sum += weights[item] * values[node_of_item[item] * sizes.columns + at % sizes.columns];
+    }
+    y[at] = sum;
+}

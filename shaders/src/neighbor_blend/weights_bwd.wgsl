@@ -1,0 +1,40 @@
+// The gradients of the weights before the division by their sum, (dwₖ − Σⱼ wⱼdwⱼ) / sum, and of the points: an invocation
+// per point.
+
+@group(0) @binding(5) var<storage, read> node_of_item: array<u32>;
+@group(0) @binding(6) var<storage, read> weights: array<f32>;
+@group(0) @binding(7) var<storage, read> dweights: array<f32>;
+@group(0) @binding(8) var<storage, read_write> unnormalised: array<f32>;
+@group(0) @binding(9) var<storage, read_write> g_points: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let point = flat_group(group, groups) * 256u + local;
+    if (point >= sizes.points) {
+        return;
+    }
+    let first = point * sizes.per_point;
+    var total = 0.0;
+    var along = 0.0;
+    for (var item = first; item < first + sizes.per_point; item++) {
+        total += weight_of(pair_of(point, node_of_item[item]));
+        along += weights[item] * dweights[item];
+    }
+    for (var axis = 0u; axis < sizes.axes; axis++) {
+        g_points[point * sizes.axes + axis] = 0.0;
+    }
+    for (var item = first; item < first + sizes.per_point; item++) {
+        let node = node_of_item[item];
+        let pair = pair_of(point, node);
+        let dweight = (dweights[item] - along) / total;
+        unnormalised[item] = dweight;
+        let pull = -dweight * pair.gate * pair.falloff * pair.inverse_variance;
+        for (var axis = 0u; axis < sizes.axes; axis++) {
+            g_points[point * sizes.axes + axis] += pull * difference(point, node, axis);
+        }
+    }
+}

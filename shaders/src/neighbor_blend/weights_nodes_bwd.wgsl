@@ -1,0 +1,47 @@
+// The gradients of the nodes' positions, logarithmic radii and gates: LANES invocations per node, each with every LANES-th
+// follower.
+
+@group(0) @binding(5) var<storage, read> items: array<u32>;
+@group(0) @binding(6) var<storage, read> starts: array<u32>;
+@group(0) @binding(7) var<storage, read> unnormalised: array<f32>;
+@group(0) @binding(8) var<storage, read_write> g_nodes: array<f32>;
+@group(0) @binding(9) var<storage, read_write> g_log_radii: array<f32>;
+@group(0) @binding(10) var<storage, read_write> g_gates: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let node = flat_group(group, groups) * (256u / LANES) + local / LANES;
+    var g_position: array<f32, AXES>;
+    var g_radius = 0.0;
+    var g_gate = 0.0;
+    if (node < sizes.nodes) {
+        for (var at = starts[node] + local % LANES; at < starts[node + 1u]; at += LANES) {
+            let point = items[at] / sizes.per_point;
+            let pair = pair_of(point, node);
+            let dweight = unnormalised[items[at]];
+            let pull = dweight * pair.gate * pair.falloff * pair.inverse_variance;
+            for (var axis = 0u; axis < AXES; axis++) {
+                g_position[axis] += pull * difference(point, node, axis);
+            }
+            g_radius += pull * pair.squared_distance;
+            g_gate += dweight * pair.falloff * pair.gate * (1.0 - pair.gate);
+        }
+    }
+    let writes = node < sizes.nodes && local % LANES == 0u;
+    for (var axis = 0u; axis < AXES; axis++) {
+        let sum = row_sum(local, g_position[axis]);
+        if (writes) {
+            g_nodes[node * AXES + axis] = sum;
+        }
+    }
+    let radius = row_sum(local, g_radius);
+    let gate = row_sum(local, g_gate);
+    if (writes) {
+        g_log_radii[node] = radius;
+        g_gates[node] = gate;
+    }
+}

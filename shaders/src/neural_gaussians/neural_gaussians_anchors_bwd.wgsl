@@ -1,0 +1,42 @@
+// The gradients of positions and scales of anchors, each the sum over its Gaussians in order: an invocation per anchor.
+// ARRIVING tells by bits which of the gradients of positions and scales there are; what stands in for another is not read.
+
+@group(0) @binding(1) var<storage, read> log_scales: array<f32>;
+@group(0) @binding(2) var<storage, read> offsets: array<f32>;
+@group(0) @binding(3) var<storage, read> slots: array<u32>;
+@group(0) @binding(4) var<storage, read> first: array<u32>;
+@group(0) @binding(5) var<storage, read> by_position: array<f32>;
+@group(0) @binding(6) var<storage, read> by_log_scale: array<f32>;
+@group(0) @binding(7) var<storage, read_write> g_positions: array<f32>;
+@group(0) @binding(8) var<storage, read_write> g_log_scales: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let anchor = flat_group(group, groups) * 256u + local;
+    if (anchor >= sizes.anchors) {
+        return;
+    }
+    for (var axis = 0u; axis < 3u; axis++) {
+        let scale = exp(log_scales[6u * anchor + axis]);
+        var g_position = 0.0;
+        var g_reach = 0.0;
+        var g_scale = 0.0;
+        for (var gaussian = first[anchor]; gaussian < first[anchor + 1u]; gaussian++) {
+            if ((ARRIVING & 1u) != 0u) {
+                let g = by_position[3u * gaussian + axis];
+                g_position += g;
+                g_reach += g * offsets[3u * slots[gaussian] + axis] * scale;
+            }
+            if ((ARRIVING & 2u) != 0u) {
+                g_scale += by_log_scale[3u * gaussian + axis];
+            }
+        }
+        g_positions[3u * anchor + axis] = g_position;
+        g_log_scales[6u * anchor + axis] = g_reach;
+        g_log_scales[6u * anchor + 3u + axis] = g_scale;
+    }
+}

@@ -1,0 +1,24 @@
+// The sum of a row's waves: an invocation per value.
+
+@group(0) @binding(1) var<storage, read> waves: array<f32>;
+@group(0) @binding(2) var<storage, read> times: array<f32>;
+@group(0) @binding(3) var<storage, read_write> y: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = flat_group(group, groups) * 256u + local;
+    if (at >= sizes.rows * sizes.used) {
+        return;
+    }
+    let row = at / sizes.used;
+    let offset = sizes.time - times[row];
+    var sum = 0.0;
+    for (var wave = 0u; wave < sizes.waves; wave++) {
+        sum += cos(phase_of(wave, offset)) * waves[(row * sizes.waves + wave) * sizes.stored + at % sizes.used];
+    }
+    y[at] = sum;
+}
