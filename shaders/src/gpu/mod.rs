@@ -6,6 +6,7 @@
 
 mod adapter;
 mod array;
+pub(crate) mod column_sums;
 pub mod conformance;
 #[cfg(test)]
 pub(crate) mod fault;

@@ -4,11 +4,14 @@
 //! x [H, W, C], γ [C], β [C] → y [H, W, C]. Unlike batch normalisation it does the same in training and in use. Sums run
 //! in f64 over chunks of fixed size.
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
+use crate::gpu::Gpu;
 use crate::tape::chunks::{for_each_chunk, map_chunks};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
+use gpu::GpuStatistics;
 
 /// ε of Wu and He 2018.
 const EPSILON: f64 = 1e-5;
@@ -22,7 +25,7 @@ pub fn group_norm<T: Real>(tape: &mut Tape<T>, x: Var, scale: Var, shift: Var, g
     for var in [scale, shift] {
         assert_eq!(tape.value(var).len(), channels, "group_norm: scale and shift need one value per channel");
     }
-    tape.apply_one(GroupNorm { channels, groups, statistics: Vec::new() }, &[x, scale, shift])
+    tape.apply_one(GroupNorm { channels, groups, statistics: Vec::new(), on_gpu: None }, &[x, scale, shift])
 }
 
 struct GroupNorm {
@@ -30,6 +33,8 @@ struct GroupNorm {
     groups: usize,
     /// Per group: mean and 1/√(σ² + ε).
     statistics: Vec<[f64; 2]>,
+    /// The same where kernels for a GPU computed it.
+    on_gpu: Option<GpuStatistics>,
 }
 
 impl GroupNorm {
@@ -144,5 +149,20 @@ impl<T: Real> Op<T> for GroupNorm {
         let per_channel =
             |term: usize| Tensor::from_vec([self.channels], sums.iter().map(|sums| T::from_f64(sums[term])).collect());
         vec![needs[0].then(dx), needs[1].then(|| per_channel(1)), needs[2].then(|| per_channel(0))]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.forward_on_gpu(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        self.backward_on_gpu(gpu, inputs, output_grads[0]?)
     }
 }

@@ -1,8 +1,10 @@
 //! Layer normalisation (Ba et al. 2016): every row to mean 0 and variance 1, then scaled and shifted by column.
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
+use crate::gpu::Gpu;
 use crate::rows::{RowMap, map_rows};
 use crate::tape::chunks::map_chunks;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
@@ -61,6 +63,20 @@ impl RowMap<1> for Standardize {
             *dx = (dy - by_mean - y * by_deviation) / deviation;
         }
     }
+
+    fn value_gpu<T: Real>(&self, gpu: Gpu, [x]: [&Tensor<T>; 1]) -> Option<Tensor<T>> {
+        Some(gpu::standardize(gpu, x))
+    }
+
+    fn gradient_gpu<T: Real>(
+        &self,
+        gpu: Gpu,
+        [x]: [&Tensor<T>; 1],
+        y: &Tensor<T>,
+        dy: &Tensor<T>,
+    ) -> Option<[Tensor<T>; 1]> {
+        Some([gpu::standardize_backward(gpu, [x, y, dy])])
+    }
 }
 
 struct AffineColumns;
@@ -107,5 +123,20 @@ impl<T: Real> Op<T> for AffineColumns {
             Some(Tensor::from_vec([columns], total))
         };
         vec![Some(dx), total(0), total(1)]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::affine_columns(gpu, [inputs[0], inputs[1], inputs[2]])])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(gpu::affine_columns_backward(gpu, [inputs[0], inputs[1], inputs[2]], output_grads[0]?))
     }
 }

@@ -1,0 +1,131 @@
+//! Sums over the rows of what an operation computes from its arrays, column by column: first over blocks of rows, then over
+//! blocks, in an order that depends on the sizes alone.
+
+use super::launch::COLUMN_SUM;
+use super::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
+
+/// The end of a kernel of terms: the text in front of it declares the arrays from binding 2 on, and defines
+/// `fn terms(row: u32, column: u32) -> vec2<f32>`.
+pub const COLUMN_SUMS: [&str; 2] = [COLUMN_SUM, include_str!("column_sums.wgsl")];
+const TOTALS: Kernel = Kernel { name: "column totals", text: &[COLUMN_SUM, include_str!("column_totals.wgsl")] };
+
+/// The most blocks, and the fewest rows of each: few enough to be added by one workgroup, and many enough to fill a GPU.
+const MAX_BLOCKS: usize = 256;
+const MIN_BLOCK_ROWS: usize = 64;
+/// Columns per workgroup of the totals: 32 bytes are read at once.
+const TOTALS_COLUMNS: usize = 8;
+
+uniforms! {
+    struct SumsBlock as "Sums" {
+        rows: u32,
+        columns: u32,
+        block_rows: u32,
+    }
+}
+
+uniforms! {
+    struct TotalsBlock as "Totals" {
+        blocks: u32,
+        columns: u32,
+    }
+}
+
+/// The terms of an operation: two for every row and column.
+pub struct Terms<'a> {
+    /// Text that ends with [`COLUMN_SUMS`].
+    pub kernel: &'a Kernel,
+    /// Constants of its specialisation besides COLUMNS.
+    pub specialisation: &'a [(&'static str, u32)],
+    /// What it reads.
+    pub arrays: &'a [Binding<'a>],
+    pub rows: usize,
+    pub columns: usize,
+}
+
+impl Terms<'_> {
+    /// The sums over blocks of rows, [blocks, 2, columns], and the number of blocks.
+    pub fn block_sums(&self, gpu: Gpu) -> (GpuArray, usize) {
+        let block_rows = self.rows.div_ceil(MAX_BLOCKS).max(MIN_BLOCK_ROWS);
+        let blocks = self.rows.div_ceil(block_rows);
+        let sums = GpuArray::new(gpu, blocks * 2 * self.columns);
+        let [rows, columns, block_rows] = [self.rows, self.columns, block_rows].map(|size| size as u32);
+        let tile = columns_for(self.columns);
+        let specialisation = [&[("COLUMNS", tile as u32)], self.specialisation].concat();
+        let arrays = [&[Binding::Write(&sums)], self.arrays].concat();
+        let groups = blocks * self.columns.div_ceil(tile);
+        self.kernel.launch(gpu, &specialisation, &SumsBlock { rows, columns, block_rows }, &arrays, groups);
+        (sums, blocks)
+    }
+
+    /// The sums of both terms over all rows, [columns] each.
+    pub fn sums(&self, gpu: Gpu) -> [GpuArray; 2] {
+        let (block_sums, blocks) = self.block_sums(gpu);
+        totals(gpu, &block_sums, blocks, self.columns)
+    }
+}
+
+/// The sums of blocks, [blocks, 2, columns], added in order: [columns] each.
+pub fn totals(gpu: Gpu, block_sums: &GpuArray, blocks: usize, columns: usize) -> [GpuArray; 2] {
+    let sums = [(); 2].map(|()| GpuArray::new(gpu, columns));
+    let constants = TotalsBlock { blocks: blocks as u32, columns: columns as u32 };
+    let arrays = [Binding::Read(block_sums), Binding::Write(&sums[0]), Binding::Write(&sums[1])];
+    let groups = columns.div_ceil(TOTALS_COLUMNS);
+    TOTALS.launch(gpu, &[("COLUMNS", TOTALS_COLUMNS as u32)], &constants, &arrays, groups);
+    sums
+}
+
+/// Panics unless a kernel of terms is valid.
+#[cfg(test)]
+pub fn assert_valid_terms(kernel: &Kernel, specialisation: &[(&'static str, u32)]) {
+    for columns in [1, 32] {
+        super::layout::assert_valid::<SumsBlock>(kernel, &[&[("COLUMNS", columns)], specialisation].concat());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::tests::test_gpu;
+
+    /// x and x².
+    const SQUARES: Kernel = Kernel {
+        name: "test of column sums",
+        text: &[
+            COLUMN_SUMS[0],
+            COLUMN_SUMS[1],
+            "@group(0) @binding(2) var<storage, read> x: array<f32>;
+             fn terms(row: u32, column: u32) -> vec2<f32> {
+                 let value = x[row * sums.columns + column];
+                 return vec2<f32>(value, value * value);
+             }",
+        ],
+    };
+
+    #[test]
+    fn the_kernels_are_valid() {
+        assert_valid_terms(&SQUARES, &[]);
+        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &[("COLUMNS", 8)]);
+    }
+
+    #[test]
+    fn sums_of_whole_numbers_are_exact_for_any_size() {
+        let Some(gpu) = test_gpu() else { return };
+        for (rows, columns) in [(0, 3), (1, 1), (63, 33), (65, 8), (1000, 5), (20_000, 2), (300, 100)] {
+            let values: Vec<f32> = (0..rows * columns).map(|at| (at * 7 % 11) as f32 - 4.0).collect();
+            let mut expected = [vec![0.0; columns], vec![0.0; columns]];
+            for (at, value) in values.iter().enumerate() {
+                expected[0][at % columns] += value;
+                expected[1][at % columns] += value * value;
+            }
+            let x = GpuArray::upload(gpu, &values);
+            let arrays = [Binding::Read(&x)];
+            let terms = Terms { kernel: &SQUARES, specialisation: &[], arrays: &arrays, rows, columns };
+            let found = terms.sums(gpu).map(|sums| {
+                let mut out = vec![0.0_f32; columns];
+                sums.read_into(&mut out);
+                out
+            });
+            assert_eq!(found, expected, "{rows} rows of {columns}");
+        }
+    }
+}

@@ -1,0 +1,30 @@
+// x·scale + offset by column, or dy·scale where BACKWARD is 1: an invocation per value.
+
+struct Affine {
+    len: u32,
+    columns: u32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Affine;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+@group(0) @binding(2) var<storage, read> scale: array<f32>;
+@group(0) @binding(3) var<storage, read> offset: array<f32>;
+@group(0) @binding(4) var<storage, read_write> y: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = flat_group(group, groups) * 256u + local;
+    if (at >= sizes.len) {
+        return;
+    }
+    let column = at % sizes.columns;
+    var value = x[at] * scale[column];
+    if (BACKWARD == 0u) {
+        value += offset[column];
+    }
+    y[at] = value;
+}

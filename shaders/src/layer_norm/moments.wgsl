@@ -1,0 +1,32 @@
+// Mean and standard deviation of a row, which LANES invocations share.
+
+struct Norm {
+    rows: u32,
+    columns: u32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Norm;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+
+const EPSILON: f32 = 1e-5;
+
+// For each of the invocations of a row; all invocations of the workgroup call it together.
+fn moments(local: u32, row: u32) -> vec2<f32> {
+    let first = row * sizes.columns;
+    var own = 0.0;
+    if (row < sizes.rows) {
+        for (var column = local % LANES; column < sizes.columns; column += LANES) {
+            own += x[first + column];
+        }
+    }
+    let mean = row_sum(local, own) / f32(sizes.columns);
+    own = 0.0;
+    if (row < sizes.rows) {
+        for (var column = local % LANES; column < sizes.columns; column += LANES) {
+            let difference = x[first + column] - mean;
+            own += difference * difference;
+        }
+    }
+    return vec2<f32>(mean, sqrt(row_sum(local, own) / f32(sizes.columns) + EPSILON));
+}
+
