@@ -4,13 +4,16 @@
 //! key), P = softmax over what is kept and 0 elsewhere, output P·V. k is clamped to the number of valid keys; without any
 //! the output and the probabilities are 0. The choice of keys is held constant in the backward pass.
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
 use rayon::prelude::*;
 
 use super::softmax::{softmax, softmax_backward};
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
+use gpu::Kept;
 
 /// Outputs of [`top_k_attention`].
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +40,7 @@ pub fn top_k_attention<T: Real>(
     let valid: Vec<u32> = (0..valid.len() as u32).filter(|&key| valid[key as usize]).collect();
     let layout = Layout { queries, keys: tape.value(key).rows(), heads, depth: width / heads };
     let kept = k.min(valid.len());
-    let op = TopK { layout, kept, valid, chosen: Vec::new(), probabilities: Vec::new() };
+    let op = TopK { layout, kept, valid, chosen: Vec::new(), probabilities: Vec::new(), on_gpu: None };
     let outputs = tape.apply(op, &[query, key, value]);
     TopKAttention { mixed: outputs[0], probabilities: outputs[1] }
 }
@@ -77,6 +80,8 @@ struct TopK<T> {
     chosen: Vec<u32>,
     /// [queries, heads, kept].
     probabilities: Vec<T>,
+    /// Both where kernels for a GPU chose.
+    on_gpu: Option<Kept>,
 }
 
 /// One query of one head: its kept keys and their probabilities.
@@ -221,6 +226,21 @@ impl<T: Real> Op<T> for TopK<T> {
             Tensor::from_vec(inputs[input].shape(), gradient)
         };
         (0..3).map(|input| needs[input].then(|| side_by_side(input))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        self.forward_on_gpu(gpu, inputs)
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        self.backward_on_gpu(gpu, inputs, output_grads)
     }
 }
 

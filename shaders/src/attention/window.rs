@@ -1,11 +1,13 @@
 //! Multi-head attention in which every row looks at a short window of its own (Vaswani et al. 2017, section 3.2).
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
 use super::softmax::{softmax, softmax_backward};
+use crate::gpu::Gpu;
 use crate::rows::{RowMap, map_rows, reshape};
-use crate::tape::{Real, Tape, Var};
+use crate::tape::{Real, Tape, Tensor, Var};
 
 /// softmax(q·kᵀ / √d)·v per row and head, the heads side by side: q [N, Q, H·d], k and v [N, W, H·d] → [N, Q, H·d].
 ///
@@ -108,5 +110,19 @@ impl RowMap<3> for WindowAttention {
                 add(&mut dvalues[key], probability, dy);
             }
         }
+    }
+
+    fn value_gpu<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; 3]) -> Option<Tensor<T>> {
+        self.value_on_gpu(gpu, inputs)
+    }
+
+    fn gradient_gpu<T: Real>(
+        &self,
+        gpu: Gpu,
+        inputs: [&Tensor<T>; 3],
+        _y: &Tensor<T>,
+        dy: &Tensor<T>,
+    ) -> Option<[Tensor<T>; 3]> {
+        self.gradient_on_gpu(gpu, inputs, dy)
     }
 }

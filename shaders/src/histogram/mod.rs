@@ -5,9 +5,11 @@
 //! values move. Values beyond the outermost centres belong wholly to the outermost bin and have no gradient: sharing them
 //! less the farther out they are would reward values for leaving the interval.
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
+use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -86,6 +88,21 @@ impl<T: Real> Op<T> for SoftHistogram {
         });
         vec![Some(Tensor::from_vec(inputs[0].shape(), gradient))]
     }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.shares_on_gpu(gpu, inputs[0])?])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![Some(self.backward_on_gpu(gpu, inputs[0], output_grads[0]?))])
+    }
 }
 
 struct DivergenceFromUniform;
@@ -113,5 +130,20 @@ impl<T: Real> Op<T> for DivergenceFromUniform {
         let slope = |share: f64| ((share + EMPTY_BIN) * bins).ln() + share / (share + EMPTY_BIN);
         let gradient = inputs[0].as_slice().iter().map(|share| T::from_f64(dy * slope(share.to_f64()))).collect();
         vec![Some(Tensor::from_vec(inputs[0].shape(), gradient))]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::divergence(gpu, inputs[0])])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![Some(gpu::divergence_backward(gpu, inputs[0], output_grads[0]?))])
     }
 }

@@ -1,14 +1,15 @@
 //! Between world and image.
 
 use super::{NOWHERE, PinholeCamera};
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tensor};
 
 /// A camera in the working precision.
-struct Pinhole<T> {
-    focal: [T; 2],
-    center: [T; 2],
-    rotation: [[T; 3]; 3],
-    translation: [T; 3],
+pub struct Pinhole<T> {
+    pub focal: [T; 2],
+    pub center: [T; 2],
+    pub rotation: [[T; 3]; 3],
+    pub translation: [T; 3],
 }
 
 impl<T: Real> Pinhole<T> {
@@ -45,8 +46,8 @@ impl<T: Real> Pinhole<T> {
 
 /// Points [N, 3] → pixels [N, 2], depths [N].
 pub struct Project<T> {
-    camera: Pinhole<T>,
-    near_view: T,
+    pub camera: Pinhole<T>,
+    pub near_view: T,
 }
 
 impl<T: Real> Project<T> {
@@ -96,11 +97,26 @@ impl<T: Real> Op<T> for Project<T> {
         }
         vec![Some(Tensor::from_vec(inputs[0].shape(), gradient))]
     }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(self.project_on_gpu(gpu, inputs[0]))
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![Some(self.backward_on_gpu(gpu, inputs[0], output_grads))])
+    }
 }
 
 /// Pixels [N, 2], depths [N] → points [N, 3].
 pub struct Unproject<T> {
-    camera: Pinhole<T>,
+    pub camera: Pinhole<T>,
 }
 
 impl<T: Real> Unproject<T> {
@@ -142,5 +158,20 @@ impl<T: Real> Op<T> for Unproject<T> {
             d_depths.push((0..3).map(|axis| d_view[axis] * ray[axis]).sum());
         }
         vec![Some(Tensor::from_vec(pixels.shape(), d_pixels)), Some(Tensor::from_vec(depths.shape(), d_depths))]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.unproject_on_gpu(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(self.backward_on_gpu(gpu, inputs, output_grads[0]?))
     }
 }

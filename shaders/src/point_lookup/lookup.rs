@@ -1,5 +1,6 @@
 //! Values of an image between its pixels.
 
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tensor};
 
 /// What a lookup does where neighbouring pixels differ.
@@ -17,10 +18,10 @@ pub enum Sampling {
 
 /// Image [H, W, C], pixels [N, 2] → values [N, C].
 pub struct Lookup {
-    width: usize,
-    height: usize,
-    channels: usize,
-    sampling: Sampling,
+    pub width: usize,
+    pub height: usize,
+    pub channels: usize,
+    pub sampling: Sampling,
 }
 
 /// The texels of one lookup.
@@ -168,6 +169,21 @@ impl<T: Real> Op<T> for Lookup {
             d_image.map(|values| Tensor::from_vec(inputs[0].shape(), values)),
             Some(Tensor::from_vec(inputs[1].shape(), d_pixels)),
         ]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.values_on_gpu(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(self.backward_on_gpu(gpu, inputs, output_grads[0]?, needs))
     }
 }
 

@@ -6,12 +6,13 @@
 //! continues constantly.
 
 mod camera_maps;
+mod gpu;
 mod lookup;
 #[cfg(test)]
 mod tests;
 
 pub use crate::projection::PinholeCamera;
-use crate::tape::{Real, Tape, Var};
+use crate::tape::{Device, Real, Tape, Var};
 use camera_maps::{Project, Unproject};
 use lookup::Lookup;
 pub use lookup::Sampling;
@@ -64,7 +65,11 @@ pub fn lookup<T: Real>(tape: &mut Tape<T>, image: Var, pixels: Var, sampling: Sa
     assert!((2..=3).contains(&image_shape.len()), "lookup: an image is [H, W] or [H, W, C], not {image_shape:?}");
     assert_eq!(tape.value(pixels).row_len(), 2, "lookup: pixels must be [N, 2]");
     let op = Lookup::new(image_shape, sampling);
-    let valid = op.validity(tape.value(image), tape.value(pixels));
+    let [image_value, pixels_value] = [image, pixels].map(|var| tape.value(var));
+    let valid = match tape.device() {
+        Device::Cpu => op.validity(image_value, pixels_value),
+        Device::Gpu(gpu) => op.validity_on_gpu(gpu, image_value, pixels_value),
+    };
     let values = tape.apply_one(op, &[image, pixels]);
     Sampled { values, valid }
 }

@@ -4,6 +4,7 @@
 //! constant function: a pixel that two cells share counts in each by the share of its area. Every pixel has the same
 //! weight in all, the mean of the cells is the mean of the image, and a grid finer than the image repeats pixels.
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
@@ -11,6 +12,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// The mean of every cell, [rows, columns, C], of an image [H, W, C].
@@ -100,6 +102,21 @@ impl<T: Real> Op<T> for AveragePool {
             }
         });
         vec![Some(Tensor::from_vec(inputs[0].shape(), dimage))]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.pool_on_gpu(gpu, inputs[0])])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![Some(self.backward_on_gpu(gpu, inputs[0], output_grads[0]?))])
     }
 }
 

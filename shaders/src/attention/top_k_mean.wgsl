@@ -1,0 +1,25 @@
+// How much every query looks at every key, averaged over the heads: an invocation per query and key.
+
+@group(0) @binding(1) var<storage, read> chosen: array<u32>;
+@group(0) @binding(2) var<storage, read> probabilities: array<f32>;
+@group(0) @binding(3) var<storage, read_write> mean: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = flat_group(group, groups) * 256u + local;
+    if (index >= sizes.queries * sizes.keys) {
+        return;
+    }
+    var sum = 0.0;
+    for (var head = 0u; head < sizes.heads; head++) {
+        let place = place_of(kept_of(index / sizes.keys, head), index % sizes.keys);
+        if (place != NOWHERE) {
+            sum += probabilities[place];
+        }
+    }
+    mean[index] = sum / f32(sizes.heads);
+}

@@ -1,0 +1,53 @@
+// One query of one head and the window that it looks at: the same definitions as on the CPU.
+
+struct Window {
+    rows: u32,
+    // Tokens per row that look.
+    queries: u32,
+    // Of all heads together.
+    channels: u32,
+    heads: u32,
+    // 1 / √d.
+    factor: f32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Window;
+@group(0) @binding(1) var<storage, read> queries: array<f32>;
+@group(0) @binding(2) var<storage, read> keys: array<f32>;
+@group(0) @binding(3) var<storage, read> values: array<f32>;
+
+// Where the channels of a head of a token of the window begin.
+fn seen_at(row: u32, at: u32, head: u32) -> u32 {
+    return (row * WINDOW + at) * sizes.channels + head * (sizes.channels / sizes.heads);
+}
+
+// The same for a token that looks.
+fn looking_at(row: u32, token: u32, head: u32) -> u32 {
+    return (row * sizes.queries + token) * sizes.channels + head * (sizes.channels / sizes.heads);
+}
+
+// How much a query looks at every token of the window.
+fn probabilities(row: u32, token: u32, head: u32) -> array<f32, WINDOW> {
+    let query = looking_at(row, token, head);
+    var scores: array<f32, WINDOW>;
+    var largest = 0.0;
+    for (var at = 0u; at < WINDOW; at++) {
+        let key = seen_at(row, at, head);
+        var score = 0.0;
+        for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
+            score += queries[query + channel] * keys[key + channel];
+        }
+        scores[at] = sizes.factor * score;
+        largest = select(max(largest, scores[at]), scores[at], at == 0u);
+    }
+    var sum = 0.0;
+    for (var at = 0u; at < WINDOW; at++) {
+        scores[at] = exp(scores[at] - largest);
+        sum += scores[at];
+    }
+    for (var at = 0u; at < WINDOW; at++) {
+        scores[at] /= sum;
+    }
+    return scores;
+}
+

@@ -1,0 +1,44 @@
+// The shares of the values of every block: a workgroup per block. Of each round of 256 values each invocation first places
+// one; then it is a bin, and adds every LANES-th value to it, LANES = 256 / BINS for a power of two BINS of at least `bins`.
+
+@group(0) @binding(2) var<storage, read_write> block_shares: array<f32>;
+
+const GROUP: u32 = 256u;
+const BLOCK: u32 = 4096u;
+
+// The lower bin of a value, and the parts of both.
+var<workgroup> lowers: array<u32, GROUP>;
+var<workgroup> parts: array<vec2<f32>, GROUP>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let block = flat_group(group, groups);
+    let bin = local % COLUMNS;
+    var own = 0.0;
+    for (var first = 0u; first < BLOCK; first += GROUP) {
+        let at = block * BLOCK + first + local;
+        workgroupBarrier();
+        lowers[local] = NOWHERE;
+        if (at < sizes.len) {
+            let place = place_of(x[at]);
+            lowers[local] = place.lower;
+            parts[local] = vec2<f32>(1.0 - place.upper_part, place.upper_part);
+        }
+        workgroupBarrier();
+        for (var value = local / COLUMNS; value < GROUP; value += GROUP / COLUMNS) {
+            if (lowers[value] == bin) {
+                own += parts[value].x;
+            } else if (lowers[value] != NOWHERE && lowers[value] + 1u == bin) {
+                own += parts[value].y;
+            }
+        }
+    }
+    let sum = column_sum(local, own);
+    if (local < COLUMNS && bin < sizes.bins && block < sizes.blocks) {
+        block_shares[block * sizes.bins + bin] = sizes.share * sum;
+    }
+}

@@ -1,0 +1,22 @@
+// The gradients of values from those of the shares of the two bins that they lie between: an invocation per value.
+
+@group(0) @binding(2) var<storage, read> g_shares: array<f32>;
+@group(0) @binding(3) var<storage, read_write> g_x: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = flat_group(group, groups) * 256u + local;
+    if (at >= sizes.len) {
+        return;
+    }
+    let place = place_of(x[at]);
+    var gradient = 0.0;
+    if (place.inside) {
+        gradient = (g_shares[place.lower + 1u] - g_shares[place.lower]) * sizes.share / sizes.width;
+    }
+    g_x[at] = gradient;
+}

@@ -1,0 +1,15 @@
+// Whether every position lies within the image and sees finite texels alone: an invocation per position.
+
+@group(0) @binding(3) var<storage, read_write> valid: array<u32>;
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = flat_group(group, groups) * 64u + local;
+    if (at < sizes.count) {
+        valid[at] = u32(window_of(pixels[at]).valid);
+    }
+}

@@ -1,0 +1,33 @@
+// The gradients of points: an invocation per point. ARRIVING tells by bits which of the gradients of pixels and depths there
+// are; what stands in for another is not read.
+
+@group(0) @binding(1) var<storage, read> points: array<f32>;
+@group(0) @binding(2) var<storage, read> g_pixels: array<vec2<f32>>;
+@group(0) @binding(3) var<storage, read> g_depths: array<f32>;
+@group(0) @binding(4) var<storage, read_write> g_points: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let point = flat_group(group, groups) * 256u + local;
+    if (point >= camera.count) {
+        return;
+    }
+    let p = view_from_world(vec3<f32>(points[3u * point], points[3u * point + 1u], points[3u * point + 2u]));
+    var g_view = vec3<f32>(0.0);
+    if ((ARRIVING & 2u) != 0u) {
+        g_view.z = g_depths[point];
+    }
+    if ((ARRIVING & 1u) != 0u && p.z > camera.near_view) {
+        // u = f·x/z + c: ∂u/∂x = f/z and ∂u/∂z = −f·x/z².
+        let along = g_pixels[point] * camera.focal / p.z;
+        g_view += vec3<f32>(along, -dot(along, p.xy) / p.z);
+    }
+    let gradient = rotated_to_world(g_view);
+    for (var axis = 0u; axis < 3u; axis++) {
+        g_points[3u * point + axis] = gradient[axis];
+    }
+}

@@ -1,0 +1,27 @@
+// The gradients of pixels from those of the cells that they touch: an invocation per pixel and channel.
+
+@group(0) @binding(1) var<storage, read> g_grid: array<f32>;
+@group(0) @binding(2) var<storage, read_write> g_image: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = flat_group(group, groups) * 256u + local;
+    if (index >= sizes.pixels.x * sizes.pixels.y * sizes.channels) {
+        return;
+    }
+    let at = index / sizes.channels;
+    let pixel = vec2<u32>(at / sizes.pixels.y, at % sizes.pixels.y);
+    let range = cells_of(pixel);
+    var sum = 0.0;
+    for (var row = range.x; row < range.z; row++) {
+        for (var column = range.y; column < range.w; column++) {
+            let value = g_grid[(row * sizes.cells.y + column) * sizes.channels + index % sizes.channels];
+            sum += share_of(vec2<u32>(row, column), pixel) * value;
+        }
+    }
+    g_image[index] = sum;
+}
