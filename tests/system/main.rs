@@ -5,6 +5,7 @@ mod command_line;
 mod crashes;
 mod damage;
 mod data;
+mod device;
 mod editing;
 mod evidence;
 mod numerics;

@@ -45,6 +45,8 @@ pub fn root() -> PathBuf {
 pub fn program(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pipeline-under-test"));
     command.args(arguments).env_remove("PIPELINE_STORE").env_remove("PIPELINE_DATA").stdin(Stdio::null());
+    // The same numbers on every machine, unless a test asks for a GPU.
+    command.env("PIPELINE_DEVICE", "cpu");
     command
 }
 

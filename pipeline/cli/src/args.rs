@@ -58,7 +58,8 @@ pub enum Verb {
         /// Folder that recipes' sources are relative to
         #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
         data_root: PathBuf,
-        /// Look at this GPU only, which must be usable: part of its name, its PCI id as 10de:2335, its PCI bus, or auto
+        /// Look at this GPU only, which must be usable: part of its name, its PCI id as 10de:2335, its
+        /// PCI bus, or gpu for the likely fastest
         #[arg(long, value_name = "ADAPTER")]
         device: Option<String>,
     },
@@ -93,12 +94,27 @@ pub struct RecipeArgs {
     /// it starts, so that such a result is not reproducible bit for bit
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
     pub budget: Option<Duration>,
+    /// What trains and renders: cpu, gpu (the likely fastest adapter), auto (a GPU if there is one that is not software,
+    /// else the CPU), or an adapter by part of its name, its PCI id or its PCI bus; CPU and GPU keep separate results
+    #[arg(long, env = "PIPELINE_DEVICE", default_value = AUTO, value_name = "DEVICE")]
+    pub device: String,
 }
+
+/// The device if none is named.
+const AUTO: &str = "auto";
 
 impl RecipeArgs {
     /// A recipe as it is.
     pub fn plain(recipe: &Path, data_root: &Path) -> Self {
-        Self { recipe: recipe.into(), data_root: data_root.into(), set: Vec::new(), replicates: None, budget: None }
+        let device = AUTO.into();
+        Self {
+            recipe: recipe.into(),
+            data_root: data_root.into(),
+            set: Vec::new(),
+            replicates: None,
+            budget: None,
+            device,
+        }
     }
 }
 

@@ -6,6 +6,7 @@ mod amount;
 mod args;
 mod checked;
 mod comparison;
+mod device;
 mod display;
 mod error;
 mod measured;
@@ -30,6 +31,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// The program: parses the command line, does what it says, and returns the exit code.
 pub fn main() -> ExitCode {
+    quiet_drivers();
     let cli = Cli::parse();
     match dispatch(cli) {
         Ok(code) => ExitCode::from(code),
@@ -39,6 +41,15 @@ pub fn main() -> ExitCode {
             }
             ExitCode::from(error.exit_code())
         }
+    }
+}
+
+/// Vulkan drivers complain on standard error where nothing says where a desktop would put its sockets; we open none.
+fn quiet_drivers() {
+    const SOCKETS: &str = "XDG_RUNTIME_DIR";
+    if std::env::var_os(SOCKETS).is_none() {
+        // SAFETY: no other thread has been started yet.
+        unsafe { std::env::set_var(SOCKETS, std::env::temp_dir()) };
     }
 }
 

@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use engine::scheduler::Sources;
 use engine::status::{History, Prediction, State, predict};
 use engine::store::ActionRecord;
-use engine::{Failure, FailureKind, Plan, Store};
+use engine::{DeviceClass, Failure, FailureKind, Plan, Store};
 
 use crate::args::{RecipeArgs, SelectionArgs};
+use crate::device::ChosenDevice;
 use crate::error::CliError;
 use crate::output::tell;
 use crate::stages::stages;
@@ -53,6 +54,7 @@ pub struct Session {
     pub plan: Plan,
     pub store: Store,
     pub data_root: PathBuf,
+    pub device: ChosenDevice,
     /// The jobs asked for.
     pub targets: BTreeSet<usize>,
     /// Jobs to run even if their results are there.
@@ -72,11 +74,13 @@ impl Session {
     }
 
     fn with(store: impl FnOnce() -> anyhow::Result<Store>, recipe: &RecipeArgs) -> Result<Self, CliError> {
-        let plan = resolve(recipe)?;
+        let mut plan = resolve(recipe)?;
+        let device = ChosenDevice::choose(&recipe.device)?;
+        plan.device = device.class();
         let targets = (0..plan.nodes.len()).collect();
         let store = store()?;
         let data_root = recipe.data_root.clone();
-        Ok(Self { plan, store, data_root, targets, force: BTreeSet::new(), rehash: false })
+        Ok(Self { plan, store, data_root, device, targets, force: BTreeSet::new(), rehash: false })
     }
 
     /// The same with a selection of jobs.
@@ -99,6 +103,16 @@ impl Session {
         let nodes = self.plan.with_ancestors(targets);
         let sources = Sources::digest(&self.plan, &nodes, &self.data_root, &self.store, self.rehash)?;
         Ok(predict(&self.plan, &self.store, &nodes, &self.force, &sources)?)
+    }
+
+    /// Whether a run of the targets may compute on a GPU.
+    pub fn needs_device(&self) -> Result<bool, CliError> {
+        if self.device.class() == DeviceClass::Cpu {
+            return Ok(false);
+        }
+        let may_compute =
+            |(&index, prediction): (&usize, &Prediction)| self.plan.nodes[index].on_device && prediction.may_run();
+        Ok(self.predict()?.iter().any(may_compute))
     }
 
     /// The index of the job called `name`.

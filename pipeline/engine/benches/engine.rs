@@ -109,6 +109,7 @@ fn options(plan: &Plan, root: &Path) -> RunOptions {
         force: Default::default(),
         jobs: 1,
         threads: 1,
+        device: "cpu".into(),
         max_failures: None,
         timeout: None,
         rehash: false,

@@ -59,6 +59,8 @@ pub struct JobContext {
     pub action_key: String,
     /// Worker threads that this job may use; results must not depend on it.
     pub threads: usize,
+    /// What to compute on, for stages that do so on a device: `"cpu"`, or what names one GPU of this machine.
+    pub device: String,
     /// Producers by port name.
     pub inputs: BTreeMap<String, Vec<InputRecord>>,
     /// Absolute source paths by name.
@@ -86,6 +88,7 @@ impl JobContext {
             coordinates: Coordinates::new(),
             action_key: "detached".into(),
             threads: 1,
+            device: "cpu".into(),
             inputs: BTreeMap::new(),
             sources: BTreeMap::new(),
             output_dir,

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::fingerprint::Code;
-use crate::plan::{Node, PlanInput, PlanSource};
+use crate::plan::{DeviceClass, Node, PlanInput, PlanSource};
 use crate::{Coordinates, FailureKind, Measurements, canonical};
 
 /// The name of a result before it exists: equal keys mean equal results. Lower-case hex, 64 characters.
@@ -35,7 +35,7 @@ pub struct KeyComponents {
     pub sources: BTreeMap<String, String>,
     /// Name and schema version of the artifact type that the job makes.
     pub output: (String, u32),
-    /// The class of machine, as `"cpu"`.
+    /// The class of device that computes, as `"cpu"` or `"gpu"`.
     pub environment: String,
 }
 
@@ -61,7 +61,7 @@ impl KeyComponents {
         node: &Node,
         mut inputs: BTreeMap<String, Vec<KeyInput>>,
         sources: BTreeMap<String, String>,
-        environment: &str,
+        device: DeviceClass,
     ) -> Self {
         for port in &node.inputs {
             for input in inputs.entry(port.port.clone()).or_default() {
@@ -80,7 +80,7 @@ impl KeyComponents {
             inputs,
             sources,
             output: node.output.clone(),
-            environment: environment.into(),
+            environment: device.as_str().into(),
         }
     }
 }
@@ -130,6 +130,7 @@ pub fn plan_id(node: &Node, producers: &[Node]) -> String {
         inputs,
         sources,
         threads: _,
+        on_device: _,
         output,
         unused_sources: _,
         code,

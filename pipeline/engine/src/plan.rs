@@ -28,6 +28,27 @@ pub struct Plan {
     pub origins: BTreeMap<String, BTreeMap<String, Origin>>,
     /// Names of the jobs that the recipe has for others, none of which needs them.
     pub left_out: Vec<String>,
+    /// What the jobs compute on that compute on a device: the user's choice, not the recipe's.
+    pub device: DeviceClass,
+}
+
+/// A class of devices whose results are taken for the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DeviceClass {
+    #[default]
+    Cpu,
+    Gpu,
+}
+
+impl DeviceClass {
+    /// As keys name it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+        }
+    }
 }
 
 /// One job.
@@ -49,6 +70,8 @@ pub struct Node {
     pub sources: Vec<PlanSource>,
     /// Worker threads wanted; 0 means all. Never part of a key.
     pub threads: usize,
+    /// Whether the job computes on the device that the user chose.
+    pub on_device: bool,
     /// Name and schema version of the artifact type that the job makes.
     pub output: (String, u32),
     /// The sources below the stage that cannot influence the result.
@@ -123,6 +146,11 @@ impl Node {
 }
 
 impl Plan {
+    /// What a job of the plan computes on.
+    pub fn device_of(&self, node: &Node) -> DeviceClass {
+        if node.on_device { self.device } else { DeviceClass::Cpu }
+    }
+
     /// The jobs as a graph: weights are indices into `nodes`, edges point from producer to consumer.
     pub fn graph(&self) -> DiGraph<usize, ()> {
         let mut graph = DiGraph::with_capacity(self.nodes.len(), self.nodes.len());

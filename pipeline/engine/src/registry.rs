@@ -33,6 +33,8 @@ pub trait AnyStage: Send + Sync {
     fn id(&self) -> &'static str;
     /// [`Stage::ABOUT`].
     fn about(&self) -> &'static str;
+    /// [`Stage::ON_DEVICE`].
+    fn on_device(&self) -> bool;
     /// [`Stage::ports`].
     fn ports(&self) -> Vec<Port>;
     /// Name and schema version of the artifact type that the stage makes.
@@ -116,6 +118,10 @@ impl<S: Stage> AnyStage for Erased<S> {
 
     fn about(&self) -> &'static str {
         S::ABOUT
+    }
+
+    fn on_device(&self) -> bool {
+        S::ON_DEVICE
     }
 
     fn ports(&self) -> Vec<Port> {

@@ -19,6 +19,10 @@ pub trait Stage: 'static {
     /// One line for `--help` and the docs.
     const ABOUT: &'static str;
 
+    /// Whether jobs compute on the device that the user chose ([`JobContext::device`](crate::JobContext::device)); its
+    /// class is then part of their keys.
+    const ON_DEVICE: bool = false;
+
     /// The artifacts that this stage reads.
     fn ports() -> Vec<Port>;
 

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::explain::{Change, Component, diff};
 use crate::graph::NodeState;
-use crate::scheduler::{Done, ENVIRONMENT, Readiness, Rest, Sources, readiness};
+use crate::scheduler::{Done, Readiness, Rest, Sources, readiness};
 use crate::store::{ActionRecord, FailureRecord, Lookup};
 use crate::{ActionKey, Failure, KeyComponents, Node, Plan, Store, lock};
 
@@ -170,7 +170,7 @@ impl Predictor<'_> {
             return Ok(State::Pending { changes, may_be_cut_off: false });
         };
         let digests = sources.digests(node).unwrap_or_default();
-        let supposed = KeyComponents::of(node, previous.components.inputs.clone(), digests, ENVIRONMENT);
+        let supposed = KeyComponents::of(node, previous.components.inputs.clone(), digests, plan.device_of(node));
         let mut changes = diff(&previous.components, &supposed);
         let may_be_cut_off = changes.is_empty() && !self.force.contains(&index);
         let pending = |&producer: &usize| self.rests[producer].is_none();

@@ -105,6 +105,7 @@ impl Stage for Work {
     type Output = Text;
     const ID: &'static str = "test-work";
     const ABOUT: &'static str = "appends letters to a text";
+    const ON_DEVICE: bool = true;
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<Text>("text")]
@@ -121,6 +122,7 @@ impl Stage for Work {
         let start = context.input::<Text>("text")?.0;
         let mut text = std::fs::read_to_string(&checkpoint).unwrap_or(start.clone());
         context.measure("resumed_steps", text.len() - start.len())?;
+        context.measure("device", &context.device)?;
         for step in text.len() - start.len()..params.steps {
             std::thread::sleep(Duration::from_millis(params.sleep_millis));
             text += &params.letter;

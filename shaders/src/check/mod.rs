@@ -6,6 +6,7 @@ mod tests;
 use std::error::Error;
 use std::fmt;
 
+use crate::gpu::{self, AdapterError, Gpu};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
 /// The step of central differences: the error of truncation (1e-12) and of rounding (1e-10) both stay below [`TOLERANCE`].
@@ -129,4 +130,18 @@ fn central_differences(f: &impl Fn(&mut Tape<f64>, &[Var]) -> Var, inputs: &[Ten
         (above - below) / (2.0 * step)
     };
     (0..len).map(derivative).collect()
+}
+
+/// The adapter that tests run on, if there is one: the software driver where it is installed, as its results are the same
+/// everywhere. Without an adapter the test is skipped, and says so; with `REQUIRE_ADAPTER=1` it fails.
+pub fn test_gpu() -> Option<Gpu> {
+    match gpu::adapters().last() {
+        Some(adapter) => Some(adapter.open().unwrap_or_else(|error| panic!("{error}"))),
+        None => {
+            let required = std::env::var("REQUIRE_ADAPTER").is_ok_and(|value| value == "1");
+            assert!(!required, "REQUIRE_ADAPTER=1: {}", AdapterError::None);
+            eprintln!("SKIPPED: {}", AdapterError::None);
+            None
+        }
+    }
 }

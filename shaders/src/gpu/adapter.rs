@@ -5,7 +5,7 @@ use std::sync::{Mutex, OnceLock};
 
 use super::launch::{STORAGE_ARRAYS, WORKGROUP_SIZE};
 use super::recorder::Recorder;
-use super::{Context, Counters, Gpu, array, lock};
+use super::{Context, Counters, Gpu, GpuFailure, array, lock};
 
 /// Workgroup memory that the largest kernel uses: the least that WebGPU guarantees.
 const WORKGROUP_BYTES: u32 = 16 * 1024;
@@ -86,13 +86,13 @@ fn look_for_adapters() -> Vec<AdapterReport> {
     reports
 }
 
-/// The adapter of that name (or part of it), PCI id (`10de:2335`) or PCI bus; the likely fastest for `"auto"`.
+/// The adapter of that name (or part of it), PCI id (`10de:2335`) or PCI bus; the likely fastest for `"gpu"`.
 pub fn choose(wanted: &str) -> Result<&'static AdapterReport, AdapterError> {
     let reports = adapters();
     if reports.is_empty() {
         return Err(AdapterError::None);
     }
-    reports.iter().find(|report| wanted == "auto" || report.is_called(wanted)).ok_or_else(|| {
+    reports.iter().find(|report| wanted == "gpu" || report.is_called(wanted)).ok_or_else(|| {
         let found = reports.iter().map(|report| format!("{:?} ({})", report.name, report.pci_id)).collect();
         AdapterError::NotFound { wanted: wanted.to_owned(), found }
     })
@@ -131,6 +131,16 @@ impl AdapterReport {
             features: optional.iter().filter(|(_, feature)| has.contains(*feature)).map(|(name, _)| *name).collect(),
             adapter,
         }
+    }
+
+    /// Whether it is more than a program for the CPU, and has what kernels need.
+    pub fn is_hardware(&self) -> bool {
+        self.kind != "software" && self.lacking().is_none()
+    }
+
+    /// What finds this one adapter again on this machine, with [`choose`].
+    pub fn id(&self) -> &str {
+        if self.pci_bus.is_empty() { &self.name } else { &self.pci_bus }
     }
 
     fn is_called(&self, wanted: &str) -> bool {
@@ -181,6 +191,14 @@ impl AdapterReport {
             reason: error.to_string(),
         };
         let (device, queue) = pollster::block_on(request).map_err(refused)?;
+        let name = self.name.clone();
+        device.on_uncaptured_error(std::sync::Arc::new(move |error| match error {
+            wgpu::Error::OutOfMemory { source } => {
+                GpuFailure::OutOfMemory(format!("adapter {name:?} has too little memory: {source}")).raise()
+            }
+            // What remains is a kernel of ours that the driver refuses.
+            bug => panic!("adapter {name:?}: {bug}"),
+        }));
         let recorder = Recorder::new(&device, limits.min_uniform_buffer_offset_alignment);
         Ok(Context {
             name: self.name.clone(),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Gpu, count, lock};
+use super::{Gpu, GpuFailure, count, lock};
 
 /// Bytes that the pool keeps at most: more is handed back to the driver.
 const POOL_BYTES: u64 = 1 << 30;
@@ -115,15 +115,15 @@ impl Pool {
 }
 
 impl Gpu {
-    /// Bytes of the buffer for so many elements. Panics if the adapter has none of that size.
+    /// Bytes of the buffer for so many elements. Panics with a [`GpuFailure`] if the adapter has none of that size.
     fn checked_size(self, len: usize) -> u64 {
         let (bytes, limits) = (4 * len as u64, &self.0.limits);
         let largest = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        assert!(
-            bytes <= largest,
-            "adapter {:?} allows arrays of {largest} bytes, and {bytes} are needed; hint: fewer Gaussians, or the CPU",
-            self.0.name
-        );
+        if bytes > largest {
+            let name = &self.0.name;
+            let message = format!("adapter {name:?} allows arrays of {largest} bytes, and {bytes} are needed");
+            GpuFailure::OutOfMemory(message).raise();
+        }
         rounded_size(bytes).min(limits.max_buffer_size & !3)
     }
 

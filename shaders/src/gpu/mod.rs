@@ -93,6 +93,31 @@ impl Gpu {
     }
 }
 
+/// What a GPU could not do, as the payload of the panic that ends whatever computed on it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum GpuFailure {
+    /// It went away: switched off, reset, or its driver crashed.
+    Lost(String),
+    /// It has less memory than needed.
+    OutOfMemory(String),
+}
+
+impl GpuFailure {
+    fn raise(self) -> ! {
+        std::panic::panic_any(self)
+    }
+}
+
+impl fmt::Display for GpuFailure {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Lost(message) | Self::OutOfMemory(message) => formatter.write_str(message),
+        }
+    }
+}
+
+impl std::error::Error for GpuFailure {}
+
 /// Two handles are equal if they are of the same context.
 impl PartialEq for Gpu {
     fn eq(&self, other: &Self) -> bool {

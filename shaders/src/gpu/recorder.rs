@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::launch::{Launch, Pipeline};
-use super::{Context, Gpu, GpuArray, count, lock};
+use super::{Context, Gpu, GpuArray, GpuFailure, count, lock};
 
 /// Bytes of constants per submission, and so its length: 256 launches at the usual alignment.
 const CONSTANT_BYTES: usize = 64 * 1024;
@@ -76,6 +76,21 @@ impl Recorder {
 }
 
 impl Gpu {
+    fn lost(self, error: &dyn std::error::Error) -> ! {
+        GpuFailure::Lost(format!("adapter {:?} stopped: {error}", self.0.name)).raise()
+    }
+
+    /// Submits what is recorded and waits for its end.
+    pub fn wait(self) {
+        lock(&self.0.recorder).submit(self.0);
+        self.poll();
+    }
+
+    fn poll(self) {
+        let waited = self.0.device.poll(wgpu::PollType::wait_indefinitely());
+        waited.unwrap_or_else(|error| self.lost(&error));
+    }
+
     /// Copies the bytes of an array from an element on to the host, after everything recorded.
     pub(super) fn read(self, array: &GpuArray, from: usize, out: &mut [u8]) {
         let size = out.len() as u64;
@@ -91,10 +106,9 @@ impl Gpu {
         lock(&self.0.recorder).submit_and(self.0, copy);
         let (sender, receiver) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
-        let waited = self.0.device.poll(wgpu::PollType::wait_indefinitely());
-        waited.unwrap_or_else(|error| panic!("adapter {:?} stopped: {error}", self.0.name));
+        self.poll();
         let mapped = receiver.recv().expect("the callback ran while waiting");
-        mapped.unwrap_or_else(|error| panic!("adapter {:?} cannot be read: {error}", self.0.name));
+        mapped.unwrap_or_else(|error| self.lost(&error));
         out.copy_from_slice(&staging.get_mapped_range(..).expect("mapped"));
         count(&self.0.counters.readbacks, 1);
         count(&self.0.counters.bytes_read, size);

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::Real;
 use super::chunks::CHUNK;
-use crate::gpu::{Gpu, GpuArray};
+use crate::gpu::{AdapterError, Gpu, GpuArray};
 
 /// Where operations run.
 #[derive(Copy, Clone, Debug, Default, PartialEq, Eq)]
@@ -13,6 +13,28 @@ pub enum Device {
     Cpu,
     /// f32 only. What has no kernel for it runs on the CPU.
     Gpu(Gpu),
+}
+
+impl Device {
+    /// `"cpu"`, or the adapter that is called so ([`crate::gpu::choose`]).
+    pub fn open(id: &str) -> Result<Self, AdapterError> {
+        if id == "cpu" { Ok(Self::Cpu) } else { Ok(Self::Gpu(crate::gpu::choose(id)?.open()?)) }
+    }
+
+    /// Waits until everything asked for so far is done, as a clock needs it.
+    pub fn wait(self) {
+        if let Self::Gpu(gpu) = self {
+            gpu.wait();
+        }
+    }
+
+    /// `"cpu"`, or the adapter's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cpu => "cpu",
+            Self::Gpu(gpu) => gpu.name(),
+        }
+    }
 }
 
 /// The elements in the host's memory, in a GPU's, or in both; at least one of them is there.

@@ -5,7 +5,6 @@ use std::time::{Duration, Instant};
 use scene::image_file::encode_rgb;
 use serde::{Deserialize, Serialize};
 use shaders::splat::PinholeCamera;
-use shaders::tape::{Device, Tape};
 use training::player::Player;
 
 use crate::run::to_image;
@@ -57,10 +56,12 @@ pub fn measure(player: &Player, moments: &[(f64, PinholeCamera)]) -> anyhow::Res
 fn time_frame(player: &Player, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<FrameTimes> {
     let mut since = Instant::now();
     let mut lap = || std::mem::replace(&mut since, Instant::now()).elapsed().as_secs_f64();
-    let mut tape = Tape::new(Device::Cpu);
+    let mut tape = player.tape();
     let splats = player.splats(&mut tape, time_secs, camera)?;
+    tape.device().wait();
     let motion_secs = lap();
     let rendered = player.rasterize(&mut tape, &splats, None, camera, &player.raster_settings())?;
+    tape.device().wait();
     let raster_secs = lap();
     let encoded = encode_rgb(&to_image(tape.value(rendered.color)))?;
     let delivery_secs = lap();

@@ -6,7 +6,8 @@ use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
 use image::RgbImage;
 use scene::{Capture, View, image_file};
 use shaders::splat::PinholeCamera;
-use shaders::tape::{Device, Tape, Tensor};
+use shaders::tape::{Device, Tensor};
+use training::device::compute_on;
 use training::player::Player;
 use training::{CaptureArtifact, Model};
 
@@ -24,6 +25,7 @@ impl Stage for Rendering {
     type Output = Renders;
 
     const ID: &'static str = "rendering";
+    const ON_DEVICE: bool = true;
     const ABOUT: &'static str = "renders a capture's views from a trained model and measures frame rates";
 
     fn ports() -> Vec<Port> {
@@ -39,13 +41,14 @@ impl Stage for Rendering {
         let capture = context.input::<CaptureArtifact>("capture")?.0;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let out = context.output_dir();
-        let (renders, times) = pool.install(|| render(&model, &capture, params, out))?;
+        let render_on = |device| pool.install(|| render(&model, &capture, params, device, out));
+        let (renders, times) = compute_on(&context.device, render_on)?;
         let rate = |secs: fn(&FrameTimes) -> f64| FrameRate::of(&times, secs);
         context.measure("fps_raster", rate(|frame| frame.raster_secs))?;
         context.measure("fps_model", rate(|frame| frame.motion_secs + frame.raster_secs))?;
         context.measure("fps_delivered", rate(|frame| frame.motion_secs + frame.raster_secs + frame.delivery_secs))?;
         context.measure("resolution", [renders.protocol.width, renders.protocol.height])?;
-        context.measure("device", "cpu")?;
+        context.measure("device", Device::open(&context.device)?.name())?;
         context.measure("threads", pool.current_num_threads())?;
         Ok(renders)
     }
@@ -56,9 +59,10 @@ pub fn render(
     model: &Model,
     capture: &Capture,
     params: &RenderingParams,
+    device: Device,
     out: &Path,
 ) -> anyhow::Result<(Renders, Vec<FrameTimes>)> {
-    let player = Player::new(model)?;
+    let player = Player::new(model)?.on(device);
     let views: Vec<&View> = capture.views_of(params.split).map(|(_, view)| view).collect();
     if views.is_empty() {
         let message = format!("capture {} has no {:?} views", capture.name, params.split).to_lowercase();
@@ -114,7 +118,7 @@ fn map_file(out: &Path, kind: &str, view: &View) -> anyhow::Result<PathBuf> {
 
 fn render_view(player: &Player, view: &View, out: &Path) -> anyhow::Result<RenderedView> {
     let camera = PinholeCamera::from(&view.camera);
-    let mut tape = Tape::new(Device::Cpu);
+    let mut tape = player.tape();
     let splats = player.splats(&mut tape, view.time_secs, &camera)?;
     let rendered = player.rasterize(&mut tape, &splats, None, &camera, &player.raster_settings())?;
     let color = tape.value(rendered.color);

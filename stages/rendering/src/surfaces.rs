@@ -6,7 +6,7 @@
 use anyhow::Context as _;
 use scene::{Camera, View};
 use shaders::splat::{PinholeCamera, RasterSettings};
-use shaders::tape::{Device, Tape, Tensor};
+use shaders::tape::Tensor;
 use training::player::Player;
 
 use crate::SurfaceMaps;
@@ -17,7 +17,7 @@ const BLENDED: usize = 5;
 /// Renders the surfaces of a view; `frame_secs` is the time between two frames of the capture.
 pub fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result<SurfaceMaps> {
     let camera = PinholeCamera::from(&view.camera);
-    let mut tape = Tape::new(Device::Cpu);
+    let mut tape = player.tape();
     let splats = player.splats(&mut tape, view.time_secs, &camera)?;
     let motion = motion_of_rows(player, view, frame_secs)?;
     let features = tape.constant(Tensor::from_vec([motion.len() / BLENDED, BLENDED], motion));

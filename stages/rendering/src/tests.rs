@@ -9,7 +9,7 @@ use image::{Rgb, RgbImage};
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Protocol, Split, TimeMap, image_file};
 use serde_json::{Value, json};
 use shaders::splat::PinholeCamera;
-use shaders::tape::Tensor;
+use shaders::tape::{Device, Tensor};
 use training::player::Player;
 use training::run::{Watch, train};
 use training::supplements::{FeatureTokens, NOTHING, Supplements};
@@ -96,7 +96,8 @@ fn trained_with(params: Value, supplements: &Supplements) -> (tempfile::TempDir,
     });
     let tables = [small, params].into_iter().filter_map(|table| table.as_object().cloned());
     let params: TrainingParams = serde_json::from_value(Value::Object(tables.flatten().collect())).unwrap();
-    let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
+    let (stop, on_progress) = (&AtomicBool::new(false), &|_| ());
+    let watch = Watch { stop, on_progress, checkpoint_dir: &checkpoints, device: Device::Cpu };
     let (model, _) = train(capture.clone(), supplements, &params, None, &watch).unwrap().unwrap();
     model.save(&model_dir).unwrap();
     (dir, model, capture)
@@ -107,7 +108,7 @@ fn images_are_the_players_images_in_the_captures_order() {
     let (dir, model, capture) = trained("deformable4dgs");
     let out = dir.path().join("renders");
     let params = RenderingParams { maps: Maps::All, ..RenderingParams::default() };
-    let (renders, times) = render(&model, &capture, &params, &out).unwrap();
+    let (renders, times) = render(&model, &capture, &params, Device::Cpu, &out).unwrap();
     let read = Renders::open(&out).unwrap();
     read.check().unwrap();
     assert_eq!(read, renders);
@@ -142,7 +143,8 @@ fn a_model_with_words_says_where_they_are() {
     let (dir, model, capture) = trained_with(params, &supplements);
     let out = dir.path().join("renders");
     let (renders, _) =
-        render(&model, &capture, &RenderingParams { maps: Maps::All, ..RenderingParams::default() }, &out).unwrap();
+        render(&model, &capture, &RenderingParams { maps: Maps::All, ..RenderingParams::default() }, Device::Cpu, &out)
+            .unwrap();
     renders.check().unwrap();
     assert_eq!(renders.prompts, ["sky", "ground"]);
     let player = Player::new(&model).unwrap();
@@ -160,7 +162,8 @@ fn a_model_with_words_says_where_they_are() {
         }
     }
     // No labels, no truth to compare with: by default nothing is written; a model without words never has any.
-    let unasked = render(&model, &capture, &RenderingParams::default(), &dir.path().join("unasked")).unwrap().0;
+    let unasked =
+        render(&model, &capture, &RenderingParams::default(), Device::Cpu, &dir.path().join("unasked")).unwrap().0;
     assert!(unasked.views.iter().all(|view| view.semantics.is_none()));
 }
 

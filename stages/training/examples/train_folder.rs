@@ -9,6 +9,7 @@ use engine::ParamProblem;
 use scene::{Capture, Split, image_file};
 use serde_json::{Map, Value};
 use shaders::splat::PinholeCamera;
+use shaders::tape::Device;
 use training::TrainingParams;
 use training::curve::{psnr, to_bytes};
 use training::dataset::Dataset;
@@ -29,7 +30,8 @@ fn main() -> anyhow::Result<()> {
     std::fs::create_dir_all(out)?;
     let checkpoints = Path::new(out).join("checkpoint");
     std::fs::create_dir_all(&checkpoints)?;
-    let watch = Watch { stop: &AtomicBool::new(false), on_progress: &|_| (), checkpoint_dir: &checkpoints };
+    let (stop, on_progress) = (&AtomicBool::new(false), &|_| ());
+    let watch = Watch { stop, on_progress, checkpoint_dir: &checkpoints, device: Device::Cpu };
     let (model, report) = train(capture.clone(), &NOTHING, &params, None, &watch)?.context("nobody asked to stop")?;
     model.save(Path::new(out))?;
 

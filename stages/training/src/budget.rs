@@ -13,7 +13,7 @@
 //! its budget, and `training_secs` says so.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use anyhow::Context as _;
 use engine::{Failure, FailureKind, Progress};
@@ -70,7 +70,7 @@ pub fn fit(
             let mut run = |scale| {
                 let message = format!("trains in miniature for the budget: schedule_scale {scale:.2e}");
                 (watch.on_progress)(Progress { done: 0, total: 0, message });
-                miniature(dataset, supplements, params, scale, watch.stop)
+                miniature(dataset, supplements, params, scale, watch)
             };
             let steps = steps_of(dataset, supplements, &with_scale(params, 1.0))?;
             let Some(choice) = choose(budget_secs, steps, &mut run)? else { return Ok(None) };
@@ -133,14 +133,14 @@ fn miniature(
     supplements: &Supplements,
     params: &TrainingParams,
     scale: f64,
-    stop: &AtomicBool,
+    watch: &Watch<'_>,
 ) -> anyhow::Result<Option<Cost>> {
     let mut params = with_scale(params, scale);
     params.shared.curve.points = 0;
-    let mut trainer = Trainer::new(dataset, supplements, &params)?;
+    let mut trainer = Trainer::new(dataset, supplements, &params)?.on(watch.device);
     while !trainer.is_done() {
         trainer.advance()?;
-        if stop.load(Ordering::Relaxed) {
+        if watch.stop.load(Ordering::Relaxed) {
             return Ok(None);
         }
     }
@@ -172,7 +172,10 @@ fn keep(choice: &Choice, path: &Path) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use serde_json::json;
+    use shaders::tape::Device;
 
     use super::*;
     use crate::supplements::NOTHING;
@@ -218,7 +221,8 @@ mod tests {
             .unwrap()
         };
         let (go, stopped) = (AtomicBool::new(false), AtomicBool::new(true));
-        let watch = |stop| Watch { stop, on_progress: &|_| (), checkpoint_dir: dir.path() };
+        let (on_progress, checkpoint_dir) = (&|_| (), dir.path());
+        let watch = |stop| Watch { stop, on_progress, checkpoint_dir, device: Device::Cpu };
         let fitted = |budget| fit(&dataset, &NOTHING, &params(budget), &watch(&go)).unwrap().unwrap();
         let (first, choice) = fitted(2.0);
         let choice = choice.unwrap();

@@ -3,7 +3,7 @@
 use anyhow::ensure;
 use shaders::rows::{divide_rows, normalize, reshape};
 use shaders::splat::{self, PinholeCamera};
-use shaders::tape::{Device, Real, Tape, Tensor, Var};
+use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::method::too_large;
 use crate::player::Player;
@@ -44,7 +44,7 @@ pub struct SemanticImage {
 impl Player {
     /// The semantic features at a time of the capture; none where the model has none.
     pub fn render_semantics(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Option<SemanticImage>> {
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = self.tape();
         let splats = self.splats(&mut tape, time_secs, camera)?;
         let model = self.state.bind(&mut tape, |_| false);
         let Some(semantics) = self.method.language().and_then(|language| language.semantics(&model)) else {
@@ -63,7 +63,7 @@ impl Player {
 
     /// The embeddings [P, E] of the prompts that the model was trained with, if any.
     pub fn prompts(&self) -> Option<Tensor<f32>> {
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = self.tape();
         let model = self.state.bind(&mut tape, |_| false);
         let prompts = self.method.language()?.prompts(&model)?;
         Some(tape.value(prompts).clone())
@@ -86,7 +86,7 @@ impl Player {
         let Some(SemanticImage { features, alpha }) = self.render_semantics(time_secs, camera)? else {
             return Ok(None);
         };
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = self.tape();
         let model = self.state.bind(&mut tape, |_| false);
         let (pixels, width) = (alpha.len(), features.shape()[2]);
         let features = tape.constant(features.reshape([pixels, width]));
@@ -127,6 +127,8 @@ fn relevancies(cosines: &[f32]) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
+    use shaders::tape::Device;
+
     use super::*;
 
     #[test]

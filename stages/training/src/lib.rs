@@ -8,6 +8,7 @@ pub mod clock;
 pub mod coarse;
 pub mod curve;
 pub mod dataset;
+pub mod device;
 pub mod effects;
 mod inputs;
 pub mod language;

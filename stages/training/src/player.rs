@@ -21,6 +21,7 @@ pub struct Player {
     pub(crate) state: ModelState<f32>,
     pub(crate) prompt_names: Vec<String>,
     scene: SceneFacts,
+    device: Device,
     phase: String,
     sh_degree: usize,
 }
@@ -69,12 +70,23 @@ impl Player {
         };
         let state = ModelState::from_named(&model.tensors);
         let prompt_names = header.prompts.clone();
-        Ok(Self { method, state, prompt_names, scene, phase: phase.clone(), sh_degree: header.sh_degree })
+        let (device, phase) = (Device::Cpu, phase.clone());
+        Ok(Self { method, state, prompt_names, scene, device, phase, sh_degree: header.sh_degree })
+    }
+
+    /// The same player, which computes on a device.
+    pub fn on(self, device: Device) -> Self {
+        Self { device, ..self }
+    }
+
+    /// An empty tape on the player's device.
+    pub fn tape(&self) -> Tape<f32> {
+        Tape::new(self.device)
     }
 
     /// The Gaussians at a time of the capture as a camera sees them, in the usual parametrisation.
     pub fn gaussians(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Gaussians> {
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = self.tape();
         let splats = self.splats(&mut tape, time_secs, camera)?;
         Ok(baked(&tape, &splats, self.sh_degree))
     }
@@ -92,7 +104,7 @@ impl Player {
 
     /// Where the Gaussians are at a time, and which rows of the model they are.
     pub fn positions(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Positions> {
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = self.tape();
         let model = self.state.bind(&mut tape, |_| false);
         let moment = self.moment(time_secs, camera);
         let splats = self.method.splats(&mut tape, &model, &moment)?;
@@ -127,7 +139,7 @@ impl Player {
 
     /// [H, W, 3] colour at a time of the capture.
     pub fn render(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<Tensor<f32>> {
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = self.tape();
         let splats = self.splats(&mut tape, time_secs, camera)?;
         let rendered = self.rasterize(&mut tape, &splats, None, camera, &self.raster_settings())?;
         Ok(tape.value(rendered.color).clone())

@@ -8,11 +8,13 @@ use anyhow::Context as _;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage};
 use scene::Capture;
 use serde::Deserialize as _;
+use shaders::tape::Device;
 
 use crate::artifact::Model;
 use crate::budget;
 use crate::checkpoint::Checkpoint;
 use crate::dataset::Dataset;
+use crate::device::compute_on;
 use crate::effects::CAPTURE;
 use crate::inputs::{self, OptionalInputs, START};
 use crate::methods;
@@ -40,6 +42,7 @@ impl Stage for Training {
     type Output = Model;
 
     const ID: &'static str = "training";
+    const ON_DEVICE: bool = true;
     const ABOUT: &'static str = "trains a dynamic (or static) Gaussian model on a capture";
 
     fn ports() -> Vec<Port> {
@@ -77,16 +80,21 @@ impl Stage for Training {
         };
         let given = OptionalInputs::open(context)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        let watch =
-            Watch { stop: &context.stop, on_progress: &*context.on_progress, checkpoint_dir: context.checkpoint_dir() };
-        let trained = pool.install(|| {
-            let supplements = given.load(&capture)?;
-            train(capture, &supplements, params, start, &watch)
-        });
+        let train_on = |device: Device| {
+            let (stop, on_progress) = (&*context.stop, &*context.on_progress);
+            let watch = Watch { stop, on_progress, checkpoint_dir: context.checkpoint_dir(), device };
+            pool.install(|| {
+                let supplements = given.load(&capture)?;
+                train(capture, &supplements, params, start, &watch)
+            })
+        };
+        let trained = compute_on(&context.device, train_on);
         let Some((model, report)) = trained? else {
             return Err(context.interrupted());
         };
-        measure(context, &report, pool.current_num_threads())?;
+        measure(context, &report)?;
+        context.measure("device", Device::open(&context.device)?.name())?;
+        context.measure("threads", pool.current_num_threads())?;
         if given.has_particles() {
             // How well they were drawn belongs to what this training began with, and reports read trainings.
             context.measure(
@@ -99,7 +107,7 @@ impl Stage for Training {
     }
 }
 
-/// Whom a training asks and tells while it runs.
+/// Where a training computes, and whom it asks and tells meanwhile.
 pub struct Watch<'a> {
     /// Set when the training should save a checkpoint and stop.
     pub stop: &'a AtomicBool,
@@ -107,6 +115,8 @@ pub struct Watch<'a> {
     pub on_progress: &'a (dyn Fn(Progress) + Send + Sync),
     /// Where checkpoints lie.
     pub checkpoint_dir: &'a Path,
+    /// What its steps compute on.
+    pub device: Device,
 }
 
 /// What the training measured whose model lies on the port `start`.
@@ -129,11 +139,12 @@ pub fn train(
     let Some((params, choice)) = budget::fit(&dataset, supplements, params, watch)? else { return Ok(None) };
     let params = &params;
     let checkpoint = Checkpoint::load(watch.checkpoint_dir, &serde_json::to_value(params)?);
-    let mut trainer = match (checkpoint, start) {
+    let trainer = match (checkpoint, start) {
         (Some(checkpoint), _) => Trainer::resume(&dataset, supplements, params, checkpoint)?,
         (None, Some((model, earlier))) => Trainer::go_on(&dataset, supplements, params, &model, earlier)?,
         (None, None) => Trainer::new(&dataset, supplements, params)?,
     };
+    let mut trainer = trainer.on(watch.device);
     let (mut saved, mut told) = (Instant::now(), Instant::now());
     while !trainer.is_done() {
         trainer.advance()?;
@@ -156,7 +167,7 @@ pub fn train(
 }
 
 /// Everything that must not be in the artifact.
-fn measure(context: &JobContext, report: &Report, threads: usize) -> anyhow::Result<()> {
+fn measure(context: &JobContext, report: &Report) -> anyhow::Result<()> {
     context.measure("training_secs", report.training_secs)?;
     if let Some(choice) = &report.budget {
         context.measure("budget", choice)?;
@@ -174,9 +185,7 @@ fn measure(context: &JobContext, report: &Report, threads: usize) -> anyhow::Res
     context.measure("guards", &report.guards)?;
     context.measure("curve", &report.curve)?;
     context.measure("curve_split", report.curve_split)?;
-    context.measure("peak_memory_bytes", peak_memory_bytes())?;
-    context.measure("device", "cpu")?;
-    context.measure("threads", threads)
+    context.measure("peak_memory_bytes", peak_memory_bytes())
 }
 
 /// The largest resident set of this process so far; `None` where the system does not tell.

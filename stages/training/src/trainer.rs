@@ -6,6 +6,8 @@
 
 mod finite;
 #[cfg(test)]
+mod gpu_tests;
+#[cfg(test)]
 mod poison;
 mod report;
 #[cfg(test)]
@@ -49,6 +51,7 @@ pub struct Trainer<'a> {
     start: Start<'a>,
     dataset: &'a Dataset,
     params: &'a TrainingParams,
+    device: Device,
     method: Box<dyn Method<f32>>,
     phases: Vec<Phase>,
     phase: usize,
@@ -125,6 +128,7 @@ impl<'a> Trainer<'a> {
             start,
             dataset,
             params,
+            device: Device::Cpu,
             method,
             phases,
             phase: 0,
@@ -172,6 +176,11 @@ impl<'a> Trainer<'a> {
         trainer.clock.enter_phase(trainer.phases[trainer.phase].name);
         trainer.check_values(&tensors)?;
         Ok(trainer)
+    }
+
+    /// The same training, whose steps compute on a device.
+    pub fn on(self, device: Device) -> Self {
+        Self { device, ..self }
     }
 
     /// Everything that the next step depends on.
@@ -229,7 +238,7 @@ impl<'a> Trainer<'a> {
         for _ in 0..self.params.shared.batch {
             views.push(self.dataset.train[self.sampler.next_view()].to_training());
         }
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = Tape::new(self.device);
         let model = self.optimizer.bind(&mut tape);
         let phase = self.phases[self.phase].name;
         let step = Step {
@@ -320,7 +329,7 @@ impl<'a> Trainer<'a> {
         let mut psnr_sum = 0.0;
         let mut n_gaussians = 0;
         for view in &self.dataset.curve {
-            let mut tape = Tape::new(Device::Cpu);
+            let mut tape = Tape::new(self.device);
             let moment = self.moment(view.time, &view.camera);
             let splats = self.splats(&mut tape, &moment)?;
             n_gaussians = tape.value(splats.positions).rows() as u64;
@@ -413,7 +422,7 @@ impl<'a> Trainer<'a> {
         let capture = &self.dataset.capture;
         let camera = PinholeCamera::from(&capture.views[self.dataset.train[0].index].camera);
         let moment = self.moment(0.0, &camera);
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = Tape::new(self.device);
         let splats = self.splats(&mut tape, &moment)?;
         let n_gaussians = tape.value(splats.positions).rows() as u64;
         drop(tape);

@@ -21,6 +21,9 @@ pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
         refuse_to_run(&Session::look(store, &args.recipe)?.select(&args.selection)?)?;
     }
     let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
+    if session.needs_device()? {
+        session.device.check()?;
+    }
     let options = options(&session, args)?;
     let mut display = display::choose(args.json);
     let mut unseen = None;
@@ -54,6 +57,7 @@ fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
         force: session.force.clone(),
         jobs: args.jobs.unwrap_or(threads),
         threads,
+        device: session.device.id(),
         max_failures: if args.fail_fast { Some(1) } else { args.max_failures },
         timeout: args.timeout,
         rehash: session.rehash,

@@ -152,6 +152,7 @@ fn job_context(
         coordinates: spec.coordinates.clone(),
         action_key: key.to_string(),
         threads: spec.threads,
+        device: spec.device.clone(),
         inputs,
         sources,
         output_dir,

@@ -45,6 +45,8 @@ pub struct JobSpec {
     pub sources: BTreeMap<String, SourceSpec>,
     /// Threads that the job may use.
     pub threads: usize,
+    /// The device that it computes on.
+    pub device: String,
     /// Whether the result replaces an earlier record of the same key (`--force`).
     pub replace: bool,
     /// Filter of the job's log, as `info` or `training=debug`.

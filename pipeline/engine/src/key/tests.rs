@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use serde_json::{Map, Value, json};
 
 use super::{ActionKey, KeyComponents, KeyInput, plan_id};
-use crate::plan::{Node, Plan, PlanSource};
+use crate::plan::{DeviceClass, Node, Plan, PlanSource};
 use crate::registry::tests::registry;
 use crate::{Coordinates, Decision, FailureKind, Measurements, canonical};
 
@@ -281,14 +281,14 @@ fn a_key_leaves_out_what_the_stage_does_not_see() {
     };
     let key = |name: &str, port: &str| {
         let node = &plan.nodes[plan.index_of(name).unwrap()];
-        KeyComponents::of(node, BTreeMap::from([(port.into(), vec![input.clone()])]), BTreeMap::new(), "cpu")
+        KeyComponents::of(node, BTreeMap::from([(port.into(), vec![input.clone()])]), BTreeMap::new(), DeviceClass::Cpu)
     };
     let one = key("train/ball/0", "text");
     assert_eq!(one.inputs["text"], [KeyInput { content: Some("c".into()), ..KeyInput::default() }]);
     let mut relaying = plan.nodes[plan.index_of("train/ball/0").unwrap()].clone();
     relaying.inputs[0].measurements = Measurements::Relayed;
     let inputs = BTreeMap::from([("text".into(), vec![input.clone()])]);
-    assert_eq!(KeyComponents::of(&relaying, inputs, BTreeMap::new(), "cpu"), one);
+    assert_eq!(KeyComponents::of(&relaying, inputs, BTreeMap::new(), DeviceClass::Cpu), one);
     let many = key("list", "texts");
     assert_eq!(many.inputs["texts"], [KeyInput { measurements: None, ..input.clone() }]);
     assert_eq!((one.stage.as_str(), one.params["rate"].as_f64()), ("test-work", Some(0.001)));

@@ -21,6 +21,7 @@ pub(crate) fn node(name: &str, producers: &[usize]) -> Node {
         }],
         sources: Vec::new(),
         threads: 1,
+        on_device: false,
         output: ("text".into(), 1),
         unused_sources: Default::default(),
         code: BTreeMap::new(),
@@ -40,7 +41,7 @@ pub(crate) fn diamond() -> Plan {
         node("render/lego/mcgs", &[1, 3]),
         node("table", &[4, 5]),
     ];
-    Plan { recipe: "diamond".into(), nodes, origins: BTreeMap::new(), left_out: Vec::new() }
+    Plan { recipe: "diamond".into(), nodes, origins: BTreeMap::new(), left_out: Vec::new(), device: Default::default() }
 }
 
 fn set(indices: &[usize]) -> BTreeSet<usize> {

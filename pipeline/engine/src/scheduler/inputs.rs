@@ -9,9 +9,6 @@ use crate::{
     ActionKey, Digest, Failure, FailureKind, KeyComponents, KeyInput, Measurements, Node, Plan, PlanInput, Store,
 };
 
-/// The class of machine in every key. All stages compute on the CPU.
-pub const ENVIRONMENT: &str = "cpu";
-
 /// What consumers may know of a job that has come to rest.
 #[derive(Clone, Debug)]
 pub enum Rest {
@@ -184,7 +181,7 @@ pub fn readiness(plan: &Plan, index: usize, rests: &[Option<Rest>], sources: &So
         let Some(producers) = port.producers.iter().map(key_input).collect() else { return Readiness::Waiting };
         inputs.insert(port.port.clone(), producers);
     }
-    Readiness::Ready(Box::new(KeyComponents::of(node, inputs, digests, ENVIRONMENT)))
+    Readiness::Ready(Box::new(KeyComponents::of(node, inputs, digests, plan.device_of(node))))
 }
 
 /// The rest that a job comes to because of a producer on this port, if one keeps it from running.

@@ -9,7 +9,7 @@ use anyhow::Context;
 use super::{Message, RunOptions, Scheduler, inputs};
 use crate::job::{Ended, JobSpec, JobStatus, ProcessHandle, supervise};
 use crate::store::{FailureRecord, Lookup, Provenance, Store, naming};
-use crate::{ActionKey, Failure, FailureKind, KeyComponents, Progress, lock};
+use crate::{ActionKey, DeviceClass, Failure, FailureKind, KeyComponents, Node, Progress, lock};
 
 /// A job with a thread of its own.
 pub(super) struct Running {
@@ -50,6 +50,13 @@ impl Scheduler<'_> {
         }
     }
 
+    fn device_of(&self, node: &Node) -> String {
+        match self.plan.device_of(node) {
+            DeviceClass::Cpu => DeviceClass::Cpu.as_str().into(),
+            DeviceClass::Gpu => self.options.device.clone(),
+        }
+    }
+
     fn launch(&mut self, index: usize, components: KeyComponents, threads: usize) -> anyhow::Result<()> {
         let node = &self.plan.nodes[index];
         let sources = self.sources.specs(node)?;
@@ -67,6 +74,7 @@ impl Scheduler<'_> {
             inputs: inputs::input_specs(self.plan, node, &self.rests),
             sources,
             threads,
+            device: self.device_of(node),
             replace: self.options.force.contains(&index),
             log_filter: self.options.log_filter.clone(),
             dir: dir.clone(),

@@ -22,7 +22,7 @@ use crate::job::{Ended, JobStatus, StopRequests};
 use crate::store::{ActionRecord, Lookup, naming};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents, Plan, Progress, Store};
 
-pub use inputs::{Done, ENVIRONMENT, Readiness, Rest, Sources, readiness};
+pub use inputs::{Done, Readiness, Rest, Sources, readiness};
 pub use summary::RunSummary;
 
 use launch::Running;
@@ -43,6 +43,8 @@ pub struct RunOptions {
     pub jobs: usize,
     /// Threads of all children together.
     pub threads: usize,
+    /// The device of the jobs that compute on one, as [`JobContext::device`](crate::JobContext::device) tells it to them.
+    pub device: String,
     /// Launch nothing more after so many failures.
     pub max_failures: Option<usize>,
     /// Stop a job that runs longer.

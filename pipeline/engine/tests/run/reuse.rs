@@ -2,7 +2,9 @@
 
 use std::fs;
 
+use engine::DeviceClass;
 use engine::event::{Event, Outcome};
+use engine::scheduler::{self, RunOptions};
 
 use crate::world::{GRID, World, contents, nodes};
 
@@ -16,6 +18,7 @@ pub const TESTS: &[(&str, fn())] = &[
     ("renamed_axis_value_reruns_only_what_shows_it", renamed_axis_value_reruns_only_what_shows_it),
     ("damaged_blobs_are_made_again", damaged_blobs_are_made_again),
     ("forced_jobs_run_again", forced_jobs_run_again),
+    ("jobs_on_a_device_run_once_per_class_of_devices", jobs_on_a_device_run_once_per_class_of_devices),
     ("selection_runs_only_what_it_needs", selection_runs_only_what_it_needs),
     ("changed_source_reruns_and_a_moving_one_is_not_recorded", sources),
     ("two_runs_share_one_store", two_runs_share_one_store),
@@ -56,6 +59,27 @@ fn equal_result_cuts_the_rerun_off() {
     let cut = world.run(&["nodes.work.params.keep=2", "nodes.work.params.letter='z'"]);
     assert_eq!(nodes(&cut, Outcome::Executed), ["work/ball/p", "work/lego/p"]);
     assert_eq!(cut.results["list"].outcome, Outcome::Cached);
+}
+
+fn jobs_on_a_device_run_once_per_class_of_devices() {
+    let world = World::new(GRID);
+    world.run(&[]);
+    let run_on = |device: &str| {
+        let mut plan = world.plan(&[]);
+        plan.device = DeviceClass::Gpu;
+        let options = RunOptions { device: device.into(), ..world.options(&plan) };
+        scheduler::run(&plan, &world.store(), &options, &mut |_| ()).unwrap()
+    };
+    // Their texts are the same, so that the list has nothing new to read.
+    let on_gpu = run_on("card 7");
+    assert_eq!(nodes(&on_gpu, Outcome::Executed), ["work/ball/p", "work/ball/q", "work/lego/p", "work/lego/q"]);
+    let records = world.store().records().unwrap();
+    let mut of_gpu = records.iter().filter(|record| record.components.environment == "gpu");
+    let measured = world.store().read_measurements(&of_gpu.next().unwrap().measurements).unwrap();
+    assert_eq!((&measured["device"], of_gpu.count()), (&"card 7".into(), 3), "{measured}");
+    // Another card is of the same class, and what ran on the CPU is still there.
+    assert_eq!(run_on("card 8").counts.executed, 0);
+    assert_eq!(world.run(&[]).counts.executed, 0);
 }
 
 fn an_optional_input_is_read_where_it_is_wired() {

@@ -93,6 +93,7 @@ impl World {
             force: Default::default(),
             jobs: 4,
             threads: 4,
+            device: "cpu".into(),
             max_failures: None,
             timeout: None,
             rehash: false,

@@ -6,13 +6,13 @@ use crate::checkpoint::Checkpoint;
 use crate::supplements::NOTHING;
 use crate::test_scene::TestScene;
 
-fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
+pub(super) fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
     let dir = tempfile::tempdir().unwrap();
     let capture = scene.write(dir.path());
     (dir, Dataset::load(capture, 2).unwrap())
 }
 
-fn params(value: Value) -> TrainingParams {
+pub(super) fn params(value: Value) -> TrainingParams {
     serde_json::from_value(value).unwrap()
 }
 
@@ -39,7 +39,7 @@ fn train_to_end(mut trainer: Trainer<'_>) -> Model {
 }
 
 /// Bit patterns of every tensor, so that −0 and 0 differ.
-fn bits(model: &Model) -> BTreeMap<&str, Vec<u32>> {
+pub(super) fn bits(model: &Model) -> BTreeMap<&str, Vec<u32>> {
     model
         .tensors
         .iter()

@@ -1,0 +1,55 @@
+//! `--device`: what a run computes on, and what becomes of its results.
+
+use serde_json::Value;
+
+use crate::product::{Ended, TINY_JOBS, World, program};
+
+/// Largest difference between the devices, dB: a hundred short steps let rounding grow.
+const PSNR: f64 = 0.5;
+
+/// Whether there is a GPU, a software one included; without one the test is skipped, and says so.
+fn has_gpu() -> bool {
+    let doctor = Ended::of(program(&["doctor", "--device", "gpu"]));
+    let required = std::env::var("REQUIRE_ADAPTER").is_ok_and(|value| value == "1");
+    assert!(doctor.code == 0 || !required, "REQUIRE_ADAPTER=1: {}", doctor.stdout);
+    if doctor.code != 0 {
+        eprintln!("SKIPPED: {}", doctor.stdout);
+    }
+    doctor.code == 0
+}
+
+#[test]
+fn results_of_a_gpu_agree_with_the_cpu_and_are_kept_apart() {
+    if !has_gpu() {
+        return;
+    }
+    let world = World::tiny();
+    world.run(&["--device", "cpu"]);
+    // Everything but the two captures.
+    let on_gpu = world.run(&["--device", "gpu"]);
+    assert_eq!((on_gpu.counts["executed"], on_gpu.counts["cached"]), (TINY_JOBS as u64 - 2, 2));
+    for device in ["gpu", "cpu"] {
+        assert_eq!(world.run(&["--device", device]).counts["executed"], 0, "a second run on the {device}");
+    }
+    let of_training = |device: &str| -> Value {
+        let job = "train/bouncing-spheres/deformable4dgs/0";
+        serde_json::from_str(&world.call("show", &[job, "--json", "--device", device]).ok()).unwrap()
+    };
+    let (cpu, gpu) = (of_training("cpu"), of_training("gpu"));
+    let psnr = |shown: &Value| {
+        let curve = shown["measurements"]["curve"].as_array().unwrap();
+        curve.last().unwrap()["psnr_val"].as_f64().unwrap()
+    };
+    assert!((psnr(&cpu) - psnr(&gpu)).abs() <= PSNR, "{} dB on the CPU, {} on the GPU", psnr(&cpu), psnr(&gpu));
+    assert_eq!(cpu["measurements"]["device"], "cpu");
+    assert_ne!(gpu["measurements"]["device"], "cpu");
+    assert_ne!(cpu["record"]["components"]["environment"], gpu["record"]["components"]["environment"]);
+}
+
+#[test]
+fn a_device_that_is_not_there_is_refused_before_anything_runs() {
+    let world = World::tiny();
+    let refused = world.call("run", &["--device", "no such adapter"]);
+    assert_eq!(refused.code, 13, "{}", refused.stderr);
+    assert!(refused.stderr.contains("hint") && !world.path("store/results").exists(), "{}", refused.stderr);
+}
