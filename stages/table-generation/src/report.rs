@@ -204,7 +204,7 @@ pub fn failure_mark(kind: FailureKind) -> &'static str {
     match kind {
         FailureKind::MissingData => "no data",
         FailureKind::BadInput => "bad input",
-        FailureKind::Diverged => "NaN",
+        FailureKind::Diverged => "diverged",
         FailureKind::OutOfMemory => "OOM",
         FailureKind::Timeout => "timeout",
         FailureKind::Interrupted => "stopped",

@@ -119,11 +119,14 @@ impl AnchorGrowth {
         Ok(free)
     }
 
-    /// Removes anchors that were looked at often enough and whose Gaussians were transparent.
+    /// Removes anchors that were looked at often enough and whose Gaussians were transparent; never all, as where there
+    /// is nothing to see: the most opaque one stays.
     fn prune(&mut self, optimizer: &mut Optimizer) -> anyhow::Result<()> {
-        let opaque = self.statistics.mean_opacities(self.looks_needed());
-        let min_opacity = self.density.min_opacity as f32;
-        let keep: Vec<bool> = opaque.iter().map(|mean| mean.is_none_or(|mean| mean >= min_opacity)).collect();
+        let opacities = self.statistics.mean_opacities(self.looks_needed());
+        let opacity = |anchor: usize| opacities[anchor].unwrap_or(1.0);
+        let most_opaque = (0..opacities.len()).map(opacity).fold(0.0, f32::max);
+        let min_opacity = most_opaque.min(self.density.min_opacity as f32);
+        let keep: Vec<bool> = (0..opacities.len()).map(|anchor| opacity(anchor) >= min_opacity).collect();
         optimizer.keep(ANCHORS, &keep)?;
         self.statistics.forget_looks(self.looks_needed());
         self.statistics.keep(&keep);

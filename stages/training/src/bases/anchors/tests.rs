@@ -129,6 +129,13 @@ fn transparent_anchors_go_and_those_that_no_camera_looked_at_stay() {
 }
 
 #[test]
+fn the_last_anchor_stays_however_transparent_it_is() {
+    let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
+    let left = after_interval(&mut growth(|_| ()), state, &screen(&[0.0; 4], &[0.01, 0.0, 0.0, 0.02]));
+    assert_eq!(positions(&left), [[40.0, 0.0, 0.0]]);
+}
+
+#[test]
 fn statistics_survive_a_checkpoint() {
     let mut control = growth(|_| ());
     control.observe(&screen(&[1e-3, 0.0, 2e-3, 0.0], &[0.5, 0.1, 0.2, 0.0]));
