@@ -93,7 +93,6 @@ impl engine::Artifact for Model {
     fn check(&self) -> anyhow::Result<()> {
         ensure!(!self.tensors.is_empty(), "model without tensors");
         ensure!(self.header.scene_extent.is_finite() && self.header.scene_extent > 0.0, "scene extent is not positive");
-        ensure!(self.header.n_gaussians > 0, "model without Gaussians");
         ensure!(self.header.background.iter().all(|value| (0.0..=1.0).contains(value)), "background is not a colour");
         self.header.time_map.check()?;
         for (name, tensor) in &self.tensors {
