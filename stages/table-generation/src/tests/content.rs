@@ -97,12 +97,12 @@ fn failures_show_in_cells_and_in_their_own_table() {
     let one_seed = report(runs.clone());
     assert_eq!(headline(&one_seed, 1, Column::PSNR).n(), 1);
     assert!(text(&one_seed).contains("×1/2"), "{}", text(&one_seed));
-    assert!(text(&one_seed).contains("1 of 2 seeds: trex: NaN"), "{}", text(&one_seed));
+    assert!(text(&one_seed).contains("1 of 2 seeds: trex: diverged"), "{}", text(&one_seed));
     runs[7] = failed("trex", "deformable4dgs", 1, FailureKind::OutOfMemory);
     let none = report(runs);
     assert_eq!(headline(&none, 1, Column::PSNR).mean, None);
     let text = text(&none);
-    assert!(text.contains("| NaN | train/trex/deformable4dgs/0 | trex went wrong |"), "{text}");
+    assert!(text.contains("| diverged | train/trex/deformable4dgs/0 | trex went wrong |"), "{text}");
     assert!(text.contains("| OOM | train/trex/deformable4dgs/1 | trex went wrong |"), "{text}");
 }
 
