@@ -28,5 +28,6 @@ pub mod slicing4d;
 mod sort;
 pub mod splat;
 pub mod ssim;
+mod sums;
 pub mod tape;
 pub mod temporal_harmonics;

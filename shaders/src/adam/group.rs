@@ -1,12 +1,14 @@
 use crate::tape::Tensor;
 
 /// A parameter tensor with its Adam moments; rows (the first dimension) are what density control adds and removes.
+///
+/// All three are wherever they were updated last; what edits them here has them read back first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
     name: String,
     tensor: Tensor<f32>,
-    first_moment: Vec<f32>,
-    second_moment: Vec<f32>,
+    first_moment: Tensor<f32>,
+    second_moment: Tensor<f32>,
     step: u64,
 }
 
@@ -24,7 +26,7 @@ pub struct GroupState {
 impl Group {
     /// A group that has not been updated yet.
     pub fn new(name: impl Into<String>, tensor: Tensor<f32>) -> Self {
-        let zeros = vec![0.0; tensor.len()];
+        let zeros = Tensor::zeros(tensor.shape());
         Self { name: name.into(), tensor, first_moment: zeros.clone(), second_moment: zeros, step: 0 }
     }
 
@@ -33,7 +35,9 @@ impl Group {
         let GroupState { name, shape, values, first_moment, second_moment, step } = state;
         assert_eq!(first_moment.len(), values.len(), "adam: first moment of group {name:?}");
         assert_eq!(second_moment.len(), values.len(), "adam: second moment of group {name:?}");
-        Self { name, tensor: Tensor::from_vec(shape, values), first_moment, second_moment, step }
+        let [tensor, first_moment, second_moment] =
+            [values, first_moment, second_moment].map(|data| Tensor::from_vec(shape.clone(), data));
+        Self { name, tensor, first_moment, second_moment, step }
     }
 
     pub fn state(&self) -> GroupState {
@@ -41,8 +45,8 @@ impl Group {
             name: self.name.clone(),
             shape: self.tensor.shape().to_vec(),
             values: self.tensor.as_slice().to_vec(),
-            first_moment: self.first_moment.clone(),
-            second_moment: self.second_moment.clone(),
+            first_moment: self.first_moment.as_slice().to_vec(),
+            second_moment: self.second_moment.as_slice().to_vec(),
             step: self.step,
         }
     }
@@ -75,8 +79,8 @@ impl Group {
 
     /// Zero moments; the step count, and with it the bias correction, goes on.
     pub fn reset_moments(&mut self) {
-        self.first_moment.fill(0.0);
-        self.second_moment.fill(0.0);
+        self.first_moment = Tensor::zeros(self.tensor.shape());
+        self.second_moment = self.first_moment.clone();
     }
 
     /// Drops the rows whose flag is false, with their moments.
@@ -87,29 +91,41 @@ impl Group {
             let rows = data.chunks_exact(row_len).zip(keep).filter(|&(_, &keep)| keep);
             rows.flat_map(|(row, _)| row).copied().collect()
         };
-        (self.first_moment, self.second_moment) = (kept(&self.first_moment), kept(&self.second_moment));
-        let values = kept(self.tensor.as_slice());
-        self.replace_rows(values);
+        self.replace_rows(self.tensors().map(|tensor| kept(tensor.as_slice())));
     }
 
     /// Adds rows with zero moments; `rows` holds a whole number of rows.
     pub fn append_rows(&mut self, rows: &[f32]) {
         assert_eq!(rows.len() % self.row_len(), 0, "adam: incomplete row for group {:?}", self.name);
-        let values = [self.tensor.as_slice(), rows].concat();
-        self.first_moment.resize(values.len(), 0.0);
-        self.second_moment.resize(values.len(), 0.0);
-        self.replace_rows(values);
+        let zeros = vec![0.0; rows.len()];
+        let [values, first, second] = self.tensors().map(Tensor::as_slice);
+        self.replace_rows([[values, rows].concat(), [first, &zeros].concat(), [second, &zeros].concat()]);
     }
 
-    fn replace_rows(&mut self, values: Vec<f32>) {
+    /// Values and moments of another number of rows.
+    fn replace_rows(&mut self, data: [Vec<f32>; 3]) {
         let mut shape = self.tensor.shape().to_vec();
-        shape[0] = values.len() / self.row_len();
-        self.tensor = Tensor::from_vec(shape, values);
+        shape[0] = data[0].len() / self.row_len();
+        self.replace(data.map(|data| Tensor::from_vec(shape.clone(), data)));
     }
 
-    /// Counts one more update; the new count, the values and the two moments.
-    pub(super) fn advance(&mut self) -> (u64, &mut [f32], &mut [f32], &mut [f32]) {
+    /// Counts one more update; the new count.
+    pub(super) fn count_step(&mut self) -> u64 {
         self.step += 1;
-        (self.step, self.tensor.make_mut(), &mut self.first_moment, &mut self.second_moment)
+        self.step
+    }
+
+    /// The values and the two moments.
+    pub(super) fn tensors(&self) -> [&Tensor<f32>; 3] {
+        [&self.tensor, &self.first_moment, &self.second_moment]
+    }
+
+    /// As [`Group::tensors`], for writing on the host.
+    pub(super) fn slices_mut(&mut self) -> [&mut [f32]; 3] {
+        [&mut self.tensor, &mut self.first_moment, &mut self.second_moment].map(Tensor::make_mut)
+    }
+
+    pub(super) fn replace(&mut self, [tensor, first_moment, second_moment]: [Tensor<f32>; 3]) {
+        (self.tensor, self.first_moment, self.second_moment) = (tensor, first_moment, second_moment);
     }
 }

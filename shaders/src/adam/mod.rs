@@ -2,6 +2,9 @@
 //!
 //! Dense: a row whose gradient is zero is updated like any other, its moments decay and may still move it.
 
+mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 mod group;
 #[cfg(test)]
 mod tests;
@@ -59,44 +62,50 @@ struct Chunk<'a> {
 }
 
 impl Adam {
-    /// Updates all groups in one parallel pass over fixed chunks.
+    /// Updates all groups: on the GPU where the gradient or the values are, the others in one parallel pass over fixed
+    /// chunks.
     pub fn step(&self, updates: &mut [Update]) {
         let mut chunks = Vec::new();
-        for update in updates {
-            if let Some(gradient) = update.gradient {
-                self.push_chunks(update.group, gradient, update.learning_rate, &mut chunks);
+        for Update { group, gradient, learning_rate } in updates {
+            let Some(gradient) = *gradient else { continue };
+            assert_eq!(gradient.shape(), group.tensor().shape(), "adam: gradient of group {:?}", group.name());
+            let coefficients = self.coefficients(group.count_step(), *learning_rate);
+            match gradient.gpu().or(group.tensor().gpu()) {
+                Some(gpu) => gpu::advance(gpu, group, gradient, coefficients),
+                None => push_chunks(group, gradient, coefficients, &mut chunks),
             }
         }
         chunks.into_par_iter().for_each(|mut chunk| advance(&mut chunk));
     }
 
-    fn push_chunks<'a>(
-        &self,
-        group: &'a mut Group,
-        gradient: &'a Tensor<f32>,
-        learning_rate: f64,
-        chunks: &mut Vec<Chunk<'a>>,
-    ) {
-        assert_eq!(gradient.shape(), group.tensor().shape(), "adam: gradient of group {:?}", group.name());
-        let (step, values, first_moment, second_moment) = group.advance();
+    fn coefficients(&self, step: u64, learning_rate: f64) -> Coefficients {
         let correction = |beta: f64| 1.0 - beta.powf(step as f64);
-        let coefficients = Coefficients {
+        Coefficients {
             beta1: self.beta1 as f32,
             beta2: self.beta2 as f32,
             step_size: (learning_rate / correction(self.beta1)) as f32,
             second_moment_scale: (1.0 / correction(self.beta2).sqrt()) as f32,
             epsilon: self.epsilon as f32,
-        };
-        let moments = first_moment.chunks_mut(CHUNK).zip(second_moment.chunks_mut(CHUNK));
-        let parts = gradient.as_slice().chunks(CHUNK).zip(values.chunks_mut(CHUNK)).zip(moments);
-        chunks.extend(parts.map(|((gradient, values), (first_moment, second_moment))| Chunk {
-            coefficients,
-            gradient,
-            values,
-            first_moment,
-            second_moment,
-        }));
+        }
     }
+}
+
+fn push_chunks<'a>(
+    group: &'a mut Group,
+    gradient: &'a Tensor<f32>,
+    coefficients: Coefficients,
+    chunks: &mut Vec<Chunk<'a>>,
+) {
+    let [values, first_moment, second_moment] = group.slices_mut();
+    let moments = first_moment.chunks_mut(CHUNK).zip(second_moment.chunks_mut(CHUNK));
+    let parts = gradient.as_slice().chunks(CHUNK).zip(values.chunks_mut(CHUNK)).zip(moments);
+    chunks.extend(parts.map(|((gradient, values), (first_moment, second_moment))| Chunk {
+        coefficients,
+        gradient,
+        values,
+        first_moment,
+        second_moment,
+    }));
 }
 
 multiversion! {

@@ -9,6 +9,9 @@
 //! plane is blended once into a row, which every point then reads by linear interpolation.
 
 mod cpu;
+mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 mod lookup;
 mod order;
 mod reference;
@@ -18,6 +21,7 @@ mod tests;
 
 pub use regularisers::{distance_to_one, smoothness};
 
+use crate::gpu::Gpu;
 use crate::tape::chunks::for_each_chunk;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -161,5 +165,22 @@ impl<T: Real> Op<T> for Hexplane<T> {
         for ((total, sum), &needed) in totals.iter_mut().zip(sums).zip(needs) {
             *total = needed.then_some(sum);
         }
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::forward(gpu, &Field { planes: &inputs[1..], time: self.time }, inputs[0])?])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+        let field = Field { planes: &inputs[1..], time: self.time };
+        Some(gpu::backward(gpu, &field, inputs[0], dy)?.into_iter().map(Some).collect())
     }
 }

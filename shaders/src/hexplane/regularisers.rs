@@ -1,5 +1,7 @@
 //! Regularisers of the planes of a hexplane field (Cao and Johnson 2023; Fridovich-Keil et al. 2023).
 
+use super::gpu::{DISTANCE, PlaneKernels, SMOOTHNESS};
+use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -9,7 +11,12 @@ use crate::tape::{Op, Real, Tape, Tensor, Var};
 /// spatial planes this is the "total variation" of 4DGaussians, on time planes its time smoothness.
 pub fn smoothness<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Var {
     tape.apply_one(
-        PlaneMeans { name: "plane_smoothness", mean: mean_square_second_difference, gradient: smoothness_gradient },
+        PlaneMeans {
+            name: "plane_smoothness",
+            mean: mean_square_second_difference,
+            gradient: smoothness_gradient,
+            kernels: &SMOOTHNESS,
+        },
         planes,
     )
 }
@@ -17,7 +24,12 @@ pub fn smoothness<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Var {
 /// Σ over planes of mean |1 − P|, shape [1]; the gradient at P = 1 is 0. On time planes 1 means "does not change".
 pub fn distance_to_one<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Var {
     tape.apply_one(
-        PlaneMeans { name: "plane_distance_to_one", mean: mean_distance_to_one, gradient: distance_gradient },
+        PlaneMeans {
+            name: "plane_distance_to_one",
+            mean: mean_distance_to_one,
+            gradient: distance_gradient,
+            kernels: &DISTANCE,
+        },
         planes,
     )
 }
@@ -28,6 +40,7 @@ struct PlaneMeans<T: Real> {
     mean: fn(&Tensor<T>) -> f64,
     /// Gradient of the mean times the given factor.
     gradient: fn(&Tensor<T>, T) -> Vec<T>,
+    kernels: &'static PlaneKernels,
 }
 
 impl<T: Real> Op<T> for PlaneMeans<T> {
@@ -49,6 +62,23 @@ impl<T: Real> Op<T> for PlaneMeans<T> {
         let Some(dy) = output_grads[0] else { return vec![None; planes.len()] };
         let gradient = |plane: &Tensor<T>| Tensor::from_vec(plane.shape(), (self.gradient)(plane, dy.as_slice()[0]));
         planes.iter().zip(needs).map(|(plane, &needed)| needed.then(|| gradient(plane))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, planes: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.kernels.sum_of_means(gpu, planes)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        planes: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; planes.len()]) };
+        let gradient = |(plane, &needed): (&&Tensor<T>, &bool)| needed.then(|| self.kernels.gradient(gpu, plane, dy));
+        Some(planes.iter().zip(needs).map(gradient).collect())
     }
 }
 

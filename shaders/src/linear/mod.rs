@@ -4,6 +4,9 @@
 //! contributions to the gradients of W and b are added in order.
 
 mod cpu;
+mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 pub(crate) mod matrix;
 mod reference;
 #[cfg(test)]
@@ -11,6 +14,7 @@ mod tests;
 
 use rayon::prelude::*;
 
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 use matrix::Matrix;
 
@@ -93,6 +97,22 @@ impl<T: Real> Op<T> for Linear {
             needs[1].then(|| total(|chunk| &chunk.weight, weight)),
             needs[2].then(|| total(|chunk| &chunk.bias, bias)),
         ]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.forward_on_gpu(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; 3]) };
+        Some(self.backward_on_gpu(gpu, inputs, outputs[0], dy, needs))
     }
 }
 

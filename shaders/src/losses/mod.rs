@@ -1,8 +1,10 @@
 //! Photometric losses of a rendered image.
 
+mod gpu;
 #[cfg(test)]
 mod tests;
 
+use crate::gpu::Gpu;
 use crate::pointwise;
 use crate::pointwise::abs_difference;
 use crate::ssim::{Window, ssim};
@@ -36,7 +38,7 @@ pub fn l1_dssim<T: Real>(tape: &mut Tape<T>, render: Var, target: Var, lambda: f
     l1_dssim_mix(tape, l1, similarity, lambda)
 }
 
-/// The mean of all elements, shape [1]; summed in f64.
+/// The mean of all elements, shape [1]; summed in f64, on a GPU by halves in f32.
 pub fn mean<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     tape.apply_one(Mean, &[x])
 }
@@ -62,5 +64,20 @@ impl<T: Real> Op<T> for Mean {
     ) -> Vec<Option<Tensor<T>>> {
         let count = T::from_f64(inputs[0].len() as f64);
         vec![output_grads[0].map(|dy| Tensor::full(inputs[0].shape(), dy.as_slice()[0] / count))]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::mean(gpu, inputs[0])])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![output_grads[0].map(|dy| gpu::mean_gradient(gpu, inputs[0], dy))])
     }
 }

@@ -1,5 +1,9 @@
 use super::*;
 use crate::check::{TOLERANCE, gradients, noise};
+use crate::gpu::Gpu;
+use crate::gpu::conformance::{Disagreement, Tolerance, compare};
+use crate::gpu::fault::assert_noticed;
+use crate::gpu::tests::test_gpu;
 use crate::tape::Device;
 
 fn image(seed: u64) -> Tensor<f64> {
@@ -43,4 +47,24 @@ fn equal_images_have_no_l1_gradient() {
     let total = l1(&mut tape, render, target);
     let gradient = tape.backward(&[(total, Tensor::scalar(1.0))]).take(render).unwrap();
     assert!(gradient.as_slice().iter().all(|&gradient| gradient == 0.0));
+}
+
+fn compare_losses(gpu: Gpu, shape: [usize; 3]) -> Result<usize, Disagreement> {
+    let image = |seed| Tensor::from_vec(shape, noise(shape.iter().product(), seed)).cast();
+    let target: Tensor<f32> = image(2);
+    let tolerance = Tolerance { value: 1e-5, gradient: 1e-4 };
+    compare(gpu, &format!("losses of {shape:?}"), &[image(1)], tolerance, |tape, vars| {
+        let target = tape.constant(target.clone());
+        vec![l1(tape, vars[0], target), l1_dssim(tape, vars[0], target, 0.2), mean(tape, vars[0])]
+    })
+}
+
+#[test]
+fn a_gpu_takes_losses() {
+    let Some(gpu) = test_gpu() else { return };
+    for shape in [[1, 1, 3], [40, 35, 3]] {
+        compare_losses(gpu, shape).unwrap();
+    }
+    let faults = [("mean backward", "spread.factor * dy[0]", "spread.factor"), ("total", "total.factor * sum", "sum")];
+    assert_noticed(&faults, || compare_losses(gpu, [20, 7, 3]));
 }

@@ -3,8 +3,11 @@
 #[cfg(test)]
 mod tests;
 
-use crate::rows::{RowMap, map_rows};
+use crate::rows::{RowMap, RowWgsl, map_rows};
 use crate::tape::{Real, Tape, Var};
+
+/// Bands up to which a GPU has the frequencies as whole numbers.
+const MOST_BANDS: usize = 32;
 
 /// Which frequencies, and whether the coordinates themselves come first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,5 +66,15 @@ impl RowMap<1> for PositionalEncoding {
                 *dx += frequency * (y[cosine] * dy[sine] - y[sine] * dy[cosine]);
             }
         }
+    }
+
+    fn wgsl(&self, _coordinates: [usize; 1]) -> Option<RowWgsl> {
+        let wgsl = || RowWgsl {
+            value: &[include_str!("encoding.wgsl")],
+            gradients: &[include_str!("encoding_bwd.wgsl")],
+            specialisation: vec![("BANDS", self.bands as u32), ("WITH_INPUT", u32::from(self.with_input))],
+            numbers: Vec::new(),
+        };
+        (self.bands <= MOST_BANDS).then(wgsl)
     }
 }

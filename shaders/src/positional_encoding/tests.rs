@@ -1,5 +1,8 @@
 use super::*;
 use crate::check::{TOLERANCE, gradients, noise};
+use crate::gpu::conformance::{Tolerance, compare};
+use crate::gpu::tests::test_gpu;
+use crate::rows::validate_map;
 use crate::tape::{Device, Tensor};
 
 const ENCODINGS: [PositionalEncoding; 3] = [
@@ -48,4 +51,33 @@ fn a_wrong_frequency_is_rejected() {
     }
     let x = Tensor::from_vec([5, 3], noise(15, 1));
     assert!(gradients(|tape, vars| map_rows(tape, Faulty(ENCODINGS[0]), [vars[0]]), &[x], TOLERANCE).is_err());
+}
+
+/// Sines of angles up to 2⁹: an error of the sine's argument in its last digit is 6e-5 of a radian.
+const WIDE_ANGLES: Tolerance = Tolerance { value: 2e-4, gradient: 2e-4 };
+
+#[test]
+fn a_gpu_encodes_and_differentiates() {
+    let Some(gpu) = test_gpu() else { return };
+    let wide = PositionalEncoding { bands: 10, with_input: true };
+    for encoding in ENCODINGS.into_iter().chain([wide]) {
+        validate_map(&encoding, [3]);
+        for rows in [0, 1, 86, 1000] {
+            let x = Tensor::from_vec([rows, 3], noise(3 * rows, 1)).cast();
+            let what = format!("{encoding:?} of {rows} rows");
+            compare(gpu, &what, &[x], WIDE_ANGLES, |tape, vars| vec![encoding.encode(tape, vars[0])]).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_gpu_with_a_band_that_is_not_the_cpus_is_noticed() {
+    let Some(gpu) = test_gpu() else { return };
+    let x: Tensor<f32> = Tensor::from_vec([50, 3], noise(150, 1)).cast();
+    let doubled = |tape: &mut Tape<f32>, vars: &[Var]| {
+        let factor = if tape.device() == Device::Cpu { 1.0 } else { 1.001 };
+        let x = crate::pointwise::scale(tape, vars[0], factor);
+        vec![ENCODINGS[0].encode(tape, x)]
+    };
+    assert!(compare(gpu, "another frequency", &[x], WIDE_ANGLES, doubled).is_err());
 }

@@ -3,6 +3,8 @@
 //! A quaternion shorter than 10⁻⁶ has no direction: it counts as the identity and has gradient 0, here as in
 //! [`projection`](crate::projection). [`slerp`] is spherical linear interpolation (Shoemake 1985) along the shorter arc.
 
+#[cfg(test)]
+mod gpu_tests;
 mod slerp;
 #[cfg(test)]
 mod tests;
@@ -10,10 +12,10 @@ mod tests;
 pub use slerp::slerp;
 
 use crate::algebra::{
-    Quaternion, apply, conjugate, dot4, hamilton, normalised, normalised_backward, rotation, rotation_backward,
+    self, Quaternion, apply, conjugate, dot4, hamilton, normalised, normalised_backward, rotation, rotation_backward,
     transposed,
 };
-use crate::rows::{RowMap, map_rows};
+use crate::rows::{RowMap, RowWgsl, map_rows};
 use crate::tape::{Real, Tape, Var};
 
 /// q / |q| of every row: [N, 4] → [N, 4]; the identity where q has no direction.
@@ -35,6 +37,14 @@ pub fn rotate<T: Real>(tape: &mut Tape<T>, q: Var, v: Var) -> Var {
 /// gradient.
 pub fn align<T: Real>(tape: &mut Tape<T>, q: Var, reference: Var) -> Var {
     map_rows(tape, Align, [q, reference])
+}
+
+/// What the WGSL of all of these builds upon, besides [`algebra::WGSL`].
+const ROWS: &str = include_str!("rows.wgsl");
+
+/// The WGSL of a map without constants.
+fn wgsl_of(value: &'static [&'static str], gradients: &'static [&'static str]) -> Option<RowWgsl> {
+    Some(RowWgsl { value, gradients, specialisation: Vec::new(), numbers: Vec::new() })
 }
 
 /// A row of four.
@@ -60,6 +70,13 @@ impl RowMap<1> for Normalize {
         let (unit, inverse_norm) = normalised(four(q));
         dq.copy_from_slice(&normalised_backward(unit, inverse_norm, four(dy)));
     }
+
+    fn wgsl(&self, _columns: [usize; 1]) -> Option<RowWgsl> {
+        wgsl_of(
+            &[algebra::WGSL, ROWS, include_str!("normalize.wgsl")],
+            &[algebra::WGSL, ROWS, include_str!("normalize_bwd.wgsl")],
+        )
+    }
 }
 
 struct Multiply;
@@ -81,6 +98,13 @@ impl RowMap<2> for Multiply {
         dp.copy_from_slice(&hamilton(four(dy), conjugate(four(q))));
         dq.copy_from_slice(&hamilton(conjugate(four(p)), four(dy)));
     }
+
+    fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
+        wgsl_of(
+            &[algebra::WGSL, ROWS, include_str!("multiply.wgsl")],
+            &[algebra::WGSL, ROWS, include_str!("multiply_bwd.wgsl")],
+        )
+    }
 }
 
 struct Align;
@@ -101,6 +125,13 @@ impl RowMap<2> for Align {
     fn gradient<T: Real>(&self, [q, reference]: [&[T]; 2], _y: &[T], dy: &[T], [dq, _]: [&mut [T]; 2]) {
         let sign = side(q, reference);
         dq.iter_mut().zip(dy).for_each(|(dq, &dy)| *dq = sign * dy);
+    }
+
+    fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
+        wgsl_of(
+            &[algebra::WGSL, ROWS, include_str!("align.wgsl")],
+            &[algebra::WGSL, ROWS, include_str!("align_bwd.wgsl")],
+        )
     }
 }
 
@@ -129,5 +160,12 @@ impl RowMap<2> for Rotate {
         let of_unit = rotation_backward(unit, &matrix_gradient);
         dq.copy_from_slice(&normalised_backward(unit, inverse_norm, of_unit));
         dv.copy_from_slice(&apply(&transposed(&rotation(unit)), [dy[0], dy[1], dy[2]]));
+    }
+
+    fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
+        wgsl_of(
+            &[algebra::WGSL, ROWS, include_str!("rotate.wgsl")],
+            &[algebra::WGSL, ROWS, include_str!("rotate_bwd.wgsl")],
+        )
     }
 }

@@ -1,8 +1,8 @@
 //! Spherical linear interpolation.
 
-use super::four;
-use crate::algebra::{Quaternion, combine4, dot4, normalised, normalised_backward};
-use crate::rows::{RowMap, map_rows};
+use super::{ROWS, four, wgsl_of};
+use crate::algebra::{self, Quaternion, combine4, dot4, normalised, normalised_backward};
+use crate::rows::{RowMap, RowWgsl, map_rows};
 use crate::tape::{Real, Tape, Var};
 
 /// Cosine of the half angle above which the arc is as good as its chord: they differ by less than 10⁻⁶, and the sine of
@@ -46,6 +46,14 @@ impl RowMap<3> for Slerp {
         let unit_b = arc.b.map(|value| arc.sign * value);
         db.copy_from_slice(&normalised_backward(unit_b, arc.inverse_norms[1], d_unit_b));
         dt[0] = along_a * weights.a_by_t + along_b * weights.b_by_t;
+    }
+
+    fn wgsl(&self, _columns: [usize; 3]) -> Option<RowWgsl> {
+        const ARC: &str = include_str!("arc.wgsl");
+        wgsl_of(
+            &[algebra::WGSL, ROWS, ARC, include_str!("slerp.wgsl")],
+            &[algebra::WGSL, ROWS, ARC, include_str!("slerp_bwd.wgsl")],
+        )
     }
 }
 
@@ -102,4 +110,9 @@ impl<T: Real> Arc<T> {
             b_by_t: by_share(t),
         }
     }
+}
+
+#[cfg(test)]
+pub(super) fn validate_slerp() {
+    crate::rows::validate_map(&Slerp, [4, 4, 1]);
 }

@@ -2,6 +2,9 @@
 
 use std::ops::Range;
 
+use super::gpu::arrange as on_gpu;
+use super::index::with_rows;
+use crate::gpu::Gpu;
 use crate::tape::chunks::map_chunks;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -75,9 +78,31 @@ impl<T: Real> Op<T> for ConcatColumns {
         };
         inputs.iter().zip(needs).map(&mut part_of).collect()
     }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![on_gpu::concat_columns(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+        let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
+        Some(on_gpu::split(gpu, dy, dy.rows(), shapes))
+    }
 }
 
 struct ConcatRows;
+
+/// The shape of tensors below each other.
+fn joined_shape<T: Real>(parts: &[&Tensor<T>]) -> Vec<usize> {
+    with_rows(parts[0].shape(), parts.iter().map(|part| part.rows()).sum())
+}
 
 impl<T: Real> Op<T> for ConcatRows {
     fn name(&self) -> &'static str {
@@ -85,10 +110,8 @@ impl<T: Real> Op<T> for ConcatRows {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let mut shape = inputs[0].shape().to_vec();
-        shape[0] = inputs.iter().map(|input| input.rows()).sum();
         let slices: Vec<&[T]> = inputs.iter().map(|input| input.as_slice()).collect();
-        vec![Tensor::from_vec(shape, slices.concat())]
+        vec![Tensor::from_vec(joined_shape(inputs), slices.concat())]
     }
 
     fn backward(
@@ -105,6 +128,23 @@ impl<T: Real> Op<T> for ConcatRows {
             needed.then(|| Tensor::from_vec(input.shape(), part.to_vec()))
         };
         inputs.iter().zip(needs).map(&mut part_of).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![on_gpu::concat_rows(gpu, inputs, joined_shape(inputs))])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+        let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
+        Some(on_gpu::split(gpu, dy, 1, shapes))
     }
 }
 
@@ -135,6 +175,21 @@ impl<T: Real> Op<T> for Columns {
             dx[self.range.clone()].copy_from_slice(dy.row(row));
         }
         vec![Some(dx)]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![on_gpu::columns(gpu, inputs[0], &self.range)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![output_grads[0].map(|dy| on_gpu::among_zeros(gpu, dy, self.range.start, inputs[0].shape()))])
     }
 }
 
@@ -175,6 +230,21 @@ impl<T: Real> Op<T> for RepeatRow {
         }
         vec![Some(Tensor::from_vec(inputs[0].shape(), total.into_iter().map(T::from_f64).collect()))]
     }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![on_gpu::repeat_row(gpu, inputs[0], self.rows)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![output_grads[0].map(|dy| on_gpu::sum_rows(gpu, dy, inputs[0].shape()))])
+    }
 }
 
 struct Reshape {
@@ -198,5 +268,21 @@ impl<T: Real> Op<T> for Reshape {
         _needs: &[bool],
     ) -> Vec<Option<Tensor<T>>> {
         vec![output_grads[0].map(|dy| dy.clone().reshape(inputs[0].shape()))]
+    }
+
+    // Elements stay where they are.
+    fn forward_gpu(&mut self, _gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(self.forward(inputs))
+    }
+
+    fn backward_gpu(
+        &mut self,
+        _gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(self.backward(inputs, outputs, output_grads, needs))
     }
 }

@@ -4,7 +4,8 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
-use crate::gpu::{Gpu, GpuArray};
+use super::gpu::GpuIndex;
+use crate::gpu::Gpu;
 use crate::tape::chunks::for_each_chunk;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -28,17 +29,6 @@ struct Lists {
     /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
     starts: Vec<u32>,
     on_gpu: OnceLock<GpuIndex>,
-}
-
-/// The lists in a GPU's memory.
-#[derive(Debug)]
-pub(crate) struct GpuIndex {
-    /// [M].
-    pub row_of_item: GpuArray,
-    /// [M], sorted by row, then by item.
-    pub items: GpuArray,
-    /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
-    pub starts: GpuArray,
 }
 
 impl RowIndex {
@@ -87,11 +77,7 @@ impl RowIndex {
     /// The lists in the GPU's memory, uploaded once.
     pub(crate) fn on_gpu(&self, gpu: Gpu) -> &GpuIndex {
         let Lists { row_of_item, items, starts, on_gpu } = &*self.lists;
-        on_gpu.get_or_init(|| GpuIndex {
-            row_of_item: GpuArray::upload(gpu, row_of_item),
-            items: GpuArray::upload(gpu, items),
-            starts: GpuArray::upload(gpu, starts),
-        })
+        on_gpu.get_or_init(|| GpuIndex::new(gpu, row_of_item, items, starts))
     }
 
     /// y[m] = x[row of m] for x [N, …].
@@ -124,7 +110,7 @@ impl RowIndex {
 }
 
 /// The shape with another number of rows.
-fn with_rows(shape: &[usize], rows: usize) -> Vec<usize> {
+pub(super) fn with_rows(shape: &[usize], rows: usize) -> Vec<usize> {
     let mut shape = shape.to_vec();
     shape[0] = rows;
     shape
@@ -170,6 +156,21 @@ impl<T: Real> Op<T> for Gather {
     ) -> Vec<Option<Tensor<T>>> {
         vec![output_grads[0].map(|dy| self.index.sum(dy, |_| T::ONE))]
     }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.index.gather_on_gpu(gpu, inputs[0], false)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![output_grads[0].map(|dy| self.index.sum_on_gpu(gpu, dy, false))])
+    }
 }
 
 struct SegmentSum {
@@ -209,5 +210,20 @@ impl<T: Real> Op<T> for SegmentSum {
             }
         }
         vec![Some(self.index.gather(&scaled))]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.index.sum_on_gpu(gpu, inputs[0], self.mean)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![output_grads[0].map(|dy| self.index.gather_on_gpu(gpu, dy, self.mean))])
     }
 }

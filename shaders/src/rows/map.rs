@@ -2,6 +2,7 @@ use std::array::from_fn;
 
 use rayon::prelude::*;
 
+use super::gpu::{RowKernel, RowWgsl};
 use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -9,7 +10,7 @@ use crate::tape::{Op, Real, Tape, Tensor, Var};
 const ROWS_PER_CHUNK: usize = 1024;
 
 /// A function of one row of each of `I` tensors, applied to every row.
-pub trait RowMap<const I: usize>: Send + Sync + 'static {
+pub trait RowMap<const I: usize>: Sized + Send + Sync + 'static {
     /// The name in profiles and messages.
     const NAME: &'static str;
 
@@ -22,20 +23,25 @@ pub trait RowMap<const I: usize>: Send + Sync + 'static {
     /// Writes the gradient of every input row, which holds zeros on entry.
     fn gradient<T: Real>(&self, inputs: [&[T]; I], y: &[T], dy: &[T], gradients: [&mut [T]; I]);
 
-    /// As [`RowMap::value`] for all rows, with kernels for a GPU; `None` if there are none for these inputs.
-    fn value_gpu<T: Real>(&self, _gpu: Gpu, _inputs: [&Tensor<T>; I]) -> Option<Tensor<T>> {
+    /// The same in WGSL; `None` where a GPU has no text for these numbers of input columns.
+    fn wgsl(&self, _input_columns: [usize; I]) -> Option<RowWgsl> {
         None
+    }
+
+    /// As [`RowMap::value`] for all rows, with kernels for a GPU; `None` if there are none for these inputs.
+    fn value_gpu<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; I]) -> Option<Tensor<T>> {
+        Some(RowKernel::new(self, inputs.map(Tensor::row_len))?.value(gpu, inputs))
     }
 
     /// As [`RowMap::gradient`] for all rows, with kernels for a GPU; `None` if there are none for these inputs.
     fn gradient_gpu<T: Real>(
         &self,
-        _gpu: Gpu,
-        _inputs: [&Tensor<T>; I],
-        _y: &Tensor<T>,
-        _dy: &Tensor<T>,
+        gpu: Gpu,
+        inputs: [&Tensor<T>; I],
+        y: &Tensor<T>,
+        dy: &Tensor<T>,
     ) -> Option<[Tensor<T>; I]> {
-        None
+        Some(RowKernel::new(self, inputs.map(Tensor::row_len))?.gradients(gpu, inputs, y, dy))
     }
 }
 

@@ -5,6 +5,9 @@
 //! [`RowIndex`], whose order of summation is fixed, so that no result depends on the number of threads.
 
 mod arrange;
+mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 mod index;
 mod map;
 mod reduce;
@@ -13,6 +16,9 @@ mod tests;
 mod weighted_mean;
 
 pub use arrange::{columns, concat_columns, concat_rows, repeat_row, reshape};
+pub use gpu::RowWgsl;
+#[cfg(test)]
+pub(crate) use gpu::validate_map;
 pub use index::{RowIndex, gather, segment_mean, segment_sum};
 pub use map::{RowMap, map_rows};
 pub use reduce::{cosine_distance, divide_rows, norm, normalize, row_dot, row_sum, scale_rows, squared_norm};

@@ -1,8 +1,12 @@
 //! Sums, products and lengths of rows.
 
+use super::gpu::RowWgsl;
 use super::map::{RowMap, map_rows};
 use crate::pointwise::{scale, shift};
 use crate::tape::{Real, Tape, Var};
+
+/// Columns up to which a GPU normalises rows: every element of a row takes the length of the row again.
+const WIDEST: usize = 64;
 
 /// Σₖ xₖ of every row: [N, C] → [N, 1].
 pub fn row_sum<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
@@ -69,6 +73,15 @@ impl RowMap<1> for RowSum {
     fn gradient<T: Real>(&self, _inputs: [&[T]; 1], _y: &[T], dy: &[T], [dx]: [&mut [T]; 1]) {
         dx.fill(dy[0]);
     }
+
+    fn wgsl(&self, _columns: [usize; 1]) -> Option<RowWgsl> {
+        Some(RowWgsl {
+            value: &[include_str!("row_sum.wgsl")],
+            gradients: &[include_str!("row_sum_bwd.wgsl")],
+            specialisation: Vec::new(),
+            numbers: Vec::new(),
+        })
+    }
 }
 
 struct RowDot;
@@ -88,6 +101,15 @@ impl RowMap<2> for RowDot {
     fn gradient<T: Real>(&self, [a, b]: [&[T]; 2], _y: &[T], dy: &[T], [da, db]: [&mut [T]; 2]) {
         da.iter_mut().zip(b).for_each(|(da, &b)| *da = dy[0] * b);
         db.iter_mut().zip(a).for_each(|(db, &a)| *db = dy[0] * a);
+    }
+
+    fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
+        Some(RowWgsl {
+            value: &[include_str!("row_dot.wgsl")],
+            gradients: &[include_str!("row_dot_bwd.wgsl")],
+            specialisation: Vec::new(),
+            numbers: Vec::new(),
+        })
     }
 }
 
@@ -109,6 +131,15 @@ impl RowMap<1> for Norm {
         if !(y[0] == T::ZERO) {
             dx.iter_mut().zip(x).for_each(|(dx, &x)| *dx = dy[0] * x / y[0]);
         }
+    }
+
+    fn wgsl(&self, _columns: [usize; 1]) -> Option<RowWgsl> {
+        Some(RowWgsl {
+            value: &[include_str!("norm.wgsl")],
+            gradients: &[include_str!("norm_bwd.wgsl")],
+            specialisation: Vec::new(),
+            numbers: Vec::new(),
+        })
     }
 }
 
@@ -133,6 +164,16 @@ impl RowMap<1> for Normalize {
         // From ε on only what is tangential to the sphere passes.
         let radial = if is_short { T::ZERO } else { dot(y, dy) };
         dx.iter_mut().zip(y.iter().zip(dy)).for_each(|(dx, (&y, &dy))| *dx = (dy - radial * y) / length);
+    }
+
+    fn wgsl(&self, [columns]: [usize; 1]) -> Option<RowWgsl> {
+        let wgsl = || RowWgsl {
+            value: &[include_str!("length.wgsl"), include_str!("normalize.wgsl")],
+            gradients: &[include_str!("length.wgsl"), include_str!("normalize_bwd.wgsl")],
+            specialisation: Vec::new(),
+            numbers: vec![self.epsilon as f32],
+        };
+        (columns <= WIDEST).then(wgsl)
     }
 }
 
@@ -161,6 +202,15 @@ impl RowMap<2> for ScaleRows {
     fn gradient<T: Real>(&self, [x, factor]: [&[T]; 2], _y: &[T], dy: &[T], [dx, dfactor]: [&mut [T]; 2]) {
         dx.iter_mut().zip(dy).for_each(|(dx, &dy)| *dx = factor[0] * dy);
         dfactor[0] = dot(x, dy);
+    }
+
+    fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
+        Some(RowWgsl {
+            value: &[include_str!("scale_rows.wgsl")],
+            gradients: &[include_str!("scale_rows_bwd.wgsl")],
+            specialisation: Vec::new(),
+            numbers: Vec::new(),
+        })
     }
 }
 
@@ -196,4 +246,24 @@ impl RowMap<2> for DivideRows {
             ddivisor[0] = -(dot(y, dy) / divisor);
         }
     }
+
+    fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
+        Some(RowWgsl {
+            value: &[include_str!("divide_rows.wgsl")],
+            gradients: &[include_str!("divide_rows_bwd.wgsl")],
+            specialisation: Vec::new(),
+            numbers: vec![self.floor as f32],
+        })
+    }
+}
+
+#[cfg(test)]
+pub(super) fn validate_maps() {
+    use super::validate_map;
+    validate_map(&RowSum, [5]);
+    validate_map(&RowDot, [5, 5]);
+    validate_map(&Norm, [5]);
+    validate_map(&Normalize { epsilon: 1e-6 }, [5]);
+    validate_map(&ScaleRows, [5, 1]);
+    validate_map(&DivideRows { floor: 0.5 }, [5, 1]);
 }

@@ -1,5 +1,7 @@
 //! A loss: the weighted mean of squared differences.
 
+use super::gpu::weighted_mean::WeightedMeanOnGpu;
+use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk, sum};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -10,11 +12,12 @@ pub fn weighted_mean_squared_difference<T: Real>(tape: &mut Tape<T>, a: Var, b: 
     let [of_a, of_b, of_weights] = [a, b, weights].map(|var| tape.value(var));
     assert_eq!(of_a.shape(), of_b.shape(), "weighted_mean_squared_difference: shapes differ");
     assert_eq!(of_weights.len(), of_a.rows(), "weighted_mean_squared_difference: one weight per row");
-    tape.apply_one(WeightedMean { weight_sum: 0.0 }, &[a, b, weights])
+    tape.apply_one(WeightedMean { weight_sum: 0.0, on_gpu: None }, &[a, b, weights])
 }
 
 struct WeightedMean {
     weight_sum: f64,
+    on_gpu: Option<WeightedMeanOnGpu>,
 }
 
 impl WeightedMean {
@@ -64,6 +67,24 @@ impl<T: Real> Op<T> for WeightedMean {
             Tensor::from_vec(weights.shape(), (0..weights.len()).map(gradient).collect())
         };
         vec![needs[0].then(|| by_values(1.0)), needs[1].then(|| by_values(-1.0)), needs[2].then(by_weights)]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        let (of_gpu, mean) = WeightedMeanOnGpu::new(gpu, inputs);
+        self.on_gpu = Some(of_gpu);
+        Some(vec![mean])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; 3]) };
+        Some(self.on_gpu.as_ref()?.gradients(gpu, inputs, outputs[0], dy).map(Some).into())
     }
 }
 

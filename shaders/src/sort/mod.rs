@@ -11,9 +11,11 @@ const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: &[include_str!("s
 const COUNT: Kernel = Kernel { name: "sort, counts", text: &[include_str!("sort_count.wgsl")] };
 const SCATTER: Kernel = Kernel { name: "sort, scatter", text: &[include_str!("sort_scatter.wgsl")] };
 
-/// Elements per workgroup of every kernel but the offsets.
+const STARTS: Kernel = Kernel { name: "sort, starts", text: &[include_str!("sort_starts.wgsl")] };
+
+/// Elements per workgroup of every kernel but the offsets and starts.
 const BLOCK: usize = 1024;
-/// Elements per workgroup of the offsets.
+/// Elements per workgroup of the offsets and starts.
 const ADD_GROUP: usize = 256;
 /// Bits per pass, and the digits that they make.
 const DIGIT_BITS: u32 = 4;
@@ -33,6 +35,12 @@ uniforms! {
         len: u32,
         blocks: u32,
         shift: u32,
+    }
+}
+
+uniforms! {
+    struct StartsBlock as "Starts" {
+        len: u32,
     }
 }
 
@@ -75,4 +83,13 @@ pub fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
         sorted = pass(&sorted.0, Some(&sorted.1), shift);
     }
     sorted
+}
+
+/// Where each of the keys 0..count begins among keys in rising order, and where the last ends: [count + 1].
+pub fn starts(gpu: Gpu, sorted_keys: &GpuArray, count: usize) -> GpuArray {
+    let starts = GpuArray::new(gpu, count + 1);
+    let constants = StartsBlock { len: sorted_keys.len() as u32 };
+    let arrays = [Binding::Read(sorted_keys), Binding::Write(&starts)];
+    STARTS.launch(gpu, &[], &constants, &arrays, starts.len().div_ceil(ADD_GROUP));
+    starts
 }

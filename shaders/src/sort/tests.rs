@@ -79,3 +79,17 @@ fn a_sort_that_is_not_stable_is_noticed() {
     assert!(is_stably_sorted(&keys, (&[1, 1, 2, 3], &[1, 2, 3, 0])));
     assert!(!is_stably_sorted(&keys, (&[1, 1, 2, 3], &[2, 1, 3, 0])));
 }
+
+#[test]
+fn keys_begin_where_the_first_of_them_is() {
+    let Some(gpu) = test_gpu() else { return };
+    crate::gpu::layout::assert_valid::<StartsBlock>(&STARTS, &[]);
+    for (keys, expected) in [
+        (&[][..], &[0, 0, 0, 0][..]),
+        (&[0, 0, 2], &[0, 2, 2, 3]),
+        (&[1, 1, 1, 2, 2], &[0, 0, 3, 5]),
+        (&[2], &[0, 0, 0, 1]),
+    ] {
+        assert_eq!(read(&starts(gpu, &GpuArray::upload::<u32>(gpu, keys), 3)), expected);
+    }
+}

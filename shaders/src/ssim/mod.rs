@@ -9,10 +9,14 @@
 //! count as 0 with gradient 0; where rounding makes SSIM exceed 1, it counts as 1 with gradient 0.
 
 mod cpu;
+mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 mod reference;
 #[cfg(test)]
 mod tests;
 
+use crate::gpu::{Gpu, GpuArray};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// Taps on either side of the centre of the window.
@@ -42,7 +46,7 @@ pub fn ssim<T: Real>(tape: &mut Tape<T>, render: Var, target: Var, window: Windo
     let layout = Layout { height: shape[0], width: shape[1], channels: shape[2], window };
     assert!(layout.windows() > 0, "ssim: no window fits into an image of shape {shape:?}");
     let keep_gradients = tape.needs_gradient(render);
-    tape.apply_one(Ssim { layout, keep_gradients, gradients: Vec::new() }, &[render, target])
+    tape.apply_one(Ssim { layout, keep_gradients, gradients: Vec::new(), on_gpu: None }, &[render, target])
 }
 
 /// Image size and the windows that count.
@@ -138,6 +142,8 @@ struct Ssim<T> {
     keep_gradients: bool,
     /// Derivatives of every window's SSIM: per row of the image, a row each of d_x, d_xx and d_xy; 0 where no window counts.
     gradients: Vec<T>,
+    /// The same on a GPU: d_x of every channel in planes, then d_xx and d_xy.
+    on_gpu: Option<GpuArray>,
 }
 
 impl<T: Real> Op<T> for Ssim<T> {
@@ -175,5 +181,21 @@ impl<T: Real> Op<T> for Ssim<T> {
         }
         dx.iter_mut().for_each(|dx| *dx *= per_window);
         vec![Some(Tensor::from_vec(inputs[0].shape(), dx)), None]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.forward_on_gpu(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None, None]) };
+        Some(vec![Some(self.backward_on_gpu(gpu, inputs, dy)?), None])
     }
 }

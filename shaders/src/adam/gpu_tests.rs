@@ -1,0 +1,75 @@
+//! A GPU updates as the CPU does.
+
+use super::*;
+use crate::check::{agree, noise};
+use crate::gpu::Gpu;
+use crate::gpu::conformance::Disagreement;
+use crate::gpu::fault::assert_noticed;
+use crate::gpu::tests::test_gpu;
+use crate::tape::Device;
+
+fn tensor(rows: usize, seed: u64) -> Tensor<f32> {
+    Tensor::from_vec([rows, 3], noise(3 * rows, seed)).cast()
+}
+
+/// Some updates, with row operations and writes of the host between them.
+fn train(device: Device, rows: usize) -> Group {
+    let mut group = Group::new("trained", tensor(rows, 1));
+    let step = |group: &mut Group, seed| {
+        let gradient = tensor(group.rows(), seed);
+        if let Device::Gpu(gpu) = device {
+            gradient.on_gpu(gpu);
+        }
+        Adam::default().step(&mut [Update { group, gradient: Some(&gradient), learning_rate: 0.01 }]);
+    };
+    (0..5).for_each(|seed| step(&mut group, seed));
+    group.keep_rows(&(0..rows).map(|row| row % 3 != 0).collect::<Vec<_>>());
+    group.append_rows(&[0.5; 6]);
+    (5..8).for_each(|seed| step(&mut group, seed));
+    group.values_mut().iter_mut().step_by(2).for_each(|value| *value = 0.25);
+    step(&mut group, 8);
+    group.reset_moments();
+    step(&mut group, 9);
+    group
+}
+
+fn compare_training(gpu: Gpu, rows: usize) -> Result<usize, Disagreement> {
+    let (found, expected) = (train(Device::Gpu(gpu), rows), train(Device::Cpu, rows));
+    assert_eq!((found.step(), expected.step()), (10, 10));
+    assert!(found.tensor().gpu() == Some(gpu), "the last update was the GPU's");
+    for (found, expected) in found.tensors().into_iter().zip(expected.tensors()) {
+        let disagreement = |mismatch| Disagreement { what: format!("adam of {rows} rows"), mismatch };
+        agree(found, expected, 1e-5).map_err(disagreement)?;
+    }
+    Ok(3)
+}
+
+#[test]
+fn a_gpu_updates_as_the_cpu_does_whatever_the_host_edits() {
+    let Some(gpu) = test_gpu() else { return };
+    for rows in [0, 1, 86, 5000] {
+        compare_training(gpu, rows).unwrap();
+    }
+}
+
+#[test]
+fn a_gpu_that_updates_otherwise_is_noticed() {
+    let Some(gpu) = test_gpu() else { return };
+    let faults = [
+        ("adam", "(gradient * gradient)", "gradient"),
+        ("adam", "adam.beta1 * first_moments", "adam.beta2 * first_moments"),
+        ("adam", "sqrt(second) *", "sqrt(second) +"),
+    ];
+    assert_noticed(&faults, || compare_training(gpu, 50));
+}
+
+#[test]
+fn whoever_shares_the_values_keeps_them() {
+    let Some(gpu) = test_gpu() else { return };
+    let mut group = Group::new("shared", tensor(50, 1));
+    let before = group.tensor().clone();
+    let gradient = tensor(50, 2);
+    gradient.on_gpu(gpu);
+    Adam::default().step(&mut [Update { group: &mut group, gradient: Some(&gradient), learning_rate: 0.1 }]);
+    assert!(before == tensor(50, 1) && *group.tensor() != before);
+}

@@ -1,0 +1,74 @@
+// One scale of a field at one time. The six planes xy, xz, xt, yz, yt, zt have the shape [height, width, channels].
+
+struct Scale {
+    // Texels along x, y, z and t.
+    resolution: vec4<u32>,
+    // Cells of all planes so far and of the planes of this scale, where each begins: a cell has a texel at every corner,
+    // and those of a time plane form a row, because all points have one time.
+    cell_starts: array<vec4<u32>, 2>,
+    points: u32,
+    channels: u32,
+    // Features of all scales, and where those of this one begin.
+    features: u32,
+    first_feature: u32,
+    // The rows of the time planes around the time, and the weight of the second.
+    time_low: u32,
+    time_high: u32,
+    time_fraction: f32,
+    // Of the cells' list: where the entries of this scale begin.
+    first_entry: u32,
+}
+
+@group(0) @binding(0) var<uniform> scale: Scale;
+
+// Entries of a cell's list that one invocation adds.
+const ENTRIES_PER_BLOCK: u32 = 32u;
+
+// The axis along the width of a plane, and that along its height; axis 3 is time.
+fn width_axis(plane: u32) -> u32 {
+    return select(select(2u, 1u, plane < 5u), 0u, plane < 3u);
+}
+
+fn height_axis(plane: u32) -> u32 {
+    return select(select(3u, plane - 1u, plane < 5u), plane + 1u, plane < 3u);
+}
+
+// Linear interpolation between neighbouring texels of one axis.
+struct Lookup {
+    low: u32,
+    high: u32,
+    // Weight of `high`.
+    fraction: f32,
+    // d(texel coordinate)/d(coordinate): 0 outside [−1, 1].
+    slope: f32,
+}
+
+fn lookup(coordinate: f32, texels: u32) -> Lookup {
+    let half_span = 0.5 * f32(texels - 1u);
+    let last = half_span + half_span;
+    let unclamped = (coordinate + 1.0) * half_span;
+    var texel = unclamped;
+    if (unclamped < 0.0) {
+        texel = 0.0;
+    } else if (unclamped > last) {
+        texel = last;
+    }
+    // Whatever becomes of a NaN, the texel is one of the axis.
+    let low = min(u32(max(texel, 0.0)), max(texels, 2u) - 2u);
+    let is_inside = coordinate >= -1.0 && coordinate <= 1.0;
+    return Lookup(low, min(low + 1u, texels - 1u), texel - f32(low), select(0.0, half_span, is_inside));
+}
+
+fn time_lookup() -> Lookup {
+    return Lookup(scale.time_low, scale.time_high, scale.time_fraction, 0.0);
+}
+
+fn first_cell(plane: u32) -> u32 {
+    return scale.cell_starts[plane / 4u][plane % 4u];
+}
+
+// Cells along an axis.
+fn cells(axis: u32) -> u32 {
+    return max(scale.resolution[axis], 2u) - 1u;
+}
+

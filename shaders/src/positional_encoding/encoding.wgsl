@@ -1,0 +1,15 @@
+// x where WITH_INPUT is 1, then sin x, cos x, sin 2x, cos 2x, sin 4x, …, each of COLUMNS_0 columns.
+
+fn value(row: u32, column: u32) -> f32 {
+    let block = column / COLUMNS_0;
+    let x = x0[row * COLUMNS_0 + column % COLUMNS_0];
+    if (block < WITH_INPUT) {
+        return x;
+    }
+    let wave = block - WITH_INPUT;
+    let angle = f32(1u << (wave / 2u)) * x;
+    if (wave % 2u == 0u) {
+        return sin(angle);
+    }
+    return cos(angle);
+}

@@ -1,0 +1,10 @@
+
+// −1 where q points away from the reference, else 1.
+fn side(row: u32) -> f32 {
+    let reference = vec4<f32>(x1[4u * row], x1[4u * row + 1u], x1[4u * row + 2u], x1[4u * row + 3u]);
+    return select(1.0, -1.0, dot(quaternion_0(row), reference) < 0.0);
+}
+
+fn value(row: u32, column: u32) -> f32 {
+    return side(row) * x0[4u * row + column];
+}

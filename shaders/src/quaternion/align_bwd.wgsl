@@ -1,0 +1,10 @@
+
+fn gradient_0(row: u32, column: u32) -> f32 {
+    let reference = vec4<f32>(x1[4u * row], x1[4u * row + 1u], x1[4u * row + 2u], x1[4u * row + 3u]);
+    return select(1.0, -1.0, dot(quaternion_0(row), reference) < 0.0) * dy[4u * row + column];
+}
+
+// The reference only decides.
+fn gradient_1(row: u32, column: u32) -> f32 {
+    return 0.0;
+}

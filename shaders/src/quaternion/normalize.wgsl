@@ -1,0 +1,5 @@
+
+fn value(row: u32, column: u32) -> f32 {
+    let unit = normalised(quaternion_0(row)).quaternion;
+    return unit[column];
+}

@@ -1,0 +1,16 @@
+fn gradient_0(row: u32, column: u32) -> f32 {
+    let floor = map.values[0].x;
+    return dy[row * COLUMNS_0 + column] / select(x1[row], floor, x1[row] <= floor);
+}
+
+// Nothing passes from the floor down.
+fn gradient_1(row: u32, column: u32) -> f32 {
+    if (x1[row] <= map.values[0].x) {
+        return 0.0;
+    }
+    var sum = 0.0;
+    for (var k = 0u; k < COLUMNS_0; k++) {
+        sum += y[row * COLUMNS_0 + k] * dy[row * COLUMNS_0 + k];
+    }
+    return -(sum / x1[row]);
+}

@@ -1,0 +1,38 @@
+// Some columns of rows to some columns of other rows; 0 for a column that is not there.
+
+struct Columns {
+    // Of what is written; a row of what is read begins every `from_stride` elements, one of what is written every
+    // `to_stride`.
+    rows: u32,
+    width: u32,
+    from_stride: u32,
+    from_columns: u32,
+    // The column that goes to the first one written.
+    from_first: i32,
+    to_stride: u32,
+    to_first: u32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Columns;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+@group(0) @binding(2) var<storage, read_write> y: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = flat_group(group, groups) * 256u + local;
+    if (index >= sizes.rows * sizes.width) {
+        return;
+    }
+    let row = index / sizes.width;
+    let column = index % sizes.width;
+    let source = i32(column) + sizes.from_first;
+    var value = 0.0;
+    if (source >= 0 && source < i32(sizes.from_columns)) {
+        value = x[row * sizes.from_stride + u32(source)];
+    }
+    y[row * sizes.to_stride + sizes.to_first + column] = value;
+}

@@ -1,0 +1,29 @@
+// The row of every item; where MEAN is 1, over the number of items of that row.
+
+struct Items {
+    columns: u32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Items;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+@group(0) @binding(2) var<storage, read> row_of_item: array<u32>;
+@group(0) @binding(3) var<storage, read> starts: array<u32>;
+@group(0) @binding(4) var<storage, read_write> y: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = flat_group(group, groups) * 256u + local;
+    if (index >= arrayLength(&y)) {
+        return;
+    }
+    let row = row_of_item[index / sizes.columns];
+    var value = x[row * sizes.columns + index % sizes.columns];
+    if (MEAN == 1u) {
+        value *= 1.0 / f32(starts[row + 1u] - starts[row]);
+    }
+    y[index] = value;
+}

@@ -1,0 +1,13 @@
+//! The kernels of row operations.
+
+pub mod arrange;
+mod index;
+mod map;
+pub mod weighted_mean;
+
+pub(crate) use index::GpuIndex;
+#[cfg(test)]
+pub(crate) use map::validate_map;
+pub use map::{RowKernel, RowWgsl};
+
+use super::index::with_rows;

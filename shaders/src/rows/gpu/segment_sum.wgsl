@@ -1,0 +1,39 @@
+// The sum of every segment of a list of rows: the rows themselves, or where INDIRECT is 1 those that `items` names. Where
+// MEAN is 1, over the number of items of the segment's row.
+
+struct Segments {
+    columns: u32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Segments;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+@group(0) @binding(2) var<storage, read> items: array<u32>;
+@group(0) @binding(3) var<storage, read> starts: array<u32>;
+@group(0) @binding(4) var<storage, read> item_starts: array<u32>;
+@group(0) @binding(5) var<storage, read_write> y: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = flat_group(group, groups) * 256u + local;
+    if (index >= arrayLength(&y)) {
+        return;
+    }
+    let segment = index / sizes.columns;
+    let column = index % sizes.columns;
+    var sum = 0.0;
+    for (var at = starts[segment]; at < starts[segment + 1u]; at++) {
+        var row = at;
+        if (INDIRECT == 1u) {
+            row = items[at];
+        }
+        sum += x[row * sizes.columns + column];
+    }
+    if (MEAN == 1u) {
+        sum *= 1.0 / f32(max(item_starts[segment + 1u] - item_starts[segment], 1u));
+    }
+    y[index] = sum;
+}

@@ -1,0 +1,9 @@
+// The mean from both sums.
+
+@group(0) @binding(1) var<storage, read> sums: array<f32>;
+@group(0) @binding(2) var<storage, read_write> mean: array<f32>;
+
+@compute @workgroup_size(1)
+fn main() {
+    mean[0] = factor_of(sums[0]) * sums[1];
+}

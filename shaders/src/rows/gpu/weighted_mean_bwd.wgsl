@@ -1,0 +1,35 @@
+// One invocation per element of a; the first of a row has the weight of that row, too.
+
+@group(0) @binding(1) var<storage, read> a: array<f32>;
+@group(0) @binding(2) var<storage, read> b: array<f32>;
+@group(0) @binding(3) var<storage, read> weights: array<f32>;
+@group(0) @binding(4) var<storage, read> mean: array<f32>;
+@group(0) @binding(5) var<storage, read> dy: array<f32>;
+@group(0) @binding(6) var<storage, read> sums: array<f32>;
+@group(0) @binding(7) var<storage, read_write> g_a: array<f32>;
+@group(0) @binding(8) var<storage, read_write> g_b: array<f32>;
+@group(0) @binding(9) var<storage, read_write> g_weights: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = flat_group(group, groups) * 256u + local;
+    if (index >= sizes.rows * sizes.columns) {
+        return;
+    }
+    let row = index / sizes.columns;
+    let factor = factor_of(sums[0]) * dy[0];
+    let gradient = 2.0 * factor * weights[row] * (a[index] - b[index]);
+    g_a[index] = gradient;
+    g_b[index] = -gradient;
+    if (index % sizes.columns == 0u) {
+        var squares = 0.0;
+        for (var at = index; at < index + sizes.columns; at++) {
+            squares += (a[at] - b[at]) * (a[at] - b[at]);
+        }
+        g_weights[row] = factor * (squares - f32(sizes.columns) * mean[0]);
+    }
+}

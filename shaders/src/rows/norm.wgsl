@@ -1,0 +1,9 @@
+// ‖x‖ of every row.
+
+fn value(row: u32, column: u32) -> f32 {
+    var squares = 0.0;
+    for (var k = 0u; k < COLUMNS_0; k++) {
+        squares += x0[row * COLUMNS_0 + k] * x0[row * COLUMNS_0 + k];
+    }
+    return sqrt(squares);
+}

@@ -1,0 +1,6 @@
+fn gradient_0(row: u32, column: u32) -> f32 {
+    if (y[row] == 0.0) {
+        return 0.0;
+    }
+    return dy[row] * x0[row * COLUMNS_0 + column] / y[row];
+}

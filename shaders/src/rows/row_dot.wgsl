@@ -1,0 +1,9 @@
+// Σₖ aₖbₖ of every row.
+
+fn value(row: u32, column: u32) -> f32 {
+    var sum = 0.0;
+    for (var k = 0u; k < COLUMNS_0; k++) {
+        sum += x0[row * COLUMNS_0 + k] * x1[row * COLUMNS_0 + k];
+    }
+    return sum;
+}

@@ -1,0 +1,3 @@
+fn gradient_0(row: u32, column: u32) -> f32 {
+    return dy[row];
+}

@@ -1,0 +1,5 @@
+// Every row times its factor.
+
+fn value(row: u32, column: u32) -> f32 {
+    return x1[row] * x0[row * COLUMNS_0 + column];
+}
