@@ -4,6 +4,9 @@ use std::time::Instant;
 
 use super::Gpu;
 use crate::check::{Mismatch, agree, noise};
+use crate::hexplane::{HexplaneShape, hexplane};
+use crate::linear::{Activation, linear};
+use crate::losses::l1_dssim;
 use crate::pointwise::{self, Expression};
 use crate::projection::RasterSettings;
 use crate::splat::{self, seeded};
@@ -11,6 +14,8 @@ use crate::tape::{Device, Tape, Tensor, Var};
 
 /// Ten times the error of Mesa's exponential (1.1e-6).
 const POINTWISE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
+/// Sums over hundreds of rows.
+const SUMS: Tolerance = Tolerance { value: 2e-5, gradient: 2e-5 };
 /// Sums over hundreds of splats and pixels; nothing jumps, as alpha fades at its threshold.
 const SMOOTH_RENDER: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
 /// A pixel on the edge of a splat may see it on one device only: up to half a grey level, twice.
@@ -49,7 +54,7 @@ impl std::fmt::Display for Disagreement {
 
 impl std::error::Error for Disagreement {}
 
-/// Runs every kernel on small inputs, forward and backward, and compares with the CPU.
+/// Runs the kernels that every training rests on, forward and backward on small inputs, and compares with the CPU.
 pub fn check(gpu: Gpu) -> Result<Conformance, Disagreement> {
     let (start, mut comparisons) = (Instant::now(), 0);
     for expression in pointwise::EXPRESSIONS.iter().chain(crate::losses::EXPRESSIONS) {
@@ -58,6 +63,7 @@ pub fn check(gpu: Gpu) -> Result<Conformance, Disagreement> {
     for (smooth_cutoff, tolerance) in [(true, SMOOTH_RENDER), (false, RENDER)] {
         comparisons += check_render(gpu, smooth_cutoff, tolerance)?;
     }
+    comparisons += check_layer(gpu)? + check_field(gpu)? + check_loss(gpu)?;
     Ok(Conformance { comparisons, secs: start.elapsed().as_secs_f64() })
 }
 
@@ -86,6 +92,41 @@ fn check_render(gpu: Gpu, smooth_cutoff: bool, tolerance: Tolerance) -> Result<u
     };
     let what = if smooth_cutoff { "a render without thresholds" } else { "a render" };
     compare(gpu, what, &inputs, tolerance, render)
+}
+
+fn noise_of(shape: &[usize], seed: u64) -> Tensor<f32> {
+    Tensor::from_vec(shape, noise(shape.iter().product(), seed)).cast()
+}
+
+/// A layer of a network: several tiles, none of them full.
+fn check_layer(gpu: Gpu) -> Result<usize, Disagreement> {
+    let inputs = [noise_of(&[300, 20], 1), noise_of(&[70, 20], 2), noise_of(&[70], 3)];
+    let layer = |tape: &mut Tape<f32>, vars: &[Var]| vec![linear(tape, vars[0], vars[1], vars[2], Activation::Relu)];
+    compare(gpu, "a layer", &inputs, SUMS, layer)
+}
+
+/// A hexplane field of two scales around 1, which sorts its points.
+fn check_field(gpu: Gpu) -> Result<usize, Disagreement> {
+    let shape = HexplaneShape { channels: 8, resolution: [6, 7, 5, 4], multipliers: vec![1, 2] };
+    let plane = |(seed, shape): (usize, &[usize; 3])| {
+        let values = noise(shape.iter().product(), 10 + seed as u64).iter().map(|x| 1.0 + 0.5 * x).collect();
+        Tensor::from_vec(shape.as_slice(), values).cast()
+    };
+    let mut inputs = vec![noise_of(&[300, 3], 1)];
+    inputs.extend(shape.plane_shapes().iter().enumerate().map(plane));
+    compare(gpu, "a field", &inputs, SUMS, |tape, vars| vec![hexplane(tape, &vars[1..], vars[0], 0.3)])
+}
+
+/// The loss of an image.
+fn check_loss(gpu: Gpu) -> Result<usize, Disagreement> {
+    let [render, target] = [1, 2].map(|seed| {
+        let values = noise_of(&[40, 35, 3], seed).into_vec().iter().map(|x| 0.5 + 0.4 * x).collect();
+        Tensor::from_vec([40, 35, 3], values)
+    });
+    compare(gpu, "a loss", &[render], SMOOTH_RENDER, |tape, vars| {
+        let target = tape.constant(target.clone());
+        vec![l1_dssim(tape, vars[0], target, 0.2)]
+    })
 }
 
 /// Compares the outputs of `f`, and the gradients of all inputs for fixed gradients of the outputs, on both devices; the
