@@ -24,7 +24,7 @@ const MAPS: &[Operation] = &[
     ("squared_norm", &[3], |tape, x| squared_norm(tape, x[0])),
     ("norm", &[4], |tape, x| norm(tape, x[0])),
     ("normalize", &[3], |tape, x| normalize(tape, x[0], 0.5)),
-    ("normalize, wide", &[65], |tape, x| normalize(tape, x[0], 0.5)),
+    ("normalize, wide", &[700], |tape, x| normalize(tape, x[0], 0.5)),
     ("scale_rows", &[6, 1], |tape, x| scale_rows(tape, x[0], x[1])),
     ("divide_rows", &[2, 1], |tape, x| divide_rows(tape, x[0], x[1], 0.3)),
     ("cosine_distance", &[9, 9], |tape, x| cosine_distance(tape, x[0], x[1], 1e-6)),
@@ -142,6 +142,12 @@ fn a_gpu_differentiates_only_what_is_asked_for() {
 fn a_gpu_that_maps_rows_otherwise_is_noticed() {
     let Some(gpu) = test_gpu() else { return };
     let inputs = [tensor(50, 3, 1)];
+    let normalized = |tape: &mut Tape<f32>, vars: &[Var]| vec![normalize(tape, vars[0], 0.5)];
+    let faults = [
+        ("normalize", "value * value", "value"),
+        ("normalize backward", "product, 0.0, is_short", "product, 0.0, false"),
+    ];
+    assert_noticed(&faults, || compare(gpu, "normalize", &inputs, TIGHT, normalized));
     let other_epsilon = |tape: &mut Tape<f32>, vars: &[Var]| {
         vec![normalize(tape, vars[0], if tape.device() == Device::Cpu { 0.5 } else { 0.51 })]
     };

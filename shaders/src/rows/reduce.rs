@@ -1,12 +1,10 @@
 //! Sums, products and lengths of rows.
 
-use super::gpu::RowWgsl;
+use super::gpu::{RowWgsl, normalize as on_gpu};
 use super::map::{RowMap, map_rows};
+use crate::gpu::Gpu;
 use crate::pointwise::{scale, shift};
-use crate::tape::{Real, Tape, Var};
-
-/// Columns up to which a GPU normalises rows: every element of a row takes the length of the row again.
-const WIDEST: usize = 64;
+use crate::tape::{Real, Tape, Tensor, Var};
 
 /// Σₖ xₖ of every row: [N, C] → [N, 1].
 pub fn row_sum<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
@@ -166,14 +164,18 @@ impl RowMap<1> for Normalize {
         dx.iter_mut().zip(y.iter().zip(dy)).for_each(|(dx, (&y, &dy))| *dx = (dy - radial * y) / length);
     }
 
-    fn wgsl(&self, [columns]: [usize; 1]) -> Option<RowWgsl> {
-        let wgsl = || RowWgsl {
-            value: &[include_str!("length.wgsl"), include_str!("normalize.wgsl")],
-            gradients: &[include_str!("length.wgsl"), include_str!("normalize_bwd.wgsl")],
-            specialisation: Vec::new(),
-            numbers: vec![self.epsilon as f32],
-        };
-        (columns <= WIDEST).then(wgsl)
+    fn value_gpu<T: Real>(&self, gpu: Gpu, [x]: [&Tensor<T>; 1]) -> Option<Tensor<T>> {
+        Some(on_gpu::normalize(gpu, x, self.epsilon))
+    }
+
+    fn gradient_gpu<T: Real>(
+        &self,
+        gpu: Gpu,
+        [x]: [&Tensor<T>; 1],
+        y: &Tensor<T>,
+        dy: &Tensor<T>,
+    ) -> Option<[Tensor<T>; 1]> {
+        Some([on_gpu::normalize_gradient(gpu, [x, y, dy], self.epsilon)])
     }
 }
 
@@ -263,7 +265,6 @@ pub(super) fn validate_maps() {
     validate_map(&RowSum, [5]);
     validate_map(&RowDot, [5, 5]);
     validate_map(&Norm, [5]);
-    validate_map(&Normalize { epsilon: 1e-6 }, [5]);
     validate_map(&ScaleRows, [5, 1]);
     validate_map(&DivideRows { floor: 0.5 }, [5, 1]);
 }

@@ -3,6 +3,7 @@
 pub mod arrange;
 mod index;
 mod map;
+pub mod normalize;
 pub mod weighted_mean;
 
 pub(crate) use index::GpuIndex;

@@ -1,0 +1,23 @@
+// The lengths of rows, each shared by LANES invocations.
+
+struct Lengths {
+    rows: u32,
+    columns: u32,
+    epsilon: f32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Lengths;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+
+// ‖x‖ of the invocation's row; all invocations of the workgroup call it together.
+fn norm_of(row: u32, local: u32) -> f32 {
+    var own = 0.0;
+    if (row < sizes.rows) {
+        for (var column = local % LANES; column < sizes.columns; column += LANES) {
+            let value = x[row * sizes.columns + column];
+            own += value * value;
+        }
+    }
+    return sqrt(row_sum(local, own));
+}
+
