@@ -1,3 +1,4 @@
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// The weights [O, kernel height, kernel width, C] of an ordinary convolution that equals the central-difference convolution
@@ -10,10 +11,10 @@ pub fn central_difference<T: Real>(tape: &mut Tape<T>, weight: Var, theta: f64) 
     tape.apply_one(CentralDifference { taps: height * width, channels, theta }, &[weight])
 }
 
-struct CentralDifference {
-    taps: usize,
-    channels: usize,
-    theta: f64,
+pub struct CentralDifference {
+    pub taps: usize,
+    pub channels: usize,
+    pub theta: f64,
 }
 
 impl CentralDifference {
@@ -57,5 +58,20 @@ impl<T: Real> Op<T> for CentralDifference {
             }
         }
         vec![Some(dweight)]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.reduce_on_gpu(gpu, inputs[0], false)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![Some(self.reduce_on_gpu(gpu, output_grads[0]?, true))])
     }
 }

@@ -9,12 +9,14 @@
 
 mod central_difference;
 mod cpu;
+mod gpu;
 mod reference;
 #[cfg(test)]
 mod tests;
 
 pub use central_difference::central_difference;
 
+use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 /// Where the taps of a kernel fall.
@@ -144,6 +146,21 @@ impl<T: Real> Op<T> for Convolution {
         };
         let shaped = |(gradient, like): (Option<Vec<T>>, &&Tensor<T>)| Some(Tensor::from_vec(like.shape(), gradient?));
         [x, weight, bias].into_iter().zip(inputs).map(shaped).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![self.forward_on_gpu(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(self.backward_on_gpu(gpu, inputs, output_grads[0]?, needs))
     }
 }
 

@@ -1,36 +1,11 @@
 //! The kernel of the layer: one matrix product for each direction.
 
+use super::product::{PRODUCT, Product};
 use super::{Activation, Linear};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
-use crate::sums::over_rows;
+use crate::gpu::{Gpu, GpuArray, Kernel};
 use crate::tape::{Real, Tensor};
 
-const PRODUCT: Kernel = Kernel { name: "linear", text: &[include_str!("product.wgsl")] };
-
-/// Rows and columns of a workgroup's tile.
-const TILE: usize = 64;
-/// Terms per step of a workgroup; a part of a sum is a multiple of it.
-const STEP: usize = 16;
-/// Terms that are worth a part of their own.
-const LEAST_TERMS: usize = 512;
-/// Workgroups that occupy a large GPU.
-const ENOUGH_GROUPS: usize = 512;
-
-uniforms! {
-    #[derive(Default)]
-    struct ProductBlock as "Product" {
-        rows: u32,
-        columns: u32,
-        terms: u32,
-        terms_per_part: u32,
-        row_tiles: u32,
-        column_tiles: u32,
-        a_row: u32,
-        a_term: u32,
-        b_term: u32,
-        b_column: u32,
-    }
-}
+const LINEAR: Kernel = Kernel { name: "linear", text: &[PRODUCT, include_str!("operands.wgsl")] };
 
 /// What is special about each of the three products.
 #[derive(Clone, Copy)]
@@ -61,64 +36,29 @@ impl Direction {
         ]
     }
 
-    /// The sizes for `rows` rows of x, and the strides of the operands.
-    fn block(self, rows: usize, inputs: usize, outputs: usize) -> ProductBlock {
-        let [count, inputs, outputs] = [rows, inputs, outputs].map(|size| size as u32);
-        let strides = |[a_row, a_term, b_term, b_column]: [u32; 4]| ProductBlock {
-            a_row,
-            a_term,
-            b_term,
-            b_column,
-            ..Default::default()
-        };
+    /// Rows, columns and terms for `count` rows of x, and the strides of the operands.
+    fn sizes(self, count: usize, inputs: usize, outputs: usize) -> ([usize; 3], [usize; 4]) {
         match self {
-            Self::Forward => {
-                ProductBlock { rows: count, columns: outputs, terms: inputs, ..strides([inputs, 1, 1, inputs]) }
-            }
-            Self::Inputs => {
-                ProductBlock { rows: count, columns: inputs, terms: outputs, ..strides([outputs, 1, inputs, 1]) }
-            }
-            Self::Weights => {
-                ProductBlock { rows: outputs, columns: inputs, terms: count, ..strides([1, outputs, inputs, 1]) }
-            }
+            Self::Forward => ([count, outputs, inputs], [inputs, 1, 1, inputs]),
+            Self::Inputs => ([count, inputs, outputs], [outputs, 1, inputs, 1]),
+            Self::Weights => ([outputs, inputs, count], [1, outputs, inputs, 1]),
         }
     }
 }
 
 impl Linear {
-    /// A·B, and the sums of the rows of A where they are made: each in parts, as many as given.
-    fn product(
-        &self,
-        gpu: Gpu,
-        direction: Direction,
-        rows: usize,
-        [a, b, output, bias]: [&GpuArray; 4],
-    ) -> (GpuArray, GpuArray, usize) {
-        let mut block = direction.block(rows, self.inputs, self.outputs);
-        let [height, width, terms] = [block.rows, block.columns, block.terms].map(|size| size as usize);
-        let (row_tiles, column_tiles) = (height.div_ceil(TILE), width.div_ceil(TILE));
-        let tiles = row_tiles * column_tiles;
-        let wanted = match direction {
-            Direction::Weights => (ENOUGH_GROUPS / tiles).clamp(1, terms.div_ceil(LEAST_TERMS).max(1)),
-            _ => 1,
-        };
-        let terms_per_part = terms.div_ceil(wanted).max(1).next_multiple_of(STEP);
-        let parts = terms.div_ceil(terms_per_part).max(1);
-        [block.terms_per_part, block.row_tiles, block.column_tiles] =
-            [terms_per_part, row_tiles, column_tiles].map(|size| size as u32);
-
-        let y = GpuArray::new(gpu, parts * height * width);
-        let sums = GpuArray::new(gpu, parts * height);
-        let read = [a, b, output, bias].map(Binding::Read);
-        let arrays = [&read[..], &[Binding::Write(&y), Binding::Write(&sums)]].concat();
-        PRODUCT.launch(gpu, &direction.specialisation(self.activation), &block, &arrays, parts * tiles);
-        (y, sums, parts)
+    /// A·B, and the sums of the rows of A where they are made, for `count` rows of x.
+    fn product(&self, gpu: Gpu, direction: Direction, count: usize, arrays: [&GpuArray; 4]) -> [GpuArray; 2] {
+        let ([rows, columns, terms], strides) = direction.sizes(count, self.inputs, self.outputs);
+        let specialisation = &direction.specialisation(self.activation);
+        let in_parts = matches!(direction, Direction::Weights);
+        Product { kernel: &LINEAR, specialisation, rows, columns, terms, strides, arrays, in_parts }.launch(gpu)
     }
 
     pub(super) fn forward_on_gpu<T: Real>(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Tensor<T> {
         let [x, weight, bias] = [inputs[0], inputs[1], inputs[2]].map(|input| input.on_gpu(gpu));
         let rows = inputs[0].rows();
-        let (y, ..) = self.product(gpu, Direction::Forward, rows, [x, weight, x, bias]);
+        let [y, _] = self.product(gpu, Direction::Forward, rows, [x, weight, x, bias]);
         Tensor::from_gpu([rows, self.outputs], y)
     }
 
@@ -135,14 +75,13 @@ impl Linear {
         let like = |input: usize, array: GpuArray| Some(Tensor::from_gpu(inputs[input].shape(), array));
         let mut gradients = vec![None; 3];
         if needs[0] {
-            let (dx, ..) = self.product(gpu, Direction::Inputs, rows, [dy, weight, y, weight]);
+            let [dx, _] = self.product(gpu, Direction::Inputs, rows, [dy, weight, y, weight]);
             gradients[0] = like(0, dx);
         }
         if needs[1] || needs[2] {
-            let (weights, biases, parts) = self.product(gpu, Direction::Weights, rows, [dy, x, y, weight]);
-            let sum = |array: GpuArray| if parts == 1 { array } else { over_rows(gpu, &array, array.len() / parts) };
-            gradients[1] = like(1, sum(weights));
-            gradients[2] = like(2, sum(biases));
+            let [weights, biases] = self.product(gpu, Direction::Weights, rows, [dy, x, y, weight]);
+            gradients[1] = like(1, weights);
+            gradients[2] = like(2, biases);
         }
         gradients
     }
@@ -151,10 +90,10 @@ impl Linear {
 #[cfg(test)]
 #[test]
 fn the_kernel_is_valid_in_every_direction() {
-    use crate::gpu::layout::assert_valid;
+    use super::product::assert_valid_product;
     for direction in [Direction::Forward, Direction::Inputs, Direction::Weights] {
         for activation in [Activation::Identity, Activation::Relu] {
-            assert_valid::<ProductBlock>(&PRODUCT, &direction.specialisation(activation));
+            assert_valid_product(&LINEAR, &direction.specialisation(activation));
         }
     }
 }

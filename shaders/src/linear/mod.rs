@@ -8,6 +8,7 @@ mod gpu;
 #[cfg(test)]
 mod gpu_tests;
 pub(crate) mod matrix;
+pub(crate) mod product;
 mod reference;
 #[cfg(test)]
 mod tests;

@@ -1,8 +1,8 @@
 // A matrix product A·B by tiles of 64×64, of which each of the 256 invocations of a workgroup has 4×4 elements.
 //
 // A_BY_TERM and B_BY_TERM are 1 where the terms of a sum are neighbours in memory. BIAS: the bias is added, and where RELU
-// is 1, what is negative becomes 0. MASK: an element of A counts as 0 where the output is not positive. SUMS: the sums of
-// the rows of A are written, too.
+// is 1, what is negative becomes 0. SUMS: the sums of the rows of A are written, too. What follows this
+// text loads the operands: `load_a(row, term, end)` and `load_b(term, column, end)`, zero beyond the sizes and from `end` on.
 
 struct Product {
     // Of A·B, and the terms of each sum.
@@ -39,24 +39,6 @@ const STRIDE: u32 = 65u;
 // [term, row] and [term, column].
 var<workgroup> a_tile: array<f32, 1040>;
 var<workgroup> b_tile: array<f32, 1040>;
-
-fn load_a(row: u32, term: u32, end: u32) -> f32 {
-    if (row >= product.rows || term >= end) {
-        return 0.0;
-    }
-    let at = row * product.a_row + term * product.a_term;
-    if (MASK == 1u && output[at] <= 0.0) {
-        return 0.0;
-    }
-    return a[at];
-}
-
-fn load_b(term: u32, column: u32, end: u32) -> f32 {
-    if (column >= product.columns || term >= end) {
-        return 0.0;
-    }
-    return b[term * product.b_term + column * product.b_column];
-}
 
 // Four elements of each tile per invocation; neighbours read neighbours.
 fn load_tiles(local: u32, first_row: u32, first_column: u32, first_term: u32, end: u32) {

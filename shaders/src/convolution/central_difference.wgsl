@@ -1,0 +1,37 @@
+// The weights of a convolution less θ times the sum of the taps, at the central tap; where BACKWARD is 1, the gradients of
+// all taps less θ times that of the central one. An invocation per weight.
+
+struct Central {
+    len: u32,
+    taps: u32,
+    channels: u32,
+    theta: f32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Central;
+@group(0) @binding(1) var<storage, read> weights: array<f32>;
+@group(0) @binding(2) var<storage, read_write> out: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = flat_group(group, groups) * 256u + local;
+    if (at >= sizes.len) {
+        return;
+    }
+    // Of the same output and channel: the first tap, and the central one.
+    let first = at / (sizes.taps * sizes.channels) * sizes.taps * sizes.channels + at % sizes.channels;
+    let center = first + sizes.taps / 2u * sizes.channels;
+    var difference = 0.0;
+    if (BACKWARD == 1u) {
+        difference = weights[center];
+    } else if (at == center) {
+        for (var tap = 0u; tap < sizes.taps; tap++) {
+            difference += weights[first + tap * sizes.channels];
+        }
+    }
+    out[at] = weights[at] - sizes.theta * difference;
+}
