@@ -27,21 +27,9 @@ struct View {
 @group(0) @binding(4) var<storage, read> shapes: array<f32>;
 @group(0) @binding(5) var<storage, read> rotations: array<f32>;
 
-// Standard deviations above this are overflow on its way.
-const MAX_SCALE: f32 = 1e9;
 // Below this distance to the camera the viewing direction is undefined.
 const MIN_DISTANCE: f32 = 1e-8;
 const COEFFICIENTS: u32 = (SH_DEGREE + 1u) * (SH_DEGREE + 1u);
-
-// A splat's covariance as F·Fᵀ, with what the backward pass of F needs.
-struct Factor {
-    in_range: bool,
-    matrix: Rows,
-    unit: Unit,
-    // Standard deviations.
-    scales: vec3<f32>,
-    rotation: Rows,
-}
 
 struct Geometry {
     usable: bool,
@@ -110,21 +98,13 @@ fn shape_is_finite(splat: u32) -> bool {
 }
 
 fn factor_of(splat: u32) -> Factor {
-    var factor: Factor;
     if (GIVEN_FACTORS == 1u) {
+        var factor: Factor;
         factor.matrix = given_factor(splat);
         factor.in_range = shape_is_finite(splat) && largest(factor.matrix) <= MAX_SCALE;
         return factor;
     }
-    let log_scales = shape_row(3u * splat);
-    factor.scales = exp(log_scales);
-    // A logarithm of minus infinity is a scale of zero; that of a NaN is out of range.
-    let is_number = is_finite3(factor.scales) && all(log_scales < vec3<f32>(3e38));
-    factor.in_range = is_number && all(factor.scales <= vec3<f32>(MAX_SCALE));
-    factor.unit = normalised(raw_rotation(splat));
-    factor.rotation = rotation_matrix(factor.unit.quaternion);
-    factor.matrix = scale_columns(factor.rotation, factor.scales);
-    return factor;
+    return scaled_rotation(shape_row(3u * splat), raw_rotation(splat));
 }
 
 fn position_in_view(splat: u32) -> vec3<f32> {

@@ -9,11 +9,15 @@ use crate::tape::{Real, Tensor};
 /// Splats per workgroup: few, because each invocation holds many numbers.
 const GROUP: usize = 64;
 
+/// F = R_q·diag(eˢ), after the algebra.
+pub(super) const FACTOR: &str = include_str!("factor.wgsl");
 const GEOMETRY: &str = include_str!("geometry.wgsl");
 pub(super) const FORWARD: Kernel =
-    Kernel { name: "projection", text: &[algebra::WGSL, GEOMETRY, include_str!("projection.wgsl")] };
-pub(super) const BACKWARD: Kernel =
-    Kernel { name: "projection backward", text: &[algebra::WGSL, GEOMETRY, include_str!("projection_bwd.wgsl")] };
+    Kernel { name: "projection", text: &[algebra::WGSL, FACTOR, GEOMETRY, include_str!("projection.wgsl")] };
+pub(super) const BACKWARD: Kernel = Kernel {
+    name: "projection backward",
+    text: &[algebra::WGSL, FACTOR, GEOMETRY, include_str!("projection_bwd.wgsl")],
+};
 
 uniforms! {
     /// As the `View` of the kernels.

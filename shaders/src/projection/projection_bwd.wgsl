@@ -74,12 +74,10 @@ fn write_shape_gradient(splat: u32, factor: Factor, g: Rows) {
         write_shape_row(9u * splat + 6u, g.z);
         return;
     }
-    let along = factor.rotation.x * g.x + factor.rotation.y * g.y + factor.rotation.z * g.z;
-    write_shape_row(3u * splat, factor.scales * along);
-    let g_unit = rotation_backward(factor.unit.quaternion, scale_columns(g, factor.scales));
-    let g_raw = normalised_backward(factor.unit, g_unit);
+    let gradient = scaled_rotation_backward(factor, g);
+    write_shape_row(3u * splat, gradient.log_scales);
     for (var i = 0u; i < 4u; i++) {
-        g_rotations[4u * splat + i] = g_raw[i];
+        g_rotations[4u * splat + i] = gradient.rotation[i];
     }
 }
 
