@@ -3,10 +3,16 @@
 #[cfg(test)]
 mod tests;
 
+use std::sync::OnceLock;
+
 use super::Neighbors;
 use crate::algebra;
 use crate::gpu::{Binding, COLUMN_SUM, Gpu, GpuArray, Kernel, ROW_SUM, columns_for, lanes_for, uniforms};
+use crate::rows::RowIndex;
+use crate::sort;
 use crate::tape::{Real, Tensor};
+
+const NEAREST: Kernel = Kernel { name: "nearest nodes", text: &[include_str!("nearest.wgsl")] };
 
 const BLEND: Kernel = Kernel { name: "neighbor blend", text: &[include_str!("neighbor_blend.wgsl")] };
 const BLEND_WEIGHTS: Kernel =
@@ -34,10 +40,19 @@ const FRAMES_NODES: Kernel = Kernel {
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;
-/// Points per workgroup of the frames: few, because each invocation holds many numbers.
-const FRAMES_GROUP: usize = 64;
+/// Points per workgroup of the search, and of the frames: few, because each invocation holds many numbers.
+const POINTS_GROUP: usize = 64;
 /// The most axes of a space in which weights have kernels: an invocation holds one number for each.
 const MAX_AXES: usize = 32;
+/// The most nodes per point that are found on a GPU, for the same reason.
+const MAX_KEPT: usize = 16;
+
+uniforms! {
+    struct NearestBlock as "Nearest" {
+        points: u32,
+        nodes: u32,
+    }
+}
 
 uniforms! {
     struct BlendBlock as "Blend" {
@@ -65,6 +80,59 @@ uniforms! {
     }
 }
 
+/// Who follows whom, in a GPU's memory.
+#[derive(Debug)]
+pub(super) struct GpuNeighbors {
+    nodes: usize,
+    /// [N·K].
+    node_of_item: GpuArray,
+    /// The items sorted by node, [N·K], and where those of every node begin, [M + 1].
+    followers: OnceLock<[GpuArray; 2]>,
+}
+
+impl GpuNeighbors {
+    pub fn upload(gpu: Gpu, node_of_item: &RowIndex) -> Self {
+        let array = GpuArray::upload(gpu, node_of_item.row_of_item());
+        Self { nodes: node_of_item.rows(), node_of_item: array, followers: OnceLock::new() }
+    }
+
+    pub fn read_back(&self) -> Vec<u32> {
+        let mut out = vec![0; self.node_of_item.len()];
+        self.node_of_item.read_into(&mut out);
+        out
+    }
+
+    fn followers(&self) -> &[GpuArray; 2] {
+        self.followers.get_or_init(|| {
+            let gpu = self.node_of_item.gpu();
+            let bits = self.nodes.max(1).ilog2() + 1;
+            let (sorted, items) = sort::sort(gpu, &self.node_of_item, bits);
+            [items, sort::starts(gpu, &sorted, self.nodes)]
+        })
+    }
+}
+
+/// The nearest nodes of every point; `None` where there are more than 16 of each, or more than 32 axes.
+pub(super) fn nearest<T: Real>(
+    gpu: Gpu,
+    points: &Tensor<T>,
+    nodes: &Tensor<T>,
+    per_point: usize,
+    others: bool,
+) -> Option<GpuNeighbors> {
+    let axes = nodes.row_len();
+    if axes == 0 || axes > MAX_AXES || per_point > MAX_KEPT {
+        return None;
+    }
+    let node_of_item = GpuArray::new(gpu, points.rows() * per_point);
+    let [points_read, nodes_read] = read(gpu, [points, nodes]);
+    let arrays = [points_read, nodes_read, Binding::Write(&node_of_item)];
+    let specialisation = [("AXES", axes as u32), ("KEPT", per_point as u32), ("OTHERS", u32::from(others))];
+    let block = NearestBlock { points: points.rows() as u32, nodes: nodes.rows() as u32 };
+    NEAREST.launch(gpu, &specialisation, &block, &arrays, points.rows().div_ceil(POINTS_GROUP));
+    Some(GpuNeighbors { nodes: nodes.rows(), node_of_item, followers: OnceLock::new() })
+}
+
 impl Neighbors {
     /// Points, nodes of each, nodes.
     fn sizes(&self) -> [u32; 3] {
@@ -72,18 +140,17 @@ impl Neighbors {
     }
 
     fn node_of_item_on_gpu(&self, gpu: Gpu) -> Binding<'_> {
-        Binding::Read(&self.node_of_item().on_gpu(gpu).row_of_item)
+        Binding::Read(&self.on_gpu(gpu).node_of_item)
     }
 
     /// The items of every node, and where they begin.
     fn followers_on_gpu(&self, gpu: Gpu) -> [Binding<'_>; 2] {
-        let index = self.node_of_item().on_gpu(gpu);
-        [Binding::Read(&index.items), Binding::Read(&index.starts)]
+        self.on_gpu(gpu).followers().each_ref().map(Binding::Read)
     }
 
     /// Invocations that share the followers of a node, and the workgroups that they make for all nodes.
     fn lanes(&self) -> (usize, usize) {
-        let lanes = lanes_for(self.node_of_item().len() / self.nodes().max(1));
+        let lanes = lanes_for(self.points() * self.per_point() / self.nodes().max(1));
         (lanes, (self.nodes() * lanes).div_ceil(GROUP))
     }
 }
@@ -202,7 +269,7 @@ pub(super) fn blend_frames<T: Real>(gpu: Gpu, neighbors: &Neighbors, inputs: &[&
     let y = GpuArray::new(gpu, inputs[1].len());
     let mut arrays = frames_inputs(gpu, inputs);
     arrays.extend([neighbors.node_of_item_on_gpu(gpu), Binding::Write(&y)]);
-    FRAMES.launch(gpu, &[], &frames_block(neighbors), &arrays, neighbors.points().div_ceil(FRAMES_GROUP));
+    FRAMES.launch(gpu, &[], &frames_block(neighbors), &arrays, neighbors.points().div_ceil(POINTS_GROUP));
     Tensor::from_gpu(inputs[1].shape(), y)
 }
 
@@ -218,7 +285,7 @@ pub(super) fn blend_frames_backward<T: Real>(
     let mut of_points = frames_inputs(gpu, inputs);
     of_points.extend([neighbors.node_of_item_on_gpu(gpu), dy]);
     of_points.extend(gradients[..2].iter().map(Binding::Write));
-    FRAMES_POINTS.launch(gpu, &[], &block, &of_points, neighbors.points().div_ceil(FRAMES_GROUP));
+    FRAMES_POINTS.launch(gpu, &[], &block, &of_points, neighbors.points().div_ceil(POINTS_GROUP));
 
     let mut of_nodes = frames_inputs(gpu, inputs);
     of_nodes.extend(neighbors.followers_on_gpu(gpu));

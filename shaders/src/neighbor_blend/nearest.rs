@@ -1,10 +1,15 @@
 //! Nearest neighbours among a few hundred nodes.
 //!
 //! All distances are computed: with 512 nodes that takes half a microsecond per point in vector instructions, as long as a
-//! k-d tree takes in three dimensions, and it does not grow much with the dimensions of a learnt space.
+//! k-d tree takes in three dimensions, and it does not grow much with the dimensions of a learnt space. What is in a GPU's
+//! memory is searched there, and what is found stays there until somebody on the host asks for it.
+
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
+use super::gpu::{self, GpuNeighbors};
+use crate::gpu::Gpu;
 use crate::rows::RowIndex;
 use crate::tape::{Real, Tensor};
 
@@ -15,7 +20,17 @@ const POINTS_PER_CHUNK: usize = 64;
 #[derive(Clone, Debug)]
 pub struct Neighbors {
     per_point: usize,
-    node_of_item: RowIndex,
+    points: usize,
+    nodes: usize,
+    lists: Arc<Lists>,
+}
+
+/// Who follows whom on the host, in a GPU's memory, or both; at least one of them is there.
+#[derive(Debug)]
+struct Lists {
+    /// The node of every item.
+    host: OnceLock<RowIndex>,
+    gpu: OnceLock<GpuNeighbors>,
 }
 
 impl Neighbors {
@@ -23,38 +38,26 @@ impl Neighbors {
     /// first ones.
     pub fn nearest<T: Real>(points: &Tensor<T>, nodes: &Tensor<T>, count: usize) -> Self {
         assert_eq!(points.row_len(), nodes.row_len(), "points and nodes in different spaces");
-        Self::search(points, nodes, count.min(nodes.rows()), |_| None)
+        Self::search(points, nodes, count.min(nodes.rows()), false)
     }
 
     /// The `count` nodes nearest to each node [M, D] besides itself; all others where there are fewer.
     pub fn nearest_others<T: Real>(nodes: &Tensor<T>, count: usize) -> Self {
-        Self::search(nodes, nodes, count.min(nodes.rows().saturating_sub(1)), Some)
+        Self::search(nodes, nodes, count.min(nodes.rows().saturating_sub(1)), true)
     }
 
-    /// `left_out(point)` is a node that the point does not follow.
-    fn search<T: Real>(
-        points: &Tensor<T>,
-        nodes: &Tensor<T>,
-        per_point: usize,
-        left_out: impl Fn(usize) -> Option<usize> + Sync,
-    ) -> Self {
-        let coordinates = transposed(nodes);
-        let mut found = vec![0; points.rows() * per_point];
-        if per_point == 0 {
-            return Self { per_point, node_of_item: RowIndex::new(found, nodes.rows()) };
-        }
-        found.par_chunks_mut(POINTS_PER_CHUNK * per_point).enumerate().for_each(|(chunk, found)| {
-            let mut distances = vec![T::ZERO; nodes.rows()];
-            for (at, found) in found.chunks_exact_mut(per_point).enumerate() {
-                let point = chunk * POINTS_PER_CHUNK + at;
-                squared_distances(points.row(point), &coordinates, &mut distances);
-                if let Some(node) = left_out(point) {
-                    distances[node] = T::from_f64(f64::INFINITY);
-                }
-                choose_smallest(&distances, found);
-            }
-        });
-        Self { per_point, node_of_item: RowIndex::new(found, nodes.rows()) }
+    /// `others`: points are the nodes, and none follows itself.
+    fn search<T: Real>(points: &Tensor<T>, nodes: &Tensor<T>, per_point: usize, others: bool) -> Self {
+        let on_gpu = points.gpu().or(nodes.gpu()).filter(|_| per_point > 0 && points.rows() > 0);
+        let on_gpu = on_gpu.and_then(|gpu| gpu::nearest(gpu, points, nodes, per_point, others));
+        let on_host = || {
+            let found = if per_point == 0 { Vec::new() } else { search_on_host(points, nodes, per_point, others) };
+            RowIndex::new(found, nodes.rows())
+        };
+        let host = if on_gpu.is_some() { OnceLock::new() } else { on_host().into() };
+        let points = if per_point == 0 { 0 } else { points.rows() };
+        let lists = Arc::new(Lists { host, gpu: on_gpu.map_or_else(OnceLock::new, OnceLock::from) });
+        Self { per_point, points, nodes: nodes.rows(), lists }
     }
 
     /// K.
@@ -64,31 +67,57 @@ impl Neighbors {
 
     /// N.
     pub fn points(&self) -> usize {
-        self.node_of_item.len() / self.per_point.max(1)
+        self.points
     }
 
     /// M.
     pub fn nodes(&self) -> usize {
-        self.node_of_item.rows()
+        self.nodes
     }
 
     /// The nodes of a point, nearest first.
     pub fn of_point(&self, point: usize) -> &[u32] {
-        &self.node_of_item.row_of_item()[point * self.per_point..(point + 1) * self.per_point]
+        &self.node_of_item().row_of_item()[point * self.per_point..(point + 1) * self.per_point]
     }
 
     /// The followers of a node: (point, which of the point's neighbours the node is), ascending.
     pub fn followers(&self, node: usize) -> impl Iterator<Item = (usize, usize)> {
-        self.node_of_item
+        self.node_of_item()
             .items_of(node)
             .iter()
             .map(|&item| (item as usize / self.per_point, item as usize % self.per_point))
     }
 
-    /// The node of every item, N·K items point by point.
+    /// The node of every item, N·K items point by point; read back first if a GPU found it.
     pub fn node_of_item(&self) -> &RowIndex {
-        &self.node_of_item
+        self.lists.host.get_or_init(|| {
+            let found = self.lists.gpu.get().expect("neighbours are somewhere");
+            RowIndex::new(found.read_back(), self.nodes)
+        })
     }
+
+    /// The same in the GPU's memory, uploaded first if it is not there.
+    pub(super) fn on_gpu(&self, gpu: Gpu) -> &GpuNeighbors {
+        self.lists.gpu.get_or_init(|| GpuNeighbors::upload(gpu, self.node_of_item()))
+    }
+}
+
+/// The nodes of every point.
+fn search_on_host<T: Real>(points: &Tensor<T>, nodes: &Tensor<T>, per_point: usize, others: bool) -> Vec<u32> {
+    let coordinates = transposed(nodes);
+    let mut found = vec![0; points.rows() * per_point];
+    found.par_chunks_mut(POINTS_PER_CHUNK * per_point).enumerate().for_each(|(chunk, found)| {
+        let mut distances = vec![T::ZERO; nodes.rows()];
+        for (at, found) in found.chunks_exact_mut(per_point).enumerate() {
+            let point = chunk * POINTS_PER_CHUNK + at;
+            squared_distances(points.row(point), &coordinates, &mut distances);
+            if others {
+                distances[point] = T::from_f64(f64::INFINITY);
+            }
+            choose_smallest(&distances, found);
+        }
+    });
+    found
 }
 
 /// [M, D] to D runs of M values.

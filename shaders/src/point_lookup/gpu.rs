@@ -7,7 +7,7 @@ use super::Sampling;
 use super::camera_maps::{Pinhole, Project, Unproject};
 use super::lookup::Lookup;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
-use crate::sort::sort;
+use crate::sort::{sort, starts};
 use crate::tape::{Real, Tensor};
 
 const CAMERA: &str = include_str!("camera.wgsl");
@@ -55,7 +55,6 @@ uniforms! {
     struct CornersBlock as "Corners" {
         len: u32,
         channels: u32,
-        corners: u32,
     }
 }
 
@@ -185,12 +184,13 @@ impl Lookup {
         let to_image = needs[0].then(|| {
             // The number of texels stands for none.
             let bits = (self.width * self.height).ilog2() + 1;
-            let (sorted, corner_of) = sort(gpu, &texels, bits);
+            let (sorted, corners) = sort(gpu, &texels, bits);
+            let starts = starts(gpu, &sorted, self.width * self.height);
             let gradient = GpuArray::new(gpu, inputs[0].len());
-            let [len, channels, corners] = [gradient.len(), self.channels, 4 * count].map(|size| size as u32);
-            let read = [&sorted, &corner_of, &weights, d_values.on_gpu(gpu)].map(Binding::Read);
+            let [len, channels] = [gradient.len(), self.channels].map(|size| size as u32);
+            let read = [&corners, &starts, &weights, d_values.on_gpu(gpu)].map(Binding::Read);
             let arrays = [&read[..], &[Binding::Write(&gradient)]].concat();
-            let block = CornersBlock { len, channels, corners };
+            let block = CornersBlock { len, channels };
             IMAGE_BACKWARD.launch(gpu, &[], &block, &arrays, gradient.len().div_ceil(GROUP));
             Tensor::from_gpu(inputs[0].shape(), gradient)
         });

@@ -5,6 +5,7 @@ use crate::gpu::conformance::{Tolerance, compare, run};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::layout::assert_valid;
 use crate::gpu::tests::test_gpu;
+use crate::pointwise;
 use crate::tape::{Device, Tape, Var};
 
 /// Sums over hundreds of followers.
@@ -43,7 +44,63 @@ fn carried_inputs([points, nodes]: [Tensor<f32>; 2]) -> Vec<Tensor<f32>> {
 }
 
 #[test]
+fn a_gpu_finds_the_nodes_that_the_cpu_finds() {
+    let Some(gpu) = test_gpu() else { return };
+    for ([points, nodes], axes, count) in
+        [([1, 1], 1, 4), ([63, 7], 3, 3), ([65, 64], 11, 16), ([300, 65], 32, 2), ([500, 200], 3, 4), ([9, 30], 2, 17)]
+    {
+        let [x, p] = [tensor(points, axes, 1), tensor(nodes, axes, 2)];
+        let found = |device: Device, others: bool| {
+            // On the GPU if the device is one.
+            let mut tape = Tape::new(device);
+            let vars = [&x, &p].map(|input| tape.leaf(input.clone()));
+            let doubled = vars.map(|var| pointwise::scale(&mut tape, var, 2.0));
+            let [x, p] = doubled.map(|var| tape.value(var).clone());
+            assert_eq!(x.gpu().is_some(), device != Device::Cpu);
+            let found = if others { Neighbors::nearest_others(&p, count) } else { Neighbors::nearest(&x, &p, count) };
+            assert_eq!((found.nodes(), found.per_point()), (nodes, count.min(nodes - usize::from(others))));
+            (found.points(), found.node_of_item().row_of_item().to_vec())
+        };
+        for others in [false, true] {
+            assert_eq!(found(Device::Gpu(gpu), others), found(Device::Cpu, others), "{points} points, {nodes} nodes");
+        }
+    }
+}
+
+#[test]
+fn equally_near_nodes_are_taken_in_order_on_a_gpu() {
+    let Some(gpu) = test_gpu() else { return };
+    let [points, nodes] = [(1, vec![0.0]), (4, vec![1.0, -1.0, 1.0, 0.5])].map(|(rows, values)| {
+        let tensor = Tensor::<f32>::from_vec([rows, 1], values);
+        tensor.on_gpu(gpu);
+        tensor
+    });
+    assert_eq!(Neighbors::nearest(&points, &nodes, 3).of_point(0), [3, 0, 1]);
+}
+
+#[test]
+fn followers_are_sorted_on_a_gpu_as_on_the_host() {
+    let Some(gpu) = test_gpu() else { return };
+    for [points, nodes] in SIZES {
+        let (_, neighbors) = placed(points, nodes, 3);
+        let read = |array: &GpuArray| {
+            let mut out = vec![0_u32; array.len()];
+            array.read_into(&mut out);
+            out
+        };
+        let [items, starts] = neighbors.on_gpu(gpu).followers().each_ref().map(read);
+        for node in 0..nodes {
+            let found = &items[starts[node] as usize..starts[node + 1] as usize];
+            assert_eq!(found, neighbors.node_of_item().items_of(node), "node {node} of {nodes}");
+        }
+    }
+}
+
+#[test]
 fn kernels_are_valid() {
+    for others in [0, 1] {
+        assert_valid::<NearestBlock>(&NEAREST, &[("AXES", 32), ("KEPT", 16), ("OTHERS", others)]);
+    }
     for kernel in [BLEND, BLEND_WEIGHTS] {
         assert_valid::<BlendBlock>(&kernel, &[]);
     }
@@ -118,6 +175,25 @@ fn faults_are_noticed() {
     let inputs = [tensor(200, 3, 7), tensor(6, 5, 8)];
     let f = |tape: &mut Tape<f32>, vars: &[Var]| vec![blend(tape, vars[0], vars[1], &neighbors)];
     assert_noticed(&faults, || compare(gpu, "blend", &inputs, TOLERANCE, f));
+}
+
+#[test]
+fn faults_of_the_search_are_noticed() {
+    let Some(gpu) = test_gpu() else { return };
+    let faults = [
+        ("nearest nodes", "distance < (*found).distances[at - 1u]", "distance > (*found).distances[at - 1u]"),
+        ("nearest nodes", "(*found).count == KEPT", "(*found).count > 0u"),
+        ("nearest nodes", "nodes[first * AXES + at]", "nodes[at]"),
+    ];
+    let ([points, nodes], _) = placed(200, 80, 3);
+    // Nodes that are computed, and so searched where they are.
+    let f = |tape: &mut Tape<f32>, vars: &[Var]| {
+        let [points, nodes] = [vars[0], vars[1]].map(|var| pointwise::scale(tape, var, 2.0));
+        let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), 3);
+        vec![weights(tape, points, nodes, vars[2], None, &neighbors)]
+    };
+    let inputs = [points, nodes, tensor(80, 1, 3)];
+    assert_noticed(&faults, || compare(gpu, "weights of the nearest", &inputs, TOLERANCE, f));
 }
 
 #[test]
