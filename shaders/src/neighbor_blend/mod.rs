@@ -3,7 +3,8 @@
 //!
 //! [`Neighbors`] says who follows whom and is not differentiated; [`weights`], [`blend`] and [`blend_frames`] are, in the
 //! positions of points and nodes, the nodes' radii, gates and motions. What flows back to a node is summed over its
-//! followers in ascending order, so that no result depends on the number of threads.
+//! followers in ascending order, and on a GPU in parts whose order depends on the sizes alone, so that no result depends on
+//! the number of threads.
 
 mod blend;
 mod frames;
