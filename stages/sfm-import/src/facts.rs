@@ -17,7 +17,7 @@ pub fn of_capture(dir: &Path, params: &Params) -> Facts {
     if params.static_scene {
         return with_times(known, 1);
     }
-    if !matches!(recognise(dir, params.format), Ok(Format::Blender | Format::Nerfies)) {
+    if !matches!(recognise(dir, params.format), Ok(Format::Blender | Format::Nerfies | Format::N3v)) {
         return known;
     }
     // What is wrong with the files is said when they are imported.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use engine::Failure;
+use scene::protocol::PRESETS;
 use scene::{Intrinsics, Split};
 use serde::Serialize;
 
@@ -137,6 +138,7 @@ impl Summary {
             (Format::Blender, false) => "Blender transforms_*.json without times (a scene at rest)",
             (Format::Colmap, _) => "COLMAP sparse model",
             (Format::Nerfies, _) => "Nerfies, HyperNeRF or DyCheck (a camera file per view)",
+            (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and a folder of frames per camera)",
         }
     }
 }
@@ -212,8 +214,11 @@ impl Frames {
 /// A recipe node for one capture.
 fn recipe(source: &SourceCapture, frames: &Frames) -> String {
     let mut params = vec![format!("source = {:?}", source.name)];
-    if frames.intrinsics.width >= LARGE_WIDTH {
-        params.push(format!("width = {}, resize = \"area\"", frames.intrinsics.width / 2));
+    let width = frames.intrinsics.width;
+    if source.format == Format::N3v {
+        params.extend(protocol_params(source, width));
+    } else if width >= LARGE_WIDTH {
+        params.push(format!("width = {}, resize = \"area\"", width / 2));
     }
     let mut note = "";
     if source.format == Format::Colmap {
@@ -226,6 +231,18 @@ fn recipe(source: &SourceCapture, frames: &Frames) -> String {
         params.push("test_split = \"val\"".into());
     }
     format!("{note}[nodes.capture]\nstage = \"sfm-import\"\nparams = {{ {} }}\n", params.join(", "))
+}
+
+/// The size and the protocol that the literature has for the data set, where images of `width` can come to have them.
+fn protocol_params(source: &SourceCapture, width: u32) -> Option<String> {
+    let preset = PRESETS.iter().find(|preset| preset.protocol().dataset == source.dataset)?;
+    let protocol = preset.protocol();
+    if width <= protocol.width {
+        return None;
+    }
+    let size = format!("width = {}, resize = {:?}", protocol.width, protocol.resize);
+    let is_whole = source.split_rule == protocol.split;
+    Some(if is_whole { format!("{size}, protocol = {:?}", preset.name) } else { size })
 }
 
 /// A recipe node for all captures of a folder that are ready.

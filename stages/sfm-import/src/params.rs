@@ -35,7 +35,7 @@ pub struct Params {
     pub frame_step: u32,
     /// Keeps at most so many training views (after `frame_step`), evenly spread.
     pub train_limit: Option<u32>,
-    /// COLMAP and Nerfies: frames per second of the video whose frames the images are.
+    /// COLMAP, Nerfies and Neural 3D Video: frames per second of the video whose frames the images are.
     pub fps: f64,
     /// Every image shows the same instant (a photo collection of a scene at rest).
     #[serde(rename = "static")]
@@ -57,6 +57,8 @@ pub enum Format {
     Colmap,
     /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`, as Nerfies, HyperNeRF and DyCheck.
     Nerfies,
+    /// `poses_bounds.npy` and the frames of every camera in `camNN/images` or `camNN`, as Neural 3D Video.
+    N3v,
 }
 
 /// A resize filter.
@@ -120,6 +122,7 @@ impl Format {
             Self::Blender => "blender",
             Self::Colmap => "colmap",
             Self::Nerfies => "nerfies",
+            Self::N3v => "n3v",
         }
     }
 }

@@ -6,7 +6,7 @@ use engine::{Failure, FailureKind};
 
 use crate::params::Format;
 use crate::source::{Result, bad};
-use crate::{blender, colmap, nerfies};
+use crate::{blender, colmap, n3v, nerfies};
 
 /// The format of `dir`: what its files say, which must be `wanted` unless that is [`Format::Auto`].
 pub fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
@@ -36,6 +36,7 @@ fn formats_of(dir: &Path) -> Vec<Format> {
         (Format::Blender, blender::is_here(dir)),
         (Format::Colmap, colmap::layout::sparse_dir(dir).is_some()),
         (Format::Nerfies, nerfies::is_here(dir)),
+        (Format::N3v, n3v::is_here(dir)),
     ];
     present.into_iter().filter(|(_, is_here)| *is_here).map(|(format, _)| format).collect()
 }
@@ -43,10 +44,11 @@ fn formats_of(dir: &Path) -> Vec<Format> {
 /// The error for a folder that is not what was wanted: what was found, and what is supported.
 fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     let what = match wanted {
-        Format::Auto => "not a Blender/D-NeRF, COLMAP or Nerfies/HyperNeRF capture",
+        Format::Auto => "not a Blender/D-NeRF, COLMAP, Nerfies/HyperNeRF or Neural 3D Video capture",
         Format::Blender => "not a Blender/D-NeRF capture",
         Format::Colmap => "not a COLMAP capture",
         Format::Nerfies => "not a Nerfies/HyperNeRF capture",
+        Format::N3v => "not a Neural 3D Video capture",
     };
     let mut found: Vec<String> = children(dir);
     let has = |name: &str| found.iter().any(|entry| entry == name);
@@ -61,11 +63,15 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     } else if has("dataset.json") || has("camera") {
         "the Nerfies/HyperNeRF layout needs camera/, metadata.json and dataset.json: is the data complete?".into()
     } else if has("poses_bounds.npy") {
-        "poses_bounds.npy (LLFF, Neural 3D Video) is not read yet; a COLMAP model beside it would be".into()
+        "poses_bounds.npy is read beside cameras (cam00/images, cam01/images, …, as Neural 3D Video has them), not beside \
+         one folder of images (LLFF); a COLMAP model would be"
+            .into()
+    } else if !n3v::camera_names(dir).is_empty() {
+        "the Neural 3D Video layout needs poses_bounds.npy beside its cameras: is the data complete?".into()
     } else {
         "supported: transforms_{train,val,test}.json (Blender, D-NeRF), images/ beside \
-         sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), or camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
-         DyCheck)"
+         sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
+         DyCheck), or poses_bounds.npy beside cam00/images, cam01/images, … (Neural 3D Video)"
             .into()
     };
     let more = found.len().saturating_sub(8);

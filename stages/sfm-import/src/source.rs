@@ -12,7 +12,7 @@ use crate::colmap::model::ReprojectionError;
 use crate::lens::Lens;
 use crate::params::Format;
 use crate::recognise::recognise;
-use crate::{Params, blender, colmap, nerfies};
+use crate::{Params, blender, colmap, n3v, nerfies};
 
 /// Results of this crate: every error has a kind, a message, a hint and a file.
 pub type Result<T> = std::result::Result<T, Failure>;
@@ -23,7 +23,7 @@ pub struct SourceCapture {
     pub name: String,
     /// What the folder was recognised as; never [`Format::Auto`].
     pub format: Format,
-    /// The benchmark, for the protocol: `dnerf`, `blender`, `colmap`, `nerfies` or `dycheck`.
+    /// The benchmark, for the protocol: `dnerf`, `blender`, `colmap`, `nerfies`, `dycheck` or `n3v`.
     pub dataset: &'static str,
     /// How views became train, val and test.
     pub split_rule: String,
@@ -86,6 +86,7 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     match recognise(dir, params.format)? {
         Format::Colmap => colmap::read(dir, params),
         Format::Nerfies => nerfies::read(dir, params),
+        Format::N3v => n3v::read(dir, params),
         _ => blender::read(dir, params),
     }
 }

@@ -48,7 +48,7 @@ pub const PRESETS: &[Preset] = &[
     dnerf_val("dnerf-400-black-val", 400, "area", "black", "Lego on its validation views: 4D-GS of Fudan"),
     Preset {
         name: "n3v-1352",
-        about: "Neural 3D Video, 300 frames, the central camera held out: 4DGaussians, L4DGS, Phys4DGS. No importer yet",
+        about: "Neural 3D Video, 300 frames, the central camera held out: 4DGaussians, L4DGS, Phys4DGS",
         dataset: "n3v",
         split: "camera 0 held out",
         size: [1352, 1014],

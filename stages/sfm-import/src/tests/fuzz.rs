@@ -89,6 +89,28 @@ fn mangled_transforms_never_panic() {
 }
 
 #[test]
+fn mangled_poses_never_panic() {
+    let dir = super::n3v::rig(&["cam00", "cam01", "cam02"], 2);
+    let path = dir.path().join("poses_bounds.npy");
+    let good = std::fs::read(&path).unwrap();
+    for length in 0..good.len() {
+        overwrite(&path, &good[..length]);
+        assert_refused(dir.path(), &Params::default(), &["poses_bounds.npy"]);
+    }
+    let mut state = 13;
+    let mut refused = 0;
+    for _ in 0..600 {
+        let mut bytes = good.clone();
+        let at = random(&mut state) % bytes.len();
+        bytes[at] = random(&mut state) as u8;
+        overwrite(&path, bytes);
+        let result = source::read(dir.path(), &Params::default());
+        refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
+    }
+    assert!(refused > 100, "only {refused} of 600 mangled files were refused: is the file read at all?");
+}
+
+#[test]
 fn truncated_images_never_panic() {
     let dir = blender_scene();
     let path = dir.path().join("test/r_002.png");

@@ -74,12 +74,13 @@ fn unknown_folders_say_what_was_found_and_what_is_supported() {
         }
         dir
     };
-    let cases: [(&[&str], &str); 6] = [
+    let cases: [(&[&str], &str); 7] = [
         (&[], "the folder is empty"),
         (&["notes.txt"], "supported: transforms_{train,val,test}.json"),
         (&["transforms.json"], "nerfstudio"),
         (&["dataset.json", "camera/0.json"], "Nerfies"),
         (&["poses_bounds.npy"], "LLFF"),
+        (&["cam00.mp4"], "needs poses_bounds.npy"),
         (&["cameras.bin"], "name the folder that holds both"),
     ];
     for (files, hint) in cases {
@@ -87,7 +88,7 @@ fn unknown_folders_say_what_was_found_and_what_is_supported() {
         assert_refused(
             dir.path(),
             &Params::default(),
-            &["not a Blender/D-NeRF, COLMAP or Nerfies/HyperNeRF capture (found", hint],
+            &["not a Blender/D-NeRF, COLMAP, Nerfies/HyperNeRF or Neural 3D Video capture (found", hint],
         );
         assert_contains(&describe(dir.path()).unwrap(), &["not recognised", hint]);
     }

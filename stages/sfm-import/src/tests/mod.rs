@@ -5,6 +5,8 @@ mod colmap;
 mod fuzz;
 mod inspect;
 mod lens;
+mod n3v;
+mod n3v_faults;
 mod nerfies;
 mod pixels;
 mod real;

@@ -48,12 +48,8 @@ fn write_json(dir: &Path, name: &str, value: &Value) {
     std::fs::write(path, value.to_string()).unwrap();
 }
 
-/// A `.npy` file of f64 values.
 fn write_points(dir: &Path, shape: &str, values: &[f64]) {
-    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
-    let mut bytes = [&b"\x93NUMPY\x01\x00\x76\x00"[..], format!("{header:<117}\n").as_bytes()].concat();
-    values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
-    std::fs::write(dir.join("points.npy"), bytes).unwrap();
+    write_npy(&dir.join("points.npy"), shape, values);
 }
 
 /// Two raw points near the centre.

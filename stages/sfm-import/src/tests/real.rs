@@ -171,6 +171,41 @@ fn wrong_images_beside_a_model_are_refused() {
     assert!(message.contains("image file is missing"), "{message}");
 }
 
+/// Poses of LLFF beside an independent reconstruction: how the cameras are turned against each other must agree.
+#[test]
+fn poses_bounds_agree_with_colmap() {
+    let Some(dir) = data("n3dv_one_frame_5views/data") else { return };
+    let names = ["cam00", "cam03", "cam05", "cam08", "cam14"]; // images 1 to 5 and rows 0 to 4
+    let rig = tempfile::tempdir().unwrap();
+    std::fs::copy(dir.join("poses_bounds.npy"), rig.path().join("poses_bounds.npy")).unwrap();
+    for (name, index) in names.iter().zip(1..) {
+        std::fs::create_dir(rig.path().join(name)).unwrap();
+        std::fs::copy(dir.join(format!("images_4/{index}.png")), rig.path().join(format!("{name}/0000.png"))).unwrap();
+    }
+    let (_root, capture) = run(rig.path(), &Params::default()).unwrap();
+    assert_eq!(
+        (counts(&capture), capture.protocol.split.as_str()),
+        ([4, 0, 1], "camera 0 held out, 1 frames, images at 1/4")
+    );
+    assert_eq!((capture.protocol.width, capture.protocol.height), (676, 507));
+    let ours = |name: &str| {
+        let view = capture.views.iter().find(|view| view.name.starts_with(name)).unwrap();
+        view.camera.camera_from_world.rotation
+    };
+    let model = Model::read(&sparse_dir(&dir).unwrap()).unwrap();
+    let colmap = |name: &str| {
+        let file = format!("{}.jpg", name["cam".len()..].parse::<u32>().unwrap());
+        model.images.values().find(|image| image.name == file).unwrap().camera_from_world().rotation
+    };
+    for name in &names[1..] {
+        let turn = |rotation: &dyn Fn(&str) -> glam::DMat3| rotation(name) * rotation("cam00").transpose();
+        let apart = |rotation: glam::DMat3| glam::DQuat::from_mat3(&rotation).to_axis_angle().1.to_degrees();
+        let (turned, differs) = (apart(turn(&colmap)), apart(turn(&ours) * turn(&colmap).transpose()));
+        eprintln!("{name} is turned by {turned:.2}°, differently by {differs:.2}°");
+        assert!(turned >= 5.0 && differs <= 1.0, "{name}: {differs}° of {turned}°");
+    }
+}
+
 #[test]
 fn a_nerfies_capture_sees_its_points() {
     let Some(dir) = data("davis_tennis_nerfies") else { return };

@@ -180,6 +180,14 @@ pub fn write_image(path: &Path, seed: u32) {
     RgbImage::from_fn(WIDTH, HEIGHT, pixel).save(path).unwrap();
 }
 
+/// A `.npy` file of f64 values.
+pub fn write_npy(path: &Path, shape: &str, values: &[f64]) {
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
+    let mut bytes = [&b"\x93NUMPY\x01\x00\x76\x00"[..], format!("{header:<117}\n").as_bytes()].concat();
+    values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+    std::fs::write(path, bytes).unwrap();
+}
+
 /// A mask whose left half is 0 and whose right half is `value`.
 pub fn write_mask(path: &Path, size: (u32, u32), value: u8) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
