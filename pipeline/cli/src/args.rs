@@ -156,6 +156,10 @@ pub struct RunArgs {
     /// Fail, running nothing, if anything would have to run
     #[arg(long)]
     pub frozen: bool,
+    /// Print what the steps of every training spend their time on; on a GPU, its launches and readbacks per iteration and,
+    /// for trainings that run now, the time of every kernel (which makes them slower)
+    #[arg(long, conflicts_with = "json")]
+    pub profile: bool,
     /// Missing data is a failure
     #[arg(long)]
     pub require_data: bool,

@@ -14,8 +14,8 @@ use crate::error::CliError;
 use crate::output::tell;
 use crate::stages::stages;
 
-/// The stage that `--replicates` and `--budget` are about.
-const TRAINING: &str = "training";
+/// The stage that `--replicates`, `--budget` and `--profile` are about.
+pub const TRAINING: &str = "training";
 /// The axis that `--replicates` sets.
 const SEED: &str = "seed";
 

@@ -110,6 +110,7 @@ fn options(plan: &Plan, root: &Path) -> RunOptions {
         jobs: 1,
         threads: 1,
         device: "cpu".into(),
+        profile: false,
         max_failures: None,
         timeout: None,
         rehash: false,

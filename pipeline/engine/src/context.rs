@@ -61,6 +61,8 @@ pub struct JobContext {
     pub threads: usize,
     /// What to compute on, for stages that do so on a device: `"cpu"`, or what names one GPU of this machine.
     pub device: String,
+    /// Whether to measure closely what time goes into, at some cost in time.
+    pub profile: bool,
     /// Producers by port name.
     pub inputs: BTreeMap<String, Vec<InputRecord>>,
     /// Absolute source paths by name.
@@ -89,6 +91,7 @@ impl JobContext {
             action_key: "detached".into(),
             threads: 1,
             device: "cpu".into(),
+            profile: false,
             inputs: BTreeMap::new(),
             sources: BTreeMap::new(),
             output_dir,

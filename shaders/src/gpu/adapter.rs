@@ -1,6 +1,7 @@
 //! Which adapters there are, what they can do, and the choice of one.
 
 use std::fmt;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, OnceLock};
 
 use super::launch::{STORAGE_ARRAYS, WORKGROUP_SIZE};
@@ -180,7 +181,7 @@ impl AdapterReport {
         let limits = self.adapter.limits();
         let request = self.adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("pipeline"),
-            required_features: wgpu::Features::empty(),
+            required_features: self.adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
             required_limits: limits.clone(),
             experimental_features: wgpu::ExperimentalFeatures::disabled(),
             memory_hints: wgpu::MemoryHints::Performance,
@@ -208,6 +209,7 @@ impl AdapterReport {
             pipelines: Mutex::default(),
             pool: Mutex::new(array::Pool::default()),
             recorder: Mutex::new(recorder),
+            timed: AtomicBool::new(false),
             counters: Counters::default(),
         })
     }

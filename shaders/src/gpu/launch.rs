@@ -1,6 +1,7 @@
 //! Kernels: their text, their pipelines, and what a launch hands them.
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use super::{Context, Gpu, GpuArray, count, lock};
 use crate::tape::{Real, Tensor};
@@ -57,6 +58,11 @@ pub fn arriving<'a, T: Real>(
 
 /// A compiled kernel.
 pub struct Pipeline {
+    /// Of the kernel, whatever it is specialised for.
+    pub kernel: String,
+    pub launches: AtomicU64,
+    /// While timestamps are taken.
+    pub nanoseconds: AtomicU64,
     pub compute: wgpu::ComputePipeline,
     pub layout: wgpu::BindGroupLayout,
 }
@@ -168,6 +174,7 @@ impl Gpu {
         }
         recorder.record(self.0, &pipeline, launch, folded(launch.groups));
         count(&self.0.counters.launches, 1);
+        count(&pipeline.launches, 1);
     }
 }
 
@@ -226,7 +233,9 @@ impl Context {
             },
             cache: None,
         });
-        Pipeline { compute, layout }
+        // Names are followed by what the kernel is specialised for.
+        let kernel = launch.name.split(" [").next().unwrap_or_default().to_owned();
+        Pipeline { kernel, launches: AtomicU64::new(0), nanoseconds: AtomicU64::new(0), compute, layout }
     }
 
     pub fn bind_group(&self, pipeline: &Pipeline, launch: &Launch, constants: wgpu::BufferBinding) -> wgpu::BindGroup {

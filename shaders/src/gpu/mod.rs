@@ -13,13 +13,14 @@ pub(crate) mod fault;
 mod launch;
 #[cfg(test)]
 pub(crate) mod layout;
+mod profile;
 mod recorder;
 #[cfg(test)]
 pub(crate) mod tests;
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
@@ -27,6 +28,7 @@ pub(crate) use array::GpuArray;
 pub(crate) use launch::{
     Binding, COLUMN_SUM, Kernel, Launch, ROW_SUM, arriving, columns_for, lanes_for, specialised, uniforms,
 };
+pub use profile::{KernelCost, Usage};
 
 use launch::Pipeline;
 use recorder::Recorder;
@@ -49,6 +51,20 @@ pub struct Counts {
     pub bytes_uploaded: u64,
 }
 
+impl Counts {
+    /// What came after an earlier moment.
+    pub fn since(self, earlier: Self) -> Self {
+        Self {
+            launches: self.launches - earlier.launches,
+            submissions: self.submissions - earlier.submissions,
+            readbacks: self.readbacks - earlier.readbacks,
+            bytes_read: self.bytes_read - earlier.bytes_read,
+            uploads: self.uploads - earlier.uploads,
+            bytes_uploaded: self.bytes_uploaded - earlier.bytes_uploaded,
+        }
+    }
+}
+
 struct Context {
     name: String,
     device: wgpu::Device,
@@ -59,6 +75,8 @@ struct Context {
     /// Buffers that nothing uses any more, by size.
     pool: Mutex<array::Pool>,
     recorder: Mutex<Recorder>,
+    /// Whether every kernel is timed, which costs a wait per submission.
+    timed: AtomicBool,
     counters: Counters,
 }
 

@@ -1,8 +1,10 @@
 //! Kernels that were launched and have not been handed to the driver yet.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use super::launch::{Launch, Pipeline};
+use super::profile::Stamps;
 use super::{Context, Gpu, GpuArray, GpuFailure, count, lock};
 
 /// Bytes of constants per submission, and so its length: 256 launches at the usual alignment.
@@ -52,18 +54,21 @@ impl Recorder {
     }
 
     /// Hands everything to the driver, in order.
-    pub fn submit(&mut self, context: &Context) {
+    pub fn submit(&mut self, context: &'static Context) {
         self.submit_and(context, |_| {});
     }
 
-    fn submit_and(&mut self, context: &Context, then: impl FnOnce(&mut wgpu::CommandEncoder)) {
+    fn submit_and(&mut self, context: &'static Context, then: impl FnOnce(&mut wgpu::CommandEncoder)) {
         let mut encoder = context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        if !self.dispatches.is_empty() {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            for Dispatch { pipeline, bind_group, groups } in self.dispatches.drain(..) {
-                pass.set_pipeline(&pipeline.compute);
-                pass.set_bind_group(0, &bind_group, &[]);
-                pass.dispatch_workgroups(groups[0], groups[1], 1);
+        let is_timed = context.timed.load(Ordering::Relaxed) && !self.dispatches.is_empty();
+        let stamps = is_timed.then(|| Stamps::new(context, self.dispatches.len()));
+        match &stamps {
+            None => encode(&mut encoder, &self.dispatches, None),
+            // Stamps are those of passes.
+            Some(stamps) => {
+                let kernels = self.dispatches.chunks(1).enumerate();
+                kernels.for_each(|(index, kernel)| encode(&mut encoder, kernel, Some(stamps.of(index))));
+                stamps.resolve(&mut encoder);
             }
         }
         then(&mut encoder);
@@ -72,6 +77,27 @@ impl Recorder {
         self.constants.clear();
         context.queue.submit([encoder.finish()]);
         count(&context.counters.submissions, 1);
+        let pipelines: Vec<_> = self.dispatches.drain(..).map(|dispatch| dispatch.pipeline).collect();
+        if let Some(stamps) = stamps {
+            stamps.collect(context, &pipelines);
+        }
+    }
+}
+
+/// One pass with these kernels, in order.
+fn encode(
+    encoder: &mut wgpu::CommandEncoder,
+    dispatches: &[Dispatch],
+    timestamp_writes: Option<wgpu::ComputePassTimestampWrites<'_>>,
+) {
+    if dispatches.is_empty() {
+        return;
+    }
+    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
+    for Dispatch { pipeline, bind_group, groups } in dispatches {
+        pass.set_pipeline(&pipeline.compute);
+        pass.set_bind_group(0, bind_group, &[]);
+        pass.dispatch_workgroups(groups[0], groups[1], 1);
     }
 }
 
@@ -91,6 +117,16 @@ impl Gpu {
         waited.unwrap_or_else(|error| self.lost(&error));
     }
 
+    /// Waits for everything submitted; the bytes of a buffer that the host can read.
+    pub(super) fn map(self, buffer: &wgpu::Buffer) -> wgpu::BufferView {
+        let (sender, receiver) = std::sync::mpsc::channel();
+        buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
+        self.poll();
+        let mapped = receiver.recv().expect("the callback ran while waiting");
+        mapped.unwrap_or_else(|error| self.lost(&error));
+        buffer.get_mapped_range(..).expect("mapped")
+    }
+
     /// Copies the bytes of an array from an element on to the host, after everything recorded.
     pub(super) fn read(self, array: &GpuArray, from: usize, out: &mut [u8]) {
         let size = out.len() as u64;
@@ -104,12 +140,7 @@ impl Gpu {
             encoder.copy_buffer_to_buffer(array.buffer(), 4 * from as u64, &staging, 0, Some(size));
         };
         lock(&self.0.recorder).submit_and(self.0, copy);
-        let (sender, receiver) = std::sync::mpsc::channel();
-        staging.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
-        self.poll();
-        let mapped = receiver.recv().expect("the callback ran while waiting");
-        mapped.unwrap_or_else(|error| self.lost(&error));
-        out.copy_from_slice(&staging.get_mapped_range(..).expect("mapped"));
+        out.copy_from_slice(&self.map(&staging));
         count(&self.0.counters.readbacks, 1);
         count(&self.0.counters.bytes_read, size);
     }

@@ -153,3 +153,19 @@ fn an_array_that_the_adapter_cannot_bind_is_refused() {
     let failure = payload.downcast_ref::<GpuFailure>().expect("a typed failure");
     assert!(matches!(failure, GpuFailure::OutOfMemory(message) if message.contains("allows arrays of")), "{failure}");
 }
+
+#[test]
+fn kernels_are_counted_and_timed_by_name() {
+    let Some(gpu) = test_gpu() else { return };
+    let can_time = gpu.time_kernels();
+    let before = gpu.usage();
+    let mut tape = Tape::<f32>::new(Device::Gpu(gpu));
+    let x = tape.constant(Tensor::from_vec([100_000], noise(100_000, 7)));
+    let y = pointwise::square(&mut tape, x);
+    tape.value(y).as_slice();
+    let spent = gpu.usage().since(&before);
+    let square = spent.kernels.iter().find(|(name, _)| name.contains("square")).expect("it ran").1;
+    assert!(square.launches >= 1 && (square.secs > 0.0) == can_time, "{square:?}");
+    // Other tests use the same adapter meanwhile.
+    assert!(spent.counts.launches >= square.launches && spent.counts.bytes_uploaded >= 400_000, "{spent:?}");
+}

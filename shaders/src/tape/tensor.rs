@@ -28,6 +28,14 @@ impl Device {
         }
     }
 
+    /// The GPU, if it is one.
+    pub fn gpu(self) -> Option<Gpu> {
+        match self {
+            Self::Cpu => None,
+            Self::Gpu(gpu) => Some(gpu),
+        }
+    }
+
     /// `"cpu"`, or the adapter's name.
     pub fn name(self) -> &'static str {
         match self {

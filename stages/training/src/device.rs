@@ -1,9 +1,11 @@
 //! The device that a job computes on, and what becomes of the job when it fails.
 
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
 use engine::{Failure, FailureKind};
-use shaders::gpu::GpuFailure;
+use serde::Serialize;
+use shaders::gpu::{Gpu, GpuFailure, KernelCost, Usage};
 use shaders::tape::Device;
 
 /// Opens the device that a job was given and computes on it; a GPU that fails meanwhile is a failure of the job by kind.
@@ -25,6 +27,70 @@ fn of_gpu(failure: &GpuFailure) -> Failure {
         }
     };
     Failure::new(kind, failure.to_string()).hint(hint)
+}
+
+/// What the steps of a training ask of a GPU, and nothing else that it does there.
+pub struct Meter {
+    gpu: Gpu,
+    /// What is not to be counted: what was before, and what other work was done meanwhile.
+    left_out: Usage,
+}
+
+impl Meter {
+    /// Counts from now on.
+    pub fn start(gpu: Gpu) -> Self {
+        Self { gpu, left_out: gpu.usage() }
+    }
+
+    /// Does something that is not counted.
+    pub fn pause<R>(meter: &mut Option<Self>, work: impl FnOnce() -> R) -> R {
+        let Some(meter) = meter else { return work() };
+        let counted = meter.gpu.usage().since(&meter.left_out);
+        let result = work();
+        meter.left_out = meter.gpu.usage().since(&counted);
+        result
+    }
+
+    /// What it comes to per step.
+    pub fn per_iteration(&self, steps: u64) -> GpuUse {
+        let Usage { counts, kernels } = self.gpu.usage().since(&self.left_out);
+        let per_iteration = |count: u64| count as f64 / steps.max(1) as f64;
+        let kernel = |(name, cost): (String, KernelCost)| {
+            let ms_per_launch = (cost.secs > 0.0).then(|| 1e3 * cost.secs / cost.launches as f64);
+            (name, KernelUse { launches: per_iteration(cost.launches), ms_per_launch })
+        };
+        GpuUse {
+            launches: per_iteration(counts.launches),
+            submissions: per_iteration(counts.submissions),
+            readbacks: per_iteration(counts.readbacks),
+            bytes_read: per_iteration(counts.bytes_read),
+            uploads: per_iteration(counts.uploads),
+            bytes_uploaded: per_iteration(counts.bytes_uploaded),
+            kernels: kernels.into_iter().map(kernel).collect(),
+        }
+    }
+}
+
+/// What the mean step of a training asked of a GPU.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GpuUse {
+    pub launches: f64,
+    /// Batches of launches.
+    pub submissions: f64,
+    /// Times that the host waited for an array.
+    pub readbacks: f64,
+    pub bytes_read: f64,
+    pub uploads: f64,
+    pub bytes_uploaded: f64,
+    pub kernels: BTreeMap<String, KernelUse>,
+}
+
+/// What a kernel cost in the mean step.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct KernelUse {
+    pub launches: f64,
+    /// On the GPU's clock, where a profile was asked for and the adapter has timestamps.
+    pub ms_per_launch: Option<f64>,
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use anyhow::Context as _;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage};
 use scene::Capture;
 use serde::Deserialize as _;
+use shaders::gpu::Gpu;
 use shaders::tape::Device;
 
 use crate::artifact::Model;
@@ -81,6 +82,9 @@ impl Stage for Training {
         let given = OptionalInputs::open(context)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let train_on = |device: Device| {
+            if context.profile && !device.gpu().is_none_or(Gpu::time_kernels) {
+                tracing::warn!("{} has no timestamps: kernels are counted, not timed", device.name());
+            }
             let (stop, on_progress) = (&*context.stop, &*context.on_progress);
             let watch = Watch { stop, on_progress, checkpoint_dir: context.checkpoint_dir(), device };
             pool.install(|| {
@@ -180,6 +184,7 @@ fn measure(context: &JobContext, report: &Report) -> anyhow::Result<()> {
     context.measure("phases", &report.phases)?;
     context.measure("seconds_by_phase", &report.seconds_by_phase)?;
     context.measure("kernels_ms", &report.kernels)?;
+    context.measure("gpu", &report.gpu)?;
     context.measure("skipped_work", &report.skipped)?;
     context.measure("largest_gradients", &report.largest_gradients)?;
     context.measure("guards", &report.guards)?;

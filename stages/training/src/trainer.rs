@@ -27,6 +27,7 @@ use crate::clock::{ClockReading, PhaseClock};
 use crate::coarse::check_start;
 use crate::curve::{self, CurvePoint};
 use crate::dataset::{self, Dataset};
+use crate::device::Meter;
 use crate::effects::{CAPTURE, PRIORS, outcomes};
 use crate::method::{Method, Moment, Phase, PopulationControl, SkippedWork, Start, Step, raster_settings, too_large};
 use crate::methods;
@@ -52,6 +53,7 @@ pub struct Trainer<'a> {
     dataset: &'a Dataset,
     params: &'a TrainingParams,
     device: Device,
+    meter: Option<Meter>,
     method: Box<dyn Method<f32>>,
     phases: Vec<Phase>,
     phase: usize,
@@ -129,6 +131,7 @@ impl<'a> Trainer<'a> {
             dataset,
             params,
             device: Device::Cpu,
+            meter: None,
             method,
             phases,
             phase: 0,
@@ -180,7 +183,7 @@ impl<'a> Trainer<'a> {
 
     /// The same training, whose steps compute on a device.
     pub fn on(self, device: Device) -> Self {
-        Self { device, ..self }
+        Self { device, meter: device.gpu().map(Meter::start), ..self }
     }
 
     /// Everything that the next step depends on.
@@ -226,7 +229,9 @@ impl<'a> Trainer<'a> {
         self.step()?;
         if self.curve_at.contains(&self.steps().0) {
             self.clock.enter(EVALUATION);
-            self.add_curve_point()?;
+            let mut meter = self.meter.take();
+            Meter::pause(&mut meter, || self.add_curve_point())?;
+            self.meter = meter;
         }
         self.clock.enter("load");
         self.skip_finished_phases()
@@ -395,6 +400,7 @@ impl<'a> Trainer<'a> {
             curve: self.curve.clone(),
             curve_split: self.dataset.curve_split,
             kernels: kernel_milliseconds(&self.profile),
+            gpu: self.meter.as_ref().map(|meter| meter.per_iteration(steps)),
             skipped: self.skipped.clone(),
             largest_gradients: self.largest_gradients.clone(),
             guards: self.profile.events.clone(),

@@ -3,6 +3,7 @@
 mod bars;
 mod json;
 pub mod lines;
+pub mod profile;
 pub mod summary;
 
 use std::io::IsTerminal;

@@ -9,7 +9,7 @@ use engine::job::StopRequests;
 use engine::scheduler::{self, RunOptions};
 
 use crate::args::RunArgs;
-use crate::display::{self, summary};
+use crate::display::{self, profile, summary};
 use crate::error::CliError;
 use crate::session::Session;
 
@@ -44,6 +44,9 @@ pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     }
     if !args.json {
         summary::print_tables(&session, &result)?;
+        if args.profile {
+            profile::print(&session)?;
+        }
     }
     Ok(result.exit_code(args.require_data))
 }
@@ -58,6 +61,7 @@ fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
         jobs: args.jobs.unwrap_or(threads),
         threads,
         device: session.device.id(),
+        profile: args.profile,
         max_failures: if args.fail_fast { Some(1) } else { args.max_failures },
         timeout: args.timeout,
         rehash: session.rehash,

@@ -153,6 +153,7 @@ fn job_context(
         action_key: key.to_string(),
         threads: spec.threads,
         device: spec.device.clone(),
+        profile: spec.profile,
         inputs,
         sources,
         output_dir,

@@ -47,6 +47,8 @@ pub struct JobSpec {
     pub threads: usize,
     /// The device that it computes on.
     pub device: String,
+    /// Whether it measures closely.
+    pub profile: bool,
     /// Whether the result replaces an earlier record of the same key (`--force`).
     pub replace: bool,
     /// Filter of the job's log, as `info` or `training=debug`.

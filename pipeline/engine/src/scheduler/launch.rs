@@ -75,6 +75,7 @@ impl Scheduler<'_> {
             sources,
             threads,
             device: self.device_of(node),
+            profile: self.options.profile,
             replace: self.options.force.contains(&index),
             log_filter: self.options.log_filter.clone(),
             dir: dir.clone(),

@@ -45,6 +45,8 @@ pub struct RunOptions {
     pub threads: usize,
     /// The device of the jobs that compute on one, as [`JobContext::device`](crate::JobContext::device) tells it to them.
     pub device: String,
+    /// Whether jobs measure closely what time goes into.
+    pub profile: bool,
     /// Launch nothing more after so many failures.
     pub max_failures: Option<usize>,
     /// Stop a job that runs longer.

@@ -94,6 +94,7 @@ impl World {
             jobs: 4,
             threads: 4,
             device: "cpu".into(),
+            profile: false,
             max_failures: None,
             timeout: None,
             rehash: false,

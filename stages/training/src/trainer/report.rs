@@ -9,6 +9,7 @@ use super::{EVALUATION, LargestGradient};
 use crate::budget::Choice;
 use crate::clock::ClockReading;
 use crate::curve::CurvePoint;
+use crate::device::GpuUse;
 use crate::method::{Phase, SkippedWork};
 
 /// What a training measures besides its model.
@@ -38,6 +39,8 @@ pub struct Report {
     pub curve_split: scene::Split,
     /// Milliseconds per call of every kernel, forward and backward, since the last resumption.
     pub kernels: BTreeMap<String, [f64; 2]>,
+    /// What a step asked of the GPU since the last resumption, if it computes on one.
+    pub gpu: Option<GpuUse>,
     /// Work left out because nothing called for it, since the last resumption.
     pub skipped: SkippedWork,
     /// The largest gradient of every tensor, since the last resumption.

@@ -1,0 +1,117 @@
+//! What every kernel cost: how often it ran and, where somebody asked and the adapter can tell, for how long.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use super::launch::Pipeline;
+use super::{Context, Counts, Gpu, count, lock};
+
+/// The bytes of one time stamp.
+const STAMP_BYTES: u64 = 8;
+
+/// What a GPU was asked to do, and what its kernels cost.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Usage {
+    pub counts: Counts,
+    /// By name.
+    pub kernels: BTreeMap<String, KernelCost>,
+}
+
+impl Usage {
+    /// What came after an earlier moment.
+    pub fn since(mut self, earlier: &Self) -> Self {
+        self.counts = self.counts.since(earlier.counts);
+        for (name, before) in &earlier.kernels {
+            let cost = self.kernels.entry(name.clone()).or_default();
+            cost.launches -= before.launches;
+            cost.secs -= before.secs;
+        }
+        self.kernels.retain(|_, cost| cost.launches > 0);
+        self
+    }
+}
+
+/// What a kernel cost so far, all its specialisations together.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KernelCost {
+    pub launches: u64,
+    /// On the GPU's clock; zero unless timestamps are taken.
+    pub secs: f64,
+}
+
+impl Gpu {
+    /// From now on every kernel is timed, which costs a wait per submission; `false` if the adapter has no timestamps.
+    pub fn time_kernels(self) -> bool {
+        let can = self.0.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+        self.0.timed.store(can, Ordering::Relaxed);
+        can
+    }
+
+    /// What it was asked to do so far, by all threads.
+    pub fn usage(self) -> Usage {
+        Usage { counts: self.counts(), kernels: self.kernels() }
+    }
+
+    fn kernels(self) -> BTreeMap<String, KernelCost> {
+        let mut costs: BTreeMap<String, KernelCost> = BTreeMap::new();
+        for pipeline in lock(&self.0.pipelines).values() {
+            let cost = costs.entry(pipeline.kernel.clone()).or_default();
+            cost.launches += pipeline.launches.load(Ordering::Relaxed);
+            cost.secs += 1e-9 * pipeline.nanoseconds.load(Ordering::Relaxed) as f64;
+        }
+        costs
+    }
+}
+
+/// Two time stamps for each kernel of a submission.
+pub struct Stamps {
+    queries: wgpu::QuerySet,
+    count: u32,
+    resolved: wgpu::Buffer,
+    readable: wgpu::Buffer,
+}
+
+impl Stamps {
+    pub fn new(context: &Context, kernels: usize) -> Self {
+        let count = 2 * kernels as u32;
+        let buffer = |usage| {
+            let size = STAMP_BYTES * u64::from(count);
+            let label = Some("time stamps");
+            context.device.create_buffer(&wgpu::BufferDescriptor { label, size, usage, mapped_at_creation: false })
+        };
+        let queries = context.device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: Some("time stamps"),
+            ty: wgpu::QueryType::Timestamp,
+            count,
+        });
+        let resolved = buffer(wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC);
+        let readable = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
+        Self { queries, count, resolved, readable }
+    }
+
+    /// The stamps of the `index`-th kernel.
+    pub fn of(&self, index: usize) -> wgpu::ComputePassTimestampWrites<'_> {
+        let first = 2 * index as u32;
+        wgpu::ComputePassTimestampWrites {
+            query_set: &self.queries,
+            beginning_of_pass_write_index: Some(first),
+            end_of_pass_write_index: Some(first + 1),
+        }
+    }
+
+    pub fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
+        encoder.resolve_query_set(&self.queries, 0..self.count, &self.resolved, 0);
+        encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.readable, 0, None);
+    }
+
+    /// Waits for the submission and adds the time of each kernel to its own.
+    pub fn collect(self, context: &'static Context, pipelines: &[Arc<Pipeline>]) {
+        let bytes = Gpu(context).map(&self.readable);
+        let nanoseconds_per_tick = f64::from(context.queue.get_timestamp_period());
+        let stamps: &[u64] = bytemuck::cast_slice(&bytes);
+        for (pipeline, [begin, end]) in pipelines.iter().zip(stamps.as_chunks().0) {
+            count(&pipeline.nanoseconds, (end.saturating_sub(*begin) as f64 * nanoseconds_per_tick) as u64);
+        }
+    }
+}
