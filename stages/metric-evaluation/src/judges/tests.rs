@@ -97,11 +97,48 @@ fn only_a_camera_at_rest_flickers() {
 
 /// A `.npy` file of one f64 vector.
 fn write_vector(path: &Path, values: &[f64]) {
-    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({},), }}", values.len());
+    write_array(path, &[values.len()], values);
+}
+
+/// A `.npy` file of f64.
+fn write_array(path: &Path, shape: &[usize], values: &[f64]) {
+    let sides: String = shape.iter().map(|side| format!("{side}, ")).collect();
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({sides}), }}");
     let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
     bytes.extend(format!("{header:<117}\n").as_bytes());
     bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
     std::fs::write(path, bytes).expect("written");
+}
+
+/// The file that says that the folder describes these renders.
+fn write_hashes(folder: &Path, renders: &Renders) {
+    let line = |view| {
+        let path = renders.image_path(view);
+        format!("{}  {}\n", Digest::of_file(&path).expect("read"), path.file_name().unwrap().to_string_lossy())
+    };
+    std::fs::write(folder.join("images.sha256"), renders.views.iter().map(line).collect::<String>()).expect("written");
+}
+
+#[test]
+fn the_flow_of_renders_is_compared_with_that_of_the_truth() {
+    let (root, renders) = world(Some(|_| DVec3::new(0.0, 0.0, -3.0)));
+    let folder = root.path().join("features");
+    let [width, height] = SIZE.map(|side| side as usize);
+    let write = |kind: &str, shape: &[usize], flow: [f64; 2]| {
+        std::fs::create_dir_all(folder.join(kind)).expect("folder");
+        let count = shape.iter().product::<usize>() / 2;
+        write_array(&folder.join(kind).join("test_1.npy"), shape, &flow.repeat(count));
+    };
+    let judged = || run_with(root.path(), &MetricEvaluationParams::default(), &[("frame_features", &folder)]);
+    write("flow_of_renders", &[height, width, 2], [4.0, 1.0]);
+    write_hashes(&folder, &renders);
+    assert!(!judged().expect("judged").means.contains_key(&Metric::FlowOfVideo), "no flow of the truth");
+    write("flow_of_truth", &[height, width, 2], [1.0, -3.0]);
+    assert_eq!(judged().expect("judged").means[&Metric::FlowOfVideo], Score::Value(5.0));
+    write("flow_of_truth", &[width, height, 2], [1.0, -3.0]);
+    assert_eq!(kind_of(&judged().expect_err("another size")), FailureKind::BadInput);
+    std::fs::remove_file(folder.join("flow_of_truth/test_1.npy")).expect("removed");
+    assert_eq!(kind_of(&judged().expect_err("a flow is missing")), FailureKind::MissingData);
 }
 
 #[test]
@@ -113,11 +150,7 @@ fn consistency_is_of_the_very_renders_that_have_features() {
     write_vector(&folder.join("subject/test_1.npy"), &[3.0, 4.0]);
     let judged = || run_with(root.path(), &MetricEvaluationParams::default(), &[("frame_features", &folder)]);
     assert_eq!(kind_of(&judged().expect_err("no hashes")), FailureKind::MissingData);
-    let line = |view| {
-        let path = renders.image_path(view);
-        format!("{}  {}\n", Digest::of_file(&path).expect("read"), path.file_name().unwrap().to_string_lossy())
-    };
-    std::fs::write(folder.join("images.sha256"), renders.views.iter().map(line).collect::<String>()).expect("written");
+    write_hashes(&folder, &renders);
     let metrics = judged().expect("judged");
     let found = metrics.means[&Metric::SubjectConsistency].value().expect("defined");
     assert!((found - 0.6).abs() <= 1e-12, "{found}");

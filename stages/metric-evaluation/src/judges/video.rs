@@ -1,23 +1,25 @@
 //! Adds the figures of images of one camera in the order of time.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use engine::{Digest, Failure, FailureKind};
 use rayon::prelude::*;
 use scene::npy_file;
 
-use crate::metrics::{consistencies, residual_change};
+use crate::metrics::{consistencies, flow_difference, residual_change};
 use crate::test_set::TestSet;
 use crate::{ImageMetrics, Metric, MetricEvaluationParams, Score};
 
 /// The file that says which images the features were computed from, as `sha256sum` writes it.
 const HASHES: &str = "images.sha256";
+/// Folders of optical flow from the image before, px, [H, W, 2]: of the renders and of the true images.
+const FLOWS: [&str; 2] = ["flow_of_renders", "flow_of_truth"];
 /// Folders of feature vectors.
 const FEATURES: [(Metric, &str); 2] =
     [(Metric::SubjectConsistency, "subject"), (Metric::BackgroundConsistency, "background")];
 
-/// Adds flicker, and consistency where `features` is a folder of feature vectors.
+/// Adds flicker, and where `features` is a folder of what networks say of the renders, consistency and tOF.
 pub fn add(
     images: &mut [ImageMetrics],
     set: &TestSet<'_>,
@@ -29,10 +31,15 @@ pub fn add(
     }
     let Some(folder) = features else { return Ok(()) };
     let wanted: Vec<_> = FEATURES.into_iter().filter(|(metric, _)| params.metrics.contains(metric)).collect();
-    if wanted.is_empty() {
+    let flows = FLOWS.map(|kind| folder.join(kind));
+    let has_flows = params.metrics.contains(&Metric::FlowOfVideo) && flows.iter().all(|folder| folder.is_dir());
+    if wanted.is_empty() && !has_flows {
         return Ok(());
     }
     check_hashes(set, folder)?;
+    if has_flows {
+        add_flow_difference(images, set, &flows)?;
+    }
     for (metric, kind) in wanted {
         let folder = folder.join(kind);
         if folder.is_dir() {
@@ -90,17 +97,44 @@ fn add_consistency(
     Ok(())
 }
 
+/// tOF of every image after the first of its camera.
+fn add_flow_difference(images: &mut [ImageMetrics], set: &TestSet<'_>, folders: &[PathBuf; 2]) -> Result<(), Failure> {
+    let later: Vec<usize> = videos(set).flat_map(|video| video[1..].to_vec()).collect();
+    let difference = |&index: &usize| {
+        let view = set.views[index].1;
+        let (width, height) = (view.camera.intrinsics.width as usize, view.camera.intrinsics.height as usize);
+        let flow = |folder: &Path| {
+            let (path, array) = read_array(folder, &view.name, "flow")?;
+            if array.shape == [height, width, 2] {
+                return Ok(array.values);
+            }
+            let message = format!("flow of shape {:?} where [{height}, {width}, 2] is expected", array.shape);
+            Err(Failure::new(FailureKind::BadInput, message).at(path))
+        };
+        Ok((index, flow_difference(&flow(&folders[0])?, &flow(&folders[1])?)))
+    };
+    for (index, value) in later.par_iter().map(difference).collect::<Result<Vec<_>, Failure>>()? {
+        images[index].values.insert(Metric::FlowOfVideo, Score::Value(value));
+    }
+    Ok(())
+}
+
 /// One finite feature vector.
 fn read(folder: &Path, name: &str) -> Result<Vec<f64>, Failure> {
+    Ok(read_array(folder, name, "feature vector")?.1.values)
+}
+
+/// A finite array that belongs to a view, and its file.
+fn read_array(folder: &Path, name: &str, what: &str) -> Result<(PathBuf, npy_file::NpyArray), Failure> {
     let path = folder.join(format!("{name}.npy"));
     if !path.is_file() {
-        return Err(Failure::new(FailureKind::MissingData, format!("view {name} has no feature vector")).at(path));
+        return Err(Failure::new(FailureKind::MissingData, format!("view {name} has no {what}")).at(path));
     }
     let bad = |message: String| Failure::new(FailureKind::BadInput, message).at(&path);
     let array = npy_file::read(&path).map_err(|error| bad(error.message))?;
     match array.values.iter().position(|value| !value.is_finite()) {
-        None => Ok(array.values),
         Some(at) => Err(bad(format!("value {at} is {}", array.values[at]))),
+        None => Ok((path, array)),
     }
 }
 

@@ -42,6 +42,8 @@ pub enum Metric {
     SubjectConsistency,
     /// The same of features of the background.
     BackgroundConsistency,
+    /// How much the motion seen in the render's video differs from that in the truth's (tOF), where flows of both are given.
+    FlowOfVideo,
     /// PSNR over the pixels whose true surface moves.
     PsnrMoving,
     /// The same, pooled over the images in which less than half as much of the moving surface is seen as in the image
@@ -96,7 +98,7 @@ struct Definition {
 
 impl Metric {
     /// Every metric, in the order of tables.
-    pub const ALL: [Self; 26] = [
+    pub const ALL: [Self; 27] = [
         Self::Psnr,
         Self::PsnrPooled,
         Self::Ssim,
@@ -114,6 +116,7 @@ impl Metric {
         Self::Flicker,
         Self::SubjectConsistency,
         Self::BackgroundConsistency,
+        Self::FlowOfVideo,
         Self::PsnrMoving,
         Self::PsnrEmerging,
         Self::VelocityError,
@@ -158,6 +161,7 @@ impl Metric {
             Self::Flicker => less(Video, "flicker", "flicker", "", 4),
             Self::SubjectConsistency => more(Video, "subject_consistency", "subject consistency", "", 4),
             Self::BackgroundConsistency => more(Video, "background_consistency", "background consistency", "", 4),
+            Self::FlowOfVideo => less(Video, "tof", "tOF", "px", 3),
             Self::PsnrMoving => more(Surfaces, "psnr_moving", "PSNR moving", "dB", 2),
             Self::PsnrEmerging => more(Surfaces, "psnr_emerging", "PSNR emerging", "dB", 2),
             Self::VelocityError => less(Surfaces, "velocity_error", "velocity error", "1/s", 3),

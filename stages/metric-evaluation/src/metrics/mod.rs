@@ -23,7 +23,7 @@ pub use ms_ssim::ms_ssim;
 pub use psnr::{PSNR_CAP_DB, mean_squared_error, psnr_from_mse};
 pub use ssim::{SsimMeans, ssim_means};
 pub use surfaces::{MovingError, Truths, judge_surfaces, psnr_of_moving};
-pub use video::{consistencies, residual_change};
+pub use video::{consistencies, flow_difference, residual_change};
 
 use crate::Image;
 

@@ -22,6 +22,14 @@ pub fn consistencies(features: &[Vec<f64>]) -> Vec<f64> {
     features.windows(2).map(of_pair).collect()
 }
 
+/// tOF: mean length of the difference of two optical flows, px (Chu et al., "Learning temporal coherence via
+/// self-supervision", 2020; lengths as in the authors' code, where the paper writes a sum of magnitudes).
+pub fn flow_difference(render: &[f64], truth: &[f64]) -> f64 {
+    let length = |(render, truth): (&[f64; 2], &[f64; 2])| (render[0] - truth[0]).hypot(render[1] - truth[1]);
+    let (render, truth) = (render.as_chunks().0, truth.as_chunks().0);
+    render.iter().zip(truth).map(length).sum::<f64>() / render.len() as f64
+}
+
 /// 0 where a vector has no direction.
 fn cosine(a: &[f64], b: &[f64]) -> f64 {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
