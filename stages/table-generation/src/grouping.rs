@@ -131,13 +131,15 @@ fn mean_phases(runs: &[&Run]) -> BTreeMap<String, f64> {
 
 /// How the runs' schedules differ from the method's own.
 fn shortened(runs: &[&Run]) -> Option<String> {
-    let scale = |run: &&Run| run.schedule_scale.filter(|scale| *scale != 1.0);
-    let scales = runs.iter().filter_map(scale).map(|scale| format!("schedule at {} of its length", short(scale)));
-    let budgets = runs.iter().filter_map(|run| run.budget_secs);
-    let budgets = budgets.map(|secs| format!("training cut to {} s", short(secs)));
-    let texts: Vec<String> = scales.chain(budgets).collect();
-    let texts = distinct(texts.iter().map(String::as_str));
-    (!texts.is_empty()).then(|| texts.join(", "))
+    let scales = || runs.iter().filter_map(|run| run.schedule_scale).filter(|scale| *scale != 1.0);
+    let (shortest, longest) = (scales().reduce(f64::min)?, scales().reduce(f64::max)?);
+    let length = match (short(shortest), short(longest)) {
+        (one, other) if one == other => format!("schedule at {one} of its length"),
+        (one, other) => format!("schedule at {one} to {other} of its length"),
+    };
+    let budgets: Vec<String> = runs.iter().filter_map(|run| run.budget_secs).map(short).collect();
+    let budgets = distinct(budgets.iter().map(String::as_str));
+    Some(if budgets.is_empty() { length } else { format!("{length}, to fit a budget of {} s", budgets.join(", ")) })
 }
 
 /// The number with up to four decimals.
