@@ -14,6 +14,7 @@ mod launch;
 #[cfg(test)]
 pub(crate) mod layout;
 mod profile;
+mod rates;
 mod recorder;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -29,6 +30,7 @@ pub(crate) use launch::{
     Binding, COLUMN_SUM, Kernel, Launch, ROW_SUM, arriving, columns_for, lanes_for, specialised, uniforms,
 };
 pub use profile::{KernelCost, Usage};
+pub use rates::Rates;
 
 use launch::Pipeline;
 use recorder::Recorder;

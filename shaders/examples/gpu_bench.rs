@@ -1,0 +1,221 @@
+//! `gpu_bench DEVICE SPLATS SIZE`: what kernels take on an adapter, beside the least that its measured rates allow; JSON.
+//!
+//! A floor counts what a kernel must at least move and compute: every input read once, every output written once, and the
+//! arithmetic of its definition. `ci/gpu-bench` runs this and more.
+
+use std::process::ExitCode;
+
+use shaders::adam::{Adam, Group, Update};
+use shaders::binning::{self, Grid};
+use shaders::check::noise;
+use shaders::gpu::{Gpu, Rates};
+use shaders::hexplane::{HexplaneShape, hexplane};
+use shaders::linear::{Activation, linear};
+use shaders::losses::l1_dssim;
+use shaders::projection;
+use shaders::splat::{self, PinholeCamera, RasterSettings, SplatTensors};
+use shaders::tape::{Device, Tape, Tensor, Var};
+
+/// Measured runs, after one that compiles.
+const RUNS: usize = 5;
+/// Bytes of a number.
+const WORD: f64 = 4.0;
+
+/// What a kernel must at least do in a run.
+struct Work {
+    /// Kernels are taken together whose names begin so.
+    kernel: &'static str,
+    /// Read and written.
+    bytes: f64,
+    flops: f64,
+}
+
+/// What a kernel did in a run.
+struct Row {
+    work: Work,
+    ms: f64,
+    launches: u64,
+}
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [device, splats, size] = &arguments[..] else { return usage() };
+    let (Ok(splats), Ok(size)) = (splats.parse(), size.parse()) else { return usage() };
+    let gpu = match Device::open(device).map(Device::gpu) {
+        Ok(Some(gpu)) => gpu,
+        Ok(None) => return usage(),
+        Err(error) => {
+            eprintln!("error: {error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let is_timed = gpu.time_kernels();
+    let rates = gpu.measure_rates();
+    let benchmarks = [render(gpu, splats, size), dense(gpu, splats), losses(gpu, size), optimizer(gpu, splats)];
+    let rows: Vec<String> = benchmarks.iter().flatten().map(|row| row.json(&rates)).collect();
+    println!("{{");
+    println!("  \"adapter\": {:?}, \"timestamps\": {is_timed}, \"splats\": {splats}, \"size_px\": {size},", gpu.name());
+    let Rates { copied_bytes_per_sec, flops_per_sec } = rates;
+    println!("  \"copied_bytes_per_sec\": {copied_bytes_per_sec:.4e}, \"flops_per_sec\": {flops_per_sec:.4e},");
+    println!("  \"kernels\": [\n{}\n  ]\n}}", rows.join(",\n"));
+    ExitCode::SUCCESS
+}
+
+fn usage() -> ExitCode {
+    eprintln!("usage: gpu_bench DEVICE SPLATS SIZE, as gpu_bench gpu 200000 800; DEVICE is a GPU");
+    ExitCode::FAILURE
+}
+
+impl Row {
+    fn json(&self, rates: &Rates) -> String {
+        let Row { work: Work { kernel, bytes, flops }, ms, launches } = self;
+        let floor_ms = 1e3 * rates.floor_secs(*bytes, *flops);
+        format!(
+            "    {{ \"kernel\": {kernel:?}, \"launches\": {launches}, \"ms\": {ms:.5}, \"bytes\": {bytes:.0}, \
+             \"flops\": {flops:.0}, \"floor_ms\": {floor_ms:.5} }}"
+        )
+    }
+}
+
+/// The mean cost of each kernel over a few runs.
+fn measure(gpu: Gpu, works: Vec<Work>, mut run: impl FnMut()) -> Vec<Row> {
+    run();
+    gpu.wait();
+    let before = gpu.usage();
+    (0..RUNS).for_each(|_| run());
+    gpu.wait();
+    let spent = gpu.usage().since(&before).kernels;
+    let row = |work: Work| {
+        let mine = spent.iter().filter(|(name, _)| name.starts_with(work.kernel));
+        // `blending` is not `blending backward`.
+        let mine = mine.filter(|(name, _)| name.contains("backward") == work.kernel.contains("backward"));
+        let (secs, launches) = mine.fold((0.0, 0), |sum, (_, cost)| (sum.0 + cost.secs, sum.1 + cost.launches));
+        Row { work, ms: 1e3 * secs / RUNS as f64, launches: launches / RUNS as u64 }
+    };
+    works.into_iter().map(row).collect()
+}
+
+fn random(shape: &[usize], seed: u64, factor: f64, offset: f64) -> Tensor<f32> {
+    let values = noise(shape.iter().product(), seed).into_iter().map(|value| (offset + factor * value) as f32);
+    Tensor::from_vec(shape, values.collect())
+}
+
+fn camera(size: usize) -> PinholeCamera {
+    let size_px = size as f64;
+    PinholeCamera {
+        width: size,
+        height: size,
+        focal: [1.39 * size_px; 2],
+        center: [0.5 * size_px; 2],
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [0.0, 0.0, 4.0],
+    }
+}
+
+/// A ball of splats, seen from outside, rendered and differentiated.
+fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
+    let scene = SplatTensors {
+        positions: random(&[splats, 3], 0, 1.0, 0.0),
+        log_scales: random(&[splats, 3], 1, 0.8, -4.0),
+        rotations: random(&[splats, 4], 2, 1.0, 0.0),
+        opacity_logits: random(&[splats, 1], 3, 3.0, -1.0),
+        sh: random(&[splats, 16, 3], 4, 0.2, 0.1),
+    };
+    let (camera, settings) = (camera(size), RasterSettings::default());
+    let entries = {
+        let mut tape = Tape::new(Device::Cpu);
+        let vars = scene.constants(&mut tape);
+        let projected = projection::project(&mut tape, &vars, &camera, &settings);
+        let lists = binning::bin(&mut tape, &projected, Grid { width: size, height: size }).expect("it fits");
+        lists.entry_count() as f64
+    };
+    let (count, pixels) = (splats as f64, (size * size) as f64);
+    // Per splat: position, scales, rotation, opacity, 48 harmonics; and means, conic, depth, opacity, colour, cutoff.
+    let (parameters, projected) = (59.0 * WORD, 11.0 * WORD);
+    // Per pair of a pixel and a splat of its tile: offset, exponent, alpha, three colours; backward about three times that.
+    let pairs = 256.0 * entries;
+    let (seen, image) = (entries * projected, pixels * 4.0 * WORD);
+    let works = vec![
+        Work { kernel: "projection", bytes: count * (parameters + projected), flops: count * 500.0 },
+        Work { kernel: "projection backward", bytes: count * (2.0 * parameters + projected), flops: count * 1500.0 },
+        Work { kernel: "sort", bytes: 2.0 * entries * 2.0 * WORD, flops: 0.0 },
+        Work { kernel: "binning", bytes: count * projected + entries * 2.0 * WORD, flops: 0.0 },
+        Work { kernel: "blending", bytes: seen + image, flops: pairs * 20.0 },
+        Work { kernel: "blending backward", bytes: 2.0 * (seen + image), flops: pairs * 60.0 },
+    ];
+    measure(gpu, works, || {
+        let mut tape = Tape::new(Device::Gpu(gpu));
+        let vars = scene.leaves(&mut tape);
+        let rendered = splat::render(&mut tape, &vars, None, &camera, &settings).expect("it fits");
+        let seed = Tensor::full([size, size, 3], 1e-3);
+        tape.backward(&[(rendered.color, seed)]);
+    })
+}
+
+/// A layer and a field at so many points, forward and backward.
+fn dense(gpu: Gpu, points: usize) -> Vec<Row> {
+    const WIDTH: usize = 64;
+    let shape = HexplaneShape { channels: 32, resolution: [64, 64, 64, 75], multipliers: vec![1, 2] };
+    let layer =
+        [random(&[points, WIDTH], 1, 1.0, 0.0), random(&[WIDTH, WIDTH], 2, 0.1, 0.0), random(&[WIDTH], 3, 0.1, 0.0)];
+    let planes: Vec<Tensor<f32>> = shape.plane_shapes().iter().map(|plane| random(plane, 5, 0.1, 1.0)).collect();
+    let positions = random(&[points, 3], 6, 1.0, 0.0);
+    let (count, width) = (points as f64, WIDTH as f64);
+    let texels: f64 = planes.iter().map(|plane| plane.len() as f64).sum();
+    let features = shape.features() as f64;
+    let works = vec![
+        // The value, and the gradients of inputs and of weights.
+        Work { kernel: "linear", bytes: 5.0 * count * width * WORD, flops: 3.0 * 2.0 * count * width * width },
+        Work { kernel: "hexplane", bytes: (texels + count * (3.0 + features)) * WORD, flops: count * features * 60.0 },
+        Work {
+            kernel: "hexplane backward",
+            bytes: (2.0 * texels + count * (6.0 + features)) * WORD,
+            flops: count * features * 150.0,
+        },
+    ];
+    measure(gpu, works, || {
+        let mut tape = Tape::new(Device::Gpu(gpu));
+        let [x, weight, bias] = layer.clone().map(|tensor| tape.leaf(tensor));
+        let planes: Vec<Var> = planes.iter().map(|plane| tape.leaf(plane.clone())).collect();
+        let positions = tape.leaf(positions.clone());
+        let layer = linear(&mut tape, x, weight, bias, Activation::Relu);
+        let field = hexplane(&mut tape, &planes, positions, 0.3);
+        let seeds = [layer, field].map(|var| (var, Tensor::full(tape.value(var).shape(), 1.0)));
+        tape.backward(&seeds);
+    })
+}
+
+/// The photometric loss of an image.
+fn losses(gpu: Gpu, size: usize) -> Vec<Row> {
+    let images = [random(&[size, size, 3], 7, 0.5, 0.5), random(&[size, size, 3], 8, 0.5, 0.5)];
+    let numbers = (3 * size * size) as f64;
+    let works = vec![
+        // Five moments by two passes of eleven taps; the windows' own gradients are written for the backward pass.
+        Work { kernel: "ssim", bytes: 5.0 * numbers * WORD, flops: numbers * (5.0 * 2.0 * 2.0 * 11.0 + 40.0) },
+        Work { kernel: "ssim backward", bytes: 6.0 * numbers * WORD, flops: numbers * (3.0 * 2.0 * 2.0 * 11.0 + 10.0) },
+    ];
+    measure(gpu, works, || {
+        let mut tape = Tape::new(Device::Gpu(gpu));
+        let (render, truth) = (tape.leaf(images[0].clone()), tape.constant(images[1].clone()));
+        let loss = l1_dssim(&mut tape, render, truth, 0.2);
+        tape.backward(&[(loss, Tensor::full([1], 1.0))]);
+    })
+}
+
+/// A step of the optimiser on the harmonics of all splats.
+fn optimizer(gpu: Gpu, splats: usize) -> Vec<Row> {
+    let mut group = Group::new("harmonics", random(&[splats, 48], 9, 1.0, 0.0));
+    let gradient = {
+        // What a backward pass leaves on the GPU.
+        let mut tape = Tape::new(Device::Gpu(gpu));
+        let x = tape.leaf(random(&[splats, 48], 10, 1e-3, 0.0));
+        let y = shaders::pointwise::square(&mut tape, x);
+        tape.backward(&[(y, Tensor::full([splats, 48], 1.0))]).take(x).expect("it has one")
+    };
+    let numbers = (48 * splats) as f64;
+    let works = vec![Work { kernel: "adam", bytes: 7.0 * numbers * WORD, flops: numbers * 12.0 }];
+    measure(gpu, works, || {
+        let update = Update { group: &mut group, gradient: Some(&gradient), learning_rate: 1e-3 };
+        Adam::default().step(&mut [update]);
+    })
+}

@@ -1,0 +1,29 @@
+struct Constants { count: u32 }
+
+@group(0) @binding(0) var<uniform> constants: Constants;
+@group(0) @binding(1) var<storage, read> source: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read_write> result: array<vec4<f32>>;
+
+// Four chains of multiply-adds that depend on nothing but themselves, and stay finite.
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = flat_group(group, groups) * 256u + local;
+    if (i < constants.count) {
+        let factor = source[i];
+        var a = factor;
+        var b = factor.yzwx;
+        var c = factor.zwxy;
+        var d = factor.wxyz;
+        for (var step = 0u; step < STEPS; step++) {
+            a = fma(a, factor, b);
+            b = fma(b, factor, c);
+            c = fma(c, factor, d);
+            d = fma(d, factor, a);
+        }
+        result[i] = a + b + c + d;
+    }
+}
