@@ -1,5 +1,6 @@
 //! `run`: everything that is not in the store yet.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -45,7 +46,8 @@ pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     if !args.json {
         summary::print_tables(&session, &result)?;
         if args.profile {
-            profile::print(&session)?;
+            // What was forced to run has run.
+            profile::print(&Session { force: BTreeSet::new(), ..session })?;
         }
     }
     Ok(result.exit_code(args.require_data))

@@ -113,7 +113,7 @@ fn views_of_the_direct_branch_skip_the_chain() {
         let mut settings = Settings::tiny();
         settings.mixing.direct_views = direct_views;
         let training = ShortTraining::run(Mcgs::NAME, to_value(settings).unwrap(), &["motion"]);
-        (training.ran("affine_columns"), training.checkpoint)
+        (training.ran("standardize"), training.checkpoint)
     };
     let [(mixed, one), (direct, other)] = [0.0, 1.0].map(share);
     assert!(mixed && !direct && one != other);
