@@ -15,6 +15,7 @@ pub mod histogram;
 pub mod layer_norm;
 pub mod linear;
 pub mod losses;
+pub mod magnitude;
 pub mod neighbor_blend;
 pub mod neural_gaussians;
 pub mod point_lookup;

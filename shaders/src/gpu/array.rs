@@ -78,15 +78,25 @@ impl GpuArray {
     pub fn read_one(&self, at: usize) -> u32 {
         assert!(at < self.len, "element {at} of {}", self.len);
         let mut out = [0];
-        self.gpu.read(self, at, bytemuck::cast_slice_mut(&mut out));
+        self.gpu.read(&[(self, at)], 1, bytemuck::cast_slice_mut(&mut out));
         out[0]
+    }
+
+    /// Waits once for the kernels so far and copies the first element of each array, f32, to the host.
+    pub fn read_firsts(arrays: &[&Self]) -> Vec<f32> {
+        let mut out = vec![0.0_f32; arrays.len()];
+        if let Some(first) = arrays.first() {
+            let parts: Vec<(&Self, usize)> = arrays.iter().map(|array| (*array, 0)).collect();
+            first.gpu.read(&parts, 1, bytemuck::cast_slice_mut(&mut out));
+        }
+        out
     }
 
     /// Waits for the kernels so far and copies the elements, f32 or u32, to the host.
     pub fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
         assert_eq!((size_of::<N>(), out.len()), (4, self.len), "arrays hold 32-bit numbers");
         if self.len > 0 {
-            self.gpu.read(self, 0, bytemuck::cast_slice_mut(out));
+            self.gpu.read(&[(self, 0)], self.len, bytemuck::cast_slice_mut(out));
         }
     }
 }

@@ -127,8 +127,8 @@ impl Gpu {
         buffer.get_mapped_range(..).expect("mapped")
     }
 
-    /// Copies the bytes of an array from an element on to the host, after everything recorded.
-    pub(super) fn read(self, array: &GpuArray, from: usize, out: &mut [u8]) {
+    /// Copies so many elements of each array, from an element on, to the host, after everything recorded.
+    pub(super) fn read(self, parts: &[(&GpuArray, usize)], elements: usize, out: &mut [u8]) {
         let size = out.len() as u64;
         let staging = self.0.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("readback"),
@@ -136,8 +136,12 @@ impl Gpu {
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
+        let part_size = 4 * elements as u64;
         let copy = |encoder: &mut wgpu::CommandEncoder| {
-            encoder.copy_buffer_to_buffer(array.buffer(), 4 * from as u64, &staging, 0, Some(size));
+            for (at, (array, from)) in parts.iter().enumerate() {
+                let (from, to) = (4 * *from as u64, at as u64 * part_size);
+                encoder.copy_buffer_to_buffer(array.buffer(), from, &staging, to, Some(part_size));
+            }
         };
         lock(&self.0.recorder).submit_and(self.0, copy);
         out.copy_from_slice(&self.map(&staging));

@@ -18,7 +18,7 @@ use std::time::Instant;
 use crate::gpu::Gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub use real::Real;
-pub use tensor::{Device, Tensor};
+pub use tensor::{Device, Tensor, first_elements};
 
 /// A value on a tape.
 #[derive(Copy, Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -61,6 +61,17 @@ pub struct Tensor<T: Real> {
     elements: Arc<Elements<T>>,
 }
 
+/// The first element of each tensor; what only a GPU has comes with one readback.
+pub fn first_elements<T: Real>(tensors: &[&Tensor<T>]) -> Vec<T> {
+    let on_gpu: Vec<&GpuArray> = tensors.iter().filter_map(|tensor| tensor.only_on_gpu()).collect();
+    let mut of_gpu = GpuArray::read_firsts(&on_gpu).into_iter();
+    let mut first = |tensor: &&Tensor<T>| match tensor.only_on_gpu() {
+        Some(_) => T::from_f64(f64::from(of_gpu.next().expect("one of each"))),
+        None => tensor.as_slice()[0],
+    };
+    tensors.iter().map(&mut first).collect()
+}
+
 impl<T: Real> Tensor<T> {
     /// Takes `data` of `shape.iter().product()` elements.
     pub fn from_vec(shape: impl Into<Vec<usize>>, data: Vec<T>) -> Self {
@@ -126,6 +137,16 @@ impl<T: Real> Tensor<T> {
         let array = self.elements.gpu.get_or_init(upload);
         assert_eq!(array.gpu(), gpu, "a tensor is used on one GPU");
         array
+    }
+
+    /// The array, if it is the only copy.
+    fn only_on_gpu(&self) -> Option<&GpuArray> {
+        self.elements.gpu.get().filter(|_| !self.is_on_host())
+    }
+
+    /// Whether the elements are in the host's memory, so that looking at them costs no readback.
+    pub(crate) fn is_on_host(&self) -> bool {
+        self.elements.host.get().is_some()
     }
 
     /// The GPU in whose memory the elements are, if they are in one's.

@@ -3,16 +3,13 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context as _, ensure};
-use rayon::prelude::*;
 use shaders::adam::{Adam, Group, GroupState, Update};
+use shaders::magnitude::largest_magnitudes;
 use shaders::tape::{Tape, Tensor};
 
 use crate::artifact::NamedTensor;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
-
-/// Values per parallel chunk of a search for the largest: tens of microseconds.
-const MAGNITUDES_PER_CHUNK: usize = 1 << 16;
 
 /// All tensors of a model in one phase, those that learn with their step sizes.
 #[derive(Default)]
@@ -67,13 +64,15 @@ impl Optimizer {
 
     /// The largest magnitude in each gradient; NaN where one is NaN.
     pub fn largest_magnitudes<'a>(gradients: &BTreeMap<&'a str, Tensor<f32>>) -> BTreeMap<&'a str, f32> {
-        gradients.iter().map(|(name, gradient)| (*name, largest_magnitude(gradient.as_slice()))).collect()
+        let tensors: Vec<&Tensor<f32>> = gradients.values().collect();
+        gradients.keys().copied().zip(largest_magnitudes(&tensors)).collect()
     }
 
     /// The first tensor, in alphabetical order, that has a value that is not finite.
     pub fn first_bad_tensor(&self) -> Option<&str> {
-        let is_bad = |learner: &Learner| !learner.group.tensor().is_finite();
-        self.learners.iter().find(|(_, learner)| is_bad(learner)).map(|(name, _)| name.as_str())
+        let tensors: Vec<&Tensor<f32>> = self.learners.values().map(|learner| learner.group.tensor()).collect();
+        let mut figures = self.learners.keys().zip(largest_magnitudes(&tensors));
+        figures.find(|(_, magnitude)| !magnitude.is_finite()).map(|(name, _)| name.as_str())
     }
 
     /// One Adam step with the rates of `iteration` (counted from 1); tensors without a gradient stay as they are.
@@ -195,12 +194,6 @@ impl Optimizer {
 const VALUE: &str = "value.";
 const FIRST: &str = "first_moment.";
 const SECOND: &str = "second_moment.";
-
-/// The largest magnitude, NaN where there is one: without their sign, floats order as their bits do, NaN last.
-fn largest_magnitude(values: &[f32]) -> f32 {
-    let of_part = |part: &[f32]| part.iter().fold(0, |largest: u32, value| largest.max(value.to_bits() & !(1 << 31)));
-    f32::from_bits(values.par_chunks(MAGNITUDES_PER_CHUNK).map(of_part).max().unwrap_or(0))
-}
 
 #[cfg(test)]
 mod tests {

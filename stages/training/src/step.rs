@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use shaders::tape::{Gradients, Real, Tensor};
+use shaders::tape::{Gradients, Real, Tensor, first_elements};
 
 use crate::method::{Method, NamedLoss, ScreenGradients, SkippedWork, SplatRows, Step, WatchedRender};
 
@@ -20,10 +20,6 @@ pub struct StepOutcome<T: Real> {
 /// Evaluates a method's losses on a step and differentiates their sum.
 pub fn run_step<T: Real>(method: &dyn Method<T>, mut step: Step<'_, T>) -> anyhow::Result<StepOutcome<T>> {
     method.losses(&mut step)?;
-    let mut losses = BTreeMap::new();
-    for NamedLoss { name, weight, value } in &step.losses {
-        *losses.entry(*name).or_default() += weight * step.tape.value(*value).as_slice()[0].to_f64();
-    }
     step.clock.enter("backward");
     let seed = |loss: &NamedLoss| {
         let shape = step.tape.value(loss.value).shape().to_vec();
@@ -31,6 +27,12 @@ pub fn run_step<T: Real>(method: &dyn Method<T>, mut step: Step<'_, T>) -> anyho
     };
     let seeds: Vec<_> = step.losses.iter().map(seed).collect();
     let gradients = step.tape.backward(&seeds);
+    // Looked at last: a GPU has the backward pass by then, and goes on meanwhile.
+    let values: Vec<&Tensor<T>> = step.losses.iter().map(|loss| step.tape.value(loss.value)).collect();
+    let mut losses = BTreeMap::new();
+    for (NamedLoss { name, weight, .. }, value) in step.losses.iter().zip(first_elements(&values)) {
+        *losses.entry(*name).or_default() += weight * value.to_f64();
+    }
     Ok(StepOutcome { losses, gradients, skipped: step.skipped, renders: step.renders })
 }
 

@@ -1,0 +1,35 @@
+struct Constants { count: u32, slot: u32 }
+
+@group(0) @binding(0) var<uniform> constants: Constants;
+@group(0) @binding(1) var<storage, read> values: array<u32>;
+@group(0) @binding(2) var<storage, read_write> largest: array<atomic<u32>>;
+
+var<workgroup> parts: array<u32, 256>;
+
+// Magnitudes as whole numbers: without their sign, floats order as their bits do, NaN last. The largest of whole numbers
+// does not depend on the order.
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let first = flat_group(group, groups) * 256u * VALUES + local;
+    var mine = 0u;
+    for (var at = 0u; at < VALUES; at++) {
+        let i = first + 256u * at;
+        if (i < constants.count) {
+            mine = max(mine, values[i] & 0x7fffffffu);
+        }
+    }
+    parts[local] = mine;
+    for (var half = 128u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if (local < half) {
+            parts[local] = max(parts[local], parts[local + half]);
+        }
+    }
+    if (local == 0u) {
+        atomicMax(&largest[constants.slot], parts[0]);
+    }
+}
