@@ -21,10 +21,13 @@ const RUNS: usize = 5;
 /// Bytes of a number.
 const WORD: f64 = 4.0;
 
-/// What a kernel must at least do in a run.
+/// The radix sort with its scans.
+const SORT: [&str; 5] = ["sort, counts", "sort, scatter", "sort, starts", "scan", "scan, offsets"];
+
+/// What a kernel, or several that do one thing, must at least do in a run.
 struct Work {
-    /// Kernels are taken together whose names begin so.
-    kernel: &'static str,
+    name: &'static str,
+    kernels: Vec<&'static str>,
     /// Read and written.
     bytes: f64,
     flops: f64,
@@ -68,10 +71,10 @@ fn usage() -> ExitCode {
 
 impl Row {
     fn json(&self, rates: &Rates) -> String {
-        let Row { work: Work { kernel, bytes, flops }, ms, launches } = self;
+        let Row { work: Work { name, bytes, flops, .. }, ms, launches } = self;
         let floor_ms = 1e3 * rates.floor_secs(*bytes, *flops);
         format!(
-            "    {{ \"kernel\": {kernel:?}, \"launches\": {launches}, \"ms\": {ms:.5}, \"bytes\": {bytes:.0}, \
+            "    {{ \"kernel\": {name:?}, \"launches\": {launches}, \"ms\": {ms:.5}, \"bytes\": {bytes:.0}, \
              \"flops\": {flops:.0}, \"floor_ms\": {floor_ms:.5} }}"
         )
     }
@@ -86,9 +89,7 @@ fn measure(gpu: Gpu, works: Vec<Work>, mut run: impl FnMut()) -> Vec<Row> {
     gpu.wait();
     let spent = gpu.usage().since(&before).kernels;
     let row = |work: Work| {
-        let mine = spent.iter().filter(|(name, _)| name.starts_with(work.kernel));
-        // `blending` is not `blending backward`.
-        let mine = mine.filter(|(name, _)| name.contains("backward") == work.kernel.contains("backward"));
+        let mine = spent.iter().filter(|(name, _)| work.kernels.contains(&name.as_str()));
         let (secs, launches) = mine.fold((0.0, 0), |sum, (_, cost)| (sum.0 + cost.secs, sum.1 + cost.launches));
         Row { work, ms: 1e3 * secs / RUNS as f64, launches: launches / RUNS as u64 }
     };
@@ -135,13 +136,19 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
     // Per pair of a pixel and a splat of its tile: offset, exponent, alpha, three colours; backward about three times that.
     let pairs = 256.0 * entries;
     let (seen, image) = (entries * projected, pixels * 4.0 * WORD);
+    let lists = [&SORT[..], &["binning, counts", "binning, ranks", "binning, hits", "binning, entries"]].concat();
+    let work = |name, kernels, bytes, flops| Work { name, kernels, bytes, flops };
     let works = vec![
-        Work { kernel: "projection", bytes: count * (parameters + projected), flops: count * 500.0 },
-        Work { kernel: "projection backward", bytes: count * (2.0 * parameters + projected), flops: count * 1500.0 },
-        Work { kernel: "sort", bytes: 2.0 * entries * 2.0 * WORD, flops: 0.0 },
-        Work { kernel: "binning", bytes: count * projected + entries * 2.0 * WORD, flops: 0.0 },
-        Work { kernel: "blending", bytes: seen + image, flops: pairs * 20.0 },
-        Work { kernel: "blending backward", bytes: 2.0 * (seen + image), flops: pairs * 60.0 },
+        work("projection", vec!["projection"], count * (parameters + projected), count * 500.0),
+        work(
+            "projection backward",
+            vec!["projection backward"],
+            count * (2.0 * parameters + projected),
+            count * 1500.0,
+        ),
+        work("binning with its sort", lists, count * projected + 4.0 * entries * WORD, 0.0),
+        work("blending", vec!["blending, records", "blending"], seen + image, pairs * 20.0),
+        work("blending backward", vec!["blending backward", "blending, sums"], 2.0 * (seen + image), pairs * 60.0),
     ];
     measure(gpu, works, || {
         let mut tape = Tape::new(Device::Gpu(gpu));
@@ -163,15 +170,14 @@ fn dense(gpu: Gpu, points: usize) -> Vec<Row> {
     let (count, width) = (points as f64, WIDTH as f64);
     let texels: f64 = planes.iter().map(|plane| plane.len() as f64).sum();
     let features = shape.features() as f64;
+    let field_backward =
+        [&SORT[..], &["hexplane backward", "hexplane, cells", "hexplane, blocks", "hexplane, texels"]].concat();
+    let work = |name, kernels, numbers: f64, flops| Work { name, kernels, bytes: numbers * WORD, flops };
     let works = vec![
         // The value, and the gradients of inputs and of weights.
-        Work { kernel: "linear", bytes: 5.0 * count * width * WORD, flops: 3.0 * 2.0 * count * width * width },
-        Work { kernel: "hexplane", bytes: (texels + count * (3.0 + features)) * WORD, flops: count * features * 60.0 },
-        Work {
-            kernel: "hexplane backward",
-            bytes: (2.0 * texels + count * (6.0 + features)) * WORD,
-            flops: count * features * 150.0,
-        },
+        work("linear", vec!["linear", "sums of rows"], 5.0 * count * width, 3.0 * 2.0 * count * width * width),
+        work("hexplane", vec!["hexplane"], texels + count * (3.0 + features), count * features * 60.0),
+        work("hexplane backward", field_backward, 2.0 * texels + count * (6.0 + features), count * features * 150.0),
     ];
     measure(gpu, works, || {
         let mut tape = Tape::new(Device::Gpu(gpu));
@@ -189,10 +195,16 @@ fn dense(gpu: Gpu, points: usize) -> Vec<Row> {
 fn losses(gpu: Gpu, size: usize) -> Vec<Row> {
     let images = [random(&[size, size, 3], 7, 0.5, 0.5), random(&[size, size, 3], 8, 0.5, 0.5)];
     let numbers = (3 * size * size) as f64;
+    let work = |name, kernels, touched: f64, flops: f64| Work {
+        name,
+        kernels,
+        bytes: touched * numbers * WORD,
+        flops: flops * numbers,
+    };
     let works = vec![
         // Five moments by two passes of eleven taps; the windows' own gradients are written for the backward pass.
-        Work { kernel: "ssim", bytes: 5.0 * numbers * WORD, flops: numbers * (5.0 * 2.0 * 2.0 * 11.0 + 40.0) },
-        Work { kernel: "ssim backward", bytes: 6.0 * numbers * WORD, flops: numbers * (3.0 * 2.0 * 2.0 * 11.0 + 10.0) },
+        work("ssim", vec!["ssim"], 5.0, 5.0 * 2.0 * 2.0 * 11.0 + 40.0),
+        work("ssim backward", vec!["ssim backward"], 6.0, 3.0 * 2.0 * 2.0 * 11.0 + 10.0),
     ];
     measure(gpu, works, || {
         let mut tape = Tape::new(Device::Gpu(gpu));
@@ -213,7 +225,7 @@ fn optimizer(gpu: Gpu, splats: usize) -> Vec<Row> {
         tape.backward(&[(y, Tensor::full([splats, 48], 1.0))]).take(x).expect("it has one")
     };
     let numbers = (48 * splats) as f64;
-    let works = vec![Work { kernel: "adam", bytes: 7.0 * numbers * WORD, flops: numbers * 12.0 }];
+    let works = vec![Work { name: "adam", kernels: vec!["adam"], bytes: 7.0 * numbers * WORD, flops: numbers * 12.0 }];
     measure(gpu, works, || {
         let update = Update { group: &mut group, gradient: Some(&gradient), learning_rate: 1e-3 };
         Adam::default().step(&mut [update]);
