@@ -112,8 +112,14 @@ pub struct Kernel {
 
 impl Kernel {
     /// The text, specialised.
+    #[cfg(test)]
     pub fn source(&self, specialisation: &[(&str, u32)]) -> String {
-        let text = self.text.concat();
+        self.source_with("", specialisation)
+    }
+
+    /// The text behind declarations that were made for it, specialised.
+    pub fn source_with(&self, declarations: &str, specialisation: &[(&str, u32)]) -> String {
+        let text = declarations.to_owned() + &self.text.concat();
         #[cfg(test)]
         let text = super::fault::planted(self.name, text);
         specialised(&text, specialisation)
@@ -136,10 +142,23 @@ impl Kernel {
         arrays: &[Binding],
         groups: usize,
     ) {
+        self.launch_with(gpu, &String::new, specialisation, bytemuck::bytes_of(constants), arrays, groups);
+    }
+
+    /// Records one run of the text behind declarations, which follow from the specialisation.
+    pub fn launch_with(
+        &self,
+        gpu: Gpu,
+        declarations: &dyn Fn() -> String,
+        specialisation: &[(&str, u32)],
+        constants: &[u8],
+        arrays: &[Binding],
+        groups: usize,
+    ) {
         gpu.launch(&Launch {
             name: self.pipeline_name(specialisation),
-            source: &|| self.source(specialisation),
-            constants: bytemuck::bytes_of(constants),
+            source: &|| self.source_with(&declarations(), specialisation),
+            constants,
             arrays,
             groups,
         });

@@ -1,8 +1,8 @@
 //! The second device: one context per adapter, in which kernels are recorded and submitted in batches.
 //!
-//! A kernel is WGSL text ([`Launch`]); an operation hands it the arrays of its tensors and a block of constants. What is
-//! recorded runs in that order, and reading anything back submits first. Nothing here depends on a race: kernels use no
-//! float atomics, and every array is written by exactly one kernel before it is read.
+//! A kernel is WGSL text ([`Launch`]); an operation hands it the arrays of its tensors and a block of constants, or those of
+//! many tensors at once ([`grouped`]). What is recorded runs in that order, and reading anything back submits first. Nothing
+//! here depends on a race: kernels use no float atomics, and every element is written by one invocation of a launch.
 
 mod adapter;
 mod array;
@@ -10,6 +10,7 @@ pub(crate) mod column_sums;
 pub mod conformance;
 #[cfg(test)]
 pub(crate) mod fault;
+pub(crate) mod grouped;
 mod launch;
 #[cfg(test)]
 pub(crate) mod layout;

@@ -7,7 +7,7 @@ mod gpu;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use gpu::sum_on_gpu;
+pub(crate) use gpu::copy_on_gpu;
 
 pub use expression::{Expression, GradientKernel, ValueKernel};
 

@@ -11,6 +11,7 @@ pub(crate) mod simd;
 mod tensor;
 #[cfg(test)]
 mod tests;
+mod totals;
 
 use std::ops::Range;
 use std::time::Instant;
@@ -19,6 +20,7 @@ use crate::gpu::Gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
+use totals::{add_all, add_to};
 
 /// A value on a tape.
 #[derive(Copy, Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -283,33 +285,5 @@ impl<T: Real> Gradients<T> {
     fn accumulate(&mut self, source: &str, var: Var, value: &Tensor<T>, gradient: Tensor<T>) {
         assert_eq!(gradient.shape(), value.shape(), "{source}: gradient and value differ in shape");
         add_to(&mut self.tensors[var.0], gradient);
-    }
-}
-
-/// Adds the gradients of those inputs that need one to their totals.
-fn add_all<T: Real>(op: &str, totals: &mut [Option<Tensor<T>>], terms: Vec<Option<Tensor<T>>>, needs: &[bool]) {
-    assert_eq!(terms.len(), totals.len(), "{op}: one gradient per input");
-    for ((total, term), &needed) in totals.iter_mut().zip(terms).zip(needs) {
-        if let (true, Some(term)) = (needed, term) {
-            add_to(total, term);
-        }
-    }
-}
-
-/// total += term, where an absent total is zero; on the GPU where either of them is there.
-fn add_to<T: Real>(total: &mut Option<Tensor<T>>, term: Tensor<T>) {
-    match total {
-        None => *total = Some(term),
-        Some(total) => {
-            assert_eq!(term.shape(), total.shape(), "two gradients of one value differ in shape");
-            if let Some(gpu) = total.gpu().or(term.gpu()) {
-                *total = crate::pointwise::sum_on_gpu(gpu, total, &term);
-                return;
-            }
-            let term = term.as_slice();
-            chunks::for_each_chunk(total.make_mut(), chunks::CHUNK, |first, total| {
-                total.iter_mut().zip(&term[first..]).for_each(|(total, &term)| *total += term);
-            });
-        }
     }
 }

@@ -171,6 +171,18 @@ impl<T: Real> Tensor<T> {
         elements.host.get_mut().expect("it is there")
     }
 
+    /// The elements in the GPU's memory for kernels that write there; copied first if another tensor shares them.
+    pub(crate) fn make_mut_on_gpu(&mut self, gpu: Gpu) -> &GpuArray {
+        self.on_gpu(gpu);
+        if Arc::get_mut(&mut self.elements).is_none() {
+            *self = crate::pointwise::copy_on_gpu(gpu, self);
+        }
+        let elements = Arc::get_mut(&mut self.elements).expect("nobody shares them");
+        // A copy on the host would be out of date.
+        elements.host = OnceLock::new();
+        elements.gpu.get().expect("it is there")
+    }
+
     /// The elements as a vector; copied if another tensor shares them.
     pub fn into_vec(self) -> Vec<T> {
         self.as_slice();

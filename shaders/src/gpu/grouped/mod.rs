@@ -1,0 +1,164 @@
+//! One launch over many items, such as all tensors of a model: each has constants, arrays and workgroups of its own.
+//!
+//! WGSL has no arrays of arrays. So the declarations of the arrays are made for the number of items of a launch, with
+//! functions that choose among them by item: `values(item, at)` and, where kernels write, `set_values(item, at, value)`.
+//! The text of a kernel defines `struct Item`. A workgroup finds its item with `item_of(group)`, its number within that with
+//! `group - first_group(item)`, and the constants with `constants_of(item)`. Workgroups beyond the last item belong to that
+//! one: a kernel compares with the sizes that its constants tell.
+
+#[cfg(test)]
+pub(crate) mod tests;
+
+use super::{Binding, Gpu, Kernel};
+
+const TEXT: &str = include_str!("grouped.wgsl");
+/// Bytes of constants between neighbouring items are a multiple of this, as WGSL wants it.
+const ALIGNMENT: usize = 16;
+/// The most arrays of a launch, on adapters that allow more: an access chooses among its items.
+const MOST_ARRAYS: usize = 128;
+/// The most items of a launch: their constants fill a small part of those of a submission.
+const MOST_ITEMS: usize = 64;
+
+/// A kernel over items.
+pub struct Grouped {
+    pub kernel: Kernel,
+    /// Arrays that all items share, which the text declares from binding 1 on.
+    pub shared: usize,
+    /// The arrays of every item.
+    pub arrays: &'static [ItemArray],
+}
+
+/// An array that every item has.
+pub struct ItemArray {
+    name: &'static str,
+    element: &'static str,
+    is_written: bool,
+}
+
+/// What a launch does with one item.
+pub struct Item<'a, C> {
+    /// A `repr(C)` struct laid out as `Item`.
+    pub constants: C,
+    /// As [`Grouped::arrays`] names them.
+    pub arrays: Vec<Binding<'a>>,
+    /// Workgroups.
+    pub groups: usize,
+}
+
+impl ItemArray {
+    /// An array of f32 that is read.
+    pub const fn read(name: &'static str) -> Self {
+        Self { name, element: "f32", is_written: false }
+    }
+
+    /// An array of f32 that is written, and read if the text likes.
+    pub const fn write(name: &'static str) -> Self {
+        Self { name, element: "f32", is_written: true }
+    }
+
+    /// As u32: the bits of f32, or whole numbers.
+    #[cfg(test)]
+    pub const fn of_bits(self) -> Self {
+        Self { element: "u32", ..self }
+    }
+
+    /// The declaration for one item.
+    fn declaration(&self, item: usize, binding: usize) -> String {
+        let Self { name, element, is_written } = self;
+        let access = if *is_written { "read_write" } else { "read" };
+        format!("@group(0) @binding({binding}) var<storage, {access}> {name}_{item}: array<{element}>;\n")
+    }
+
+    /// The functions that choose among the arrays of so many items.
+    fn functions(&self, items: usize) -> String {
+        let Self { name, element, is_written } = self;
+        let get = choice(items, |item| format!("return {name}_{item}[at];"));
+        let mut text = format!("fn {name}(item: u32, at: u32) -> {element} {{\n{get}}}\n");
+        if *is_written {
+            let set = choice(items, |item| format!("{name}_{item}[at] = value; return;"));
+            text += &format!("fn set_{name}(item: u32, at: u32, value: {element}) {{\n{set}}}\n");
+        }
+        text
+    }
+}
+
+/// The statement of an item, all of which return; the last stands for whatever is beyond it.
+fn choice(items: usize, statement: impl Fn(usize) -> String) -> String {
+    let (last, cases) = (statement(items - 1), 0..items - 1);
+    let cases: String = cases.map(|item| format!("        case {item}u: {{ {} }}\n", statement(item))).collect();
+    let switch =
+        if cases.is_empty() { cases } else { format!("    switch item {{\n{cases}        default: {{}}\n    }}\n") };
+    format!("{switch}    {last}\n")
+}
+
+impl Grouped {
+    /// What stands in front of the kernel's own text for items with so many bytes of constants.
+    fn declarations(&self, items: usize, bytes: usize) -> String {
+        let padded = format!("struct Padded {{ @size({}) constants: Item }}\n", bytes.next_multiple_of(ALIGNMENT));
+        let array = |(at, array): (usize, &ItemArray)| array.declaration(at / self.arrays.len(), 1 + self.shared + at);
+        let declared = std::iter::repeat_n(self.arrays, items).flatten().enumerate().map(array);
+        let functions = self.arrays.iter().map(|array| array.functions(items));
+        TEXT.to_owned() + &padded + &declared.chain(functions).collect::<String>()
+    }
+
+    /// Items that one launch has room for.
+    pub fn room(&self, gpu: Gpu) -> usize {
+        let arrays = gpu.arrays_per_kernel() - self.shared;
+        arrays.checked_div(self.arrays.len()).unwrap_or(MOST_ITEMS).clamp(1, MOST_ITEMS)
+    }
+
+    /// Records one run over all items, in as few launches as the adapter allows; items without workgroups are left out.
+    pub fn launch<C: bytemuck::NoUninit>(
+        &self,
+        gpu: Gpu,
+        specialisation: &[(&str, u32)],
+        shared: &[Binding],
+        items: &[Item<C>],
+    ) {
+        let items: Vec<&Item<C>> = items.iter().filter(|item| item.groups > 0).collect();
+        // Of equal sizes, which share a pipeline.
+        let launches = items.len().div_ceil(self.room(gpu)).max(1);
+        for items in items.chunks(items.len().div_ceil(launches).max(1)) {
+            let mut groups = 0;
+            let mut first_groups = Vec::new();
+            for item in items {
+                first_groups.push(groups as u32);
+                groups += item.groups;
+            }
+            self.record(gpu, specialisation, shared, items, (first_groups, groups));
+        }
+    }
+
+    fn record<C: bytemuck::NoUninit>(
+        &self,
+        gpu: Gpu,
+        specialisation: &[(&str, u32)],
+        shared: &[Binding],
+        items: &[&Item<C>],
+        (mut first_groups, groups): (Vec<u32>, usize),
+    ) {
+        let name = self.kernel.name;
+        assert!(items.iter().all(|item| item.arrays.len() == self.arrays.len()), "{name}: arrays of an item");
+        assert_eq!(shared.len(), self.shared, "{name}: shared arrays");
+        first_groups.resize(items.len().next_multiple_of(4), u32::MAX);
+        let mut constants: Vec<u8> = bytemuck::cast_slice(&first_groups).to_vec();
+        for item in items {
+            constants.extend_from_slice(bytemuck::bytes_of(&item.constants));
+            constants.resize(constants.len().next_multiple_of(ALIGNMENT), 0);
+        }
+        let arrays: Vec<Binding> = shared.iter().chain(items.iter().flat_map(|item| &item.arrays)).copied().collect();
+        let specialisation = [&[("ITEMS", items.len() as u32)], specialisation].concat();
+        let declarations = || self.declarations(items.len(), size_of::<C>());
+        self.kernel.launch_with(gpu, &declarations, &specialisation, &constants, &arrays, groups);
+    }
+}
+
+impl Gpu {
+    /// Arrays that one launch may have.
+    fn arrays_per_kernel(self) -> usize {
+        let most = (self.0.limits.max_storage_buffers_per_shader_stage as usize).min(MOST_ARRAYS);
+        #[cfg(test)]
+        let most = most.min(tests::MOST.get());
+        most
+    }
+}
