@@ -6,10 +6,10 @@ use crate::sort::{SUM_CAP, exclusive_sums, sort};
 use crate::tape::{Real, Tensor};
 
 const GROUP: usize = 256;
-const ELLIPSE: &str = include_str!("ellipse.wgsl");
-const COUNT: Kernel = Kernel { name: "binning, counts", text: &[ELLIPSE, include_str!("binning_count.wgsl")] };
+const SPANS: &str = concat!(include_str!("ellipse.wgsl"), include_str!("tile_spans.wgsl"));
+const COUNT: Kernel = Kernel { name: "binning, counts", text: &[SPANS, include_str!("binning_count.wgsl")] };
 const RANK: Kernel = Kernel { name: "binning, ranks", text: &[include_str!("binning_rank.wgsl")] };
-const HITS: Kernel = Kernel { name: "binning, hits", text: &[ELLIPSE, include_str!("binning_hits.wgsl")] };
+const HITS: Kernel = Kernel { name: "binning, hits", text: &[SPANS, include_str!("binning_hits.wgsl")] };
 const ENTRIES: Kernel = Kernel { name: "binning, entries", text: &[include_str!("binning_entries.wgsl")] };
 
 // A sum that saturates must count as too many.

@@ -1,7 +1,7 @@
-// The splats that meet the image, front to back, each in one place: three vectors, and its depth and features.
+// The splats front to back, those that no tile holds last, each in one place: three vectors, and its depth and features.
 
 struct Pack {
-    // Ranks.
+    // Splats.
     count: u32,
     features: u32,
 }

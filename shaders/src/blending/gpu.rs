@@ -47,9 +47,9 @@ uniforms! {
 
 /// What the backward pass needs of the forward pass.
 pub(super) struct Kept {
-    /// [ranks, 12].
+    /// [N, 12], by rank.
     records: GpuArray,
-    /// [ranks, E].
+    /// [N, E], by rank.
     extras: GpuArray,
     /// [H, W], after the last splat.
     transmittances: GpuArray,
@@ -109,17 +109,17 @@ impl<T: Real> Blend<T> {
         images
     }
 
-    /// The records and extras of the splats by rank.
+    /// The records and extras of all splats by rank: how many are visible only the GPU knows.
     fn pack_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists) -> (GpuArray, GpuArray) {
-        let records = GpuArray::new(gpu, lists.visible * RECORD);
-        let extras = GpuArray::new(gpu, lists.visible * self.extra_count());
+        let count = lists.order.len();
+        let [records, extras] = [RECORD, self.extra_count()].map(|len| GpuArray::new(gpu, count * len));
         let [depths, features] = self.extras_of(&inputs[5..], inputs[4]);
         let read = inputs[..5].iter().chain([&depths, &features]).map(|input| Binding::Read(input.on_gpu(gpu)));
         let written = [Binding::Write(&records), Binding::Write(&extras)];
         let arrays: Vec<Binding> = [Binding::Read(&lists.order)].into_iter().chain(read).chain(written).collect();
-        let constants = PackBlock { count: lists.visible as u32, features: self.feature_count as u32 };
+        let constants = PackBlock { count: count as u32, features: self.feature_count as u32 };
         let [_, depth, _] = self.specialisation();
-        PACK.launch(gpu, &[depth], &constants, &arrays, lists.visible.div_ceil(PACK_GROUP));
+        PACK.launch(gpu, &[depth], &constants, &arrays, count.div_ceil(PACK_GROUP));
         (records, extras)
     }
 
@@ -161,6 +161,7 @@ impl<T: Real> Blend<T> {
         lists: &GpuLists,
     ) -> GpuArray {
         let Kept { records, extras, transmittances, last_entries } = self.kept.as_ref().expect("forward has run");
+        // The lists may have room for more entries than there are; rows behind the last are neither written nor read.
         let rows = GpuArray::new(gpu, lists.ranks.len() * (ROW_COLORS + 3 + self.extra_count()));
         let color = outputs[0].on_gpu(gpu);
         let [depth, features] = self.extras_of(&outputs[2..], outputs[0]).map(|output| output.on_gpu(gpu));
