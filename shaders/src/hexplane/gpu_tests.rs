@@ -4,6 +4,7 @@ use super::*;
 use crate::check::noise;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare, run};
 use crate::gpu::fault::assert_noticed;
+use crate::gpu::grouped::tests::with_arrays;
 use crate::gpu::tests::test_gpu;
 use crate::tape::Device;
 
@@ -91,7 +92,10 @@ fn compare_regularisers(gpu: Gpu) -> Result<usize, Disagreement> {
     let shapes = [[7, 3, 2], [2, 5, 2], [3, 2, 4], [1, 1, 1], [40, 33, 16]];
     let planes: Vec<Tensor<f32>> = shapes.iter().enumerate().map(plane).map(|plane| plane.cast()).collect();
     compare(gpu, "smoothness", &planes, TIGHT, |tape, vars| vec![smoothness(tape, vars)])?;
-    compare(gpu, "distance to one", &planes, TIGHT, |tape, vars| vec![distance_to_one(tape, vars)])
+    compare(gpu, "distance to one", &planes, TIGHT, |tape, vars| vec![distance_to_one(tape, vars)])?;
+    compare(gpu, "both, of some", &planes, TIGHT, |tape, vars| {
+        vec![distance_to_one(tape, &vars[2..]), smoothness(tape, vars)]
+    })
 }
 
 #[test]
@@ -100,9 +104,14 @@ fn a_gpu_regularises_planes() {
     let faults = [
         ("plane smoothness", "- center - center", "- center"),
         ("plane smoothness", "at += 256u", "at += 257u"),
+        ("plane smoothness", "plane.first_sum + block", "block"),
         ("plane smoothness backward", "row >= 2u", "row >= 3u"),
-        ("plane distance", "abs(1.0 - values[at])", "abs(1.01 - values[at])"),
-        ("plane distance backward", "values[at] < 1.0", "values[at] < 0.9"),
+        ("plane distance", "abs(1.0 - values", "abs(1.01 - values"),
+        ("plane distance backward", "value < 1.0", "value < 0.9"),
+        ("plane distance backward", "sum += gradient(item, at)", "sum = gradient(item, at)"),
     ];
     assert_noticed(&faults, || compare_regularisers(gpu));
+    for arrays in [3, 16] {
+        with_arrays(arrays, || compare_regularisers(gpu)).unwrap();
+    }
 }

@@ -68,17 +68,19 @@ impl<T: Real> Op<T> for PlaneMeans<T> {
         Some(vec![self.kernels.sum_of_means(gpu, planes)])
     }
 
-    fn backward_gpu(
+    fn accumulate_gpu(
         &mut self,
         gpu: Gpu,
         planes: &[&Tensor<T>],
         _outputs: &[&Tensor<T>],
         output_grads: &[Option<&Tensor<T>>],
         needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None; planes.len()]) };
-        let gradient = |(plane, &needed): (&&Tensor<T>, &bool)| needed.then(|| self.kernels.gradient(gpu, plane, dy));
-        Some(planes.iter().zip(needs).map(gradient).collect())
+        totals: &mut [Option<Tensor<T>>],
+    ) -> bool {
+        if let Some(dy) = output_grads[0] {
+            self.kernels.add_gradients(gpu, planes, dy, needs, totals);
+        }
+        true
     }
 }
 

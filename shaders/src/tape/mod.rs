@@ -20,6 +20,7 @@ use crate::gpu::Gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
+pub(crate) use totals::total_on_gpu;
 use totals::{add_all, add_to};
 
 /// A value on a tape.
@@ -77,6 +78,24 @@ pub trait Op<T: Real>: Send {
     ) {
         let terms = self.backward(inputs, outputs, output_grads, needs);
         add_all(self.name(), totals, terms, needs);
+    }
+
+    /// As [`Op::accumulate`] with kernels for a GPU; `false`, with nothing done, if there are none for these inputs.
+    fn accumulate_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+        totals: &mut [Option<Tensor<T>>],
+    ) -> bool {
+        let terms = self.backward_gpu(gpu, inputs, outputs, output_grads, needs);
+        let has_kernels = terms.is_some();
+        if let Some(terms) = terms {
+            add_all(self.name(), totals, terms, needs);
+        }
+        has_kernels
     }
 }
 
@@ -248,13 +267,11 @@ impl<T: Real> Node<T> {
         let mut totals: Vec<_> = self.inputs.iter().map(|var| of_inputs[var.0].take()).collect();
 
         let start = Instant::now();
-        let on_gpu = match device {
-            Device::Cpu => None,
-            Device::Gpu(gpu) => self.op.backward_gpu(gpu, &inputs, &outputs, &output_grads, &needs),
-        };
-        match on_gpu {
-            Some(terms) => add_all(self.op.name(), &mut totals, terms, &needs),
-            None => self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals),
+        let on_gpu = device
+            .gpu()
+            .is_some_and(|gpu| self.op.accumulate_gpu(gpu, &inputs, &outputs, &output_grads, &needs, &mut totals));
+        if !on_gpu {
+            self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals);
         }
         profile.entry(self.op.name()).backward.add(start.elapsed());
 

@@ -3,7 +3,7 @@
 use super::chunks::{CHUNK, for_each_chunk};
 use super::{Real, Tensor};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 
 const TOTALS: Grouped = Grouped {
     kernel: Kernel { name: "gradient totals", text: &[include_str!("totals.wgsl")] },
@@ -35,6 +35,17 @@ pub(super) fn add_all<T: Real>(
         }
     }
     add_pairs(pairs);
+}
+
+/// The total of an input of this shape for kernels to add to, and whether there is one already: else they write all of it.
+pub(crate) fn total_on_gpu<'a, T: Real>(
+    gpu: Gpu,
+    total: &'a mut Option<Tensor<T>>,
+    shape: &[usize],
+) -> (&'a GpuArray, bool) {
+    let adds = total.is_some();
+    let total = total.get_or_insert_with(|| Tensor::from_gpu(shape, GpuArray::new(gpu, shape.iter().product())));
+    (total.make_mut_on_gpu(gpu), adds)
 }
 
 /// total += term, where an absent total is zero.

@@ -1,9 +1,10 @@
 // Distances to one.
 
-fn term(at: u32) -> f32 {
-    return abs(1.0 - values[at]);
+fn term(item: u32, at: u32) -> f32 {
+    return abs(1.0 - values(item, at));
 }
 
-fn derivative(at: u32) -> f32 {
-    return select(0.0, 1.0, values[at] > 1.0) - select(0.0, 1.0, values[at] < 1.0);
+fn derivative(item: u32, at: u32) -> f32 {
+    let value = values(item, at);
+    return select(0.0, 1.0, value > 1.0) - select(0.0, 1.0, value < 1.0);
 }

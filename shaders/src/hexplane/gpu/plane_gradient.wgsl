@@ -1,8 +1,7 @@
 
-// The gradient of every element.
+// The gradient of every element of every plane.
 
-@group(0) @binding(2) var<storage, read> dy: array<f32>;
-@group(0) @binding(3) var<storage, read_write> gradient: array<f32>;
+@group(0) @binding(1) var<storage, read> dy: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -10,8 +9,16 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let at = flat_group(group, groups) * 256u + local;
-    if (at < arrayLength(&gradient)) {
-        gradient[at] = plane.factor * dy[0] * derivative(at);
+    let flat = flat_group(group, groups);
+    let item = item_of(flat);
+    let plane = constants_of(item);
+    let at = (flat - first_group(item)) * 256u + local;
+    if (at >= plane.rows * plane.row_len) {
+        return;
     }
+    var sum = plane.factor * dy[0] * derivative(item, at);
+    if (plane.adds == 1u) {
+        sum += gradient(item, at);
+    }
+    set_gradient(item, at, sum);
 }

@@ -1,7 +1,7 @@
 
-// The part of the mean that every workgroup has, of 4096 terms.
+// The part of a plane's mean that every workgroup has, of 4096 terms.
 
-@group(0) @binding(2) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(1) var<storage, read_write> sums: array<f32>;
 
 const BLOCK: u32 = 4096u;
 
@@ -11,11 +11,14 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let block = flat_group(group, groups);
+    let flat = flat_group(group, groups);
+    let item = item_of(flat);
+    let plane = constants_of(item);
+    let block = flat - first_group(item);
     let end = min((block + 1u) * BLOCK, plane.terms);
     var own = 0.0;
     for (var at = block * BLOCK + local; at < end; at += 256u) {
-        own += term(at);
+        own += term(item, at);
     }
     let sum = row_sum(local, own);
     if (local == 0u && block * BLOCK < plane.terms) {
