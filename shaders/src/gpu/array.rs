@@ -125,16 +125,20 @@ impl Pool {
 }
 
 impl Gpu {
+    /// Bytes of the largest array that kernels can see.
+    pub(crate) fn largest_array_bytes(self) -> u64 {
+        self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size)
+    }
+
     /// Bytes of the buffer for so many elements. Panics with a [`GpuFailure`] if the adapter has none of that size.
     fn checked_size(self, len: usize) -> u64 {
-        let (bytes, limits) = (4 * len as u64, &self.0.limits);
-        let largest = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let (bytes, largest) = (4 * len as u64, self.largest_array_bytes());
         if bytes > largest {
             let name = &self.0.name;
             let message = format!("adapter {name:?} allows arrays of {largest} bytes, and {bytes} are needed");
             GpuFailure::OutOfMemory(message).raise();
         }
-        rounded_size(bytes).min(limits.max_buffer_size & !3)
+        rounded_size(bytes).min(self.0.limits.max_buffer_size & !3)
     }
 
     fn create_buffer(self, size: u64, mapped_at_creation: bool) -> wgpu::Buffer {

@@ -86,11 +86,11 @@ pub fn columns_for(len: usize) -> usize {
 
 /// Defines a block of constants, laid out as a struct of the kernels: a test compares them.
 macro_rules! uniforms {
-    ($(#[$meta:meta])* struct $name:ident as $wgsl:literal { $($field:ident: $type:ty),+ $(,)? }) => {
+    ($(#[$meta:meta])* $vis:vis struct $name:ident as $wgsl:literal { $($field:ident: $type:ty),+ $(,)? }) => {
         $(#[$meta])*
         #[repr(C)]
         #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-        struct $name { $($field: $type),+ }
+        $vis struct $name { $($vis $field: $type),+ }
 
         #[cfg(test)]
         impl $crate::gpu::layout::Fields for $name {

@@ -27,7 +27,14 @@ fn compare_fields(gpu: Gpu, shape: &HexplaneShape, points: usize, time: f64) -> 
     let what = format!("{points} points in {shape:?} at {time}");
     // Spread over the field, and all in a few cells.
     compare(gpu, &what, &inputs(shape, points, 1.3), TIGHT, field)?;
-    compare(gpu, &what, &inputs(shape, points, 0.05), TIGHT, field)
+    compare(gpu, &what, &inputs(shape, points, 0.05), TIGHT, field)?;
+    // As a training does: positions and some of the planes have other uses.
+    let what = format!("{what}, and other uses");
+    compare(gpu, &what, &inputs(shape, points, 1.3), TIGHT, |tape, vars| {
+        let features = hexplane(tape, &vars[1..], vars[0], time);
+        let halved = crate::pointwise::scale(tape, vars[0], 0.5);
+        vec![features, halved, smoothness(tape, &vars[2..5]), distance_to_one(tape, &vars[3..])]
+    })
 }
 
 #[test]
@@ -39,6 +46,10 @@ fn a_gpu_reads_fields_of_every_shape() {
         for (points, time) in [(0, 0.3), (1, -1.0), (300, 0.123), (1500, 1.0)] {
             compare_fields(gpu, &shape, points, time).unwrap();
         }
+        // One scale per launch, and two.
+        for arrays in [10, 16] {
+            with_arrays(arrays, || compare_fields(gpu, &shape, 300, 0.123)).unwrap();
+        }
     }
 }
 
@@ -49,11 +60,13 @@ fn a_gpu_that_reads_fields_otherwise_is_noticed() {
     let faults = [
         ("hexplane", "(unclamped > last)", "(unclamped > last - 0.1)"),
         ("hexplane backward", "r.yz.along_b", "r.yz.along_a"),
-        ("hexplane backward", "g_positions[at] += gradient", "g_positions[at] = gradient"),
+        ("hexplane backward", "scale < ITEMS", "scale < 1u"),
+        ("hexplane backward", "sum += g_positions[at]", "sum += 0.0"),
         ("hexplane, blocks", "(1.0 - b) * a,", "(1.0 - b) * b,"),
-        ("hexplane, cells", "* cells(width)", "* (cells(width) + 1u)"),
+        ("hexplane, cells", "* cells(scale, width)", "* (cells(scale, width) + 1u)"),
         ("hexplane, texels", "block <= (end", "block < (end"),
-        ("hexplane, texels", "b == scale.time_high", "b == scale.time_low"),
+        ("hexplane, texels", "b == own.time_high", "b == own.time_low"),
+        ("hexplane, texels", "gradient_so_far(scale, plane, element) + gradient", "gradient"),
     ];
     assert_noticed(&faults, || compare_fields(gpu, &shape, 300, 0.3));
 }

@@ -1,22 +1,23 @@
-// The gradients of what every point read from the six planes, and of the positions. A workgroup has whole points, with one
-// invocation per channel. FIRST is 1 for the first scale, to whose gradients of the positions the others add.
+// The gradients of what every point read from the six planes of every scale, and of the positions. A workgroup has whole
+// points, with one invocation per channel. ADDS is 1 where the gradients of the positions add to what is there.
 
-@group(0) @binding(8) var<storage, read> dy: array<f32>;
-// [6, points, channels].
-@group(0) @binding(9) var<storage, read_write> g_values: array<f32>;
-@group(0) @binding(10) var<storage, read_write> g_positions: array<f32>;
+@group(0) @binding(2) var<storage, read> dy: array<f32>;
+// [6·scales, points, channels].
+@group(0) @binding(3) var<storage, read_write> g_values: array<f32>;
+@group(0) @binding(4) var<storage, read_write> g_positions: array<f32>;
 
-// [3, invocation]: the derivatives along x, y and z in texels, by channel.
+// [3, invocation]: the derivatives along x, y and z, by channel.
 var<workgroup> along: array<f32, 768>;
 
-fn write_gradient(plane: u32, point: u32, channel: u32, gradient: f32) {
-    g_values[(plane * scale.points + point) * scale.channels + channel] = gradient;
+fn write_gradient(scale: u32, plane: u32, point: u32, channel: u32, gradient: f32) {
+    g_values[((6u * scale + plane) * points() + point) * channels() + channel] = gradient;
 }
 
-// dy times the product of the other five values, for each of the six.
-fn differentiate(point: u32, channel: u32, local: u32) {
-    let r = readings_of(point, channel);
-    let g = dy[point * scale.features + scale.first_feature + channel];
+// Writes dy times the product of the other five values, for each of the six; the derivatives along x, y and z.
+fn differentiate(scale: u32, point: u32, channel: u32) -> vec3<f32> {
+    let r = readings_of(scale, point, channel);
+    let own = constants_of(scale);
+    let g = dy[point * own.features + own.number * own.channels + channel];
     // What stands before each value, with dy, and after it.
     let before_xz = g * r.xy.value;
     let before_yz = before_xz * r.xz.value;
@@ -32,15 +33,18 @@ fn differentiate(point: u32, channel: u32, local: u32) {
     let g_xt = before_xt * after_xt;
     let g_yt = before_yt * after_yt;
     let g_zt = before_yt * r.yt.value;
-    write_gradient(0u, point, channel, g_xy);
-    write_gradient(1u, point, channel, g_xz);
-    write_gradient(2u, point, channel, g_xt);
-    write_gradient(3u, point, channel, g_yz);
-    write_gradient(4u, point, channel, g_yt);
-    write_gradient(5u, point, channel, g_zt);
-    along[local] = (g_xy * r.xy.along_a + g_xz * r.xz.along_a) + g_xt * r.xt.along_a;
-    along[256u + local] = (g_xy * r.xy.along_b + g_yz * r.yz.along_a) + g_yt * r.yt.along_a;
-    along[512u + local] = (g_xz * r.xz.along_b + g_yz * r.yz.along_b) + g_zt * r.zt.along_a;
+    write_gradient(scale, 0u, point, channel, g_xy);
+    write_gradient(scale, 1u, point, channel, g_xz);
+    write_gradient(scale, 2u, point, channel, g_xt);
+    write_gradient(scale, 3u, point, channel, g_yz);
+    write_gradient(scale, 4u, point, channel, g_yt);
+    write_gradient(scale, 5u, point, channel, g_zt);
+    let in_texels = vec3<f32>(
+        (g_xy * r.xy.along_a + g_xz * r.xz.along_a) + g_xt * r.xt.along_a,
+        (g_xy * r.xy.along_b + g_yz * r.yz.along_a) + g_yt * r.yt.along_a,
+        (g_xz * r.xz.along_b + g_yz * r.yz.along_b) + g_zt * r.zt.along_a,
+    );
+    return in_texels * vec3<f32>(r.x.slope, r.y.slope, r.z.slope);
 }
 
 @compute @workgroup_size(256)
@@ -49,29 +53,33 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let points_per_group = 256u / scale.channels;
+    let points_per_group = 256u / channels();
     let first_point = flat_group(group, groups) * points_per_group;
-    let own_point = first_point + local / scale.channels;
-    if (local < points_per_group * scale.channels && own_point < scale.points) {
-        differentiate(own_point, local % scale.channels, local);
+    let own_point = first_point + local / channels();
+    if (local < points_per_group * channels() && own_point < points()) {
+        var derivatives = vec3<f32>();
+        for (var scale = 0u; scale < ITEMS; scale++) {
+            derivatives += differentiate(scale, own_point, local % channels());
+        }
+        along[local] = derivatives.x;
+        along[256u + local] = derivatives.y;
+        along[512u + local] = derivatives.z;
     }
     workgroupBarrier();
 
     // One invocation per point and axis adds over the channels.
     let point = first_point + local / 3u;
-    if (local >= 3u * points_per_group || point >= scale.points) {
+    if (local >= 3u * points_per_group || point >= points()) {
         return;
     }
     let axis = local % 3u;
-    var sum = 0.0;
-    for (var channel = 0u; channel < scale.channels; channel++) {
-        sum += along[256u * axis + local / 3u * scale.channels + channel];
-    }
     let at = 3u * point + axis;
-    let gradient = sum * lookup(positions[at], scale.resolution[axis]).slope;
-    if (FIRST == 1u) {
-        g_positions[at] = gradient;
-    } else {
-        g_positions[at] += gradient;
+    var sum = 0.0;
+    for (var channel = 0u; channel < channels(); channel++) {
+        sum += along[256u * axis + local / 3u * channels() + channel];
     }
+    if (ADDS == 1u) {
+        sum += g_positions[at];
+    }
+    g_positions[at] = sum;
 }

@@ -171,16 +171,19 @@ impl<T: Real> Op<T> for Hexplane<T> {
         Some(vec![gpu::forward(gpu, &Field { planes: &inputs[1..], time: self.time }, inputs[0])?])
     }
 
-    fn backward_gpu(
+    fn accumulate_gpu(
         &mut self,
         gpu: Gpu,
         inputs: &[&Tensor<T>],
         _outputs: &[&Tensor<T>],
         output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+        needs: &[bool],
+        totals: &mut [Option<Tensor<T>>],
+    ) -> bool {
+        let Some(dy) = output_grads[0] else { return true };
         let field = Field { planes: &inputs[1..], time: self.time };
-        Some(gpu::backward(gpu, &field, inputs[0], dy)?.into_iter().map(Some).collect())
+        let has_kernels = gpu::add_gradients(gpu, &field, inputs[0], dy, totals);
+        totals.iter_mut().zip(needs).filter(|(_, needed)| !**needed).for_each(|(total, _)| *total = None);
+        has_kernels
     }
 }

@@ -41,7 +41,7 @@ pub struct Item<'a, C> {
     pub constants: C,
     /// As [`Grouped::arrays`] names them.
     pub arrays: Vec<Binding<'a>>,
-    /// Workgroups.
+    /// Workgroups of its own.
     pub groups: usize,
 }
 
@@ -127,6 +127,20 @@ impl Grouped {
             }
             self.record(gpu, specialisation, shared, items, (first_groups, groups));
         }
+    }
+
+    /// Records one launch of workgroups that have all items in common, no more than there is room for.
+    pub fn launch_together<C: bytemuck::NoUninit>(
+        &self,
+        gpu: Gpu,
+        specialisation: &[(&str, u32)],
+        shared: &[Binding],
+        items: &[Item<C>],
+        groups: usize,
+    ) {
+        assert!(items.len() <= self.room(gpu), "{}: {} items in one launch", self.kernel.name, items.len());
+        let items: Vec<&Item<C>> = items.iter().collect();
+        self.record(gpu, specialisation, shared, &items, (vec![0; items.len()], groups));
     }
 
     fn record<C: bytemuck::NoUninit>(

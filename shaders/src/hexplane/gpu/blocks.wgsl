@@ -4,27 +4,27 @@
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 @group(0) @binding(2) var<storage, read> g_values: array<f32>;
-// In the order of cells: cells, and [6·scales, points] the plane and point of each entry.
+// In the order of cells: cells, and [6·scales, points] the scale, plane and point of each entry.
 @group(0) @binding(3) var<storage, read> sorted_cells: array<u32>;
 @group(0) @binding(4) var<storage, read> entries: array<u32>;
 // [blocks + cells, 4, channels].
 @group(0) @binding(5) var<storage, read_write> corners: array<f32>;
 
 // The weights of the corners: low and high along the width, both at the low and at the high end of the height.
-fn weights_of(plane: u32, point: u32) -> vec4<f32> {
+fn weights_of(scale: u32, plane: u32, point: u32) -> vec4<f32> {
     let width = width_axis(plane);
     let height = height_axis(plane);
-    let a = lookup(positions[3u * point + width], scale.resolution[width]).fraction;
+    let a = lookup(positions[3u * point + width], texels(scale, width)).fraction;
     if (height == 3u) {
         return vec4<f32>(1.0 - a, a, 0.0, 0.0);
     }
-    let b = lookup(positions[3u * point + height], scale.resolution[height]).fraction;
+    let b = lookup(positions[3u * point + height], texels(scale, height)).fraction;
     return vec4<f32>((1.0 - b) * (1.0 - a), (1.0 - b) * a, b * (1.0 - a), b * a);
 }
 
 fn write_corners(place: u32, channel: u32, sums: vec4<f32>) {
     for (var corner = 0u; corner < 4u; corner++) {
-        corners[(4u * place + corner) * scale.channels + channel] = sums[corner];
+        corners[(4u * place + corner) * channels() + channel] = sums[corner];
     }
 }
 
@@ -35,25 +35,28 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = flat_group(group, groups) * 256u + local;
-    let block = index / scale.channels;
-    let channel = index % scale.channels;
-    let count = 6u * scale.points;
+    let block = index / channels();
+    let channel = index % channels();
+    // Of the items' scales alone, which are neighbours.
+    let count = ITEMS * 6u * points();
     let first = block * ENTRIES_PER_BLOCK;
     if (first >= count) {
         return;
     }
     let end = min(first + ENTRIES_PER_BLOCK, count);
-    var cell = sorted_cells[scale.first_entry + first];
+    var cell = sorted_cells[first_entry(0u) + first];
     var sums = vec4<f32>();
     for (var at = first; at < end; at++) {
-        let next_cell = sorted_cells[scale.first_entry + at];
+        let next_cell = sorted_cells[first_entry(0u) + at];
         if (next_cell != cell) {
-            write_corners(block + cell - first_cell(0u), channel, sums);
+            write_corners(block + cell - first_cell(0u, 0u), channel, sums);
             cell = next_cell;
             sums = vec4<f32>();
         }
-        let entry = entries[scale.first_entry + at] - scale.first_entry;
-        sums += weights_of(entry / scale.points, entry % scale.points) * g_values[entry * scale.channels + channel];
+        let entry = entries[first_entry(0u) + at] - first_entry(0u);
+        let plane = entry / points();
+        let weights = weights_of(plane / 6u, plane % 6u, entry - plane * points());
+        sums += weights * g_values[entry * channels() + channel];
     }
-    write_corners(block + cell - first_cell(0u), channel, sums);
+    write_corners(block + cell - first_cell(0u, 0u), channel, sums);
 }

@@ -1,4 +1,4 @@
-// The cell of every point on each of the six planes.
+// The cell of every point on each of the six planes of every scale.
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 // [6·scales, points].
@@ -10,21 +10,23 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let point = flat_group(group, groups) * 256u + local;
-    if (point >= scale.points) {
+    let flat = flat_group(group, groups);
+    let scale = item_of(flat);
+    let point = (flat - first_group(scale)) * 256u + local;
+    if (point >= points()) {
         return;
     }
     var low: vec3<u32>;
     for (var axis = 0u; axis < 3u; axis++) {
-        low[axis] = lookup(positions[3u * point + axis], scale.resolution[axis]).low;
+        low[axis] = lookup(positions[3u * point + axis], texels(scale, axis)).low;
     }
     for (var plane = 0u; plane < 6u; plane++) {
         let width = width_axis(plane);
         let height = height_axis(plane);
-        var cell = first_cell(plane) + low[width];
+        var cell = first_cell(scale, plane) + low[width];
         if (height < 3u) {
-            cell += low[height] * cells(width);
+            cell += low[height] * cells(scale, width);
         }
-        cell_of_entry[scale.first_entry + plane * scale.points + point] = cell;
+        cell_of_entry[first_entry(scale) + plane * points() + point] = cell;
     }
 }

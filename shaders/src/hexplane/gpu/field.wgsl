@@ -1,6 +1,7 @@
-// One scale of a field at one time. The six planes xy, xz, xt, yz, yt, zt have the shape [height, width, channels].
+// The scales of a field at one time, one item each. The six planes xy, xz, xt, yz, yt, zt have the shape [height, width,
+// channels].
 
-struct Scale {
+struct Item {
     // Texels along x, y, z and t.
     resolution: vec4<u32>,
     // Cells of all planes so far and of the planes of this scale, where each begins: a cell has a texel at every corner,
@@ -8,18 +9,17 @@ struct Scale {
     cell_starts: array<vec4<u32>, 2>,
     points: u32,
     channels: u32,
-    // Features of all scales, and where those of this one begin.
+    // Features of all scales.
     features: u32,
-    first_feature: u32,
+    // Of this scale among all of the field, whichever of them are items.
+    number: u32,
     // The rows of the time planes around the time, and the weight of the second.
     time_low: u32,
     time_high: u32,
     time_fraction: f32,
-    // Of the cells' list: where the entries of this scale begin.
-    first_entry: u32,
+    // By bits, the planes whose gradients add to what is there.
+    adds: u32,
 }
-
-@group(0) @binding(0) var<uniform> scale: Scale;
 
 // Entries of a cell's list that one invocation adds.
 const ENTRIES_PER_BLOCK: u32 = 32u;
@@ -31,6 +31,33 @@ fn width_axis(plane: u32) -> u32 {
 
 fn height_axis(plane: u32) -> u32 {
     return select(select(3u, plane - 1u, plane < 5u), plane + 1u, plane < 3u);
+}
+
+// The same for all scales.
+fn points() -> u32 {
+    return grouped.items[0].constants.points;
+}
+
+fn channels() -> u32 {
+    return grouped.items[0].constants.channels;
+}
+
+fn texels(scale: u32, axis: u32) -> u32 {
+    return grouped.items[scale].constants.resolution[axis];
+}
+
+// Of the cells' list: where the entries of a scale begin.
+fn first_entry(scale: u32) -> u32 {
+    return 6u * grouped.items[scale].constants.number * points();
+}
+
+fn first_cell(scale: u32, plane: u32) -> u32 {
+    return grouped.items[scale].constants.cell_starts[plane / 4u][plane % 4u];
+}
+
+// Cells along an axis.
+fn cells(scale: u32, axis: u32) -> u32 {
+    return max(texels(scale, axis), 2u) - 1u;
 }
 
 // Linear interpolation between neighbouring texels of one axis.
@@ -59,16 +86,8 @@ fn lookup(coordinate: f32, texels: u32) -> Lookup {
     return Lookup(low, min(low + 1u, texels - 1u), texel - f32(low), select(0.0, half_span, is_inside));
 }
 
-fn time_lookup() -> Lookup {
-    return Lookup(scale.time_low, scale.time_high, scale.time_fraction, 0.0);
-}
-
-fn first_cell(plane: u32) -> u32 {
-    return scale.cell_starts[plane / 4u][plane % 4u];
-}
-
-// Cells along an axis.
-fn cells(axis: u32) -> u32 {
-    return max(scale.resolution[axis], 2u) - 1u;
+fn time_lookup(scale: u32) -> Lookup {
+    let own = constants_of(scale);
+    return Lookup(own.time_low, own.time_high, own.time_fraction, 0.0);
 }
 

@@ -1,86 +1,91 @@
 //! The kernels of the field and of its regularisers.
 //!
 //! The gradients of the planes are gathered, not scattered: points are sorted by the cell of each plane that they are in,
-//! cells add their points block by block, and every texel adds the cells around it.
+//! cells add their points block by block, and every texel adds the cells around it. A launch has all scales, as long as the
+//! adapter allows so many arrays and such large ones.
 
 mod regularisers;
+mod scales;
 
 pub use regularisers::{DISTANCE, PlaneKernels, SMOOTHNESS};
 
-use super::lookup::Lookup;
-use super::{Field, PAIRS, TIME};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use super::Field;
+use crate::gpu::grouped::{Grouped, Item, ItemArray};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel};
 use crate::sort::{sort, starts};
-use crate::tape::{Real, Tensor};
+use crate::tape::{Real, Tensor, total_on_gpu};
+use scales::{ScaleItem, cells, scales};
 
 const FIELD: &str = include_str!("field.wgsl");
 const POINTS: &str = include_str!("points.wgsl");
-const FORWARD: Kernel = Kernel { name: "hexplane", text: &[FIELD, POINTS, include_str!("../hexplane.wgsl")] };
-const BACKWARD: Kernel =
-    Kernel { name: "hexplane backward", text: &[FIELD, POINTS, include_str!("../hexplane_bwd.wgsl")] };
-const CELLS: Kernel = Kernel { name: "hexplane, cells", text: &[FIELD, include_str!("cells.wgsl")] };
-const BLOCKS: Kernel = Kernel { name: "hexplane, blocks", text: &[FIELD, include_str!("blocks.wgsl")] };
-const TEXELS: Kernel = Kernel { name: "hexplane, texels", text: &[FIELD, include_str!("texels.wgsl")] };
+const FORWARD: Grouped = Grouped {
+    kernel: Kernel { name: "hexplane", text: &[FIELD, POINTS, include_str!("../hexplane.wgsl")] },
+    shared: 2,
+    arrays: PLANES,
+};
+const BACKWARD: Grouped = Grouped {
+    kernel: Kernel { name: "hexplane backward", text: &[FIELD, POINTS, include_str!("../hexplane_bwd.wgsl")] },
+    shared: 4,
+    arrays: PLANES,
+};
+const CELLS: Grouped = Grouped {
+    kernel: Kernel { name: "hexplane, cells", text: &[FIELD, include_str!("cells.wgsl")] },
+    shared: 2,
+    arrays: &[],
+};
+const BLOCKS: Grouped = Grouped {
+    kernel: Kernel { name: "hexplane, blocks", text: &[FIELD, include_str!("blocks.wgsl")] },
+    shared: 5,
+    arrays: &[],
+};
+const TEXELS: Grouped = Grouped {
+    kernel: Kernel { name: "hexplane, texels", text: &[FIELD, include_str!("texels.wgsl")] },
+    shared: 2,
+    arrays: GRADIENTS,
+};
+
+/// What a scale has: the six planes, or their gradients.
+const PLANES: &[ItemArray] = &[
+    ItemArray::read("plane_xy"),
+    ItemArray::read("plane_xz"),
+    ItemArray::read("plane_xt"),
+    ItemArray::read("plane_yz"),
+    ItemArray::read("plane_yt"),
+    ItemArray::read("plane_zt"),
+];
+const GRADIENTS: &[ItemArray] = &[
+    ItemArray::write("g_xy"),
+    ItemArray::write("g_xz"),
+    ItemArray::write("g_xt"),
+    ItemArray::write("g_yz"),
+    ItemArray::write("g_yt"),
+    ItemArray::write("g_zt"),
+];
 
 /// Invocations per workgroup; channels up to which a workgroup of the backward pass has whole points.
 const GROUP: usize = 256;
 /// Entries of the list by cells that one invocation adds.
 const ENTRIES_PER_BLOCK: usize = 32;
 
-uniforms! {
-    struct ScaleBlock as "Scale" {
-        resolution: [u32; 4],
-        cell_starts: [[u32; 4]; 2],
-        points: u32,
-        channels: u32,
-        features: u32,
-        first_feature: u32,
-        time_low: u32,
-        time_high: u32,
-        time_fraction: f32,
-        first_entry: u32,
-    }
-}
-
-/// The constants of every scale, and the number of cells of all planes.
-fn scales<T: Real>(field: &Field<T>, points: usize) -> (Vec<ScaleBlock>, usize) {
-    let (channels, mut cells) = (field.channels(), 0);
-    let scale = |scale: usize| {
-        let resolution = field.resolution(scale);
-        let time = Lookup::new(field.time.to_f64() as f32, resolution[TIME]);
-        let along = |axis: usize| resolution[axis].max(2) - 1;
-        let mut cell_starts = [0; 8];
-        for (plane, (a, b)) in PAIRS.into_iter().enumerate() {
-            cell_starts[plane] = cells as u32;
-            cells += along(a) * if b == TIME { 1 } else { along(b) };
-        }
-        cell_starts[6] = cells as u32;
-        ScaleBlock {
-            resolution: resolution.map(|texels| texels as u32),
-            cell_starts: [0, 4].map(|first| std::array::from_fn(|plane| cell_starts[first + plane])),
-            points: points as u32,
-            channels: channels as u32,
-            features: (channels * field.scales()) as u32,
-            first_feature: (scale * channels) as u32,
-            time_low: time.low as u32,
-            time_high: time.high as u32,
-            time_fraction: time.fraction,
-            first_entry: (6 * scale * points) as u32,
-        }
+/// The items of scales that read their planes.
+fn readers<'a, T: Real>(
+    gpu: Gpu,
+    scales: &[ScaleItem],
+    planes: &[&'a Tensor<T>],
+    groups: usize,
+) -> Vec<Item<'a, ScaleItem>> {
+    let array = |plane: &&'a Tensor<T>| Binding::Read(plane.on_gpu(gpu));
+    let item = |(constants, planes): (&ScaleItem, &[&'a Tensor<T>])| Item {
+        constants: *constants,
+        arrays: planes.iter().map(array).collect(),
+        groups,
     };
-    let scales = (0..field.scales()).map(scale).collect();
-    (scales, cells)
+    scales.iter().zip(planes.chunks(6)).map(item).collect()
 }
 
-impl ScaleBlock {
-    fn cells(&self) -> usize {
-        (self.cell_starts[1][2] - self.cell_starts[0][0]) as usize
-    }
-}
-
-/// Positions and the six planes of a scale.
-fn read<'a, T: Real>(gpu: Gpu, positions: &'a Tensor<T>, planes: &[&'a Tensor<T>]) -> Vec<Binding<'a>> {
-    [positions].iter().chain(planes).map(|tensor| Binding::Read(tensor.on_gpu(gpu))).collect()
+/// The items of scales without arrays.
+fn bare<'a>(scales: &[ScaleItem], groups: usize) -> Vec<Item<'a, ScaleItem>> {
+    scales.iter().map(|&constants| Item { constants, arrays: Vec::new(), groups }).collect()
 }
 
 /// Features [N, C·scales]; `None` for more channels than a workgroup has invocations.
@@ -90,97 +95,138 @@ pub fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Op
         return None;
     }
     let features = GpuArray::new(gpu, points * channels * field.scales());
-    for (block, planes) in scales(field, points).0.iter().zip(field.planes.chunks(6)) {
-        let mut arrays = read(gpu, positions, planes);
-        arrays.push(Binding::Write(&features));
-        FORWARD.launch(gpu, &[], block, &arrays, (points * channels).div_ceil(GROUP));
-    }
+    let shared = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&features)];
+    let items = readers(gpu, &scales(field, points), field.planes, (points * channels).div_ceil(GROUP));
+    FORWARD.launch(gpu, &[], &shared, &items);
     Some(Tensor::from_gpu([points, channels * field.scales()], features))
 }
 
-/// The gradients of positions and planes; `None` where [`forward`] is.
-pub fn backward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>, dy: &Tensor<T>) -> Option<Vec<Tensor<T>>> {
+/// Adds the gradients of positions and planes to their totals; `false` where [`forward`] is `None`.
+pub fn add_gradients<T: Real>(
+    gpu: Gpu,
+    field: &Field<T>,
+    positions: &Tensor<T>,
+    dy: &Tensor<T>,
+    totals: &mut [Option<Tensor<T>>],
+) -> bool {
     if field.channels() > GROUP {
-        return None;
+        return false;
     }
-    let points = positions.rows();
-    let (scales, cells) = scales(field, points);
-    let list = CellList::new(gpu, &scales, cells, positions);
-    let g_positions = GpuArray::new(gpu, positions.len());
-    let mut g_planes = Vec::new();
-    for (index, (block, planes)) in scales.iter().zip(field.planes.chunks(6)).enumerate() {
-        let g_values = GpuArray::new(gpu, 6 * points * field.channels());
-        let mut arrays = read(gpu, positions, planes);
-        arrays.push(Binding::Read(dy.on_gpu(gpu)));
-        arrays.extend([&g_values, &g_positions].map(Binding::Write));
-        let groups = points.div_ceil(GROUP / field.channels());
-        BACKWARD.launch(gpu, &[("FIRST", u32::from(index == 0))], block, &arrays, groups);
-        let corners = list.corners(gpu, block, positions, &g_values);
-        g_planes.extend(list.planes(gpu, block, planes, &corners));
+    let scales = scales(field, positions.rows());
+    let list = CellList::new(gpu, &scales, positions);
+    let (of_positions, of_planes) = totals.split_first_mut().expect("positions come first");
+    let (g_positions, mut adds) = total_on_gpu(gpu, of_positions, positions.shape());
+    let most = scales_per_launch(gpu, &scales);
+    let parts = scales.chunks(most).zip(field.planes.chunks(6 * most)).zip(of_planes.chunks_mut(6 * most));
+    for ((scales, planes), totals) in parts {
+        let part = Part { gpu, scales, planes, positions: positions.on_gpu(gpu), list: &list };
+        let g_values = part.value_gradients(dy.on_gpu(gpu), g_positions, adds);
+        part.add_to_planes(&part.corners(&g_values), totals);
+        adds = true;
     }
-    Some([Tensor::from_gpu(positions.shape(), g_positions)].into_iter().chain(g_planes).collect())
+    true
+}
+
+/// Scales whose arrays a launch can have, at least one.
+fn scales_per_launch(gpu: Gpu, scales: &[ScaleItem]) -> usize {
+    let most = BACKWARD.room(gpu).min(TEXELS.room(gpu));
+    let fits = |count: &usize| {
+        let elements = |part: &[ScaleItem]| part[0].values(part.len()).max(corners(part));
+        scales.chunks(*count).all(|part| 4 * elements(part) as u64 <= gpu.largest_array_bytes())
+    };
+    (1..=most).rev().find(fits).unwrap_or(1)
 }
 
 /// The points of every cell of every plane.
 struct CellList {
     /// [6·scales·points] in rising order.
     cells: GpuArray,
-    /// Plane and point of each.
+    /// Scale, plane and point of each.
     entries: GpuArray,
     /// [cells + 1].
     starts: GpuArray,
 }
 
 impl CellList {
-    fn new<T: Real>(gpu: Gpu, scales: &[ScaleBlock], cells: usize, positions: &Tensor<T>) -> Self {
-        let points = positions.rows();
+    fn new<T: Real>(gpu: Gpu, scales: &[ScaleItem], positions: &Tensor<T>) -> Self {
+        let (points, cells) = (positions.rows(), cells(scales));
         let cell_of_entry = GpuArray::new(gpu, 6 * scales.len() * points);
-        for block in scales {
-            let arrays = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&cell_of_entry)];
-            CELLS.launch(gpu, &[], block, &arrays, points.div_ceil(GROUP));
-        }
-        let (sorted, entries) = sort(gpu, &cell_of_entry, usize::BITS - cells.leading_zeros());
+        let shared = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&cell_of_entry)];
+        CELLS.launch(gpu, &[], &shared, &bare(scales, points.div_ceil(GROUP)));
+        let bits = usize::BITS - cells.saturating_sub(1).leading_zeros();
+        let (sorted, entries) = sort(gpu, &cell_of_entry, bits);
         let starts = starts(gpu, &sorted, cells);
         Self { cells: sorted, entries, starts }
     }
+}
 
-    /// The gradients of the corners of every cell of a scale, block by block.
-    fn corners<T: Real>(&self, gpu: Gpu, block: &ScaleBlock, positions: &Tensor<T>, g_values: &GpuArray) -> GpuArray {
-        let (points, channels) = (block.points as usize, block.channels as usize);
-        let blocks = (6 * points).div_ceil(ENTRIES_PER_BLOCK);
-        let corners = GpuArray::new(gpu, 4 * (blocks + block.cells()) * channels);
-        let read = [positions.on_gpu(gpu), g_values, &self.cells, &self.entries].map(Binding::Read);
-        let arrays = [&read[..], &[Binding::Write(&corners)]].concat();
-        BLOCKS.launch(gpu, &[], block, &arrays, (blocks * channels).div_ceil(GROUP));
+/// Blocks of the list by cells, of the entries of these scales.
+fn blocks(scales: &[ScaleItem]) -> usize {
+    (6 * scales.len() * scales[0].points()).div_ceil(ENTRIES_PER_BLOCK)
+}
+
+/// Elements of the gradients of corners.
+fn corners(scales: &[ScaleItem]) -> usize {
+    4 * (blocks(scales) + cells(scales)) * scales[0].channels()
+}
+
+/// Neighbouring scales, whose gradients are made together.
+struct Part<'a, T: Real> {
+    gpu: Gpu,
+    scales: &'a [ScaleItem],
+    planes: &'a [&'a Tensor<T>],
+    positions: &'a GpuArray,
+    list: &'a CellList,
+}
+
+impl<T: Real> Part<'_, T> {
+    /// The gradients of what every point read from every plane, [6·scales, N, C]; those of the positions are added up.
+    fn value_gradients(&self, dy: &GpuArray, g_positions: &GpuArray, adds: bool) -> GpuArray {
+        let (points, channels) = (self.scales[0].points(), self.scales[0].channels());
+        let g_values = GpuArray::new(self.gpu, self.scales[0].values(self.scales.len()));
+        let shared =
+            [Binding::Read(self.positions), Binding::Read(dy), Binding::Write(&g_values), Binding::Write(g_positions)];
+        let items = readers(self.gpu, self.scales, self.planes, 0);
+        let groups = points.div_ceil(GROUP / channels);
+        BACKWARD.launch_together(self.gpu, &[("ADDS", u32::from(adds))], &shared, &items, groups);
+        g_values
+    }
+
+    /// The gradients of the corners of every cell, block by block.
+    fn corners(&self, g_values: &GpuArray) -> GpuArray {
+        let corners = GpuArray::new(self.gpu, corners(self.scales));
+        let read = [self.positions, g_values, &self.list.cells, &self.list.entries].map(Binding::Read);
+        let shared = [&read[..], &[Binding::Write(&corners)]].concat();
+        let groups = (blocks(self.scales) * self.scales[0].channels()).div_ceil(GROUP);
+        BLOCKS.launch_together(self.gpu, &[], &shared, &bare(self.scales, 0), groups);
         corners
     }
 
-    /// The gradients of the six planes of a scale.
-    fn planes<T: Real>(
-        &self,
-        gpu: Gpu,
-        block: &ScaleBlock,
-        planes: &[&Tensor<T>],
-        corners: &GpuArray,
-    ) -> Vec<Tensor<T>> {
-        let gradients: Vec<GpuArray> = planes.iter().map(|plane| GpuArray::new(gpu, plane.len())).collect();
-        let mut arrays = vec![Binding::Read(&self.starts), Binding::Read(corners)];
-        arrays.extend(gradients.iter().map(Binding::Write));
-        let elements: usize = gradients.iter().map(GpuArray::len).sum();
-        TEXELS.launch(gpu, &[], block, &arrays, elements.div_ceil(GROUP));
-        gradients.into_iter().zip(planes).map(|(array, plane)| Tensor::from_gpu(plane.shape(), array)).collect()
+    /// Adds the gradients of the planes to their totals.
+    fn add_to_planes(&self, corners: &GpuArray, totals: &mut [Option<Tensor<T>>]) {
+        let mut items = bare(self.scales, 0);
+        for ((item, planes), totals) in items.iter_mut().zip(self.planes.chunks(6)).zip(totals.chunks_mut(6)) {
+            for (index, (plane, total)) in planes.iter().zip(totals).enumerate() {
+                let (gradient, adds) = total_on_gpu(self.gpu, total, plane.shape());
+                item.constants.adds |= u32::from(adds) << index;
+                item.arrays.push(Binding::Write(gradient));
+            }
+            item.groups = planes.iter().map(|plane| plane.len()).sum::<usize>().div_ceil(GROUP);
+        }
+        let shared = [Binding::Read(&self.list.starts), Binding::Read(corners)];
+        TEXELS.launch(self.gpu, &[], &shared, &items);
     }
 }
 
 #[cfg(test)]
 #[test]
 fn the_kernels_are_valid() {
-    use crate::gpu::layout::assert_valid;
+    use crate::gpu::grouped::tests::assert_valid_grouped;
     for kernel in [&FORWARD, &CELLS, &BLOCKS, &TEXELS] {
-        assert_valid::<ScaleBlock>(kernel, &[]);
+        assert_valid_grouped::<ScaleItem>(kernel, &[]);
     }
-    for first in [0, 1] {
-        assert_valid::<ScaleBlock>(&BACKWARD, &[("FIRST", first)]);
+    for adds in [0, 1] {
+        assert_valid_grouped::<ScaleItem>(&BACKWARD, &[("ADDS", adds)]);
     }
     assert!(FIELD.contains(&format!("ENTRIES_PER_BLOCK: u32 = {ENTRIES_PER_BLOCK}u;")));
 }

@@ -1,23 +1,17 @@
 // What a point reads from the planes, for one channel.
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
-@group(0) @binding(2) var<storage, read> plane_xy: array<f32>;
-@group(0) @binding(3) var<storage, read> plane_xz: array<f32>;
-@group(0) @binding(4) var<storage, read> plane_xt: array<f32>;
-@group(0) @binding(5) var<storage, read> plane_yz: array<f32>;
-@group(0) @binding(6) var<storage, read> plane_yt: array<f32>;
-@group(0) @binding(7) var<storage, read> plane_zt: array<f32>;
 
-fn texel(plane: u32, at: u32) -> f32 {
+fn texel(scale: u32, plane: u32, at: u32) -> f32 {
     switch plane {
-        case 0u: { return plane_xy[at]; }
-        case 1u: { return plane_xz[at]; }
-        case 2u: { return plane_xt[at]; }
-        case 3u: { return plane_yz[at]; }
-        case 4u: { return plane_yt[at]; }
+        case 0u: { return plane_xy(scale, at); }
+        case 1u: { return plane_xz(scale, at); }
+        case 2u: { return plane_xt(scale, at); }
+        case 3u: { return plane_yz(scale, at); }
+        case 4u: { return plane_yt(scale, at); }
         default: {}
     }
-    return plane_zt[at];
+    return plane_zt(scale, at);
 }
 
 // The value and its derivatives along the plane's axes, in texels.
@@ -28,13 +22,14 @@ struct Reading {
 }
 
 // The plane at a along its width and b along its height.
-fn read_plane(plane: u32, a: Lookup, b: Lookup, width: u32, channel: u32) -> Reading {
+fn read_plane(scale: u32, plane: u32, a: Lookup, b: Lookup, channel: u32) -> Reading {
+    let width = texels(scale, width_axis(plane));
     let low = b.low * width;
     let high = b.high * width;
-    let low_low = texel(plane, (low + a.low) * scale.channels + channel);
-    let low_high = texel(plane, (low + a.high) * scale.channels + channel);
-    let high_low = texel(plane, (high + a.low) * scale.channels + channel);
-    let high_high = texel(plane, (high + a.high) * scale.channels + channel);
+    let low_low = texel(scale, plane, (low + a.low) * channels() + channel);
+    let low_high = texel(scale, plane, (low + a.high) * channels() + channel);
+    let high_low = texel(scale, plane, (high + a.low) * channels() + channel);
+    let high_high = texel(scale, plane, (high + a.high) * channels() + channel);
     let step_low = low_high - low_low;
     let step_high = high_high - high_low;
     let at_low = low_low + step_low * a.fraction;
@@ -55,22 +50,21 @@ struct Readings {
     zt: Reading,
 }
 
-fn readings_of(point: u32, channel: u32) -> Readings {
-    let size = scale.resolution;
-    let x = lookup(positions[3u * point], size.x);
-    let y = lookup(positions[3u * point + 1u], size.y);
-    let z = lookup(positions[3u * point + 2u], size.z);
-    let t = time_lookup();
+fn readings_of(scale: u32, point: u32, channel: u32) -> Readings {
+    let x = lookup(positions[3u * point], texels(scale, 0u));
+    let y = lookup(positions[3u * point + 1u], texels(scale, 1u));
+    let z = lookup(positions[3u * point + 2u], texels(scale, 2u));
+    let t = time_lookup(scale);
     return Readings(
         x,
         y,
         z,
-        read_plane(0u, x, y, size.x, channel),
-        read_plane(1u, x, z, size.x, channel),
-        read_plane(3u, y, z, size.y, channel),
-        read_plane(2u, x, t, size.x, channel),
-        read_plane(4u, y, t, size.y, channel),
-        read_plane(5u, z, t, size.z, channel),
+        read_plane(scale, 0u, x, y, channel),
+        read_plane(scale, 1u, x, z, channel),
+        read_plane(scale, 3u, y, z, channel),
+        read_plane(scale, 2u, x, t, channel),
+        read_plane(scale, 4u, y, t, channel),
+        read_plane(scale, 5u, z, t, channel),
     );
 }
 

@@ -1,35 +1,42 @@
-// The gradients of all texels of the six planes: each adds its corner of the cells around it, block by block.
+// The gradients of all texels of the six planes of every scale: each adds its corner of the cells around it, block by
+// block.
 
 // [cells + 1]: where the entries of a cell begin in the list by cells.
 @group(0) @binding(1) var<storage, read> entry_starts: array<u32>;
 @group(0) @binding(2) var<storage, read> corners: array<f32>;
-@group(0) @binding(3) var<storage, read_write> g_xy: array<f32>;
-@group(0) @binding(4) var<storage, read_write> g_xz: array<f32>;
-@group(0) @binding(5) var<storage, read_write> g_xt: array<f32>;
-@group(0) @binding(6) var<storage, read_write> g_yz: array<f32>;
-@group(0) @binding(7) var<storage, read_write> g_yt: array<f32>;
-@group(0) @binding(8) var<storage, read_write> g_zt: array<f32>;
 
-fn write_gradient(plane: u32, at: u32, gradient: f32) {
+fn gradient_so_far(scale: u32, plane: u32, at: u32) -> f32 {
     switch plane {
-        case 0u: { g_xy[at] = gradient; }
-        case 1u: { g_xz[at] = gradient; }
-        case 2u: { g_xt[at] = gradient; }
-        case 3u: { g_yz[at] = gradient; }
-        case 4u: { g_yt[at] = gradient; }
-        default: { g_zt[at] = gradient; }
+        case 0u: { return g_xy(scale, at); }
+        case 1u: { return g_xz(scale, at); }
+        case 2u: { return g_xt(scale, at); }
+        case 3u: { return g_yz(scale, at); }
+        case 4u: { return g_yt(scale, at); }
+        default: {}
+    }
+    return g_zt(scale, at);
+}
+
+fn write_gradient(scale: u32, plane: u32, at: u32, gradient: f32) {
+    switch plane {
+        case 0u: { set_g_xy(scale, at, gradient); }
+        case 1u: { set_g_xz(scale, at, gradient); }
+        case 2u: { set_g_xt(scale, at, gradient); }
+        case 3u: { set_g_yz(scale, at, gradient); }
+        case 4u: { set_g_yt(scale, at, gradient); }
+        default: { set_g_zt(scale, at, gradient); }
     }
 }
 
 // What the blocks have for a corner of a cell.
 fn corner_sum(cell: u32, corner: u32, channel: u32) -> f32 {
-    let first = entry_starts[cell] - scale.first_entry;
-    let end = entry_starts[cell + 1u] - scale.first_entry;
+    let first = entry_starts[cell] - first_entry(0u);
+    let end = entry_starts[cell + 1u] - first_entry(0u);
     var sum = 0.0;
     if (first < end) {
         for (var block = first / ENTRIES_PER_BLOCK; block <= (end - 1u) / ENTRIES_PER_BLOCK; block++) {
-            let place = block + cell - first_cell(0u);
-            sum += corners[(4u * place + corner) * scale.channels + channel];
+            let place = block + cell - first_cell(0u, 0u);
+            sum += corners[(4u * place + corner) * channels() + channel];
         }
     }
     return sum;
@@ -47,27 +54,39 @@ fn row_sum(first: u32, count: u32, texel: u32, corner: u32, channel: u32) -> f32
     return sum;
 }
 
-fn spatial_gradient(plane: u32, a: u32, b: u32, channel: u32) -> f32 {
-    let columns = cells(width_axis(plane));
-    let rows = cells(height_axis(plane));
+fn spatial_gradient(scale: u32, plane: u32, a: u32, b: u32, channel: u32) -> f32 {
+    let columns = cells(scale, width_axis(plane));
+    let rows = cells(scale, height_axis(plane));
+    let first = first_cell(scale, plane);
     var sum = 0.0;
     if (b > 0u) {
-        sum += row_sum(first_cell(plane) + (b - 1u) * columns, columns, a, 2u, channel);
+        sum += row_sum(first + (b - 1u) * columns, columns, a, 2u, channel);
     }
     if (b < rows) {
-        sum += row_sum(first_cell(plane) + b * columns, columns, a, 0u, channel);
+        sum += row_sum(first + b * columns, columns, a, 0u, channel);
     }
     return sum;
 }
 
 // Of the rows of a time plane only the two around the time have gradients.
-fn time_gradient(plane: u32, a: u32, b: u32, channel: u32) -> f32 {
-    let weight = select(0.0, 1.0 - scale.time_fraction, b == scale.time_low) +
-        select(0.0, scale.time_fraction, b == scale.time_high);
+fn time_gradient(scale: u32, plane: u32, a: u32, b: u32, channel: u32) -> f32 {
+    let own = constants_of(scale);
+    let weight = select(0.0, 1.0 - own.time_fraction, b == own.time_low) +
+        select(0.0, own.time_fraction, b == own.time_high);
     if (weight == 0.0) {
         return 0.0;
     }
-    return weight * row_sum(first_cell(plane), cells(width_axis(plane)), a, 0u, channel);
+    return weight * row_sum(first_cell(scale, plane), cells(scale, width_axis(plane)), a, 0u, channel);
+}
+
+fn gradient_of(scale: u32, plane: u32, element: u32) -> f32 {
+    let channel = element % channels();
+    let texel = element / channels();
+    let width = texels(scale, width_axis(plane));
+    if (height_axis(plane) == 3u) {
+        return time_gradient(scale, plane, texel % width, texel / width, channel);
+    }
+    return spatial_gradient(scale, plane, texel % width, texel / width, channel);
 }
 
 @compute @workgroup_size(256)
@@ -76,11 +95,13 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
+    let flat = flat_group(group, groups);
+    let scale = item_of(flat);
     // The elements of all planes, plane by plane.
-    var element = flat_group(group, groups) * 256u + local;
+    var element = (flat - first_group(scale)) * 256u + local;
     var plane = 0u;
     for (; plane < 6u; plane++) {
-        let len = scale.resolution[width_axis(plane)] * scale.resolution[height_axis(plane)] * scale.channels;
+        let len = texels(scale, width_axis(plane)) * texels(scale, height_axis(plane)) * channels();
         if (element < len) {
             break;
         }
@@ -89,12 +110,11 @@ fn main(
     if (plane == 6u) {
         return;
     }
-    let channel = element % scale.channels;
-    let a = element / scale.channels % scale.resolution[width_axis(plane)];
-    let b = element / scale.channels / scale.resolution[width_axis(plane)];
-    if (height_axis(plane) == 3u) {
-        write_gradient(plane, element, time_gradient(plane, a, b, channel));
-    } else {
-        write_gradient(plane, element, spatial_gradient(plane, a, b, channel));
+    let gradient = gradient_of(scale, plane, element);
+    if ((constants_of(scale).adds >> plane & 1u) == 0u) {
+        write_gradient(scale, plane, element, gradient);
+    } else if (gradient != 0.0) {
+        // Most texels are near no point.
+        write_gradient(scale, plane, element, gradient_so_far(scale, plane, element) + gradient);
     }
 }
