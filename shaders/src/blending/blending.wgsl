@@ -8,6 +8,17 @@
 @group(0) @binding(9) var<storage, read_write> transmittances: array<f32>;
 @group(0) @binding(10) var<storage, read_write> last_entries: array<u32>;
 
+struct Pixel {
+    transmittance: f32,
+    color: vec3<f32>,
+    extras: array<f32, EXTRAS + 1u>,
+    last: u32,
+    is_done: bool,
+}
+
+// Whether any pixel still blends.
+var<workgroup> unfinished: atomic<u32>;
+
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -15,47 +26,82 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let tile = flat_group(group, groups);
-    let pixel = pixel_of(corner_of(tile), local);
-    if (tile >= blend.tiles || !is_in_image(pixel)) {
+    if (tile >= blend.tiles) {
         return;
     }
-    var transmittance = 1.0;
-    var blended_color = vec3<f32>(0.0);
-    var sums: array<f32, EXTRAS + 1u>;
-    var last = 0u;
+    let corner = corner_of(tile);
+    let place = pixel_of(corner, local);
+    var pixel: Pixel;
+    pixel.transmittance = 1.0;
+    pixel.is_done = !is_in_image(place);
+
     let start = tile_starts[tile];
     let end = tile_starts[tile + 1u];
-    for (var entry = start; entry < end; entry++) {
-        let rank = ranks[entry];
-        let sample = sample_of(rank, pixel);
-        if (!sample.is_seen) {
-            continue;
+    clear_meetings(local);
+    workgroupBarrier();
+    var turn = 0u;
+    for (var first = start; first < end; first += BATCH) {
+        let count = min(end - first, BATCH);
+        stage(local, turn, first, count, corner);
+        if (local == 0u) {
+            atomicStore(&unfinished, 0u);
         }
-        let next = transmittance * (1.0 - sample.alpha);
-        if (next <= blend.stop) {
+        workgroupBarrier();
+        blend_batch(&pixel, place, local / CELL_PIXELS, turn, first - start);
+        if (!pixel.is_done) {
+            atomicStore(&unfinished, 1u);
+        }
+        turn = 1u - turn;
+        if (workgroupUniformLoad(&unfinished) == 0u) {
             break;
         }
-        let weight = sample.alpha * transmittance;
-        blended_color += weight * records[3u * rank + 2u].xyz;
-        for (var channel = 0u; channel < EXTRAS; channel++) {
-            sums[channel] += weight * extras[rank * EXTRAS + channel];
-        }
-        transmittance = next;
-        last = entry + 1u - start;
     }
+    if (is_in_image(place)) {
+        write(&pixel, place.y * blend.width + place.x);
+    }
+}
 
-    let at = pixel.y * blend.width + pixel.x;
-    blended_color += transmittance * blend.background.xyz;
-    color[3u * at] = blended_color.x;
-    color[3u * at + 1u] = blended_color.y;
-    color[3u * at + 2u] = blended_color.z;
+// Blends the entries of a batch that meet the pixel's cell; `before` entries of the tile lie before the batch.
+fn blend_batch(pixel: ptr<function, Pixel>, place: vec2<u32>, cell: u32, turn: u32, before: u32) {
+    for (var word = 0u; word < WORDS && !(*pixel).is_done; word++) {
+        var bits = meeting(turn, cell, word);
+        while (bits != 0u) {
+            let entry = 32u * word + firstTrailingBit(bits);
+            bits &= bits - 1u;
+            let sigma = sigma_of(entry, offset_to(entry, place));
+            if (!is_seen(entry, sigma)) {
+                continue;
+            }
+            let alpha = opacity_of(entry, sigma).alpha;
+            let next = (*pixel).transmittance * (1.0 - alpha);
+            if (next <= blend.stop) {
+                (*pixel).is_done = true;
+                break;
+            }
+            let weight = alpha * (*pixel).transmittance;
+            (*pixel).color += weight * colors[entry].xyz;
+            for (var channel = 0u; channel < EXTRAS; channel++) {
+                (*pixel).extras[channel] += weight * extras[staged_ranks[entry] * EXTRAS + channel];
+            }
+            (*pixel).transmittance = next;
+            (*pixel).last = before + entry + 1u;
+        }
+    }
+}
+
+fn write(pixel: ptr<function, Pixel>, at: u32) {
+    let transmittance = (*pixel).transmittance;
+    let blended = (*pixel).color + transmittance * blend.background.xyz;
+    color[3u * at] = blended.x;
+    color[3u * at + 1u] = blended.y;
+    color[3u * at + 2u] = blended.z;
     alpha[at] = 1.0 - transmittance;
     if (DEPTH == 1u) {
-        depth[at] = sums[0];
+        depth[at] = (*pixel).extras[0];
     }
     for (var feature = 0u; feature < FEATURES; feature++) {
-        features[at * FEATURES + feature] = sums[DEPTH + feature];
+        features[at * FEATURES + feature] = (*pixel).extras[DEPTH + feature];
     }
     transmittances[at] = transmittance;
-    last_entries[at] = last;
+    last_entries[at] = (*pixel).last;
 }

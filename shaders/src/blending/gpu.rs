@@ -1,20 +1,29 @@
 //! The kernels of blending.
 
+mod plan;
+#[cfg(test)]
+mod tests;
+
 use super::{Blend, Constants, ROW_COLORS};
 use crate::binning::{GpuLists, Grid};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
 use crate::projection::RasterSettings;
 use crate::tape::{Real, Tensor};
+use plan::Plan;
 
+const ELLIPSE: &str = include_str!("../binning/ellipse.wgsl");
 const SAMPLE: &str = include_str!("sample.wgsl");
+const STAGE: &str = include_str!("stage.wgsl");
 const PACK: Kernel = Kernel { name: "blending, records", text: &[include_str!("blending_pack.wgsl")] };
-const FORWARD: Kernel = Kernel { name: "blending", text: &[SAMPLE, include_str!("blending.wgsl")] };
-const BACKWARD: Kernel = Kernel { name: "blending backward", text: &[SAMPLE, include_str!("blending_bwd.wgsl")] };
+const FORWARD: Kernel = Kernel { name: "blending", text: &[ELLIPSE, SAMPLE, STAGE, include_str!("blending.wgsl")] };
+const BACKWARD: Kernel = Kernel { name: "blending backward", text: &[include_str!("blending_bwd.wgsl")] };
 const SUM: Kernel = Kernel { name: "blending, sums", text: &[include_str!("blending_sum.wgsl")] };
 
 /// Splats per workgroup of the kernels over splats.
 const PACK_GROUP: usize = 256;
 const SUM_GROUP: usize = 64;
+/// Entries of a tile that are staged at once: one for each invocation.
+const BATCH: u32 = 256;
 /// Elements of a splat's record.
 const RECORD: usize = 12;
 
@@ -98,7 +107,10 @@ impl<T: Real> Blend<T> {
         let read = [&records, &extras, &lists.ranks, &lists.tile_starts].map(Binding::Read);
         let written = [&color, &alpha, &depth, &features, &transmittances, &last_entries].map(Binding::Write);
         let constants = BlendBlock::new(&self.constants, grid);
-        FORWARD.launch(gpu, &self.specialisation(), &constants, &[&read[..], &written].concat(), grid.tiles());
+        let [extra_count, depth_count, smooth] = self.specialisation();
+        let culled = ("CULLED", u32::from(Plan::new().is_culled));
+        let specialisation = [extra_count, depth_count, smooth, culled, ("BATCH", BATCH)];
+        FORWARD.launch(gpu, &specialisation, &constants, &[&read[..], &written].concat(), grid.tiles());
         self.kept = Some(Kept { records, extras, transmittances, last_entries });
 
         let size = [grid.height, grid.width];
@@ -177,18 +189,5 @@ impl<T: Real> Blend<T> {
             BACKWARD.launch(gpu, &specialisation, &constants, &arrays, lists.grid.tiles());
         }
         rows
-    }
-}
-
-#[cfg(test)]
-#[test]
-fn kernels_are_valid_for_every_kind_of_channel() {
-    use crate::gpu::layout::assert_valid;
-    for (extras, depth) in [(0, 0), (1, 0), (1, 1), (9, 1), (16, 0)] {
-        let (extras, depth, smooth) = (("EXTRAS", extras), ("DEPTH", depth), ("SMOOTH", depth));
-        assert_valid::<PackBlock>(&PACK, &[depth]);
-        assert_valid::<BlendBlock>(&FORWARD, &[extras, depth, smooth]);
-        assert_valid::<BlendBlock>(&BACKWARD, &[extras, depth, smooth, ("ARRIVING", 0b1011)]);
-        assert_valid::<SumBlock>(&SUM, &[extras, depth]);
     }
 }

@@ -24,49 +24,51 @@ struct Blend {
 const TILE: u32 = 16u;
 const PIXELS: u32 = 256u;
 const FEATURES: u32 = EXTRAS - DEPTH;
+// The cells of a tile, two to a row: the pixels of 32 invocations, which hardware often runs together.
+const CELLS: u32 = 8u;
+const CELL_WIDTH: u32 = 8u;
+const CELL_HEIGHT: u32 = 4u;
+const CELL_PIXELS: u32 = 32u;
 
-struct Sample {
-    // Whether σ is at most the cutoff.
-    is_seen: bool,
-    e: f32,
-    dy: f32,
+struct Opacity {
     alpha: f32,
     // ∂alpha/∂σ.
     alpha_by_sigma: f32,
 }
 
-// The corner of a tile, and the pixel of an invocation in it.
+// The corner of a tile, and the pixel at a place in it: cell by cell, row by row.
 fn corner_of(tile: u32) -> vec2<u32> {
     return TILE * vec2<u32>(tile % blend.columns, tile / blend.columns);
 }
 
-fn pixel_of(corner: vec2<u32>, local: u32) -> vec2<u32> {
-    return corner + vec2<u32>(local % TILE, local / TILE);
+fn pixel_of(corner: vec2<u32>, place: u32) -> vec2<u32> {
+    let cell = place / CELL_PIXELS;
+    let inner = place % CELL_PIXELS;
+    let cell_corner = vec2<u32>(cell % 2u * CELL_WIDTH, cell / 2u * CELL_HEIGHT);
+    return corner + cell_corner + vec2<u32>(inner % CELL_WIDTH, inner / CELL_WIDTH);
 }
 
 fn is_in_image(pixel: vec2<u32>) -> bool {
     return pixel.x < blend.width && pixel.y < blend.height;
 }
 
-// e = dx + k·dy and dy, of mean − centre of the pixel.
-fn offset_to(rank: u32, pixel: vec2<u32>) -> vec2<f32> {
-    let record = records[3u * rank];
-    let offset = record.xy - (vec2<f32>(pixel) + 0.5);
-    return vec2<f32>(offset.x + record.w * offset.y, offset.y);
+// e = dx + k·dy and dy, of mean − centre of the pixel, for an entry of the batch.
+fn offset_to(entry: u32, pixel: vec2<u32>) -> vec2<f32> {
+    let place = places[entry];
+    let offset = place.xy - (vec2<f32>(pixel) + 0.5);
+    return vec2<f32>(offset.x + place.w * offset.y, offset.y);
 }
 
-fn sample_of(rank: u32, pixel: vec2<u32>) -> Sample {
-    var sample: Sample;
-    let offset = offset_to(rank, pixel);
-    sample.e = offset.x;
-    sample.dy = offset.y;
-    let shape = records[3u * rank + 1u];
-    let sigma = 0.5 * (records[3u * rank].z * sample.e * sample.e + shape.x * sample.dy * sample.dy);
-    sample.is_seen = sigma <= shape.z;
-    if (!sample.is_seen) {
-        return sample;
-    }
-    let uncapped = shape.y * exp(-sigma);
+fn sigma_of(entry: u32, offset: vec2<f32>) -> f32 {
+    return 0.5 * (places[entry].z * offset.x * offset.x + shapes[entry].x * offset.y * offset.y);
+}
+
+fn is_seen(entry: u32, sigma: f32) -> bool {
+    return sigma <= shapes[entry].z;
+}
+
+fn opacity_of(entry: u32, sigma: f32) -> Opacity {
+    let uncapped = shapes[entry].y * exp(-sigma);
     var fade = 1.0;
     var fade_slope = 0.0;
     if (SMOOTH == 1u) {
@@ -78,8 +80,5 @@ fn sample_of(rank: u32, pixel: vec2<u32>) -> Sample {
     }
     let is_free = uncapped < blend.alpha_cap;
     let capped = min(uncapped, blend.alpha_cap);
-    sample.alpha = capped * fade;
-    sample.alpha_by_sigma = -uncapped * (select(0.0, fade, is_free) + capped * fade_slope);
-    return sample;
+    return Opacity(capped * fade, -uncapped * (select(0.0, fade, is_free) + capped * fade_slope));
 }
-

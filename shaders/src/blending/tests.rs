@@ -5,11 +5,11 @@ use crate::tape::Device;
 
 /// Projected splats given directly.
 #[derive(Clone)]
-struct Scene {
-    means2d: Vec<[f64; 2]>,
-    conics: Vec<[f64; 3]>,
-    opacities: Vec<f64>,
-    colors: Vec<[f64; 3]>,
+pub(super) struct Scene {
+    pub means2d: Vec<[f64; 2]>,
+    pub conics: Vec<[f64; 3]>,
+    pub opacities: Vec<f64>,
+    pub colors: Vec<[f64; 3]>,
 }
 
 impl Scene {
@@ -24,7 +24,7 @@ impl Scene {
         }
     }
 
-    fn tensors<T: Real>(&self) -> [Tensor<T>; 4] {
+    pub fn tensors<T: Real>(&self) -> [Tensor<T>; 4] {
         let count = self.opacities.len();
         let tensor = |row_len, data: &[f64]| {
             let shape = if row_len == 1 { vec![count] } else { vec![count, row_len] };
@@ -40,7 +40,7 @@ impl Scene {
 }
 
 /// Blends variables (mean, conic, opacity, colour); depths rise with the index.
-fn blend_vars<T: Real>(
+pub(super) fn blend_vars<T: Real>(
     tape: &mut Tape<T>,
     vars: &[Var],
     features: Option<Var>,
