@@ -1,12 +1,13 @@
 //! The kernels of blending.
 
+mod backward;
 mod plan;
 #[cfg(test)]
 mod tests;
 
-use super::{Blend, Constants, ROW_COLORS};
+use super::{Blend, Constants};
 use crate::binning::{GpuLists, Grid};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::projection::RasterSettings;
 use crate::tape::{Real, Tensor};
 use plan::Plan;
@@ -16,12 +17,9 @@ const SAMPLE: &str = include_str!("sample.wgsl");
 const STAGE: &str = include_str!("stage.wgsl");
 const PACK: Kernel = Kernel { name: "blending, records", text: &[include_str!("blending_pack.wgsl")] };
 const FORWARD: Kernel = Kernel { name: "blending", text: &[ELLIPSE, SAMPLE, STAGE, include_str!("blending.wgsl")] };
-const BACKWARD: Kernel = Kernel { name: "blending backward", text: &[include_str!("blending_bwd.wgsl")] };
-const SUM: Kernel = Kernel { name: "blending, sums", text: &[include_str!("blending_sum.wgsl")] };
 
-/// Splats per workgroup of the kernels over splats.
+/// Splats per workgroup.
 const PACK_GROUP: usize = 256;
-const SUM_GROUP: usize = 64;
 /// Entries of a tile that are staged at once: one for each invocation.
 const BATCH: u32 = 256;
 /// Elements of a splat's record.
@@ -45,12 +43,6 @@ uniforms! {
         alpha_threshold: f32,
         padding: f32,
         background: [f32; 4],
-    }
-}
-
-uniforms! {
-    struct SumBlock as "Sum" {
-        count: u32,
     }
 }
 
@@ -107,9 +99,7 @@ impl<T: Real> Blend<T> {
         let read = [&records, &extras, &lists.ranks, &lists.tile_starts].map(Binding::Read);
         let written = [&color, &alpha, &depth, &features, &transmittances, &last_entries].map(Binding::Write);
         let constants = BlendBlock::new(&self.constants, grid);
-        let [extra_count, depth_count, smooth] = self.specialisation();
-        let culled = ("CULLED", u32::from(Plan::new().is_culled));
-        let specialisation = [extra_count, depth_count, smooth, culled, ("BATCH", BATCH)];
+        let specialisation = [&self.specialisation()[..], &Plan::of(gpu).staging(BATCH)].concat();
         FORWARD.launch(gpu, &specialisation, &constants, &[&read[..], &written].concat(), grid.tiles());
         self.kept = Some(Kept { records, extras, transmittances, last_entries });
 
@@ -133,61 +123,5 @@ impl<T: Real> Blend<T> {
         let [_, depth, _] = self.specialisation();
         PACK.launch(gpu, &[depth], &constants, &arrays, count.div_ceil(PACK_GROUP));
         (records, extras)
-    }
-
-    /// The gradients of all inputs but the cutoffs, which have none.
-    pub(super) fn backward_on_gpu(
-        &self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        lists: &GpuLists,
-    ) -> Vec<Option<Tensor<T>>> {
-        let rows = self.entry_rows_on_gpu(gpu, outputs, output_grads, lists);
-        let count = inputs[0].rows();
-        // The extras' gradients exist even where there are no extras: every array of a kernel must.
-        let [depth_len, features_len] = [count * self.depth_count, count * self.feature_count];
-        let lens = [2 * count, 3 * count, count, 3 * count, depth_len, features_len];
-        let gradients = lens.map(|len| GpuArray::new(gpu, len));
-        let read = [&rows, &lists.entry_of_hit, &lists.hit_starts, &lists.rank_of_splat, inputs[1].on_gpu(gpu)];
-        let read = read.into_iter().chain([inputs[2].on_gpu(gpu)]).map(Binding::Read);
-        let arrays: Vec<Binding> = read.chain(gradients.iter().map(Binding::Write)).collect();
-        let [extras, depth, _] = self.specialisation();
-        SUM.launch(gpu, &[extras, depth], &SumBlock { count: count as u32 }, &arrays, count.div_ceil(SUM_GROUP));
-
-        let [means2d, conics, opacities, colors, depths, features] = gradients;
-        let mut gradients = vec![Some(means2d), Some(conics), Some(opacities), Some(colors), None];
-        gradients.extend((self.depth_count > 0).then_some(Some(depths)));
-        gradients.extend((self.feature_count > 0).then_some(Some(features)));
-        let tensor = |(array, input): (Option<GpuArray>, &&Tensor<T>)| Some(Tensor::from_gpu(input.shape(), array?));
-        gradients.into_iter().zip(inputs).map(tensor).collect()
-    }
-
-    /// [entries, row]: the sums of every (tile, splat).
-    fn entry_rows_on_gpu(
-        &self,
-        gpu: Gpu,
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        lists: &GpuLists,
-    ) -> GpuArray {
-        let Kept { records, extras, transmittances, last_entries } = self.kept.as_ref().expect("forward has run");
-        // The lists may have room for more entries than there are; rows behind the last are neither written nor read.
-        let rows = GpuArray::new(gpu, lists.ranks.len() * (ROW_COLORS + 3 + self.extra_count()));
-        let color = outputs[0].on_gpu(gpu);
-        let [depth, features] = self.extras_of(&outputs[2..], outputs[0]).map(|output| output.on_gpu(gpu));
-        let [g_depth, g_features] = self.extras_of(&output_grads[2..], None);
-        let (mask, arriving) = arriving(gpu, &[output_grads[0], output_grads[1], g_depth, g_features], color);
-        let read = [records, extras, &lists.ranks, &lists.tile_starts, transmittances, last_entries];
-        let read = read.into_iter().chain([color, depth, features]).map(Binding::Read);
-        let arrays: Vec<Binding> = read.chain(arriving).chain([Binding::Write(&rows)]).collect();
-        let [extras, depth, smooth] = self.specialisation();
-        let constants = BlendBlock::new(&self.constants, lists.grid);
-        if !lists.ranks.is_empty() {
-            let specialisation = [extras, depth, smooth, ("ARRIVING", mask)];
-            BACKWARD.launch(gpu, &specialisation, &constants, &arrays, lists.grid.tiles());
-        }
-        rows
     }
 }

@@ -34,6 +34,8 @@ pub struct AdapterReport {
     pub max_arrays: u32,
     /// Optional features that kernels could use.
     pub features: Vec<&'static str>,
+    /// Invocations of a subgroup, if kernels can let them exchange values: always the same power of two.
+    pub subgroup_size: Option<u32>,
     adapter: wgpu::Adapter,
 }
 
@@ -102,6 +104,13 @@ pub fn choose(wanted: &str) -> Result<&'static AdapterReport, AdapterError> {
 /// Kinds of adapters, the likely fastest first.
 const KINDS: [&str; 5] = ["discrete", "integrated", "virtual", "other", "software"];
 
+/// The size of all subgroups of an adapter that has them and fixes it. Four is the least that is in use, and 128 the most.
+fn subgroup_size(info: &wgpu::AdapterInfo, features: wgpu::Features) -> Option<u32> {
+    let size = info.subgroup_min_size;
+    let is_usable = size.is_power_of_two() && (4..=128).contains(&size) && size == info.subgroup_max_size;
+    (is_usable && features.contains(wgpu::Features::SUBGROUP)).then_some(size)
+}
+
 impl AdapterReport {
     fn new(adapter: wgpu::Adapter) -> Self {
         let (info, limits, has) = (adapter.get_info(), adapter.limits(), adapter.features());
@@ -119,6 +128,7 @@ impl AdapterReport {
             ("timestamps", wgpu::Features::TIMESTAMP_QUERY),
         ];
         Self {
+            subgroup_size: subgroup_size(&info, has),
             name: info.name,
             backend: format!("{:?}", info.backend),
             kind,
@@ -181,7 +191,7 @@ impl AdapterReport {
         let limits = self.adapter.limits();
         let request = self.adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("pipeline"),
-            required_features: self.adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_features: self.adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP),
             required_limits: limits.clone(),
             experimental_features: wgpu::ExperimentalFeatures::disabled(),
             memory_hints: wgpu::MemoryHints::Performance,
@@ -206,6 +216,7 @@ impl AdapterReport {
             device,
             queue,
             limits,
+            subgroup_size: self.subgroup_size,
             pipelines: Mutex::default(),
             pool: Mutex::new(array::Pool::default()),
             recorder: Mutex::new(recorder),

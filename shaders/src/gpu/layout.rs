@@ -1,5 +1,7 @@
 //! Tests of kernels without a GPU: the text is valid, and its blocks of constants are laid out as the Rust structs.
 
+use naga::valid::Capabilities;
+
 /// The fields of a block of constants, as [`super::uniforms`] lists them.
 pub trait Fields {
     const NAME: &'static str;
@@ -8,16 +10,22 @@ pub trait Fields {
 
 /// Parses and validates a kernel without optional features.
 pub fn validate(source: &str) -> Result<naga::Module, String> {
+    validate_with(source, Capabilities::empty())
+}
+
+fn validate_with(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
     let module = naga::front::wgsl::parse_str(source).map_err(|error| error.emit_to_string(source))?;
-    let mut validator =
-        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+    let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities);
     validator.validate(&module).map_err(|error| format!("{error:?}"))?;
     Ok(module)
 }
 
 /// An error unless the struct of the name of `T` in a kernel has its fields at the same places and its size.
 pub fn check_layout<T: Fields>(source: &str) -> Result<(), String> {
-    let module = validate(source)?;
+    compare_layout::<T>(&validate(source)?)
+}
+
+fn compare_layout<T: Fields>(module: &naga::Module) -> Result<(), String> {
     let named = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(T::NAME));
     let Some((_, naga::Type { inner: naga::TypeInner::Struct { members, span }, .. })) = named else {
         return Err(format!("the kernel has no struct {}", T::NAME));
@@ -31,6 +39,12 @@ pub fn check_layout<T: Fields>(source: &str) -> Result<(), String> {
         return Err(format!("{}: {found:?} and {span} bytes instead of {offsets:?} and {size}", T::NAME));
     }
     Ok(())
+}
+
+/// Panics unless a kernel that uses subgroups is valid and has the block of constants `T`.
+pub fn assert_valid_with_subgroups<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
+    let module = validate_with(&kernel.source(specialisation), Capabilities::SUBGROUP);
+    module.and_then(|module| compare_layout::<T>(&module)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
 }
 
 /// Panics unless a kernel is valid and has the block of constants `T`.

@@ -73,6 +73,7 @@ struct Context {
     device: wgpu::Device,
     queue: wgpu::Queue,
     limits: wgpu::Limits,
+    subgroup_size: Option<u32>,
     /// By kernel and specialisation.
     pipelines: Mutex<BTreeMap<String, Arc<Pipeline>>>,
     /// Buffers that nothing uses any more, by size.
@@ -97,6 +98,11 @@ impl Gpu {
     /// The adapter's name.
     pub fn name(self) -> &'static str {
         &self.0.name
+    }
+
+    /// Invocations of every subgroup, if kernels can let them exchange values.
+    pub(crate) fn subgroup_size(self) -> Option<u32> {
+        self.0.subgroup_size
     }
 
     /// What it was asked to do so far, by all threads.

@@ -80,11 +80,13 @@ fn describe(adapter: &AdapterReport) -> String {
     let AdapterReport { name, backend, kind, pci_id, pci_bus, driver, .. } = adapter;
     let bus = if pci_bus.is_empty() { String::new() } else { format!(" at {pci_bus}") };
     let features = if adapter.features.is_empty() { "none".to_owned() } else { adapter.features.join(", ") };
+    let adding = adapter.subgroup_size.map_or("workgroup memory".to_owned(), |size| format!("subgroups of {size}"));
     let (array, shared) = (bytes(adapter.max_array_bytes), bytes(adapter.max_workgroup_bytes.into()));
     format!("adapter      {name}: {kind}, {backend}, PCI {pci_id}{bus}, {driver}\n")
         + &format!("             limits: arrays of {array}, {} per kernel; ", adapter.max_arrays)
         + &format!("workgroups of {} with {shared}\n", adapter.max_workgroup_size)
         + &format!("             optional features: {features}\n")
+        + &format!("             gradients of pixels add up in {adding}\n")
 }
 
 /// Opens the adapter and compares it with the CPU.

@@ -1,0 +1,125 @@
+// One tile per workgroup, where subgroups are of SUBGROUP invocations: the rows of its entries. The pixels of a subgroup add
+// up what they leave for an entry by shuffles; the sums of the subgroups are added in order.
+
+const SUBGROUPS: u32 = PIXELS / SUBGROUP;
+// Invocations that end with the same of eight and of four sums.
+const EIGHTH: u32 = (SUBGROUP + 7u) / 8u;
+const QUARTER: u32 = SUBGROUP / 4u;
+
+// [entry, subgroup, column], for those entries for which a subgroup left anything: by bits.
+var<workgroup> parts: array<f32, BATCH * SUBGROUPS * ROW>;
+var<workgroup> left: array<u32, SUBGROUPS>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+    @builtin(subgroup_id) subgroup: u32,
+    @builtin(subgroup_invocation_id) lane: u32,
+) {
+    let tile = flat_group(group, groups);
+    if (tile >= blend.tiles) {
+        return;
+    }
+    let start = tile_starts[tile];
+    let end = tile_starts[tile + 1u];
+    let corner = corner_of(tile);
+    var pixel = pixel_before(pixel_of(corner, subgroup * SUBGROUP + lane));
+    let blended_end = start + last_of_tile(local, pixel.last);
+    let last_of_subgroup = subgroupMax(pixel.last);
+
+    clear_meetings(local);
+    workgroupBarrier();
+    var turn = 0u;
+    var first = start;
+    for (; first < blended_end; first += BATCH) {
+        let count = min(end - first, BATCH);
+        stage(local, turn, first, count, corner);
+        workgroupBarrier();
+        let entries = meeting_subgroup(turn, subgroup) & first_bits(last_of_subgroup - min(first - start, last_of_subgroup));
+        let given = leave_batch(&pixel, entries, first - start, subgroup, lane);
+        if (lane == 0u) {
+            left[subgroup] = given;
+        }
+        workgroupBarrier();
+        write_rows(local, first, count);
+        turn = 1u - turn;
+    }
+    clear_rows(local, min(first, end), end);
+}
+
+fn first_bits(count: u32) -> u32 {
+    return select((1u << (count & 31u)) - 1u, 0xffffffffu, count >= 32u);
+}
+
+// The entries of the batch that meet a cell of the subgroup's pixels, by bits.
+fn meeting_subgroup(turn: u32, subgroup: u32) -> u32 {
+    var entries = 0u;
+    for (var cell = subgroup * SUBGROUP / CELL_PIXELS; cell * CELL_PIXELS < (subgroup + 1u) * SUBGROUP; cell++) {
+        entries |= meeting(turn, cell, 0u);
+    }
+    return entries;
+}
+
+// Takes the pixels of a subgroup past the entries, which are the same for all of them; those for which it left anything.
+fn leave_batch(pixel: ptr<function, Pixel>, entries: u32, before: u32, subgroup: u32, lane: u32) -> u32 {
+    var given = 0u;
+    for (var rest = entries; rest != 0u; rest &= rest - 1u) {
+        let entry = firstTrailingBit(rest);
+        let offset = offset_to(entry, (*pixel).position);
+        let sigma = sigma_of(entry, offset);
+        let is_blended = before + entry < (*pixel).last && is_seen(entry, sigma);
+        if (!subgroupAny(is_blended)) {
+            continue;
+        }
+        let share = pass_entry(pixel, entry, sigma, is_blended);
+        leave(pixel, share, offset, (entry * SUBGROUPS + subgroup) * ROW, lane);
+        given |= 1u << entry;
+    }
+    return given;
+}
+
+// Adds up the shares of a subgroup's pixels, for the columns of a row from `at` on.
+fn leave(pixel: ptr<function, Pixel>, share: Share, offset: vec2<f32>, at: u32, lane: u32) {
+    let by_e = share.v * offset.x;
+    let by_dy = share.v * offset.y;
+    let first = vec4<f32>(share.v, by_e, by_e * offset.x, by_e * offset.y);
+    let second = vec4<f32>(by_dy, by_dy * offset.y, share.weight * (*pixel).head);
+    if (SUBGROUP >= 8u) {
+        let sum = added8(lane, first, second);
+        if (lane % EIGHTH == 0u) {
+            parts[at + lane / EIGHTH] = sum;
+        }
+    } else {
+        parts[at + lane] = added4(lane, first, 2u);
+        parts[at + 4u + lane] = added4(lane, second, 2u);
+    }
+    leave_tail(share.weight * (*pixel).tails[0], at, 8u, lane);
+    for (var tail = 1u; tail < TAILS; tail++) {
+        leave_tail(share.weight * (*pixel).tails[tail], at, 8u + 4u * tail, lane);
+    }
+}
+
+fn leave_tail(values: vec4<f32>, at: u32, first_column: u32, lane: u32) {
+    let sum = added4(lane, values, SUBGROUP / 2u);
+    let column = first_column + lane / QUARTER;
+    if (lane % QUARTER == 0u && column < ROW) {
+        parts[at + column] = sum;
+    }
+}
+
+// The rows of a batch, one column of one entry per invocation at a time: what the subgroups left, in their order.
+fn write_rows(local: u32, first: u32, count: u32) {
+    for (var at = local; at < count * ROW; at += PIXELS) {
+        let entry = at / ROW;
+        let column = at % ROW;
+        var sum = 0.0;
+        for (var subgroup = 0u; subgroup < SUBGROUPS; subgroup++) {
+            if ((left[subgroup] >> entry & 1u) != 0u) {
+                sum += parts[(entry * SUBGROUPS + subgroup) * ROW + column];
+            }
+        }
+        rows[first * ROW + at] = sum;
+    }
+}
