@@ -175,7 +175,7 @@ fn dense(gpu: Gpu, points: usize) -> Vec<Row> {
     let work = |name, kernels, numbers: f64, flops| Work { name, kernels, bytes: numbers * WORD, flops };
     let works = vec![
         // The value, and the gradients of inputs and of weights.
-        work("linear", vec!["linear", "sums of rows"], 5.0 * count * width, 3.0 * 2.0 * count * width * width),
+        work("linear", vec!["linear", "products, parts"], 5.0 * count * width, 3.0 * 2.0 * count * width * width),
         work("hexplane", vec!["hexplane"], texels + count * (3.0 + features), count * features * 60.0),
         work("hexplane backward", field_backward, 2.0 * texels + count * (6.0 + features), count * features * 150.0),
     ];

@@ -5,11 +5,16 @@ mod tests;
 
 use super::central_difference::CentralDifference;
 use super::{Convolution, Layout};
+use crate::gpu::grouped::Grouped;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
-use crate::linear::product::{PRODUCT, Product};
+use crate::linear::product::{self, Product};
 use crate::tape::{Real, Tensor};
 
-const CONVOLUTION: Kernel = Kernel { name: "convolution", text: &[PRODUCT, include_str!("operands.wgsl")] };
+const CONVOLUTION: Grouped = Grouped {
+    kernel: Kernel { name: "convolution", text: &[product::EACH[0], product::EACH[1], include_str!("operands.wgsl")] },
+    shared: 0,
+    arrays: product::EACH_ARRAYS,
+};
 const CENTRAL: Kernel = Kernel { name: "central difference", text: &[include_str!("central_difference.wgsl")] };
 
 /// Invocations per workgroup.
@@ -57,6 +62,7 @@ impl Layout {
             ("B_BY_TERM", is(forward)),
             ("BIAS", is(forward)),
             ("RELU", 0),
+            ("MASK", 0),
             ("SUMS", is(weight)),
         ];
         sizes.map(|(name, size)| (name, size as u32)).to_vec()
@@ -72,15 +78,18 @@ impl Layout {
         }
     }
 
-    /// The product, and the sums of the rows of its first operand where the direction has them.
-    fn product(&self, gpu: Gpu, direction: Direction, [a, b, bias]: [&GpuArray; 3]) -> [GpuArray; 2] {
+    /// The product; `side` is the bias where the direction has one.
+    fn product<'a>(&self, direction: Direction, a: &'a GpuArray, b: &'a GpuArray, side: &'a GpuArray) -> Product<'a> {
         let [rows, columns, terms] = self.sizes(direction);
-        let specialisation = self.specialisation(direction);
-        let in_parts = matches!(direction, Direction::Weight);
-        // There is no activation that an output could tell of: the first operand stands in for it.
-        let arrays = [a, b, a, bias];
-        let (kernel, specialisation) = (&CONVOLUTION, &specialisation[..]);
-        Product { kernel, specialisation, rows, columns, terms, strides: [0; 4], arrays, in_parts }.launch(gpu)
+        Product { rows, columns, terms, strides: [0; 4], arrays: [a, b, side] }
+    }
+
+    fn launch(&self, gpu: Gpu, direction: Direction, arrays: [&GpuArray; 3]) -> GpuArray {
+        let [a, b, side] = arrays;
+        let product = self.product(direction, a, b, side);
+        let y = GpuArray::new(gpu, product.rows * product.columns);
+        product::each(gpu, &CONVOLUTION, &self.specialisation(direction), &[product], &[(&y, false)]);
+        y
     }
 }
 
@@ -88,7 +97,7 @@ impl Convolution {
     pub(super) fn forward_on_gpu<T: Real>(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Tensor<T> {
         let Layout { output: [height, width], outputs, .. } = self.layout;
         let [x, weight, bias] = [0, 1, 2].map(|input| inputs[input].on_gpu(gpu));
-        let [y, _] = self.layout.product(gpu, Direction::Forward, [x, weight, bias]);
+        let y = self.layout.launch(gpu, Direction::Forward, [x, weight, bias]);
         Tensor::from_gpu([height, width, outputs], y)
     }
 
@@ -105,11 +114,16 @@ impl Convolution {
         let like = |input: usize, array: GpuArray| Some(Tensor::from_gpu(inputs[input].shape(), array));
         let mut gradients = vec![None; 3];
         if needs[0] {
-            let [dx, _] = self.layout.product(gpu, Direction::Input, [dy, weight, bias]);
+            let dx = self.layout.launch(gpu, Direction::Input, [dy, weight, bias]);
             gradients[0] = like(0, dx);
         }
         if needs[1] || needs[2] {
-            let [of_weight, of_bias] = self.layout.product(gpu, Direction::Weight, [dy, x, bias]);
+            let product = self.layout.product(Direction::Weight, dy, x, bias);
+            let [of_weight, of_bias] =
+                [product.rows * product.columns, product.rows].map(|len| GpuArray::new(gpu, len));
+            let specialisation = self.layout.specialisation(Direction::Weight);
+            let outputs = [(&of_weight, false), (&of_bias, false)];
+            product::with_sums(gpu, &CONVOLUTION, &specialisation, &[product], &[outputs]);
             gradients[1] = like(1, of_weight);
             gradients[2] = like(2, of_bias);
         }

@@ -30,12 +30,9 @@ fn reader_of(pixel: u32, tap: u32) -> u32 {
     return at.x * OUTPUT_WIDTH + at.y;
 }
 
-fn load_a(row: u32, term: u32, end: u32) -> f32 {
-    if (row >= product.rows || term >= end) {
-        return 0.0;
-    }
+fn a_at(item: u32, row: u32, term: u32) -> u32 {
     if (DIRECTION == 2u) {
-        return a[term * OUTPUTS + row];
+        return term * OUTPUTS + row;
     }
     var depth = CHANNELS;
     if (DIRECTION == 1u) {
@@ -48,24 +45,21 @@ fn load_a(row: u32, term: u32, end: u32) -> f32 {
         pixel = reader_of(row, term / depth);
     }
     if (pixel == NOWHERE) {
-        return 0.0;
+        return NOWHERE;
     }
-    return a[pixel * depth + term % depth];
+    return pixel * depth + term % depth;
 }
 
-fn load_b(term: u32, column: u32, end: u32) -> f32 {
-    if (column >= product.columns || term >= end) {
-        return 0.0;
-    }
+fn b_at(item: u32, term: u32, column: u32) -> u32 {
     if (DIRECTION == 0u) {
-        return b[column * product.terms + term];
+        return column * constants_of(item).terms + term;
     }
     if (DIRECTION == 1u) {
-        return b[(term % OUTPUTS * TAPS + term / OUTPUTS) * CHANNELS + column];
+        return (term % OUTPUTS * TAPS + term / OUTPUTS) * CHANNELS + column;
     }
     let pixel = source_of(term, column / CHANNELS);
     if (pixel == NOWHERE) {
-        return 0.0;
+        return NOWHERE;
     }
-    return b[pixel * CHANNELS + column % CHANNELS];
+    return pixel * CHANNELS + column % CHANNELS;
 }

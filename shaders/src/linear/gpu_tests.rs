@@ -5,6 +5,7 @@ use crate::check::noise;
 use crate::gpu::Gpu;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare};
 use crate::gpu::fault::assert_noticed;
+use crate::gpu::grouped::tests::with_arrays;
 use crate::gpu::tests::test_gpu;
 
 /// Sums of up to thousands of terms.
@@ -31,13 +32,15 @@ fn a_gpu_has_layers_of_every_size() {
 fn a_gpu_with_another_layer_is_noticed() {
     let Some(gpu) = test_gpu() else { return };
     let faults = [
-        ("linear", "value += bias[column]", "value += bias[0]"),
-        ("linear", "output[at] <= 0.0", "output[at] <= 0.1"),
+        ("linear", "value += side(item, column)", "value += side(item, 0u)"),
+        ("linear", "gather_side(item, safe) <= vec4<f32>()", "gather_side(item, safe) <= vec4<f32>(0.1)"),
         ("linear", "row_sums += rows", "row_sums += 1.001 * rows"),
         ("linear", "step += STEP", "step += STEP + 1u"),
-        ("linear", "term >= end", "term + 1u >= end"),
+        ("linear", "terms[four] < end", "terms[four] + 1u < end"),
+        ("products, parts", "vec4<u32>(0u, 1u, 2u, 3u)", "vec4<u32>(0u, 1u, 2u, 2u)"),
+        ("products, parts", "var part = whole", "var part = whole + 1u"),
     ];
-    assert_noticed(&faults, || compare_layer(gpu, [1100, 20, 9], Activation::Relu));
+    assert_noticed(&faults, || compare_layer(gpu, [2100, 20, 9], Activation::Relu));
 }
 
 #[test]
@@ -58,4 +61,56 @@ fn two_runs_of_a_layer_on_a_gpu_give_equal_bytes() {
         ]
     };
     assert_eq!(run(), run());
+}
+
+/// A network of heads: layers that share x, and one more on each of their outputs but the last, which has no use; x is used
+/// otherwise, too.
+fn heads(tape: &mut Tape<f32>, vars: &[Var], sizes: &[usize]) -> Vec<Var> {
+    let (x, tensors) = vars.split_first().unwrap();
+    let (inner, outer) = tensors.split_at(2 * sizes.len());
+    let layer = |x: Var, pair: &[Var]| Layer { x, weight: pair[0], bias: pair[1] };
+    let first: Vec<Layer> = inner.chunks(2).map(|pair| layer(*x, pair)).collect();
+    let hidden = linears(tape, &first, Activation::Relu);
+    let second: Vec<Layer> = outer.chunks(2).zip(&hidden).map(|(pair, &x)| layer(x, pair)).collect();
+    let mut outputs = linears(tape, &second[..sizes.len() - 1], Activation::Identity);
+    outputs.push(crate::pointwise::scale(tape, *x, 0.5));
+    outputs
+}
+
+/// x, the first layers and the second ones, of `sizes` outputs.
+fn tensors_of_heads(rows: usize, inputs: usize, width: usize, sizes: &[usize]) -> Vec<Tensor<f32>> {
+    let tensor =
+        |seed: usize, shape: [usize; 2]| Tensor::from_vec(shape, noise(shape[0] * shape[1], seed as u64)).cast();
+    let inner = sizes.iter().flat_map(|_| [[width, inputs], [1, width]]);
+    let outer = sizes.iter().flat_map(|&size| [[size, width], [1, size]]);
+    let shapes = std::iter::once([rows, inputs]).chain(inner).chain(outer);
+    shapes.enumerate().map(|(seed, shape)| tensor(seed, shape)).collect()
+}
+
+fn compare_heads(gpu: Gpu, [rows, inputs, width]: [usize; 3], sizes: &[usize]) -> Result<usize, Disagreement> {
+    let what = format!("{rows} rows, {inputs} to {width} to {sizes:?}");
+    compare(gpu, &what, &tensors_of_heads(rows, inputs, width, sizes), TIGHT, |tape, vars| heads(tape, vars, sizes))
+}
+
+#[test]
+fn a_gpu_has_several_layers_at_once() {
+    let Some(gpu) = test_gpu() else { return };
+    for (shape, sizes) in [([0, 4, 3], &[3, 1][..]), ([1, 1, 1], &[2]), ([130, 66, 20], &[3, 70, 4])] {
+        compare_heads(gpu, shape, sizes).unwrap();
+    }
+    // A layer or two per launch, and all of them.
+    for arrays in [4, 9, usize::MAX] {
+        with_arrays(arrays, || compare_heads(gpu, [700, 20, 65], &[3, 70, 4, 1])).unwrap();
+    }
+}
+
+#[test]
+fn a_gpu_with_other_layers_is_noticed() {
+    let Some(gpu) = test_gpu() else { return };
+    let faults = [
+        ("linear, over layers", "of_item < items.y", "of_item + 1u < items.y"),
+        ("linear, over layers", "result(item, at) + value", "value"),
+        ("products, parts", "set_sums(item, row,", "set_sums(0u, row,"),
+    ];
+    assert_noticed(&faults, || compare_heads(gpu, [600, 20, 17], &[3, 4, 5]));
 }

@@ -7,12 +7,14 @@ mod cpu;
 mod gpu;
 #[cfg(test)]
 mod gpu_tests;
+mod layers;
 pub(crate) mod matrix;
 pub(crate) mod product;
 mod reference;
 #[cfg(test)]
 mod tests;
 
+pub use layers::{Layer, linears};
 use rayon::prelude::*;
 
 use crate::gpu::Gpu;
@@ -35,11 +37,12 @@ pub enum Activation {
 
 /// y = activation(x·Wᵀ + b) for x [N, I], weight [O, I], bias [O].
 pub fn linear<T: Real>(tape: &mut Tape<T>, x: Var, weight: Var, bias: Var, activation: Activation) -> Var {
-    let (inputs, outputs) = (tape.value(weight).row_len(), tape.value(weight).rows());
-    assert_eq!(tape.value(x).row_len(), inputs, "linear: x has the wrong number of columns");
-    assert_eq!(tape.value(bias).len(), outputs, "linear: bias has the wrong length");
-    tape.apply_one(Linear { inputs, outputs, activation }, &[x, weight, bias])
+    let layer = Linear::new(tape, x, weight, bias, activation);
+    tape.apply_one(layer, &[x, weight, bias])
 }
+
+/// The inputs of the operation.
+const OWN: gpu::Places = gpu::Places { x: 0, weight: 1, bias: 2 };
 
 struct Linear {
     inputs: usize,
@@ -101,23 +104,32 @@ impl<T: Real> Op<T> for Linear {
     }
 
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        Some(vec![self.forward_on_gpu(gpu, inputs)])
+        Some(gpu::forward(gpu, &[OWN], self.activation, inputs))
     }
 
-    fn backward_gpu(
+    fn accumulate_gpu(
         &mut self,
         gpu: Gpu,
         inputs: &[&Tensor<T>],
         outputs: &[&Tensor<T>],
         output_grads: &[Option<&Tensor<T>>],
         needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None; 3]) };
-        Some(self.backward_on_gpu(gpu, inputs, outputs[0], dy, needs))
+        totals: &mut [Option<Tensor<T>>],
+    ) -> bool {
+        let (layers, activation) = (&[OWN][..], self.activation);
+        gpu::Backward { gpu, layers, activation, inputs, outputs, output_grads, needs }.add_gradients(totals);
+        true
     }
 }
 
 impl Linear {
+    fn new<T: Real>(tape: &Tape<T>, x: Var, weight: Var, bias: Var, activation: Activation) -> Self {
+        let (inputs, outputs) = (tape.value(weight).row_len(), tape.value(weight).rows());
+        assert_eq!(tape.value(x).row_len(), inputs, "linear: x has the wrong number of columns");
+        assert_eq!(tape.value(bias).len(), outputs, "linear: bias has the wrong length");
+        Self { inputs, outputs, activation }
+    }
+
     fn add_bias_and_activate<T: Real>(&self, bias: &[T], y: &mut [T]) {
         for row in y.chunks_exact_mut(self.outputs) {
             match self.activation {

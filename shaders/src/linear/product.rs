@@ -1,11 +1,25 @@
-//! Matrix products on a GPU: by tiles, and sums of many terms in parts, in an order that depends on the sizes alone.
+//! Matrix products on a GPU: by tiles, and sums of many terms in parts, in an order that depends on the sizes alone. One
+//! launch has several products.
 
+use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
-use crate::sums::over_rows;
 
-/// The text of a kernel of a product but for what loads its operands: `fn load_a(row: u32, term: u32, end: u32) -> f32` and
-/// `fn load_b(term: u32, column: u32, end: u32) -> f32`, zero beyond the sizes and from `end` on.
-pub const PRODUCT: &str = include_str!("product.wgsl");
+/// The text of a kernel of products with an output each, but for where their operands lie: `a_at(item, row, term)` and
+/// `b_at(item, term, column)`, NOWHERE what counts as 0.
+pub const EACH: [&str; 2] = [include_str!("product.wgsl"), include_str!("product_each.wgsl")];
+/// As [`EACH`], of products that add up to one output.
+pub const SUM: [&str; 2] = [include_str!("product.wgsl"), include_str!("product_sum.wgsl")];
+/// The arrays of [`EACH`].
+pub const EACH_ARRAYS: &[ItemArray] =
+    &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side"), ItemArray::write("y")];
+/// Those of [`SUM`], which shares one array.
+pub const SUM_ARRAYS: &[ItemArray] = &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side")];
+
+const PARTS: Grouped = Grouped {
+    kernel: Kernel { name: "products, parts", text: &[include_str!("product_parts.wgsl")] },
+    shared: 0,
+    arrays: &[ItemArray::read("parts"), ItemArray::write("product"), ItemArray::write("sums")],
+};
 
 /// Rows and columns of a workgroup's tile.
 const TILE: usize = 64;
@@ -15,9 +29,11 @@ const STEP: usize = 16;
 const LEAST_TERMS: usize = 512;
 /// Workgroups that occupy a large GPU.
 const ENOUGH_GROUPS: usize = 512;
+/// Elements per workgroup of the sums of parts.
+const GROUP: usize = 256;
 
 uniforms! {
-    struct ProductBlock as "Product" {
+    struct ProductItem as "Item" {
         rows: u32,
         columns: u32,
         terms: u32,
@@ -28,53 +44,149 @@ uniforms! {
         a_term: u32,
         b_term: u32,
         b_column: u32,
+        y_row: u32,
+        adds: u32,
     }
+}
+
+uniforms! {
+    struct PartsItem as "Item" { rows: u32, columns: u32, parts: u32, adds: u32 }
 }
 
 /// A·B [rows, columns], whose elements are sums of `terms` terms.
 pub struct Product<'a> {
-    /// Of [`PRODUCT`] and what loads the operands.
-    pub kernel: &'a Kernel,
-    pub specialisation: &'a [(&'static str, u32)],
     pub rows: usize,
     pub columns: usize,
     pub terms: usize,
-    /// Elements between neighbouring rows and terms of A, and terms and columns of B, for what loads them.
+    /// Elements between neighbouring rows and terms of A, and terms and columns of B, for what finds them.
     pub strides: [usize; 4],
-    /// A, B, an output and a bias.
-    pub arrays: [&'a GpuArray; 4],
-    /// Whether there are so many terms that workgroups share their sum.
-    pub in_parts: bool,
+    /// A, B, and what stands beside them: a bias, or what tells which elements of A count.
+    pub arrays: [&'a GpuArray; 3],
 }
+
+/// An array, and whether a kernel adds to what is there.
+pub type Output<'a> = (&'a GpuArray, bool);
 
 impl Product<'_> {
-    /// The product, and the sums of the rows of A where the kernel makes them.
-    pub fn launch(&self, gpu: Gpu) -> [GpuArray; 2] {
-        let (row_tiles, column_tiles) = (self.rows.div_ceil(TILE), self.columns.div_ceil(TILE));
-        let tiles = row_tiles * column_tiles;
-        let most_parts = self.terms.div_ceil(LEAST_TERMS).max(1);
-        let wanted = if self.in_parts { (ENOUGH_GROUPS / tiles.max(1)).clamp(1, most_parts) } else { 1 };
-        let terms_per_part = self.terms.div_ceil(wanted).max(1).next_multiple_of(STEP);
-        let parts = self.terms.div_ceil(terms_per_part).max(1);
-
-        let results = [parts * self.rows * self.columns, parts * self.rows].map(|len| GpuArray::new(gpu, len));
-        let read = self.arrays.map(Binding::Read);
-        let arrays = [&read[..], &results.each_ref().map(Binding::Write)].concat();
-        let block = self.block([terms_per_part, row_tiles, column_tiles]);
-        self.kernel.launch(gpu, self.specialisation, &block, &arrays, parts * tiles);
-        results.map(|array| if parts == 1 { array } else { over_rows(gpu, &array, array.len() / parts) })
+    fn tiles(&self) -> usize {
+        self.rows.div_ceil(TILE) * self.columns.div_ceil(TILE)
     }
 
-    fn block(&self, tiling: [usize; 3]) -> ProductBlock {
-        let [terms_per_part, row_tiles, column_tiles] = tiling.map(|size| size as u32);
+    fn constants(&self, terms_per_part: usize, y_row: usize, adds: bool) -> ProductItem {
+        let [row_tiles, column_tiles] = [self.rows, self.columns].map(|size| size.div_ceil(TILE) as u32);
         let [rows, columns, terms] = [self.rows, self.columns, self.terms].map(|size| size as u32);
         let [a_row, a_term, b_term, b_column] = self.strides.map(|stride| stride as u32);
-        ProductBlock { rows, columns, terms, terms_per_part, row_tiles, column_tiles, a_row, a_term, b_term, b_column }
+        let [terms_per_part, y_row] = [terms_per_part, y_row].map(|size| size as u32);
+        let adds = u32::from(adds);
+        ProductItem {
+            rows,
+            columns,
+            terms,
+            terms_per_part,
+            row_tiles,
+            column_tiles,
+            a_row,
+            a_term,
+            b_term,
+            b_column,
+            y_row,
+            adds,
+        }
+    }
+
+    /// The item of the whole product.
+    fn item(&self, adds: bool) -> Item<'_, ProductItem> {
+        let constants = self.constants(self.terms.max(1), self.columns, adds);
+        Item { constants, arrays: self.arrays.map(Binding::Read).to_vec(), groups: self.tiles() }
+    }
+
+    /// Terms per part, and parts, where all products together have so many tiles.
+    fn parts(&self, tiles: usize) -> [usize; 2] {
+        let most = self.terms.div_ceil(LEAST_TERMS).max(1);
+        let wanted = (ENOUGH_GROUPS / tiles.max(1)).clamp(1, most);
+        let terms_per_part = self.terms.div_ceil(wanted).max(1).next_multiple_of(STEP);
+        [terms_per_part, self.terms.div_ceil(terms_per_part).max(1)]
     }
 }
 
-/// Panics unless a kernel of a product is valid.
+/// A specialisation, with whether items add up.
+fn specialised(specialisation: &[(&'static str, u32)], together: bool) -> Vec<(&'static str, u32)> {
+    [specialisation, &[("TOGETHER", u32::from(together))]].concat()
+}
+
+/// Every product into its output; `kernel` is of [`EACH`].
+pub fn each(
+    gpu: Gpu,
+    kernel: &Grouped,
+    specialisation: &[(&'static str, u32)],
+    products: &[Product],
+    outputs: &[Output],
+) {
+    let mut items = Vec::new();
+    for (product, &(y, adds)) in products.iter().zip(outputs) {
+        let mut item = product.item(adds);
+        item.arrays.push(Binding::Write(y));
+        items.push(item);
+    }
+    kernel.launch(gpu, &specialised(specialisation, false), &[], &items);
+}
+
+/// The sum of products that differ in their terms alone; `kernel` is of [`SUM`].
+pub fn sum(
+    gpu: Gpu,
+    kernel: &Grouped,
+    specialisation: &[(&'static str, u32)],
+    products: &[Product],
+    (y, mut adds): Output,
+) {
+    for products in products.chunks(kernel.room(gpu)) {
+        let items: Vec<Item<ProductItem>> = products.iter().map(|product| product.item(adds)).collect();
+        let specialisation = specialised(specialisation, true);
+        kernel.launch_together(gpu, &specialisation, &[Binding::Write(y)], &items, products[0].tiles());
+        adds = true;
+    }
+}
+
+/// Every product, and the sums of the rows of its A, into their outputs; of so many terms that workgroups share their sums.
+/// `kernel` is of [`EACH`].
+pub fn with_sums(
+    gpu: Gpu,
+    kernel: &Grouped,
+    specialisation: &[(&'static str, u32)],
+    products: &[Product],
+    outputs: &[[Output; 2]],
+) {
+    let tiles: usize = products.iter().map(Product::tiles).sum();
+    let partial = |product: &Product| {
+        let [_, parts] = product.parts(tiles);
+        GpuArray::new(gpu, parts * product.rows * (product.columns + 1))
+    };
+    let partial: Vec<GpuArray> = products.iter().map(partial).collect();
+    let (mut items, mut totals) = (Vec::new(), Vec::new());
+    for ((product, partial), [y, sums]) in products.iter().zip(&partial).zip(outputs) {
+        let [terms_per_part, parts] = product.parts(tiles);
+        let mut item = product.item(false);
+        item.constants = product.constants(terms_per_part, product.columns + 1, false);
+        item.arrays.push(Binding::Write(partial));
+        item.groups = parts * product.tiles();
+        items.push(item);
+
+        let [rows, columns, parts] = [product.rows, product.columns + 1, parts].map(|size| size as u32);
+        let adds = u32::from(y.1) | u32::from(sums.1) << 1;
+        let arrays = vec![Binding::Read(partial), Binding::Write(y.0), Binding::Write(sums.0)];
+        let groups = (product.rows * (product.columns + 1)).div_ceil(GROUP);
+        totals.push(Item { constants: PartsItem { rows, columns, parts, adds }, arrays, groups });
+    }
+    kernel.launch(gpu, &specialised(specialisation, false), &[], &items);
+    PARTS.launch(gpu, &[], &[], &totals);
+}
+
+/// Panics unless a kernel of products is valid.
 #[cfg(test)]
-pub fn assert_valid_product(kernel: &Kernel, specialisation: &[(&'static str, u32)]) {
-    crate::gpu::layout::assert_valid::<ProductBlock>(kernel, specialisation);
+pub fn assert_valid_product(kernel: &Grouped, specialisation: &[(&'static str, u32)]) {
+    use crate::gpu::grouped::tests::assert_valid_grouped;
+    assert_valid_grouped::<PartsItem>(&PARTS, &[]);
+    for together in [false, true] {
+        assert_valid_grouped::<ProductItem>(kernel, &specialised(specialisation, together));
+    }
 }

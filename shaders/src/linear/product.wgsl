@@ -1,10 +1,12 @@
-// A matrix product A·B by tiles of 64×64, of which each of the 256 invocations of a workgroup has 4×4 elements.
+// Matrix products A·B by tiles of 64×64, of which each of the 256 invocations of a workgroup has 4×4 elements.
 //
 // A_BY_TERM and B_BY_TERM are 1 where the terms of a sum are neighbours in memory. BIAS: the bias is added, and where RELU
-// is 1, what is negative becomes 0. SUMS: the sums of the rows of A are written, too. What follows this
-// text loads the operands: `load_a(row, term, end)` and `load_b(term, column, end)`, zero beyond the sizes and from `end` on.
+// is 1, what is negative becomes 0. MASK: an element of A counts as 0 where the side's at its place is not positive. SUMS:
+// a further column of the output is made of the sums of the rows of A. TOGETHER: the products of all items, whose terms
+// alone differ in number, add up to one output. What stands beside this text has `result` and `set_result` for the outputs
+// and says where operands lie: `a_at(item, row, term)` and `b_at(item, term, column)`, NOWHERE what counts as 0.
 
-struct Product {
+struct Item {
     // Of A·B, and the terms of each sum.
     rows: u32,
     columns: u32,
@@ -18,61 +20,109 @@ struct Product {
     a_term: u32,
     b_term: u32,
     b_column: u32,
+    // Elements of a row of the output, [parts, rows, …].
+    y_row: u32,
+    // Whether the output adds to what is there.
+    adds: u32,
 }
-
-@group(0) @binding(0) var<uniform> product: Product;
-@group(0) @binding(1) var<storage, read> a: array<f32>;
-@group(0) @binding(2) var<storage, read> b: array<f32>;
-// Whose element at the place of an element of A tells whether that counts.
-@group(0) @binding(3) var<storage, read> output: array<f32>;
-@group(0) @binding(4) var<storage, read> bias: array<f32>;
-// [parts, rows, columns].
-@group(0) @binding(5) var<storage, read_write> y: array<f32>;
-// [parts, rows].
-@group(0) @binding(6) var<storage, read_write> sums: array<f32>;
 
 const TILE: u32 = 64u;
 const STEP: u32 = 16u;
 // One more than a tile's elements: invocations that write neighbouring terms then use different banks of memory.
 const STRIDE: u32 = 65u;
+const FOUR: vec4<u32> = vec4<u32>(0u, 1u, 2u, 3u);
 
 // [term, row] and [term, column].
 var<workgroup> a_tile: array<f32, 1040>;
 var<workgroup> b_tile: array<f32, 1040>;
 
+// Four elements of A: 0 beyond its sizes and from `end` on.
+fn load_a(item: u32, rows: vec4<u32>, terms: vec4<u32>, end: u32) -> vec4<f32> {
+    var at = vec4<u32>(NOWHERE);
+    for (var four = 0u; four < 4u; four++) {
+        if (rows[four] < constants_of(item).rows && terms[four] < end) {
+            at[four] = a_at(item, rows[four], terms[four]);
+        }
+    }
+    var counts = at != vec4<u32>(NOWHERE);
+    let safe = select(vec4<u32>(), at, counts);
+    let values = gather_a(item, safe);
+    if (MASK == 1u) {
+        // A NaN counts.
+        counts = counts & !(gather_side(item, safe) <= vec4<f32>());
+    }
+    return select(vec4<f32>(), values, counts);
+}
+
+fn load_b(item: u32, terms: vec4<u32>, columns: vec4<u32>, end: u32) -> vec4<f32> {
+    var at = vec4<u32>(NOWHERE);
+    for (var four = 0u; four < 4u; four++) {
+        if (columns[four] < constants_of(item).columns && terms[four] < end) {
+            at[four] = b_at(item, terms[four], columns[four]);
+        }
+    }
+    let counts = at != vec4<u32>(NOWHERE);
+    return select(vec4<f32>(), gather_b(item, select(vec4<u32>(), at, counts)), counts);
+}
+
 // Four elements of each tile per invocation; neighbours read neighbours.
-fn load_tiles(local: u32, first_row: u32, first_column: u32, first_term: u32, end: u32) {
-    for (var item = 0u; item < 4u; item++) {
-        var a_at = vec2<u32>(local % TILE, local / TILE + 4u * item);
-        if (A_BY_TERM == 1u) {
-            a_at = vec2<u32>(local / STEP + 16u * item, local % STEP);
-        }
-        a_tile[a_at.y * STRIDE + a_at.x] = load_a(first_row + a_at.x, first_term + a_at.y, end);
-        var b_at = vec2<u32>(local % TILE, local / TILE + 4u * item);
-        if (B_BY_TERM == 1u) {
-            b_at = vec2<u32>(local / STEP + 16u * item, local % STEP);
-        }
-        b_tile[b_at.y * STRIDE + b_at.x] = load_b(first_term + b_at.y, first_column + b_at.x, end);
+fn load_tiles(item: u32, local: u32, first_row: u32, first_column: u32, first_term: u32, end: u32) {
+    var rows = vec4<u32>(local % TILE);
+    var terms = local / TILE + 4u * FOUR;
+    if (A_BY_TERM == 1u) {
+        rows = local / STEP + 16u * FOUR;
+        terms = vec4<u32>(local % STEP);
+    }
+    let of_a = load_a(item, first_row + rows, first_term + terms, end);
+    for (var four = 0u; four < 4u; four++) {
+        a_tile[terms[four] * STRIDE + rows[four]] = of_a[four];
+    }
+    var columns = vec4<u32>(local % TILE);
+    terms = local / TILE + 4u * FOUR;
+    if (B_BY_TERM == 1u) {
+        columns = local / STEP + 16u * FOUR;
+        terms = vec4<u32>(local % STEP);
+    }
+    let of_b = load_b(item, first_term + terms, first_column + columns, end);
+    for (var four = 0u; four < 4u; four++) {
+        b_tile[terms[four] * STRIDE + columns[four]] = of_b[four];
     }
 }
 
-fn write_row(part: u32, row: u32, first_column: u32, values: vec4<f32>) {
-    if (row >= product.rows) {
+fn put(item: u32, at: u32, value: f32) {
+    if (constants_of(item).adds == 1u) {
+        set_result(item, at, result(item, at) + value);
+    } else {
+        set_result(item, at, value);
+    }
+}
+
+fn write_row(item: u32, part: u32, row: u32, first_column: u32, values: vec4<f32>) {
+    let own = constants_of(item);
+    if (row >= own.rows) {
         return;
     }
-    for (var item = 0u; item < 4u; item++) {
-        let column = first_column + 16u * item;
-        if (column < product.columns) {
-            var value = values[item];
+    for (var four = 0u; four < 4u; four++) {
+        let column = first_column + 16u * four;
+        if (column < own.columns) {
+            var value = values[four];
             if (BIAS == 1u) {
-                value += bias[column];
+                value += side(item, column);
             }
             if (RELU == 1u && value < 0.0) {
                 value = 0.0;
             }
-            y[(part * product.rows + row) * product.columns + column] = value;
+            put(item, (part * own.rows + row) * own.y_row + column, value);
         }
     }
+}
+
+// The items whose products a workgroup of an item adds.
+fn items_of(item: u32) -> vec2<u32> {
+    if (TOGETHER == 1u) {
+        return vec2<u32>(0u, ITEMS);
+    }
+    return vec2<u32>(item, item + 1u);
 }
 
 @compute @workgroup_size(256)
@@ -81,14 +131,19 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let tile = flat_group(group, groups);
-    let column_tile = tile % product.column_tiles;
-    let row_tile = tile / product.column_tiles % product.row_tiles;
-    let part = tile / (product.column_tiles * product.row_tiles);
+    let flat = flat_group(group, groups);
+    var item = item_of(flat);
+    if (TOGETHER == 1u) {
+        item = 0u;
+    }
+    let own = constants_of(item);
+    let tile = flat - first_group(item);
+    let column_tile = tile % own.column_tiles;
+    let row_tile = tile / own.column_tiles % own.row_tiles;
+    let part = tile / (own.column_tiles * own.row_tiles);
     let first_row = row_tile * TILE;
     let first_column = column_tile * TILE;
-    let first_term = part * product.terms_per_part;
-    let end = min(first_term + product.terms_per_part, product.terms);
+    let first_term = part * own.terms_per_part;
 
     // The rows y, y + 16, … and the columns x, x + 16, … of the tile.
     let x = local % 16u;
@@ -98,37 +153,41 @@ fn main(
     var row_2 = vec4<f32>();
     var row_3 = vec4<f32>();
     var row_sums = vec4<f32>();
-    for (var step = first_term; step < end; step += STEP) {
-        load_tiles(local, first_row, first_column, step, end);
-        workgroupBarrier();
-        for (var term = 0u; term < STEP; term++) {
-            let at = term * STRIDE;
-            let of_a = at + y_row;
-            let of_b = at + x;
-            let rows = vec4<f32>(a_tile[of_a], a_tile[of_a + 16u], a_tile[of_a + 32u], a_tile[of_a + 48u]);
-            let columns = vec4<f32>(b_tile[of_b], b_tile[of_b + 16u], b_tile[of_b + 32u], b_tile[of_b + 48u]);
-            row_0 += rows.x * columns;
-            row_1 += rows.y * columns;
-            row_2 += rows.z * columns;
-            row_3 += rows.w * columns;
-            if (SUMS == 1u) {
-                row_sums += rows;
+    let items = items_of(item);
+    for (var of_item = items.x; of_item < items.y; of_item++) {
+        let end = min(first_term + constants_of(of_item).terms_per_part, constants_of(of_item).terms);
+        for (var step = first_term; step < end; step += STEP) {
+            load_tiles(of_item, local, first_row, first_column, step, end);
+            workgroupBarrier();
+            for (var term = 0u; term < STEP; term++) {
+                let at = term * STRIDE;
+                let of_a = at + y_row;
+                let of_b = at + x;
+                let rows = vec4<f32>(a_tile[of_a], a_tile[of_a + 16u], a_tile[of_a + 32u], a_tile[of_a + 48u]);
+                let columns = vec4<f32>(b_tile[of_b], b_tile[of_b + 16u], b_tile[of_b + 32u], b_tile[of_b + 48u]);
+                row_0 += rows.x * columns;
+                row_1 += rows.y * columns;
+                row_2 += rows.z * columns;
+                row_3 += rows.w * columns;
+                if (SUMS == 1u) {
+                    row_sums += rows;
+                }
             }
+            workgroupBarrier();
         }
-        workgroupBarrier();
     }
 
     // A dispatch that was folded has workgroups beyond the last part.
-    if (first_term < product.terms || part == 0u) {
-        write_row(part, first_row + y_row, first_column + x, row_0);
-        write_row(part, first_row + y_row + 16u, first_column + x, row_1);
-        write_row(part, first_row + y_row + 32u, first_column + x, row_2);
-        write_row(part, first_row + y_row + 48u, first_column + x, row_3);
+    if (first_term < own.terms || part == 0u) {
+        write_row(item, part, first_row + y_row, first_column + x, row_0);
+        write_row(item, part, first_row + y_row + 16u, first_column + x, row_1);
+        write_row(item, part, first_row + y_row + 32u, first_column + x, row_2);
+        write_row(item, part, first_row + y_row + 48u, first_column + x, row_3);
         if (SUMS == 1u && column_tile == 0u && x == 0u) {
-            for (var item = 0u; item < 4u; item++) {
-                let row = first_row + y_row + 16u * item;
-                if (row < product.rows) {
-                    sums[part * product.rows + row] = row_sums[item];
+            for (var four = 0u; four < 4u; four++) {
+                let row = first_row + y_row + 16u * four;
+                if (row < own.rows) {
+                    put(item, (part * own.rows + row) * own.y_row + own.columns, row_sums[four]);
                 }
             }
         }

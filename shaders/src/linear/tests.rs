@@ -108,3 +108,38 @@ fn rows_without_a_gradient_add_nothing() {
     assert!((0..ROWS).all(|row| is_live(row) || all[0].row(row) == [0.0; 16]));
     (1..3).for_each(|index| agree(&all[index], &live[index], 1e-13).unwrap());
 }
+
+/// Layers that share an input, which has another use; applied at once or one by one.
+fn heads<T: Real>(tape: &mut Tape<T>, vars: &[Var], at_once: bool) -> Vec<Var> {
+    let (x, pairs) = vars.split_first().unwrap();
+    let layers: Vec<Layer> = pairs.chunks(2).map(|pair| Layer { x: *x, weight: pair[0], bias: pair[1] }).collect();
+    let mut outputs = match at_once {
+        true => linears(tape, &layers, Activation::Relu),
+        false => layers.iter().map(|layer| linear(tape, layer.x, layer.weight, layer.bias, Activation::Relu)).collect(),
+    };
+    outputs.push(crate::pointwise::square(tape, *x));
+    outputs
+}
+
+#[test]
+fn layers_at_once_are_layers_one_by_one_to_the_bit() {
+    let sizes = [3, 17, 4];
+    let pairs = sizes.iter().flat_map(|&size| [[size, 40], [1, size]]);
+    let shapes: Vec<[usize; 2]> = std::iter::once([1300, 40]).chain(pairs).collect();
+    let results = |at_once: bool| {
+        let mut tape = Tape::<f32>::new(Device::Cpu);
+        let leaf = |(seed, shape): (usize, &[usize; 2])| {
+            tape.leaf(Tensor::from_vec(*shape, noise(shape[0] * shape[1], seed as u64)).cast())
+        };
+        let vars: Vec<Var> = shapes.iter().enumerate().map(leaf).collect();
+        let outputs = heads(&mut tape, &vars, at_once);
+        let seed = |&output: &Var| (output, tape.value(output).clone());
+        // The second layer has no gradient.
+        let seeds: Vec<_> =
+            outputs.iter().map(seed).enumerate().filter(|(at, _)| *at != 1).map(|(_, seed)| seed).collect();
+        let gradients = tape.backward(&seeds);
+        let values: Vec<Tensor<f32>> = outputs.iter().map(|&output| tape.value(output).clone()).collect();
+        (values, vars.iter().map(|&var| gradients.get(var).cloned()).collect::<Vec<_>>())
+    };
+    assert!(results(true) == results(false));
+}

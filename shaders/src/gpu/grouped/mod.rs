@@ -1,7 +1,8 @@
 //! One launch over many items, such as all tensors of a model: each has constants, arrays and workgroups of its own.
 //!
 //! WGSL has no arrays of arrays. So the declarations of the arrays are made for the number of items of a launch, with
-//! functions that choose among them by item: `values(item, at)` and, where kernels write, `set_values(item, at, value)`.
+//! functions that choose among them by item: `values(item, at)`, `gather_values(item, at)` of four places, which waits for
+//! memory once, and, where kernels write, `set_values(item, at, value)`.
 //! The text of a kernel defines `struct Item`. A workgroup finds its item with `item_of(group)`, its number within that with
 //! `group - first_group(item)`, and the constants with `constants_of(item)`. Workgroups beyond the last item belong to that
 //! one: a kernel compares with the sizes that its constants tell.
@@ -73,7 +74,13 @@ impl ItemArray {
     fn functions(&self, items: usize) -> String {
         let Self { name, element, is_written } = self;
         let get = choice(items, |item| format!("return {name}_{item}[at];"));
+        let four = ["x", "y", "z", "w"];
+        let gather = choice(items, |item| {
+            let [x, y, z, w] = four.map(|at| format!("{name}_{item}[at.{at}]"));
+            format!("return vec4<{element}>({x}, {y}, {z}, {w});")
+        });
         let mut text = format!("fn {name}(item: u32, at: u32) -> {element} {{\n{get}}}\n");
+        text += &format!("fn gather_{name}(item: u32, at: vec4<u32>) -> vec4<{element}> {{\n{gather}}}\n");
         if *is_written {
             let set = choice(items, |item| format!("{name}_{item}[at] = value; return;"));
             text += &format!("fn set_{name}(item: u32, at: u32, value: {element}) {{\n{set}}}\n");

@@ -2,16 +2,16 @@
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 
-fn texel(scale: u32, plane: u32, at: u32) -> f32 {
+fn gather_texels(scale: u32, plane: u32, at: vec4<u32>) -> vec4<f32> {
     switch plane {
-        case 0u: { return plane_xy(scale, at); }
-        case 1u: { return plane_xz(scale, at); }
-        case 2u: { return plane_xt(scale, at); }
-        case 3u: { return plane_yz(scale, at); }
-        case 4u: { return plane_yt(scale, at); }
+        case 0u: { return gather_plane_xy(scale, at); }
+        case 1u: { return gather_plane_xz(scale, at); }
+        case 2u: { return gather_plane_xt(scale, at); }
+        case 3u: { return gather_plane_yz(scale, at); }
+        case 4u: { return gather_plane_yt(scale, at); }
         default: {}
     }
-    return plane_zt(scale, at);
+    return gather_plane_zt(scale, at);
 }
 
 // The value and its derivatives along the plane's axes, in texels.
@@ -24,16 +24,13 @@ struct Reading {
 // The plane at a along its width and b along its height.
 fn read_plane(scale: u32, plane: u32, a: Lookup, b: Lookup, channel: u32) -> Reading {
     let width = texels(scale, width_axis(plane));
-    let low = b.low * width;
-    let high = b.high * width;
-    let low_low = texel(scale, plane, (low + a.low) * channels() + channel);
-    let low_high = texel(scale, plane, (low + a.high) * channels() + channel);
-    let high_low = texel(scale, plane, (high + a.low) * channels() + channel);
-    let high_high = texel(scale, plane, (high + a.high) * channels() + channel);
-    let step_low = low_high - low_low;
-    let step_high = high_high - high_low;
-    let at_low = low_low + step_low * a.fraction;
-    let at_high = high_low + step_high * a.fraction;
+    let rows = vec4<u32>(b.low, b.low, b.high, b.high) * width;
+    let places = (rows + vec4<u32>(a.low, a.high, a.low, a.high)) * channels() + channel;
+    let corners = gather_texels(scale, plane, places);
+    let step_low = corners.y - corners.x;
+    let step_high = corners.w - corners.z;
+    let at_low = corners.x + step_low * a.fraction;
+    let at_high = corners.z + step_high * a.fraction;
     let along_b = at_high - at_low;
     return Reading(at_low + along_b * b.fraction, step_low + (step_high - step_low) * b.fraction, along_b);
 }

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use shaders::linear::Activation;
 use shaders::tape::{Real, Tape, Var};
 
-use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
+use crate::bases::layers::{FirstWeights, apply_layer, apply_layers, insert_layer};
 use crate::state::{ModelState, Variables};
 
 /// Sizes of a network, and the names of its tensors: `{name}.trunk`, `{name}.{head}.0` and `{name}.{head}.1`.
@@ -46,11 +46,18 @@ impl HeadedNetwork {
         apply_layer(tape, model, &format!("{}.trunk", self.name), features, Activation::Relu)
     }
 
+    /// The outputs [N, outputs] of heads.
+    pub fn heads<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, heads: &[&str], hidden: Var) -> Vec<Var> {
+        let layers: Vec<[String; 2]> = heads.iter().map(|head| self.layers(head)).collect();
+        let inner: Vec<_> = layers.iter().map(|[inner, _]| (inner.clone(), hidden)).collect();
+        let inner = apply_layers(tape, model, &inner, Activation::Relu);
+        let outer: Vec<_> = layers.iter().zip(inner).map(|([_, outer], x)| (outer.clone(), x)).collect();
+        apply_layers(tape, model, &outer, Activation::Identity)
+    }
+
     /// The output [N, outputs] of a head.
     pub fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
-        let [inner, outer] = self.layers(head);
-        let inner = apply_layer(tape, model, &inner, hidden, Activation::Relu);
-        apply_layer(tape, model, &outer, inner, Activation::Identity)
+        self.heads(tape, model, &[head], hidden)[0]
     }
 
     fn layers(&self, head: &str) -> [String; 2] {

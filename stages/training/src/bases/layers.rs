@@ -3,7 +3,7 @@
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use shaders::linear::{Activation, linear};
+use shaders::linear::{Activation, Layer, linear, linears};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::state::{ModelState, Variables};
@@ -54,6 +54,18 @@ pub fn insert_layer<T: Real>(
 pub fn apply_layer<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var, activation: Activation) -> Var {
     let (weight, bias) = (model.get(&format!("{name}.weight")), model.get(&format!("{name}.bias")));
     linear(tape, x, weight, bias, activation)
+}
+
+/// As [`apply_layer`] for several layers at once, each a name and an x.
+pub fn apply_layers<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    layers: &[(String, Var)],
+    activation: Activation,
+) -> Vec<Var> {
+    let tensor = |name: &str, which: &str| model.get(&format!("{name}.{which}"));
+    let layer = |(name, x): &(String, Var)| Layer { x: *x, weight: tensor(name, "weight"), bias: tensor(name, "bias") };
+    linears(tape, &layers.iter().map(layer).collect::<Vec<_>>(), activation)
 }
 
 /// Adds `{name}.weight` [outputs, inputs] of a layer without bias.

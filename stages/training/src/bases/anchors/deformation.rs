@@ -177,13 +177,8 @@ impl AnchorDeformation {
     /// The changes of anchors at canonical positions [M, 3] at a time in [0, 1].
     pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> AnchorChange {
         let hidden = self.hidden(tape, model, positions, time);
-        let mut head = |name: &str| self.network.head(tape, model, name, hidden);
-        AnchorChange {
-            positions: head("position"),
-            features: head("feature"),
-            offsets: head("offset"),
-            log_scales: head("scale"),
-        }
+        let heads = self.network.heads(tape, model, &["position", "feature", "offset", "scale"], hidden);
+        AnchorChange { positions: heads[0], features: heads[1], offsets: heads[2], log_scales: heads[3] }
     }
 
     /// Positions [M, 3] in the field's box, as [−1, 1].
@@ -239,16 +234,11 @@ impl GaussianDeformation {
         let hidden = self.network.hidden(tape, model, features);
         let (log_scales, rotations) = spawned.shape.scales_and_rotations().expect("anchors spawn both");
         let rotations = quaternion::normalize(tape, rotations);
-        let mut moved = |head: &str, attribute: Var| {
-            let change = self.network.head(tape, model, head, hidden);
-            add(tape, attribute, change)
-        };
+        let changes = self.network.heads(tape, model, &["position", "scale", "rotation"], hidden);
+        let mut moved = |attribute: Var, head: usize| add(tape, attribute, changes[head]);
         SplatVars {
-            positions: moved("position", spawned.positions),
-            shape: ShapeVars::ScaleRotation {
-                log_scales: moved("scale", log_scales),
-                rotations: moved("rotation", rotations),
-            },
+            positions: moved(spawned.positions, 0),
+            shape: ShapeVars::ScaleRotation { log_scales: moved(log_scales, 1), rotations: moved(rotations, 2) },
             ..spawned
         }
     }

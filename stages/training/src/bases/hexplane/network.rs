@@ -84,24 +84,25 @@ impl Network {
         sh_degree: usize,
     ) -> SplatVars {
         let hidden = self.layers.hidden(tape, model, features);
-        let Heads { position, scale, rotation, opacity, harmonics } = self.heads;
-        let mut moved = |on: bool, head: &str, attribute: Var| {
-            if !on {
-                return attribute;
-            }
-            let change = self.layers.head(tape, model, head, hidden);
-            let change = if head == "harmonics" { leading_harmonics(tape, change, sh_degree) } else { change };
+        let heads: Vec<&str> = self.heads.outputs(1).into_iter().map(|(head, _)| head).collect();
+        let changes = self.layers.heads(tape, model, &heads, hidden);
+        let mut moved = |head: &str, attribute: Var| {
+            let Some(at) = heads.iter().position(|&on| on == head) else { return attribute };
+            let change = match head {
+                "harmonics" => leading_harmonics(tape, changes[at], sh_degree),
+                _ => changes[at],
+            };
             add(tape, attribute, change)
         };
         let (log_scales, rotations) = canonical.shape.scales_and_rotations().expect("Gaussians have both");
         SplatVars {
-            positions: moved(position, "position", canonical.positions),
+            positions: moved("position", canonical.positions),
             shape: ShapeVars::ScaleRotation {
-                log_scales: moved(scale, "scale", log_scales),
-                rotations: moved(rotation, "rotation", rotations),
+                log_scales: moved("scale", log_scales),
+                rotations: moved("rotation", rotations),
             },
-            opacity_logits: moved(opacity, "opacity", canonical.opacity_logits),
-            sh: moved(harmonics, "harmonics", canonical.sh),
+            opacity_logits: moved("opacity", canonical.opacity_logits),
+            sh: moved("harmonics", canonical.sh),
         }
     }
 

@@ -1,0 +1,104 @@
+//! Several layers at once.
+
+use super::gpu::{self, Places};
+use super::{Activation, Linear};
+use crate::gpu::Gpu;
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+/// One of several layers: x [N, I], weight [O, I], bias [O].
+#[derive(Clone, Copy, Debug)]
+pub struct Layer {
+    pub x: Var,
+    pub weight: Var,
+    pub bias: Var,
+}
+
+/// The outputs of [`super::linear`] for several layers, which may share inputs. A GPU computes them together.
+pub fn linears<T: Real>(tape: &mut Tape<T>, layers: &[Layer], activation: Activation) -> Vec<Var> {
+    let mut inputs: Vec<Var> = Vec::new();
+    // Inputs that several layers share come once.
+    for layer in layers {
+        if !inputs.contains(&layer.x) {
+            inputs.push(layer.x);
+        }
+    }
+    let mut op = Linears { activation, layers: Vec::new(), places: Vec::new() };
+    for &Layer { x, weight, bias } in layers {
+        op.layers.push(Linear::new(tape, x, weight, bias, activation));
+        let x = inputs.iter().position(|&input| input == x).expect("every x is an input");
+        op.places.push(Places { x, weight: inputs.len(), bias: inputs.len() + 1 });
+        inputs.extend([weight, bias]);
+    }
+    tape.apply(op, &inputs)
+}
+
+struct Linears {
+    activation: Activation,
+    layers: Vec<Linear>,
+    /// Where the inputs of each layer are among those of the operation.
+    places: Vec<Places>,
+}
+
+impl<T: Real> Op<T> for Linears {
+    fn name(&self) -> &'static str {
+        "linear"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let layers = self.layers.iter_mut().zip(&self.places);
+        layers.flat_map(|(layer, places)| layer.forward(&places.all().map(|place| inputs[place]))).collect()
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let mut totals = vec![None; inputs.len()];
+        self.accumulate(inputs, outputs, output_grads, needs, &mut totals);
+        totals
+    }
+
+    /// Layer by layer from the last one on, as if each were an operation of its own.
+    fn accumulate(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+        totals: &mut [Option<Tensor<T>>],
+    ) {
+        for (index, (layer, places)) in self.layers.iter_mut().zip(&self.places).enumerate().rev() {
+            let (places, own) = (places.all(), index..index + 1);
+            let mut of_layer = places.map(|place| totals[place].take());
+            layer.accumulate(
+                &places.map(|place| inputs[place]),
+                &outputs[own.clone()],
+                &output_grads[own],
+                &places.map(|place| needs[place]),
+                &mut of_layer,
+            );
+            places.into_iter().zip(of_layer).for_each(|(place, total)| totals[place] = total);
+        }
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(gpu::forward(gpu, &self.places, self.activation, inputs))
+    }
+
+    fn accumulate_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+        totals: &mut [Option<Tensor<T>>],
+    ) -> bool {
+        let (layers, activation) = (&self.places[..], self.activation);
+        gpu::Backward { gpu, layers, activation, inputs, outputs, output_grads, needs }.add_gradients(totals);
+        true
+    }
+}

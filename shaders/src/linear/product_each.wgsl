@@ -1,0 +1,9 @@
+// Every product has an output of its own.
+
+fn result(item: u32, at: u32) -> f32 {
+    return y(item, at);
+}
+
+fn set_result(item: u32, at: u32, value: f32) {
+    set_y(item, at, value);
+}
