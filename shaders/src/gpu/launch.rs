@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
-use super::{Context, Gpu, GpuArray, count, lock};
+use super::{Context, Gpu, GpuArray, Groups, count, lock};
 use crate::tape::{Real, Tensor};
 
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
@@ -32,8 +32,7 @@ pub struct Launch<'a> {
     /// A `repr(C)` struct laid out as the kernel's.
     pub constants: &'a [u8],
     pub arrays: &'a [Binding<'a>],
-    /// Workgroups.
-    pub groups: usize,
+    pub groups: Groups<'a>,
 }
 
 /// What a kernel does with an array.
@@ -134,13 +133,13 @@ impl Kernel {
     }
 
     /// Records one run.
-    pub fn launch(
+    pub fn launch<'a>(
         &self,
         gpu: Gpu,
         specialisation: &[(&str, u32)],
         constants: &impl bytemuck::NoUninit,
-        arrays: &[Binding],
-        groups: usize,
+        arrays: &'a [Binding<'a>],
+        groups: impl Into<Groups<'a>>,
     ) {
         self.launch_with(gpu, &String::new, specialisation, bytemuck::bytes_of(constants), arrays, groups);
     }
@@ -160,7 +159,7 @@ impl Kernel {
             source: &|| self.source_with(&declarations(), specialisation),
             constants,
             arrays,
-            groups,
+            groups: groups.into(),
         });
     }
 }
@@ -182,7 +181,7 @@ impl<'a> Binding<'a> {
 impl Gpu {
     /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups.
     pub fn launch(self, launch: &Launch) {
-        if launch.groups == 0 {
+        if matches!(launch.groups, Groups::Count(0)) {
             return;
         }
         assert!(launch.arrays.iter().all(|binding| binding.array().gpu() == self), "{}: another GPU", launch.name);
@@ -191,14 +190,14 @@ impl Gpu {
         if recorder.is_full(launch.constants.len()) {
             recorder.submit(self.0);
         }
-        recorder.record(self.0, &pipeline, launch, folded(launch.groups));
+        recorder.record(self.0, &pipeline, launch);
         count(&self.0.counters.launches, 1);
         count(&pipeline.launches, 1);
     }
 }
 
 /// Workgroups along two dimensions, none above the limit.
-fn folded(groups: usize) -> [u32; 2] {
+pub fn folded(groups: usize) -> [u32; 2] {
     let groups = u32::try_from(groups).expect("fewer than 2³² workgroups");
     let columns = groups.min(MAX_GROUPS);
     [columns, groups.div_ceil(columns)]

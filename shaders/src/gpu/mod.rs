@@ -14,6 +14,7 @@ pub(crate) mod grouped;
 mod launch;
 #[cfg(test)]
 pub(crate) mod layout;
+mod length;
 mod profile;
 mod rates;
 mod recorder;
@@ -30,6 +31,7 @@ pub(crate) use array::GpuArray;
 pub(crate) use launch::{
     Binding, COLUMN_SUM, Kernel, Launch, ROW_SUM, arriving, columns_for, lanes_for, specialised, uniforms,
 };
+pub(crate) use length::{Groups, Length};
 pub use profile::{KernelCost, Usage};
 pub use rates::Rates;
 

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use super::launch::{Launch, Pipeline};
+use super::launch::{Launch, Pipeline, folded};
 use super::profile::Stamps;
-use super::{Context, Gpu, GpuArray, GpuFailure, count, lock};
+use super::{Context, Gpu, GpuArray, GpuFailure, Groups, count, lock};
 
 /// Bytes of constants per submission, and so its length: 256 launches at the usual alignment.
 const CONSTANT_BYTES: usize = 64 * 1024;
@@ -13,7 +13,22 @@ const CONSTANT_BYTES: usize = 64 * 1024;
 struct Dispatch {
     pipeline: Arc<Pipeline>,
     bind_group: wgpu::BindGroup,
-    groups: [u32; 2],
+    groups: Workgroups,
+}
+
+enum Workgroups {
+    Direct([u32; 2]),
+    /// Three numbers from a byte of a buffer on.
+    Indirect(wgpu::Buffer, u64),
+}
+
+impl Workgroups {
+    fn new(groups: Groups) -> Self {
+        match groups {
+            Groups::Count(count) => Self::Direct(folded(count)),
+            Groups::Indirect(array, at) => Self::Indirect(array.buffer().clone(), 4 * at as u64),
+        }
+    }
 }
 
 /// Launches of the next submission.
@@ -42,7 +57,7 @@ impl Recorder {
         self.constants.len() + bytes > CONSTANT_BYTES
     }
 
-    pub fn record(&mut self, context: &Context, pipeline: &Arc<Pipeline>, launch: &Launch, groups: [u32; 2]) {
+    pub fn record(&mut self, context: &Context, pipeline: &Arc<Pipeline>, launch: &Launch) {
         let size = launch.constants.len();
         let offset = self.constants.len();
         self.constants.extend_from_slice(launch.constants);
@@ -50,7 +65,11 @@ impl Recorder {
         let size = std::num::NonZero::new(size as u64);
         let constants = wgpu::BufferBinding { buffer: &self.constants_buffer, offset: offset as u64, size };
         let bind_group = context.bind_group(pipeline, launch, constants);
-        self.dispatches.push(Dispatch { pipeline: pipeline.clone(), bind_group, groups });
+        self.dispatches.push(Dispatch {
+            pipeline: pipeline.clone(),
+            bind_group,
+            groups: Workgroups::new(launch.groups),
+        });
     }
 
     /// Hands everything to the driver, in order.
@@ -97,7 +116,10 @@ fn encode(
     for Dispatch { pipeline, bind_group, groups } in dispatches {
         pass.set_pipeline(&pipeline.compute);
         pass.set_bind_group(0, bind_group, &[]);
-        pass.dispatch_workgroups(groups[0], groups[1], 1);
+        match groups {
+            Workgroups::Direct([columns, rows]) => pass.dispatch_workgroups(*columns, *rows, 1),
+            Workgroups::Indirect(buffer, offset) => pass.dispatch_workgroups_indirect(buffer, *offset),
+        }
     }
 }
 

@@ -96,7 +96,7 @@ impl<T: Real> Pointwise<T> {
             source: &|| self.expression.value_kernel(),
             constants: bytemuck::cast_slice(&self.block()),
             arrays: &arrays,
-            groups: y.len().div_ceil(GROUP),
+            groups: y.len().div_ceil(GROUP).into(),
         });
         Tensor::from_gpu(shape, y)
     }
@@ -119,7 +119,7 @@ impl<T: Real> Pointwise<T> {
             source: &|| self.expression.gradient_kernel(needs),
             constants: bytemuck::cast_slice(&self.block()),
             arrays: &arrays,
-            groups: dy.len().div_ceil(GROUP),
+            groups: dy.len().div_ceil(GROUP).into(),
         });
         gradients.into_iter().map(|array| Some(Tensor::from_gpu(dy.shape(), array?))).collect()
     }

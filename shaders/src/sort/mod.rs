@@ -4,21 +4,22 @@
 #[cfg(test)]
 mod tests;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, Length, uniforms};
 
 const SCAN: Kernel = Kernel { name: "scan", text: &[include_str!("scan.wgsl")] };
 const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: &[include_str!("scan_add.wgsl")] };
-const COUNT: Kernel = Kernel { name: "sort, counts", text: &[include_str!("sort_count.wgsl")] };
-const SCATTER: Kernel = Kernel { name: "sort, scatter", text: &[include_str!("sort_scatter.wgsl")] };
-
+const SORT: &str = include_str!("sort.wgsl");
+const COUNT: Kernel = Kernel { name: "sort, counts", text: &[SORT, include_str!("sort_count.wgsl")] };
+const ROWS: Kernel = Kernel { name: "sort, rows", text: &[SORT, include_str!("sort_rows.wgsl")] };
+const SCATTER: Kernel = Kernel { name: "sort, scatter", text: &[SORT, include_str!("sort_scatter.wgsl")] };
 const STARTS: Kernel = Kernel { name: "sort, starts", text: &[include_str!("sort_starts.wgsl")] };
 
 /// Elements per workgroup of every kernel but the offsets and starts.
-const BLOCK: usize = 1024;
+const BLOCK: usize = Length::BLOCK;
 /// Elements per workgroup of the offsets and starts.
 const ADD_GROUP: usize = 256;
 /// Bits per pass, and the digits that they make.
-const DIGIT_BITS: u32 = 4;
+const DIGIT_BITS: u32 = 8;
 const DIGITS: usize = 1 << DIGIT_BITS;
 
 /// Sums stop here: they stay monotonic where they would overflow.
@@ -61,28 +62,40 @@ pub fn exclusive_sums(gpu: Gpu, input: &GpuArray) -> GpuArray {
 
 /// The keys in rising order and, for each, where it was; equal keys keep their order. Only the lowest `bits` count.
 pub fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
-    let pass = |keys: &GpuArray, values: Option<&GpuArray>, shift: u32| {
-        let (len, blocks) = (keys.len(), keys.len().div_ceil(BLOCK));
-        let constants = SortBlock { len: len as u32, blocks: blocks as u32, shift };
-        let counts = GpuArray::new(gpu, DIGITS * blocks);
-        COUNT.launch(gpu, &[], &constants, &[Binding::Read(keys), Binding::Write(&counts)], blocks);
-        let offsets = exclusive_sums(gpu, &counts);
-        let (sorted_keys, sorted_values) = (GpuArray::new(gpu, len), GpuArray::new(gpu, len));
-        let arrays = [
-            Binding::Read(keys),
-            Binding::Read(values.unwrap_or(keys)),
-            Binding::Read(&offsets),
-            Binding::Write(&sorted_keys),
-            Binding::Write(&sorted_values),
-        ];
-        SCATTER.launch(gpu, &[("FIRST", u32::from(values.is_none()))], &constants, &arrays, blocks);
-        (sorted_keys, sorted_values)
-    };
-    let mut sorted = pass(keys, None, 0);
+    sort_first(gpu, keys, None, bits)
+}
+
+/// As [`sort`] for the first keys of the array, as many as `length` says; what follows in the results is undefined.
+pub fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bits: u32) -> (GpuArray, GpuArray) {
+    let mut sorted = pass(gpu, (keys, None), length, 0);
     for shift in (DIGIT_BITS..bits).step_by(DIGIT_BITS as usize) {
-        sorted = pass(&sorted.0, Some(&sorted.1), shift);
+        sorted = pass(gpu, (&sorted.0, Some(&sorted.1)), length, shift);
     }
     sorted
+}
+
+/// Keys and their values by one digit.
+fn pass(
+    gpu: Gpu,
+    (keys, values): (&GpuArray, Option<&GpuArray>),
+    length: Option<&Length>,
+    shift: u32,
+) -> (GpuArray, GpuArray) {
+    let (len, blocks) = (keys.len(), keys.len().div_ceil(BLOCK));
+    let constants = SortBlock { len: len as u32, blocks: blocks as u32, shift };
+    let counted = ("COUNTED", u32::from(length.is_some()));
+    let of_blocks = length.map_or(Groups::Count(blocks), Length::blocks);
+    let length = Binding::Read(length.map_or(keys, Length::array));
+    let (counts, totals) = (GpuArray::new(gpu, DIGITS * blocks), GpuArray::new(gpu, DIGITS));
+    COUNT.launch(gpu, &[counted], &constants, &[length, Binding::Read(keys), Binding::Write(&counts)], of_blocks);
+    let digits = if blocks == 0 { 0 } else { DIGITS };
+    ROWS.launch(gpu, &[counted], &constants, &[length, Binding::Write(&counts), Binding::Write(&totals)], digits);
+    let (sorted_keys, sorted_values) = (GpuArray::new(gpu, len), GpuArray::new(gpu, len));
+    let read = [keys, values.unwrap_or(keys), &counts, &totals].map(Binding::Read);
+    let arrays = [&[length], &read[..], &[&sorted_keys, &sorted_values].map(Binding::Write)].concat();
+    let specialisation = [counted, ("FIRST", u32::from(values.is_none()))];
+    SCATTER.launch(gpu, &specialisation, &constants, &arrays, of_blocks);
+    (sorted_keys, sorted_values)
 }
 
 /// Where each of the keys 0..count begins among keys in rising order, and where the last ends: [count + 1].

@@ -1,86 +1,157 @@
 // Moves every key with its value to its place by one digit; keys of equal digit keep their order. FIRST is 1 where the
 // values are the places of the keys themselves.
+//
+// A block is sorted in workgroup memory by the digit's lower and then its higher four bits, so that what is written next
+// to each other belongs next to each other.
 
-struct Sort {
-    len: u32,
-    blocks: u32,
-    shift: u32,
+@group(0) @binding(2) var<storage, read> keys: array<u32>;
+@group(0) @binding(3) var<storage, read> values: array<u32>;
+// [digit, block]: keys of that digit in earlier blocks.
+@group(0) @binding(4) var<storage, read> before: array<u32>;
+// [digit].
+@group(0) @binding(5) var<storage, read> totals: array<u32>;
+@group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
+@group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
+
+// The digits of a block's keys, each with the place of its key in the block in its lower ten bits.
+var<workgroup> items: array<u32, 1024>;
+// Counts of sixteen half digits, two to a word: the first eight, then the others, for every invocation.
+var<workgroup> counts: array<vec4<u32>, 512>;
+// Where the keys of each digit begin among all keys, and in the block.
+var<workgroup> global_starts: array<u32, 256>;
+var<workgroup> local_starts: array<u32, 256>;
+
+// One for a half digit, in its half of its word.
+fn one_for(half_digit: u32) -> array<vec4<u32>, 2> {
+    let word = half_digit / 2u;
+    let one = 1u << (16u * (half_digit % 2u));
+    let low = select(vec4<u32>(), vec4<u32>(one), vec4<u32>(word) == vec4<u32>(0u, 1u, 2u, 3u));
+    let high = select(vec4<u32>(), vec4<u32>(one), vec4<u32>(word) == vec4<u32>(4u, 5u, 6u, 7u));
+    return array<vec4<u32>, 2>(low, high);
 }
 
-@group(0) @binding(0) var<uniform> sort: Sort;
-@group(0) @binding(1) var<storage, read> keys: array<u32>;
-@group(0) @binding(2) var<storage, read> values: array<u32>;
-// [digit, block]: where the keys of that digit in that block begin.
-@group(0) @binding(3) var<storage, read> offsets: array<u32>;
-@group(0) @binding(4) var<storage, read_write> sorted_keys: array<u32>;
-@group(0) @binding(5) var<storage, read_write> sorted_values: array<u32>;
+// The count of a half digit.
+fn count_of(low: vec4<u32>, high: vec4<u32>, half_digit: u32) -> u32 {
+    let ones = one_for(half_digit);
+    let mask = array<vec4<u32>, 2>(ones[0] * 0xffffu, ones[1] * 0xffffu);
+    let found = (low & mask[0]) | (high & mask[1]);
+    let word = found.x | found.y | found.z | found.w;
+    return word >> (16u * (half_digit % 2u));
+}
 
-const GROUP: u32 = 128u;
-const ITEMS: u32 = 8u;
-const DIGITS: u32 = 16u;
+// Exclusive sums over the sixteen halves, two to a word: the totals before each.
+fn starts_of(totals_low: vec4<u32>, totals_high: vec4<u32>) -> array<vec4<u32>, 2> {
+    var words = array<u32, 8>(
+        totals_low.x, totals_low.y, totals_low.z, totals_low.w,
+        totals_high.x, totals_high.y, totals_high.z, totals_high.w,
+    );
+    var running = 0u;
+    for (var word = 0u; word < 8u; word++) {
+        let even = words[word] & 0xffffu;
+        let odd = words[word] >> 16u;
+        words[word] = running | ((running + even) << 16u);
+        running += even + odd;
+    }
+    return array<vec4<u32>, 2>(
+        vec4<u32>(words[0], words[1], words[2], words[3]),
+        vec4<u32>(words[4], words[5], words[6], words[7]),
+    );
+}
 
-// [digit, invocation]: keys of that digit, then where they begin among all keys of the block in sorted order.
-var<workgroup> places: array<u32, 2048>;
-var<workgroup> partial: array<u32, 128>;
-var<workgroup> starts: array<u32, 16>;
+// Sorts the block by four bits of its digits, stably. Each invocation has four items in a row.
+fn sort_block(local: u32, shift: u32) {
+    var own: array<u32, 4>;
+    var low = vec4<u32>();
+    var high = vec4<u32>();
+    for (var item = 0u; item < ITEMS; item++) {
+        own[item] = items[local * ITEMS + item];
+        let one = one_for((own[item] >> (10u + shift)) & 15u);
+        low += one[0];
+        high += one[1];
+    }
+    counts[local] = low;
+    counts[GROUP + local] = high;
+    workgroupBarrier();
+    for (var distance = 1u; distance < GROUP; distance *= 2u) {
+        var left_low = vec4<u32>();
+        var left_high = vec4<u32>();
+        if (local >= distance) {
+            left_low = counts[local - distance];
+            left_high = counts[GROUP + local - distance];
+        }
+        workgroupBarrier();
+        counts[local] += left_low;
+        counts[GROUP + local] += left_high;
+        workgroupBarrier();
+    }
+    let starts = starts_of(counts[GROUP - 1u], counts[2u * GROUP - 1u]);
+    // Where the next item of each half digit of this invocation goes.
+    var next_low = starts[0] + counts[local] - low;
+    var next_high = starts[1] + counts[GROUP + local] - high;
+    for (var item = 0u; item < ITEMS; item++) {
+        let half_digit = (own[item] >> (10u + shift)) & 15u;
+        items[count_of(next_low, next_high, half_digit)] = own[item];
+        let one = one_for(half_digit);
+        next_low += one[0];
+        next_high += one[1];
+    }
+    workgroupBarrier();
+}
 
-@compute @workgroup_size(128)
+// Where the keys of each digit begin among all keys: exclusive sums of the totals.
+fn find_global_starts(local: u32) {
+    let own = totals[local];
+    global_starts[local] = own;
+    workgroupBarrier();
+    for (var distance = 1u; distance < GROUP; distance *= 2u) {
+        var left = 0u;
+        if (local >= distance) {
+            left = global_starts[local - distance];
+        }
+        workgroupBarrier();
+        global_starts[local] += left;
+        workgroupBarrier();
+    }
+    global_starts[local] -= own;
+}
+
+@compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = flat_group(group, groups);
-    for (var digit = 0u; digit < DIGITS; digit++) {
-        places[digit * GROUP + local] = 0u;
-    }
-    // Each invocation has consecutive keys, so that places in order of invocations are in the order of keys.
-    let first = (block * GROUP + local) * ITEMS;
+    let first = block * BLOCK;
     for (var item = 0u; item < ITEMS; item++) {
-        if (first + item < sort.len) {
-            let digit = (keys[first + item] >> sort.shift) & 15u;
-            places[digit * GROUP + local] += 1u;
+        let place = item * GROUP + local;
+        // What is beyond the end comes after every key.
+        var digit = DIGITS - 1u;
+        if (first + place < key_count()) {
+            digit = digit_of(keys[first + place]);
+        }
+        items[place] = (digit << 10u) | place;
+    }
+    find_global_starts(local);
+    workgroupBarrier();
+    sort_block(local, 0u);
+    sort_block(local, 4u);
+    for (var item = 0u; item < ITEMS; item++) {
+        let at = local * ITEMS + item;
+        let digit = items[at] >> 10u;
+        if (at == 0u || items[max(at, 1u) - 1u] >> 10u != digit) {
+            local_starts[digit] = at;
         }
     }
     workgroupBarrier();
 
-    // Exclusive sums over [digit, invocation]: 16 consecutive counts per invocation, then over the invocations.
-    var own = 0u;
-    for (var at = 0u; at < DIGITS; at++) {
-        own += places[local * DIGITS + at];
-    }
-    partial[local] = own;
-    workgroupBarrier();
-    for (var distance = 1u; distance < GROUP; distance *= 2u) {
-        var left = 0u;
-        if (local >= distance) {
-            left = partial[local - distance];
-        }
-        workgroupBarrier();
-        partial[local] += left;
-        workgroupBarrier();
-    }
-    var running = partial[local] - own;
-    for (var at = 0u; at < DIGITS; at++) {
-        let count = places[local * DIGITS + at];
-        places[local * DIGITS + at] = running;
-        running += count;
-    }
-    workgroupBarrier();
-    if (local < DIGITS) {
-        starts[local] = places[local * GROUP];
-    }
-    workgroupBarrier();
-
     for (var item = 0u; item < ITEMS; item++) {
-        let index = first + item;
-        if (index < sort.len && block < sort.blocks) {
-            let key = keys[index];
-            let digit = (key >> sort.shift) & 15u;
-            let place = places[digit * GROUP + local];
-            places[digit * GROUP + local] = place + 1u;
-            let to = offsets[digit * sort.blocks + block] + place - starts[digit];
-            sorted_keys[to] = key;
+        let at = item * GROUP + local;
+        let digit = items[at] >> 10u;
+        let index = first + (items[at] & (BLOCK - 1u));
+        if (index < key_count()) {
+            let to = global_starts[digit] + before[digit * sort.blocks + block] + at - local_starts[digit];
+            sorted_keys[to] = keys[index];
             if (FIRST == 1u) {
                 sorted_values[to] = index;
             } else {

@@ -21,8 +21,13 @@ fn kernels_are_valid() {
     for source in [SCAN.source(&[]), SCAN_ADD.source(&[])] {
         validate(&source).and_then(|_| check_layout::<ScanBlock>(&source)).unwrap_or_else(|error| panic!("{error}"));
     }
-    for source in [COUNT.source(&[]), SCATTER.source(&[("FIRST", 0)]), SCATTER.source(&[("FIRST", 1)])] {
-        validate(&source).and_then(|_| check_layout::<SortBlock>(&source)).unwrap_or_else(|error| panic!("{error}"));
+    for counted in [0, 1].map(|counted| ("COUNTED", counted)) {
+        for kernel in [&COUNT, &ROWS] {
+            crate::gpu::layout::assert_valid::<SortBlock>(kernel, &[counted]);
+        }
+        for first in [0, 1] {
+            crate::gpu::layout::assert_valid::<SortBlock>(&SCATTER, &[counted, ("FIRST", first)]);
+        }
     }
 }
 
@@ -65,11 +70,25 @@ fn sorts_of_any_length_are_stable() {
     let Some(gpu) = test_gpu() else { return };
     for len in LENGTHS {
         let few: Vec<u32> = scrambled(len).iter().map(|key| key % 11).collect();
-        for (keys, bits) in [(scrambled(len), 32), (few, 4), (vec![7; len], 32), ((0..len as u32).rev().collect(), 32)]
+        let falling = (0..len as u32).rev().collect();
+        for (keys, bits) in
+            [(scrambled(len), 32), (few, 4), (vec![7; len], 32), (falling, 32), (vec![u32::MAX; len], 32)]
         {
             let (sorted, places) = sort(gpu, &GpuArray::upload(gpu, &keys), bits);
             assert!(is_stably_sorted(&keys, (&read(&sorted), &read(&places))), "{len} keys of {bits} bits");
         }
+    }
+}
+
+#[test]
+fn as_many_keys_are_sorted_as_there_are() {
+    let Some(gpu) = test_gpu() else { return };
+    for (room, count) in [(0, 0), (1, 0), (3000, 1), (3000, 2047), (3000, 3000), (70_000, 66_000)] {
+        let keys = scrambled(room);
+        let length = Length::of(gpu, &GpuArray::upload(gpu, &[7, count as u32]), 1, room);
+        let (sorted, places) = sort_first(gpu, &GpuArray::upload(gpu, &keys), Some(&length), 32);
+        let (sorted, places) = (read(&sorted), read(&places));
+        assert!(is_stably_sorted(&keys[..count], (&sorted[..count], &places[..count])), "{count} of {room}");
     }
 }
 

@@ -66,7 +66,7 @@ impl<const I: usize> RowKernel<I> {
             source: &|| self.value_text(),
             constants: bytemuck::bytes_of(&self.block(rows)),
             arrays: &read.chain([Binding::Write(&y)]).collect::<Vec<_>>(),
-            groups: y.len().div_ceil(GROUP),
+            groups: y.len().div_ceil(GROUP).into(),
         });
         Tensor::from_gpu([rows, self.y_columns], y)
     }
@@ -86,7 +86,7 @@ impl<const I: usize> RowKernel<I> {
             source: &|| self.gradient_text(),
             constants: bytemuck::bytes_of(&self.block(dy.rows())),
             arrays: &read.chain(gradients.iter().map(Binding::Write)).collect::<Vec<_>>(),
-            groups: gradients.iter().map(GpuArray::len).sum::<usize>().div_ceil(GROUP),
+            groups: gradients.iter().map(GpuArray::len).sum::<usize>().div_ceil(GROUP).into(),
         });
         let mut inputs = inputs.into_iter();
         gradients.map(|array| Tensor::from_gpu(inputs.next().expect("as many").shape(), array))
