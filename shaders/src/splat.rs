@@ -12,7 +12,9 @@ pub(crate) mod test_scene;
 mod tests;
 
 pub use crate::binning::TooManyIntersections;
-use crate::binning::{self, Grid, TILE};
+use std::sync::Arc;
+
+use crate::binning::{self, Grid, Lists, TILE};
 pub use crate::blending::Isa;
 use crate::blending::{self, Blended};
 use crate::projection;
@@ -32,11 +34,45 @@ pub struct Rendered {
     pub features: Option<Var>,
     /// [N, 2] px: its gradient, in units of 1/px, drives density control.
     pub means2d: Var,
+    /// [N, 3]: see [`ProjectedVars::conics`].
+    pub conics: Var,
+    lists: Arc<Lists>,
+    blended_pixel_splats: Option<u64>,
+}
+
+/// What somebody who asks learns of a render; a GPU is waited for then.
+impl Rendered {
+    /// The number of splats that were given.
+    pub fn splats<T: Real>(&self, tape: &Tape<T>) -> usize {
+        tape.value(self.means2d).rows()
+    }
+
     /// [N]: whether any tile holds the splat.
-    pub visible: Vec<bool>,
+    pub fn visible(&self) -> Vec<bool> {
+        self.lists.visible()
+    }
+
     /// [N]: three standard deviations along the longer axis, in px; 0 where invisible.
-    pub radii_px: Vec<f32>,
-    pub stats: RenderStats,
+    pub fn radii_px<T: Real>(&self, tape: &Tape<T>) -> Vec<f32> {
+        let conics = tape.value(self.conics).as_slice().as_chunks::<3>().0;
+        let radius = |(conic, is_visible): (&[T; 3], bool)| if is_visible { radius_px(conic) } else { 0.0 };
+        conics.iter().zip(self.visible()).map(radius).collect()
+    }
+
+    pub fn stats(&self) -> RenderStats {
+        let intersections = self.lists.entry_count();
+        RenderStats {
+            visible: self.lists.visible_count(),
+            intersections,
+            nominal_pixel_splats: (intersections * TILE * TILE) as u64,
+            blended_pixel_splats: self.blended_pixel_splats,
+        }
+    }
+
+    /// Which splats which tiles hold.
+    pub(crate) fn lists(&self) -> &Lists {
+        &self.lists
+    }
 }
 
 /// How much work a render was.
@@ -65,17 +101,9 @@ pub fn render<T: Real>(
     let lists = binning::bin(tape, &projected, grid)?;
     let Blended { color, alpha, depth, features, blended_count } =
         blending::blend(tape, &projected, features, &lists, settings);
-    let visible = lists.visible();
-    let conics = tape.value(projected.conics).as_slice().as_chunks::<3>().0;
-    let radius = |(conic, &is_visible): (&[T; 3], &bool)| if is_visible { radius_px(conic) } else { 0.0 };
-    let stats = RenderStats {
-        visible: lists.visible_count(),
-        intersections: lists.entry_count(),
-        nominal_pixel_splats: (lists.entry_count() * TILE * TILE) as u64,
-        blended_pixel_splats: blended_count,
-    };
-    let radii_px = conics.iter().zip(&visible).map(radius).collect();
-    Ok(Rendered { color, alpha, depth, features, means2d: projected.means2d, visible, radii_px, stats })
+    let (means2d, conics) = (projected.means2d, projected.conics);
+    let blended_pixel_splats = blended_count;
+    Ok(Rendered { color, alpha, depth, features, means2d, conics, lists, blended_pixel_splats })
 }
 
 /// Parameters of N splats as tensors, shaped as [`SplatVars`].
@@ -135,7 +163,7 @@ pub fn render_image<T: Real>(
     let rendered = render(&mut tape, &vars, None, camera, settings)?;
     let image = |var: Var| tape.value(var).clone();
     let (color, alpha, depth) = (image(rendered.color), image(rendered.alpha), rendered.depth.map(image));
-    Ok(RenderedImage { color, alpha, depth, stats: rendered.stats })
+    Ok(RenderedImage { color, alpha, depth, stats: rendered.stats() })
 }
 
 /// Three times the root of the larger eigenvalue of the covariance behind (A, k, m).

@@ -1,17 +1,18 @@
 // From the hits sorted by tile: the rank of every entry, the entry of every hit, and where the entries of each tile begin.
 
 struct Entries {
-    count: u32,
     tiles: u32,
 }
 
 @group(0) @binding(0) var<uniform> sizes: Entries;
-@group(0) @binding(1) var<storage, read> sorted_tiles: array<u32>;
-@group(0) @binding(2) var<storage, read> hit_of_entry: array<u32>;
-@group(0) @binding(3) var<storage, read> hit_ranks: array<u32>;
-@group(0) @binding(4) var<storage, read_write> ranks: array<u32>;
-@group(0) @binding(5) var<storage, read_write> entry_of_hit: array<u32>;
+// Its first element is the number of entries.
+@group(0) @binding(1) var<storage, read> length: array<u32>;
+@group(0) @binding(2) var<storage, read> sorted_tiles: array<u32>;
+@group(0) @binding(3) var<storage, read> hit_of_entry: array<u32>;
+@group(0) @binding(4) var<storage, read> hit_ranks: array<u32>;
+@group(0) @binding(5) var<storage, read_write> ranks: array<u32>;
 @group(0) @binding(6) var<storage, read_write> tile_starts: array<u32>;
+@group(0) @binding(7) var<storage, read_write> entry_of_hit: array<u32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -20,14 +21,19 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let entry = flat_group(group, groups) * 256u + local;
-    if (entry >= sizes.count) {
+    let count = length[0];
+    if (entry >= count && entry > 0u) {
         return;
     }
-    let hit = hit_of_entry[entry];
-    let tile = min(sorted_tiles[entry], sizes.tiles);
-    ranks[entry] = hit_ranks[hit];
-    entry_of_hit[hit] = select(NOWHERE, entry, tile < sizes.tiles);
-    // Each entry writes the starts of its tile and of the empty ones before it, if it is the first of its tile.
+    // Each entry writes the starts of its tile and of the empty ones before it, if it is the first of its tile; the last
+    // one those after it, and where there is none they are all the same.
+    var tile = 0u;
+    if (count > 0u) {
+        let hit = hit_of_entry[entry];
+        tile = min(sorted_tiles[entry], sizes.tiles);
+        ranks[entry] = hit_ranks[hit];
+        entry_of_hit[hit] = select(NOWHERE, entry, tile < sizes.tiles);
+    }
     var first_tile = 0u;
     if (entry > 0u) {
         first_tile = min(sorted_tiles[entry - 1u], sizes.tiles) + 1u;
@@ -35,9 +41,9 @@ fn main(
     for (var start = first_tile; start <= tile; start++) {
         tile_starts[start] = entry;
     }
-    if (entry + 1u == sizes.count) {
+    if (entry + 1u >= count) {
         for (var start = tile + 1u; start <= sizes.tiles; start++) {
-            tile_starts[start] = sizes.count;
+            tile_starts[start] = count;
         }
     }
 }

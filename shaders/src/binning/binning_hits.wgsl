@@ -1,5 +1,5 @@
 // The tiles of every rank, tiles ascending, each with the rank. Should this pass find fewer than were counted, the rest
-// belong to no tile; more are not written.
+// belong to no tile; more are not written, nor what there is no room for.
 
 @group(0) @binding(4) var<storage, read> order: array<u32>;
 @group(0) @binding(5) var<storage, read> hit_starts: array<u32>;
@@ -17,8 +17,8 @@ fn main(
         return;
     }
     var hit = hit_starts[rank];
-    let end = hit_starts[rank + 1u];
-    if (hit == end) {
+    let end = min(hit_starts[rank + 1u], arrayLength(&hit_tiles));
+    if (hit >= end) {
         return;
     }
     let ellipse = ellipse_of(order[rank]);

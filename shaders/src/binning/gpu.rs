@@ -1,11 +1,11 @@
 //! The kernels of binning.
 
 use super::{Grid, MAX_INTERSECTIONS};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
-use crate::sort::{SUM_CAP, exclusive_sums, sort};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, Length, uniforms};
+use crate::sort::{SUM_CAP, exclusive_sums, sort, sort_first};
 use crate::tape::{Real, Tensor};
 
-const GROUP: usize = 256;
+const GROUP: usize = Length::GROUP;
 const SPANS: &str = concat!(include_str!("ellipse.wgsl"), include_str!("tile_spans.wgsl"));
 const COUNT: Kernel = Kernel { name: "binning, counts", text: &[SPANS, include_str!("binning_count.wgsl")] };
 const RANK: Kernel = Kernel { name: "binning, ranks", text: &[include_str!("binning_rank.wgsl")] };
@@ -34,7 +34,6 @@ uniforms! {
 
 uniforms! {
     struct EntriesBlock as "Entries" {
-        count: u32,
         tiles: u32,
     }
 }
@@ -43,17 +42,19 @@ uniforms! {
 #[derive(Debug)]
 pub struct GpuLists {
     pub grid: Grid,
-    /// Splats that some tile holds.
-    pub visible: usize,
+    /// [1]: splats that some tile holds.
+    pub visible: GpuArray,
+    /// How many entries and hits there are.
+    pub entries: Length,
     /// [N]: splats by rank; those that no tile holds come last.
     pub order: GpuArray,
     /// [N].
     pub rank_of_splat: GpuArray,
-    /// [entries].
+    /// [entries], with room for more.
     pub ranks: GpuArray,
     /// [tiles + 1].
     pub tile_starts: GpuArray,
-    /// [hits]; `NO_RANK` for a hit that was counted and not found.
+    /// [hits], with room for more; `NO_RANK` for a hit that was counted and not found.
     pub entry_of_hit: GpuArray,
     /// [N + 1]: where the hits of a rank begin; ranks that no tile holds have none.
     pub hit_starts: GpuArray,
@@ -69,14 +70,15 @@ impl GpuLists {
             out
         };
         let sizes = |array: &GpuArray| read(array).into_iter().map(|start| start as usize).collect::<Vec<_>>();
+        let (visible, entries) = (self.visible.read_one(0) as usize, self.entries.array().read_one(0) as usize);
         super::TileLists {
             grid: self.grid,
-            order: read(&self.order)[..self.visible].to_vec(),
+            order: read(&self.order)[..visible].to_vec(),
             rank_of_splat: read(&self.rank_of_splat),
-            ranks: read(&self.ranks),
+            ranks: read(&self.ranks)[..entries].to_vec(),
             tile_starts: sizes(&self.tile_starts),
-            entry_of_hit: read(&self.entry_of_hit),
-            hit_starts: sizes(&self.hit_starts)[..=self.visible].to_vec(),
+            entry_of_hit: read(&self.entry_of_hit)[..entries].to_vec(),
+            hit_starts: sizes(&self.hit_starts)[..=visible].to_vec(),
         }
     }
 }
@@ -92,8 +94,9 @@ impl GridBlock {
 /// Means, conics, depths and cutoffs of the splats.
 type Inputs<'a, T> = [&'a Tensor<T>; 4];
 
-/// The lists, or `None` if there are too many intersections.
-pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid) -> Option<GpuLists> {
+/// The lists with room for so many intersections. Where no number is given, their number is read back first; `None` if
+/// there are too many then.
+pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, room: Option<usize>) -> Option<GpuLists> {
     let [means2d, conics, depths, cutoffs] = inputs.map(|input| input.on_gpu(gpu));
     let ellipses = [means2d, conics, cutoffs].map(Binding::Read);
     let count = depths.len();
@@ -118,49 +121,41 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid) -> Option<Gp
     RANK.launch(gpu, &[], &RanksBlock { count: count as u32 }, &arrays, (count + 1).div_ceil(GROUP));
     let hit_starts = exclusive_sums(gpu, &counts_of_ranks);
 
-    // How much there is decides what is allocated: the one thing that is read back.
-    let [visible, hits] = [(&visible, 0), (&hit_starts, count)].map(|(array, at)| array.read_one(at) as usize);
-    if hits as u64 > MAX_INTERSECTIONS {
+    let room = room.unwrap_or_else(|| hit_starts.read_one(count) as usize);
+    if room as u64 > MAX_INTERSECTIONS {
         return None;
     }
-    let (ranks, tile_starts, entry_of_hit) = entries(gpu, &ellipses, grid, count, hits, &order, &hit_starts);
-    Some(GpuLists { grid, visible, order, rank_of_splat, ranks, tile_starts, entry_of_hit, hit_starts })
+    let entries = Length::of(gpu, &hit_starts, count, room);
+    let [hit_tiles, hit_ranks] = hits(gpu, &ellipses, grid, room, (&order, &hit_starts));
+    let [ranks, tile_starts, entry_of_hit] = by_tile(gpu, grid, &entries, [&hit_tiles, &hit_ranks]);
+    Some(GpuLists { grid, visible, entries, order, rank_of_splat, ranks, tile_starts, entry_of_hit, hit_starts })
 }
 
-/// The ranks of the entries, where the tiles begin, and the entries of the hits.
-fn entries(
+/// Tile and rank of every hit, as many as there is room for.
+fn hits(
     gpu: Gpu,
     ellipses: &[Binding],
     grid: Grid,
-    count: usize,
-    hits: usize,
-    order: &GpuArray,
-    hit_starts: &GpuArray,
-) -> (GpuArray, GpuArray, GpuArray) {
-    let [hit_tiles, hit_ranks, ranks, entry_of_hit] = [(); 4].map(|()| GpuArray::new(gpu, hits));
-    if hits == 0 {
-        return (ranks, GpuArray::upload(gpu, &vec![0_u32; grid.tiles() + 1]), entry_of_hit);
-    }
-    let places = [Binding::Read(order), Binding::Read(hit_starts)];
-    let found = [Binding::Write(&hit_tiles), Binding::Write(&hit_ranks)];
-    let arrays = [ellipses, &places, &found].concat();
+    room: usize,
+    (order, hit_starts): (&GpuArray, &GpuArray),
+) -> [GpuArray; 2] {
+    let found = [(); 2].map(|()| GpuArray::new(gpu, room));
+    let arrays = [ellipses, &[order, hit_starts].map(Binding::Read), &found.each_ref().map(Binding::Write)].concat();
+    let count = order.len();
     HITS.launch(gpu, &[], &GridBlock::new(grid, count), &arrays, count.div_ceil(GROUP));
+    found
+}
 
-    // By tile; the number of tiles stands for none. The order of ranks within a tile stays.
+/// The ranks of the entries, where the tiles begin, and the entries of the hits.
+fn by_tile(gpu: Gpu, grid: Grid, entries: &Length, [hit_tiles, hit_ranks]: [&GpuArray; 2]) -> [GpuArray; 3] {
+    // The number of tiles stands for none. The order of ranks within a tile stays.
     let bits = u32::BITS - (grid.tiles() as u32).leading_zeros();
-    let (sorted_tiles, hit_of_entry) = sort(gpu, &hit_tiles, bits);
-    let tile_starts = GpuArray::new(gpu, grid.tiles() + 1);
-    let arrays = [
-        Binding::Read(&sorted_tiles),
-        Binding::Read(&hit_of_entry),
-        Binding::Read(&hit_ranks),
-        Binding::Write(&ranks),
-        Binding::Write(&entry_of_hit),
-        Binding::Write(&tile_starts),
-    ];
-    let constants = EntriesBlock { count: hits as u32, tiles: grid.tiles() as u32 };
-    ENTRIES.launch(gpu, &[], &constants, &arrays, hits.div_ceil(GROUP));
-    (ranks, tile_starts, entry_of_hit)
+    let (sorted_tiles, hit_of_entry) = sort_first(gpu, hit_tiles, Some(entries), bits);
+    let lists = [hit_tiles.len(), grid.tiles() + 1, hit_tiles.len()].map(|len| GpuArray::new(gpu, len));
+    let read = [entries.array(), &sorted_tiles, &hit_of_entry, hit_ranks].map(Binding::Read);
+    let arrays = [&read[..], &lists.each_ref().map(Binding::Write)].concat();
+    ENTRIES.launch(gpu, &[], &EntriesBlock { tiles: grid.tiles() as u32 }, &arrays, entries.groups());
+    lists
 }
 
 #[cfg(test)]

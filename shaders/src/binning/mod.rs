@@ -14,9 +14,9 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuArray};
 use crate::projection::ProjectedVars;
-use crate::tape::{Op, Real, Tape, Tensor, chunks};
+use crate::tape::{Later, Op, Real, Tape, Tensor, chunks};
 use ellipse::Ellipse;
 pub use gpu::GpuLists;
 
@@ -116,23 +116,31 @@ impl Lists {
         }
     }
 
-    /// Splats that some tile holds.
+    /// How many (tile, splat) pairs there are and how many were wanted, where a GPU has counted them.
+    pub(crate) fn length_on_gpu(&self) -> Option<&GpuArray> {
+        match self {
+            Self::Host(_) => None,
+            Self::Gpu(lists) => Some(lists.entries.array()),
+        }
+    }
+
+    /// Splats that some tile holds; read back from a GPU.
     pub fn visible_count(&self) -> usize {
         match self {
             Self::Host(lists) => lists.order.len(),
-            Self::Gpu(lists) => lists.visible,
+            Self::Gpu(lists) => lists.visible.read_one(0) as usize,
         }
     }
 
-    /// (Tile, splat) pairs.
+    /// (Tile, splat) pairs; read back from a GPU.
     pub fn entry_count(&self) -> usize {
         match self {
             Self::Host(lists) => lists.ranks.len(),
-            Self::Gpu(lists) => lists.ranks.len(),
+            Self::Gpu(lists) => lists.entries.array().read_one(0) as usize,
         }
     }
 
-    /// [N]: whether any tile holds the splat.
+    /// [N]: whether any tile holds the splat; read back from a GPU.
     pub fn visible(&self) -> Vec<bool> {
         let has_rank = |ranks: &[u32]| ranks.iter().map(|&rank| rank != TileLists::NO_RANK).collect();
         match self {
@@ -170,14 +178,20 @@ pub fn bin<T: Real>(
 ) -> Result<Arc<Lists>, TooManyIntersections> {
     let result = Arc::new(OnceLock::new());
     let inputs = [projected.means2d, projected.conics, projected.depths, projected.cutoffs];
-    tape.apply(Binning { grid, result: result.clone() }, &inputs);
-    let result = result.get().expect("binning has run");
-    result.clone()
+    let room = tape.room();
+    tape.apply(Binning { grid, room, result: result.clone() }, &inputs);
+    let lists = result.get().expect("binning has run").clone()?;
+    if let (Lists::Gpu(_), Some(room)) = (&*lists, room) {
+        tape.say_later(Later::Intersections { lists: lists.clone(), room });
+    }
+    Ok(lists)
 }
 
 /// Computes no values: an operation so that its time is listed among the others.
 struct Binning {
     grid: Grid,
+    /// What a GPU makes room for, where nobody is to wait for the number of intersections.
+    room: Option<usize>,
     result: Arc<OnceLock<Result<Arc<Lists>, TooManyIntersections>>>,
 }
 
@@ -217,7 +231,7 @@ impl<T: Real> Op<T> for Binning {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         let &[means2d, conics, depths, cutoffs] = inputs else { unreachable!("four inputs") };
         // Where there are too many, the CPU counts them for the message.
-        let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid)?;
+        let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid, self.room)?;
         self.tell(Ok(Lists::Gpu(lists)));
         Some(Vec::new())
     }

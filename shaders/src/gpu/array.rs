@@ -1,6 +1,7 @@
 //! Arrays in the memory of a GPU, from a pool: a training step takes and returns the same sizes again and again.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use super::{Gpu, GpuFailure, count, lock};
 
@@ -9,9 +10,12 @@ const POOL_BYTES: u64 = 1 << 30;
 /// The smallest buffer: zero bytes cannot be bound.
 const MIN_BYTES: u64 = 256;
 
-/// Buffers that nothing uses any more, by size.
+/// Buffers that no array uses any more, by size.
 #[derive(Default)]
 pub struct Pool {
+    /// Kernels that are recorded and not submitted yet may use them: what is recorded later can have them, the host not.
+    recent: BTreeMap<u64, Vec<wgpu::Buffer>>,
+    /// The others.
     free: BTreeMap<u64, Vec<wgpu::Buffer>>,
     bytes: u64,
 }
@@ -32,24 +36,29 @@ impl GpuArray {
     pub fn new(gpu: Gpu, len: usize) -> Self {
         let size = gpu.checked_size(len);
         let pooled = lock(&gpu.0.pool).take(size);
-        let buffer = pooled.unwrap_or_else(|| gpu.create_buffer(size, false));
+        let buffer = pooled.unwrap_or_else(|| gpu.create_buffer(size));
         Self { gpu, buffer: Some(buffer), len }
     }
 
     /// An array with these numbers, f32 or u32.
     pub fn upload<N: bytemuck::NoUninit>(gpu: Gpu, data: &[N]) -> Self {
         assert_eq!(size_of::<N>(), 4, "arrays hold 32-bit numbers");
-        // Of a fresh buffer, which no recorded kernel reads.
-        let buffer = gpu.create_buffer(gpu.checked_size(data.len()), true);
+        let size = gpu.checked_size(data.len());
+        // The host writes before the kernels that are recorded so far run.
+        let pooled = lock(&gpu.0.pool).take_free(size);
+        let buffer = pooled.unwrap_or_else(|| gpu.create_buffer(size));
         let bytes: &[u8] = bytemuck::cast_slice(data);
         if !bytes.is_empty() {
-            let mut mapped = buffer.get_mapped_range_mut(..bytes.len() as u64).expect("mapped at creation");
-            mapped.copy_from_slice(bytes);
+            gpu.0.queue.write_buffer(&buffer, 0, bytes);
         }
-        buffer.unmap();
         count(&gpu.0.counters.uploads, 1);
         count(&gpu.0.counters.bytes_uploaded, bytes.len() as u64);
         Self { gpu, buffer: Some(buffer), len: data.len() }
+    }
+
+    /// An array of zeros.
+    pub fn zeros(gpu: Gpu, len: usize) -> Self {
+        Self::upload(gpu, &vec![0_u32; len])
     }
 
     pub fn gpu(&self) -> Gpu {
@@ -78,16 +87,27 @@ impl GpuArray {
     pub fn read_one(&self, at: usize) -> u32 {
         assert!(at < self.len, "element {at} of {}", self.len);
         let mut out = [0];
-        self.gpu.read(&[(self, at)], 1, bytemuck::cast_slice_mut(&mut out));
+        self.gpu.read(&[(self, at..at + 1)], bytemuck::cast_slice_mut(&mut out));
         out[0]
+    }
+
+    /// Waits once for the kernels so far and copies all elements of all arrays, which are on one GPU, to the host.
+    pub fn read_all(arrays: &[&Self]) -> Vec<Vec<u32>> {
+        let mut out = vec![0_u32; arrays.iter().map(|array| array.len).sum()];
+        if let (Some(first), false) = (arrays.first(), out.is_empty()) {
+            let parts: Vec<(&Self, Range<usize>)> = arrays.iter().map(|array| (*array, 0..array.len)).collect();
+            first.gpu.read(&parts, bytemuck::cast_slice_mut(&mut out));
+        }
+        let mut rest = out.into_iter();
+        arrays.iter().map(|array| rest.by_ref().take(array.len).collect()).collect()
     }
 
     /// Waits once for the kernels so far and copies the first element of each array, f32, to the host.
     pub fn read_firsts(arrays: &[&Self]) -> Vec<f32> {
         let mut out = vec![0.0_f32; arrays.len()];
         if let Some(first) = arrays.first() {
-            let parts: Vec<(&Self, usize)> = arrays.iter().map(|array| (*array, 0)).collect();
-            first.gpu.read(&parts, 1, bytemuck::cast_slice_mut(&mut out));
+            let parts: Vec<(&Self, Range<usize>)> = arrays.iter().map(|array| (*array, 0..1)).collect();
+            first.gpu.read(&parts, bytemuck::cast_slice_mut(&mut out));
         }
         out
     }
@@ -96,7 +116,7 @@ impl GpuArray {
     pub fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
         assert_eq!((size_of::<N>(), out.len()), (4, self.len), "arrays hold 32-bit numbers");
         if self.len > 0 {
-            self.gpu.read(&[(self, 0)], self.len, bytemuck::cast_slice_mut(out));
+            self.gpu.read(&[(self, 0..self.len)], bytemuck::cast_slice_mut(out));
         }
     }
 }
@@ -110,7 +130,16 @@ impl Drop for GpuArray {
 }
 
 impl Pool {
+    /// A buffer for what is recorded next.
     fn take(&mut self, size: u64) -> Option<wgpu::Buffer> {
+        let recent = self.recent.get_mut(&size).and_then(Vec::pop);
+        let buffer = recent.or_else(|| self.free.get_mut(&size)?.pop())?;
+        self.bytes -= size;
+        Some(buffer)
+    }
+
+    /// A buffer that no recorded kernel uses.
+    fn take_free(&mut self, size: u64) -> Option<wgpu::Buffer> {
         let buffer = self.free.get_mut(&size)?.pop()?;
         self.bytes -= size;
         Some(buffer)
@@ -119,7 +148,14 @@ impl Pool {
     fn put(&mut self, buffer: wgpu::Buffer) {
         if self.bytes + buffer.size() <= POOL_BYTES {
             self.bytes += buffer.size();
-            self.free.entry(buffer.size()).or_default().push(buffer);
+            self.recent.entry(buffer.size()).or_default().push(buffer);
+        }
+    }
+
+    /// Everything that was recorded is submitted.
+    pub fn submitted(&mut self) {
+        for (size, buffers) in std::mem::take(&mut self.recent) {
+            self.free.entry(size).or_default().extend(buffers);
         }
     }
 }
@@ -141,7 +177,7 @@ impl Gpu {
         rounded_size(bytes).min(self.0.limits.max_buffer_size & !3)
     }
 
-    fn create_buffer(self, size: u64, mapped_at_creation: bool) -> wgpu::Buffer {
+    fn create_buffer(self, size: u64) -> wgpu::Buffer {
         self.0.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,
             size,
@@ -149,7 +185,7 @@ impl Gpu {
                 | wgpu::BufferUsages::COPY_SRC
                 | wgpu::BufferUsages::COPY_DST
                 | wgpu::BufferUsages::INDIRECT,
-            mapped_at_creation,
+            mapped_at_creation: false,
         })
     }
 }

@@ -48,7 +48,7 @@ impl Length {
         &self.array
     }
 
-    /// One invocation per element, [`Length::GROUP`] to a workgroup.
+    /// One invocation per element, [`Length::GROUP`] to a workgroup, and one workgroup at least.
     pub fn groups(&self) -> Groups<'_> {
         Groups::Indirect(&self.array, 2)
     }
@@ -77,7 +77,7 @@ mod tests {
             Length::of(gpu, &GpuArray::upload(gpu, &[9, count]), 1, capacity).array.read_into(&mut out);
             out
         };
-        assert_eq!(read(0, 10), [0, 0, 0, 0, 1, 0, 0, 1]);
+        assert_eq!(read(0, 10), [0, 0, 1, 1, 1, 1, 1, 1]);
         assert_eq!(read(1025, 4000), [1025, 1025, 5, 1, 1, 2, 1, 1]);
         assert_eq!(read(5000, 4000), [4000, 5000, 16, 1, 1, 4, 1, 1]);
         assert_eq!(read(65_536 * 256, 1 << 25), [65_536 * 256, 65_536 * 256, 65_535, 2, 1, 16_384, 1, 1]);

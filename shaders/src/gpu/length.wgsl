@@ -1,5 +1,5 @@
 // How many elements of an array are used, how many are wanted, and the workgroups that have them: of 256 elements each,
-// then of 1024. More than a dimension allows are folded.
+// then of 1024; one at least, which may have something to say of nothing. More than a dimension allows are folded.
 
 struct Place {
     // Where the number is, and what there is room for.
@@ -14,10 +14,10 @@ struct Place {
 const MAX_GROUPS: u32 = 65535u;
 
 fn write_groups(at: u32, count: u32, per_group: u32) {
-    let groups = (count + per_group - 1u) / per_group;
+    let groups = max((count + per_group - 1u) / per_group, 1u);
     let columns = min(groups, MAX_GROUPS);
     length[at] = columns;
-    length[at + 1u] = (groups + max(columns, 1u) - 1u) / max(columns, 1u);
+    length[at + 1u] = (groups + columns - 1u) / columns;
     length[at + 2u] = 1u;
 }
 

@@ -1,5 +1,6 @@
 //! Kernels that were launched and have not been handed to the driver yet.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -95,6 +96,7 @@ impl Recorder {
         context.queue.write_buffer(&self.constants_buffer, 0, &self.constants);
         self.constants.clear();
         context.queue.submit([encoder.finish()]);
+        lock(&context.pool).submitted();
         count(&context.counters.submissions, 1);
         let pipelines: Vec<_> = self.dispatches.drain(..).map(|dispatch| dispatch.pipeline).collect();
         if let Some(stamps) = stamps {
@@ -128,6 +130,11 @@ impl Gpu {
         GpuFailure::Lost(format!("adapter {:?} stopped: {error}", self.0.name)).raise()
     }
 
+    /// Submits what is recorded, and waits for nothing.
+    pub fn submit(self) {
+        lock(&self.0.recorder).submit(self.0);
+    }
+
     /// Submits what is recorded and waits for its end.
     pub fn wait(self) {
         lock(&self.0.recorder).submit(self.0);
@@ -149,8 +156,8 @@ impl Gpu {
         buffer.get_mapped_range(..).expect("mapped")
     }
 
-    /// Copies so many elements of each array, from an element on, to the host, after everything recorded.
-    pub(super) fn read(self, parts: &[(&GpuArray, usize)], elements: usize, out: &mut [u8]) {
+    /// Copies these elements of each array to the host, after everything recorded.
+    pub(super) fn read(self, parts: &[(&GpuArray, Range<usize>)], out: &mut [u8]) {
         let size = out.len() as u64;
         let staging = self.0.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("readback"),
@@ -158,11 +165,12 @@ impl Gpu {
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let part_size = 4 * elements as u64;
         let copy = |encoder: &mut wgpu::CommandEncoder| {
-            for (at, (array, from)) in parts.iter().enumerate() {
-                let (from, to) = (4 * *from as u64, at as u64 * part_size);
-                encoder.copy_buffer_to_buffer(array.buffer(), from, &staging, to, Some(part_size));
+            let mut to = 0;
+            for (array, part) in parts.iter().filter(|(_, part)| !part.is_empty()) {
+                let bytes = 4 * part.len() as u64;
+                encoder.copy_buffer_to_buffer(array.buffer(), 4 * part.start as u64, &staging, to, Some(bytes));
+                to += bytes;
             }
         };
         lock(&self.0.recorder).submit_and(self.0, copy);

@@ -1,5 +1,6 @@
 //! The kernels of projection.
 
+use super::guards::Limits;
 use super::reference::View;
 use super::{Projection, ShapeInputs};
 use crate::algebra;
@@ -8,6 +9,8 @@ use crate::tape::{Real, Tensor};
 
 /// Splats per workgroup: few, because each invocation holds many numbers.
 const GROUP: usize = 64;
+/// Splats per workgroup of the counts.
+const GUARDS_GROUP: usize = 256;
 
 /// F = R_q·diag(eˢ), after the algebra.
 pub(super) const FACTOR: &str = include_str!("factor.wgsl");
@@ -18,6 +21,28 @@ pub(super) const BACKWARD: Kernel = Kernel {
     name: "projection backward",
     text: &[algebra::WGSL, FACTOR, GEOMETRY, include_str!("projection_bwd.wgsl")],
 };
+
+pub(super) const GUARDS: Kernel = Kernel { name: "projection, guards", text: &[include_str!("guards.wgsl")] };
+
+uniforms! {
+    struct LimitsBlock as "Limits" {
+        size_px: [f32; 2],
+        alpha_cap: f32,
+        count: u32,
+    }
+}
+
+/// How often what [`super::guards`] tells happened, for cutoffs, means, opacities and colours.
+pub(super) fn count_guards<T: Real>(gpu: Gpu, values: [&Tensor<T>; 4], limits: &Limits) -> GpuArray {
+    let counts = GpuArray::zeros(gpu, 6);
+    let count = values[0].len();
+    let size_px = limits.size_px.map(|size| size as f32);
+    let constants = LimitsBlock { size_px, alpha_cap: limits.alpha_cap as f32, count: count as u32 };
+    let read = values.map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
+    let arrays = [&read[..], &[Binding::Write(&counts)]].concat();
+    GUARDS.launch(gpu, &[], &constants, &arrays, count.div_ceil(GUARDS_GROUP));
+    counts
+}
 
 uniforms! {
     /// As the `View` of the kernels.

@@ -288,12 +288,14 @@ fn statistics_count_what_was_rendered() {
     let mut tape = Tape::new(Device::Cpu);
     let vars = scene.constants(&mut tape);
     let rendered = render(&mut tape, &vars, None, &camera(40, 40), &RasterSettings::default()).unwrap();
-    let stats = rendered.stats;
-    assert_eq!(stats.visible, rendered.visible.iter().filter(|&&visible| visible).count());
+    let stats = rendered.stats();
+    assert_eq!(stats.visible, rendered.visible().iter().filter(|&&visible| visible).count());
     assert_eq!(stats.nominal_pixel_splats, 256 * stats.intersections as u64);
     let blended = stats.blended_pixel_splats.expect("counted on the CPU");
     assert!(blended > 0 && blended < stats.nominal_pixel_splats);
-    assert!(rendered.radii_px.iter().zip(&rendered.visible).all(|(&radius, &visible)| (radius > 0.0) == visible));
+    assert!(
+        rendered.radii_px(&tape).iter().zip(rendered.visible()).all(|(&radius, visible)| (radius > 0.0) == visible)
+    );
     let names: Vec<&str> = tape.profile().ops.keys().copied().collect();
     assert_eq!(names, ["binning", "blending", "projection"]);
 }

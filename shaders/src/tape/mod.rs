@@ -5,6 +5,7 @@
 //! `f64` against central differences (see [`crate::check`]).
 
 pub mod chunks;
+mod later;
 mod profile;
 mod real;
 pub(crate) mod simd;
@@ -17,6 +18,8 @@ use std::ops::Range;
 use std::time::Instant;
 
 use crate::gpu::Gpu;
+pub(crate) use later::Later;
+pub use later::{Figures, Found};
 pub use profile::{Cost, OpCost, Profile};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
@@ -116,6 +119,9 @@ pub struct Tape<T: Real> {
     values: Vec<Value<T>>,
     nodes: Vec<Node<T>>,
     profile: Profile,
+    /// What a GPU counted and nobody has asked for.
+    later: Vec<Later>,
+    room: Option<usize>,
     /// What was cut off so far.
     detached: Vec<Tensor<T>>,
     /// What an earlier tape cut off, to be used instead.
@@ -127,7 +133,30 @@ impl<T: Real> Tape<T> {
     pub fn new(device: Device) -> Self {
         assert!(device == Device::Cpu || T::NAME == "f32", "a GPU computes in f32, not in {}", T::NAME);
         let (values, nodes, profile) = (Vec::new(), Vec::new(), Profile::default());
-        Self { device, values, nodes, profile, detached: Vec::new(), replayed: None }
+        Self { device, values, nodes, profile, later: Vec::new(), room: None, detached: Vec::new(), replayed: None }
+    }
+
+    /// The same tape, whose renders on a GPU make room for so many intersections and wait for nothing. Where there are more,
+    /// what they computed is worth nothing: [`Figures`] tell.
+    pub fn with_room(self, intersections: usize) -> Self {
+        Self { room: Some(intersections), ..self }
+    }
+
+    pub(crate) fn room(&self) -> Option<usize> {
+        self.room
+    }
+
+    /// Notes what a GPU counts, to be looked at when somebody asks.
+    pub(crate) fn say_later(&mut self, what: Later) {
+        self.later.push(what);
+    }
+
+    /// Waits for what a GPU counted so far, and adds it to the events.
+    pub fn settle(&mut self) {
+        let figures = Figures::of(self, Vec::new());
+        for found in Figures::read(&[figures]) {
+            found.events.into_iter().for_each(|(what, count)| self.profile.count(what, count));
+        }
     }
 
     /// A tape for central differences of what an earlier tape computed: wherever that one cut a value off, this one goes
@@ -185,7 +214,7 @@ impl<T: Real> Tape<T> {
         self.values[var.0].needs_gradient
     }
 
-    /// Seconds and calls per operation name so far.
+    /// Seconds and calls per operation name so far, and events: those that a GPU counts after [`Tape::settle`].
     pub fn profile(&self) -> &Profile {
         &self.profile
     }

@@ -140,7 +140,7 @@ impl<T: Real> Tensor<T> {
     }
 
     /// The array, if it is the only copy.
-    fn only_on_gpu(&self) -> Option<&GpuArray> {
+    pub(super) fn only_on_gpu(&self) -> Option<&GpuArray> {
         self.elements.gpu.get().filter(|_| !self.is_on_host())
     }
 
