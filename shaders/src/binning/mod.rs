@@ -181,8 +181,8 @@ pub fn bin<T: Real>(
     let room = tape.room();
     tape.apply(Binning { grid, room, result: result.clone() }, &inputs);
     let lists = result.get().expect("binning has run").clone()?;
-    if let (Lists::Gpu(_), Some(room)) = (&*lists, room) {
-        tape.say_later(Later::Intersections { lists: lists.clone(), room });
+    if let Lists::Gpu(_) = &*lists {
+        tape.say_later(Later::Intersections { lists: lists.clone(), room: room.unwrap_or(usize::MAX) });
     }
     Ok(lists)
 }

@@ -137,7 +137,7 @@ impl Kernel {
         &self,
         gpu: Gpu,
         specialisation: &[(&str, u32)],
-        constants: &impl bytemuck::NoUninit,
+        constants: &'a impl bytemuck::NoUninit,
         arrays: &'a [Binding<'a>],
         groups: impl Into<Groups<'a>>,
     ) {
@@ -145,14 +145,14 @@ impl Kernel {
     }
 
     /// Records one run of the text behind declarations, which follow from the specialisation.
-    pub fn launch_with(
+    pub fn launch_with<'a>(
         &self,
         gpu: Gpu,
         declarations: &dyn Fn() -> String,
         specialisation: &[(&str, u32)],
-        constants: &[u8],
-        arrays: &[Binding],
-        groups: usize,
+        constants: &'a [u8],
+        arrays: &'a [Binding<'a>],
+        groups: impl Into<Groups<'a>>,
     ) {
         gpu.launch(&Launch {
             name: self.pipeline_name(specialisation),

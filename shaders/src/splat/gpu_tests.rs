@@ -195,3 +195,42 @@ fn a_gpu_lists_the_splats_of_every_tile_in_the_same_order() {
         assert_eq!(found, lists_of(Device::Cpu, size, log_scale));
     }
 }
+
+#[test]
+fn a_render_with_room_equals_one_that_waits_and_tells_where_it_was_too_little() {
+    let Some(gpu) = test_gpu() else { return };
+    let scene = cast::<f32>(&splats(400, -2.0, 21));
+    let run = |room: Option<usize>| {
+        let mut tape = Tape::new(Device::Gpu(gpu));
+        if let Some(room) = room {
+            tape = tape.with_room(room);
+        }
+        let leaves = scene.leaves(&mut tape);
+        let rendered = render(&mut tape, &leaves, None, &camera(60, 44), &default_with(false)).unwrap();
+        let seed = Tensor::full([44, 60, 3], 1.0);
+        let gradient = tape.backward(&[(rendered.color, seed)]).take(leaves.positions).unwrap();
+        let found = tape.settle();
+        (tape.value(rendered.color).clone(), gradient, found)
+    };
+    let (image, gradient, exact) = run(None);
+    assert!(exact.fits && exact.intersections > 1000, "{exact:?}");
+    for room in [exact.intersections, 3 * exact.intersections] {
+        let (with_room, gradient_with_room, found) = run(Some(room));
+        assert!(with_room == image && gradient_with_room == gradient && found == exact, "{found:?}");
+    }
+    let (.., found) = run(Some(exact.intersections - 1));
+    assert_eq!((found.fits, found.intersections), (false, exact.intersections));
+    assert!(!run(Some(0)).2.fits);
+}
+
+#[test]
+fn nothing_to_list_leaves_empty_tiles_where_there_is_room() {
+    let Some(gpu) = test_gpu() else { return };
+    let mut scene = cast::<f32>(&splats(10, -2.0, 11));
+    scene.positions.make_mut().chunks_exact_mut(3).for_each(|position| position[2] = -50.0);
+    let mut tape = Tape::new(Device::Gpu(gpu)).with_room(1000);
+    let vars = scene.constants(&mut tape);
+    let rendered = render(&mut tape, &vars, None, &camera(33, 17), &default_with(false)).unwrap();
+    assert!(tape.value(rendered.color).as_slice().chunks_exact(3).all(|pixel| pixel == [0.3, 0.1, 0.6]));
+    assert_eq!((rendered.stats().visible, rendered.stats().intersections), (0, 0));
+}

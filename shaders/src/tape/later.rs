@@ -69,8 +69,9 @@ impl Figures {
     }
 
     /// Everything, with one readback for what is on a GPU.
-    pub fn read(all: &[Self]) -> Vec<Found> {
-        let arrays: Vec<&GpuArray> = all.iter().flat_map(Self::arrays).collect();
+    pub fn read<'f>(all: impl IntoIterator<Item = &'f Self>) -> Vec<Found> {
+        let all: Vec<&Self> = all.into_iter().collect();
+        let arrays: Vec<&GpuArray> = all.iter().flat_map(|figures| figures.arrays()).collect();
         let mut read = GpuArray::read_all(&arrays).into_iter();
         all.iter().map(|figures| figures.found(&mut read)).collect()
     }

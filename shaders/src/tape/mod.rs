@@ -142,6 +142,11 @@ impl<T: Real> Tape<T> {
         Self { room: Some(intersections), ..self }
     }
 
+    /// Renders to come wait for the number of their intersections.
+    pub fn wait_for_room(&mut self) {
+        self.room = None;
+    }
+
     pub(crate) fn room(&self) -> Option<usize> {
         self.room
     }
@@ -151,12 +156,12 @@ impl<T: Real> Tape<T> {
         self.later.push(what);
     }
 
-    /// Waits for what a GPU counted so far, and adds it to the events.
-    pub fn settle(&mut self) {
+    /// Waits for what a GPU counted so far, adds it to the events and returns it.
+    pub fn settle(&mut self) -> Found {
         let figures = Figures::of(self, Vec::new());
-        for found in Figures::read(&[figures]) {
-            found.events.into_iter().for_each(|(what, count)| self.profile.count(what, count));
-        }
+        let found = Figures::read([&figures]).remove(0);
+        found.events.iter().for_each(|(what, count)| self.profile.count(what, *count));
+        found
     }
 
     /// A tape for central differences of what an earlier tape computed: wherever that one cut a value off, this one goes

@@ -47,7 +47,7 @@ impl Profile {
     }
 
     /// Adds to how often something happened.
-    pub(super) fn count(&mut self, what: &'static str, times: u64) {
+    pub fn count(&mut self, what: &'static str, times: u64) {
         *self.events.entry(what).or_default() += times;
     }
 

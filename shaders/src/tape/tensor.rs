@@ -21,6 +21,13 @@ impl Device {
         if id == "cpu" { Ok(Self::Cpu) } else { Ok(Self::Gpu(crate::gpu::choose(id)?.open()?)) }
     }
 
+    /// Has everything asked for so far begun, and waits for nothing.
+    pub fn submit(self) {
+        if let Self::Gpu(gpu) = self {
+            gpu.submit();
+        }
+    }
+
     /// Waits until everything asked for so far is done, as a clock needs it.
     pub fn wait(self) {
         if let Self::Gpu(gpu) = self {
@@ -137,6 +144,13 @@ impl<T: Real> Tensor<T> {
         let array = self.elements.gpu.get_or_init(upload);
         assert_eq!(array.gpu(), gpu, "a tensor is used on one GPU");
         array
+    }
+
+    /// The same elements in the memory of a device, and nowhere else.
+    pub fn moved_to(self, device: Device) -> Self {
+        let Some(gpu) = device.gpu() else { return self };
+        let array = GpuArray::upload(gpu, T::as_f32(self.as_slice()).expect("a GPU holds f32"));
+        Self::from_gpu(self.shape, array)
     }
 
     /// The array, if it is the only copy.

@@ -99,10 +99,18 @@ fn time_count(capture: &Capture) -> usize {
 impl LoadedView {
     /// The view in working precision.
     pub fn to_training<T: Real>(&self) -> TrainingView<T> {
+        self.with_image(self.image())
+    }
+
+    /// [H, W, 3] in [0, 1].
+    pub fn image<T: Real>(&self) -> Tensor<T> {
         let levels: Vec<T> = (0..=255).map(|level| T::from_f64(f64::from(level) / 255.0)).collect();
         let values = self.pixels.iter().map(|&value| levels[usize::from(value)]).collect();
-        let (width, height) = (self.camera.width, self.camera.height);
-        let image = Tensor::from_vec([height, width, 3], values);
+        Tensor::from_vec([self.camera.height, self.camera.width, 3], values)
+    }
+
+    /// The view with its image as [`LoadedView::image`] made it.
+    pub fn with_image<T: Real>(&self, image: Tensor<T>) -> TrainingView<T> {
         TrainingView { index: self.index, camera: self.camera, time: self.time, image }
     }
 }

@@ -21,6 +21,7 @@ pub mod player;
 pub mod run;
 pub mod sampler;
 pub mod schedule;
+pub mod screen;
 pub mod state;
 pub mod step;
 pub mod supplements;

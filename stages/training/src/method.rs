@@ -20,6 +20,7 @@ use crate::language::Language;
 use crate::optimizer::Optimizer;
 use crate::params::Shared;
 use crate::schedule::LogLinear;
+use crate::screen::Screen;
 use crate::state::{ModelState, Variables};
 use crate::supplements::Supplements;
 
@@ -160,10 +161,16 @@ pub fn photometric_losses<T: Real, M: Method<T> + ?Sized>(method: &M, step: &mut
 
 /// Makes and removes rows of a population between steps. Its state is part of every checkpoint.
 pub trait PopulationControl: Send {
-    /// Watches one step.
-    fn observe(&mut self, screen: &ScreenGradients);
+    /// Whether the step `iteration` (counted from 1) is to be observed.
+    fn watches(&self, iteration: u64) -> bool;
 
-    /// Acts after the optimiser's step `iteration` (counted from 1).
+    /// Watches one step.
+    fn observe(&mut self, screen: &Screen<'_>);
+
+    /// Whether [`PopulationControl::act`] judges rows after the step `iteration`, and so must know them.
+    fn judges(&self, iteration: u64) -> bool;
+
+    /// Acts after the optimiser's step `iteration`.
     fn act(
         &mut self,
         iteration: u64,
@@ -172,28 +179,14 @@ pub trait PopulationControl: Send {
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()>;
 
+    /// The same control once more, as it is now.
+    fn boxed_clone(&self) -> Box<dyn PopulationControl>;
+
     /// The statistics, for a checkpoint.
     fn save(&self) -> serde_json::Value;
 
     /// The statistics from a checkpoint.
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()>;
-}
-
-/// What one step's renders say about the Gaussians of a population.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ScreenGradients {
-    /// As `gaussians`.
-    pub population: String,
-    /// [N, 2] gradient of the loss by the projected mean, normalised device coordinates, summed over the renders.
-    pub gradient_ndc: Vec<[f32; 2]>,
-    /// [N] whether any render saw the Gaussian.
-    pub visible: Vec<bool>,
-    /// [N] largest radius in pixels.
-    pub radius_px: Vec<f32>,
-    /// [N] opacity, summed over the renders; empty where renders draw the rows themselves (see [`SplatRows`]).
-    pub opacity: Vec<f32>,
-    /// [N] how many renders looked where the row is, drawn or not; empty where renders draw the rows themselves.
-    pub looks: Vec<u32>,
 }
 
 /// Which rows of a population the splats of a render are, where they are not all of them in order: what a network made
@@ -222,12 +215,10 @@ pub struct NamedLoss {
 /// A render whose screen gradients drive a population.
 pub(crate) struct WatchedRender {
     pub population: String,
-    pub means2d: Var,
-    pub visible: Vec<bool>,
-    pub radius_px: Vec<f32>,
+    pub rendered: Rendered,
     pub size_px: [f64; 2],
-    /// Which rows the splats are, and the splats' opacities; `None`: all rows in order.
-    pub rows: Option<(SplatRows, Vec<f32>)>,
+    /// Which rows the splats are, and the splats' opacity logits; `None`: all rows in order.
+    pub rows: Option<(SplatRows, Var)>,
 }
 
 /// One training step as a method sees it.
@@ -302,9 +293,8 @@ impl<'a, T: Real> Step<'a, T> {
         rows: SplatRows,
     ) -> anyhow::Result<Rendered> {
         let rendered = self.rasterize(splats, None, view)?;
-        let opacity = |logit: &T| (1.0 / (1.0 + (-logit.to_f64()).exp())) as f32;
-        let opacities = self.tape.value(splats.opacity_logits).as_slice().iter().map(opacity).collect();
-        self.watch(&rendered, view, rows.population, Some((rows, opacities)));
+        let population = rows.population;
+        self.watch(&rendered, view, population, Some((rows, splats.opacity_logits)));
         Ok(rendered)
     }
 
@@ -321,18 +311,10 @@ impl<'a, T: Real> Step<'a, T> {
     }
 
     /// Keeps what a render says about a population for its control.
-    fn watch(
-        &mut self,
-        rendered: &Rendered,
-        view: &TrainingView<T>,
-        population: &str,
-        rows: Option<(SplatRows, Vec<f32>)>,
-    ) {
+    fn watch(&mut self, rendered: &Rendered, view: &TrainingView<T>, population: &str, rows: Option<(SplatRows, Var)>) {
         self.renders.push(WatchedRender {
             population: population.into(),
-            means2d: rendered.means2d,
-            visible: rendered.visible.clone(),
-            radius_px: rendered.radii_px.clone(),
+            rendered: rendered.clone(),
             size_px: [view.camera.width as f64, view.camera.height as f64],
             rows,
         });

@@ -12,13 +12,14 @@ use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
 
 /// All tensors of a model in one phase, those that learn with their step sizes.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Optimizer {
     adam: Adam,
     learners: BTreeMap<String, Learner>,
 }
 
 /// One tensor; without a rate it stays as it is.
+#[derive(Clone)]
 struct Learner {
     group: Group,
     rate: Option<LogLinear>,
@@ -68,10 +69,14 @@ impl Optimizer {
         gradients.keys().copied().zip(largest_magnitudes(&tensors)).collect()
     }
 
+    /// All tensors, in alphabetical order.
+    pub fn tensors(&self) -> Vec<&Tensor<f32>> {
+        self.learners.values().map(|learner| learner.group.tensor()).collect()
+    }
+
     /// The first tensor, in alphabetical order, that has a value that is not finite.
     pub fn first_bad_tensor(&self) -> Option<&str> {
-        let tensors: Vec<&Tensor<f32>> = self.learners.values().map(|learner| learner.group.tensor()).collect();
-        let mut figures = self.learners.keys().zip(largest_magnitudes(&tensors));
+        let mut figures = self.learners.keys().zip(largest_magnitudes(&self.tensors()));
         figures.find(|(_, magnitude)| !magnitude.is_finite()).map(|(name, _)| name.as_str())
     }
 

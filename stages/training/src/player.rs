@@ -1,6 +1,7 @@
 //! A trained model put to use: Gaussians and images at any time, from any camera.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context as _;
 use engine::{Failure, FailureKind};
@@ -24,6 +25,9 @@ pub struct Player {
     device: Device,
     phase: String,
     sh_degree: usize,
+    /// The most intersections of a render so far: those to come have room for as many, and are made again if that is
+    /// not enough.
+    room: AtomicUsize,
 }
 
 /// Gaussians' positions at one time, and how to find the same Gaussian at another.
@@ -71,7 +75,8 @@ impl Player {
         let state = ModelState::from_named(&model.tensors);
         let prompt_names = header.prompts.clone();
         let (device, phase) = (Device::Cpu, phase.clone());
-        Ok(Self { method, state, prompt_names, scene, device, phase, sh_degree: header.sh_degree })
+        let (sh_degree, room) = (header.sh_degree, AtomicUsize::new(0));
+        Ok(Self { method, state, prompt_names, scene, device, phase, sh_degree, room })
     }
 
     /// The same player, which computes on a device.
@@ -81,7 +86,11 @@ impl Player {
 
     /// An empty tape on the player's device.
     pub fn tape(&self) -> Tape<f32> {
-        Tape::new(self.device)
+        let tape = Tape::new(self.device);
+        match self.room.load(Ordering::Relaxed) {
+            0 => tape,
+            most => tape.with_room(most),
+        }
     }
 
     /// The Gaussians at a time of the capture as a camera sees them, in the usual parametrisation.
@@ -127,8 +136,15 @@ impl Player {
         camera: &PinholeCamera,
         settings: &RasterSettings,
     ) -> anyhow::Result<Rendered> {
-        let rendered = splat::render(tape, splats, features, camera, settings).map_err(too_large)?;
-        match tape.profile().events.get(splat::NOT_FINITE) {
+        let mut rendered = splat::render(tape, splats, features, camera, settings).map_err(too_large)?;
+        let mut found = tape.settle();
+        if !found.fits {
+            tape.wait_for_room();
+            rendered = splat::render(tape, splats, features, camera, settings).map_err(too_large)?;
+            found = tape.settle();
+        }
+        self.room.fetch_max(found.intersections, Ordering::Relaxed);
+        match found.events.get(splat::NOT_FINITE) {
             Some(count) => {
                 let message = format!("a value of {count} splats is not finite");
                 Err(Failure::new(FailureKind::Diverged, message).into())

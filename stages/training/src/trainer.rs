@@ -4,12 +4,14 @@
 //! let the population controls act. Phases follow each other with fresh optimisers. Nothing depends on the thread count
 //! or the clock, so a training resumed from a checkpoint ends in the same bytes as an undisturbed one.
 
+mod ahead;
 mod finite;
 #[cfg(test)]
 mod gpu_tests;
 #[cfg(test)]
 mod poison;
 mod report;
+mod step;
 #[cfg(test)]
 mod tests;
 
@@ -29,19 +31,19 @@ use crate::curve::{self, CurvePoint};
 use crate::dataset::{self, Dataset};
 use crate::device::Meter;
 use crate::effects::{CAPTURE, PRIORS, outcomes};
-use crate::method::{Method, Moment, Phase, PopulationControl, SkippedWork, Start, Step, raster_settings, too_large};
+use crate::method::{Method, Moment, Phase, PopulationControl, SkippedWork, Start, raster_settings, too_large};
 use crate::methods;
 use crate::optimizer::Optimizer;
 use crate::params::TrainingParams;
 use crate::sampler::{Stream, ViewSampler, generator, phase_generator};
-use crate::schedule::{LogLinear, stretch};
+use crate::schedule::LogLinear;
 use crate::state::ModelState;
-use crate::step::run_step;
 use crate::supplements::Supplements;
 
 pub use finite::LargestGradient;
 pub use report::{Earlier, LossShare, Report};
 
+use ahead::Ahead;
 use report::{kernel_milliseconds, loss_shares, milliseconds_by_phase};
 
 /// The activity that the training clock leaves out.
@@ -67,6 +69,8 @@ pub struct Trainer<'a> {
     curve_at: BTreeSet<u64>,
     curve: Vec<CurvePoint>,
     loss: f64,
+    #[cfg(test)]
+    every_loss: Vec<f64>,
     clock: PhaseClock,
     profile: Profile,
     skipped: SkippedWork,
@@ -74,6 +78,12 @@ pub struct Trainer<'a> {
     loss_sums: BTreeMap<String, f64>,
     /// By tensor, since the last resumption.
     largest_gradients: BTreeMap<String, LargestGradient>,
+    /// Steps that a GPU was asked for and nobody has looked at.
+    ahead: Option<Ahead>,
+    /// For how many intersections such steps make room; 0 until a render was counted.
+    room: usize,
+    /// Training images in the memory of a GPU, by index within the training views.
+    uploaded: BTreeMap<usize, Tensor<f32>>,
 }
 
 impl<'a> Trainer<'a> {
@@ -145,11 +155,16 @@ impl<'a> Trainer<'a> {
             curve_at: curve::schedule(&params.shared.curve, total),
             curve: Vec::new(),
             loss: f64::NAN,
+            #[cfg(test)]
+            every_loss: Vec::new(),
             clock: PhaseClock::start("load", ClockReading::default()),
             profile: Profile::default(),
             skipped: SkippedWork::new(),
             loss_sums: BTreeMap::new(),
             largest_gradients: BTreeMap::new(),
+            ahead: None,
+            room: 0,
+            uploaded: BTreeMap::new(),
         })
     }
 
@@ -188,6 +203,7 @@ impl<'a> Trainer<'a> {
 
     /// Everything that the next step depends on.
     pub fn checkpoint(&mut self) -> anyhow::Result<Checkpoint> {
+        self.settle()?;
         let (tensors, optimizer_steps) = self.optimizer.save();
         let progress = Progress {
             params: serde_json::to_value(self.params)?,
@@ -220,13 +236,10 @@ impl<'a> Trainer<'a> {
 
     /// One optimiser step and what follows it: density control, the curve, the next phase.
     pub fn advance(&mut self) -> anyhow::Result<()> {
-        self.iteration += 1;
-        let scale = self.params.shared.schedule_scale;
-        let harmonics_interval = stretch(self.params.shared.harmonics.interval, scale);
-        if self.iteration.is_multiple_of(harmonics_interval) {
-            self.sh_degree = (self.sh_degree + 1).min(self.params.shared.harmonics.degree);
-        }
         self.step()?;
+        if self.is_done() || self.curve_at.contains(&self.steps().0) {
+            self.settle()?;
+        }
         if self.curve_at.contains(&self.steps().0) {
             self.clock.enter(EVALUATION);
             let mut meter = self.meter.take();
@@ -235,67 +248,6 @@ impl<'a> Trainer<'a> {
         }
         self.clock.enter("load");
         self.skip_finished_phases()
-    }
-
-    fn step(&mut self) -> anyhow::Result<()> {
-        self.clock.enter("load");
-        let mut views = Vec::with_capacity(self.params.shared.batch);
-        for _ in 0..self.params.shared.batch {
-            views.push(self.dataset.train[self.sampler.next_view()].to_training());
-        }
-        let mut tape = Tape::new(self.device);
-        let model = self.optimizer.bind(&mut tape);
-        let phase = self.phases[self.phase].name;
-        let step = Step {
-            tape: &mut tape,
-            model: &model,
-            views: &views,
-            scene: &self.dataset.scene,
-            dataset: self.dataset,
-            supplements: self.start.supplements,
-            shared: &self.params.shared,
-            phase,
-            iteration: self.iteration,
-            sh_degree: self.sh_degree,
-            raster: raster_settings(&self.dataset.scene, self.sh_degree),
-            random: &mut self.method_random,
-            clock: &mut self.clock,
-            losses: Vec::new(),
-            renders: Vec::new(),
-            skipped: SkippedWork::new(),
-        };
-        let mut outcome = run_step(&*self.method, step)?;
-        self.record_profile(&tape);
-        for (what, [skipped, of]) in &outcome.skipped {
-            let count = self.skipped.entry(what).or_default();
-            count[0] += skipped;
-            count[1] += of;
-        }
-        self.loss = outcome.total();
-        self.check_losses(&outcome.losses, &tape)?;
-        for (&name, value) in &outcome.losses {
-            match self.loss_sums.get_mut(name) {
-                Some(sum) => *sum += value,
-                None => drop(self.loss_sums.insert(name.into(), *value)),
-            }
-        }
-
-        self.clock.enter("optimizer");
-        let screens = outcome.screen_gradients();
-        let gradients: BTreeMap<&str, Tensor<f32>> =
-            model.iter().filter_map(|(name, var)| Some((name, outcome.gradients.take(var)?))).collect();
-        self.check_gradients(&gradients, &tape)?;
-        // The tape shares the tensors; without it they are changed in place.
-        drop(tape);
-        self.optimizer.step(&gradients, self.iteration)?;
-        self.check_tensors()?;
-
-        self.clock.enter("density");
-        for control in &mut self.controls {
-            screens.iter().for_each(|screen| control.observe(screen));
-            control.act(self.iteration, &mut self.optimizer, &self.dataset.scene, &mut self.density_random)?;
-        }
-        self.check_not_empty()
     }
 
     /// Starts a phase on the state that the one before ended with. Nothing else is handed over from phase to phase but the
@@ -361,16 +313,6 @@ impl<'a> Trainer<'a> {
     fn splats(&self, tape: &mut Tape<f32>, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
         let model = self.optimizer.bind_constant(tape);
         self.method.splats(tape, &model, moment)
-    }
-
-    /// Splits the time of this step's renders into their kernels.
-    fn record_profile(&mut self, tape: &Tape<f32>) {
-        for (op, activity) in [("projection", "projection"), ("binning", "sort"), ("blending", "blend")] {
-            if let Some(cost) = tape.profile().ops.get(op) {
-                self.clock.reassign("render", activity, cost.forward.secs);
-            }
-        }
-        self.profile.merge(tape.profile());
     }
 
     /// A few figures for whoever watches.

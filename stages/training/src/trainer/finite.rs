@@ -44,14 +44,19 @@ impl Trainer<'_> {
         if let Some(name) = largest.iter().find(|(_, magnitude)| !magnitude.is_finite()).map(|(name, _)| name) {
             return Err(self.not_finite(&format!("gradient of {name}"), Some(tape)));
         }
-        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
-        for (name, magnitude) in largest.into_iter().map(|(name, magnitude)| (name, f64::from(magnitude))) {
+        self.keep_gradients(self.iteration, largest.into_iter());
+        Ok(())
+    }
+
+    /// Keeps the largest magnitude that each gradient ever had.
+    pub(super) fn keep_gradients<'n>(&mut self, iteration: u64, largest: impl Iterator<Item = (&'n str, f32)>) {
+        let phase = self.phases[self.phase].name;
+        for (name, magnitude) in largest.map(|(name, magnitude)| (name, f64::from(magnitude))) {
             if self.largest_gradients.get(name).is_none_or(|known| magnitude > known.magnitude) {
                 let largest = LargestGradient { magnitude, phase: phase.into(), iteration };
                 self.largest_gradients.insert(name.into(), largest);
             }
         }
-        Ok(())
     }
 
     /// Every tensor must be finite.

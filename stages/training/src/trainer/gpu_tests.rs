@@ -21,10 +21,9 @@ struct Trained {
     model: Model,
 }
 
-/// Two hundred steps in two phases, with density control, on a device.
-fn train(device: Device, rate: f64) -> Trained {
-    let (_dir, dataset) = dataset(TestScene::default());
-    let params = params(json!({
+/// Two hundred steps in two phases, with density control.
+fn two_hundred_steps(rate: f64) -> TrainingParams {
+    params(json!({
         "method": "deformable4dgs",
         "iterations": { "coarse": 80, "fine": 120 },
         "loss": { "lambda_dssim": 0.2 },
@@ -32,15 +31,24 @@ fn train(device: Device, rate: f64) -> Trained {
         "density": { "from": 20, "interval": 40, "prune_interval": 40, "gradient_threshold": 1e-6, "max_count": 200 },
         "curve": { "points": 2, "views": 2 },
         "deformable4dgs": { "channels": 4, "spatial_resolution": 6, "width": 8 },
-    }));
+    }))
+}
+
+/// The training on a device, with a change of the trainer before each step.
+fn train_with(device: Device, rate: f64, mut change: impl FnMut(&mut Trainer)) -> anyhow::Result<Trained> {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = two_hundred_steps(rate);
     let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap().on(device);
-    let mut losses = Vec::new();
     while !trainer.is_done() {
-        trainer.advance().unwrap();
-        losses.push(trainer.loss);
+        change(&mut trainer);
+        trainer.advance()?;
     }
     let psnr = trainer.report().curve.last().unwrap().psnr_val;
-    Trained { losses, psnr, model: trainer.finish().unwrap() }
+    Ok(Trained { losses: trainer.every_loss.clone(), psnr, model: trainer.finish()? })
+}
+
+fn train(device: Device, rate: f64) -> Trained {
+    train_with(device, rate, |_| ()).unwrap()
 }
 
 /// Why two trainings are not the same.
@@ -60,4 +68,50 @@ fn two_hundred_steps_agree_with_the_cpu_and_repeat_bit_by_bit() {
     assert_eq!(bits(&train(Device::Gpu(gpu), 0.05).model), bits(&on_gpu.model), "two runs on one adapter");
     // A tenth more of one step size is noticed.
     assert!(difference(&train(Device::Gpu(gpu), 0.055), &on_cpu).is_some());
+}
+
+#[test]
+fn a_gpu_that_goes_ahead_does_what_one_that_is_watched_does() {
+    let Some(gpu) = test_gpu() else { return };
+    let watched = train_with(Device::Gpu(gpu), 0.05, |trainer| trainer.room = 0).unwrap();
+    let mut most_ahead = 0;
+    let ahead = train_with(Device::Gpu(gpu), 0.05, |trainer| most_ahead = most_ahead.max(trainer.steps_ahead()));
+    let ahead = ahead.unwrap();
+    assert!(most_ahead > 20, "{most_ahead}");
+    assert_eq!(ahead.losses, watched.losses);
+    assert_eq!(bits(&ahead.model), bits(&watched.model));
+    // Room that is too little is noticed, and the steps are made again.
+    let mut again = 0;
+    let narrow = train_with(Device::Gpu(gpu), 0.05, |trainer| {
+        if trainer.steps().0.is_multiple_of(50) {
+            again += 1;
+            trainer.room = 30;
+        }
+    });
+    let narrow = narrow.unwrap();
+    assert_eq!((again, narrow.losses == watched.losses), (4, true));
+    assert_eq!(bits(&narrow.model), bits(&watched.model));
+}
+
+#[test]
+fn what_is_not_finite_ends_a_training_on_a_gpu_at_that_step_by_name() {
+    let Some(gpu) = test_gpu() else { return };
+    for (tensor, phase_step) in [("gaussians.positions", 7), ("gaussians.sh_dc", 33), ("network.trunk_0.bias", 50)] {
+        let poisoned = |is_watched: bool| {
+            let failure = train_with(Device::Gpu(gpu), 0.05, |trainer| {
+                if is_watched {
+                    trainer.room = 0;
+                }
+                let has_tensor = trainer.optimizer.tensor(tensor).is_ok();
+                if has_tensor && trainer.iteration == phase_step {
+                    trainer.settle().unwrap();
+                    trainer.optimizer.edit(tensor, |values| values[0] = f32::NAN).unwrap();
+                }
+            });
+            format!("{:#}", failure.err().expect("a training that ends"))
+        };
+        let (ahead, watched) = (poisoned(false), poisoned(true));
+        assert_eq!(ahead, watched);
+        assert!(ahead.contains(&format!("iteration {}", phase_step + 1)) && ahead.contains(tensor), "{ahead}");
+    }
 }

@@ -15,10 +15,11 @@ use rand_chacha::ChaCha8Rng;
 
 use super::initial::{cell, center};
 use super::{ANCHORS, AnchorSettings, Growth};
-use crate::method::{PopulationControl, SceneFacts, ScreenGradients};
+use crate::method::{PopulationControl, SceneFacts};
 use crate::optimizer::Optimizer;
 use crate::params::Density;
 use crate::schedule::stretch;
+use crate::screen::Screen;
 use statistics::Statistics;
 
 /// Cells shrink by this factor from level to level, and the gradient that they ask for doubles.
@@ -27,6 +28,7 @@ const CELL_SHRINK: f64 = 4.0;
 const SEEN_SHARE: f64 = 0.5;
 
 /// Grows and prunes anchors.
+#[derive(Clone)]
 pub struct AnchorGrowth {
     density: Density,
     growth: Growth,
@@ -173,10 +175,19 @@ fn gaussian_positions(optimizer: &Optimizer) -> anyhow::Result<Vec<[f32; 3]>> {
 }
 
 impl PopulationControl for AnchorGrowth {
-    fn observe(&mut self, screen: &ScreenGradients) {
+    fn watches(&self, iteration: u64) -> bool {
+        iteration > self.growth.statistics_from && iteration < self.density.until
+    }
+
+    fn observe(&mut self, screen: &Screen<'_>) {
         if screen.population == ANCHORS {
-            self.statistics.add(screen, self.per_anchor);
+            self.statistics.add(screen.on_host(), self.per_anchor);
         }
+    }
+
+    fn judges(&self, iteration: u64) -> bool {
+        let Density { interval, from, .. } = self.density;
+        self.watches(iteration) && iteration > from && iteration.is_multiple_of(interval)
     }
 
     fn act(
@@ -186,16 +197,18 @@ impl PopulationControl for AnchorGrowth {
         _scene: &SceneFacts,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()> {
-        let Density { interval, from, until, .. } = self.density;
-        if iteration >= until || iteration <= self.growth.statistics_from {
+        if !self.watches(iteration) {
             self.statistics = Statistics::default();
-            return Ok(());
         }
-        if iteration > from && iteration.is_multiple_of(interval) && !self.statistics.is_empty() {
+        if self.judges(iteration) && !self.statistics.is_empty() {
             self.grow(optimizer, random)?;
             self.prune(optimizer)?;
         }
         Ok(())
+    }
+
+    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
+        Box::new(self.clone())
     }
 
     fn save(&self) -> serde_json::Value {

@@ -4,9 +4,10 @@ use shaders::splat::PinholeCamera;
 use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
-use crate::method::{PopulationControl, ScreenGradients};
+use crate::method::PopulationControl;
 use crate::optimizer::Optimizer;
 use crate::sampler::{Stream, generator};
+use crate::screen::{Screen, ScreenGradients};
 use crate::state::ModelState;
 
 /// Two Gaussians per anchor, voxels of one unit.
@@ -42,7 +43,6 @@ fn growth(change: impl FnOnce(&mut Density)) -> AnchorGrowth {
 /// What a render says about anchors of two Gaussians: gradients and opacities of each.
 fn screen(gradients: &[f32], opacities: &[f32]) -> ScreenGradients {
     ScreenGradients {
-        population: ANCHORS.into(),
         gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
         visible: opacities.iter().map(|&opacity| opacity > 0.0).collect(),
         radius_px: vec![1.0; gradients.len()],
@@ -57,7 +57,7 @@ fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, screen: &S
     let scene = SceneFacts { extent: 10.0, time_map, background: [0.0; 3], time_count: 4 };
     let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)));
     for iteration in 1..=10 {
-        control.observe(screen);
+        control.observe(&Screen::of(ANCHORS, screen.clone()));
         control.act(iteration, &mut optimizer, &scene, &mut generator(3, Stream::Density)).unwrap();
     }
     optimizer.into_state()
@@ -138,7 +138,7 @@ fn the_last_anchor_stays_however_transparent_it_is() {
 #[test]
 fn statistics_survive_a_checkpoint() {
     let mut control = growth(|_| ());
-    control.observe(&screen(&[1e-3, 0.0, 2e-3, 0.0], &[0.5, 0.1, 0.2, 0.0]));
+    control.observe(&Screen::of(ANCHORS, screen(&[1e-3, 0.0, 2e-3, 0.0], &[0.5, 0.1, 0.2, 0.0])));
     let mut restored = growth(|_| ());
     restored.restore(control.save()).unwrap();
     assert_eq!(restored.save(), control.save());

@@ -9,11 +9,14 @@ use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
+use shaders::screen::COLUMNS;
+use shaders::tape::Tensor;
 
-use crate::method::{PopulationControl, SceneFacts, ScreenGradients};
+use crate::method::{PopulationControl, SceneFacts};
 use crate::optimizer::Optimizer;
 use crate::params::Density;
 use crate::schedule::stretch;
+use crate::screen::{Screen, ScreenGradients};
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
@@ -21,6 +24,7 @@ const SPLIT_CHILDREN: usize = 2;
 const SPLIT_SHRINK: f32 = 1.6;
 
 /// Clones, splits and prunes the rows of one population of Gaussians.
+#[derive(Clone)]
 pub struct AdaptiveDensity {
     population: String,
     params: Density,
@@ -40,11 +44,12 @@ enum Dimensions {
 }
 
 /// Per Gaussian, since the last round.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Vec<f32>", into = "Vec<f32>")]
 struct Statistics {
-    gradient_sum: Vec<f32>,
-    seen_count: Vec<u32>,
-    radius_px: Vec<f32>,
+    /// [N, 3], as [`shaders::screen::observe`] adds them up: the sum of the gradients' norms, steps that saw the Gaussian,
+    /// and its largest radius in pixels.
+    rows: Tensor<f32>,
 }
 
 impl AdaptiveDensity {
@@ -90,20 +95,18 @@ impl AdaptiveDensity {
         let total = first_child + children.len();
         let mut keep = vec![true; total];
         split.iter().for_each(|&parent| keep[parent] = false);
-        let mut radius_px = std::mem::take(&mut self.statistics.radius_px);
-        radius_px.resize(total, 0.0);
         optimizer.keep(&self.population, &keep)?;
-        let kept = radius_px.iter().zip(&keep).filter(|(_, keep)| **keep).map(|(radius, _)| *radius).collect();
-        self.statistics = Statistics::zeros(kept);
+        self.statistics.keep(&keep);
+        self.statistics.forget_gradients();
         Ok(())
     }
 
     /// Gaussians above the threshold, in order; the largest gradients where a cap does not let all of them grow.
     fn candidates(&self, count: usize) -> Vec<usize> {
-        let Statistics { gradient_sum, seen_count, .. } = &self.statistics;
-        let mean = |at: usize| gradient_sum[at] / seen_count[at].max(1) as f32;
+        let rows = self.statistics.rows();
+        let mean = |at: usize| rows[at][GRADIENT_SUM] / rows[at][SEEN_COUNT].max(1.0);
         let threshold = self.params.gradient_threshold as f32;
-        let mut chosen: Vec<usize> = (0..gradient_sum.len()).filter(|&at| mean(at) >= threshold).collect();
+        let mut chosen: Vec<usize> = (0..rows.len()).filter(|&at| mean(at) >= threshold).collect();
         // Cloning and splitting both add one Gaussian.
         let room = self.params.max_count.saturating_sub(count);
         if chosen.len() > room {
@@ -185,10 +188,10 @@ impl AdaptiveDensity {
         let opacities = self.tensor(optimizer, "opacity_logits")?;
         let min_logit = logit(self.params.min_opacity) as f32;
         let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, self.params.max_radius_px as f32);
-        let radius_px = &self.statistics.radius_px;
+        let rows = self.statistics.rows();
         let keep: Vec<bool> = (0..opacities.len())
             .map(|at| {
-                let too_large = largest[at] > max_scale || radius_px.get(at).is_some_and(|&radius| radius > max_radius);
+                let too_large = largest[at] > max_scale || rows.get(at).is_some_and(|row| row[RADIUS_PX] > max_radius);
                 opacities[at] >= min_logit && !(sizes_count && too_large)
             })
             .collect();
@@ -207,18 +210,29 @@ impl AdaptiveDensity {
 }
 
 impl PopulationControl for AdaptiveDensity {
-    fn observe(&mut self, screen: &ScreenGradients) {
+    fn watches(&self, iteration: u64) -> bool {
+        self.steps_before + iteration < self.params.until
+    }
+
+    fn observe(&mut self, screen: &Screen<'_>) {
         if screen.population != self.population {
             return;
         }
         let statistics = &mut self.statistics;
-        statistics.resize(screen.visible.len());
-        for at in (0..screen.visible.len()).filter(|&at| screen.visible[at]) {
-            let [x, y] = screen.gradient_ndc[at];
-            statistics.gradient_sum[at] += (x * x + y * y).sqrt();
-            statistics.seen_count[at] += 1;
-            statistics.radius_px[at] = statistics.radius_px[at].max(screen.radius_px[at]);
+        statistics.resize(screen.len());
+        match screen.observe_on_gpu(&statistics.rows) {
+            Some(rows) => statistics.rows = rows,
+            None => statistics.add(screen.on_host()),
         }
+    }
+
+    fn judges(&self, iteration: u64) -> bool {
+        let Density { interval, from, until, prune_interval, opacity_reset_interval, .. } = self.params;
+        let iteration = self.steps_before + iteration;
+        let is_round = |interval: u64| interval > 0 && iteration.is_multiple_of(interval);
+        let grows_or_shrinks = iteration > from && (is_round(interval) || is_round(prune_interval));
+        let resets = is_round(opacity_reset_interval) || self.reset_at_start && iteration == from;
+        iteration < until && (grows_or_shrinks || resets)
     }
 
     fn act(
@@ -251,6 +265,10 @@ impl PopulationControl for AdaptiveDensity {
         Ok(())
     }
 
+    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
+        Box::new(self.clone())
+    }
+
     fn save(&self) -> serde_json::Value {
         serde_json::to_value(&self.statistics).expect("numbers serialise")
     }
@@ -261,29 +279,67 @@ impl PopulationControl for AdaptiveDensity {
     }
 }
 
-impl Statistics {
-    fn zeros(radius_px: Vec<f32>) -> Self {
-        let count = radius_px.len();
-        Self { gradient_sum: vec![0.0; count], seen_count: vec![0; count], radius_px }
-    }
+/// Columns of the statistics.
+const GRADIENT_SUM: usize = 0;
+const SEEN_COUNT: usize = 1;
+const RADIUS_PX: usize = 2;
 
-    fn resize(&mut self, count: usize) {
-        self.gradient_sum.resize(count, 0.0);
-        self.seen_count.resize(count, 0);
-        self.radius_px.resize(count, 0.0);
-    }
-
-    fn keep(&mut self, keep: &[bool]) {
-        self.resize(keep.len());
-        retain(&mut self.gradient_sum, keep);
-        retain(&mut self.seen_count, keep);
-        retain(&mut self.radius_px, keep);
+impl Default for Statistics {
+    fn default() -> Self {
+        Vec::new().into()
     }
 }
 
-fn retain<V>(values: &mut Vec<V>, keep: &[bool]) {
-    let mut keep = keep.iter();
-    values.retain(|_| *keep.next().expect("as many values as rows"));
+impl From<Vec<f32>> for Statistics {
+    fn from(values: Vec<f32>) -> Self {
+        Self { rows: Tensor::from_vec([values.len() / COLUMNS, COLUMNS], values) }
+    }
+}
+
+impl From<Statistics> for Vec<f32> {
+    fn from(statistics: Statistics) -> Self {
+        statistics.rows.into_vec()
+    }
+}
+
+impl Statistics {
+    fn rows(&self) -> &[[f32; COLUMNS]] {
+        self.rows.as_slice().as_chunks().0
+    }
+
+    /// Room for so many Gaussians; new ones were never seen.
+    fn resize(&mut self, count: usize) {
+        if self.rows.rows() != count {
+            let mut values = std::mem::take(self).rows.into_vec();
+            values.resize(COLUMNS * count, 0.0);
+            *self = values.into();
+        }
+    }
+
+    /// Adds the renders of one step.
+    fn add(&mut self, screen: &ScreenGradients) {
+        let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
+        for (at, row) in rows.iter_mut().enumerate().filter(|(at, _)| screen.visible[*at]) {
+            let [x, y] = screen.gradient_ndc[at];
+            row[GRADIENT_SUM] += (x * x + y * y).sqrt();
+            row[SEEN_COUNT] += 1.0;
+            row[RADIUS_PX] = row[RADIUS_PX].max(screen.radius_px[at]);
+        }
+    }
+
+    /// Drops the Gaussians whose flag is false.
+    fn keep(&mut self, keep: &[bool]) {
+        self.resize(keep.len());
+        let kept = self.rows().iter().zip(keep).filter(|(_, keep)| **keep).flat_map(|(row, _)| row);
+        *self = kept.copied().collect::<Vec<f32>>().into();
+    }
+
+    /// Starts anew with the gradients; radii count until they were judged.
+    fn forget_gradients(&mut self) {
+        self.rows.make_mut().as_chunks_mut::<COLUMNS>().0.iter_mut().for_each(|row| {
+            (row[GRADIENT_SUM], row[SEEN_COUNT]) = (0.0, 0.0);
+        });
+    }
 }
 
 /// ln(p / (1 − p)).

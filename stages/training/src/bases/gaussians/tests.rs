@@ -6,10 +6,11 @@ use shaders::check;
 use shaders::tape::Tensor;
 
 use super::*;
-use crate::method::{PopulationControl as _, ScreenGradients};
+use crate::method::PopulationControl as _;
 use crate::optimizer::Optimizer;
 use crate::params::Density;
 use crate::sampler::{Stream, generator};
+use crate::screen::{Screen, ScreenGradients};
 use crate::state::ModelState;
 
 fn scene() -> SceneFacts {
@@ -31,15 +32,15 @@ fn optimizer(state: ModelState<f32>) -> Optimizer {
     Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)))
 }
 
-fn screen(gradients: &[f32]) -> ScreenGradients {
-    ScreenGradients {
-        population: GAUSSIANS.into(),
+fn screen(gradients: &[f32]) -> Screen<'static> {
+    let figures = ScreenGradients {
         gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
         visible: gradients.iter().map(|&gradient| gradient > 0.0).collect(),
         radius_px: vec![3.0; gradients.len()],
         opacity: Vec::new(),
         looks: Vec::new(),
-    }
+    };
+    Screen::of(GAUSSIANS, figures)
 }
 
 fn density() -> Density {

@@ -91,7 +91,7 @@ fn every_effect_brings_its_tensors_operations_and_losses_and_takes_them_along() 
     let whole = World::fine(&ALL);
     let (outcome, operations) = whole.step(FINE, 0);
     for loss in ["photometric", "activation", "energy_flow", "coherence"] {
-        assert!(outcome.losses.contains_key(loss), "no loss {loss}");
+        assert!(outcome.losses().contains_key(loss), "no loss {loss}");
     }
     let brings = [
         (MOMENTUM_INIT, "anchors.dynamic", ""),
@@ -107,7 +107,7 @@ fn every_effect_brings_its_tensors_operations_and_losses_and_takes_them_along() 
             assert!(fewer < operations, "{effect}: {fewer} operations without it, {operations} with it");
         }
         assert!(tensor.is_empty() || names(&whole).contains(tensor) && !names(&without).contains(tensor), "{effect}");
-        assert!(!outcome.losses.contains_key(loss), "{effect} is off and its loss is there");
+        assert!(!outcome.losses().contains_key(loss), "{effect} is off and its loss is there");
     }
 }
 
@@ -116,7 +116,7 @@ fn without_motion_nothing_of_it_is_left() {
     let world = World::fine(&[MOMENTUM_INIT, ACTIVATION, ENERGY_FLOW, COHERENCE]);
     assert!(world.state.names().all(|name| name != DYNAMIC && (belongs(name, "anchors") || belongs(name, "views"))));
     let (outcome, operations) = world.step(FINE, 0);
-    assert_eq!(outcome.losses.keys().copied().collect::<Vec<_>>(), ["photometric"]);
+    assert_eq!(outcome.losses().keys().copied().collect::<Vec<_>>(), ["photometric"]);
     assert_eq!(operations, world.step(COARSE, 0).1);
     assert!(outcome.skipped.is_empty());
 }

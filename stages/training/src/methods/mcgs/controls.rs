@@ -8,9 +8,10 @@ use shaders::tape::{Real, Tensor};
 
 use super::settings::Settings;
 use crate::bases::gaussians::GAUSSIANS;
-use crate::method::{PopulationControl, SceneFacts, ScreenGradients};
+use crate::method::{PopulationControl, SceneFacts};
 use crate::optimizer::Optimizer;
 use crate::schedule::stretch;
+use crate::screen::Screen;
 use crate::state::ModelState;
 
 /// [2]: λ_pos and λ_rot.
@@ -35,6 +36,7 @@ pub fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise
 }
 
 /// Raises the shares and lowers the noise, evenly.
+#[derive(Clone)]
 pub struct Ramp {
     shares: [f64; 3],
     shares_until: u64,
@@ -66,7 +68,15 @@ impl Ramp {
 }
 
 impl PopulationControl for Ramp {
-    fn observe(&mut self, _screen: &ScreenGradients) {}
+    fn watches(&self, _iteration: u64) -> bool {
+        false
+    }
+
+    fn observe(&mut self, _screen: &Screen<'_>) {}
+
+    fn judges(&self, _iteration: u64) -> bool {
+        false
+    }
 
     fn act(
         &mut self,
@@ -83,6 +93,10 @@ impl PopulationControl for Ramp {
         Ok(())
     }
 
+    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
+        Box::new(self.clone())
+    }
+
     fn save(&self) -> Value {
         Value::Null
     }
@@ -93,24 +107,35 @@ impl PopulationControl for Ramp {
 }
 
 /// Follows how much of every node's Gaussians is seen.
+#[derive(Clone)]
 pub struct Visibility {
     per_gaussian: usize,
+    /// The step after which nobody asks any more.
+    noise_until: u64,
     /// Of the step before [`PopulationControl::act`].
     visible: Vec<bool>,
 }
 
 impl Visibility {
-    /// For Gaussians that follow so many nodes.
-    pub fn new(per_gaussian: usize) -> Self {
-        Self { per_gaussian, visible: Vec::new() }
+    /// For Gaussians that follow so many nodes, as long as a ramp has noise left.
+    pub fn new(per_gaussian: usize, ramp: &Ramp) -> Self {
+        Self { per_gaussian, noise_until: ramp.noise_until, visible: Vec::new() }
     }
 }
 
 impl PopulationControl for Visibility {
-    fn observe(&mut self, screen: &ScreenGradients) {
+    fn watches(&self, iteration: u64) -> bool {
+        iteration < self.noise_until
+    }
+
+    fn observe(&mut self, screen: &Screen<'_>) {
         if screen.population == GAUSSIANS {
-            self.visible.clone_from(&screen.visible);
+            self.visible.clone_from(&screen.on_host().visible);
         }
+    }
+
+    fn judges(&self, iteration: u64) -> bool {
+        self.watches(iteration)
     }
 
     fn act(
@@ -137,6 +162,10 @@ impl PopulationControl for Visibility {
                 }
             }
         })
+    }
+
+    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
+        Box::new(self.clone())
     }
 
     fn save(&self) -> Value {

@@ -167,10 +167,10 @@ impl<T: Real> Method<T> for MarkovGaussians {
         if self.moves && phase == ALL {
             let scale = self.shared.schedule_scale;
             let before = self.canonical.iterations(WARM_UP);
-            controls.push(Box::new(Ramp::new(&self.settings, before, scale)));
-            if self.has_noise {
-                controls.push(Box::new(Visibility::new(self.settings.nodes.per_gaussian)));
-            }
+            let ramp = Ramp::new(&self.settings, before, scale);
+            let visibility = self.has_noise.then(|| Visibility::new(self.settings.nodes.per_gaussian, &ramp));
+            controls.push(Box::new(ramp));
+            controls.extend(visibility.map(|control| Box::new(control) as Box<dyn PopulationControl>));
         }
         // Last: it changes the number of Gaussians that the others look at.
         controls.push(self.canonical.population_control(phase, scene));

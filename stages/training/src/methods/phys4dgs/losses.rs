@@ -41,7 +41,7 @@ impl PhysicalGaussians {
         gain: f64,
     ) -> anyhow::Result<()> {
         let candidates = foreground(step.tape, rendered, step.supplements.moving(view.index));
-        let all = rendered.visible.len();
+        let all = rendered.splats(step.tape);
         step.count_skipped("physical losses of Gaussians in the background", all - candidates.len(), all);
         let rows = sample(candidates, self.settings.sample_share, self.settings.sample_max, step.random);
         let frames_ahead = self.parts.frames_ahead();

@@ -91,7 +91,7 @@ impl World {
         let outcome = run_step(&*method, step).unwrap();
         Observation {
             tensors: state.names().map(String::from).collect(),
-            losses: outcome.losses,
+            losses: outcome.losses(),
             skipped: outcome.skipped,
             operations: tape.profile().ops.iter().map(|(name, cost)| (*name, cost.forward.calls)).collect(),
         }

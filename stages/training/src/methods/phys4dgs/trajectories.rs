@@ -107,10 +107,11 @@ pub fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: Option<&
     let means_px = tape.value(rendered.means2d).as_slice().as_chunks::<2>().0;
     let count = means_px.len() as u32;
     let Some(moving) = moving else { return (0..count).collect() };
+    let visible = rendered.visible();
     let is_covered = |&row: &u32| {
         let [x, y] = means_px[row as usize].map(|coordinate| coordinate.to_f64().floor());
         let within = x >= 0.0 && y >= 0.0 && x < f64::from(moving.width) && y < f64::from(moving.height);
-        rendered.visible[row as usize] && within && moving.labels[y as usize * moving.width as usize + x as usize] != 0
+        visible[row as usize] && within && moving.labels[y as usize * moving.width as usize + x as usize] != 0
     };
     (0..count).filter(is_covered).collect()
 }

@@ -5,11 +5,13 @@ use rand_chacha::ChaCha8Rng;
 
 use super::settings::Pruning;
 use crate::bases::gaussians::logit;
-use crate::method::{PopulationControl, SceneFacts, ScreenGradients};
+use crate::method::{PopulationControl, SceneFacts};
 use crate::optimizer::Optimizer;
 use crate::schedule::stretch;
+use crate::screen::Screen;
 
 /// Prunes one layer by opacity and by size on the screen.
+#[derive(Clone)]
 pub struct SurfelPruning {
     population: &'static str,
     params: Pruning,
@@ -40,12 +42,21 @@ impl SurfelPruning {
 }
 
 impl PopulationControl for SurfelPruning {
-    fn observe(&mut self, screen: &ScreenGradients) {
+    fn watches(&self, _iteration: u64) -> bool {
+        true
+    }
+
+    fn observe(&mut self, screen: &Screen<'_>) {
         if screen.population != self.population {
             return;
         }
-        self.radius_px.resize(screen.radius_px.len(), 0.0);
-        self.radius_px.iter_mut().zip(&screen.radius_px).for_each(|(total, &radius)| *total = total.max(radius));
+        let radius_px = &screen.on_host().radius_px;
+        self.radius_px.resize(radius_px.len(), 0.0);
+        self.radius_px.iter_mut().zip(radius_px).for_each(|(total, &radius)| *total = total.max(radius));
+    }
+
+    fn judges(&self, iteration: u64) -> bool {
+        iteration > self.params.interval && iteration.is_multiple_of(self.params.interval)
     }
 
     fn act(
@@ -55,13 +66,16 @@ impl PopulationControl for SurfelPruning {
         _scene: &SceneFacts,
         _random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()> {
-        let interval = self.params.interval;
-        if iteration > interval && iteration.is_multiple_of(interval) {
+        if self.judges(iteration) {
             let keep = self.survivors(optimizer.tensor(&format!("{}.opacity_logits", self.population))?.as_slice());
             optimizer.keep(self.population, &keep)?;
             self.radius_px.clear();
         }
         Ok(())
+    }
+
+    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
+        Box::new(self.clone())
     }
 
     fn save(&self) -> serde_json::Value {

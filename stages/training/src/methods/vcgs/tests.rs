@@ -12,6 +12,7 @@ use super::*;
 use crate::dataset::Dataset;
 use crate::effects::Effects;
 use crate::sampler::{Stream, generator};
+use crate::screen::{Screen, ScreenGradients};
 use crate::supplements::{NOTHING, Supplements};
 use crate::test_scene::TestScene;
 
@@ -230,13 +231,9 @@ fn pruning_takes_the_faint_and_the_large_and_leaves_enough() {
     let params = Pruning { min_count: 2, ..Pruning::default() };
     let mut pruning = SurfelPruning::new(BACKGROUND, &params, 1.0);
     let logits: Vec<f32> = [0.5, 0.04, 0.5, 0.06, 0.5].map(logit_of).to_vec();
-    let screen = |radius_px: Vec<f32>| crate::method::ScreenGradients {
-        population: BACKGROUND.into(),
-        gradient_ndc: vec![[0.0; 2]; 5],
-        visible: vec![true; 5],
-        radius_px,
-        opacity: Vec::new(),
-        looks: Vec::new(),
+    let screen = |radius_px: Vec<f32>| {
+        let figures = ScreenGradients { radius_px, visible: vec![true; 5], ..ScreenGradients::default() };
+        Screen::of(BACKGROUND, figures)
     };
     assert_eq!(pruning.survivors(&logits), [true, false, true, true, true]);
     pruning.observe(&screen(vec![1.0, 1.0, 31.0, 1.0, 1.0]));

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::method::ScreenGradients;
+use crate::screen::ScreenGradients;
 
 /// Sums per anchor and per place of a Gaussian (slot): K slots per anchor.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

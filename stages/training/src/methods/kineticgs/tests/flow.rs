@@ -65,7 +65,7 @@ fn moving_pixels_are_left_out_of_the_coarse_phase() {
     let everything = World::new(&ALL, Settings { coarse_all: true, ..Settings::tiny() }, COARSE);
     let (unmasked, _) = everything.step(COARSE, 3);
     assert!(unmasked.skipped.is_empty());
-    assert!(unmasked.losses["photometric"] > outcome.losses["photometric"]);
+    assert!(unmasked.losses()["photometric"] > outcome.losses()["photometric"]);
 }
 
 /// The energy-flow loss of three particles at (0.1, 0, 2) on the wall that the field moves by `shift` along x at all times,

@@ -1,0 +1,63 @@
+// What a render says about every splat, for density control: its gradient by the mean in normalised device coordinates, whether
+// it was seen, and its radius in pixels. FIRST begins a step, LAST ends it and adds it to the statistics; the sums of a
+// step with several renders pass from one launch to the next.
+
+struct Look {
+    count: u32,
+    // Half the size of the image in pixels.
+    half_width: f32,
+    half_height: f32,
+    has_gradient: u32,
+}
+
+@group(0) @binding(0) var<uniform> look: Look;
+@group(0) @binding(1) var<storage, read> gradients_px: array<f32>;
+@group(0) @binding(2) var<storage, read> conics: array<f32>;
+@group(0) @binding(3) var<storage, read> rank_of_splat: array<u32>;
+// [N, 3]: the sum over steps of the norm of the gradient, steps that saw the splat, and its largest radius.
+@group(0) @binding(4) var<storage, read> statistics: array<f32>;
+// [N]: the gradient of this step so far, whether it saw the splat, and the largest radius.
+@group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> new_statistics: array<f32>;
+
+// Three standard deviations along the longer axis, from (A, k, m).
+fn radius_px(splat: u32) -> f32 {
+    let a = conics[3u * splat];
+    let k = conics[3u * splat + 1u];
+    let m = conics[3u * splat + 2u];
+    let variance_x = 1.0 / a + k * k / m;
+    let variance_y = 1.0 / m;
+    let gap = length(vec2<f32>(0.5 * (variance_x - variance_y), -k / m));
+    return 3.0 * sqrt(0.5 * (variance_x + variance_y) + gap);
+}
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let splat = flat_group(group, groups) * 256u + local;
+    if (splat >= look.count) {
+        return;
+    }
+    var sum = vec4<f32>(0.0);
+    if (FIRST == 0u) {
+        sum = sums[splat];
+    }
+    if (rank_of_splat[splat] != NOWHERE) {
+        if (look.has_gradient == 1u) {
+            sum.x += gradients_px[2u * splat] * look.half_width;
+            sum.y += gradients_px[2u * splat + 1u] * look.half_height;
+        }
+        sum.z = 1.0;
+        sum.w = max(sum.w, radius_px(splat));
+    }
+    if (LAST == 0u) {
+        sums[splat] = sum;
+        return;
+    }
+    new_statistics[3u * splat] = statistics[3u * splat] + sqrt(sum.x * sum.x + sum.y * sum.y);
+    new_statistics[3u * splat + 1u] = statistics[3u * splat + 1u] + sum.z;
+    new_statistics[3u * splat + 2u] = max(statistics[3u * splat + 2u], sum.w);
+}

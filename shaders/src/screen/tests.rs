@@ -1,0 +1,90 @@
+use super::*;
+use crate::check::{agree, noise};
+use crate::gpu::conformance::Disagreement;
+use crate::gpu::fault::assert_noticed;
+use crate::gpu::layout::assert_valid;
+use crate::gpu::tests::test_gpu;
+use crate::splat::test_scene::{camera, cast, splats};
+use crate::splat::{RasterSettings, render};
+use crate::tape::Device;
+
+/// Renders of 300 splats from so many sides on a device, and their gradients.
+fn looked_at(device: Device, renders: usize) -> (Tape<f32>, Vec<Rendered>, Gradients<f32>) {
+    let mut tape = Tape::new(device);
+    let leaves = cast::<f32>(&splats(300, -2.0, 3)).leaves(&mut tape);
+    let render = |index: usize, tape: &mut Tape<f32>| {
+        render(tape, &leaves, None, &camera(40 + 8 * index, 30), &RasterSettings::default()).unwrap()
+    };
+    let rendered: Vec<Rendered> = (0..renders).map(|index| render(index, &mut tape)).collect();
+    let seed = |rendered: &Rendered| {
+        let color = tape.value(rendered.color);
+        let weights = noise(color.len(), 5).into_iter().map(|weight| weight as f32).collect();
+        (rendered.color, Tensor::from_vec(color.shape(), weights))
+    };
+    let seeds: Vec<_> = rendered.iter().map(seed).collect();
+    let gradients = tape.backward(&seeds);
+    (tape, rendered, gradients)
+}
+
+/// The definition, on the host.
+fn expected(renders: usize, statistics: &Tensor<f32>) -> Tensor<f32> {
+    let (tape, rendered, gradients) = looked_at(Device::Cpu, renders);
+    let mut rows: Vec<f32> = statistics.as_slice().to_vec();
+    let seen: Vec<_> = rendered.iter().map(|render| (render.visible(), render.radii_px(&tape))).collect();
+    for (splat, row) in rows.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+        let mut sum = [0.0_f32; 2];
+        for (index, (render, (visible, radii))) in rendered.iter().zip(&seen).enumerate() {
+            if visible[splat] {
+                let gradient = gradients.get(render.means2d).unwrap().row(splat);
+                sum[0] += gradient[0] * (20 + 4 * index) as f32;
+                sum[1] += gradient[1] * 15.0;
+                row[2] = row[2].max(radii[splat]);
+            }
+        }
+        row[0] += sum[0].hypot(sum[1]);
+        row[1] += f32::from(seen.iter().any(|(visible, _)| visible[splat]));
+    }
+    Tensor::from_vec(statistics.shape(), rows)
+}
+
+fn compare(renders: usize) -> Result<usize, Disagreement> {
+    let Some(gpu) = test_gpu() else { return Ok(0) };
+    let before = Tensor::from_vec([300, 3], noise(900, 9).into_iter().map(|value| (1.0 + value) as f32).collect());
+    let (tape, rendered, gradients) = looked_at(Device::Gpu(gpu), renders);
+    let look = |(index, rendered)| Look { rendered, size_px: [(40 + 8 * index) as f64, 30.0] };
+    let looks: Vec<Look> = rendered.iter().enumerate().map(look).collect();
+    let found = observe(&tape, &gradients, &looks, &before).expect("on a GPU");
+    let what = format!("the statistics of {renders} renders");
+    agree(&found, &expected(renders, &before), 2e-3).map(|()| 1).map_err(|mismatch| Disagreement { what, mismatch })
+}
+
+#[test]
+fn the_kernel_is_valid() {
+    for (first, last) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        assert_valid::<LookBlock>(&SCREEN, &[("FIRST", first), ("LAST", last)]);
+    }
+}
+
+#[test]
+fn statistics_on_a_gpu_are_those_of_the_host() {
+    for renders in [1, 2, 3] {
+        compare(renders).unwrap_or_else(|error| panic!("{error}"));
+    }
+}
+
+#[test]
+fn faults_are_noticed() {
+    if test_gpu().is_none() {
+        return;
+    }
+    let wrong =
+        [("sum.z = 1.0", "sum.z += 1.0"), ("* look.half_width", ""), ("k * k / m", "k / m"), ("FIRST == 0u", "true")];
+    assert_noticed(&wrong.map(|(right, wrong)| (SCREEN.name, right, wrong)), || compare(2));
+}
+
+#[test]
+fn renders_of_the_host_are_left_to_it() {
+    let (tape, rendered, gradients) = looked_at(Device::Cpu, 1);
+    let look = Look { rendered: &rendered[0], size_px: [40.0, 30.0] };
+    assert!(observe(&tape, &gradients, &[look], &Tensor::zeros([300, 3])).is_none());
+}

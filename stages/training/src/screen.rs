@@ -1,0 +1,204 @@
+//! What the renders of a step say about the Gaussians of a population.
+
+use std::cell::OnceCell;
+
+use shaders::screen::{self, Look};
+use shaders::tape::{Gradients, Tape, Tensor};
+
+use crate::method::{SplatRows, WatchedRender};
+
+/// The renders of one step that show a population; whoever looks at the figures of single Gaussians waits for them.
+pub struct Screen<'a> {
+    /// As `gaussians`.
+    pub population: &'a str,
+    renders: Vec<&'a WatchedRender>,
+    /// Where they were computed.
+    step: Option<(&'a Tape<f32>, &'a Gradients<f32>)>,
+    on_host: OnceCell<ScreenGradients>,
+}
+
+/// What one step's renders say about the Gaussians of a population.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ScreenGradients {
+    /// [N, 2] gradient of the loss by the projected mean, normalised device coordinates, summed over the renders.
+    pub gradient_ndc: Vec<[f32; 2]>,
+    /// [N] whether any render saw the Gaussian.
+    pub visible: Vec<bool>,
+    /// [N] largest radius in pixels.
+    pub radius_px: Vec<f32>,
+    /// [N] opacity, summed over the renders; empty where renders draw the rows themselves (see [`SplatRows`]).
+    pub opacity: Vec<f32>,
+    /// [N] how many renders looked where the row is, drawn or not; empty where renders draw the rows themselves.
+    pub looks: Vec<u32>,
+}
+
+impl<'a> Screen<'a> {
+    /// The renders by population, in the order in which populations were rendered first.
+    pub(crate) fn all(renders: &'a [WatchedRender], tape: &'a Tape<f32>, gradients: &'a Gradients<f32>) -> Vec<Self> {
+        let mut screens: Vec<Self> = Vec::new();
+        for render in renders {
+            match screens.iter_mut().find(|screen| screen.population == render.population) {
+                Some(screen) => screen.renders.push(render),
+                None => screens.push(Self {
+                    population: &render.population,
+                    renders: vec![render],
+                    step: Some((tape, gradients)),
+                    on_host: OnceCell::new(),
+                }),
+            }
+        }
+        screens
+    }
+
+    /// Figures that are known already.
+    #[cfg(test)]
+    pub(crate) fn of(population: &'a str, figures: ScreenGradients) -> Self {
+        Self { population, renders: Vec::new(), step: None, on_host: figures.into() }
+    }
+
+    /// The figures of every Gaussian; read back from a GPU.
+    pub fn on_host(&self) -> &ScreenGradients {
+        self.on_host.get_or_init(|| {
+            let mut figures = ScreenGradients::default();
+            if let Some((tape, gradients)) = self.step {
+                self.renders.iter().for_each(|render| figures.add(render, tape, gradients));
+            }
+            figures
+        })
+    }
+
+    /// Statistics of every Gaussian ([`screen::observe`]) with this step, added up on the GPU that rendered; `None` if
+    /// none did, or if it drew only some of the rows.
+    pub fn observe_on_gpu(&self, statistics: &Tensor<f32>) -> Option<Tensor<f32>> {
+        let (tape, gradients) = self.step?;
+        let look = |render: &&'a WatchedRender| {
+            let draws_all = render.rows.is_none();
+            draws_all.then_some(Look { rendered: &render.rendered, size_px: render.size_px })
+        };
+        let looks: Option<Vec<Look>> = self.renders.iter().map(look).collect();
+        screen::observe(tape, gradients, &looks?, statistics)
+    }
+
+    /// The number of Gaussians.
+    pub fn len(&self) -> usize {
+        match (self.step, self.renders.first()) {
+            (Some((tape, _)), Some(render)) => render.rows_in_all(tape),
+            _ => self.on_host().visible.len(),
+        }
+    }
+}
+
+impl WatchedRender {
+    /// The number of rows of the population.
+    fn rows_in_all(&self, tape: &Tape<f32>) -> usize {
+        self.rows.as_ref().map_or_else(|| self.rendered.splats(tape), |(rows, _)| rows.looked_at.len())
+    }
+}
+
+impl ScreenGradients {
+    fn resize(&mut self, render: &WatchedRender, count: usize) {
+        let of_rows = if render.rows.is_some() { count } else { 0 };
+        self.gradient_ndc.resize(count, [0.0; 2]);
+        self.visible.resize(count, false);
+        self.radius_px.resize(count, 0.0);
+        self.opacity.resize(of_rows, 0.0);
+        self.looks.resize(of_rows, 0);
+    }
+
+    /// Adds one render: gradients are summed, visibility joined, the larger radius kept. A pixel is 2 / size of the
+    /// normalised device coordinates.
+    fn add(&mut self, render: &WatchedRender, tape: &Tape<f32>, gradients: &Gradients<f32>) {
+        self.resize(render, render.rows_in_all(tape));
+        let [half_width, half_height] = render.size_px.map(|size| 0.5 * size);
+        let (visible, radius_px) = (render.rendered.visible(), render.rendered.radii_px(tape));
+        let gradient_px = gradients.get(render.rendered.means2d);
+        for splat in (0..visible.len()).filter(|&splat| visible[splat]) {
+            let row_of = |(rows, _): &(SplatRows, _)| rows.row_of_splat.get(splat).map(|&row| row as usize);
+            let Some(at) = render.rows.as_ref().map_or(Some(splat), row_of) else { continue };
+            self.visible[at] = true;
+            self.radius_px[at] = self.radius_px[at].max(radius_px[splat]);
+            let Some(gradient) = gradient_px else { continue };
+            let row = gradient.row(splat);
+            self.gradient_ndc[at][0] += (f64::from(row[0]) * half_width) as f32;
+            self.gradient_ndc[at][1] += (f64::from(row[1]) * half_height) as f32;
+        }
+        if let Some((rows, logits)) = &render.rows {
+            let opacity = |logit: &f32| (1.0 / (1.0 + (-f64::from(*logit)).exp())) as f32;
+            let opacities = tape.value(*logits).as_slice().iter().map(opacity);
+            let drawn = rows.row_of_splat.iter().zip(opacities);
+            drawn.for_each(|(&row, opacity)| self.opacity[row as usize] += opacity);
+            self.looks.iter_mut().zip(&rows.looked_at).for_each(|(looks, &now)| *looks += u32::from(now));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use shaders::splat::{PinholeCamera, RasterSettings, SplatTensors, render};
+    use shaders::tape::Device;
+
+    use super::*;
+
+    /// Two splats in an image of 20 × 10 pixels, of which only the first is visible; with the gradient of the sum of
+    /// its colours.
+    fn step(rows: Option<SplatRows>, times: usize) -> (Tape<f32>, Vec<WatchedRender>, Gradients<f32>) {
+        let splats = SplatTensors {
+            positions: Tensor::from_vec([2, 3], vec![0.3, 0.2, 4.0, 0.0, 0.0, -4.0]),
+            log_scales: Tensor::full([2, 3], -1.0),
+            rotations: Tensor::from_vec([2, 4], [[1.0, 0.0, 0.0, 0.0]; 2].concat()),
+            opacity_logits: Tensor::from_vec([2, 1], vec![0.0, 1.0]),
+            sh: Tensor::full([2, 1, 3], 0.5),
+        };
+        let camera = PinholeCamera {
+            width: 20,
+            height: 10,
+            focal: [20.0, 20.0],
+            center: [10.0, 5.0],
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [0.0; 3],
+        };
+        let mut tape = Tape::new(Device::Cpu);
+        let vars = splats.leaves(&mut tape);
+        let settings = RasterSettings { sh_degree: 0, ..RasterSettings::default() };
+        let rendered = render(&mut tape, &vars, None, &camera, &settings).unwrap();
+        let seed = (0..600).map(|at| at as f32 / 600.0).collect();
+        let gradients = tape.backward(&[(rendered.color, Tensor::from_vec([10, 20, 3], seed))]);
+        let watched = || WatchedRender {
+            population: "points".into(),
+            rendered: rendered.clone(),
+            size_px: [20.0, 10.0],
+            rows: rows.clone().map(|rows| (rows, vars.opacity_logits)),
+        };
+        let renders = (0..times).map(|_| watched()).collect();
+        (tape, renders, gradients)
+    }
+
+    #[test]
+    fn splats_that_are_the_rows_count_in_order() {
+        let (tape, renders, gradients) = step(None, 1);
+        let screens = Screen::all(&renders, &tape, &gradients);
+        let (screen, gradient) = (screens[0].on_host(), gradients.get(renders[0].rendered.means2d).unwrap());
+        assert_eq!((screens.len(), screens[0].len(), &screen.visible), (1, 2, &vec![true, false]));
+        assert_eq!(screen.gradient_ndc[0], [10.0 * gradient.row(0)[0], 5.0 * gradient.row(0)[1]]);
+        assert!(screen.gradient_ndc[0].iter().all(|value| *value != 0.0) && screen.gradient_ndc[1] == [0.0; 2]);
+        assert!(screen.radius_px[0] > 3.0 && screen.radius_px[1] == 0.0);
+        assert!(screen.opacity.is_empty() && screen.looks.is_empty());
+    }
+
+    #[test]
+    fn splats_count_for_the_rows_that_they_are() {
+        let row_of_splat = Arc::new(vec![2, 0]);
+        let rows = SplatRows { population: "points", row_of_splat, looked_at: vec![true, false, true] };
+        let (tape, renders, gradients) = step(Some(rows), 2);
+        let screens = Screen::all(&renders, &tape, &gradients);
+        let (screen, one) = (screens[0].on_host(), step(None, 1));
+        let single = Screen::all(&one.1, &one.0, &one.2).remove(0);
+        assert_eq!(screen.visible, [false, false, true]);
+        assert_eq!(screen.gradient_ndc[2], single.on_host().gradient_ndc[0].map(|value| 2.0 * value));
+        assert_eq!(screen.radius_px[2], single.on_host().radius_px[0]);
+        let of_second = 2.0 / (1.0 + (-1.0_f64).exp()) as f32;
+        assert_eq!((&screen.opacity, &screen.looks), (&vec![of_second, 0.0, 1.0], &vec![2, 0, 2]));
+    }
+}
