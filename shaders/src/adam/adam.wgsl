@@ -1,21 +1,37 @@
-// One update of every element of a group: m ← β1·m + (1 − β1)·g, v ← β2·v + (1 − β2)·g², p ← p − step·m / (√v·scale + ε).
+// One update of every element of every group: m ← β1·m + (1 − β1)·g, v ← β2·v + (1 − β2)·g², p ← p − step·m / (√v·scale + ε);
+// and the largest magnitudes of the group's gradient and of its new values.
 
-struct Adam {
+struct Item {
     beta1: f32,
     beta2: f32,
     step_size: f32,
     second_moment_scale: f32,
     epsilon: f32,
+    len: u32,
+    // Where the group's two figures are.
+    figures: u32,
 }
 
-@group(0) @binding(0) var<uniform> adam: Adam;
-@group(0) @binding(1) var<storage, read> gradients: array<f32>;
-@group(0) @binding(2) var<storage, read> values: array<f32>;
-@group(0) @binding(3) var<storage, read> first_moments: array<f32>;
-@group(0) @binding(4) var<storage, read> second_moments: array<f32>;
-@group(0) @binding(5) var<storage, read_write> new_values: array<f32>;
-@group(0) @binding(6) var<storage, read_write> new_first_moments: array<f32>;
-@group(0) @binding(7) var<storage, read_write> new_second_moments: array<f32>;
+@group(0) @binding(1) var<storage, read_write> largest: array<atomic<u32>>;
+
+var<workgroup> own_largest: array<atomic<u32>, 2>;
+
+// Without their sign, floats order as their bits do, NaN last.
+fn magnitude(value: f32) -> u32 {
+    return bitcast<u32>(value) & 0x7fffffffu;
+}
+
+// Updates an element; the magnitudes of its gradient and of its new value.
+fn advance(item: u32, adam: Item, at: u32) -> vec2<u32> {
+    let gradient = gradients(item, at);
+    let first = adam.beta1 * first_moments(item, at) + (1.0 - adam.beta1) * gradient;
+    let second = adam.beta2 * second_moments(item, at) + (1.0 - adam.beta2) * (gradient * gradient);
+    let value = values(item, at) - adam.step_size * first / (sqrt(second) * adam.second_moment_scale + adam.epsilon);
+    set_new_first_moments(item, at, first);
+    set_new_second_moments(item, at, second);
+    set_new_values(item, at, value);
+    return vec2<u32>(magnitude(gradient), magnitude(value));
+}
 
 @compute @workgroup_size(256)
 fn main(
@@ -23,14 +39,26 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let index = flat_group(group, groups) * 256u + local;
-    if (index >= arrayLength(&new_values)) {
-        return;
+    if (local < 2u) {
+        atomicStore(&own_largest[local], 0u);
     }
-    let gradient = gradients[index];
-    let first = adam.beta1 * first_moments[index] + (1.0 - adam.beta1) * gradient;
-    let second = adam.beta2 * second_moments[index] + (1.0 - adam.beta2) * (gradient * gradient);
-    new_first_moments[index] = first;
-    new_second_moments[index] = second;
-    new_values[index] = values[index] - adam.step_size * first / (sqrt(second) * adam.second_moment_scale + adam.epsilon);
+    workgroupBarrier();
+    let flat = flat_group(group, groups);
+    let item = item_of(flat);
+    let adam = constants_of(item);
+    let first = (flat - first_group(item)) * 256u * ELEMENTS + local;
+    var found = vec2<u32>(0u);
+    for (var step = 0u; step < ELEMENTS; step++) {
+        let at = first + 256u * step;
+        if (at < adam.len) {
+            found = max(found, advance(item, adam, at));
+        }
+    }
+    // The largest of whole numbers does not depend on the order.
+    atomicMax(&own_largest[0], found.x);
+    atomicMax(&own_largest[1], found.y);
+    workgroupBarrier();
+    if (local < 2u) {
+        atomicMax(&largest[adam.figures + local], atomicLoad(&own_largest[local]));
+    }
 }

@@ -1,39 +1,83 @@
-//! The update on a GPU: one launch per group, and nothing is read back. Values and moments are new arrays, because whoever
-//! shares the old ones keeps them.
+//! The update on a GPU: one launch for all groups, and nothing is read back. Values and moments are new arrays, because
+//! whoever shares the old ones keeps them.
 
 use super::{Coefficients, Group};
+use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::Tensor;
 
-const ADAM: Kernel = Kernel { name: "adam", text: &[include_str!("adam.wgsl")] };
+const ADAM: Grouped = Grouped {
+    kernel: Kernel { name: "adam", text: &[include_str!("adam.wgsl")] },
+    shared: 1,
+    arrays: &[
+        ItemArray::read("gradients"),
+        ItemArray::read("values"),
+        ItemArray::read("first_moments"),
+        ItemArray::read("second_moments"),
+        ItemArray::write("new_values"),
+        ItemArray::write("new_first_moments"),
+        ItemArray::write("new_second_moments"),
+    ],
+};
 
-/// Elements per workgroup.
+/// Elements per invocation, and invocations per workgroup.
+const ELEMENTS: usize = 4;
 const GROUP: usize = 256;
+/// The largest magnitude of the gradient, and that of the new values.
+pub const FIGURES: usize = 2;
 
 uniforms! {
-    struct AdamBlock as "Adam" {
+    struct AdamItem as "Item" {
         beta1: f32,
         beta2: f32,
         step_size: f32,
         second_moment_scale: f32,
         epsilon: f32,
+        len: u32,
+        figures: u32,
     }
 }
 
-/// Updates a group whose step is counted already.
-pub fn advance(gpu: Gpu, group: &mut Group, gradient: &Tensor<f32>, coefficients: Coefficients) {
-    let Coefficients { beta1, beta2, step_size, second_moment_scale, epsilon } = coefficients;
-    let block = AdamBlock { beta1, beta2, step_size, second_moment_scale, epsilon };
+fn specialisation() -> [(&'static str, u32); 1] {
+    [("ELEMENTS", ELEMENTS as u32)]
+}
+
+/// A group whose step is counted already, its gradient and its scalars.
+pub type Counted<'a> = (&'a mut Group, &'a Tensor<f32>, Coefficients);
+
+/// Updates groups; the largest magnitudes of each, [groups, 2].
+pub fn advance(gpu: Gpu, updates: &mut [Counted]) -> Tensor<f32> {
+    let figures = GpuArray::zeros(gpu, FIGURES * updates.len());
+    let new = |(_, gradient, _): &Counted| [(); 3].map(|()| GpuArray::new(gpu, gradient.len()));
+    let written: Vec<[GpuArray; 3]> = updates.iter().map(new).collect();
+    let items =
+        updates.iter().zip(&written).enumerate().map(|(index, (update, written))| item(gpu, index, update, written));
+    ADAM.launch(gpu, &specialisation(), &[Binding::Write(&figures)], &items.collect::<Vec<_>>());
+    for ((group, gradient, _), written) in updates.iter_mut().zip(written) {
+        group.replace(written.map(|array| Tensor::from_gpu(gradient.shape(), array)));
+    }
+    Tensor::from_gpu([updates.len(), FIGURES], figures)
+}
+
+fn item<'a>(
+    gpu: Gpu,
+    index: usize,
+    (group, gradient, coefficients): &'a Counted,
+    written: &'a [GpuArray; 3],
+) -> Item<'a, AdamItem> {
+    let Coefficients { beta1, beta2, step_size, second_moment_scale, epsilon } = *coefficients;
+    let (len, figures) = (gradient.len() as u32, (FIGURES * index) as u32);
     let [values, first, second] = group.tensors();
     let read = [gradient, values, first, second].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    let written = [(); 3].map(|()| GpuArray::new(gpu, gradient.len()));
-    let arrays: Vec<Binding> = read.into_iter().chain(written.iter().map(Binding::Write)).collect();
-    ADAM.launch(gpu, &[], &block, &arrays, gradient.len().div_ceil(GROUP));
-    group.replace(written.map(|array| Tensor::from_gpu(gradient.shape(), array)));
+    Item {
+        constants: AdamItem { beta1, beta2, step_size, second_moment_scale, epsilon, len, figures },
+        arrays: read.into_iter().chain(written.iter().map(Binding::Write)).collect(),
+        groups: gradient.len().div_ceil(GROUP * ELEMENTS),
+    }
 }
 
 #[cfg(test)]
 #[test]
 fn the_kernel_is_valid() {
-    crate::gpu::layout::assert_valid::<AdamBlock>(&ADAM, &[]);
+    crate::gpu::grouped::tests::assert_valid_grouped::<AdamItem>(&ADAM, &specialisation());
 }

@@ -58,9 +58,10 @@ fn a_gpu_that_updates_otherwise_is_noticed() {
     let faults = [
         ("adam", "(gradient * gradient)", "gradient"),
         ("adam", "adam.beta1 * first_moments", "adam.beta2 * first_moments"),
+        ("adam", "256u * step", "0u * step"),
         ("adam", "sqrt(second) *", "sqrt(second) +"),
     ];
-    assert_noticed(&faults, || compare_training(gpu, 50));
+    assert_noticed(&faults, || compare_training(gpu, 200));
 }
 
 #[test]
@@ -72,4 +73,39 @@ fn whoever_shares_the_values_keeps_them() {
     gradient.on_gpu(gpu);
     Adam::default().step(&mut [Update { group: &mut group, gradient: Some(&gradient), learning_rate: 0.1 }]);
     assert!(before == tensor(50, 1) && *group.tensor() != before);
+}
+
+/// Many groups at once, the last of which has no gradient; their values and what the step told.
+fn step_of_many(step: impl FnOnce(&mut [Update])) -> Vec<Group> {
+    let mut groups: Vec<Group> = (0..20).map(|at| Group::new("one of many", tensor(7 * at, at as u64))).collect();
+    let gradients: Vec<Tensor<f32>> = groups.iter().map(|group| tensor(group.rows(), 99)).collect();
+    let update = |(at, group)| Update { group, gradient: gradients.get(at).filter(|_| at < 19), learning_rate: 0.01 };
+    let mut updates: Vec<Update> = groups.iter_mut().enumerate().map(update).collect();
+    step(&mut updates);
+    drop(updates);
+    groups
+}
+
+#[test]
+fn a_gpu_tells_the_largest_magnitudes_of_every_group() {
+    let Some(gpu) = test_gpu() else { return };
+    let compare = || {
+        let mut told = Tensor::zeros([0]);
+        let found = step_of_many(|updates| told = Adam::default().step_on(gpu, updates));
+        let expected = step_of_many(|updates| Adam::default().step(updates));
+        let mut figures = Vec::new();
+        for (found, expected) in found.iter().zip(&expected) {
+            let disagreement = |mismatch| Disagreement { what: "one of many groups".into(), mismatch };
+            agree(found.tensor(), expected.tensor(), 1e-5).map_err(disagreement)?;
+            let gradient = tensor(found.rows(), 99);
+            figures.extend(crate::magnitude::largest_magnitudes(&[&gradient, found.tensor()]));
+        }
+        figures.truncate(2 * 19);
+        let disagreement = |mismatch| Disagreement { what: "the largest magnitudes".into(), mismatch };
+        agree(&told, &Tensor::from_vec([19, 2], figures), 0.0).map_err(disagreement)?;
+        Ok(20)
+    };
+    let faults = [("& 0x7fffffffu", ""), ("adam.figures + local", "local"), ("max(found, ", "(")];
+    assert_noticed(&faults.map(|(right, wrong)| ("adam", right, wrong)), compare);
+    crate::gpu::grouped::tests::with_arrays(16, || compare().map(drop).unwrap_or_else(|error| panic!("{error}")));
 }

@@ -13,6 +13,7 @@ pub use group::{Group, GroupState};
 
 use rayon::prelude::*;
 
+use crate::gpu::Gpu;
 use crate::tape::Tensor;
 use crate::tape::chunks::CHUNK;
 use crate::tape::simd::multiversion;
@@ -65,17 +66,33 @@ impl Adam {
     /// Updates all groups: on the GPU where the gradient or the values are, the others in one parallel pass over fixed
     /// chunks.
     pub fn step(&self, updates: &mut [Update]) {
-        let mut chunks = Vec::new();
-        for Update { group, gradient, learning_rate } in updates {
-            let Some(gradient) = *gradient else { continue };
-            assert_eq!(gradient.shape(), group.tensor().shape(), "adam: gradient of group {:?}", group.name());
-            let coefficients = self.coefficients(group.count_step(), *learning_rate);
+        let (mut chunks, mut of_gpu) = (Vec::new(), Vec::new());
+        for (group, gradient, coefficients) in self.counted(updates) {
             match gradient.gpu().or(group.tensor().gpu()) {
-                Some(gpu) => gpu::advance(gpu, group, gradient, coefficients),
+                Some(gpu) => of_gpu.push((gpu, (group, gradient, coefficients))),
                 None => push_chunks(group, gradient, coefficients, &mut chunks),
             }
         }
         chunks.into_par_iter().for_each(|mut chunk| advance(&mut chunk));
+        if let Some(&(gpu, _)) = of_gpu.first() {
+            gpu::advance(gpu, &mut of_gpu.into_iter().map(|(_, update)| update).collect::<Vec<_>>());
+        }
+    }
+
+    /// The same on a GPU for all groups with a gradient; the largest magnitude of each one's gradient and of its new
+    /// values, [groups, 2], NaN where there is one. Nobody waits.
+    pub fn step_on(&self, gpu: Gpu, updates: &mut [Update]) -> Tensor<f32> {
+        gpu::advance(gpu, &mut self.counted(updates).collect::<Vec<_>>())
+    }
+
+    /// Those with a gradient, whose step is counted now.
+    fn counted<'u>(&self, updates: &'u mut [Update]) -> impl Iterator<Item = gpu::Counted<'u>> {
+        updates.iter_mut().filter_map(|Update { group, gradient, learning_rate }| {
+            let gradient = (*gradient)?;
+            assert_eq!(gradient.shape(), group.tensor().shape(), "adam: gradient of group {:?}", group.name());
+            let coefficients = self.coefficients(group.count_step(), *learning_rate);
+            Some((&mut **group, gradient, coefficients))
+        })
     }
 
     fn coefficients(&self, step: u64, learning_rate: f64) -> Coefficients {

@@ -1,8 +1,6 @@
-struct Constants { count: u32, slot: u32 }
+struct Item { count: u32, slot: u32 }
 
-@group(0) @binding(0) var<uniform> constants: Constants;
-@group(0) @binding(1) var<storage, read> values: array<u32>;
-@group(0) @binding(2) var<storage, read_write> largest: array<atomic<u32>>;
+@group(0) @binding(1) var<storage, read_write> largest: array<atomic<u32>>;
 
 var<workgroup> parts: array<u32, 256>;
 
@@ -14,12 +12,15 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let first = flat_group(group, groups) * 256u * VALUES + local;
+    let flat = flat_group(group, groups);
+    let item = item_of(flat);
+    let constants = constants_of(item);
+    let first = (flat - first_group(item)) * 256u * VALUES + local;
     var mine = 0u;
     for (var at = 0u; at < VALUES; at++) {
         let i = first + 256u * at;
         if (i < constants.count) {
-            mine = max(mine, values[i] & 0x7fffffffu);
+            mine = max(mine, values(item, i) & 0x7fffffffu);
         }
     }
     parts[local] = mine;

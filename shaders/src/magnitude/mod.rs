@@ -6,7 +6,7 @@ mod tests;
 
 use rayon::prelude::*;
 
-use crate::tape::{Device, Tensor};
+use crate::tape::Tensor;
 
 /// Values per parallel chunk of a search for the largest: tens of microseconds.
 const VALUES_PER_CHUNK: usize = 1 << 16;
@@ -25,14 +25,6 @@ pub fn largest_magnitudes(tensors: &[&Tensor<f32>]) -> Vec<f32> {
         largest[index] = magnitude;
     }
     largest
-}
-
-/// The same, [count], on a device that nobody waits for.
-pub fn largest_magnitudes_on(device: Device, tensors: &[&Tensor<f32>]) -> Tensor<f32> {
-    match device.gpu() {
-        Some(gpu) => Tensor::from_gpu([tensors.len()], gpu::largest(gpu, tensors)),
-        None => Tensor::from_vec([tensors.len()], largest_magnitudes(tensors)),
-    }
 }
 
 /// Without their sign, floats order as their bits do, NaN last.

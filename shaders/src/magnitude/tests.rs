@@ -55,7 +55,7 @@ fn faults_are_noticed() {
         let mismatch = |mismatch| Disagreement { what: "the largest".into(), mismatch };
         agree(&found, &Tensor::from_vec([1], vec![2.0]), 0.0).map(|()| 1).map_err(mismatch)
     };
-    let kernel = gpu::LARGEST.name;
+    let kernel = gpu::LARGEST.kernel.name;
     let wrong = [("& 0x7fffffffu", ""), ("half = 128u", "half = 64u"), ("256u * VALUES", "256u")];
     assert_noticed(&wrong.map(|(right, wrong)| (kernel, right, wrong)), compare);
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context as _, ensure};
 use shaders::adam::{Adam, Group, GroupState, Update};
+use shaders::gpu::Gpu;
 use shaders::magnitude::largest_magnitudes;
 use shaders::tape::{Tape, Tensor};
 
@@ -69,30 +70,45 @@ impl Optimizer {
         gradients.keys().copied().zip(largest_magnitudes(&tensors)).collect()
     }
 
-    /// All tensors, in alphabetical order.
-    pub fn tensors(&self) -> Vec<&Tensor<f32>> {
-        self.learners.values().map(|learner| learner.group.tensor()).collect()
-    }
-
     /// The first tensor, in alphabetical order, that has a value that is not finite.
     pub fn first_bad_tensor(&self) -> Option<&str> {
-        let mut figures = self.learners.keys().zip(largest_magnitudes(&self.tensors()));
+        let tensors: Vec<&Tensor<f32>> = self.learners.values().map(|learner| learner.group.tensor()).collect();
+        let mut figures = self.learners.keys().zip(largest_magnitudes(&tensors));
         figures.find(|(_, magnitude)| !magnitude.is_finite()).map(|(name, _)| name.as_str())
     }
 
     /// One Adam step with the rates of `iteration` (counted from 1); tensors without a gradient stay as they are.
     pub fn step(&mut self, gradients: &BTreeMap<&str, Tensor<f32>>, iteration: u64) -> anyhow::Result<()> {
+        let adam = self.adam;
+        adam.step(&mut self.updates(gradients, iteration)?);
+        Ok(())
+    }
+
+    /// The same on a GPU that nobody waits for: the largest magnitude of each gradient and of the new values, [count, 2].
+    pub fn step_on(
+        &mut self,
+        gpu: Gpu,
+        gradients: &BTreeMap<&str, Tensor<f32>>,
+        iteration: u64,
+    ) -> anyhow::Result<Tensor<f32>> {
+        let adam = self.adam;
+        Ok(adam.step_on(gpu, &mut self.updates(gradients, iteration)?))
+    }
+
+    /// One for every gradient, in order.
+    fn updates<'a>(
+        &'a mut self,
+        gradients: &'a BTreeMap<&str, Tensor<f32>>,
+        iteration: u64,
+    ) -> anyhow::Result<Vec<Update<'a>>> {
         if let Some(unknown) = gradients.keys().find(|name| !self.learners.contains_key(**name)) {
             anyhow::bail!("a gradient of {unknown}, which the model does not have");
         }
-        let mut updates = Vec::with_capacity(self.learners.len());
-        for (name, Learner { group, rate }) in &mut self.learners {
-            if let (Some(rate), Some(gradient)) = (rate, gradients.get(name.as_str())) {
-                updates.push(Update { group, gradient: Some(gradient), learning_rate: rate.at(iteration) });
-            }
-        }
-        self.adam.step(&mut updates);
-        Ok(())
+        let update = |(name, learner): (&'a String, &'a mut Learner)| {
+            let (gradient, rate) = (gradients.get(name.as_str())?, learner.rate?);
+            Some(Update { group: &mut learner.group, gradient: Some(gradient), learning_rate: rate.at(iteration) })
+        };
+        Ok(self.learners.iter_mut().filter_map(update).collect())
     }
 
     /// A tensor's values.

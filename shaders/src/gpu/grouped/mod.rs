@@ -58,7 +58,6 @@ impl ItemArray {
     }
 
     /// As u32: the bits of f32, or whole numbers.
-    #[cfg(test)]
     pub const fn of_bits(self) -> Self {
         Self { element: "u32", ..self }
     }

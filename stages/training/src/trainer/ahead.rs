@@ -32,9 +32,9 @@ pub struct Ahead {
 pub struct LaterStep {
     /// Name and weight of every loss.
     pub losses: Vec<(&'static str, f64)>,
-    /// Tensors with a gradient.
+    /// Tensors that were updated.
     pub gradients: Vec<String>,
-    /// The value of every loss, the largest magnitude of every gradient, and that of every tensor after the step.
+    /// The value of every loss; then the largest magnitude of each gradient and of the tensor after the step.
     pub figures: Figures,
 }
 
@@ -120,7 +120,8 @@ impl Trainer<'_> {
             let (losses, magnitudes) = found.values.split_at(step.losses.len());
             let values = losses.iter().map(|value| f64::from(value[0]));
             self.keep_losses(&sum_by_name(step.losses.iter().copied().zip(values)));
-            let gradients = step.gradients.iter().map(String::as_str).zip(magnitudes[0].iter().copied());
+            let of_gradients = magnitudes[0].chunks_exact(2).map(|figures| figures[0]);
+            let gradients = step.gradients.iter().map(String::as_str).zip(of_gradients);
             self.keep_gradients(before.iteration + 1 + index as u64, gradients);
         }
         Ok(true)

@@ -74,29 +74,25 @@ fn two_hundred_steps_agree_with_the_cpu_and_repeat_bit_by_bit() {
 fn a_gpu_that_goes_ahead_does_what_one_that_is_watched_does() {
     let Some(gpu) = test_gpu() else { return };
     let watched = train_with(Device::Gpu(gpu), 0.05, |trainer| trainer.room = 0).unwrap();
-    let mut most_ahead = 0;
-    let ahead = train_with(Device::Gpu(gpu), 0.05, |trainer| most_ahead = most_ahead.max(trainer.steps_ahead()));
-    let ahead = ahead.unwrap();
-    assert!(most_ahead > 20, "{most_ahead}");
-    assert_eq!(ahead.losses, watched.losses);
-    assert_eq!(bits(&ahead.model), bits(&watched.model));
-    // Room that is too little is noticed, and the steps are made again.
-    let mut again = 0;
-    let narrow = train_with(Device::Gpu(gpu), 0.05, |trainer| {
-        if trainer.steps().0.is_multiple_of(50) {
-            again += 1;
+    // Now and then there is too little room, which is noticed, and the steps are made again.
+    let (mut most_ahead, mut narrow) = (0, 0);
+    let ahead = train_with(Device::Gpu(gpu), 0.05, |trainer| {
+        most_ahead = most_ahead.max(trainer.steps_ahead());
+        if trainer.steps().0 % 80 == 70 {
+            narrow += 1;
             trainer.room = 30;
         }
     });
-    let narrow = narrow.unwrap();
-    assert_eq!((again, narrow.losses == watched.losses), (4, true));
-    assert_eq!(bits(&narrow.model), bits(&watched.model));
+    let ahead = ahead.unwrap();
+    assert!(most_ahead > 20 && narrow == 2, "{most_ahead} {narrow}");
+    assert_eq!(ahead.losses, watched.losses);
+    assert_eq!(bits(&ahead.model), bits(&watched.model));
 }
 
 #[test]
 fn what_is_not_finite_ends_a_training_on_a_gpu_at_that_step_by_name() {
     let Some(gpu) = test_gpu() else { return };
-    for (tensor, phase_step) in [("gaussians.positions", 7), ("gaussians.sh_dc", 33), ("network.trunk_0.bias", 50)] {
+    for (tensor, phase_step) in [("gaussians.positions", 27), ("network.trunk.bias", 5)] {
         let poisoned = |is_watched: bool| {
             let failure = train_with(Device::Gpu(gpu), 0.05, |trainer| {
                 if is_watched {

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use shaders::magnitude::largest_magnitudes_on;
+use shaders::gpu::Gpu;
 use shaders::tape::{Figures, Tape, Tensor};
 
 use super::Trainer;
@@ -20,11 +20,9 @@ const UPLOADED_BYTES: usize = 2 << 30;
 impl Trainer<'_> {
     /// The next step. A GPU goes ahead with it once it is known how much room renders need.
     pub(super) fn step(&mut self) -> anyhow::Result<()> {
-        if self.device.gpu().is_none() || self.room == 0 {
-            return self.watched_step();
-        }
+        let Some(gpu) = self.device.gpu().filter(|_| self.room > 0) else { return self.watched_step() };
         // What fails ahead may do so because of what nobody has looked at: with open eyes it tells why.
-        self.step_ahead().or_else(|error| if self.ahead.is_some() { self.go_back() } else { Err(error) })
+        self.step_ahead(gpu).or_else(|error| if self.ahead.is_some() { self.go_back() } else { Err(error) })
     }
 
     /// The next step, every figure of which is looked at.
@@ -41,26 +39,26 @@ impl Trainer<'_> {
         self.check_gradients(&gradients, &tape)?;
         // The tape shares the tensors; without it they are changed in place.
         drop((tape, outcome));
-        self.update(&gradients)?;
+        self.clock.enter("optimizer");
+        self.optimizer.step(&gradients, self.iteration)?;
         self.check_tensors()?;
         self.act()
     }
 
     /// The next step, whose figures stay on the GPU for now.
-    fn step_ahead(&mut self) -> anyhow::Result<()> {
+    fn step_ahead(&mut self, gpu: Gpu) -> anyhow::Result<()> {
         self.remember();
         let mut tape = Tape::new(self.device).with_room(self.room);
         let (mut outcome, model) = self.differentiate(&mut tape)?;
         self.keep_counts(&tape, &outcome.skipped);
         self.observe(&tape, &outcome);
         let gradients = take_gradients(&mut outcome, &model);
-        let mut tensors: Vec<Tensor<f32>> = outcome.values.iter().map(|(.., value)| value.clone()).collect();
-        tensors.push(largest_magnitudes_on(self.device, &gradients.values().collect::<Vec<_>>()));
-        let mut figures = Figures::of(&mut tape, tensors);
+        let values = outcome.values.iter().map(|(.., value)| value.clone()).collect();
+        let mut figures = Figures::of(&mut tape, values);
         let losses = outcome.values.iter().map(|(name, weight, _)| (*name, *weight)).collect();
         drop((tape, outcome));
-        self.update(&gradients)?;
-        figures.push(largest_magnitudes_on(self.device, &self.optimizer.tensors()));
+        self.clock.enter("optimizer");
+        figures.push(self.optimizer.step_on(gpu, &gradients, self.iteration)?);
         self.device.submit();
         let gradients = gradients.into_keys().map(str::to_owned).collect();
         if self.look_later(LaterStep { losses, gradients, figures })? { self.act() } else { Ok(()) }
@@ -148,11 +146,6 @@ impl Trainer<'_> {
         for control in self.controls.iter_mut().filter(|control| control.watches(self.iteration)) {
             screens.iter().for_each(|screen| control.observe(screen));
         }
-    }
-
-    fn update(&mut self, gradients: &BTreeMap<&str, Tensor<f32>>) -> anyhow::Result<()> {
-        self.clock.enter("optimizer");
-        self.optimizer.step(gradients, self.iteration)
     }
 
     /// Lets the population controls act.
