@@ -1,10 +1,41 @@
-//! The kernel of the mean.
+//! The kernels of the mean and of the mean distance.
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
-use crate::sums::{GROUP, total};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::sums::{BLOCK, GROUP, LANES, total};
 use crate::tape::{Real, Tensor};
 
 const SPREAD: Kernel = Kernel { name: "mean backward", text: &[include_str!("mean_bwd.wgsl")] };
+
+const IMAGES: &str = include_str!("l1_images.wgsl");
+const L1: Kernel = Kernel { name: "l1", text: &[ROW_SUM, IMAGES, include_str!("l1.wgsl")] };
+const L1_BACKWARD: Kernel = Kernel { name: "l1 backward", text: &[IMAGES, include_str!("l1_bwd.wgsl")] };
+
+uniforms! {
+    struct DistanceBlock as "Distance" {
+        len: u32,
+        factor: f32,
+    }
+}
+
+/// Mean |render − target|: [1].
+pub fn l1<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>) -> Tensor<T> {
+    let (blocks, factor) = (render.len().div_ceil(BLOCK).max(1), 1.0 / render.len() as f32);
+    let sums = GpuArray::new(gpu, blocks);
+    let block = DistanceBlock { len: render.len() as u32, factor: if blocks == 1 { factor } else { 1.0 } };
+    let images = [render, target].map(|image| Binding::Read(image.on_gpu(gpu)));
+    L1.launch(gpu, &[LANES], &block, &[&images[..], &[Binding::Write(&sums)]].concat(), blocks);
+    Tensor::from_gpu([1], if blocks == 1 { sums } else { total(gpu, &sums, factor) })
+}
+
+/// Its gradient by the render.
+pub fn l1_gradient<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>, dy: &Tensor<T>) -> Tensor<T> {
+    let gradient = GpuArray::new(gpu, render.len());
+    let block = DistanceBlock { len: render.len() as u32, factor: 1.0 / render.len() as f32 };
+    let read = [render, target, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
+    let arrays = [&read[..], &[Binding::Write(&gradient)]].concat();
+    L1_BACKWARD.launch(gpu, &[], &block, &arrays, render.len().div_ceil(GROUP));
+    Tensor::from_gpu(render.shape(), gradient)
+}
 
 uniforms! {
     struct SpreadBlock as "Spread" {
@@ -28,6 +59,8 @@ pub fn mean_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>) -> Tensor
 
 #[cfg(test)]
 #[test]
-fn the_kernel_is_valid() {
+fn the_kernels_are_valid() {
     crate::gpu::layout::assert_valid::<SpreadBlock>(&SPREAD, &[]);
+    crate::gpu::layout::assert_valid::<DistanceBlock>(&L1, &[LANES]);
+    crate::gpu::layout::assert_valid::<DistanceBlock>(&L1_BACKWARD, &[]);
 }

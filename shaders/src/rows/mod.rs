@@ -13,6 +13,7 @@ mod map;
 mod reduce;
 #[cfg(test)]
 mod tests;
+mod unit_box;
 mod weighted_mean;
 
 pub use arrange::{columns, concat_columns, concat_rows, repeat_row, reshape};
@@ -22,4 +23,5 @@ pub(crate) use gpu::validate_map;
 pub use index::{RowIndex, gather, segment_mean, segment_sum};
 pub use map::{RowMap, map_rows};
 pub use reduce::{cosine_distance, divide_rows, norm, normalize, row_dot, row_sum, scale_rows, squared_norm};
+pub use unit_box::in_unit_box;
 pub use weighted_mean::weighted_mean_squared_difference;

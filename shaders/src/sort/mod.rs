@@ -16,7 +16,7 @@ const STARTS: Kernel = Kernel { name: "sort, starts", text: &[include_str!("sort
 
 /// Elements per workgroup of every kernel but the offsets and starts.
 const BLOCK: usize = Length::BLOCK;
-/// Elements per workgroup of the offsets and starts.
+/// Elements per workgroup of the offsets and starts, and invocations of those of the rows.
 const ADD_GROUP: usize = 256;
 /// Bits per pass, and the digits that they make.
 const DIGIT_BITS: u32 = 8;
@@ -88,8 +88,10 @@ fn pass(
     let length = Binding::Read(length.map_or(keys, Length::array));
     let (counts, totals) = (GpuArray::new(gpu, DIGITS * blocks), GpuArray::new(gpu, DIGITS));
     COUNT.launch(gpu, &[counted], &constants, &[length, Binding::Read(keys), Binding::Write(&counts)], of_blocks);
-    let digits = if blocks == 0 { 0 } else { DIGITS };
-    ROWS.launch(gpu, &[counted], &constants, &[length, Binding::Write(&counts), Binding::Write(&totals)], digits);
+    let lanes = blocks.next_power_of_two().min(ADD_GROUP);
+    let arrays = [length, Binding::Write(&counts), Binding::Write(&totals)];
+    let groups = if blocks == 0 { 0 } else { DIGITS * lanes / ADD_GROUP };
+    ROWS.launch(gpu, &[counted, ("LANES", lanes as u32)], &constants, &arrays, groups);
     let (sorted_keys, sorted_values) = (GpuArray::new(gpu, len), GpuArray::new(gpu, len));
     let read = [keys, values.unwrap_or(keys), &counts, &totals].map(Binding::Read);
     let arrays = [&[length], &read[..], &[&sorted_keys, &sorted_values].map(Binding::Write)].concat();

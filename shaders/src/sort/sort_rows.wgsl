@@ -1,5 +1,5 @@
-// One workgroup per digit: the counts of its blocks become the number of keys of that digit in earlier blocks, and their
-// sum is the digit's total.
+// The counts of a digit's blocks become the number of keys of that digit in earlier blocks, and their sum is the digit's
+// total. LANES invocations share a digit: a power of two of at most 256, about as many as there are blocks.
 
 @group(0) @binding(2) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(3) var<storage, read_write> totals: array<u32>;
@@ -12,34 +12,36 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let digit = flat_group(group, groups);
+    let digit = (flat_group(group, groups) * GROUP + local) / LANES;
+    let lane = local % LANES;
     let blocks = (key_count() + BLOCK - 1u) / BLOCK;
     var before = 0u;
-    for (var start = 0u; start < blocks; start += GROUP) {
-        let block = start + local;
+    for (var start = 0u; start < blocks; start += LANES) {
+        let is_block = start + lane < blocks && digit < DIGITS;
+        let at = digit * sort.blocks + start + lane;
         var own = 0u;
-        if (block < blocks && digit < DIGITS) {
-            own = counts[digit * sort.blocks + block];
+        if (is_block) {
+            own = counts[at];
         }
-        // Inclusive sums over the invocations, by doubling distances.
+        // Inclusive sums over the invocations of a digit, by doubling distances.
         partial[local] = own;
         workgroupBarrier();
-        for (var distance = 1u; distance < GROUP; distance *= 2u) {
+        for (var distance = 1u; distance < LANES; distance *= 2u) {
             var left = 0u;
-            if (local >= distance) {
+            if (lane >= distance) {
                 left = partial[local - distance];
             }
             workgroupBarrier();
             partial[local] += left;
             workgroupBarrier();
         }
-        if (block < blocks && digit < DIGITS) {
-            counts[digit * sort.blocks + block] = before + partial[local] - own;
+        if (is_block) {
+            counts[at] = before + partial[local] - own;
         }
-        before += partial[GROUP - 1u];
+        before += partial[local - lane + LANES - 1u];
         workgroupBarrier();
     }
-    if (local == 0u && digit < DIGITS) {
+    if (lane == 0u && digit < DIGITS) {
         totals[digit] = before;
     }
 }

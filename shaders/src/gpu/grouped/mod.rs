@@ -16,7 +16,7 @@ const TEXT: &str = include_str!("grouped.wgsl");
 /// Bytes of constants between neighbouring items are a multiple of this, as WGSL wants it.
 const ALIGNMENT: usize = 16;
 /// The most arrays of a launch, on adapters that allow more: an access chooses among its items.
-const MOST_ARRAYS: usize = 128;
+const MOST_ARRAYS: usize = 256;
 /// The most items of a launch: their constants fill a small part of those of a submission.
 const MOST_ITEMS: usize = 64;
 

@@ -1,7 +1,7 @@
 //! The box of a scene: what reads coordinates reads them in its box, so that neither where the world's origin lies nor
 //! how long its unit is changes what is learnt.
 
-use shaders::layer_norm::affine_columns;
+use shaders::rows::in_unit_box;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::state::{ModelState, Variables};
@@ -66,8 +66,10 @@ pub fn tensor_name(name: &str) -> String {
 
 /// Positions [N, 3] (world) in the box of that name, as [−1, 1].
 pub fn inside<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, positions: Var) -> Var {
-    let bounds = tape.value(model.get(&tensor_name(name))).clone();
-    to_box(tape, positions, &bounds)
+    let bounds = tape.value(model.get(&tensor_name(name)));
+    let side = |side: usize| bounds.as_slice().as_chunks::<3>().0[side];
+    let [low, high] = [side(0), side(1)];
+    in_unit_box(tape, positions, low, high)
 }
 
 /// Half the first side of the box of that name: what a unit of [`inside`] is in the world, where the box is a cube.
@@ -86,40 +88,9 @@ fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Positions [N, 3] in a box [2, 3] to [−1, 1]: 2·(x − low) / (high − low) − 1; no gradient flows to the box.
-fn to_box<T: Real>(tape: &mut Tape<T>, positions: Var, bounds: &Tensor<T>) -> Var {
-    let half = T::from_f64(0.5);
-    let (low, high) = (bounds.row(0), bounds.row(1));
-    let mut by_axis = |figure: &dyn Fn(T, T) -> T| {
-        let values = low.iter().zip(high).map(|(&low, &high)| figure(low, high)).collect();
-        tape.constant(Tensor::from_vec([3], values))
-    };
-    let [one, zero] = [T::ONE, T::ZERO].map(|value| by_axis(&|_, _| value));
-    let minus_middle = by_axis(&|low, high| -(half * (low + high)));
-    let factor = by_axis(&|low, high| T::ONE / (half * (high - low)));
-    // The middle is subtracted first: far from the origin a product with the factor would cancel its last digits.
-    let centered = affine_columns(tape, positions, one, minus_middle);
-    affine_columns(tape, centered, factor, zero)
-}
-
 #[cfg(test)]
 mod tests {
-    use shaders::check;
-    use shaders::tape::Device;
-
     use super::*;
-
-    #[test]
-    fn the_box_maps_to_the_unit_cube_with_the_right_gradient() {
-        let bounds = Tensor::from_vec([2, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5]);
-        let corners = Tensor::from_vec([3, 3], vec![-1.0, 0.0, 2.0, 1.0, 4.0, 2.5, 0.0, 2.0, 2.25]);
-        let map = |tape: &mut Tape<f64>, vars: &[Var]| to_box(tape, vars[0], &bounds);
-        let mut tape = Tape::new(Device::Cpu);
-        let vars = [tape.constant(corners.clone())];
-        let mapped = map(&mut tape, &vars);
-        assert_eq!(tape.value(mapped).as_slice(), [-1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
-        check::gradients(map, &[corners], check::TOLERANCE).unwrap();
-    }
 
     #[test]
     fn flat_clouds_and_single_points_have_boxes_with_volume() {
@@ -140,15 +111,5 @@ mod tests {
         let with_outliers = Bounds::typical_cube(&positions);
         assert!((with_outliers.high[0] - even.high[0]).abs() <= 0.1, "{with_outliers:?}");
         assert_eq!(Bounds::enclosing(&positions).high, [1e4; 3]);
-    }
-
-    #[test]
-    fn a_box_far_from_the_origin_keeps_what_its_coordinates_still_hold() {
-        let bounds = Tensor::from_vec([2, 3], [[9999.0_f32; 3], [10_001.0; 3]].concat());
-        let points = Tensor::from_vec([1, 3], vec![9999.5_f32, 10_000.25, 10_001.0]);
-        let mut tape = Tape::new(Device::Cpu);
-        let points = tape.constant(points);
-        let mapped = to_box(&mut tape, points, &bounds);
-        assert_eq!(tape.value(mapped).as_slice(), [-0.5, 0.25, 1.0]);
     }
 }
