@@ -6,13 +6,11 @@
 use std::process::ExitCode;
 
 use shaders::adam::{Adam, Group, Update};
-use shaders::binning::{self, Grid};
 use shaders::check::noise;
 use shaders::gpu::{Gpu, Rates};
 use shaders::hexplane::{HexplaneShape, hexplane};
 use shaders::linear::{Activation, linear};
 use shaders::losses::l1_dssim;
-use shaders::projection;
 use shaders::splat::{self, PinholeCamera, RasterSettings, SplatTensors};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
@@ -123,19 +121,20 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
         sh: random(&[splats, 16, 3], 4, 0.2, 0.1),
     };
     let (camera, settings) = (camera(size), RasterSettings::default());
-    let entries = {
+    let stats = {
         let mut tape = Tape::new(Device::Cpu);
         let vars = scene.constants(&mut tape);
-        let projected = projection::project(&mut tape, &vars, &camera, &settings);
-        let lists = binning::bin(&mut tape, &projected, Grid { width: size, height: size }).expect("it fits");
-        lists.entry_count() as f64
+        splat::render(&mut tape, &vars, None, &camera, &settings).expect("it fits").stats()
     };
+    let entries = stats.intersections as f64;
     let (count, pixels) = (splats as f64, (size * size) as f64);
     // Per splat: position, scales, rotation, opacity, 48 harmonics; and means, conic, depth, opacity, colour, cutoff.
     let (parameters, projected) = (59.0 * WORD, 11.0 * WORD);
-    // Per pair of a pixel and a splat of its tile: offset, exponent, alpha, three colours; backward about three times that.
-    let pairs = 256.0 * entries;
-    let (seen, image) = (entries * projected, pixels * 4.0 * WORD);
+    // Per pair of a pixel and a splat that it blends, and that only: offset, exponent, alpha, three colours; backward about
+    // three times that. The backward pass reads an image and its gradient, and has no gradients of depths and cutoffs.
+    let pairs = stats.blended_pixel_splats.expect("counted on the CPU") as f64;
+    let (seen, image) = (count * projected + entries * WORD, pixels * 4.0 * WORD);
+    let seen_backward = seen + 2.0 * image + count * 9.0 * WORD;
     let lists = [&SORT[..], &["binning, counts", "binning, ranks", "binning, hits", "binning, entries"]].concat();
     let work = |name, kernels, bytes, flops| Work { name, kernels, bytes, flops };
     let works = vec![
@@ -148,7 +147,7 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
         ),
         work("binning with its sort", lists, count * projected + 4.0 * entries * WORD, 0.0),
         work("blending", vec!["blending, records", "blending"], seen + image, pairs * 20.0),
-        work("blending backward", vec!["blending backward", "blending, sums"], 2.0 * (seen + image), pairs * 60.0),
+        work("blending backward", vec!["blending backward", "blending, sums"], seen_backward, pairs * 60.0),
     ];
     measure(gpu, works, || {
         let mut tape = Tape::new(Device::Gpu(gpu));

@@ -91,7 +91,7 @@ fn blend_batch(pixel: ptr<function, Pixel>, place: vec2<u32>, cell: u32, turn: u
 
 fn write(pixel: ptr<function, Pixel>, at: u32) {
     let transmittance = (*pixel).transmittance;
-    let blended = (*pixel).color + transmittance * blend.background.xyz;
+    let blended = (*pixel).color + transmittance * blend.background;
     color[3u * at] = blended.x;
     color[3u * at + 1u] = blended.y;
     color[3u * at + 2u] = blended.z;

@@ -26,10 +26,13 @@ fn main(
         return;
     }
     let start = tile_starts[tile];
-    let end = tile_starts[tile + 1u];
+    let end = min(tile_starts[tile + 1u], blend.end_entry);
+    if (end <= max(start, blend.first_entry)) {
+        return;
+    }
     let corner = corner_of(tile);
     var pixel = pixel_before(pixel_of(corner, local));
-    let blended_end = start + last_of_tile(local, pixel.last);
+    let blended_end = min(start + last_of_tile(local, pixel.last), end);
 
     clear_meetings(local);
     workgroupBarrier();
@@ -54,7 +57,7 @@ fn main(
         }
         turn = 1u - turn;
     }
-    clear_rows(local, min(first, end), end);
+    clear_rows(local, first, end);
 }
 
 // Takes a pixel past the entries of a round that meet its cell.
@@ -113,12 +116,13 @@ fn columns_of(share: Share, entry: u32, position: vec2<u32>, column: u32) -> vec
 fn write_rows(local: u32, first: u32, count: u32, round: u32, first_column: u32) {
     let k = local / COLUMNS;
     let column = first_column + local % COLUMNS;
-    if (k >= ROUND || round + k >= count || column >= ROW) {
+    let entry = first + round + k;
+    if (k >= ROUND || round + k >= count || column >= ROW || entry < blend.first_entry) {
         return;
     }
     var sum = 0.0;
     for (var part = 0u; part < PARTS; part++) {
         sum += parts[local * PARTS + part];
     }
-    rows[(first + round + k) * ROW + column] = sum;
+    rows[(entry - blend.first_entry) * ROW + column] = sum;
 }

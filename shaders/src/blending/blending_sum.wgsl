@@ -1,8 +1,15 @@
 // The gradients of every splat: its rows added in the order of its hits, then from moments to means, conics and opacities.
+// An invocation adds up one column of one splat, LANES of them side by side. Where the rows come in bands of entries, every
+// band goes on from the totals of the one before: a splat's entries ascend with its hits.
 
 struct Sum {
     // Splats.
     count: u32,
+    // The band's entries.
+    first_entry: u32,
+    end_entry: u32,
+    is_first: u32,
+    is_last: u32,
 }
 
 @group(0) @binding(0) var<uniform> sizes: Sum;
@@ -18,57 +25,114 @@ struct Sum {
 @group(0) @binding(10) var<storage, read_write> g_colors: array<f32>;
 @group(0) @binding(11) var<storage, read_write> g_depths: array<f32>;
 @group(0) @binding(12) var<storage, read_write> g_features: array<f32>;
+// [splat, column] between bands.
+@group(0) @binding(13) var<storage, read_write> totals: array<f32>;
 
+const MOMENTS: u32 = 6u;
 const ROW: u32 = 9u + EXTRAS;
 const FEATURES: u32 = EXTRAS - DEPTH;
+// Splats per workgroup.
+const SPLATS: u32 = 256u / LANES;
 
-@compute @workgroup_size(64)
+var<workgroup> moments: array<f32, SPLATS * MOMENTS>;
+
+@compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let splat = flat_group(group, groups) * 64u + local;
-    if (splat >= sizes.count) {
-        return;
-    }
-    var row: array<f32, ROW>;
-    let rank = rank_of_splat[splat];
-    if (rank != NOWHERE) {
-        let end = hit_starts[rank + 1u];
-        for (var hit = hit_starts[rank]; hit < end; hit++) {
-            let entry = entry_of_hit[hit];
-            if (entry != NOWHERE) {
-                for (var column = 0u; column < ROW; column++) {
-                    row[column] += rows[entry * ROW + column];
-                }
-            }
+    let slot = local / LANES;
+    let lane = local % LANES;
+    let splat = flat_group(group, groups) * SPLATS + slot;
+    let is_splat = slot < SPLATS && splat < sizes.count;
+    for (var column = lane; is_splat && column < ROW; column += LANES) {
+        let total = total_of(splat, column);
+        if (sizes.is_last == 0u) {
+            totals[splat * ROW + column] = total;
+        } else if (column < MOMENTS) {
+            moments[slot * MOMENTS + column] = total;
+        } else {
+            write_channel(splat, column - MOMENTS, total);
         }
     }
+    workgroupBarrier();
+    if (is_splat && sizes.is_last == 1u) {
+        write_geometry(splat, lane, slot * MOMENTS);
+    }
+}
 
-    // Through e = dx + k·dy and σ = ½(A·e² + m·dy²).
+// What the band's rows add to a column of a splat.
+fn total_of(splat: u32, column: u32) -> f32 {
+    var total = 0.0;
+    if (sizes.is_first == 0u) {
+        total = totals[splat * ROW + column];
+    }
+    let rank = rank_of_splat[splat];
+    if (rank == NOWHERE) {
+        return total;
+    }
+    var hit = hit_starts[rank];
+    let end = hit_starts[rank + 1u];
+    // Four reads that need not wait for one another.
+    for (; hit + 4u <= end; hit += 4u) {
+        let values = vec4<f32>(
+            value_of(hit, column),
+            value_of(hit + 1u, column),
+            value_of(hit + 2u, column),
+            value_of(hit + 3u, column),
+        );
+        total = (((total + values.x) + values.y) + values.z) + values.w;
+    }
+    for (; hit < end; hit++) {
+        total += value_of(hit, column);
+    }
+    return total;
+}
+
+// Nothing for a hit of another band and for one that was counted and not found.
+fn value_of(hit: u32, column: u32) -> f32 {
+    let entry = entry_of_hit[hit];
+    let is_here = entry >= sizes.first_entry && entry < sizes.end_entry;
+    return select(0.0, rows[select(0u, entry - sizes.first_entry, is_here) * ROW + column], is_here);
+}
+
+// Through e = dx + k·dy and σ = ½(A·e² + m·dy²): one of six gradients.
+fn write_geometry(splat: u32, which: u32, first: u32) {
     let a = conics[3u * splat];
     let k = conics[3u * splat + 1u];
     let m = conics[3u * splat + 2u];
-    g_means2d[2u * splat] = a * row[1];
-    g_means2d[2u * splat + 1u] = a * k * row[1] + m * row[4];
-    g_conics[3u * splat] = 0.5 * row[2];
-    g_conics[3u * splat + 1u] = a * row[3];
-    g_conics[3u * splat + 2u] = 0.5 * row[5];
-    // alpha is opacity·e^(−σ), so that ∂/∂opacity = −∂/∂σ / opacity; a culled splat has opacity and gradient 0.
-    let opacity = opacities[splat];
-    var g_opacity = 0.0;
-    if (opacity > 0.0) {
-        g_opacity = -row[0] / opacity;
+    switch (which) {
+        case 0u: {
+            g_means2d[2u * splat] = a * moments[first + 1u];
+        }
+        case 1u: {
+            g_means2d[2u * splat + 1u] = a * k * moments[first + 1u] + m * moments[first + 4u];
+        }
+        case 2u: {
+            g_conics[3u * splat] = 0.5 * moments[first + 2u];
+        }
+        case 3u: {
+            g_conics[3u * splat + 1u] = a * moments[first + 3u];
+        }
+        case 4u: {
+            g_conics[3u * splat + 2u] = 0.5 * moments[first + 5u];
+        }
+        case 5u: {
+            // alpha is opacity·e^(−σ), so that ∂/∂opacity = −∂/∂σ / opacity; a culled splat has opacity and gradient 0.
+            let opacity = opacities[splat];
+            g_opacities[splat] = select(0.0, -moments[first] / opacity, opacity > 0.0);
+        }
+        default: {}
     }
-    g_opacities[splat] = g_opacity;
-    for (var channel = 0u; channel < 3u; channel++) {
-        g_colors[3u * splat + channel] = row[6u + channel];
-    }
-    if (DEPTH == 1u) {
-        g_depths[splat] = row[8u + DEPTH];
-    }
-    for (var feature = 0u; feature < FEATURES; feature++) {
-        g_features[splat * FEATURES + feature] = row[9u + DEPTH + feature];
+}
+
+fn write_channel(splat: u32, channel: u32, total: f32) {
+    if (channel < 3u) {
+        g_colors[3u * splat + channel] = total;
+    } else if (DEPTH == 1u && channel == 3u) {
+        g_depths[splat] = total;
+    } else {
+        g_features[splat * FEATURES + channel - 3u - DEPTH] = total;
     }
 }

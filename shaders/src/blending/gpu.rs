@@ -41,8 +41,9 @@ uniforms! {
         alpha_cap: f32,
         stop: f32,
         alpha_threshold: f32,
-        padding: f32,
-        background: [f32; 4],
+        first_entry: u32,
+        background: [f32; 3],
+        end_entry: u32,
     }
 }
 
@@ -61,7 +62,6 @@ pub(super) struct Kept {
 impl BlendBlock {
     fn new<T: Real>(constants: &Constants<T>, grid: Grid) -> Self {
         let f = |value: T| value.to_f64() as f32;
-        let [r, g, b] = constants.background.map(f);
         Self {
             width: grid.width as u32,
             height: grid.height as u32,
@@ -70,8 +70,9 @@ impl BlendBlock {
             alpha_cap: f(constants.alpha_cap),
             stop: f(constants.stop),
             alpha_threshold: RasterSettings::ALPHA_THRESHOLD as f32,
-            padding: 0.0,
-            background: [r, g, b, 0.0],
+            first_entry: 0,
+            background: constants.background.map(f),
+            end_entry: u32::MAX,
         }
     }
 }

@@ -10,8 +10,10 @@ struct Blend {
     alpha_cap: f32,
     stop: f32,
     alpha_threshold: f32,
-    padding: f32,
-    background: vec4<f32>,
+    // The entries whose rows the backward pass writes, up to end_entry.
+    first_entry: u32,
+    background: vec3<f32>,
+    end_entry: u32,
 }
 
 @group(0) @binding(0) var<uniform> blend: Blend;

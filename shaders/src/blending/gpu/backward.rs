@@ -1,5 +1,7 @@
 //! The kernels of the backward pass.
 
+use std::ops::Range;
+
 use super::plan::Plan;
 use super::{Blend, BlendBlock, ELLIPSE, Kept, SAMPLE, STAGE};
 use crate::binning::GpuLists;
@@ -29,8 +31,10 @@ pub(super) const IN_WORKGROUPS: Kernel = Kernel {
 };
 pub(super) const SUM: Kernel = Kernel { name: "blending, sums", text: &[include_str!("../blending_sum.wgsl")] };
 
-/// Splats per workgroup.
-const SUM_GROUP: usize = 64;
+/// Invocations per workgroup.
+const WORKGROUP_SIZE: usize = 256;
+/// The most columns of a splat that are added up side by side, by an invocation each.
+const LARGEST_LANES: usize = 32;
 /// Entries that are staged at once: one word of bits.
 const LARGEST_BATCH: u32 = 32;
 /// Parts of rows in workgroup memory: 12 KiB of the 16 that every adapter has; the rest holds what is staged.
@@ -39,12 +43,16 @@ const LARGEST_PARTS: usize = 3072;
 uniforms! {
     pub(super) struct SumBlock as "Sum" {
         count: u32,
+        first_entry: u32,
+        end_entry: u32,
+        is_first: u32,
+        is_last: u32,
     }
 }
 
 /// Entries whose parts of rows fit in workgroup memory, one part for each subgroup; `None` if not even those of one do.
 pub(super) fn subgroup_batch(subgroup: u32, row_len: usize) -> Option<u32> {
-    let parts_of_entry = (256 / subgroup) as usize * row_len;
+    let parts_of_entry = WORKGROUP_SIZE / subgroup as usize * row_len;
     let fitting = u32::try_from(LARGEST_PARTS / parts_of_entry).expect("a few");
     (fitting > 0).then(|| LARGEST_BATCH.min(1 << fitting.ilog2()))
 }
@@ -68,17 +76,22 @@ impl<T: Real> Blend<T> {
         output_grads: &[Option<&Tensor<T>>],
         lists: &GpuLists,
     ) -> Vec<Option<Tensor<T>>> {
-        let rows = self.entry_rows_on_gpu(gpu, outputs, output_grads, lists);
         let count = inputs[0].rows();
         // The extras' gradients exist even where there are no extras: every array of a kernel must.
         let [depth_len, features_len] = [count * self.depth_count, count * self.feature_count];
         let lens = [2 * count, 3 * count, count, 3 * count, depth_len, features_len];
         let gradients = lens.map(|len| GpuArray::new(gpu, len));
-        let read = [&rows, &lists.entry_of_hit, &lists.hit_starts, &lists.rank_of_splat, inputs[1].on_gpu(gpu)];
-        let read = read.into_iter().chain([inputs[2].on_gpu(gpu)]).map(Binding::Read);
-        let arrays: Vec<Binding> = read.chain(gradients.iter().map(Binding::Write)).collect();
-        let [extras, depth, _] = self.specialisation();
-        SUM.launch(gpu, &[extras, depth], &SumBlock { count: count as u32 }, &arrays, count.div_ceil(SUM_GROUP));
+
+        // The lists may have room for more entries than there are; rows behind the last are neither written nor read.
+        let bands = Plan::of(gpu).bands(lists.ranks.len(), self.row_len());
+        let rows = GpuArray::new(gpu, bands[0].len() * self.row_len());
+        let totals = GpuArray::new(gpu, if bands.len() > 1 { count * self.row_len() } else { 0 });
+        let written: Vec<&GpuArray> = gradients.iter().chain([&totals]).collect();
+        for (index, band) in bands.iter().enumerate() {
+            self.write_rows(gpu, (outputs, output_grads), lists, band, &rows);
+            let is_edge = [index == 0, index + 1 == bands.len()];
+            self.add_rows(gpu, inputs, lists, (band, is_edge), &rows, &written);
+        }
 
         let [means2d, conics, opacities, colors, depths, features] = gradients;
         let mut gradients = vec![Some(means2d), Some(conics), Some(opacities), Some(colors), None];
@@ -93,30 +106,53 @@ impl<T: Real> Blend<T> {
         ROW_COLORS + 3 + self.extra_count()
     }
 
-    /// [entries, row]: the sums of every (tile, splat).
-    fn entry_rows_on_gpu(
+    /// [entries of a band, row]: the sums of every (tile, splat).
+    fn write_rows(
         &self,
         gpu: Gpu,
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
+        (outputs, output_grads): (&[&Tensor<T>], &[Option<&Tensor<T>>]),
         lists: &GpuLists,
-    ) -> GpuArray {
+        band: &Range<usize>,
+        rows: &GpuArray,
+    ) {
+        if band.is_empty() {
+            return;
+        }
         let Kept { records, extras, transmittances, last_entries } = self.kept.as_ref().expect("forward has run");
-        // The lists may have room for more entries than there are; rows behind the last are neither written nor read.
-        let rows = GpuArray::new(gpu, lists.ranks.len() * self.row_len());
         let color = outputs[0].on_gpu(gpu);
         let [depth, features] = self.extras_of(&outputs[2..], outputs[0]).map(|output| output.on_gpu(gpu));
         let [g_depth, g_features] = self.extras_of(&output_grads[2..], None);
         let (mask, arriving) = arriving(gpu, &[output_grads[0], output_grads[1], g_depth, g_features], color);
         let read = [records, extras, &lists.ranks, &lists.tile_starts, transmittances, last_entries];
         let read = read.into_iter().chain([color, depth, features]).map(Binding::Read);
-        let arrays: Vec<Binding> = read.chain(arriving).chain([Binding::Write(&rows)]).collect();
-        let constants = BlendBlock::new(&self.constants, lists.grid);
-        if !lists.ranks.is_empty() {
-            let (kernel, adding) = adding_up(Plan::of(gpu), self.row_len());
-            let specialisation = [&self.specialisation()[..], &adding, &[("ARRIVING", mask)]].concat();
-            kernel.launch(gpu, &specialisation, &constants, &arrays, lists.grid.tiles());
-        }
-        rows
+        let arrays: Vec<Binding> = read.chain(arriving).chain([Binding::Write(rows)]).collect();
+        let (kernel, adding) = adding_up(Plan::of(gpu), self.row_len());
+        let specialisation = [&self.specialisation()[..], &adding, &[("ARRIVING", mask)]].concat();
+        let [first_entry, end_entry] = [band.start, band.end].map(|entry| entry as u32);
+        let constants = BlendBlock { first_entry, end_entry, ..BlendBlock::new(&self.constants, lists.grid) };
+        kernel.launch(gpu, &specialisation, &constants, &arrays, lists.grid.tiles());
+    }
+
+    /// Adds a band's rows to what the bands before left in the totals of the splats; the last one makes gradients of them.
+    fn add_rows(
+        &self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        lists: &GpuLists,
+        (band, is_edge): (&Range<usize>, [bool; 2]),
+        rows: &GpuArray,
+        written: &[&GpuArray],
+    ) {
+        let read = [rows, &lists.entry_of_hit, &lists.hit_starts, &lists.rank_of_splat];
+        let shapes = [inputs[1].on_gpu(gpu), inputs[2].on_gpu(gpu)];
+        let read = read.into_iter().chain(shapes).map(Binding::Read);
+        let arrays: Vec<Binding> = read.chain(written.iter().map(|array| Binding::Write(array))).collect();
+        let (count, lanes) = (inputs[0].rows(), self.row_len().min(LARGEST_LANES));
+        let [first_entry, end_entry] = [band.start, band.end].map(|entry| entry as u32);
+        let [is_first, is_last] = is_edge.map(u32::from);
+        let constants = SumBlock { count: count as u32, first_entry, end_entry, is_first, is_last };
+        let [extras, depth, _] = self.specialisation();
+        let specialisation = [extras, depth, ("LANES", lanes as u32)];
+        SUM.launch(gpu, &specialisation, &constants, &arrays, count.div_ceil(WORKGROUP_SIZE / lanes));
     }
 }
