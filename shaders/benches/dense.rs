@@ -5,7 +5,7 @@ use std::hint::black_box;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
-use shaders::hexplane::{HexplaneShape, hexplane, is_time_plane, smoothness};
+use shaders::hexplane::{HexplaneShape, PlaneMean, hexplane, is_time_plane, plane_means};
 use shaders::linear::{Activation, linear};
 use shaders::losses::l1_dssim;
 use shaders::tape::{Device, Tape, Tensor, Var};
@@ -58,7 +58,9 @@ fn hexplane_field(criterion: &mut Criterion) {
     });
     let spatial: Vec<_> = (0..12).filter(|&index| !is_time_plane(index)).map(|index| planes[index].clone()).collect();
     let texels = Throughput::Elements(spatial.iter().map(Tensor::len).sum::<usize>() as u64);
-    forward_and_backward(criterion, "smoothness of the spatial planes", texels, &spatial, smoothness);
+    forward_and_backward(criterion, "smoothness of the spatial planes", texels, &spatial, |tape, planes| {
+        plane_means(tape, &[(PlaneMean::SecondDifference, planes.to_vec())])[0]
+    });
 }
 
 fn photometric_loss(criterion: &mut Criterion) {

@@ -1,5 +1,6 @@
 //! A GPU computes what the CPU computes, forward and backward.
 
+use super::tests::{distance_to_one, smoothness};
 use super::*;
 use crate::check::noise;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare, run};
@@ -108,6 +109,14 @@ fn compare_regularisers(gpu: Gpu) -> Result<usize, Disagreement> {
     compare(gpu, "distance to one", &planes, TIGHT, |tape, vars| vec![distance_to_one(tape, vars)])?;
     compare(gpu, "both, of some", &planes, TIGHT, |tape, vars| {
         vec![distance_to_one(tape, &vars[2..]), smoothness(tape, vars)]
+    })?;
+    compare(gpu, "three at once", &planes, TIGHT, |tape, vars| {
+        let terms = [
+            (PlaneMean::SecondDifference, vars[..2].to_vec()),
+            (PlaneMean::SecondDifference, vars[3..].to_vec()),
+            (PlaneMean::DistanceToOne, vars[1..].to_vec()),
+        ];
+        plane_means(tape, &terms)
     })
 }
 
@@ -115,16 +124,17 @@ fn compare_regularisers(gpu: Gpu) -> Result<usize, Disagreement> {
 fn a_gpu_regularises_planes() {
     let Some(gpu) = test_gpu() else { return };
     let faults = [
-        ("plane smoothness", "- center - center", "- center"),
-        ("plane smoothness", "at += 256u", "at += 257u"),
-        ("plane smoothness", "plane.first_sum + block", "block"),
-        ("plane smoothness backward", "row >= 2u", "row >= 3u"),
-        ("plane distance", "abs(1.0 - values", "abs(1.01 - values"),
-        ("plane distance backward", "value < 1.0", "value < 0.9"),
-        ("plane distance backward", "sum += gradient(item, at)", "sum = gradient(item, at)"),
+        ("plane means", "- center - center", "- center"),
+        ("plane means", "at += 256u", "at += 257u"),
+        ("plane means", "plane.first_sum + block", "block"),
+        ("plane means", "abs(1.0 - values", "abs(1.01 - values"),
+        ("plane means, totals", "run.first + local", "local"),
+        ("plane means backward", "row >= 2u", "row >= 3u"),
+        ("plane means backward", "value < 1.0", "value < 0.9"),
+        ("plane means backward", "dy_distance(item, 0u) *", ""),
     ];
     assert_noticed(&faults, || compare_regularisers(gpu));
-    for arrays in [3, 16] {
+    for arrays in [4, 16] {
         with_arrays(arrays, || compare_regularisers(gpu)).unwrap();
     }
 }

@@ -19,7 +19,7 @@ mod regularisers;
 #[cfg(test)]
 mod tests;
 
-pub use regularisers::{distance_to_one, smoothness};
+pub use regularisers::{PlaneMean, plane_means};
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::for_each_chunk;

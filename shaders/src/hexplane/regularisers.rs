@@ -1,55 +1,81 @@
 //! Regularisers of the planes of a hexplane field (Cao and Johnson 2023; Fridovich-Keil et al. 2023).
 
-use super::gpu::{DISTANCE, PlaneKernels, SMOOTHNESS};
+use super::gpu;
 use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
-/// Σ over planes of the mean squared second difference (P[i−1] − 2·P[i] + P[i+1])² along the height axis, shape [1].
-///
-/// The mean runs over the (height − 2)·width·channels second differences; a plane of height below 3 contributes 0. On
-/// spatial planes this is the "total variation" of 4DGaussians, on time planes its time smoothness.
-pub fn smoothness<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Var {
-    tape.apply_one(
-        PlaneMeans {
-            name: "plane_smoothness",
-            mean: mean_square_second_difference,
-            gradient: smoothness_gradient,
-            kernels: &SMOOTHNESS,
-        },
-        planes,
-    )
+/// A mean over the elements of a plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlaneMean {
+    /// Of squared second differences (P[i−1] − 2·P[i] + P[i+1])² along the height axis, (height − 2)·width·channels of
+    /// them; a plane of height below 3 contributes 0. On spatial planes this is the "total variation" of 4DGaussians, on
+    /// time planes its time smoothness.
+    SecondDifference,
+    /// Of |1 − P|; the gradient at P = 1 is 0. On time planes 1 means "does not change".
+    DistanceToOne,
 }
 
-/// Σ over planes of mean |1 − P|, shape [1]; the gradient at P = 1 is 0. On time planes 1 means "does not change".
-pub fn distance_to_one<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Var {
-    tape.apply_one(
-        PlaneMeans {
-            name: "plane_distance_to_one",
-            mean: mean_distance_to_one,
-            gradient: distance_gradient,
-            kernels: &DISTANCE,
-        },
-        planes,
-    )
+/// For every (mean, planes) the sum over those planes of that mean: [1] each. No plane enters one mean twice.
+pub fn plane_means<T: Real>(tape: &mut Tape<T>, terms: &[(PlaneMean, Vec<Var>)]) -> Vec<Var> {
+    let mut inputs: Vec<Var> = terms.iter().flat_map(|(_, planes)| planes).copied().collect();
+    inputs.sort_unstable();
+    inputs.dedup();
+    let place = |var: &Var| inputs.binary_search(var).expect("every plane is an input");
+    let term =
+        |(mean, planes): &(PlaneMean, Vec<Var>)| Term { mean: *mean, planes: planes.iter().map(place).collect() };
+    let terms: Vec<Term> = terms.iter().map(term).collect();
+    for mean in [PlaneMean::SecondDifference, PlaneMean::DistanceToOne] {
+        let entering =
+            |plane: usize| terms.iter().filter(move |term| term.mean == mean && term.planes.contains(&plane));
+        assert!((0..inputs.len()).all(|plane| entering(plane).count() <= 1), "a plane enters {mean:?} twice");
+    }
+    tape.apply(PlaneMeans { terms }, &inputs)
 }
 
-/// The sum over planes of a mean over one plane.
-struct PlaneMeans<T: Real> {
-    name: &'static str,
-    mean: fn(&Tensor<T>) -> f64,
-    /// Gradient of the mean times the given factor.
-    gradient: fn(&Tensor<T>, T) -> Vec<T>,
-    kernels: &'static PlaneKernels,
+/// A mean and the inputs that it is taken of.
+pub(super) struct Term {
+    pub mean: PlaneMean,
+    pub planes: Vec<usize>,
 }
 
-impl<T: Real> Op<T> for PlaneMeans<T> {
+struct PlaneMeans {
+    terms: Vec<Term>,
+}
+
+impl PlaneMean {
+    /// Elements that enter the mean over a plane.
+    pub(super) fn terms<T: Real>(self, plane: &Tensor<T>) -> usize {
+        match self {
+            Self::SecondDifference => second_differences(plane) * plane.row_len(),
+            Self::DistanceToOne => plane.len(),
+        }
+    }
+
+    fn of<T: Real>(self, plane: &Tensor<T>) -> f64 {
+        match self {
+            Self::SecondDifference => mean_square_second_difference(plane),
+            Self::DistanceToOne => mean_distance_to_one(plane),
+        }
+    }
+
+    fn gradient<T: Real>(self, plane: &Tensor<T>, dy: T) -> Tensor<T> {
+        let values = match self {
+            Self::SecondDifference => smoothness_gradient(plane, dy),
+            Self::DistanceToOne => distance_gradient(plane, dy),
+        };
+        Tensor::from_vec(plane.shape(), values)
+    }
+}
+
+impl<T: Real> Op<T> for PlaneMeans {
     fn name(&self) -> &'static str {
-        self.name
+        "plane_means"
     }
 
     fn forward(&mut self, planes: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        vec![Tensor::scalar(T::from_f64(planes.iter().map(|plane| (self.mean)(plane)).sum()))]
+        let sum = |term: &Term| term.planes.iter().map(|&index| term.mean.of(planes[index])).sum();
+        self.terms.iter().map(|term| Tensor::scalar(T::from_f64(sum(term)))).collect()
     }
 
     fn backward(
@@ -59,13 +85,25 @@ impl<T: Real> Op<T> for PlaneMeans<T> {
         output_grads: &[Option<&Tensor<T>>],
         needs: &[bool],
     ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; planes.len()] };
-        let gradient = |plane: &Tensor<T>| Tensor::from_vec(plane.shape(), (self.gradient)(plane, dy.as_slice()[0]));
-        planes.iter().zip(needs).map(|(plane, &needed)| needed.then(|| gradient(plane))).collect()
+        let mut gradients: Vec<Option<Tensor<T>>> = vec![None; planes.len()];
+        for (Term { mean, planes: chosen }, dy) in self.terms.iter().zip(output_grads).rev() {
+            let Some(dy) = dy else { continue };
+            for &index in chosen.iter().filter(|&&index| needs[index]) {
+                let term = mean.gradient(planes[index], dy.as_slice()[0]);
+                match &mut gradients[index] {
+                    None => gradients[index] = Some(term),
+                    Some(sum) => {
+                        let pairs = sum.make_mut().iter_mut().zip(term.as_slice());
+                        pairs.for_each(|(sum, &term)| *sum += term);
+                    }
+                }
+            }
+        }
+        gradients
     }
 
     fn forward_gpu(&mut self, gpu: Gpu, planes: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        Some(vec![self.kernels.sum_of_means(gpu, planes)])
+        Some(gpu::sums_of_means(gpu, planes, &self.terms))
     }
 
     fn accumulate_gpu(
@@ -77,9 +115,7 @@ impl<T: Real> Op<T> for PlaneMeans<T> {
         needs: &[bool],
         totals: &mut [Option<Tensor<T>>],
     ) -> bool {
-        if let Some(dy) = output_grads[0] {
-            self.kernels.add_gradients(gpu, planes, dy, needs, totals);
-        }
+        gpu::add_mean_gradients(gpu, planes, &self.terms, output_grads, needs, totals);
         true
     }
 }

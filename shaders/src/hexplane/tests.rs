@@ -109,6 +109,25 @@ fn a_nan_position_gives_nan_features_and_leaves_the_others() {
     assert!([0, 2].iter().all(|&point| poisoned[0].row(point) == clean[0].row(point)));
 }
 
+pub(super) fn smoothness<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Var {
+    plane_means(tape, &[(PlaneMean::SecondDifference, planes.to_vec())])[0]
+}
+
+pub(super) fn distance_to_one<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Var {
+    plane_means(tape, &[(PlaneMean::DistanceToOne, planes.to_vec())])[0]
+}
+
+/// The sum of three means, the last two of which share planes.
+fn all_means(tape: &mut Tape<f64>, planes: &[Var]) -> Var {
+    let terms = [
+        (PlaneMean::SecondDifference, planes[..1].to_vec()),
+        (PlaneMean::SecondDifference, planes[1..].to_vec()),
+        (PlaneMean::DistanceToOne, planes[1..].to_vec()),
+    ];
+    let means = plane_means(tape, &terms);
+    means.into_iter().reduce(|a, b| crate::pointwise::add(tape, a, b)).expect("three means")
+}
+
 type Regulariser = fn(&mut Tape<f64>, &[Var]) -> Var;
 const REGULARISERS: [Regulariser; 2] = [smoothness, distance_to_one];
 
@@ -129,7 +148,7 @@ fn plane(shape: [usize; 3], value: impl Fn(usize, usize, usize) -> f64) -> Tenso
 fn regulariser_gradients_equal_central_differences() {
     let inputs =
         [[7, 3, 2], [2, 5, 2], [3, 2, 4]].map(|shape| plane(shape, |i, j, k| ((3 * i + 5 * j + 7 * k) as f64).sin()));
-    for regulariser in REGULARISERS {
+    for regulariser in REGULARISERS.into_iter().chain([all_means as Regulariser]) {
         gradients(regulariser, &inputs, TOLERANCE).unwrap();
     }
 }

@@ -31,6 +31,12 @@ impl Expression {
         tape.apply_one(Pointwise { expression: self, constants }, inputs)
     }
 
+    /// Whether the gradient of an input is that of the output, as for a term of a sum: nothing is computed then.
+    pub(super) fn passes_on(&self, input: usize) -> bool {
+        let gradient = self.wgsl.split("fn ").skip(2).nth(input).expect("a function for every input");
+        gradient.lines().nth(1).is_some_and(|line| line.trim() == "return dy;")
+    }
+
     fn value<T: Real>(&self) -> ValueKernel<T> {
         of_type(&self.value_f32, &self.value_f64)
     }
@@ -82,6 +88,9 @@ impl<T: Real> Op<T> for Pointwise<T> {
     ) -> Vec<Option<Tensor<T>>> {
         let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
         let gradient = |input: usize| {
+            if self.expression.passes_on(input) {
+                return dy.clone();
+            }
             let kernel = self.expression.gradient::<T>(input);
             let mut out = vec![T::ZERO; dy.len()];
             for_each_chunk(&mut out, CHUNK, |first, out| {

@@ -109,6 +109,27 @@ impl<T: Real> Pointwise<T> {
         dy: &Tensor<T>,
         needs: &[bool],
     ) -> Vec<Option<Tensor<T>>> {
+        let is_made = |(input, &needed): (usize, &bool)| needed && !self.expression.passes_on(input);
+        let made: Vec<bool> = needs.iter().enumerate().map(is_made).collect();
+        let mut gradients = self.made_on_gpu(gpu, inputs, y, dy, &made);
+        for input in (0..inputs.len()).filter(|&input| needs[input] && !made[input]) {
+            gradients[input] = Some(dy.clone());
+        }
+        gradients
+    }
+
+    /// The gradients that are computed.
+    fn made_on_gpu(
+        &self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        y: &Tensor<T>,
+        dy: &Tensor<T>,
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        if !needs.contains(&true) {
+            return vec![None; needs.len()];
+        }
         let gradients: Vec<Option<GpuArray>> =
             needs.iter().map(|needed| needed.then(|| GpuArray::new(gpu, dy.len()))).collect();
         let read = inputs.iter().copied().chain([y, dy]).map(|tensor| Binding::Read(tensor.on_gpu(gpu)));

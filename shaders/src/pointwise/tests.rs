@@ -68,3 +68,21 @@ fn the_wgsl_check_rejects_a_planted_fault() {
     let kernel = EXPRESSIONS[0].value_kernel().replacen("return a", "return 1u + a", 1);
     assert!(validate(&kernel).is_err());
 }
+
+#[test]
+fn a_term_of_a_sum_passes_its_gradient_on() {
+    let passed = |name: &str| {
+        let expression = all().find(|expression| expression.name == name).expect("an expression of that name");
+        (0..expression.inputs).map(|input| expression.passes_on(input)).collect::<Vec<bool>>()
+    };
+    assert_eq!(
+        (passed("add"), passed("sub"), passed("mul")),
+        (vec![true, true], vec![true, false], vec![false, false])
+    );
+    let mut tape = Tape::<f32>::new(Device::Cpu);
+    let [a, b] = [1.0, 2.0].map(|value| tape.leaf(Tensor::scalar(value)));
+    let (sum, product) = (add(&mut tape, a, b), mul(&mut tape, a, b));
+    let total = add(&mut tape, sum, product);
+    let gradients = tape.backward(&[(total, Tensor::scalar(1.0))]);
+    assert_eq!([a, b].map(|var| gradients.get(var).unwrap().as_slice()[0]), [3.0, 2.0]);
+}

@@ -7,7 +7,7 @@
 mod regularisers;
 mod scales;
 
-pub use regularisers::{DISTANCE, PlaneKernels, SMOOTHNESS};
+pub use regularisers::{add_mean_gradients, sums_of_means};
 
 use super::Field;
 use crate::gpu::grouped::{Grouped, Item, ItemArray};

@@ -1,14 +1,6 @@
-// A plane whose elements enter a mean.
+// Second differences of a plane along its height.
 
-struct Item {
-    rows: u32,
-    row_len: u32,
-    // Terms of the mean, and 1 over their number (0 where there are none).
-    terms: u32,
-    factor: f32,
-    // Where this plane's sums begin.
-    first_sum: u32,
-    // Whether its gradient adds to what is there.
-    adds: u32,
+fn second_difference(item: u32, first: u32, row_len: u32) -> f32 {
+    let center = values(item, first + row_len);
+    return values(item, first) - center - center + values(item, first + 2u * row_len);
 }
-

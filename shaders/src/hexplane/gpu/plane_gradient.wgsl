@@ -1,7 +1,35 @@
+// The gradient of every element of every plane, by all means that it enters.
 
-// The gradient of every element of every plane.
+struct Item {
+    rows: u32,
+    row_len: u32,
+    // 1 over the number of second differences and of distances to one; 0 where a mean does not ask for them.
+    difference_factor: f32,
+    distance_factor: f32,
+    // Whether the gradient adds to what is there.
+    adds: u32,
+}
 
-@group(0) @binding(1) var<storage, read> dy: array<f32>;
+// An element is the first, the middle and the last of three second differences, where those are there.
+fn difference_derivative(item: u32, at: u32, rows: u32, row_len: u32) -> f32 {
+    let row = at / row_len;
+    var sum = 0.0;
+    if (row + 2u < rows) {
+        sum += second_difference(item, at, row_len);
+    }
+    if (row >= 1u && row + 1u < rows) {
+        sum -= 2.0 * second_difference(item, at - row_len, row_len);
+    }
+    if (row >= 2u) {
+        sum += second_difference(item, at - 2u * row_len, row_len);
+    }
+    return 2.0 * sum;
+}
+
+fn distance_derivative(item: u32, at: u32) -> f32 {
+    let value = values(item, at);
+    return select(0.0, 1.0, value > 1.0) - select(0.0, 1.0, value < 1.0);
+}
 
 @compute @workgroup_size(256)
 fn main(
@@ -16,9 +44,16 @@ fn main(
     if (at >= plane.rows * plane.row_len) {
         return;
     }
-    var sum = plane.factor * dy[0] * derivative(item, at);
+    var sum = 0.0;
     if (plane.adds == 1u) {
-        sum += gradient(item, at);
+        sum = gradient(item, at);
+    }
+    if (plane.distance_factor > 0.0) {
+        sum += plane.distance_factor * dy_distance(item, 0u) * distance_derivative(item, at);
+    }
+    if (plane.difference_factor > 0.0) {
+        let derivative = difference_derivative(item, at, plane.rows, plane.row_len);
+        sum += plane.difference_factor * dy_difference(item, 0u) * derivative;
     }
     set_gradient(item, at, sum);
 }

@@ -1,9 +1,27 @@
+// The part of a mean over a plane that every workgroup has, of 4096 terms.
 
-// The part of a plane's mean that every workgroup has, of 4096 terms.
+struct Item {
+    row_len: u32,
+    // Terms of the mean, and 1 over their number (0 where there are none).
+    terms: u32,
+    factor: f32,
+    // Where this plane's sums begin.
+    first_sum: u32,
+    // 0: squared second differences, 1: distances to one.
+    mean: u32,
+}
 
 @group(0) @binding(1) var<storage, read_write> sums: array<f32>;
 
 const BLOCK: u32 = 4096u;
+
+fn term(item: u32, at: u32) -> f32 {
+    if (constants_of(item).mean == 1u) {
+        return abs(1.0 - values(item, at));
+    }
+    let difference = second_difference(item, at, constants_of(item).row_len);
+    return difference * difference;
+}
 
 @compute @workgroup_size(256)
 fn main(

@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use shaders::hexplane::{HexplaneShape, distance_to_one, hexplane, is_time_plane, smoothness};
+use shaders::hexplane::{HexplaneShape, PlaneMean, hexplane, is_time_plane, plane_means};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::bounds;
@@ -109,17 +109,22 @@ impl Field {
             TimeAxis::Full => 0.5,
             TimeAxis::UpperHalf => 1.0,
         };
-        if weights.spatial_smoothness > 0.0 {
-            let value = smoothness(step.tape, &self.planes(step.model, |index| !is_time_plane(index)));
-            step.add_loss("spatial_smoothness", weights.spatial_smoothness, value);
+        let is_space: fn(usize) -> bool = |index| !is_time_plane(index);
+        let PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one } = *weights;
+        let all = [
+            ("spatial_smoothness", spatial_smoothness, PlaneMean::SecondDifference, is_space),
+            ("temporal_smoothness", time_factor * temporal_smoothness, PlaneMean::SecondDifference, is_time_plane),
+            ("time_to_one", time_factor * time_to_one, PlaneMean::DistanceToOne, is_time_plane),
+        ];
+        let wanted: Vec<_> = all.into_iter().filter(|(_, weight, ..)| *weight > 0.0).collect();
+        if wanted.is_empty() {
+            return;
         }
-        if weights.temporal_smoothness > 0.0 {
-            let value = smoothness(step.tape, &self.planes(step.model, is_time_plane));
-            step.add_loss("temporal_smoothness", time_factor * weights.temporal_smoothness, value);
-        }
-        if weights.time_to_one > 0.0 {
-            let value = distance_to_one(step.tape, &self.planes(step.model, is_time_plane));
-            step.add_loss("time_to_one", time_factor * weights.time_to_one, value);
+        let term = |(.., mean, chosen): &(_, _, PlaneMean, fn(usize) -> bool)| (*mean, self.planes(step.model, chosen));
+        let terms: Vec<_> = wanted.iter().map(term).collect();
+        let values = plane_means(step.tape, &terms);
+        for ((name, weight, ..), value) in wanted.iter().zip(values) {
+            step.add_loss(name, *weight, value);
         }
     }
 
