@@ -104,7 +104,7 @@ impl TileLists {
 #[derive(Debug)]
 pub enum Lists {
     Host(TileLists),
-    Gpu(GpuLists),
+    Gpu(Box<GpuLists>),
 }
 
 impl Lists {
@@ -232,7 +232,7 @@ impl<T: Real> Op<T> for Binning {
         let &[means2d, conics, depths, cutoffs] = inputs else { unreachable!("four inputs") };
         // Where there are too many, the CPU counts them for the message.
         let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid, self.room)?;
-        self.tell(Ok(Lists::Gpu(lists)));
+        self.tell(Ok(Lists::Gpu(Box::new(lists))));
         Some(Vec::new())
     }
 }
