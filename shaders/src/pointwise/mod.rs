@@ -1,6 +1,7 @@
 //! Expressions over the elements of equally shaped tensors, written once and compiled to Rust (f32, f64) and to WGSL; the
 //! kernel around the WGSL text is made when it is first launched.
 
+mod adds;
 mod expression;
 pub mod functions;
 mod gpu;
@@ -9,6 +10,7 @@ mod tests;
 
 pub(crate) use gpu::copy_on_gpu;
 
+pub use adds::adds;
 pub use expression::{Expression, GradientKernel, ValueKernel};
 
 /// Defines pointwise operations: the value and, for every input, the gradient.

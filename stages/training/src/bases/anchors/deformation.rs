@@ -3,7 +3,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use shaders::pointwise::add;
+use shaders::pointwise::adds;
 use shaders::quaternion;
 use shaders::splat::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
@@ -235,12 +235,11 @@ impl GaussianDeformation {
         let (log_scales, rotations) = spawned.shape.scales_and_rotations().expect("anchors spawn both");
         let rotations = quaternion::normalize(tape, rotations);
         let changes = self.network.heads(tape, model, &["position", "scale", "rotation"], hidden);
-        let mut moved = |attribute: Var, head: usize| add(tape, attribute, changes[head]);
-        SplatVars {
-            positions: moved(spawned.positions, 0),
-            shape: ShapeVars::ScaleRotation { log_scales: moved(log_scales, 1), rotations: moved(rotations, 2) },
-            ..spawned
-        }
+        let attributes = [spawned.positions, log_scales, rotations];
+        let pairs: Vec<[Var; 2]> = attributes.into_iter().zip(changes).map(|(a, change)| [a, change]).collect();
+        let moved = adds(tape, &pairs);
+        let shape = ShapeVars::ScaleRotation { log_scales: moved[1], rotations: moved[2] };
+        SplatVars { positions: moved[0], shape, ..spawned }
     }
 
     /// Adds the regularisers of the planes.

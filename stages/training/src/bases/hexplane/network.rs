@@ -3,7 +3,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use shaders::pointwise::add;
+use shaders::pointwise::{add, adds};
 use shaders::splat::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
@@ -34,7 +34,7 @@ impl Heads {
     /// No head at all.
     pub const NONE: Self = Self { position: false, scale: false, rotation: false, opacity: false, harmonics: false };
 
-    /// Name and number of outputs of the heads that are on.
+    /// Name and number of outputs of the heads that are on, always in this order.
     fn outputs(self, sh_count: usize) -> Vec<(&'static str, usize)> {
         let all = [
             (self.position, "position", 3),
@@ -84,26 +84,29 @@ impl Network {
         sh_degree: usize,
     ) -> SplatVars {
         let hidden = self.layers.hidden(tape, model, features);
-        let heads: Vec<&str> = self.heads.outputs(1).into_iter().map(|(head, _)| head).collect();
-        let changes = self.layers.heads(tape, model, &heads, hidden);
-        let mut moved = |head: &str, attribute: Var| {
-            let Some(at) = heads.iter().position(|&on| on == head) else { return attribute };
-            let change = match head {
-                "harmonics" => leading_harmonics(tape, changes[at], sh_degree),
-                _ => changes[at],
-            };
-            add(tape, attribute, change)
-        };
         let (log_scales, rotations) = canonical.shape.scales_and_rotations().expect("Gaussians have both");
-        SplatVars {
-            positions: moved("position", canonical.positions),
-            shape: ShapeVars::ScaleRotation {
-                log_scales: moved("scale", log_scales),
-                rotations: moved("rotation", rotations),
-            },
-            opacity_logits: moved("opacity", canonical.opacity_logits),
-            sh: moved("harmonics", canonical.sh),
+        let attributes = [
+            ("position", canonical.positions),
+            ("scale", log_scales),
+            ("rotation", rotations),
+            ("opacity", canonical.opacity_logits),
+            ("harmonics", canonical.sh),
+        ];
+        let heads: Vec<&str> = self.heads.outputs(1).into_iter().map(|(head, _)| head).collect();
+        let mut changes = self.layers.heads(tape, model, &heads, hidden);
+        if let Some(at) = heads.iter().position(|&head| head == "harmonics") {
+            changes[at] = leading_harmonics(tape, changes[at], sh_degree);
         }
+        let moved = attributes.iter().filter(|(head, _)| heads.contains(head));
+        let pairs: Vec<[Var; 2]> = moved.zip(changes).map(|(&(_, attribute), change)| [attribute, change]).collect();
+        let mut sums = adds(tape, &pairs).into_iter();
+        let mut moved = |(head, attribute): (&str, Var)| match heads.contains(&head) {
+            true => sums.next().expect("a sum for every head"),
+            false => attribute,
+        };
+        let [positions, log_scales, rotations, opacity_logits, sh] = attributes.map(&mut moved);
+        let shape = ShapeVars::ScaleRotation { log_scales, rotations };
+        SplatVars { positions, shape, opacity_logits, sh }
     }
 
     /// Positions [N, 3] plus what the head says at features [N, F], and what the other heads begin with.

@@ -1,0 +1,129 @@
+//! Several sums at once.
+
+use crate::gpu::grouped::{Grouped, Item, ItemArray};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::tape::chunks::{CHUNK, for_each_chunk};
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+const SUMS: Grouped = Grouped {
+    kernel: Kernel { name: "sums of pairs", text: &[include_str!("adds.wgsl")] },
+    shared: 0,
+    arrays: &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::write("y")],
+};
+
+/// Elements per workgroup.
+const GROUP: usize = 256;
+
+uniforms! {
+    struct SumItem as "Item" { len: u32 }
+}
+
+/// The sums of pairs of equal shape, each as [`super::add`] makes it. A GPU computes them together.
+pub fn adds<T: Real>(tape: &mut Tape<T>, pairs: &[[Var; 2]]) -> Vec<Var> {
+    for &[a, b] in pairs {
+        assert_eq!(tape.value(a).shape(), tape.value(b).shape(), "adds: shapes differ");
+    }
+    tape.apply(Adds, pairs.as_flattened())
+}
+
+struct Adds;
+
+impl<T: Real> Op<T> for Adds {
+    fn name(&self) -> &'static str {
+        "add"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let sum = |pair: &[&Tensor<T>]| {
+            let (a, b) = (pair[0].as_slice(), pair[1].as_slice());
+            let mut sum = vec![T::ZERO; a.len()];
+            for_each_chunk(&mut sum, CHUNK, |first, sum| {
+                let terms = a[first..].iter().zip(&b[first..]);
+                sum.iter_mut().zip(terms).for_each(|(sum, (&a, &b))| *sum = a + b);
+            });
+            Tensor::from_vec(pair[0].shape(), sum)
+        };
+        inputs.chunks(2).map(sum).collect()
+    }
+
+    /// What arrives at a sum arrives at both of its terms, wherever it is.
+    fn backward(
+        &mut self,
+        _inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let term = |(index, &needed): (usize, &bool)| output_grads[index / 2].filter(|_| needed).cloned();
+        needs.iter().enumerate().map(term).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        let sums: Vec<Tensor<T>> =
+            inputs.iter().step_by(2).map(|a| Tensor::from_gpu(a.shape(), GpuArray::new(gpu, a.len()))).collect();
+        let mut items = Vec::new();
+        for (pair, sum) in inputs.chunks(2).zip(&sums) {
+            let arrays = vec![
+                Binding::Read(pair[0].on_gpu(gpu)),
+                Binding::Read(pair[1].on_gpu(gpu)),
+                Binding::Write(sum.on_gpu(gpu)),
+            ];
+            let constants = SumItem { len: sum.len() as u32 };
+            items.push(Item { constants, arrays, groups: sum.len().div_ceil(GROUP) });
+        }
+        SUMS.launch(gpu, &[], &[], &items);
+        Some(sums)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::check::noise;
+    use crate::gpu::conformance::{Tolerance, compare, run};
+    use crate::gpu::fault::assert_noticed;
+    use crate::gpu::grouped::tests::assert_valid_grouped;
+    use crate::gpu::tests::test_gpu;
+    use crate::pointwise::{add, square};
+    use crate::tape::Device;
+
+    #[test]
+    fn the_kernel_is_valid() {
+        assert_valid_grouped::<SumItem>(&SUMS, &[]);
+    }
+
+    fn inputs() -> Vec<Tensor<f32>> {
+        let shapes = [[70, 3], [1, 1], [0, 4], [257, 2]];
+        let tensor = |seed: usize| {
+            let shape = shapes[seed / 2 % shapes.len()];
+            Tensor::from_vec(shape, noise(shape[0] * shape[1], seed as u64)).cast()
+        };
+        (0..2 * shapes.len()).map(tensor).collect()
+    }
+
+    /// Sums whose terms have other uses.
+    fn uses(tape: &mut Tape<f32>, vars: &[Var], sums: impl Fn(&mut Tape<f32>, &[[Var; 2]]) -> Vec<Var>) -> Vec<Var> {
+        let squares: Vec<Var> = vars.iter().map(|&var| square(tape, var)).collect();
+        let pairs: Vec<[Var; 2]> = vars.chunks(2).zip(squares.chunks(2)).map(|(a, b)| [a[0], b[1]]).collect();
+        let mut outputs = sums(tape, &pairs);
+        outputs.extend(squares);
+        outputs
+    }
+
+    #[test]
+    fn sums_at_once_are_sums_one_by_one_to_the_bit() {
+        let at_once = run(Device::Cpu, &inputs(), |tape, vars| uses(tape, vars, adds));
+        let one_by_one =
+            |tape: &mut Tape<f32>, pairs: &[[Var; 2]]| pairs.iter().map(|&[a, b]| add(tape, a, b)).collect();
+        assert!(at_once == run(Device::Cpu, &inputs(), |tape, vars| uses(tape, vars, one_by_one)));
+    }
+
+    #[test]
+    fn a_gpu_has_several_sums_at_once() {
+        let Some(gpu) = test_gpu() else { return };
+        let tight = Tolerance { value: 1e-6, gradient: 1e-6 };
+        let faults =
+            [("sums of pairs", "a(item, at) + b", "a(item, at) - b"), ("sums of pairs", "return b_1", "return b_0")];
+        assert_noticed(&faults, || compare(gpu, "sums", &inputs(), tight, |tape, vars| uses(tape, vars, adds)));
+    }
+}
