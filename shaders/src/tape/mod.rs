@@ -4,6 +4,7 @@
 //! and variables and returns variables. Everything is generic over [`Real`], so that what trains in `f32` is checked in
 //! `f64` against central differences (see [`crate::check`]).
 
+mod backward;
 pub mod chunks;
 mod later;
 mod profile;
@@ -14,17 +15,18 @@ mod tensor;
 mod tests;
 mod totals;
 
-use std::ops::Range;
 use std::time::Instant;
 
 use crate::gpu::Gpu;
+pub use backward::Gradients;
+use backward::Node;
 pub(crate) use later::Later;
 pub use later::{Figures, Found};
 pub use profile::{Cost, OpCost, Profile};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
+use totals::add_all;
 pub(crate) use totals::total_on_gpu;
-use totals::{add_all, add_to};
 
 /// A value on a tape.
 #[derive(Copy, Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -105,12 +107,6 @@ pub trait Op<T: Real>: Send {
 struct Value<T: Real> {
     tensor: Tensor<T>,
     needs_gradient: bool,
-}
-
-struct Node<T: Real> {
-    op: Box<dyn Op<T>>,
-    inputs: Vec<Var>,
-    outputs: Range<usize>,
 }
 
 /// The record of a computation: leaves, constants and the operations applied to them.
@@ -282,59 +278,5 @@ impl<T: Real> Tape<T> {
     fn push(&mut self, tensor: Tensor<T>, needs_gradient: bool) -> Var {
         self.values.push(Value { tensor, needs_gradient });
         Var(self.values.len() - 1)
-    }
-}
-
-impl<T: Real> Node<T> {
-    /// Adds this node's contribution to the gradients of its inputs; skipped if no gradient reached its outputs.
-    fn backward(&mut self, device: Device, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
-        // Inputs were created before outputs.
-        let (of_inputs, of_outputs) = gradients.tensors.split_at_mut(self.outputs.start);
-        let output_grads: Vec<_> = of_outputs[..self.outputs.len()].iter().map(Option::as_ref).collect();
-        if output_grads.iter().all(Option::is_none) {
-            return;
-        }
-        let inputs: Vec<_> = self.inputs.iter().map(|var| &values[var.0].tensor).collect();
-        let outputs: Vec<_> = values[self.outputs.clone()].iter().map(|value| &value.tensor).collect();
-        let needs: Vec<bool> = self.inputs.iter().map(|var| values[var.0].needs_gradient).collect();
-        // Moved out so that the operation can add in place; an input that occurs twice is given once.
-        let mut totals: Vec<_> = self.inputs.iter().map(|var| of_inputs[var.0].take()).collect();
-
-        let start = Instant::now();
-        let on_gpu = device
-            .gpu()
-            .is_some_and(|gpu| self.op.accumulate_gpu(gpu, &inputs, &outputs, &output_grads, &needs, &mut totals));
-        if !on_gpu {
-            self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals);
-        }
-        profile.entry(self.op.name()).backward.add(start.elapsed());
-
-        for (&var, total) in self.inputs.iter().zip(totals) {
-            if let Some(total) = total {
-                gradients.accumulate(self.op.name(), var, &values[var.0].tensor, total);
-            }
-        }
-    }
-}
-
-/// The result of a backward pass.
-pub struct Gradients<T: Real> {
-    tensors: Vec<Option<Tensor<T>>>,
-}
-
-impl<T: Real> Gradients<T> {
-    /// The gradient of a leaf or of an intermediate value; `None` if none reached it (it is zero).
-    pub fn get(&self, var: Var) -> Option<&Tensor<T>> {
-        self.tensors[var.0].as_ref()
-    }
-
-    /// As [`Gradients::get`], moved out.
-    pub fn take(&mut self, var: Var) -> Option<Tensor<T>> {
-        self.tensors[var.0].take()
-    }
-
-    fn accumulate(&mut self, source: &str, var: Var, value: &Tensor<T>, gradient: Tensor<T>) {
-        assert_eq!(gradient.shape(), value.shape(), "{source}: gradient and value differ in shape");
-        add_to(&mut self.tensors[var.0], gradient);
     }
 }

@@ -1,0 +1,74 @@
+//! The backward pass: what every operation adds to the gradients of its inputs.
+
+use std::ops::Range;
+use std::time::Instant;
+
+use super::totals::add_to;
+use super::{Device, Op, Profile, Real, Tensor, Value, Var};
+
+/// An operation that was applied.
+pub(super) struct Node<T: Real> {
+    pub op: Box<dyn Op<T>>,
+    pub inputs: Vec<Var>,
+    pub outputs: Range<usize>,
+}
+
+impl<T: Real> Node<T> {
+    /// Adds this node's contribution to the gradients of its inputs; skipped if no gradient reached its outputs.
+    pub fn backward(
+        &mut self,
+        device: Device,
+        values: &[Value<T>],
+        gradients: &mut Gradients<T>,
+        profile: &mut Profile,
+    ) {
+        // Inputs were created before outputs.
+        let (of_inputs, of_outputs) = gradients.tensors.split_at_mut(self.outputs.start);
+        let output_grads: Vec<_> = of_outputs[..self.outputs.len()].iter().map(Option::as_ref).collect();
+        if output_grads.iter().all(Option::is_none) {
+            return;
+        }
+        let inputs: Vec<_> = self.inputs.iter().map(|var| &values[var.0].tensor).collect();
+        let outputs: Vec<_> = values[self.outputs.clone()].iter().map(|value| &value.tensor).collect();
+        let needs: Vec<bool> = self.inputs.iter().map(|var| values[var.0].needs_gradient).collect();
+        // Moved out so that the operation can add in place; an input that occurs twice is given once.
+        let mut totals: Vec<_> = self.inputs.iter().map(|var| of_inputs[var.0].take()).collect();
+
+        let start = Instant::now();
+        let on_gpu = device
+            .gpu()
+            .is_some_and(|gpu| self.op.accumulate_gpu(gpu, &inputs, &outputs, &output_grads, &needs, &mut totals));
+        if !on_gpu {
+            self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals);
+        }
+        profile.entry(self.op.name()).backward.add(start.elapsed());
+
+        for (&var, total) in self.inputs.iter().zip(totals) {
+            if let Some(total) = total {
+                gradients.accumulate(self.op.name(), var, &values[var.0].tensor, total);
+            }
+        }
+    }
+}
+
+/// The result of a backward pass.
+pub struct Gradients<T: Real> {
+    pub(super) tensors: Vec<Option<Tensor<T>>>,
+}
+
+impl<T: Real> Gradients<T> {
+    /// The gradient of a leaf or of an intermediate value; `None` if none reached it (it is zero).
+    pub fn get(&self, var: Var) -> Option<&Tensor<T>> {
+        self.tensors[var.0].as_ref()
+    }
+
+    /// As [`Gradients::get`], moved out.
+    pub fn take(&mut self, var: Var) -> Option<Tensor<T>> {
+        self.tensors[var.0].take()
+    }
+
+    pub(super) fn accumulate(&mut self, source: &str, var: Var, value: &Tensor<T>, gradient: Tensor<T>) {
+        assert_eq!(gradient.shape(), value.shape(), "{source}: gradient and value differ in shape");
+        add_to(&mut self.tensors[var.0], gradient);
+    }
+}
