@@ -105,16 +105,9 @@ const AUTO: &str = "auto";
 
 impl RecipeArgs {
     /// A recipe as it is.
-    pub fn plain(recipe: &Path, data_root: &Path) -> Self {
-        let device = AUTO.into();
-        Self {
-            recipe: recipe.into(),
-            data_root: data_root.into(),
-            set: Vec::new(),
-            replicates: None,
-            budget: None,
-            device,
-        }
+    pub fn plain(recipe: &Path, data_root: &Path, device: &str) -> Self {
+        let (recipe, data_root, device) = (recipe.into(), data_root.into(), device.into());
+        Self { recipe, data_root, set: Vec::new(), replicates: None, budget: None, device }
     }
 }
 
@@ -256,6 +249,9 @@ pub struct CompareArgs {
     /// Folder that the recipes' sources are relative to
     #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
     pub data_root: PathBuf,
+    /// The recipes' results of this device, as `run` names it
+    #[arg(long, env = "PIPELINE_DEVICE", default_value = AUTO, value_name = "DEVICE")]
+    pub device: String,
     /// Compare this row of A with that row of B, as static3dgs=mcgs (default: rows of equal names); can be repeated
     #[arg(long, value_parser = two_rows, value_name = "ROW_A=ROW_B")]
     pub rows: Vec<(String, String)>,

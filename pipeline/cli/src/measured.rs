@@ -23,10 +23,10 @@ struct Runs {
     runs: Vec<Run>,
 }
 
-/// The runs that `named` holds: of a recipe (`.toml`) what it last came to, or of a report's folder or file.
-pub fn open(store: &Path, named: &Path, data_root: &Path) -> Result<Vec<Run>, CliError> {
+/// The runs that `named` holds: of a recipe (`.toml`) what it last came to on a device, or of a report's folder or file.
+pub fn open(store: &Path, named: &Path, data_root: &Path, device: &str) -> Result<Vec<Run>, CliError> {
     if named.extension().is_some_and(|extension| extension == "toml") {
-        return of_recipe(&Session::look(store, &RecipeArgs::plain(named, data_root))?);
+        return of_recipe(&Session::look(store, &RecipeArgs::plain(named, data_root, device))?);
     }
     read(&if named.is_dir() { named.join(REPORT) } else { named.to_owned() })
 }

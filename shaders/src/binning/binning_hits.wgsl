@@ -5,6 +5,7 @@
 @group(0) @binding(5) var<storage, read> hit_starts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> hit_tiles: array<u32>;
 @group(0) @binding(7) var<storage, read_write> hit_ranks: array<u32>;
+@group(0) @binding(8) var<storage, read_write> length: array<u32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -13,11 +14,14 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let rank = flat_group(group, groups) * 256u + local;
+    if (rank == 0u) {
+        write_length(hit_starts[grid.count], grid.room);
+    }
     if (rank >= grid.count) {
         return;
     }
     var hit = hit_starts[rank];
-    let end = min(hit_starts[rank + 1u], arrayLength(&hit_tiles));
+    let end = min(hit_starts[rank + 1u], grid.room);
     if (hit >= end) {
         return;
     }

@@ -9,7 +9,7 @@ const GROUP: usize = Length::GROUP;
 const SPANS: &str = concat!(include_str!("ellipse.wgsl"), include_str!("tile_spans.wgsl"));
 const COUNT: Kernel = Kernel { name: "binning, counts", text: &[SPANS, include_str!("binning_count.wgsl")] };
 const RANK: Kernel = Kernel { name: "binning, ranks", text: &[include_str!("binning_rank.wgsl")] };
-const HITS: Kernel = Kernel { name: "binning, hits", text: &[SPANS, include_str!("binning_hits.wgsl")] };
+const HITS: Kernel = Kernel { name: "binning, hits", text: &[SPANS, Length::WGSL, include_str!("binning_hits.wgsl")] };
 const ENTRIES: Kernel = Kernel { name: "binning, entries", text: &[include_str!("binning_entries.wgsl")] };
 
 // A sum that saturates must count as too many.
@@ -23,6 +23,7 @@ uniforms! {
         rows: u32,
         tiles: u32,
         count: u32,
+        room: u32,
     }
 }
 
@@ -84,10 +85,10 @@ impl GpuLists {
 }
 
 impl GridBlock {
-    fn new(grid: Grid, count: usize) -> Self {
-        let [width, height, columns, rows, tiles, count] =
-            [grid.width, grid.height, grid.columns(), grid.rows(), grid.tiles(), count].map(|value| value as u32);
-        Self { width, height, columns, rows, tiles, count }
+    fn new(grid: Grid, count: usize, room: usize) -> Self {
+        let sizes = [grid.width, grid.height, grid.columns(), grid.rows(), grid.tiles(), count, room];
+        let [width, height, columns, rows, tiles, count, room] = sizes.map(|size| size as u32);
+        Self { width, height, columns, rows, tiles, count, room }
     }
 }
 
@@ -104,7 +105,7 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, room: Option
     // Depth order, in which those that meet no tile come last.
     let (counts, keys) = (GpuArray::new(gpu, count), GpuArray::new(gpu, count));
     let arrays = [&ellipses[..], &[Binding::Read(depths), Binding::Write(&counts), Binding::Write(&keys)]].concat();
-    COUNT.launch(gpu, &[], &GridBlock::new(grid, count), &arrays, count.div_ceil(GROUP));
+    COUNT.launch(gpu, &[], &GridBlock::new(grid, count, 0), &arrays, count.div_ceil(GROUP));
     let (sorted_keys, order) = sort(gpu, &keys, u32::BITS);
 
     // What each rank meets, and where it begins.
@@ -125,24 +126,25 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, room: Option
     if room as u64 > MAX_INTERSECTIONS {
         return None;
     }
-    let entries = Length::of(gpu, &hit_starts, count, room);
-    let [hit_tiles, hit_ranks] = hits(gpu, &ellipses, grid, room, (&order, &hit_starts));
+    let entries = Length::new(gpu);
+    let [hit_tiles, hit_ranks] = hits(gpu, &ellipses, grid, room, [&order, &hit_starts, entries.array()]);
     let [ranks, tile_starts, entry_of_hit] = by_tile(gpu, grid, &entries, [&hit_tiles, &hit_ranks]);
     Some(GpuLists { grid, visible, entries, order, rank_of_splat, ranks, tile_starts, entry_of_hit, hit_starts })
 }
 
-/// Tile and rank of every hit, as many as there is room for.
+/// Tile and rank of every hit, as many as there is room for; writes their number.
 fn hits(
     gpu: Gpu,
     ellipses: &[Binding],
     grid: Grid,
     room: usize,
-    (order, hit_starts): (&GpuArray, &GpuArray),
+    [order, hit_starts, length]: [&GpuArray; 3],
 ) -> [GpuArray; 2] {
     let found = [(); 2].map(|()| GpuArray::new(gpu, room));
-    let arrays = [ellipses, &[order, hit_starts].map(Binding::Read), &found.each_ref().map(Binding::Write)].concat();
+    let written = [&found[0], &found[1], length].map(Binding::Write);
+    let arrays = [ellipses, &[order, hit_starts].map(Binding::Read), &written].concat();
     let count = order.len();
-    HITS.launch(gpu, &[], &GridBlock::new(grid, count), &arrays, count.div_ceil(GROUP));
+    HITS.launch(gpu, &[], &GridBlock::new(grid, count, room), &arrays, count.div_ceil(GROUP).max(1));
     found
 }
 

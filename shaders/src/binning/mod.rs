@@ -23,7 +23,7 @@ pub use gpu::GpuLists;
 /// Tiles are squares of this many pixels: a row is one vector of 16 lanes.
 pub const TILE: usize = 16;
 
-/// Intersections per render above which it is refused: 10 GiB of gradient rows, far below overflow of their u32 index.
+/// Intersections per render above which it is refused: 10 GiB of gradient rows on the CPU, far below overflow of u32.
 pub const MAX_INTERSECTIONS: u64 = 1 << 28;
 
 /// Splats per parallel chunk: tens of microseconds.

@@ -1,12 +1,6 @@
 //! Numbers of elements that only the GPU knows, and dispatches over so many: nobody waits to learn them.
 
-use super::{Binding, Gpu, GpuArray, Kernel, uniforms};
-
-const LENGTH: Kernel = Kernel { name: "length", text: &[include_str!("length.wgsl")] };
-
-uniforms! {
-    struct PlaceBlock as "Place" { at: u32, capacity: u32 }
-}
+use super::{Gpu, GpuArray};
 
 /// How many elements of an array with room for more are used.
 #[derive(Debug)]
@@ -35,12 +29,12 @@ impl Length {
     pub const GROUP: usize = 256;
     pub const BLOCK: usize = 1024;
 
-    /// As many as element `at` of `counts` says, and no more than there is room for.
-    pub fn of(gpu: Gpu, counts: &GpuArray, at: usize, capacity: usize) -> Self {
-        let array = GpuArray::new(gpu, 8);
-        let constants = PlaceBlock { at: at as u32, capacity: capacity as u32 };
-        LENGTH.launch(gpu, &[], &constants, &[Binding::Read(counts), Binding::Write(&array)], 1);
-        Self { array }
+    /// What a kernel that declares the array `length` calls: `write_length(wanted, room)`.
+    pub const WGSL: &'static str = include_str!("length_write.wgsl");
+
+    /// For a kernel to write.
+    pub fn new(gpu: Gpu) -> Self {
+        Self { array: GpuArray::new(gpu, 8) }
     }
 
     /// Its first element is the number used, its second the number wanted.
@@ -60,21 +54,41 @@ impl Length {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::gpu::tests::test_gpu;
+    use crate::gpu::{Binding, Kernel, uniforms};
 
-    #[test]
-    fn the_kernel_is_valid() {
-        crate::gpu::layout::assert_valid::<PlaceBlock>(&LENGTH, &[]);
+    uniforms! {
+        struct WantedBlock as "Wanted" { count: u32, room: u32 }
+    }
+
+    const WRITE: Kernel = Kernel {
+        name: "test of lengths",
+        text: &[
+            Length::WGSL,
+            "struct Wanted { count: u32, room: u32 }
+             @group(0) @binding(0) var<uniform> wanted: Wanted;
+             @group(0) @binding(1) var<storage, read_write> length: array<u32>;
+             @compute @workgroup_size(1) fn main() { write_length(wanted.count, wanted.room); }",
+        ],
+    };
+
+    /// A length that a GPU knows.
+    pub fn length_of(gpu: Gpu, count: usize, room: usize) -> Length {
+        let length = Length::new(gpu);
+        let constants = WantedBlock { count: count as u32, room: room as u32 };
+        WRITE.launch(gpu, &[], &constants, &[Binding::Write(length.array())], 1);
+        length
     }
 
     #[test]
-    fn lengths_stop_at_the_capacity_and_dispatches_are_folded() {
+    fn lengths_stop_where_there_is_no_room_and_dispatches_are_folded() {
+        crate::gpu::layout::assert_valid::<WantedBlock>(&WRITE, &[]);
         let Some(gpu) = test_gpu() else { return };
-        let read = |count: u32, capacity| {
+        let read = |count, room| {
             let mut out = [0_u32; 8];
-            Length::of(gpu, &GpuArray::upload(gpu, &[9, count]), 1, capacity).array.read_into(&mut out);
+            length_of(gpu, count, room).array.read_into(&mut out);
             out
         };
         assert_eq!(read(0, 10), [0, 0, 1, 1, 1, 1, 1, 1]);

@@ -14,7 +14,7 @@ pub(crate) mod grouped;
 mod launch;
 #[cfg(test)]
 pub(crate) mod layout;
-mod length;
+pub(crate) mod length;
 mod profile;
 mod rates;
 mod recorder;

@@ -36,6 +36,7 @@ uniforms! {
         len: u32,
         blocks: u32,
         shift: u32,
+        next_shift: u32,
     }
 }
 
@@ -67,37 +68,77 @@ pub fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
 
 /// As [`sort`] for the first keys of the array, as many as `length` says; what follows in the results is undefined.
 pub fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bits: u32) -> (GpuArray, GpuArray) {
-    let mut sorted = pass(gpu, (keys, None), length, 0);
-    for shift in (DIGIT_BITS..bits).step_by(DIGIT_BITS as usize) {
-        sorted = pass(gpu, (&sorted.0, Some(&sorted.1)), length, shift);
+    let run = Run { gpu, blocks: keys.len().div_ceil(BLOCK), length };
+    let mut counts = run.first_counts(keys);
+    let mut sorted: Option<(GpuArray, GpuArray)> = None;
+    for shift in (0..bits.max(1)).step_by(DIGIT_BITS as usize) {
+        let next = if shift + DIGIT_BITS < bits { DIGITS * run.blocks } else { 0 };
+        let next_counts = GpuArray::new(gpu, next);
+        let (keys, values) = sorted.as_ref().map_or((keys, None), |(keys, values)| (keys, Some(values)));
+        sorted = Some(run.pass((keys, values), [&counts, &next_counts], shift));
+        counts = next_counts;
     }
-    sorted
+    sorted.expect("one pass at least")
 }
 
-/// Keys and their values by one digit.
-fn pass(
+/// The passes over keys in so many blocks.
+struct Run<'a> {
     gpu: Gpu,
-    (keys, values): (&GpuArray, Option<&GpuArray>),
-    length: Option<&Length>,
-    shift: u32,
-) -> (GpuArray, GpuArray) {
-    let (len, blocks) = (keys.len(), keys.len().div_ceil(BLOCK));
-    let constants = SortBlock { len: len as u32, blocks: blocks as u32, shift };
-    let counted = ("COUNTED", u32::from(length.is_some()));
-    let of_blocks = length.map_or(Groups::Count(blocks), Length::blocks);
-    let length = Binding::Read(length.map_or(keys, Length::array));
-    let (counts, totals) = (GpuArray::new(gpu, DIGITS * blocks), GpuArray::new(gpu, DIGITS));
-    COUNT.launch(gpu, &[counted], &constants, &[length, Binding::Read(keys), Binding::Write(&counts)], of_blocks);
-    let lanes = blocks.next_power_of_two().min(ADD_GROUP);
-    let arrays = [length, Binding::Write(&counts), Binding::Write(&totals)];
-    let groups = if blocks == 0 { 0 } else { DIGITS * lanes / ADD_GROUP };
-    ROWS.launch(gpu, &[counted, ("LANES", lanes as u32)], &constants, &arrays, groups);
-    let (sorted_keys, sorted_values) = (GpuArray::new(gpu, len), GpuArray::new(gpu, len));
-    let read = [keys, values.unwrap_or(keys), &counts, &totals].map(Binding::Read);
-    let arrays = [&[length], &read[..], &[&sorted_keys, &sorted_values].map(Binding::Write)].concat();
-    let specialisation = [counted, ("FIRST", u32::from(values.is_none()))];
-    SCATTER.launch(gpu, &specialisation, &constants, &arrays, of_blocks);
-    (sorted_keys, sorted_values)
+    blocks: usize,
+    length: Option<&'a Length>,
+}
+
+impl<'a> Run<'a> {
+    fn constants(&self, keys: &GpuArray, shift: u32) -> SortBlock {
+        SortBlock { len: keys.len() as u32, blocks: self.blocks as u32, shift, next_shift: shift + DIGIT_BITS }
+    }
+
+    fn counted(&self) -> (&'static str, u32) {
+        ("COUNTED", u32::from(self.length.is_some()))
+    }
+
+    fn groups(&self) -> Groups<'a> {
+        self.length.map_or(Groups::Count(self.blocks), Length::blocks)
+    }
+
+    /// The array with the number of keys, or one that stands in for it.
+    fn length<'b>(&self, otherwise: &'b GpuArray) -> Binding<'b>
+    where
+        'a: 'b,
+    {
+        Binding::Read(self.length.map_or(otherwise, Length::array))
+    }
+
+    /// Keys of each digit in each block, [digit, block], before the first pass.
+    fn first_counts(&self, keys: &GpuArray) -> GpuArray {
+        let counts = GpuArray::new(self.gpu, DIGITS * self.blocks);
+        let arrays = [self.length(keys), Binding::Read(keys), Binding::Write(&counts)];
+        COUNT.launch(self.gpu, &[self.counted()], &self.constants(keys, 0), &arrays, self.groups());
+        counts
+    }
+
+    /// Keys and their values by one digit, of which there are so many; counts those of the next pass.
+    fn pass(
+        &self,
+        (keys, values): (&GpuArray, Option<&GpuArray>),
+        [counts, next_counts]: [&GpuArray; 2],
+        shift: u32,
+    ) -> (GpuArray, GpuArray) {
+        let (gpu, constants, totals) = (self.gpu, self.constants(keys, shift), GpuArray::new(self.gpu, DIGITS));
+        let (length, last_pass) = (self.length(keys), next_counts.is_empty());
+        let last = ("LAST", u32::from(last_pass));
+        let lanes = self.blocks.next_power_of_two().min(ADD_GROUP);
+        let groups = if self.blocks == 0 { 0 } else { DIGITS * lanes / ADD_GROUP };
+        let arrays = [length, Binding::Write(counts), Binding::Write(&totals), Binding::Write(next_counts)];
+        ROWS.launch(gpu, &[self.counted(), ("LANES", lanes as u32), last], &constants, &arrays, groups);
+        let sorted = [(); 2].map(|()| GpuArray::new(gpu, keys.len()));
+        let read = [keys, values.unwrap_or(keys), counts, &totals].map(Binding::Read);
+        let written = [&sorted[0], &sorted[1], next_counts].map(Binding::Write);
+        let arrays = [&[length], &read[..], &written].concat();
+        let first = ("FIRST", u32::from(values.is_none()));
+        SCATTER.launch(gpu, &[self.counted(), first, last], &constants, &arrays, self.groups());
+        sorted.into()
+    }
 }
 
 /// Where each of the keys 0..count begins among keys in rising order, and where the last ends: [count + 1].

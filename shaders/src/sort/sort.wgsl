@@ -4,8 +4,9 @@ struct Sort {
     // Keys that there is room for, and the blocks of 1024 of them.
     len: u32,
     blocks: u32,
-    // Where the digit lies in the key.
+    // Where the digit lies in the key, and where that of the next pass.
     shift: u32,
+    next_shift: u32,
 }
 
 @group(0) @binding(0) var<uniform> sort: Sort;
@@ -25,6 +26,6 @@ fn key_count() -> u32 {
     return sort.len;
 }
 
-fn digit_of(key: u32) -> u32 {
-    return (key >> sort.shift) & (DIGITS - 1u);
+fn digit_of(key: u32, shift: u32) -> u32 {
+    return (key >> shift) & (DIGITS - 1u);
 }

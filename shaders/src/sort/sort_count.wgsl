@@ -1,4 +1,4 @@
-// How many keys of each block have each digit: [digit, block].
+// How many keys of each block have each digit of the first pass: [digit, block].
 
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read_write> counts: array<u32>;
@@ -18,7 +18,7 @@ fn main(
         let index = block * BLOCK + item * GROUP + local;
         if (index < key_count()) {
             // Whole numbers: the order of additions does not matter.
-            atomicAdd(&histogram[digit_of(keys[index])], 1u);
+            atomicAdd(&histogram[digit_of(keys[index], sort.shift)], 1u);
         }
     }
     workgroupBarrier();

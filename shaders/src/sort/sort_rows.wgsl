@@ -1,8 +1,10 @@
 // The counts of a digit's blocks become the number of keys of that digit in earlier blocks, and their sum is the digit's
-// total. LANES invocations share a digit: a power of two of at most 256, about as many as there are blocks.
+// total. LANES invocations share a digit: a power of two of at most 256, about as many as there are blocks. Where there is
+// another pass, its counts begin at zero.
 
 @group(0) @binding(2) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(3) var<storage, read_write> totals: array<u32>;
+@group(0) @binding(4) var<storage, read_write> next_counts: array<u32>;
 
 var<workgroup> partial: array<u32, 256>;
 
@@ -37,6 +39,9 @@ fn main(
         }
         if (is_block) {
             counts[at] = before + partial[local] - own;
+            if (LAST == 0u) {
+                next_counts[at] = 0u;
+            }
         }
         before += partial[local - lane + LANES - 1u];
         workgroupBarrier();

@@ -1,5 +1,6 @@
 // Moves every key with its value to its place by one digit; keys of equal digit keep their order. FIRST is 1 where the
-// values are the places of the keys themselves.
+// values are the places of the keys themselves. Unless this pass is the LAST, the digits of the next one are counted in the
+// blocks where the keys come to lie.
 //
 // A block is sorted in workgroup memory by the digit's lower and then its higher four bits, so that what is written next
 // to each other belongs next to each other.
@@ -12,6 +13,7 @@
 @group(0) @binding(5) var<storage, read> totals: array<u32>;
 @group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
+@group(0) @binding(8) var<storage, read_write> next_counts: array<atomic<u32>>;
 
 // The digits of a block's keys, each with the place of its key in the block in its lower ten bits.
 var<workgroup> items: array<u32, 1024>;
@@ -128,7 +130,7 @@ fn main(
         // What is beyond the end comes after every key.
         var digit = DIGITS - 1u;
         if (first + place < key_count()) {
-            digit = digit_of(keys[first + place]);
+            digit = digit_of(keys[first + place], sort.shift);
         }
         items[place] = (digit << 10u) | place;
     }
@@ -151,7 +153,12 @@ fn main(
         let index = first + (items[at] & (BLOCK - 1u));
         if (index < key_count()) {
             let to = global_starts[digit] + before[digit * sort.blocks + block] + at - local_starts[digit];
-            sorted_keys[to] = keys[index];
+            let key = keys[index];
+            sorted_keys[to] = key;
+            if (LAST == 0u) {
+                // Whole numbers: the order of additions does not matter.
+                atomicAdd(&next_counts[digit_of(key, sort.next_shift) * sort.blocks + to / BLOCK], 1u);
+            }
             if (FIRST == 1u) {
                 sorted_values[to] = index;
             } else {

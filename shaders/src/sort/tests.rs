@@ -1,6 +1,10 @@
 use super::*;
+use crate::gpu::conformance::Disagreement;
+use crate::gpu::fault::assert_noticed;
 use crate::gpu::layout::{check_layout, validate};
+use crate::gpu::length::tests::length_of;
 use crate::gpu::tests::test_gpu;
+use crate::tape::Tensor;
 
 /// Around the sizes of workgroups and blocks, and two levels of blocks.
 const LENGTHS: [usize; 9] = [0, 1, 255, 256, 257, 1023, 1025, 65_535, 65_537];
@@ -23,11 +27,11 @@ fn kernels_are_valid() {
     }
     for counted in [0, 1].map(|counted| ("COUNTED", counted)) {
         crate::gpu::layout::assert_valid::<SortBlock>(&COUNT, &[counted]);
-        for lanes in [1, 8, 256] {
-            crate::gpu::layout::assert_valid::<SortBlock>(&ROWS, &[counted, ("LANES", lanes)]);
+        for (lanes, last) in [(1, 0), (8, 1), (256, 0)] {
+            crate::gpu::layout::assert_valid::<SortBlock>(&ROWS, &[counted, ("LANES", lanes), ("LAST", last)]);
         }
         for first in [0, 1] {
-            crate::gpu::layout::assert_valid::<SortBlock>(&SCATTER, &[counted, ("FIRST", first)]);
+            crate::gpu::layout::assert_valid::<SortBlock>(&SCATTER, &[counted, ("FIRST", first), ("LAST", first)]);
         }
     }
 }
@@ -87,7 +91,7 @@ fn as_many_keys_are_sorted_as_there_are() {
     let Some(gpu) = test_gpu() else { return };
     for (room, count) in [(0, 0), (1, 0), (3000, 1), (3000, 2047), (3000, 3000), (70_000, 66_000)] {
         let keys = scrambled(room);
-        let length = Length::of(gpu, &GpuArray::upload(gpu, &[7, count as u32]), 1, room);
+        let length = length_of(gpu, count, room);
         let (sorted, places) = sort_first(gpu, &GpuArray::upload(gpu, &keys), Some(&length), 32);
         let (sorted, places) = (read(&sorted), read(&places));
         assert!(is_stably_sorted(&keys[..count], (&sorted[..count], &places[..count])), "{count} of {room}");
@@ -113,4 +117,29 @@ fn keys_begin_where_the_first_of_them_is() {
     ] {
         assert_eq!(read(&starts(gpu, &GpuArray::upload::<u32>(gpu, keys), 3)), expected);
     }
+}
+
+#[test]
+fn faults_are_noticed() {
+    let Some(gpu) = test_gpu() else { return };
+    let compare = || {
+        let keys = scrambled(5000);
+        let (sorted, places) = sort(gpu, &GpuArray::upload(gpu, &keys), 32);
+        let is_sorted = is_stably_sorted(&keys, (&read(&sorted), &read(&places)));
+        let sums = read(&exclusive_sums(gpu, &GpuArray::upload(gpu, &vec![1; 5000])));
+        let are_sums = sums.iter().enumerate().all(|(index, &sum)| sum == index as u32);
+        let found = Tensor::from_vec([1], vec![f32::from(is_sorted && are_sums)]);
+        let mismatch = |mismatch| Disagreement { what: "a sort".into(), mismatch };
+        crate::check::agree(&found, &Tensor::from_vec([1], vec![1.0_f32]), 0.0).map(|()| 1).map_err(mismatch)
+    };
+    let faults = [
+        ("sort, counts", "block * BLOCK + item * GROUP", "block * BLOCK"),
+        ("sort, rows", "next_counts[at] = 0u", "next_counts[at] = 1u"),
+        ("sort, rows", "before + partial[local]", "partial[local]"),
+        ("sort, scatter", "sort.next_shift", "sort.shift"),
+        ("sort, scatter", "- local_starts[digit]", ""),
+        ("scan", "running = partial[local - 1u]", "running = 0u"),
+        ("scan, offsets", "index / 1024u", "index / 2048u"),
+    ];
+    assert_noticed(&faults, compare);
 }

@@ -17,7 +17,7 @@ use crate::output::{count, print, print_json};
 const USUAL: [Column; 3] = [Column::PSNR, Column::Metric(Metric::Ssim), Column::TrainingSecs];
 
 pub fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
-    let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.data_root));
+    let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.data_root, &args.device));
     let comparison =
         comparison::compare(&a?, &b?, &args.rows).map_err(|differ| CliError::Incomparable(Box::new(differ)))?;
     if comparison.protocols.is_empty() {
