@@ -135,7 +135,7 @@ fn faults_are_noticed() {
     let faults = [
         ("sort, counts", "block * BLOCK + item * GROUP", "block * BLOCK"),
         ("sort, rows", "next_counts[at] = 0u", "next_counts[at] = 1u"),
-        ("sort, rows", "before + partial[local]", "partial[local]"),
+        ("sort, rows", "partial[local] - own", "partial[local]"),
         ("sort, scatter", "sort.next_shift", "sort.shift"),
         ("sort, scatter", "- local_starts[digit]", ""),
         ("scan", "running = partial[local - 1u]", "running = 0u"),

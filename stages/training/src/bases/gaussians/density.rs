@@ -8,15 +8,13 @@
 use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use serde::{Deserialize, Serialize};
-use shaders::screen::COLUMNS;
-use shaders::tape::Tensor;
 
+use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 use crate::method::{PopulationControl, SceneFacts};
 use crate::optimizer::Optimizer;
 use crate::params::Density;
 use crate::schedule::stretch;
-use crate::screen::{Screen, ScreenGradients};
+use crate::screen::Screen;
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
@@ -41,15 +39,6 @@ enum Dimensions {
     Space,
     /// Tensors `rotations_left` and `rotations_right`, `times` and `log_scales_time` as well (Yang et al. 2024).
     SpaceTime,
-}
-
-/// Per Gaussian, since the last round.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(from = "Vec<f32>", into = "Vec<f32>")]
-struct Statistics {
-    /// [N, 3], as [`shaders::screen::observe`] adds them up: the sum of the gradients' norms, steps that saw the Gaussian,
-    /// and its largest radius in pixels.
-    rows: Tensor<f32>,
 }
 
 impl AdaptiveDensity {
@@ -218,12 +207,7 @@ impl PopulationControl for AdaptiveDensity {
         if screen.population != self.population {
             return;
         }
-        let statistics = &mut self.statistics;
-        statistics.resize(screen.len());
-        match screen.observe_on_gpu(&statistics.rows) {
-            Some(rows) => statistics.rows = rows,
-            None => statistics.add(screen.on_host()),
-        }
+        self.statistics.observe(screen);
     }
 
     fn judges(&self, iteration: u64) -> bool {
@@ -276,69 +260,6 @@ impl PopulationControl for AdaptiveDensity {
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
         self.statistics = serde_json::from_value(saved).context("the density statistics of the checkpoint")?;
         Ok(())
-    }
-}
-
-/// Columns of the statistics.
-const GRADIENT_SUM: usize = 0;
-const SEEN_COUNT: usize = 1;
-const RADIUS_PX: usize = 2;
-
-impl Default for Statistics {
-    fn default() -> Self {
-        Vec::new().into()
-    }
-}
-
-impl From<Vec<f32>> for Statistics {
-    fn from(values: Vec<f32>) -> Self {
-        Self { rows: Tensor::from_vec([values.len() / COLUMNS, COLUMNS], values) }
-    }
-}
-
-impl From<Statistics> for Vec<f32> {
-    fn from(statistics: Statistics) -> Self {
-        statistics.rows.into_vec()
-    }
-}
-
-impl Statistics {
-    fn rows(&self) -> &[[f32; COLUMNS]] {
-        self.rows.as_slice().as_chunks().0
-    }
-
-    /// Room for so many Gaussians; new ones were never seen.
-    fn resize(&mut self, count: usize) {
-        if self.rows.rows() != count {
-            let mut values = std::mem::take(self).rows.into_vec();
-            values.resize(COLUMNS * count, 0.0);
-            *self = values.into();
-        }
-    }
-
-    /// Adds the renders of one step.
-    fn add(&mut self, screen: &ScreenGradients) {
-        let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
-        for (at, row) in rows.iter_mut().enumerate().filter(|(at, _)| screen.visible[*at]) {
-            let [x, y] = screen.gradient_ndc[at];
-            row[GRADIENT_SUM] += (x * x + y * y).sqrt();
-            row[SEEN_COUNT] += 1.0;
-            row[RADIUS_PX] = row[RADIUS_PX].max(screen.radius_px[at]);
-        }
-    }
-
-    /// Drops the Gaussians whose flag is false.
-    fn keep(&mut self, keep: &[bool]) {
-        self.resize(keep.len());
-        let kept = self.rows().iter().zip(keep).filter(|(_, keep)| **keep).flat_map(|(row, _)| row);
-        *self = kept.copied().collect::<Vec<f32>>().into();
-    }
-
-    /// Starts anew with the gradients; radii count until they were judged.
-    fn forget_gradients(&mut self) {
-        self.rows.make_mut().as_chunks_mut::<COLUMNS>().0.iter_mut().for_each(|row| {
-            (row[GRADIENT_SUM], row[SEEN_COUNT]) = (0.0, 0.0);
-        });
     }
 }
 

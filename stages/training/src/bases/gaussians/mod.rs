@@ -12,12 +12,14 @@ mod density;
 mod harmonics;
 mod initial;
 mod principal_axes;
+mod statistics;
 #[cfg(test)]
 mod tests;
 
 pub use density::{AdaptiveDensity, logit};
 pub use harmonics::{active_harmonics, leading_harmonics};
 pub use initial::{insert_gaussians, nearest_scales};
+pub use statistics::{RADIUS_PX, Statistics};
 
 use principal_axes::principal_axes;
 use scene::Gaussians;

@@ -4,7 +4,7 @@ use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::settings::Pruning;
-use crate::bases::gaussians::logit;
+use crate::bases::gaussians::{RADIUS_PX, Statistics, logit};
 use crate::method::{PopulationControl, SceneFacts};
 use crate::optimizer::Optimizer;
 use crate::schedule::stretch;
@@ -16,19 +16,20 @@ pub struct SurfelPruning {
     population: &'static str,
     params: Pruning,
     /// Since the last round.
-    radius_px: Vec<f32>,
+    statistics: Statistics,
 }
 
 impl SurfelPruning {
     pub fn new(population: &'static str, params: &Pruning, schedule_scale: f64) -> Self {
         let params = Pruning { interval: stretch(params.interval, schedule_scale), ..params.clone() };
-        Self { population, params, radius_px: Vec::new() }
+        Self { population, params, statistics: Statistics::default() }
     }
 
     /// Which rows stay; where too few would, the most opaque of all.
     pub(super) fn survivors(&self, opacity_logits: &[f32]) -> Vec<bool> {
         let (min_logit, max_radius) = (logit(self.params.min_opacity) as f32, self.params.max_radius_px as f32);
-        let is_large = |row: usize| self.radius_px.get(row).is_some_and(|&radius| radius > max_radius);
+        let rows = self.statistics.rows();
+        let is_large = |row: usize| rows.get(row).is_some_and(|row| row[RADIUS_PX] > max_radius);
         let stays = |(row, &logit): (usize, &f32)| logit >= min_logit && !is_large(row);
         let mut keep: Vec<bool> = opacity_logits.iter().enumerate().map(stays).collect();
         if keep.iter().filter(|&&keep| keep).count() < self.params.min_count {
@@ -47,12 +48,9 @@ impl PopulationControl for SurfelPruning {
     }
 
     fn observe(&mut self, screen: &Screen<'_>) {
-        if screen.population != self.population {
-            return;
+        if screen.population == self.population {
+            self.statistics.observe(screen);
         }
-        let radius_px = &screen.on_host().radius_px;
-        self.radius_px.resize(radius_px.len(), 0.0);
-        self.radius_px.iter_mut().zip(radius_px).for_each(|(total, &radius)| *total = total.max(radius));
     }
 
     fn judges(&self, iteration: u64) -> bool {
@@ -69,7 +67,7 @@ impl PopulationControl for SurfelPruning {
         if self.judges(iteration) {
             let keep = self.survivors(optimizer.tensor(&format!("{}.opacity_logits", self.population))?.as_slice());
             optimizer.keep(self.population, &keep)?;
-            self.radius_px.clear();
+            self.statistics = Statistics::default();
         }
         Ok(())
     }
@@ -79,11 +77,11 @@ impl PopulationControl for SurfelPruning {
     }
 
     fn save(&self) -> serde_json::Value {
-        serde_json::to_value(&self.radius_px).expect("numbers serialise")
+        serde_json::to_value(&self.statistics).expect("numbers serialise")
     }
 
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
-        self.radius_px = serde_json::from_value(saved).context("the pruning statistics of the checkpoint")?;
+        self.statistics = serde_json::from_value(saved).context("the pruning statistics of the checkpoint")?;
         Ok(())
     }
 }

@@ -1,0 +1,89 @@
+//! What renders said about Gaussians since they were last judged.
+
+use serde::{Deserialize, Serialize};
+use shaders::screen::COLUMNS;
+use shaders::tape::Tensor;
+
+use crate::screen::{Screen, ScreenGradients};
+
+/// Per Gaussian, since the last round.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Vec<f32>", into = "Vec<f32>")]
+pub struct Statistics {
+    /// [N, 3], as [`shaders::screen::observe`] adds them up: the sum of the gradients' norms, steps that saw the Gaussian,
+    /// and its largest radius in pixels.
+    rows: Tensor<f32>,
+}
+
+/// Columns of the statistics.
+pub const GRADIENT_SUM: usize = 0;
+pub const SEEN_COUNT: usize = 1;
+pub const RADIUS_PX: usize = 2;
+
+impl Default for Statistics {
+    fn default() -> Self {
+        Vec::new().into()
+    }
+}
+
+impl From<Vec<f32>> for Statistics {
+    fn from(values: Vec<f32>) -> Self {
+        Self { rows: Tensor::from_vec([values.len() / COLUMNS, COLUMNS], values) }
+    }
+}
+
+impl From<Statistics> for Vec<f32> {
+    fn from(statistics: Statistics) -> Self {
+        statistics.rows.into_vec()
+    }
+}
+
+impl Statistics {
+    /// By Gaussian.
+    pub fn rows(&self) -> &[[f32; COLUMNS]] {
+        self.rows.as_slice().as_chunks().0
+    }
+
+    /// Adds the renders of one step; on the GPU that rendered, if one did.
+    pub fn observe(&mut self, screen: &Screen<'_>) {
+        self.resize(screen.len());
+        match screen.observe_on_gpu(&self.rows) {
+            Some(rows) => self.rows = rows,
+            None => self.add(screen.on_host()),
+        }
+    }
+
+    /// Room for so many Gaussians; new ones were never seen.
+    fn resize(&mut self, count: usize) {
+        if self.rows.rows() != count {
+            let mut values = std::mem::take(self).rows.into_vec();
+            values.resize(COLUMNS * count, 0.0);
+            *self = values.into();
+        }
+    }
+
+    /// Adds the renders of one step.
+    fn add(&mut self, screen: &ScreenGradients) {
+        let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
+        for (at, row) in rows.iter_mut().enumerate().filter(|(at, _)| screen.visible[*at]) {
+            let [x, y] = screen.gradient_ndc[at];
+            row[GRADIENT_SUM] += (x * x + y * y).sqrt();
+            row[SEEN_COUNT] += 1.0;
+            row[RADIUS_PX] = row[RADIUS_PX].max(screen.radius_px[at]);
+        }
+    }
+
+    /// Drops the Gaussians whose flag is false.
+    pub fn keep(&mut self, keep: &[bool]) {
+        self.resize(keep.len());
+        let kept = self.rows().iter().zip(keep).filter(|(_, keep)| **keep).flat_map(|(row, _)| row);
+        *self = kept.copied().collect::<Vec<f32>>().into();
+    }
+
+    /// Starts anew with the gradients; radii count until they were judged.
+    pub fn forget_gradients(&mut self) {
+        self.rows.make_mut().as_chunks_mut::<COLUMNS>().0.iter_mut().for_each(|row| {
+            (row[GRADIENT_SUM], row[SEEN_COUNT]) = (0.0, 0.0);
+        });
+    }
+}
