@@ -1,38 +1,23 @@
-// From the order of the splats: the rank of each, how many tiles each rank meets (and 0 after the last), and the number of
-// splats that meet any.
+// From the order of the splats: the rank of each, the number of splats that meet any tile, and as numbers to add up how many
+// tiles each rank meets, and 0 after the last.
 
-struct Ranks {
-    count: u32,
-}
+@group(0) @binding(3) var<storage, read> sorted_keys: array<u32>;
+@group(0) @binding(4) var<storage, read> order: array<u32>;
+@group(0) @binding(5) var<storage, read> counts: array<u32>;
+@group(0) @binding(6) var<storage, read_write> rank_of_splat: array<u32>;
+@group(0) @binding(7) var<storage, read_write> visible: array<u32>;
 
-@group(0) @binding(0) var<uniform> sizes: Ranks;
-@group(0) @binding(1) var<storage, read> sorted_keys: array<u32>;
-@group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> counts: array<u32>;
-@group(0) @binding(4) var<storage, read_write> rank_of_splat: array<u32>;
-@group(0) @binding(5) var<storage, read_write> counts_of_ranks: array<u32>;
-@group(0) @binding(6) var<storage, read_write> visible: array<u32>;
-
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let rank = flat_group(group, groups) * 256u + local;
-    if (rank > sizes.count) {
-        return;
-    }
+fn number(rank: u32) -> u32 {
+    let is_rank = rank + 1u < scan.len;
+    let is_visible = is_rank && sorted_keys[rank] != NOWHERE;
     // The one rank after the last that is visible says how many there are.
-    let is_visible = rank < sizes.count && sorted_keys[min(rank, sizes.count - 1u)] != NOWHERE;
-    let after_visible = rank == 0u || sorted_keys[max(rank, 1u) - 1u] != NOWHERE;
-    if (!is_visible && after_visible) {
+    if (!is_visible && (rank == 0u || sorted_keys[max(rank, 1u) - 1u] != NOWHERE)) {
         visible[0] = rank;
     }
-    counts_of_ranks[rank] = 0u;
-    if (rank < sizes.count) {
-        let splat = order[rank];
-        rank_of_splat[splat] = select(NOWHERE, rank, is_visible);
-        counts_of_ranks[rank] = counts[splat];
+    if (!is_rank) {
+        return 0u;
     }
+    let splat = order[rank];
+    rank_of_splat[splat] = select(NOWHERE, rank, is_visible);
+    return counts[splat];
 }

@@ -2,13 +2,13 @@
 
 use super::{Grid, MAX_INTERSECTIONS};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, Length, uniforms};
-use crate::sort::{SUM_CAP, exclusive_sums, sort, sort_first};
+use crate::sort::{SCAN_TEXT, SUM_CAP, sort, sort_first, sums_of};
 use crate::tape::{Real, Tensor};
 
 const GROUP: usize = Length::GROUP;
 const SPANS: &str = concat!(include_str!("ellipse.wgsl"), include_str!("tile_spans.wgsl"));
 const COUNT: Kernel = Kernel { name: "binning, counts", text: &[SPANS, include_str!("binning_count.wgsl")] };
-const RANK: Kernel = Kernel { name: "binning, ranks", text: &[include_str!("binning_rank.wgsl")] };
+const RANK: Kernel = Kernel { name: "binning, ranks", text: &[include_str!("binning_rank.wgsl"), SCAN_TEXT] };
 const HITS: Kernel = Kernel { name: "binning, hits", text: &[SPANS, Length::WGSL, include_str!("binning_hits.wgsl")] };
 const ENTRIES: Kernel = Kernel { name: "binning, entries", text: &[include_str!("binning_entries.wgsl")] };
 
@@ -24,12 +24,6 @@ uniforms! {
         tiles: u32,
         count: u32,
         room: u32,
-    }
-}
-
-uniforms! {
-    struct RanksBlock as "Ranks" {
-        count: u32,
     }
 }
 
@@ -109,18 +103,10 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, room: Option
     let (sorted_keys, order) = sort(gpu, &keys, u32::BITS);
 
     // What each rank meets, and where it begins.
-    let (rank_of_splat, counts_of_ranks) = (GpuArray::new(gpu, count), GpuArray::new(gpu, count + 1));
-    let visible = GpuArray::new(gpu, 1);
-    let arrays = [
-        Binding::Read(&sorted_keys),
-        Binding::Read(&order),
-        Binding::Read(&counts),
-        Binding::Write(&rank_of_splat),
-        Binding::Write(&counts_of_ranks),
-        Binding::Write(&visible),
-    ];
-    RANK.launch(gpu, &[], &RanksBlock { count: count as u32 }, &arrays, (count + 1).div_ceil(GROUP));
-    let hit_starts = exclusive_sums(gpu, &counts_of_ranks);
+    let (rank_of_splat, visible) = (GpuArray::new(gpu, count), GpuArray::new(gpu, 1));
+    let read = [&sorted_keys, &order, &counts].map(Binding::Read);
+    let arrays = [&read[..], &[&rank_of_splat, &visible].map(Binding::Write)].concat();
+    let hit_starts = sums_of(gpu, &RANK, &arrays, count + 1);
 
     let room = room.unwrap_or_else(|| hit_starts.read_one(count) as usize);
     if room as u64 > MAX_INTERSECTIONS {
@@ -168,7 +154,7 @@ fn kernels_are_valid() {
         check_layout::<T>(&kernel.source(&[])).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
     }
     check::<GridBlock>(&COUNT);
-    check::<RanksBlock>(&RANK);
+    crate::sort::assert_valid_scan(&RANK);
     check::<GridBlock>(&HITS);
     check::<EntriesBlock>(&ENTRIES);
 }

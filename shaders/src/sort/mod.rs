@@ -6,7 +6,9 @@ mod tests;
 
 use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, Length, uniforms};
 
-const SCAN: Kernel = Kernel { name: "scan", text: &[include_str!("scan.wgsl")] };
+/// The end of a kernel of [`sums_of`], whose text in front defines `fn number(index: u32) -> u32`.
+pub const SCAN_TEXT: &str = include_str!("scan.wgsl");
+const SCAN: Kernel = Kernel { name: "scan", text: &[include_str!("scan_input.wgsl"), SCAN_TEXT] };
 const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: &[include_str!("scan_add.wgsl")] };
 const SORT: &str = include_str!("sort.wgsl");
 const COUNT: Kernel = Kernel { name: "sort, counts", text: &[SORT, include_str!("sort_count.wgsl")] };
@@ -48,15 +50,20 @@ uniforms! {
 
 /// The sum of all elements before each; at most [`SUM_CAP`].
 pub fn exclusive_sums(gpu: Gpu, input: &GpuArray) -> GpuArray {
-    let (sums, blocks) = (GpuArray::new(gpu, input.len()), input.len().div_ceil(BLOCK));
+    sums_of(gpu, &SCAN, &[Binding::Read(input)], input.len())
+}
+
+/// The same of so many numbers, which a kernel that ends with [`SCAN_TEXT`] makes of arrays.
+pub fn sums_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], len: usize) -> GpuArray {
+    let (sums, blocks) = (GpuArray::new(gpu, len), len.div_ceil(BLOCK));
     let block_sums = GpuArray::new(gpu, blocks);
-    let constants = ScanBlock { len: input.len() as u32 };
-    let arrays = [Binding::Read(input), Binding::Write(&sums), Binding::Write(&block_sums)];
-    SCAN.launch(gpu, &[], &constants, &arrays, blocks);
+    let constants = ScanBlock { len: len as u32 };
+    let arrays = [&[&sums, &block_sums].map(Binding::Write), arrays].concat();
+    kernel.launch(gpu, &[], &constants, &arrays, blocks);
     if blocks > 1 {
         let before = exclusive_sums(gpu, &block_sums);
         let arrays = [Binding::Read(&before), Binding::Write(&sums)];
-        SCAN_ADD.launch(gpu, &[], &constants, &arrays, input.len().div_ceil(ADD_GROUP));
+        SCAN_ADD.launch(gpu, &[], &constants, &arrays, len.div_ceil(ADD_GROUP));
     }
     sums
 }
@@ -148,4 +155,10 @@ pub fn starts(gpu: Gpu, sorted_keys: &GpuArray, count: usize) -> GpuArray {
     let arrays = [Binding::Read(sorted_keys), Binding::Write(&starts)];
     STARTS.launch(gpu, &[], &constants, &arrays, starts.len().div_ceil(ADD_GROUP));
     starts
+}
+
+/// Panics unless a kernel of [`sums_of`] is valid.
+#[cfg(test)]
+pub fn assert_valid_scan(kernel: &Kernel) {
+    crate::gpu::layout::assert_valid::<ScanBlock>(kernel, &[]);
 }

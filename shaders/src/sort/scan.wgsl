@@ -1,14 +1,13 @@
-// Exclusive sums within blocks of 1024 elements, and the sum of each block. Sums saturate at CAP, so that they stay
-// monotonic where they would overflow.
+// Exclusive sums within blocks of 1024 numbers, and the sum of each block. Sums saturate at CAP, so that they stay monotonic
+// where they would overflow. The text in front defines `number(index)`, with arrays from binding 3 on.
 
 struct Scan {
     len: u32,
 }
 
 @group(0) @binding(0) var<uniform> scan: Scan;
-@group(0) @binding(1) var<storage, read> input: array<u32>;
-@group(0) @binding(2) var<storage, read_write> sums: array<u32>;
-@group(0) @binding(3) var<storage, read_write> block_sums: array<u32>;
+@group(0) @binding(1) var<storage, read_write> sums: array<u32>;
+@group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 
 const CAP: u32 = 0x20000000u;
 const GROUP: u32 = 256u;
@@ -28,7 +27,7 @@ fn main(
     var own = 0u;
     for (var item = 0u; item < ITEMS; item++) {
         if (first + item < scan.len) {
-            values[item] = min(input[first + item], CAP);
+            values[item] = min(number(first + item), CAP);
         }
         own = min(own + values[item], CAP);
     }

@@ -2,21 +2,8 @@
 
 use super::chunks::{CHUNK, for_each_chunk};
 use super::{Real, Tensor};
-use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
-
-const TOTALS: Grouped = Grouped {
-    kernel: Kernel { name: "gradient totals", text: &[include_str!("totals.wgsl")] },
-    shared: 0,
-    arrays: &[ItemArray::write("total"), ItemArray::read("term")],
-};
-
-/// Elements per workgroup.
-const GROUP: usize = 256;
-
-uniforms! {
-    struct TotalItem as "Item" { len: u32 }
-}
+use crate::gpu::{Gpu, GpuArray};
+use crate::pointwise::sums_on_gpu;
 
 /// Adds the gradients of those inputs that need one to their totals; on a GPU in one launch.
 pub(super) fn add_all<T: Real>(
@@ -67,14 +54,9 @@ fn add_pairs<T: Real>(pairs: Vec<(&mut Tensor<T>, Tensor<T>)>) {
         }
     }
     if let Some(&(gpu, ..)) = on_gpu.first() {
-        let mut items = Vec::new();
-        for (_, total, term) in &mut on_gpu {
-            let (total, term) = (total.make_mut_on_gpu(gpu), term.on_gpu(gpu));
-            let constants = TotalItem { len: term.len() as u32 };
-            let arrays = vec![Binding::Write(total), Binding::Read(term)];
-            items.push(Item { constants, arrays, groups: term.len().div_ceil(GROUP) });
-        }
-        TOTALS.launch(gpu, &[], &[], &items);
+        let pairs: Vec<[&Tensor<T>; 2]> = on_gpu.iter().map(|(_, total, term)| [&**total, term]).collect();
+        let sums = sums_on_gpu(gpu, &pairs);
+        on_gpu.into_iter().zip(sums).for_each(|((_, total, _), sum)| *total = sum);
     }
 }
 
@@ -91,15 +73,10 @@ mod tests {
     use crate::check::noise;
     use crate::gpu::conformance::{Tolerance, compare};
     use crate::gpu::fault::assert_noticed;
-    use crate::gpu::grouped::tests::{assert_valid_grouped, with_arrays};
+    use crate::gpu::grouped::tests::with_arrays;
     use crate::gpu::tests::test_gpu;
     use crate::pointwise::{add, mul, square};
     use crate::tape::{Tape, Var};
-
-    #[test]
-    fn the_kernel_is_valid() {
-        assert_valid_grouped::<TotalItem>(&TOTALS, &[]);
-    }
 
     /// Σ of a²·b, b + a and a: what arrives at every input is shared by others and adds up from several uses.
     fn uses(tape: &mut Tape<f32>, vars: &[Var]) -> Vec<Var> {
@@ -123,12 +100,12 @@ mod tests {
         };
         let inputs: Vec<Tensor<f32>> = (0..10).map(input).collect();
         let exact = Tolerance { value: 1e-6, gradient: 1e-6 };
-        let faults = [("gradient totals", "total(item, at) + term", "total(item, at) - term")];
+        let faults = [("sums of pairs", "a(item, at) + b", "a(item, at) - b")];
         assert_noticed(&faults, || compare(gpu, "repeated uses", &inputs, exact, uses));
     }
 
     #[test]
-    fn pairs_are_added_in_place_and_what_others_have_stays() {
+    fn what_others_have_of_a_total_stays() {
         let Some(gpu) = test_gpu() else { return };
         let tensor = |value: f32, len: usize| {
             let tensor = Tensor::full([len], value);

@@ -1,0 +1,7 @@
+// The numbers of an array.
+
+@group(0) @binding(3) var<storage, read> input: array<u32>;
+
+fn number(index: u32) -> u32 {
+    return input[index];
+}
