@@ -80,7 +80,7 @@ impl<'a> Screen<'a> {
     }
 
     /// The number of Gaussians.
-    pub fn len(&self) -> usize {
+    pub fn rows(&self) -> usize {
         match (self.step, self.renders.first()) {
             (Some((tape, _)), Some(render)) => render.rows_in_all(tape),
             _ => self.on_host().visible.len(),
@@ -180,7 +180,7 @@ mod tests {
         let (tape, renders, gradients) = step(None, 1);
         let screens = Screen::all(&renders, &tape, &gradients);
         let (screen, gradient) = (screens[0].on_host(), gradients.get(renders[0].rendered.means2d).unwrap());
-        assert_eq!((screens.len(), screens[0].len(), &screen.visible), (1, 2, &vec![true, false]));
+        assert_eq!((screens.len(), screens[0].rows(), &screen.visible), (1, 2, &vec![true, false]));
         assert_eq!(screen.gradient_ndc[0], [10.0 * gradient.row(0)[0], 5.0 * gradient.row(0)[1]]);
         assert!(screen.gradient_ndc[0].iter().all(|value| *value != 0.0) && screen.gradient_ndc[1] == [0.0; 2]);
         assert!(screen.radius_px[0] > 3.0 && screen.radius_px[1] == 0.0);

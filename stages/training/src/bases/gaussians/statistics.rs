@@ -46,7 +46,7 @@ impl Statistics {
 
     /// Adds the renders of one step; on the GPU that rendered, if one did.
     pub fn observe(&mut self, screen: &Screen<'_>) {
-        self.resize(screen.len());
+        self.resize(screen.rows());
         match screen.observe_on_gpu(&self.rows) {
             Some(rows) => self.rows = rows,
             None => self.add(screen.on_host()),
