@@ -5,7 +5,7 @@
 mod tests;
 
 use crate::binning::Lists;
-use crate::gpu::{Binding, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::splat::Rendered;
 use crate::tape::{Gradients, Tape, Tensor};
 
@@ -24,11 +24,23 @@ uniforms! {
     }
 }
 
-/// A render of all splats of a population.
+/// A render of a population.
 pub struct Look<'a> {
     pub rendered: &'a Rendered,
     /// Width and height.
     pub size_px: [f64; 2],
+    /// The rows that the first splats are, each at most once; further splats are of no row. `None`: all rows in order.
+    pub row_of_splat: Option<&'a [u32]>,
+}
+
+impl Look<'_> {
+    /// The splat that each of so many rows is, on a GPU.
+    fn splat_of_row(&self, gpu: Gpu, count: usize) -> Option<GpuArray> {
+        let rows = self.row_of_splat?;
+        let mut splats = vec![u32::MAX; count];
+        rows.iter().enumerate().for_each(|(splat, &row)| splats[row as usize] = splat as u32);
+        Some(GpuArray::upload(gpu, &splats))
+    }
 }
 
 /// Adds the renders of one step to statistics [N, 3]: the sum over steps of the norm of the gradient by the projected mean,
@@ -43,9 +55,15 @@ pub fn observe(
     let gpu = tape.device().gpu()?;
     let (count, last) = (statistics.rows(), looks.len().checked_sub(1)?);
     let (sums, observed) = (GpuArray::new(gpu, 4 * count * last.min(1)), GpuArray::new(gpu, COLUMNS * count));
-    for (index, Look { rendered, size_px }) in looks.iter().enumerate() {
+    for (index, look) in looks.iter().enumerate() {
+        let Look { rendered, size_px, row_of_splat } = look;
         let Lists::Gpu(lists) = rendered.lists() else { return None };
-        assert_eq!(lists.rank_of_splat.len(), count, "a row of statistics for every splat");
+        let splats = lists.rank_of_splat.len();
+        assert!(
+            row_of_splat.map_or(splats == count, |rows| rows.len() <= splats),
+            "a row of statistics for every splat"
+        );
+        let splat_of_row = look.splat_of_row(gpu, count);
         let conics = tape.value(rendered.conics).on_gpu(gpu);
         let gradient = gradients.get(rendered.means2d).map(|gradient| gradient.on_gpu(gpu));
         let [half_width, half_height] = size_px.map(|size| (0.5 * size) as f32);
@@ -53,8 +71,10 @@ pub fn observe(
         let constants = LookBlock { count: count as u32, half_width, half_height, has_gradient };
         let read =
             [gradient.unwrap_or(conics), conics, &lists.rank_of_splat, statistics.on_gpu(gpu)].map(Binding::Read);
-        let arrays = [&read[..], &[&sums, &observed].map(Binding::Write)].concat();
-        let specialisation = [("FIRST", u32::from(index == 0)), ("LAST", u32::from(index == last))];
+        let splats = Binding::Read(splat_of_row.as_ref().unwrap_or(&lists.rank_of_splat));
+        let arrays = [&read[..], &[&sums, &observed].map(Binding::Write), &[splats]].concat();
+        let rows = ("ROWS", u32::from(splat_of_row.is_some()));
+        let specialisation = [("FIRST", u32::from(index == 0)), ("LAST", u32::from(index == last)), rows];
         SCREEN.launch(gpu, &specialisation, &constants, &arrays, count.div_ceil(GROUP));
     }
     Some(Tensor::from_gpu([count, COLUMNS], observed))

@@ -1,6 +1,6 @@
 // What a render says about every splat, for density control: its gradient by the mean in normalised device coordinates, whether
 // it was seen, and its radius in pixels. FIRST begins a step, LAST ends it and adds it to the statistics; the sums of a
-// step with several renders pass from one launch to the next.
+// step with several renders pass from one launch to the next. Where ROWS is 1, the splats are some of the rows.
 
 struct Look {
     count: u32,
@@ -19,6 +19,8 @@ struct Look {
 // [N]: the gradient of this step so far, whether it saw the splat, and the largest radius.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> new_statistics: array<f32>;
+// [N]: the splat that a row is, or NOWHERE.
+@group(0) @binding(7) var<storage, read> splat_of_row: array<u32>;
 
 // Three standard deviations along the longer axis, from (A, k, m).
 fn radius_px(splat: u32) -> f32 {
@@ -37,15 +39,19 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let splat = flat_group(group, groups) * 256u + local;
-    if (splat >= look.count) {
+    let row = flat_group(group, groups) * 256u + local;
+    if (row >= look.count) {
         return;
     }
     var sum = vec4<f32>(0.0);
     if (FIRST == 0u) {
-        sum = sums[splat];
+        sum = sums[row];
     }
-    if (rank_of_splat[splat] != NOWHERE) {
+    var splat = row;
+    if (ROWS == 1u) {
+        splat = splat_of_row[row];
+    }
+    if (splat != NOWHERE && rank_of_splat[splat] != NOWHERE) {
         if (look.has_gradient == 1u) {
             sum.x += gradients_px[2u * splat] * look.half_width;
             sum.y += gradients_px[2u * splat + 1u] * look.half_height;
@@ -54,10 +60,10 @@ fn main(
         sum.w = max(sum.w, radius_px(splat));
     }
     if (LAST == 0u) {
-        sums[splat] = sum;
+        sums[row] = sum;
         return;
     }
-    new_statistics[3u * splat] = statistics[3u * splat] + sqrt(sum.x * sum.x + sum.y * sum.y);
-    new_statistics[3u * splat + 1u] = statistics[3u * splat + 1u] + sum.z;
-    new_statistics[3u * splat + 2u] = max(statistics[3u * splat + 2u], sum.w);
+    new_statistics[3u * row] = statistics[3u * row] + sqrt(sum.x * sum.x + sum.y * sum.y);
+    new_statistics[3u * row + 1u] = statistics[3u * row + 1u] + sum.z;
+    new_statistics[3u * row + 2u] = max(statistics[3u * row + 2u], sum.w);
 }

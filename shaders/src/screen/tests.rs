@@ -26,12 +26,19 @@ fn looked_at(device: Device, renders: usize) -> (Tape<f32>, Vec<Rendered>, Gradi
     (tape, rendered, gradients)
 }
 
+/// Rows of a population of 400 that the splats are; the last ones are of none.
+fn some_rows() -> Vec<u32> {
+    (0..290).map(|splat| splat * 7 % 397).collect()
+}
+
 /// The definition, on the host.
-fn expected(renders: usize, statistics: &Tensor<f32>) -> Tensor<f32> {
+fn expected(renders: usize, rows: Option<&[u32]>, statistics: &Tensor<f32>) -> Tensor<f32> {
     let (tape, rendered, gradients) = looked_at(Device::Cpu, renders);
-    let mut rows: Vec<f32> = statistics.as_slice().to_vec();
+    let mut values: Vec<f32> = statistics.as_slice().to_vec();
     let seen: Vec<_> = rendered.iter().map(|render| (render.visible(), render.radii_px(&tape))).collect();
-    for (splat, row) in rows.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+    for (at, row) in values.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+        let of_row = |rows: &[u32]| rows.iter().position(|&row| row as usize == at);
+        let Some(splat) = rows.map_or(Some(at), of_row) else { continue };
         let mut sum = [0.0_f32; 2];
         for (index, (render, (visible, radii))) in rendered.iter().zip(&seen).enumerate() {
             if visible[splat] {
@@ -44,31 +51,36 @@ fn expected(renders: usize, statistics: &Tensor<f32>) -> Tensor<f32> {
         row[0] += sum[0].hypot(sum[1]);
         row[1] += f32::from(seen.iter().any(|(visible, _)| visible[splat]));
     }
-    Tensor::from_vec(statistics.shape(), rows)
+    Tensor::from_vec(statistics.shape(), values)
 }
 
-fn compare(renders: usize) -> Result<usize, Disagreement> {
+fn compare(renders: usize, rows: Option<&[u32]>) -> Result<usize, Disagreement> {
     let Some(gpu) = test_gpu() else { return Ok(0) };
-    let before = Tensor::from_vec([300, 3], noise(900, 9).into_iter().map(|value| (1.0 + value) as f32).collect());
+    let count = if rows.is_some() { 400 } else { 300 };
+    let values = noise(3 * count, 9).into_iter().map(|value| (1.0 + value) as f32).collect();
+    let before = Tensor::from_vec([count, 3], values);
     let (tape, rendered, gradients) = looked_at(Device::Gpu(gpu), renders);
-    let look = |(index, rendered)| Look { rendered, size_px: [(40 + 8 * index) as f64, 30.0] };
+    let look = |(index, rendered)| Look { rendered, size_px: [(40 + 8 * index) as f64, 30.0], row_of_splat: rows };
     let looks: Vec<Look> = rendered.iter().enumerate().map(look).collect();
     let found = observe(&tape, &gradients, &looks, &before).expect("on a GPU");
     let what = format!("the statistics of {renders} renders");
-    agree(&found, &expected(renders, &before), 2e-3).map(|()| 1).map_err(|mismatch| Disagreement { what, mismatch })
+    agree(&found, &expected(renders, rows, &before), 2e-3)
+        .map(|()| 1)
+        .map_err(|mismatch| Disagreement { what, mismatch })
 }
 
 #[test]
 fn the_kernel_is_valid() {
-    for (first, last) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-        assert_valid::<LookBlock>(&SCREEN, &[("FIRST", first), ("LAST", last)]);
+    for (first, last, rows) in [(0, 0, 0), (0, 1, 1), (1, 0, 0), (1, 1, 1)] {
+        assert_valid::<LookBlock>(&SCREEN, &[("FIRST", first), ("LAST", last), ("ROWS", rows)]);
     }
 }
 
 #[test]
 fn statistics_on_a_gpu_are_those_of_the_host() {
     for renders in [1, 2, 3] {
-        compare(renders).unwrap_or_else(|error| panic!("{error}"));
+        compare(renders, None).unwrap_or_else(|error| panic!("{error}"));
+        compare(renders, Some(&some_rows())).unwrap_or_else(|error| panic!("{error}"));
     }
 }
 
@@ -79,12 +91,13 @@ fn faults_are_noticed() {
     }
     let wrong =
         [("sum.z = 1.0", "sum.z += 1.0"), ("* look.half_width", ""), ("k * k / m", "k / m"), ("FIRST == 0u", "true")];
-    assert_noticed(&wrong.map(|(right, wrong)| (SCREEN.name, right, wrong)), || compare(2));
+    assert_noticed(&wrong.map(|(right, wrong)| (SCREEN.name, right, wrong)), || compare(2, None));
+    assert_noticed(&[(SCREEN.name, "splat_of_row[row]", "row")], || compare(1, Some(&some_rows())));
 }
 
 #[test]
 fn renders_of_the_host_are_left_to_it() {
     let (tape, rendered, gradients) = looked_at(Device::Cpu, 1);
-    let look = Look { rendered: &rendered[0], size_px: [40.0, 30.0] };
+    let look = Look { rendered: &rendered[0], size_px: [40.0, 30.0], row_of_splat: None };
     assert!(observe(&tape, &gradients, &[look], &Tensor::zeros([300, 3])).is_none());
 }

@@ -68,15 +68,16 @@ impl<'a> Screen<'a> {
     }
 
     /// Statistics of every Gaussian ([`screen::observe`]) with this step, added up on the GPU that rendered; `None` if
-    /// none did, or if it drew only some of the rows.
+    /// none did.
     pub fn observe_on_gpu(&self, statistics: &Tensor<f32>) -> Option<Tensor<f32>> {
         let (tape, gradients) = self.step?;
-        let look = |render: &&'a WatchedRender| {
-            let draws_all = render.rows.is_none();
-            draws_all.then_some(Look { rendered: &render.rendered, size_px: render.size_px })
+        let look = |render: &&'a WatchedRender| Look {
+            rendered: &render.rendered,
+            size_px: render.size_px,
+            row_of_splat: render.rows.as_ref().map(|(rows, _)| rows.row_of_splat.as_slice()),
         };
-        let looks: Option<Vec<Look>> = self.renders.iter().map(look).collect();
-        screen::observe(tape, gradients, &looks?, statistics)
+        let looks: Vec<Look> = self.renders.iter().map(look).collect();
+        screen::observe(tape, gradients, &looks, statistics)
     }
 
     /// The number of Gaussians.
