@@ -50,8 +50,8 @@ pub fn advance(gpu: Gpu, updates: &mut [Counted]) -> Tensor<f32> {
     let figures = GpuArray::zeros(gpu, FIGURES * updates.len());
     let new = |(_, gradient, _): &Counted| [(); 3].map(|()| GpuArray::new(gpu, gradient.len()));
     let written: Vec<[GpuArray; 3]> = updates.iter().map(new).collect();
-    let items =
-        updates.iter().zip(&written).enumerate().map(|(index, (update, written))| item(gpu, index, update, written));
+    let numbered = updates.iter().zip(&written).enumerate();
+    let items = numbered.flat_map(|(index, (update, written))| items(gpu, index, update, written));
     ADAM.launch(gpu, &specialisation(), &[Binding::Write(&figures)], &items.collect::<Vec<_>>());
     for ((group, gradient, _), written) in updates.iter_mut().zip(written) {
         group.replace(written.map(|array| Tensor::from_gpu(gradient.shape(), array)));
@@ -59,21 +59,19 @@ pub fn advance(gpu: Gpu, updates: &mut [Counted]) -> Tensor<f32> {
     Tensor::from_gpu([updates.len(), FIGURES], figures)
 }
 
-fn item<'a>(
+fn items<'a>(
     gpu: Gpu,
     index: usize,
     (group, gradient, coefficients): &'a Counted,
     written: &'a [GpuArray; 3],
-) -> Item<'a, AdamItem> {
+) -> Vec<Item<'a, AdamItem>> {
     let Coefficients { beta1, beta2, step_size, second_moment_scale, epsilon } = *coefficients;
-    let (len, figures) = (gradient.len() as u32, (FIGURES * index) as u32);
+    let figures = (FIGURES * index) as u32;
     let [values, first, second] = group.tensors();
     let read = [gradient, values, first, second].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    Item {
-        constants: AdamItem { beta1, beta2, step_size, second_moment_scale, epsilon, len, figures },
-        arrays: read.into_iter().chain(written.iter().map(Binding::Write)).collect(),
-        groups: gradient.len().div_ceil(GROUP * ELEMENTS),
-    }
+    let arrays: Vec<Binding> = read.into_iter().chain(written.iter().map(Binding::Write)).collect();
+    let constants = |len| AdamItem { beta1, beta2, step_size, second_moment_scale, epsilon, len, figures };
+    Item::of_windows(gpu, gradient.len(), GROUP * ELEMENTS, &arrays, constants)
 }
 
 #[cfg(test)]

@@ -5,7 +5,8 @@ use crate::check::{agree, noise};
 use crate::gpu::Gpu;
 use crate::gpu::conformance::Disagreement;
 use crate::gpu::fault::assert_noticed;
-use crate::gpu::tests::test_gpu;
+use crate::gpu::tests::{bits, test_gpu};
+use crate::gpu::windows::tests::assert_equal_in_windows;
 use crate::tape::Device;
 
 fn tensor(rows: usize, seed: u64) -> Tensor<f32> {
@@ -108,4 +109,17 @@ fn a_gpu_tells_the_largest_magnitudes_of_every_group() {
     let faults = [("& 0x7fffffffu", ""), ("adam.figures + local", "local"), ("max(found, ", "(")];
     assert_noticed(&faults.map(|(right, wrong)| ("adam", right, wrong)), compare);
     crate::gpu::grouped::tests::with_arrays(16, || compare().map(drop).unwrap_or_else(|error| panic!("{error}")));
+}
+
+#[test]
+fn an_update_in_windows_gives_equal_bytes() {
+    let Some(gpu) = test_gpu() else { return };
+    let result = || {
+        let mut told = Tensor::zeros([0]);
+        let groups = step_of_many(|updates| told = Adam::default().step_on(gpu, updates));
+        let tensors = groups.iter().flat_map(Group::tensors).chain([&told]);
+        bits(&tensors.map(|tensor| (String::new(), tensor.clone())).collect::<Vec<_>>())
+    };
+    // The groups of more than 64 elements that have a gradient.
+    assert_eq!(assert_equal_in_windows(result), 15);
 }

@@ -112,7 +112,8 @@ impl<T: Real> Blend<T> {
         images
     }
 
-    /// The records and extras of all splats by rank: how many are visible only the GPU knows.
+    /// The records and extras of all splats by rank: how many are visible only the GPU knows. Splats are read in the order of
+    /// their depth, so that there are no windows of them: what is too large to be seen whole is refused.
     fn pack_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists) -> (GpuArray, GpuArray) {
         let count = lists.order.len();
         let [records, extras] = [RECORD, self.extra_count()].map(|len| GpuArray::new(gpu, count * len));

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::{Gpu, GpuFailure, count, lock};
+use super::{Gpu, count, lock};
 
 /// Bytes that the pool keeps at most: more is handed back to the driver.
 const POOL_BYTES: u64 = 1 << 30;
@@ -68,11 +68,6 @@ impl GpuArray {
     /// The number of elements.
     pub fn len(&self) -> usize {
         self.len
-    }
-
-    /// Bytes of the elements; those of one vector if there are none, as nothing cannot be bound.
-    pub fn bound_bytes(&self) -> u64 {
-        if self.is_empty() { 16 } else { 4 * self.len as u64 }
     }
 
     pub fn is_empty(&self) -> bool {
@@ -161,20 +156,13 @@ impl Pool {
 }
 
 impl Gpu {
-    /// Bytes of the largest array that kernels can see.
-    pub(crate) fn largest_array_bytes(self) -> u64 {
-        self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size)
-    }
-
-    /// Bytes of the buffer for so many elements. Panics with a [`GpuFailure`] if the adapter has none of that size.
+    /// Bytes of the buffer for so many elements. Panics with a [`super::GpuFailure`] if the adapter has none of that size.
     fn checked_size(self, len: usize) -> u64 {
-        let (bytes, largest) = (4 * len as u64, self.largest_array_bytes());
+        let (bytes, largest) = (4 * len as u64, self.0.limits.max_buffer_size);
         if bytes > largest {
-            let name = &self.0.name;
-            let message = format!("adapter {name:?} allows arrays of {largest} bytes, and {bytes} are needed");
-            GpuFailure::OutOfMemory(message).raise();
+            self.too_large(largest, bytes, "");
         }
-        rounded_size(bytes).min(self.0.limits.max_buffer_size & !3)
+        rounded_size(bytes).min(largest & !3)
     }
 
     fn create_buffer(self, size: u64) -> wgpu::Buffer {

@@ -3,8 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
-use super::{Context, Gpu, GpuArray, Groups, count, lock};
-use crate::tape::{Real, Tensor};
+use super::{Binding, Context, Gpu, Groups, count, lock};
 
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
 pub const STORAGE_ARRAYS: u32 = 16;
@@ -33,26 +32,6 @@ pub struct Launch<'a> {
     pub constants: &'a [u8],
     pub arrays: &'a [Binding<'a>],
     pub groups: Groups<'a>,
-}
-
-/// What a kernel does with an array.
-#[derive(Clone, Copy)]
-pub enum Binding<'a> {
-    Read(&'a GpuArray),
-    Write(&'a GpuArray),
-}
-
-/// The gradients of an operation's outputs as a kernel reads them: by bits which of them there are, and an array for each,
-/// where there is none one that stands in for it and is not looked at.
-pub fn arriving<'a, T: Real>(
-    gpu: Gpu,
-    gradients: &[Option<&'a Tensor<T>>],
-    otherwise: &'a GpuArray,
-) -> (u32, Vec<Binding<'a>>) {
-    let mask =
-        gradients.iter().enumerate().fold(0, |mask, (bit, gradient)| mask | u32::from(gradient.is_some()) << bit);
-    let array = |gradient: &Option<&'a Tensor<T>>| gradient.map_or(otherwise, |gradient| gradient.on_gpu(gpu));
-    (mask, gradients.iter().map(|gradient| Binding::Read(array(gradient))).collect())
 }
 
 /// A compiled kernel.
@@ -164,27 +143,21 @@ impl Kernel {
     }
 }
 
-impl<'a> Binding<'a> {
-    fn array(self) -> &'a GpuArray {
-        match self {
-            Self::Read(array) | Self::Write(array) => array,
-        }
-    }
-
-    fn resource(self) -> wgpu::BindingResource<'a> {
-        let array = self.array();
-        let size = std::num::NonZero::new(array.bound_bytes());
-        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: array.buffer(), offset: 0, size })
+impl Launch<'_> {
+    /// The kernel's name, which is followed by what it is specialised for.
+    pub fn kernel(&self) -> &str {
+        self.name.split(" [").next().unwrap_or_default()
     }
 }
 
 impl Gpu {
-    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups.
+    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Panics with a
+    /// [`super::GpuFailure`] if an array is larger than a kernel can see.
     pub fn launch(self, launch: &Launch) {
         if matches!(launch.groups, Groups::Count(0)) {
             return;
         }
-        assert!(launch.arrays.iter().all(|binding| binding.array().gpu() == self), "{}: another GPU", launch.name);
+        launch.check_bindings(self);
         let pipeline = self.0.pipeline(launch);
         let mut recorder = lock(&self.0.recorder);
         if recorder.is_full(launch.constants.len()) {
@@ -223,7 +196,7 @@ impl Context {
             count: None,
         };
         let array = |(index, binding): (usize, &Binding)| {
-            let read_only = matches!(binding, Binding::Read(_));
+            let read_only = binding.is_read_only();
             entry(index as u32 + 1, wgpu::BufferBindingType::Storage { read_only })
         };
         let arrays = launch.arrays.iter().enumerate().map(array);
@@ -251,8 +224,7 @@ impl Context {
             },
             cache: None,
         });
-        // Names are followed by what the kernel is specialised for.
-        let kernel = launch.name.split(" [").next().unwrap_or_default().to_owned();
+        let kernel = launch.kernel().to_owned();
         Pipeline { kernel, launches: AtomicU64::new(0), nanoseconds: AtomicU64::new(0), compute, layout }
     }
 

@@ -6,6 +6,11 @@ pub(crate) use crate::check::test_gpu;
 use crate::pointwise;
 use crate::tape::{Device, Op, Tape, Tensor, Var};
 
+/// The bits of results.
+pub(crate) fn bits(results: &[(String, Tensor<f32>)]) -> Vec<Vec<u32>> {
+    results.iter().map(|(_, tensor)| tensor.as_slice().iter().map(|value| value.to_bits()).collect()).collect()
+}
+
 fn noise(count: usize, seed: u64) -> Vec<f32> {
     crate::check::noise(count, seed).into_iter().map(|value| value as f32).collect()
 }
@@ -95,8 +100,9 @@ fn a_gpu_refuses_f64() {
 #[test]
 fn empty_and_large_arrays_are_exact() {
     let Some(gpu) = test_gpu() else { return };
-    // 17 million elements are more than 65,535 workgroups of 256, so that the dispatch is folded.
-    for len in [0, 1, 255, 256, 257, 17_000_000] {
+    // 17 million elements are more than 65,535 workgroups of 256, so that the dispatch is folded; 34 million are more than the
+    // 128 MiB that Mesa's software driver lets a kernel see.
+    for len in [0, 1, 255, 256, 257, 17_000_000, 34_000_000] {
         let mut tape = Tape::<f32>::new(Device::Gpu(gpu));
         let data: Vec<f32> = (0..len).map(|index| (index % 1024) as f32).collect();
         let x = tape.constant(Tensor::from_vec([len], data));
@@ -146,12 +152,33 @@ fn what_a_reused_array_held_before_changes_nothing() {
     }
 }
 
+/// The message of a failure for lack of memory.
+fn refusal(result: impl FnOnce()) -> String {
+    let payload = std::panic::catch_unwind(AssertUnwindSafe(result)).unwrap_err();
+    match payload.downcast_ref::<GpuFailure>().expect("a typed failure") {
+        GpuFailure::OutOfMemory(message) => message.clone(),
+        other => panic!("{other:?}"),
+    }
+}
+
 #[test]
-fn an_array_that_the_adapter_cannot_bind_is_refused() {
+fn an_array_that_the_adapter_cannot_have_is_refused() {
     let Some(gpu) = test_gpu() else { return };
-    let payload = std::panic::catch_unwind(AssertUnwindSafe(|| GpuArray::new(gpu, 1 << 40))).unwrap_err();
-    let failure = payload.downcast_ref::<GpuFailure>().expect("a typed failure");
-    assert!(matches!(failure, GpuFailure::OutOfMemory(message) if message.contains("allows arrays of")), "{failure}");
+    let message = refusal(|| drop(GpuArray::new(gpu, usize::MAX >> 4)));
+    assert!(
+        message.contains("allows arrays of") && message.ends_with("bytes, and 4611686018427387900 are needed"),
+        "{message}"
+    );
+}
+
+#[test]
+fn an_array_of_which_a_kernel_cannot_see_all_is_refused_where_one_has_to() {
+    let Some(gpu) = test_gpu() else { return };
+    let len = gpu.visible_bytes() as usize / 4 + 1;
+    let message = refusal(|| drop(crate::sums::total(gpu, &GpuArray::new(gpu, len), 1.0)));
+    // Where arrays are no larger than what kernels see there is no such array.
+    let is_one_limit = gpu.0.limits.max_buffer_size < 4 * len as u64;
+    assert!(is_one_limit || message.contains("in kernel \"total\""), "{message}");
 }
 
 #[test]

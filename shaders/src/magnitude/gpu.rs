@@ -28,9 +28,9 @@ pub(super) fn largest_magnitudes(tensors: &[&Tensor<f32>]) -> Vec<f32> {
     let largest = GpuArray::zeros(gpu, tensors.len());
     let mut items = Vec::new();
     for (slot, tensor) in tensors.iter().enumerate() {
-        let constants = Constants { count: tensor.len() as u32, slot: slot as u32 };
-        let arrays = vec![Binding::Read(tensor.on_gpu(gpu))];
-        items.push(Item { constants, arrays, groups: tensor.len().div_ceil(GROUP * VALUES) });
+        let constants = |count| Constants { count, slot: slot as u32 };
+        let arrays = [Binding::Read(tensor.on_gpu(gpu))];
+        items.extend(Item::of_windows(gpu, tensor.len(), GROUP * VALUES, &arrays, constants));
     }
     LARGEST.launch(gpu, &specialisation(), &[Binding::Write(&largest)], &items);
     let mut bits = vec![0.0_f32; tensors.len()];

@@ -3,6 +3,7 @@ use crate::check::{agree, noise};
 use crate::gpu::conformance::Disagreement;
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::tests::test_gpu;
+use crate::gpu::windows::tests::assert_equal_in_windows;
 use crate::gpu::{Gpu, GpuArray};
 
 fn random(count: usize) -> Vec<f32> {
@@ -44,6 +45,15 @@ fn a_gpu_finds_the_same_with_one_readback() {
     let found = bits(largest_magnitudes(&mixed));
     assert!(found.chunks(2).all(|pair| pair[0] == pair[1]), "{found:x?}");
     assert!(device.iter().all(|tensor| !tensor.is_on_host()), "nothing but the figures came back");
+}
+
+#[test]
+fn the_largest_is_found_in_any_window() {
+    let Some(gpu) = test_gpu() else { return };
+    let with_last = |count: usize| on_gpu(gpu, &[random(count - 1), vec![-2.0]].concat());
+    let tensors = [1, 64, 65, 300, 20_000].map(with_last);
+    let result = || largest_magnitudes(&tensors.each_ref());
+    assert_eq!((assert_equal_in_windows(result), result()), (3, vec![2.0; 5]));
 }
 
 #[test]

@@ -68,9 +68,8 @@ pub(crate) fn sums_on_gpu<T: Real>(gpu: Gpu, pairs: &[[&Tensor<T>; 2]]) -> Vec<T
     let sums: Vec<GpuArray> = pairs.iter().map(|[a, _]| GpuArray::new(gpu, a.len())).collect();
     let mut items = Vec::new();
     for ([a, b], sum) in pairs.iter().zip(&sums) {
-        let arrays = vec![Binding::Read(a.on_gpu(gpu)), Binding::Read(b.on_gpu(gpu)), Binding::Write(sum)];
-        let constants = SumItem { len: sum.len() as u32 };
-        items.push(Item { constants, arrays, groups: sum.len().div_ceil(GROUP) });
+        let arrays = [Binding::Read(a.on_gpu(gpu)), Binding::Read(b.on_gpu(gpu)), Binding::Write(sum)];
+        items.extend(Item::of_windows(gpu, sum.len(), GROUP, &arrays, |len| SumItem { len }));
     }
     SUMS.launch(gpu, &[], &[], &items);
     pairs.iter().zip(sums).map(|([a, _], sum)| Tensor::from_gpu(a.shape(), sum)).collect()
@@ -83,7 +82,8 @@ mod tests {
     use crate::gpu::conformance::{Tolerance, compare, run};
     use crate::gpu::fault::assert_noticed;
     use crate::gpu::grouped::tests::assert_valid_grouped;
-    use crate::gpu::tests::test_gpu;
+    use crate::gpu::tests::{bits, test_gpu};
+    use crate::gpu::windows::tests::assert_equal_in_windows;
     use crate::pointwise::{add, square};
     use crate::tape::Device;
 
@@ -127,5 +127,7 @@ mod tests {
             ("sums of pairs", "+ b(item, at)", "+ b(0u, at)"),
         ];
         assert_noticed(&faults, || compare(gpu, "sums", &inputs(), tight, |tape, vars| uses(tape, vars, adds)));
+        let result = || bits(&run(Device::Gpu(gpu), &inputs(), |tape, vars| uses(tape, vars, adds)));
+        assert!(assert_equal_in_windows(result) > 2);
     }
 }

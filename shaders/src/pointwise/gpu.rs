@@ -1,7 +1,7 @@
 //! The kernels around the WGSL text of expressions.
 
 use super::expression::{Expression, Pointwise};
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, specialised};
+use crate::gpu::{Binding, Gpu, GpuArray, Launch, in_windows, specialised};
 use crate::tape::{Real, Tensor};
 
 /// Invocations per workgroup.
@@ -86,18 +86,21 @@ impl<T: Real> Pointwise<T> {
         block
     }
 
+    /// Runs a kernel for so many elements.
+    fn launch(&self, gpu: Gpu, name: String, source: &dyn Fn() -> String, len: usize, arrays: &[Binding]) {
+        let block = self.block();
+        in_windows(gpu, len, arrays, |len, arrays| {
+            let (constants, groups) = (bytemuck::cast_slice(&block), len.div_ceil(GROUP).into());
+            gpu.launch(&Launch { name: name.clone(), source, constants, arrays, groups });
+        });
+    }
+
     pub(super) fn value_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Tensor<T> {
         let shape = self.shape(inputs);
         let y = GpuArray::new(gpu, inputs[0].len());
         let mut arrays: Vec<Binding> = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu))).collect();
         arrays.push(Binding::Write(&y));
-        gpu.launch(&Launch {
-            name: self.expression.name.to_owned(),
-            source: &|| self.expression.value_kernel(),
-            constants: bytemuck::cast_slice(&self.block()),
-            arrays: &arrays,
-            groups: y.len().div_ceil(GROUP).into(),
-        });
+        self.launch(gpu, self.expression.name.to_owned(), &|| self.expression.value_kernel(), y.len(), &arrays);
         Tensor::from_gpu(shape, y)
     }
 
@@ -135,13 +138,8 @@ impl<T: Real> Pointwise<T> {
         let read = inputs.iter().copied().chain([y, dy]).map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
         let arrays: Vec<Binding> = read.chain(gradients.iter().flatten().map(Binding::Write)).collect();
         let mask: String = needs.iter().map(|&needed| if needed { '1' } else { '0' }).collect();
-        gpu.launch(&Launch {
-            name: format!("{} gradient {mask}", self.expression.name),
-            source: &|| self.expression.gradient_kernel(needs),
-            constants: bytemuck::cast_slice(&self.block()),
-            arrays: &arrays,
-            groups: dy.len().div_ceil(GROUP).into(),
-        });
+        let name = format!("{} gradient {mask}", self.expression.name);
+        self.launch(gpu, name, &|| self.expression.gradient_kernel(needs), dy.len(), &arrays);
         gradients.into_iter().map(|array| Some(Tensor::from_gpu(dy.shape(), array?))).collect()
     }
 }

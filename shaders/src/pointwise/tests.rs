@@ -1,6 +1,9 @@
 use super::*;
 use crate::check::{self, agree, gradients};
+use crate::gpu::conformance::run;
 use crate::gpu::layout::validate;
+use crate::gpu::tests::{bits, test_gpu};
+use crate::gpu::windows::tests::assert_equal_in_windows;
 use crate::tape::{Device, Tape, Tensor, Var};
 
 /// Every expression of this crate.
@@ -85,4 +88,17 @@ fn a_term_of_a_sum_passes_its_gradient_on() {
     let total = add(&mut tape, sum, product);
     let gradients = tape.backward(&[(total, Tensor::scalar(1.0))]);
     assert_eq!([a, b].map(|var| gradients.get(var).unwrap().as_slice()[0]), [3.0, 2.0]);
+}
+
+#[test]
+fn elements_in_windows_give_equal_bytes() {
+    let Some(gpu) = test_gpu() else { return };
+    for expression in all() {
+        let (inputs, constants) = arguments(expression, 300);
+        let inputs: Vec<Tensor<f32>> = inputs.iter().map(Tensor::cast).collect();
+        let apply = |tape: &mut Tape<f32>, vars: &[Var]| vec![expression.apply(tape, vars, &constants)];
+        let split = assert_equal_in_windows(|| bits(&run(Device::Gpu(gpu), &inputs, apply)));
+        let has_gradient_kernel = (0..expression.inputs).any(|input| !expression.passes_on(input));
+        assert_eq!(split, 1 + usize::from(has_gradient_kernel), "{}", expression.name);
+    }
 }

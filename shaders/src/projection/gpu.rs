@@ -4,7 +4,7 @@ use super::guards::Limits;
 use super::reference::View;
 use super::{Projection, ShapeInputs};
 use crate::algebra;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, in_windows, uniforms};
 use crate::tape::{Real, Tensor};
 
 /// Splats per workgroup: few, because each invocation holds many numbers.
@@ -37,10 +37,12 @@ pub(super) fn count_guards<T: Real>(gpu: Gpu, values: [&Tensor<T>; 4], limits: &
     let counts = GpuArray::zeros(gpu, 6);
     let count = values[0].len();
     let size_px = limits.size_px.map(|size| size as f32);
-    let constants = LimitsBlock { size_px, alpha_cap: limits.alpha_cap as f32, count: count as u32 };
     let read = values.map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    let arrays = [&read[..], &[Binding::Write(&counts)]].concat();
-    GUARDS.launch(gpu, &[], &constants, &arrays, count.div_ceil(GUARDS_GROUP));
+    let arrays = [&read[..], &[Binding::Write(&counts).all()]].concat();
+    in_windows(gpu, count, &arrays, |count, arrays| {
+        let constants = LimitsBlock { size_px, alpha_cap: limits.alpha_cap as f32, count: count as u32 };
+        GUARDS.launch(gpu, &[], &constants, arrays, count.div_ceil(GUARDS_GROUP));
+    });
     counts
 }
 
@@ -114,7 +116,9 @@ impl<T: Real> Projection<T> {
         let mut bindings = parameters(gpu, inputs);
         bindings.extend(arrays.iter().map(Binding::Write));
         let specialisation = specialisation(self.view.sh_degree, ShapeInputs::of(inputs));
-        FORWARD.launch(gpu, &specialisation, &self.block(count), &bindings, count.div_ceil(GROUP));
+        in_windows(gpu, count, &bindings, |count, arrays| {
+            FORWARD.launch(gpu, &specialisation, &self.block(count), arrays, count.div_ceil(GROUP));
+        });
         shapes.into_iter().zip(arrays).map(|(shape, array)| Tensor::from_gpu(shape, array)).collect()
     }
 
@@ -135,11 +139,13 @@ impl<T: Real> Projection<T> {
         let gradients: Vec<GpuArray> = inputs.iter().map(|input| GpuArray::new(gpu, input.len())).collect();
         bindings.extend(gradients.iter().map(Binding::Write));
         let no_rotations = (inputs.len() == 4).then(|| GpuArray::new(gpu, 1));
-        bindings.extend(no_rotations.iter().map(Binding::Write));
+        bindings.extend(no_rotations.iter().map(|array| Binding::Write(array).all()));
 
         let [degree, given] = specialisation(self.view.sh_degree, ShapeInputs::of(inputs));
         let specialisation = [degree, given, ("ARRIVING", mask)];
-        BACKWARD.launch(gpu, &specialisation, &self.block(count), &bindings, count.div_ceil(GROUP));
+        in_windows(gpu, count, &bindings, |count, arrays| {
+            BACKWARD.launch(gpu, &specialisation, &self.block(count), arrays, count.div_ceil(GROUP));
+        });
         gradients.into_iter().zip(inputs).map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }
 }

@@ -3,9 +3,10 @@
 use super::*;
 use crate::check::noise;
 use crate::gpu::Gpu;
-use crate::gpu::conformance::{Disagreement, Tolerance, compare};
+use crate::gpu::conformance::{Disagreement, Tolerance, compare, run};
 use crate::gpu::fault::assert_noticed;
-use crate::gpu::tests::test_gpu;
+use crate::gpu::tests::{bits, test_gpu};
+use crate::gpu::windows::tests::{assert_equal_in_windows, in_smallest_windows};
 use crate::tape::{Device, Tape, Tensor, Var};
 
 /// Sums of tens of terms; roots and quotients.
@@ -60,6 +61,30 @@ fn a_gpu_maps_rows() {
 #[test]
 fn a_gpu_moves_elements() {
     compare_operations(ARRANGEMENTS);
+}
+
+#[test]
+fn rows_in_windows_give_equal_bytes() {
+    let Some(gpu) = test_gpu() else { return };
+    let joined_and_cut = ARRANGEMENTS.iter().filter(|(name, ..)| ["concat_columns", "columns"].contains(name));
+    for (name, columns, f) in MAPS.iter().chain(joined_and_cut) {
+        let inputs: Vec<Tensor<f32>> =
+            columns.iter().enumerate().map(|(seed, &columns)| tensor(300, columns, 50 + seed as u64)).collect();
+        let result = || bits(&run(Device::Gpu(gpu), &inputs, |tape, vars| vec![f(tape, vars)]));
+        assert!(assert_equal_in_windows(result) >= 2, "{name}: forward and backward");
+    }
+}
+
+#[test]
+fn a_gpu_moves_elements_in_windows() {
+    let Some(gpu) = test_gpu() else { return };
+    let inputs = [tensor(300, 3, 71), tensor(99, 3, 72)];
+    let joined = |tape: &mut Tape<f32>, vars: &[Var]| vec![concat_rows(tape, vars)];
+    let faults = [("columns", "sizes.to_first + column", "column"), ("columns", "u32(source)", "column")];
+    assert_noticed(&faults, || in_smallest_windows(|| compare(gpu, "concat_rows", &inputs, TIGHT, joined)));
+    let repeated = |tape: &mut Tape<f32>, vars: &[Var]| vec![repeat_row(tape, vars[0], 301)];
+    in_smallest_windows(|| compare(gpu, "repeat_row", &[tensor(1, 5, 73)], TIGHT, repeated)).unwrap();
+    in_smallest_windows(|| compare_operations(ARRANGEMENTS));
 }
 
 #[test]

@@ -1,12 +1,16 @@
 //! A GPU renders what the CPU renders, forward and backward.
 
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+
 use super::test_scene::{camera, cast, images, splats, tensors, vars};
 use super::*;
 use crate::binning::{Lists, TileLists};
 use crate::check::noise;
 use crate::gpu::Gpu;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare, run};
-use crate::gpu::tests::test_gpu;
+use crate::gpu::tests::{bits, test_gpu};
+use crate::gpu::windows::tests::assert_equal_in_windows;
 
 /// Sums over hundreds of splats and pixels.
 const TIGHT: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
@@ -123,12 +127,33 @@ fn a_gpu_that_renders_something_else_is_noticed() {
 fn two_runs_on_a_gpu_give_equal_bytes() {
     let Some(gpu) = test_gpu() else { return };
     let (inputs, f) = scene(&splats(400, -1.5, 13), 3, camera(64, 48), default_with(true));
-    let bits = || -> Vec<Vec<u32>> {
-        let results = run(Device::Gpu(gpu), &inputs, &f);
-        results.iter().map(|(_, tensor)| tensor.as_slice().iter().map(|value| value.to_bits()).collect()).collect()
-    };
+    let bits = || bits(&run(Device::Gpu(gpu), &inputs, &f));
     let first = bits();
     assert!((0..3).all(|_| bits() == first));
+}
+
+#[test]
+fn a_render_in_windows_gives_equal_bytes() {
+    let Some(gpu) = test_gpu() else { return };
+    for sh_degree in [0, 3] {
+        let settings = RasterSettings { sh_degree, ..default_with(true) };
+        let mut splats = splats(500, -1.5, 23);
+        // Above what the cap of alpha allows, which is counted.
+        splats.opacity_logits.make_mut()[470..].fill(8.0);
+        let (inputs, f) = scene(&splats, 2, camera(64, 48), settings);
+        let result = || {
+            let events = RefCell::new(BTreeMap::new());
+            let results = run(Device::Gpu(gpu), &inputs, |tape, vars| {
+                let images = f(tape, vars);
+                tape.settle();
+                events.replace(tape.profile().events.clone());
+                images
+            });
+            (bits(&results), events.into_inner())
+        };
+        // Projection, forward and backward, and what it counts.
+        assert_eq!(assert_equal_in_windows(result), 3);
+    }
 }
 
 #[test]

@@ -25,7 +25,7 @@ impl Plan {
     /// What is fastest on an adapter.
     pub fn of(gpu: Gpu) -> Self {
         #[cfg_attr(not(test), expect(unused_mut))]
-        let mut plan = Self { is_culled: true, subgroup: gpu.subgroup_size(), row_bytes: gpu.largest_array_bytes() };
+        let mut plan = Self { is_culled: true, subgroup: gpu.subgroup_size(), row_bytes: gpu.visible_bytes() };
         #[cfg(test)]
         if let Some(change) = CHANGE.get() {
             change(&mut plan);

@@ -10,7 +10,7 @@
 #[cfg(test)]
 pub(crate) mod tests;
 
-use super::{Binding, Gpu, Kernel};
+use super::{Binding, Gpu, Kernel, in_windows};
 
 const TEXT: &str = include_str!("grouped.wgsl");
 /// Bytes of constants between neighbouring items are a multiple of this, as WGSL wants it.
@@ -44,6 +44,25 @@ pub struct Item<'a, C> {
     pub arrays: Vec<Binding<'a>>,
     /// Workgroups of its own.
     pub groups: usize,
+}
+
+impl<'a, C> Item<'a, C> {
+    /// One item for arrays of so many elements each, or several that each have a window of them where they do not fit;
+    /// the constants follow from the number of elements.
+    pub fn of_windows(
+        gpu: Gpu,
+        len: usize,
+        elements_per_group: usize,
+        arrays: &[Binding<'a>],
+        constants: impl Fn(u32) -> C,
+    ) -> Vec<Self> {
+        let mut items = Vec::new();
+        in_windows(gpu, len, arrays, |len, arrays| {
+            let groups = len.div_ceil(elements_per_group);
+            items.push(Self { constants: constants(len as u32), arrays: arrays.to_vec(), groups });
+        });
+        items
+    }
 }
 
 impl ItemArray {

@@ -132,7 +132,7 @@ fn scales_per_launch(gpu: Gpu, scales: &[ScaleItem]) -> usize {
     let most = BACKWARD.room(gpu).min(TEXELS.room(gpu));
     let fits = |count: &usize| {
         let elements = |part: &[ScaleItem]| part[0].values(part.len()).max(corners(part));
-        scales.chunks(*count).all(|part| 4 * elements(part) as u64 <= gpu.largest_array_bytes())
+        scales.chunks(*count).all(|part| 4 * elements(part) as u64 <= gpu.visible_bytes())
     };
     (1..=most).rev().find(fits).unwrap_or(1)
 }

@@ -1,9 +1,10 @@
 //! Row maps on a GPU: one invocation per element that is written, so that neighbours write neighbouring elements.
+//! A map sees one row of every array, so that rows may be those of a window.
 
 use std::array::from_fn;
 use std::fmt::Write;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, specialised, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Launch, in_windows, specialised, uniforms};
 use crate::rows::map::RowMap;
 use crate::tape::{Real, Tensor};
 
@@ -61,13 +62,9 @@ impl<const I: usize> RowKernel<I> {
         let rows = inputs[0].rows();
         let y = GpuArray::new(gpu, rows * self.y_columns);
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
-        gpu.launch(&Launch {
-            name: format!("{} {:?}", self.name, self.specialisation()),
-            source: &|| self.value_text(),
-            constants: bytemuck::bytes_of(&self.block(rows)),
-            arrays: &read.chain([Binding::Write(&y)]).collect::<Vec<_>>(),
-            groups: y.len().div_ceil(GROUP).into(),
-        });
+        let arrays: Vec<Binding> = read.chain([Binding::Write(&y)]).collect();
+        let name = format!("{} {:?}", self.name, self.specialisation());
+        self.launch(gpu, name, &|| self.value_text(), [rows, self.y_columns], &arrays);
         Tensor::from_gpu([rows, self.y_columns], y)
     }
 
@@ -81,15 +78,26 @@ impl<const I: usize> RowKernel<I> {
     ) -> [Tensor<T>; I] {
         let gradients = inputs.map(|input| GpuArray::new(gpu, input.len()));
         let read = inputs.iter().copied().chain([y, dy]).map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-        gpu.launch(&Launch {
-            name: format!("{} gradient {:?}", self.name, self.specialisation()),
-            source: &|| self.gradient_text(),
-            constants: bytemuck::bytes_of(&self.block(dy.rows())),
-            arrays: &read.chain(gradients.iter().map(Binding::Write)).collect::<Vec<_>>(),
-            groups: gradients.iter().map(GpuArray::len).sum::<usize>().div_ceil(GROUP).into(),
-        });
+        let arrays: Vec<Binding> = read.chain(gradients.iter().map(Binding::Write)).collect();
+        let name = format!("{} gradient {:?}", self.name, self.specialisation());
+        self.launch(gpu, name, &|| self.gradient_text(), [dy.rows(), self.columns.iter().sum()], &arrays);
         let mut inputs = inputs.into_iter();
         gradients.map(|array| Tensor::from_gpu(inputs.next().expect("as many").shape(), array))
+    }
+
+    /// Runs a kernel with an invocation for each of `columns` elements of every row.
+    fn launch(
+        &self,
+        gpu: Gpu,
+        name: String,
+        source: &dyn Fn() -> String,
+        [rows, columns]: [usize; 2],
+        arrays: &[Binding],
+    ) {
+        in_windows(gpu, rows, arrays, |rows, arrays| {
+            let (block, groups) = (self.block(rows), (rows * columns).div_ceil(GROUP).into());
+            gpu.launch(&Launch { name: name.clone(), source, constants: bytemuck::bytes_of(&block), arrays, groups });
+        });
     }
 
     /// What tells these kernels from others of the same map.

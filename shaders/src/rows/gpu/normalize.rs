@@ -1,6 +1,6 @@
 //! Rows of length one on a GPU, however wide.
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const LENGTH: &str = include_str!("length.wgsl");
@@ -19,27 +19,28 @@ uniforms! {
     }
 }
 
-/// Constants of specialisation, block of constants and workgroups for the rows of x.
-fn rows_of<T: Real>(x: &Tensor<T>, epsilon: f64) -> ([(&'static str, u32); 1], LengthsBlock, usize) {
-    let lanes = lanes_for(x.row_len());
-    let block = LengthsBlock { rows: x.rows() as u32, columns: x.row_len() as u32, epsilon: epsilon as f32 };
-    ([("LANES", lanes as u32)], block, (x.rows() * lanes).div_ceil(GROUP))
+/// Runs a kernel for the rows of arrays that are all of one shape.
+fn launch(gpu: Gpu, kernel: &Kernel, [rows, columns]: [usize; 2], epsilon: f64, arrays: &[Binding]) {
+    let lanes = lanes_for(columns);
+    in_windows(gpu, rows, arrays, |rows, arrays| {
+        let block = LengthsBlock { rows: rows as u32, columns: columns as u32, epsilon: epsilon as f32 };
+        kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
+    });
 }
 
 /// x / max(‖x‖, ε) of every row.
 pub fn normalize<T: Real>(gpu: Gpu, x: &Tensor<T>, epsilon: f64) -> Tensor<T> {
-    let y = GpuArray::new(gpu, x.len());
-    let (lanes, block, groups) = rows_of(x, epsilon);
-    FORWARD.launch(gpu, &lanes, &block, &[Binding::Read(x.on_gpu(gpu)), Binding::Write(&y)], groups);
-    Tensor::from_gpu([x.rows(), x.row_len()], y)
+    let (y, shape) = (GpuArray::new(gpu, x.len()), [x.rows(), x.row_len()]);
+    launch(gpu, &FORWARD, shape, epsilon, &[Binding::Read(x.on_gpu(gpu)), Binding::Write(&y)]);
+    Tensor::from_gpu(shape, y)
 }
 
 /// Its gradient.
 pub fn normalize_gradient<T: Real>(gpu: Gpu, [x, y, dy]: [&Tensor<T>; 3], epsilon: f64) -> Tensor<T> {
     let dx = GpuArray::new(gpu, x.len());
-    let (lanes, block, groups) = rows_of(x, epsilon);
     let read = [x, y, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    BACKWARD.launch(gpu, &lanes, &block, &[&read[..], &[Binding::Write(&dx)]].concat(), groups);
+    let arrays = [&read[..], &[Binding::Write(&dx)]].concat();
+    launch(gpu, &BACKWARD, [x.rows(), x.row_len()], epsilon, &arrays);
     Tensor::from_gpu(x.shape(), dx)
 }
 

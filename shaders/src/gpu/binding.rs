@@ -1,0 +1,126 @@
+//! What a launch binds: whole arrays, or parts of them.
+
+use super::launch::Launch;
+use super::{Gpu, GpuArray, GpuFailure};
+use crate::tape::{Real, Tensor};
+
+/// A part of an array begins at a multiple of this many elements: 256 bytes are the coarsest alignment of all adapters.
+pub const ALIGNMENT: usize = 64;
+
+/// What a kernel does with an array.
+#[derive(Clone, Copy)]
+pub enum Binding<'a> {
+    Read(&'a GpuArray),
+    Write(&'a GpuArray),
+    ReadPart(Part<'a>),
+    WritePart(Part<'a>),
+}
+
+/// Neighbouring elements of an array, which a kernel sees as if there were no others.
+#[derive(Clone, Copy)]
+pub struct Part<'a> {
+    array: &'a GpuArray,
+    first: usize,
+    len: usize,
+}
+
+impl<'a> Part<'a> {
+    /// So many elements from the `first` on, which is a multiple of [`ALIGNMENT`].
+    pub fn new(array: &'a GpuArray, first: usize, len: usize) -> Self {
+        assert!(first.is_multiple_of(ALIGNMENT), "a part that begins at element {first}");
+        assert!(first + len <= array.len(), "{len} elements from {first} on of {}", array.len());
+        Self { array, first, len }
+    }
+
+    /// The part that holds so many elements from a place on, and where they begin in it.
+    pub fn around(array: &'a GpuArray, place: usize, len: usize) -> (Self, usize) {
+        let before = place % ALIGNMENT;
+        (Self::new(array, place - before, before + len), before)
+    }
+}
+
+impl<'a> Binding<'a> {
+    fn part(self) -> Part<'a> {
+        match self {
+            Self::Read(array) | Self::Write(array) => Part { array, first: 0, len: array.len() },
+            Self::ReadPart(part) | Self::WritePart(part) => part,
+        }
+    }
+
+    pub fn is_read_only(self) -> bool {
+        matches!(self, Self::Read(_) | Self::ReadPart(_))
+    }
+
+    /// The array for all windows of a launch, as one that has no rows.
+    pub fn all(self) -> Self {
+        self.with_part(self.part())
+    }
+
+    fn with_part(self, part: Part<'a>) -> Self {
+        if self.is_read_only() { Self::ReadPart(part) } else { Self::WritePart(part) }
+    }
+
+    /// Elements of a row where the array has so many rows; `None` for what all windows see alike.
+    pub(super) fn row_len(self, rows: usize) -> Option<usize> {
+        let (Self::Read(array) | Self::Write(array)) = self else { return None };
+        assert!(array.len().is_multiple_of(rows.max(1)), "{} elements are no {rows} rows", array.len());
+        Some(array.len() / rows.max(1))
+    }
+
+    /// `count` of the array's rows from the `first` on, where it has so many `rows`.
+    pub(super) fn rows(self, rows: usize, first: usize, count: usize) -> Self {
+        let Some(row_len) = self.row_len(rows) else { return self };
+        self.with_part(Part::new(self.part().array, first * row_len, count * row_len))
+    }
+
+    /// Bytes of the elements; those of one vector if there are none, as nothing cannot be bound.
+    fn bytes(self) -> u64 {
+        let Part { len, .. } = self.part();
+        if len == 0 { 16 } else { 4 * len as u64 }
+    }
+
+    pub(super) fn resource(self) -> wgpu::BindingResource<'a> {
+        let Part { array, first, .. } = self.part();
+        let size = std::num::NonZero::new(self.bytes());
+        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: array.buffer(), offset: 4 * first as u64, size })
+    }
+}
+
+/// The gradients of an operation's outputs as a kernel reads them: by bits which of them there are, and an array for each,
+/// where there is none one that stands in for it and is not looked at.
+pub fn arriving<'a, T: Real>(
+    gpu: Gpu,
+    gradients: &[Option<&'a Tensor<T>>],
+    otherwise: &'a GpuArray,
+) -> (u32, Vec<Binding<'a>>) {
+    let mask =
+        gradients.iter().enumerate().fold(0, |mask, (bit, gradient)| mask | u32::from(gradient.is_some()) << bit);
+    let array = |gradient: &Option<&'a Tensor<T>>| gradient.map_or(otherwise, |gradient| gradient.on_gpu(gpu));
+    (mask, gradients.iter().map(|gradient| Binding::Read(array(gradient))).collect())
+}
+
+impl Launch<'_> {
+    /// Panics unless all arrays are on the GPU and, with a [`GpuFailure`], unless it lets a kernel see so much of them.
+    pub(super) fn check_bindings(&self, gpu: Gpu) {
+        for binding in self.arrays {
+            assert!(binding.part().array.gpu() == gpu, "{}: another GPU", self.name);
+            if binding.bytes() > gpu.visible_bytes() {
+                gpu.too_large(gpu.visible_bytes(), binding.bytes(), &format!(" in kernel {:?}", self.kernel()));
+            }
+        }
+    }
+}
+
+impl Gpu {
+    /// Bytes that a kernel sees of an array at most.
+    pub(crate) fn visible_bytes(self) -> u64 {
+        self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size)
+    }
+
+    /// An array, or what a kernel would see of it, is larger than the adapter allows.
+    pub(super) fn too_large(self, largest: u64, bytes: u64, place: &str) -> ! {
+        let name = &self.0.name;
+        let message = format!("adapter {name:?} allows arrays of {largest} bytes{place}, and {bytes} are needed");
+        GpuFailure::OutOfMemory(message).raise()
+    }
+}
