@@ -15,11 +15,11 @@ struct Item {
 
 const BLOCK: u32 = 4096u;
 
-fn term(item: u32, at: u32) -> f32 {
-    if (constants_of(item).mean == 1u) {
+fn term(item: u32, at: u32, mean: u32, row_len: u32) -> f32 {
+    if (mean == 1u) {
         return abs(1.0 - values(item, at));
     }
-    let difference = second_difference(item, at, constants_of(item).row_len);
+    let difference = second_difference(item, at, row_len);
     return difference * difference;
 }
 
@@ -36,7 +36,7 @@ fn main(
     let end = min((block + 1u) * BLOCK, plane.terms);
     var own = 0.0;
     for (var at = block * BLOCK + local; at < end; at += 256u) {
-        own += term(item, at);
+        own += term(item, at, plane.mean, plane.row_len);
     }
     let sum = row_sum(local, own);
     if (local == 0u && block * BLOCK < plane.terms) {
