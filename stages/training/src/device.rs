@@ -34,12 +34,14 @@ pub struct Meter {
     gpu: Gpu,
     /// What is not to be counted: what was before, and what other work was done meanwhile.
     left_out: Usage,
+    /// Steps that were made before.
+    steps_before: u64,
 }
 
 impl Meter {
-    /// Counts from now on.
-    pub fn start(gpu: Gpu) -> Self {
-        Self { gpu, left_out: gpu.usage() }
+    /// Counts from now on, after so many steps.
+    pub fn start(gpu: Gpu, steps_before: u64) -> Self {
+        Self { gpu, left_out: gpu.usage(), steps_before }
     }
 
     /// Does something that is not counted.
@@ -51,9 +53,10 @@ impl Meter {
         result
     }
 
-    /// What it comes to per step.
+    /// What it comes to per step, of so many in all.
     pub fn per_iteration(&self, steps: u64) -> GpuUse {
         let Usage { counts, kernels } = self.gpu.usage().since(&self.left_out);
+        let steps = steps - self.steps_before;
         let per_iteration = |count: u64| count as f64 / steps.max(1) as f64;
         let kernel = |(name, cost): (String, KernelCost)| {
             let ms_per_launch = (cost.secs > 0.0).then(|| 1e3 * cost.secs / cost.launches as f64);

@@ -198,7 +198,8 @@ impl<'a> Trainer<'a> {
 
     /// The same training, whose steps compute on a device.
     pub fn on(self, device: Device) -> Self {
-        Self { device, meter: device.gpu().map(Meter::start), ..self }
+        let steps_before = self.steps().0;
+        Self { device, meter: device.gpu().map(|gpu| Meter::start(gpu, steps_before)), ..self }
     }
 
     /// Everything that the next step depends on.
