@@ -1,5 +1,7 @@
 //! The kernels of binning.
 
+use std::sync::Arc;
+
 use super::{Grid, MAX_INTERSECTIONS};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, Length, uniforms};
 use crate::sort::{SCAN_TEXT, SUM_CAP, sort, sort_first, sums_of};
@@ -39,8 +41,8 @@ pub struct GpuLists {
     pub grid: Grid,
     /// [1]: splats that some tile holds.
     pub visible: GpuArray,
-    /// How many entries and hits there are.
-    pub entries: Length,
+    /// How many entries and hits there are; whoever wants to know later need not keep the lists.
+    pub entries: Arc<Length>,
     /// [N]: splats by rank; those that no tile holds come last.
     pub order: GpuArray,
     /// [N].
@@ -112,7 +114,7 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, room: Option
     if room as u64 > MAX_INTERSECTIONS {
         return None;
     }
-    let entries = Length::new(gpu);
+    let entries = Arc::new(Length::new(gpu));
     let [hit_tiles, hit_ranks] = hits(gpu, &ellipses, grid, room, [&order, &hit_starts, entries.array()]);
     let [ranks, tile_starts, entry_of_hit] = by_tile(gpu, grid, &entries, [&hit_tiles, &hit_ranks]);
     Some(GpuLists { grid, visible, entries, order, rank_of_splat, ranks, tile_starts, entry_of_hit, hit_starts })

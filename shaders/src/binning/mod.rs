@@ -14,7 +14,7 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
-use crate::gpu::{Gpu, GpuArray};
+use crate::gpu::Gpu;
 use crate::projection::ProjectedVars;
 use crate::tape::{Later, Op, Real, Tape, Tensor, chunks};
 use ellipse::Ellipse;
@@ -116,14 +116,6 @@ impl Lists {
         }
     }
 
-    /// How many (tile, splat) pairs there are and how many were wanted, where a GPU has counted them.
-    pub(crate) fn length_on_gpu(&self) -> Option<&GpuArray> {
-        match self {
-            Self::Host(_) => None,
-            Self::Gpu(lists) => Some(lists.entries.array()),
-        }
-    }
-
     /// Splats that some tile holds; read back from a GPU.
     pub fn visible_count(&self) -> usize {
         match self {
@@ -181,8 +173,9 @@ pub fn bin<T: Real>(
     let room = tape.room();
     tape.apply(Binning { grid, room, result: result.clone() }, &inputs);
     let lists = result.get().expect("binning has run").clone()?;
-    if let Lists::Gpu(_) = &*lists {
-        tape.say_later(Later::Intersections { lists: lists.clone(), room: room.unwrap_or(usize::MAX) });
+    if let Lists::Gpu(on_gpu) = &*lists {
+        let length = on_gpu.entries.clone();
+        tape.say_later(Later::Intersections { length, room: room.unwrap_or(usize::MAX) });
     }
     Ok(lists)
 }

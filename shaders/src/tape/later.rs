@@ -4,22 +4,21 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::{Real, Tape, Tensor};
-use crate::binning::Lists;
-use crate::gpu::GpuArray;
+use crate::gpu::{GpuArray, Length};
 
 /// What a GPU counts.
 pub enum Later {
     /// How often each of these happened.
     Events { names: Vec<&'static str>, counts: GpuArray },
     /// How many intersections a render has, for which there was so much room.
-    Intersections { lists: Arc<Lists>, room: usize },
+    Intersections { length: Arc<Length>, room: usize },
 }
 
 impl Later {
-    fn array(&self) -> Option<&GpuArray> {
+    fn array(&self) -> &GpuArray {
         match self {
-            Self::Events { counts, .. } => Some(counts),
-            Self::Intersections { lists, .. } => lists.length_on_gpu(),
+            Self::Events { counts, .. } => counts,
+            Self::Intersections { length, .. } => length.array(),
         }
     }
 
@@ -78,15 +77,13 @@ impl Figures {
 
     /// In the order in which [`Figures::found`] takes them.
     fn arrays(&self) -> impl Iterator<Item = &GpuArray> {
-        self.later.iter().filter_map(Later::array).chain(self.tensors.iter().filter_map(Tensor::only_on_gpu))
+        self.later.iter().map(Later::array).chain(self.tensors.iter().filter_map(Tensor::only_on_gpu))
     }
 
     fn found(&self, read: &mut impl Iterator<Item = Vec<u32>>) -> Found {
         let mut next = || read.next().expect("one of each array");
         let mut found = Found { fits: true, ..Found::default() };
-        for later in self.later.iter().filter(|later| later.array().is_some()) {
-            later.tell(&next(), &mut found);
-        }
+        self.later.iter().for_each(|later| later.tell(&next(), &mut found));
         let values = |tensor: &Tensor<f32>| match tensor.only_on_gpu() {
             Some(_) => next().into_iter().map(f32::from_bits).collect(),
             None => tensor.as_slice().to_vec(),
