@@ -97,16 +97,6 @@ impl GpuArray {
         arrays.iter().map(|array| rest.by_ref().take(array.len).collect()).collect()
     }
 
-    /// Waits once for the kernels so far and copies the first element of each array, f32, to the host.
-    pub fn read_firsts(arrays: &[&Self]) -> Vec<f32> {
-        let mut out = vec![0.0_f32; arrays.len()];
-        if let Some(first) = arrays.first() {
-            let parts: Vec<(&Self, Range<usize>)> = arrays.iter().map(|array| (*array, 0..1)).collect();
-            first.gpu.read(&parts, bytemuck::cast_slice_mut(&mut out));
-        }
-        out
-    }
-
     /// Waits for the kernels so far and copies the elements, f32 or u32, to the host.
     pub fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
         assert_eq!((size_of::<N>(), out.len()), (4, self.len), "arrays hold 32-bit numbers");

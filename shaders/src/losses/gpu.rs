@@ -1,14 +1,13 @@
 //! The kernels of the mean and of the mean distance.
 
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
-use crate::sums::{BLOCK, GROUP, LANES, total};
+use crate::sums::{GROUP, TOTAL_TEXT, total, total_of};
 use crate::tape::{Real, Tensor};
 
 const SPREAD: Kernel = Kernel { name: "mean backward", text: &[include_str!("mean_bwd.wgsl")] };
 
-const IMAGES: &str = include_str!("l1_images.wgsl");
-const L1: Kernel = Kernel { name: "l1", text: &[ROW_SUM, IMAGES, include_str!("l1.wgsl")] };
-const L1_BACKWARD: Kernel = Kernel { name: "l1 backward", text: &[IMAGES, include_str!("l1_bwd.wgsl")] };
+const L1: Kernel = Kernel { name: "l1", text: &[ROW_SUM, include_str!("l1.wgsl"), TOTAL_TEXT] };
+const L1_BACKWARD: Kernel = Kernel { name: "l1 backward", text: &[include_str!("l1_bwd.wgsl")] };
 
 uniforms! {
     struct DistanceBlock as "Distance" {
@@ -19,12 +18,8 @@ uniforms! {
 
 /// Mean |render − target|: [1].
 pub fn l1<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>) -> Tensor<T> {
-    let (blocks, factor) = (render.len().div_ceil(BLOCK).max(1), 1.0 / render.len() as f32);
-    let sums = GpuArray::new(gpu, blocks);
-    let block = DistanceBlock { len: render.len() as u32, factor: if blocks == 1 { factor } else { 1.0 } };
     let images = [render, target].map(|image| Binding::Read(image.on_gpu(gpu)));
-    L1.launch(gpu, &[LANES], &block, &[&images[..], &[Binding::Write(&sums)]].concat(), blocks);
-    Tensor::from_gpu([1], if blocks == 1 { sums } else { total(gpu, &sums, factor) })
+    Tensor::from_gpu([1], total_of(gpu, &L1, &images, render.len(), 1.0 / render.len() as f32))
 }
 
 /// Its gradient by the render.
@@ -61,6 +56,6 @@ pub fn mean_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>) -> Tensor
 #[test]
 fn the_kernels_are_valid() {
     crate::gpu::layout::assert_valid::<SpreadBlock>(&SPREAD, &[]);
-    crate::gpu::layout::assert_valid::<DistanceBlock>(&L1, &[LANES]);
+    crate::sums::assert_valid_total(&L1);
     crate::gpu::layout::assert_valid::<DistanceBlock>(&L1_BACKWARD, &[]);
 }

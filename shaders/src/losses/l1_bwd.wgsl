@@ -1,5 +1,13 @@
 // The gradient of every element: its share of the mean, with the sign of the difference.
 
+struct Distance {
+    len: u32,
+    factor: f32,
+}
+
+@group(0) @binding(0) var<uniform> l1: Distance;
+@group(0) @binding(1) var<storage, read> render: array<f32>;
+@group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> dy: array<f32>;
 @group(0) @binding(4) var<storage, read_write> g_render: array<f32>;
 

@@ -229,15 +229,6 @@ pointwise! {
         x: { return factor * dy; }
     }
 
-    /// y = |a − b|; the gradient at a = b is 0.
-    pub fn abs_difference(a, b) -> y {
-        return abs(a - b);
-    }
-    gradients(dy) {
-        a: { return dy * sign(a - b); }
-        b: { return -dy * sign(a - b); }
-    }
-
     /// y = max(x, 0); the gradient at 0 is 0. Written so that a NaN stays a NaN.
     pub fn relu(x) -> y {
         return select(x, 0.0, x < 0.0);

@@ -7,7 +7,9 @@ mod tests;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 
 const ROWS: Kernel = Kernel { name: "sums of rows", text: &[include_str!("rows.wgsl")] };
-const TOTAL: Kernel = Kernel { name: "total", text: &[ROW_SUM, include_str!("total.wgsl")] };
+/// The end of a kernel of [`total_of`], behind [`ROW_SUM`] and text that defines `fn term(at: u32) -> f32`.
+pub const TOTAL_TEXT: &str = include_str!("total.wgsl");
+const TOTAL: Kernel = Kernel { name: "total", text: &[ROW_SUM, include_str!("total_input.wgsl"), TOTAL_TEXT] };
 
 /// Invocations per workgroup, which [`ROW_SUM`] adds.
 pub const GROUP: usize = 256;
@@ -48,9 +50,20 @@ pub fn over_rows(gpu: Gpu, x: &GpuArray, columns: usize) -> GpuArray {
 
 /// factor · the sum of all elements: [1].
 pub fn total(gpu: Gpu, x: &GpuArray, factor: f32) -> GpuArray {
-    let blocks = x.len().div_ceil(BLOCK).max(1);
+    total_of(gpu, &TOTAL, &[Binding::Read(x)], x.len(), factor)
+}
+
+/// factor · the sum of so many terms, which a kernel that ends with [`TOTAL_TEXT`] makes of arrays: [1].
+pub fn total_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], terms: usize, factor: f32) -> GpuArray {
+    let blocks = terms.div_ceil(BLOCK).max(1);
     let sums = GpuArray::new(gpu, blocks);
-    let constants = TotalBlock { len: x.len() as u32, factor: if blocks == 1 { factor } else { 1.0 } };
-    TOTAL.launch(gpu, &[LANES], &constants, &[Binding::Read(x), Binding::Write(&sums)], blocks);
+    let constants = TotalBlock { len: terms as u32, factor: if blocks == 1 { factor } else { 1.0 } };
+    kernel.launch(gpu, &[LANES], &constants, &[&[Binding::Write(&sums)], arrays].concat(), blocks);
     if blocks == 1 { sums } else { total(gpu, &sums, factor) }
+}
+
+/// Panics unless a kernel of [`total_of`] is valid.
+#[cfg(test)]
+pub fn assert_valid_total(kernel: &Kernel) {
+    crate::gpu::layout::assert_valid::<TotalBlock>(kernel, &[LANES]);
 }

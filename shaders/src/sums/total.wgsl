@@ -1,4 +1,5 @@
-// The sum of every block of 4096 elements, times a factor: one workgroup per block.
+// The sum of every block of 4096 terms, times a factor: one workgroup per block. The text in front defines `term(at)`, with
+// arrays from binding 2 on.
 
 struct Total {
     len: u32,
@@ -6,8 +7,7 @@ struct Total {
 }
 
 @group(0) @binding(0) var<uniform> total: Total;
-@group(0) @binding(1) var<storage, read> x: array<f32>;
-@group(0) @binding(2) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(1) var<storage, read_write> sums: array<f32>;
 
 const BLOCK: u32 = 4096u;
 
@@ -21,7 +21,7 @@ fn main(
     let end = min((block + 1u) * BLOCK, total.len);
     var own = 0.0;
     for (var at = block * BLOCK + local; at < end; at += 256u) {
-        own += x[at];
+        own += term(at);
     }
     let sum = row_sum(local, own);
     if (local == 0u && block < arrayLength(&sums)) {

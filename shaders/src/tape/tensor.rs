@@ -68,12 +68,12 @@ pub struct Tensor<T: Real> {
     elements: Arc<Elements<T>>,
 }
 
-/// The first element of each tensor; what only a GPU has comes with one readback.
+/// The first element of each of several short tensors; what only a GPU has comes with one readback.
 pub fn first_elements<T: Real>(tensors: &[&Tensor<T>]) -> Vec<T> {
     let on_gpu: Vec<&GpuArray> = tensors.iter().filter_map(|tensor| tensor.only_on_gpu()).collect();
-    let mut of_gpu = GpuArray::read_firsts(&on_gpu).into_iter();
+    let mut of_gpu = GpuArray::read_all(&on_gpu).into_iter();
     let mut first = |tensor: &&Tensor<T>| match tensor.only_on_gpu() {
-        Some(_) => T::from_f64(f64::from(of_gpu.next().expect("one of each"))),
+        Some(_) => T::from_f64(f32::from_bits(of_gpu.next().expect("one of each")[0]).into()),
         None => tensor.as_slice()[0],
     };
     tensors.iter().map(&mut first).collect()

@@ -159,8 +159,20 @@ pub fn photometric_losses<T: Real, M: Method<T> + ?Sized>(method: &M, step: &mut
     Ok(())
 }
 
+/// What every control has that can be cloned.
+pub trait BoxedClone {
+    /// The same control once more, as it is now.
+    fn boxed_clone(&self) -> Box<dyn PopulationControl>;
+}
+
+impl<C: PopulationControl + Clone + 'static> BoxedClone for C {
+    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
+        Box::new(self.clone())
+    }
+}
+
 /// Makes and removes rows of a population between steps. Its state is part of every checkpoint.
-pub trait PopulationControl: Send {
+pub trait PopulationControl: BoxedClone + Send {
     /// Whether the step `iteration` (counted from 1) is to be observed.
     fn watches(&self, iteration: u64) -> bool;
 
@@ -178,9 +190,6 @@ pub trait PopulationControl: Send {
         scene: &SceneFacts,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()>;
-
-    /// The same control once more, as it is now.
-    fn boxed_clone(&self) -> Box<dyn PopulationControl>;
 
     /// The statistics, for a checkpoint.
     fn save(&self) -> serde_json::Value;

@@ -207,10 +207,6 @@ impl PopulationControl for AnchorGrowth {
         Ok(())
     }
 
-    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
-        Box::new(self.clone())
-    }
-
     fn save(&self) -> serde_json::Value {
         serde_json::to_value(&self.statistics).expect("numbers serialise")
     }

@@ -41,6 +41,16 @@ enum Dimensions {
     SpaceTime,
 }
 
+/// What density control does after one iteration.
+struct Round {
+    /// Clones and splits.
+    grows: bool,
+    /// Prunes, if there are enough Gaussians.
+    shrinks: bool,
+    /// Resets opacities.
+    resets: bool,
+}
+
 impl AdaptiveDensity {
     /// Control of `population`, its schedule stretched by `schedule_scale`; `reset_at_start` resets opacities once when
     /// rounds begin (the published code does so on a white background).
@@ -63,6 +73,18 @@ impl AdaptiveDensity {
     /// The same for Gaussians in space and time: their children are drawn in four dimensions.
     pub fn in_space_time(self) -> Self {
         Self { dimensions: Dimensions::SpaceTime, ..self }
+    }
+
+    /// What there is to do after an iteration of the whole schedule.
+    fn round(&self, iteration: u64) -> Round {
+        let Density { interval, from, until, prune_interval, opacity_reset_interval, .. } = self.params;
+        let (is_open, has_begun) = (iteration < until, iteration > from);
+        let is_reset = iteration.is_multiple_of(opacity_reset_interval) || self.reset_at_start && iteration == from;
+        Round {
+            grows: is_open && has_begun && iteration.is_multiple_of(interval),
+            shrinks: is_open && has_begun && iteration.is_multiple_of(prune_interval),
+            resets: is_open && opacity_reset_interval > 0 && is_reset,
+        }
     }
 
     fn tensor<'a>(&self, optimizer: &'a Optimizer, attribute: &str) -> anyhow::Result<&'a [f32]> {
@@ -204,19 +226,14 @@ impl PopulationControl for AdaptiveDensity {
     }
 
     fn observe(&mut self, screen: &Screen<'_>) {
-        if screen.population != self.population {
-            return;
+        if screen.population == self.population {
+            self.statistics.observe(screen);
         }
-        self.statistics.observe(screen);
     }
 
     fn judges(&self, iteration: u64) -> bool {
-        let Density { interval, from, until, prune_interval, opacity_reset_interval, .. } = self.params;
-        let iteration = self.steps_before + iteration;
-        let is_round = |interval: u64| interval > 0 && iteration.is_multiple_of(interval);
-        let grows_or_shrinks = iteration > from && (is_round(interval) || is_round(prune_interval));
-        let resets = is_round(opacity_reset_interval) || self.reset_at_start && iteration == from;
-        iteration < until && (grows_or_shrinks || resets)
+        let Round { grows, shrinks, resets } = self.round(self.steps_before + iteration);
+        grows || shrinks || resets
     }
 
     fn act(
@@ -226,31 +243,23 @@ impl PopulationControl for AdaptiveDensity {
         scene: &SceneFacts,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()> {
-        let Density { interval, from, until, prune_interval, prune_above_count, opacity_reset_interval, .. } =
-            self.params;
+        let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
-        if iteration >= until {
-            return Ok(());
-        }
-        let resets = opacity_reset_interval > 0;
-        if iteration > from && iteration.is_multiple_of(interval) {
+        let Round { grows, shrinks, resets } = self.round(iteration);
+        if grows {
             self.densify(optimizer, scene.extent, random)?;
         }
-        let count = optimizer.population_len(&self.population)?;
-        if iteration > from && iteration.is_multiple_of(prune_interval) && count > prune_above_count {
-            self.prune(optimizer, scene.extent, resets && iteration > opacity_reset_interval)?;
+        if shrinks && optimizer.population_len(&self.population)? > prune_above_count {
+            let sizes_count = opacity_reset_interval > 0 && iteration > opacity_reset_interval;
+            self.prune(optimizer, scene.extent, sizes_count)?;
         }
-        if iteration > from && iteration.is_multiple_of(interval) {
+        if grows {
             self.statistics = Statistics::default();
         }
-        if resets && (iteration.is_multiple_of(opacity_reset_interval) || self.reset_at_start && iteration == from) {
+        if resets {
             self.reset_opacity(optimizer)?;
         }
         Ok(())
-    }
-
-    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
-        Box::new(self.clone())
     }
 
     fn save(&self) -> serde_json::Value {

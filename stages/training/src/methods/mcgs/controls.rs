@@ -93,10 +93,6 @@ impl PopulationControl for Ramp {
         Ok(())
     }
 
-    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
-        Box::new(self.clone())
-    }
-
     fn save(&self) -> Value {
         Value::Null
     }
@@ -146,8 +142,7 @@ impl PopulationControl for Visibility {
         _random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()> {
         let visible = std::mem::take(&mut self.visible);
-        let noise_is_over = optimizer.tensor(NOISE)?.as_slice()[0] == 0.0;
-        if noise_is_over || visible.is_empty() {
+        if visible.is_empty() {
             return Ok(());
         }
         let (gaussians, nodes) = (optimizer.tensor("gaussians.positions")?, optimizer.tensor("nodes.positions")?);
@@ -162,10 +157,6 @@ impl PopulationControl for Visibility {
                 }
             }
         })
-    }
-
-    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
-        Box::new(self.clone())
     }
 
     fn save(&self) -> Value {

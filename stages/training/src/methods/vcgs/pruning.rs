@@ -72,10 +72,6 @@ impl PopulationControl for SurfelPruning {
         Ok(())
     }
 
-    fn boxed_clone(&self) -> Box<dyn PopulationControl> {
-        Box::new(self.clone())
-    }
-
     fn save(&self) -> serde_json::Value {
         serde_json::to_value(&self.statistics).expect("numbers serialise")
     }

@@ -1,0 +1,7 @@
+// The elements of an array.
+
+@group(0) @binding(2) var<storage, read> x: array<f32>;
+
+fn term(at: u32) -> f32 {
+    return x[at];
+}
