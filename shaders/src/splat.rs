@@ -21,6 +21,10 @@ use crate::projection;
 pub use crate::projection::{NOT_FINITE, PinholeCamera, ProjectedVars, RasterSettings, ShapeVars, SplatVars};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
+/// The opacity logit of a splat that is not there at a moment: its opacity is far below what an image shows, so that it is
+/// culled, and finite, so that nobody takes it for a mistake.
+pub const HIDDEN_LOGIT: f64 = -100.0;
+
 /// A render and what density control needs to know of it.
 #[derive(Clone, Debug)]
 pub struct Rendered {

@@ -23,6 +23,7 @@ mod recorder;
 pub(crate) mod tests;
 pub(crate) mod windows;
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -86,6 +87,15 @@ struct Context {
     /// Whether every kernel is timed, which costs a wait per submission.
     timed: AtomicBool,
     counters: Counters,
+}
+
+thread_local! {
+    static READBACKS: Cell<u64> = const { Cell::new(0) };
+}
+
+/// Times that this thread waited for an array of any GPU.
+pub fn readbacks_of_this_thread() -> u64 {
+    READBACKS.get()
 }
 
 #[derive(Default)]

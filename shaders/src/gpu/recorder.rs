@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 
 use super::launch::{Launch, Pipeline, folded};
 use super::profile::Stamps;
-use super::{Context, Gpu, GpuArray, GpuFailure, Groups, count, lock};
+use super::{Context, Gpu, GpuArray, GpuFailure, Groups, READBACKS, count, lock};
 
 /// Bytes of constants per submission, and so its length: 256 launches at the usual alignment.
 const CONSTANT_BYTES: usize = 64 * 1024;
@@ -177,5 +177,6 @@ impl Gpu {
         out.copy_from_slice(&self.map(&staging));
         count(&self.0.counters.readbacks, 1);
         count(&self.0.counters.bytes_read, size);
+        READBACKS.set(READBACKS.get() + 1);
     }
 }

@@ -261,7 +261,11 @@ pub struct Step<'a, T: Real> {
     pub(crate) losses: Vec<NamedLoss>,
     pub(crate) renders: Vec<WatchedRender>,
     pub(crate) skipped: SkippedWork,
+    pub(crate) kept: Vec<KeptWork>,
 }
+
+/// What was not left out of so much: a scalar on the tape, which is looked at later.
+pub(crate) type KeptWork = (&'static str, Var, usize);
 
 /// Work left out because nothing called for it: by name, how much of how much.
 pub type SkippedWork = BTreeMap<&'static str, [u64; 2]>;
@@ -344,6 +348,11 @@ impl<'a, T: Real> Step<'a, T> {
         let count = self.skipped.entry(what).or_default();
         count[0] += skipped as u64;
         count[1] += of as u64;
+    }
+
+    /// The same where only the tape knows how much was `kept`, a scalar: nobody waits for it.
+    pub fn count_skipped_later(&mut self, what: &'static str, kept: Var, of: usize) {
+        self.kept.push((what, kept, of));
     }
 
     /// Adds `weight` · `value` to what is minimised.

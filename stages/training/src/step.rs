@@ -12,8 +12,10 @@ pub struct StepOutcome<T: Real> {
     pub values: Vec<(&'static str, f64, Tensor<T>)>,
     /// Gradients of the sum of the weighted losses by everything on the tape.
     pub gradients: Gradients<T>,
-    /// What the step left out.
+    /// What the step left out, as far as it is known.
     pub skipped: SkippedWork,
+    /// How much of what it did not leave out, of how much.
+    pub kept: Vec<(&'static str, Tensor<T>, usize)>,
     /// What drives populations.
     pub(crate) renders: Vec<WatchedRender>,
 }
@@ -30,21 +32,41 @@ pub fn run_step<T: Real>(method: &dyn Method<T>, mut step: Step<'_, T>) -> anyho
     let gradients = step.tape.backward(&seeds);
     let value = |loss: &NamedLoss| (loss.name, loss.weight, step.tape.value(loss.value).clone());
     let values = step.losses.iter().map(value).collect();
-    Ok(StepOutcome { values, gradients, skipped: step.skipped, renders: step.renders })
+    let kept = step.kept.iter().map(|&(what, kept, of)| (what, step.tape.value(kept).clone(), of)).collect();
+    Ok(StepOutcome { values, gradients, skipped: step.skipped, kept, renders: step.renders })
 }
 
 impl<T: Real> StepOutcome<T> {
+    /// Weighted losses by name, summed over views, and all that was left out; a GPU is waited for.
+    pub fn look(&self) -> (BTreeMap<&'static str, f64>, SkippedWork) {
+        let losses = self.values.iter().map(|(.., value)| value);
+        let tensors: Vec<&Tensor<T>> = losses.chain(self.kept.iter().map(|(_, kept, _)| kept)).collect();
+        let mut values = first_elements(&tensors).into_iter().map(T::to_f64);
+        let weights = self.values.iter().map(|(name, weight, _)| (*name, *weight));
+        let losses = sum_by_name(weights.zip(values.by_ref()));
+        let mut skipped = self.skipped.clone();
+        for ((what, _, of), kept) in self.kept.iter().zip(values) {
+            add_kept(&mut skipped, what, kept, *of);
+        }
+        (losses, skipped)
+    }
+
     /// Weighted losses by name, summed over views; a GPU is waited for.
     pub fn losses(&self) -> BTreeMap<&'static str, f64> {
-        let tensors: Vec<&Tensor<T>> = self.values.iter().map(|(.., value)| value).collect();
-        let values = first_elements(&tensors).into_iter().map(T::to_f64);
-        sum_by_name(self.values.iter().map(|(name, weight, _)| (*name, *weight)).zip(values))
+        self.look().0
     }
 
     /// The sum of the weighted losses; a GPU is waited for.
     pub fn total(&self) -> f64 {
         self.losses().values().sum()
     }
+}
+
+/// Counts what was left out where `kept` of so much was not.
+pub fn add_kept(skipped: &mut SkippedWork, what: &'static str, kept: f64, of: usize) {
+    let [left_out, all] = skipped.entry(what).or_default();
+    *left_out += of as u64 - kept as u64;
+    *all += of as u64;
 }
 
 /// Weighted values by name.

@@ -14,6 +14,8 @@ mod report;
 mod step;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod waits;
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -111,6 +111,7 @@ impl Case {
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),
+            kept: Vec::new(),
         };
         let mut outcome: StepOutcome<f64> = run_step(&*self.method, step).unwrap();
         let total = outcome.total();

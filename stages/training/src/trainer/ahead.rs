@@ -13,7 +13,7 @@ use super::Trainer;
 use crate::method::{PopulationControl, SkippedWork};
 use crate::optimizer::Optimizer;
 use crate::sampler::ViewSampler;
-use crate::step::sum_by_name;
+use crate::step::{add_kept, sum_by_name};
 
 /// Steps after which somebody looks: waiting for one in so many costs nothing to speak of, and little is done in vain.
 const MOST_AHEAD: usize = 32;
@@ -32,9 +32,11 @@ pub struct Ahead {
 pub struct LaterStep {
     /// Name and weight of every loss.
     pub losses: Vec<(&'static str, f64)>,
+    /// What some work is called, and how much there was to do.
+    pub kept: Vec<(&'static str, usize)>,
     /// Tensors that were updated.
     pub gradients: Vec<String>,
-    /// The value of every loss; then the largest magnitude of each gradient and of the tensor after the step.
+    /// The value of every loss; how much of that work was done; then the largest magnitude of each gradient and of the tensor after the step.
     pub figures: Figures,
 }
 
@@ -117,9 +119,13 @@ impl Trainer<'_> {
         for (index, (step, found)) in steps.iter().zip(found).enumerate() {
             self.make_room(found.intersections);
             found.events.iter().for_each(|(what, count)| self.profile.count(what, *count));
-            let (losses, magnitudes) = found.values.split_at(step.losses.len());
+            let (losses, rest) = found.values.split_at(step.losses.len());
             let values = losses.iter().map(|value| f64::from(value[0]));
             self.keep_losses(&sum_by_name(step.losses.iter().copied().zip(values)));
+            let (kept, magnitudes) = rest.split_at(step.kept.len());
+            for ((what, of), kept) in step.kept.iter().zip(kept) {
+                add_kept(&mut self.skipped, what, f64::from(kept[0]), *of);
+            }
             let of_gradients = magnitudes[0].chunks_exact(2).map(|figures| figures[0]);
             let gradients = step.gradients.iter().map(String::as_str).zip(of_gradients);
             self.keep_gradients(before.iteration + 1 + index as u64, gradients);

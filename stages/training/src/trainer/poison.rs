@@ -13,14 +13,14 @@ use crate::test_scene::TestScene;
 /// Steps of each phase.
 const STEPS: u64 = 3;
 
-struct Scene {
-    dataset: Dataset,
-    supplements: Supplements,
+pub(super) struct Scene {
+    pub dataset: Dataset,
+    pub supplements: Supplements,
     _dir: tempfile::TempDir,
 }
 
 impl Scene {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
         let test_scene = TestScene { size: 16, ..TestScene::default() };
         let dataset = Dataset::load(test_scene.write(dir.path()), 1).unwrap();
@@ -30,7 +30,7 @@ impl Scene {
 }
 
 /// Every effect of a method, in few steps; no population changes.
-fn all_effects(method: &str) -> TrainingParams {
+pub(super) fn all_effects(method: &str) -> TrainingParams {
     let entry = methods::find(method).unwrap();
     let mut params = TrainingParams::of(method).unwrap();
     params.settings = entry.tiny();

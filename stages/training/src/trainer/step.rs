@@ -30,8 +30,8 @@ impl Trainer<'_> {
         let mut tape = Tape::new(self.device);
         let (mut outcome, model) = self.differentiate(&mut tape)?;
         self.make_room(tape.settle().intersections);
-        self.keep_counts(&tape, &outcome.skipped);
-        let losses = outcome.losses();
+        let (losses, skipped) = outcome.look();
+        self.keep_counts(&tape, &skipped);
         self.check_losses(&losses, &tape)?;
         self.keep_losses(&losses);
         self.observe(&tape, &outcome);
@@ -53,15 +53,16 @@ impl Trainer<'_> {
         self.keep_counts(&tape, &outcome.skipped);
         self.observe(&tape, &outcome);
         let gradients = take_gradients(&mut outcome, &model);
-        let values = outcome.values.iter().map(|(.., value)| value.clone()).collect();
-        let mut figures = Figures::of(&mut tape, values);
+        let values = outcome.values.iter().map(|(.., value)| value).chain(outcome.kept.iter().map(|(_, kept, _)| kept));
+        let mut figures = Figures::of(&mut tape, values.cloned().collect());
         let losses = outcome.values.iter().map(|(name, weight, _)| (*name, *weight)).collect();
+        let kept = outcome.kept.iter().map(|(what, _, of)| (*what, *of)).collect();
         drop((tape, outcome));
         self.clock.enter("optimizer");
         figures.push(self.optimizer.step_on(gpu, &gradients, self.iteration)?);
         self.device.submit();
         let gradients = gradients.into_keys().map(str::to_owned).collect();
-        if self.look_later(LaterStep { losses, gradients, figures })? { self.act() } else { Ok(()) }
+        if self.look_later(LaterStep { losses, kept, gradients, figures })? { self.act() } else { Ok(()) }
     }
 
     /// The losses of the next views and their gradients.
@@ -91,6 +92,7 @@ impl Trainer<'_> {
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),
+            kept: Vec::new(),
         };
         let outcome = run_step(&*self.method, step)?;
         Ok((outcome, model))

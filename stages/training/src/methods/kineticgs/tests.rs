@@ -76,6 +76,7 @@ impl World {
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),
+            kept: Vec::new(),
         };
         let outcome = run_step(&self.method, step).unwrap();
         let operations = tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum();

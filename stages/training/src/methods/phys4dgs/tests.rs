@@ -87,6 +87,7 @@ impl World {
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),
+            kept: Vec::new(),
         };
         let outcome = run_step(&*method, step).unwrap();
         Observation {
