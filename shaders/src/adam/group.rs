@@ -59,6 +59,12 @@ impl Group {
         &self.tensor
     }
 
+    /// Other values in the same shape; moments stay. Panics if the shape is another.
+    pub fn set_values(&mut self, tensor: Tensor<f32>) {
+        assert_eq!(tensor.shape(), self.tensor.shape(), "another shape");
+        self.tensor = tensor;
+    }
+
     /// The values for writing, as for an opacity reset; the moments stay (see [`Group::reset_moments`]).
     pub fn values_mut(&mut self) -> &mut [f32] {
         self.tensor.make_mut()

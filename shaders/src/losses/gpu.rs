@@ -1,10 +1,10 @@
-//! The kernels of the mean and of the mean distance.
+//! The kernels of totals and of the mean distance.
 
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
-use crate::sums::{GROUP, TOTAL_TEXT, total, total_of};
+use crate::sums::{self, GROUP, TOTAL_TEXT, total_of};
 use crate::tape::{Real, Tensor};
 
-const SPREAD: Kernel = Kernel { name: "mean backward", text: &[include_str!("mean_bwd.wgsl")] };
+const SPREAD: Kernel = Kernel { name: "total backward", text: &[include_str!("total_bwd.wgsl")] };
 
 const L1: Kernel = Kernel { name: "l1", text: &[ROW_SUM, include_str!("l1.wgsl"), TOTAL_TEXT] };
 const L1_BACKWARD: Kernel = Kernel { name: "l1 backward", text: &[include_str!("l1_bwd.wgsl")] };
@@ -38,15 +38,15 @@ uniforms! {
     }
 }
 
-/// The mean of all elements: [1].
-pub fn mean<T: Real>(gpu: Gpu, x: &Tensor<T>) -> Tensor<T> {
-    Tensor::from_gpu([1], total(gpu, x.on_gpu(gpu), 1.0 / x.len() as f32))
+/// factor · the sum of all elements: [1].
+pub fn total<T: Real>(gpu: Gpu, x: &Tensor<T>, factor: f64) -> Tensor<T> {
+    Tensor::from_gpu([1], sums::total(gpu, x.on_gpu(gpu), factor as f32))
 }
 
 /// Its gradient, in the shape of x.
-pub fn mean_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>) -> Tensor<T> {
+pub fn total_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>, factor: f64) -> Tensor<T> {
     let gradient = GpuArray::new(gpu, x.len());
-    let block = SpreadBlock { factor: 1.0 / x.len() as f32 };
+    let block = SpreadBlock { factor: factor as f32 };
     let arrays = [Binding::Read(dy.on_gpu(gpu)), Binding::Write(&gradient)];
     SPREAD.launch(gpu, &[], &block, &arrays, x.len().div_ceil(GROUP));
     Tensor::from_gpu(x.shape(), gradient)

@@ -6,6 +6,7 @@ mod tests;
 
 use crate::gpu::Gpu;
 use crate::pointwise;
+use crate::rows::{divide_rows, reshape};
 use crate::ssim::{Window, ssim};
 use crate::tape::chunks::{CHUNK, for_each_chunk, sum};
 use crate::tape::{Op, Real, Tape, Tensor, Var};
@@ -18,6 +19,15 @@ pointwise! {
     gradients(dy) {
         l1: { return (1.0 - lambda) * dy; }
         similarity: { return -lambda * dy; }
+    }
+
+    /// w·x, and 0 where w is 0, whatever x is there.
+    fn weighted_or_none(x, w) -> y {
+        return select(w * x, 0.0, w == 0.0);
+    }
+    gradients(dy) {
+        x: { return select(w * dy, 0.0, w == 0.0); }
+        w: { return select(x * dy, 0.0, w == 0.0); }
     }
 }
 
@@ -92,19 +102,42 @@ pub fn l1_dssim<T: Real>(tape: &mut Tape<T>, render: Var, target: Var, lambda: f
 
 /// The mean of all elements, shape [1]; summed in f64, on a GPU by halves in f32.
 pub fn mean<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
-    tape.apply_one(Mean, &[x])
+    tape.apply_one(Total { is_mean: true }, &[x])
 }
 
-struct Mean;
+/// The sum of all elements, shape [1]; summed in f64, on a GPU by halves in f32.
+pub fn total<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
+    tape.apply_one(Total { is_mean: false }, &[x])
+}
 
-impl<T: Real> Op<T> for Mean {
+/// Σ w·x / max(Σ w, 1), shape [1], for x and weights w ≥ 0 of one shape: the mean over what counts where weights are 0 and
+/// 1, and 0 where nothing does. What has no weight may be anything; no gradient reaches weights.
+pub fn weighted_mean<T: Real>(tape: &mut Tape<T>, x: Var, weights: Var) -> Var {
+    let weights = tape.detach(weights);
+    let weighted = weighted_or_none(tape, x, weights);
+    let [sum, count] = [weighted, weights].map(|terms| total(tape, terms));
+    let mean = divide_rows(tape, sum, count, 1.0);
+    reshape(tape, mean, [1])
+}
+
+struct Total {
+    is_mean: bool,
+}
+
+impl Total {
+    fn factor(&self, count: usize) -> f64 {
+        if self.is_mean { 1.0 / count as f64 } else { 1.0 }
+    }
+}
+
+impl<T: Real> Op<T> for Total {
     fn name(&self) -> &'static str {
-        "mean"
+        if self.is_mean { "mean" } else { "total" }
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let x = inputs[0].as_slice();
-        vec![Tensor::scalar(T::from_f64(sum(x.len(), |index| x[index].to_f64()) / x.len() as f64))]
+        vec![Tensor::scalar(T::from_f64(sum(x.len(), |index| x[index].to_f64()) * self.factor(x.len())))]
     }
 
     fn backward(
@@ -114,12 +147,12 @@ impl<T: Real> Op<T> for Mean {
         output_grads: &[Option<&Tensor<T>>],
         _needs: &[bool],
     ) -> Vec<Option<Tensor<T>>> {
-        let count = T::from_f64(inputs[0].len() as f64);
-        vec![output_grads[0].map(|dy| Tensor::full(inputs[0].shape(), dy.as_slice()[0] / count))]
+        let factor = T::from_f64(self.factor(inputs[0].len()));
+        vec![output_grads[0].map(|dy| Tensor::full(inputs[0].shape(), dy.as_slice()[0] * factor))]
     }
 
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        Some(vec![gpu::mean(gpu, inputs[0])])
+        Some(vec![gpu::total(gpu, inputs[0], self.factor(inputs[0].len()))])
     }
 
     fn backward_gpu(
@@ -130,6 +163,7 @@ impl<T: Real> Op<T> for Mean {
         output_grads: &[Option<&Tensor<T>>],
         _needs: &[bool],
     ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![output_grads[0].map(|dy| gpu::mean_gradient(gpu, inputs[0], dy))])
+        let factor = self.factor(inputs[0].len());
+        Some(vec![output_grads[0].map(|dy| gpu::total_gradient(gpu, inputs[0], dy, factor))])
     }
 }

@@ -49,13 +49,28 @@ fn equal_images_have_no_l1_gradient() {
     assert!(gradient.as_slice().iter().all(|&gradient| gradient == 0.0));
 }
 
+#[test]
+fn a_weighted_mean_is_that_of_what_counts() {
+    let mean_of = |weights: [f64; 4]| {
+        let mut tape = Tape::<f64>::new(Device::Cpu);
+        let x = tape.leaf(Tensor::from_vec([4], vec![1.0, f64::NAN, 3.0, f64::INFINITY]));
+        let weights = tape.constant(Tensor::from_vec([4], weights.to_vec()));
+        let mean = weighted_mean(&mut tape, x, weights);
+        let gradient = tape.backward(&[(mean, Tensor::scalar(1.0))]).take(x).unwrap();
+        (tape.value(mean).as_slice()[0], gradient.into_vec())
+    };
+    assert_eq!(mean_of([1.0, 0.0, 1.0, 0.0]), (2.0, vec![0.5, 0.0, 0.5, 0.0]));
+    assert_eq!(mean_of([0.0; 4]), (0.0, vec![0.0; 4]));
+    assert!(mean_of([1.0; 4]).0.is_nan());
+}
+
 fn compare_losses(gpu: Gpu, shape: [usize; 3]) -> Result<usize, Disagreement> {
     let image = |seed| Tensor::from_vec(shape, noise(shape.iter().product(), seed)).cast();
     let target: Tensor<f32> = image(2);
     let tolerance = Tolerance { value: 1e-5, gradient: 1e-4 };
     compare(gpu, &format!("losses of {shape:?}"), &[image(1)], tolerance, |tape, vars| {
         let target = tape.constant(target.clone());
-        vec![l1(tape, vars[0], target), l1_dssim(tape, vars[0], target, 0.2), mean(tape, vars[0])]
+        vec![l1(tape, vars[0], target), l1_dssim(tape, vars[0], target, 0.2), mean(tape, vars[0]), total(tape, vars[0])]
     })
 }
 
@@ -66,7 +81,7 @@ fn a_gpu_takes_losses() {
         compare_losses(gpu, shape).unwrap();
     }
     let faults = [
-        ("mean backward", "spread.factor * dy[0]", "spread.factor"),
+        ("total backward", "spread.factor * dy[0]", "spread.factor"),
         ("total", "total.factor * sum", "sum"),
         ("l1", "abs(render[at] - image[at])", "render[at] - image[at]"),
         ("l1 backward", "l1.factor * dy[0]", "dy[0]"),

@@ -3,13 +3,9 @@
 #[cfg(test)]
 mod tests;
 
-use std::sync::OnceLock;
-
 use super::Neighbors;
 use crate::algebra;
 use crate::gpu::{Binding, COLUMN_SUM, Gpu, GpuArray, Kernel, ROW_SUM, columns_for, lanes_for, uniforms};
-use crate::rows::RowIndex;
-use crate::sort;
 use crate::tape::{Real, Tensor};
 
 const NEAREST: Kernel = Kernel { name: "nearest nodes", text: &[include_str!("nearest.wgsl")] };
@@ -45,7 +41,7 @@ const POINTS_GROUP: usize = 64;
 /// The most axes of a space in which weights have kernels: an invocation holds one number for each.
 const MAX_AXES: usize = 32;
 /// The most nodes per point that are found on a GPU, for the same reason.
-const MAX_KEPT: usize = 16;
+const MAX_KEPT: usize = 32;
 
 uniforms! {
     struct NearestBlock as "Nearest" {
@@ -80,46 +76,14 @@ uniforms! {
     }
 }
 
-/// Who follows whom, in a GPU's memory.
-#[derive(Debug)]
-pub(super) struct GpuNeighbors {
-    nodes: usize,
-    /// [N·K].
-    node_of_item: GpuArray,
-    /// The items sorted by node, [N·K], and where those of every node begin, [M + 1].
-    followers: OnceLock<[GpuArray; 2]>,
-}
-
-impl GpuNeighbors {
-    pub fn upload(gpu: Gpu, node_of_item: &RowIndex) -> Self {
-        let array = GpuArray::upload(gpu, node_of_item.row_of_item());
-        Self { nodes: node_of_item.rows(), node_of_item: array, followers: OnceLock::new() }
-    }
-
-    pub fn read_back(&self) -> Vec<u32> {
-        let mut out = vec![0; self.node_of_item.len()];
-        self.node_of_item.read_into(&mut out);
-        out
-    }
-
-    fn followers(&self) -> &[GpuArray; 2] {
-        self.followers.get_or_init(|| {
-            let gpu = self.node_of_item.gpu();
-            let bits = self.nodes.max(1).ilog2() + 1;
-            let (sorted, items) = sort::sort(gpu, &self.node_of_item, bits);
-            [items, sort::starts(gpu, &sorted, self.nodes)]
-        })
-    }
-}
-
-/// The nearest nodes of every point; `None` where there are more than 16 of each, or more than 32 axes.
+/// The nearest nodes of every point; `None` where there are more than 32 of each, or more than 32 axes.
 pub(super) fn nearest<T: Real>(
     gpu: Gpu,
     points: &Tensor<T>,
     nodes: &Tensor<T>,
     per_point: usize,
     others: bool,
-) -> Option<GpuNeighbors> {
+) -> Option<GpuArray> {
     let axes = nodes.row_len();
     if axes == 0 || axes > MAX_AXES || per_point > MAX_KEPT {
         return None;
@@ -130,7 +94,7 @@ pub(super) fn nearest<T: Real>(
     let specialisation = [("AXES", axes as u32), ("KEPT", per_point as u32), ("OTHERS", u32::from(others))];
     let block = NearestBlock { points: points.rows() as u32, nodes: nodes.rows() as u32 };
     NEAREST.launch(gpu, &specialisation, &block, &arrays, points.rows().div_ceil(POINTS_GROUP));
-    Some(GpuNeighbors { nodes: nodes.rows(), node_of_item, followers: OnceLock::new() })
+    Some(node_of_item)
 }
 
 impl Neighbors {
@@ -140,12 +104,13 @@ impl Neighbors {
     }
 
     fn node_of_item_on_gpu(&self, gpu: Gpu) -> Binding<'_> {
-        Binding::Read(&self.on_gpu(gpu).node_of_item)
+        Binding::Read(&self.node_of_item().on_gpu(gpu).row_of_item)
     }
 
     /// The items of every node, and where they begin.
     fn followers_on_gpu(&self, gpu: Gpu) -> [Binding<'_>; 2] {
-        self.on_gpu(gpu).followers().each_ref().map(Binding::Read)
+        let followers = self.node_of_item().on_gpu(gpu).sorted();
+        [&followers.items, &followers.starts].map(Binding::Read)
     }
 
     /// Invocations that share the followers of a node, and the workgroups that they make for all nodes.

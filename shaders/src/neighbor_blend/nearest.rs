@@ -4,12 +4,9 @@
 //! k-d tree takes in three dimensions, and it does not grow much with the dimensions of a learnt space. What is in a GPU's
 //! memory is searched there, and what is found stays there until somebody on the host asks for it.
 
-use std::sync::{Arc, OnceLock};
-
 use rayon::prelude::*;
 
-use super::gpu::{self, GpuNeighbors};
-use crate::gpu::Gpu;
+use super::gpu;
 use crate::rows::RowIndex;
 use crate::tape::{Real, Tensor};
 
@@ -21,16 +18,7 @@ const POINTS_PER_CHUNK: usize = 64;
 pub struct Neighbors {
     per_point: usize,
     points: usize,
-    nodes: usize,
-    lists: Arc<Lists>,
-}
-
-/// Who follows whom on the host, in a GPU's memory, or both; at least one of them is there.
-#[derive(Debug)]
-struct Lists {
-    /// The node of every item.
-    host: OnceLock<RowIndex>,
-    gpu: OnceLock<GpuNeighbors>,
+    node_of_item: RowIndex,
 }
 
 impl Neighbors {
@@ -54,10 +42,8 @@ impl Neighbors {
             let found = if per_point == 0 { Vec::new() } else { search_on_host(points, nodes, per_point, others) };
             RowIndex::new(found, nodes.rows())
         };
-        let host = if on_gpu.is_some() { OnceLock::new() } else { on_host().into() };
-        let points = if per_point == 0 { 0 } else { points.rows() };
-        let lists = Arc::new(Lists { host, gpu: on_gpu.map_or_else(OnceLock::new, OnceLock::from) });
-        Self { per_point, points, nodes: nodes.rows(), lists }
+        let node_of_item = on_gpu.map_or_else(on_host, |found| RowIndex::of_gpu(found, nodes.rows()));
+        Self { per_point, points: if per_point == 0 { 0 } else { points.rows() }, node_of_item }
     }
 
     /// K.
@@ -72,33 +58,25 @@ impl Neighbors {
 
     /// M.
     pub fn nodes(&self) -> usize {
-        self.nodes
+        self.node_of_item.rows()
     }
 
     /// The nodes of a point, nearest first.
     pub fn of_point(&self, point: usize) -> &[u32] {
-        &self.node_of_item().row_of_item()[point * self.per_point..(point + 1) * self.per_point]
+        &self.node_of_item.row_of_item()[point * self.per_point..(point + 1) * self.per_point]
     }
 
     /// The followers of a node: (point, which of the point's neighbours the node is), ascending.
     pub fn followers(&self, node: usize) -> impl Iterator<Item = (usize, usize)> {
-        self.node_of_item()
+        self.node_of_item
             .items_of(node)
             .iter()
             .map(|&item| (item as usize / self.per_point, item as usize % self.per_point))
     }
 
-    /// The node of every item, N·K items point by point; read back first if a GPU found it.
+    /// The node of every item, N·K items point by point.
     pub fn node_of_item(&self) -> &RowIndex {
-        self.lists.host.get_or_init(|| {
-            let found = self.lists.gpu.get().expect("neighbours are somewhere");
-            RowIndex::new(found.read_back(), self.nodes)
-        })
-    }
-
-    /// The same in the GPU's memory, uploaded first if it is not there.
-    pub(super) fn on_gpu(&self, gpu: Gpu) -> &GpuNeighbors {
-        self.lists.gpu.get_or_init(|| GpuNeighbors::upload(gpu, self.node_of_item()))
+        &self.node_of_item
     }
 }
 

@@ -3,12 +3,14 @@
 //! A quaternion shorter than 10⁻⁶ has no direction: it counts as the identity and has gradient 0, here as in
 //! [`projection`](crate::projection). [`slerp`] is spherical linear interpolation (Shoemake 1985) along the shorter arc.
 
+mod fit;
 #[cfg(test)]
 mod gpu_tests;
 mod slerp;
 #[cfg(test)]
 mod tests;
 
+pub use fit::best_rotations;
 pub use slerp::slerp;
 
 use crate::algebra::{

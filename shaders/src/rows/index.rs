@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use rayon::prelude::*;
 
 use super::gpu::GpuIndex;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuArray};
 use crate::tape::chunks::for_each_chunk;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
@@ -14,26 +14,33 @@ const GATHER_CHUNK: usize = 16_384;
 
 /// For each of M items the one of N rows that it belongs to, and for each row its items in ascending order.
 ///
-/// Building one sorts the list; keep it where the list does not change. Cloning shares it.
+/// Building one sorts the list; keep it where the list does not change. Cloning shares it. A list that a GPU made stays
+/// there until somebody on the host asks for it.
 #[derive(Clone, Debug)]
 pub struct RowIndex {
     lists: Arc<Lists>,
 }
 
+/// The lists on the host, in a GPU's memory, or both; at least one of them is there.
 #[derive(Debug)]
 struct Lists {
+    rows: usize,
+    on_host: OnceLock<HostLists>,
+    on_gpu: OnceLock<GpuIndex>,
+}
+
+#[derive(Debug)]
+struct HostLists {
     /// [M].
     row_of_item: Vec<u32>,
     /// [M], sorted by row, then by item.
     items: Vec<u32>,
     /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
     starts: Vec<u32>,
-    on_gpu: OnceLock<GpuIndex>,
 }
 
-impl RowIndex {
-    /// Items that belong to `row_of_item[m]` of `rows` rows.
-    pub fn new(row_of_item: Vec<u32>, rows: usize) -> Self {
+impl HostLists {
+    fn new(row_of_item: Vec<u32>, rows: usize) -> Self {
         assert!(row_of_item.iter().all(|&row| (row as usize) < rows), "an index beyond the {rows} rows");
         // A counting sort: stable, linear in M + N.
         let mut starts = vec![0; rows + 1];
@@ -45,49 +52,76 @@ impl RowIndex {
             items[next[row as usize] as usize] = item as u32;
             next[row as usize] += 1;
         }
-        Self { lists: Arc::new(Lists { row_of_item, items, starts, on_gpu: OnceLock::new() }) }
+        Self { row_of_item, items, starts }
+    }
+}
+
+impl RowIndex {
+    /// Items that belong to `row_of_item[m]` of `rows` rows.
+    pub fn new(row_of_item: Vec<u32>, rows: usize) -> Self {
+        let on_host = HostLists::new(row_of_item, rows).into();
+        Self { lists: Arc::new(Lists { rows, on_host, on_gpu: OnceLock::new() }) }
+    }
+
+    /// The same for a list that a GPU made.
+    pub(crate) fn of_gpu(row_of_item: GpuArray, rows: usize) -> Self {
+        let on_gpu = GpuIndex::unsorted(row_of_item, rows).into();
+        Self { lists: Arc::new(Lists { rows, on_host: OnceLock::new(), on_gpu }) }
     }
 
     /// N.
     pub fn rows(&self) -> usize {
-        self.lists.starts.len() - 1
+        self.lists.rows
     }
 
     /// M.
     pub fn len(&self) -> usize {
-        self.lists.items.len()
+        let on_gpu = || self.lists.on_gpu.get().expect("the lists are somewhere").row_of_item.len();
+        self.lists.on_host.get().map_or_else(on_gpu, |lists| lists.items.len())
     }
 
     /// Whether there are no items.
     pub fn is_empty(&self) -> bool {
-        self.lists.items.is_empty()
+        self.len() == 0
     }
 
     /// The row of every item.
     pub fn row_of_item(&self) -> &[u32] {
-        &self.lists.row_of_item
+        &self.on_host().row_of_item
     }
 
     /// The items of a row, ascending.
     pub fn items_of(&self, row: usize) -> &[u32] {
-        let Lists { items, starts, .. } = &*self.lists;
+        let HostLists { items, starts, .. } = self.on_host();
         &items[starts[row] as usize..starts[row + 1] as usize]
+    }
+
+    /// The lists in the host's memory, read back first if a GPU made them.
+    fn on_host(&self) -> &HostLists {
+        self.lists.on_host.get_or_init(|| {
+            let row_of_item = &self.lists.on_gpu.get().expect("the lists are somewhere").row_of_item;
+            let mut rows = vec![0; row_of_item.len()];
+            row_of_item.read_into(&mut rows);
+            HostLists::new(rows, self.rows())
+        })
     }
 
     /// The lists in the GPU's memory, uploaded once.
     pub(crate) fn on_gpu(&self, gpu: Gpu) -> &GpuIndex {
-        let Lists { row_of_item, items, starts, on_gpu } = &*self.lists;
-        on_gpu.get_or_init(|| GpuIndex::new(gpu, row_of_item, items, starts))
+        self.lists.on_gpu.get_or_init(|| {
+            let HostLists { row_of_item, items, starts } = self.on_host();
+            GpuIndex::new(gpu, row_of_item, items, starts)
+        })
     }
 
     /// y[m] = x[row of m] for x [N, …].
     fn gather<T: Real>(&self, x: &Tensor<T>) -> Tensor<T> {
-        let columns = x.row_len();
+        let (columns, row_of_item) = (x.row_len(), self.row_of_item());
         let mut y = vec![T::ZERO; self.len() * columns];
         let chunk_len = GATHER_CHUNK.div_ceil(columns.max(1)) * columns.max(1);
         for_each_chunk(&mut y, chunk_len, |first, y| {
             for (item, y) in y.chunks_exact_mut(columns).enumerate() {
-                y.copy_from_slice(x.row(self.lists.row_of_item[first / columns + item] as usize));
+                y.copy_from_slice(x.row(row_of_item[first / columns + item] as usize));
             }
         });
         Tensor::from_vec(with_rows(x.shape(), self.len()), y)

@@ -4,7 +4,8 @@ struct Slicing {
     time: f32,
     // Logarithm of the share below which a Gaussian is not there.
     least_log_share: f32,
-    // Gaussians that are looked at.
+    // The opacity's logit of a Gaussian that is not there.
+    hidden_logit: f32,
     count: u32,
 }
 
@@ -22,3 +23,7 @@ fn gaussian_of(row: u32) -> Gaussian {
     return Gaussian(scales, rotations_left[row], rotations_right[row], slicing.time - times[row], opacity_logits[row]);
 }
 
+// Written so that a NaN is there, and found.
+fn is_present(gaussian: Gaussian, time_row: TimeRow) -> bool {
+    return !(log_share(gaussian.offset_time, time_row.deviation) <= slicing.least_log_share);
+}

@@ -17,9 +17,9 @@ mod tests;
 
 use rayon::prelude::*;
 
-use crate::gpu::{Gpu, GpuArray};
-use crate::rows::RowIndex;
-use crate::tape::{Device, Op, Real, Tape, Tensor, Var};
+use crate::gpu::Gpu;
+use crate::splat::HIDDEN_LOGIT;
+use crate::tape::{Op, Real, Tape, Tensor, Var};
 use reference::{Gaussian, Sliced};
 
 /// Gaussians per parallel chunk: tens of microseconds.
@@ -50,65 +50,69 @@ impl Gaussians4dVars {
     }
 }
 
-/// M of the Gaussians at one instant.
+/// The Gaussians at one instant; those that are not there are zeros of opacity [`HIDDEN_LOGIT`].
 #[derive(Clone, Copy, Debug)]
 pub struct SlicedVars {
-    /// [M, 3] from the mean in space and time to the mean at the instant, scene units.
+    /// [N, 3] from the mean in space and time to the mean at the instant, scene units.
     pub displacements: Var,
-    /// [M, 3] Σ₁₄/Σ₄₄, scene units per unit of time.
+    /// [N, 3] Σ₁₄/Σ₄₄, scene units per unit of time.
     pub velocities: Var,
-    /// [M, 3, 3] F with FFᵀ = the covariance at the instant, scene units.
+    /// [N, 3, 3] F with FFᵀ = the covariance at the instant, scene units.
     pub factors: Var,
-    /// [M, 1] the logits of the opacities times their share at the instant.
+    /// [N, 1] the logits of the opacities times their share at the instant.
     pub opacity_logits: Var,
+    /// [N, 1] 1 for those that are there, else 0; no gradient comes from here.
+    pub present: Var,
 }
 
-/// Cuts the Gaussians `rows`, each at most once, at an instant. Panics if shapes disagree.
-pub fn slice<T: Real>(tape: &mut Tape<T>, vars: &Gaussians4dVars, time: f64, rows: &RowIndex) -> SlicedVars {
+/// Cuts the Gaussians at an instant. There are those of which more than `least_share` of the opacity is left then. Panics
+/// if shapes disagree.
+pub fn slice<T: Real>(tape: &mut Tape<T>, vars: &Gaussians4dVars, time: f64, least_share: f64) -> SlicedVars {
     let count = tape.value(vars.times).len();
     for (var, row_len) in vars.inputs().into_iter().zip([3, 1, 4, 4, 1, 1]) {
         assert_eq!(tape.value(var).len(), count * row_len, "slicing: a parameter has the wrong shape");
     }
-    assert_eq!(rows.rows(), count, "slicing: number of rows");
-    let slicing = Slicing { time: T::from_f64(time), rows: rows.clone(), kept: None };
+    let slicing = Slicing { time, least_log_share: least_share.ln() };
     let outputs = tape.apply(slicing, &vars.inputs());
-    let [displacements, velocities, factors, opacity_logits] = outputs[..] else { unreachable!("four outputs") };
-    SlicedVars { displacements, velocities, factors, opacity_logits }
+    let [displacements, velocities, factors, opacity_logits, present] = outputs[..] else {
+        unreachable!("five outputs")
+    };
+    SlicedVars { displacements, velocities, factors, opacity_logits, present }
 }
 
-/// The Gaussians of which more than `least_share` of the opacity is left at an instant.
-pub fn rows_at<T: Real>(tape: &Tape<T>, vars: &Gaussians4dVars, time: f64, least_share: f64) -> Vec<u32> {
-    let inputs = vars.inputs().map(|var| tape.value(var));
-    if let Device::Gpu(gpu) = tape.device() {
-        return gpu::rows_at(gpu, &inputs, time, least_share.ln());
+struct Slicing {
+    time: f64,
+    least_log_share: f64,
+}
+
+impl Slicing {
+    /// One Gaussian, if it is there.
+    fn present<T: Real>(&self, inputs: &[&Tensor<T>], row: usize) -> Option<Gaussian<T>> {
+        let gaussian = gaussian(inputs, row, T::from_f64(self.time));
+        // Written so that a NaN is there, and found.
+        (!(gaussian.log_share() <= T::from_f64(self.least_log_share))).then_some(gaussian)
     }
-    let (time, least) = (T::from_f64(time), T::from_f64(least_share.ln()));
-    let is_there = |&row: &u32| gaussian(&inputs, row as usize, time).log_share() > least;
-    (0..inputs[4].len() as u32).into_par_iter().with_min_len(ROWS_PER_CHUNK).filter(is_there).collect()
 }
 
-struct Slicing<T> {
-    time: T,
-    rows: RowIndex,
-    /// What kernels for a GPU keep of the parameters.
-    kept: Option<GpuArray>,
-}
-
-impl<T: Real> Op<T> for Slicing<T> {
+impl<T: Real> Op<T> for Slicing {
     fn name(&self) -> &'static str {
         "slicing4d"
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let count = self.rows.len();
-        let slice = |&row: &u32| reference::slice(&gaussian(inputs, row as usize, self.time));
-        let sliced: Vec<Sliced<T>> =
-            self.rows.row_of_item().par_iter().with_min_len(ROWS_PER_CHUNK).map(slice).collect();
+        let count = inputs[4].len();
+        let hidden = Sliced { opacity_logit: T::from_f64(HIDDEN_LOGIT), ..Sliced::default() };
+        let slice = |row| self.present(inputs, row).map(|gaussian| reference::slice(&gaussian));
+        let sliced: Vec<Option<Sliced<T>>> =
+            (0..count).into_par_iter().with_min_len(ROWS_PER_CHUNK).map(slice).collect();
+        let all = || sliced.iter().map(|row| row.as_ref().unwrap_or(&hidden));
+        let present = sliced.iter().map(|row| T::from_f64(f64::from(u8::from(row.is_some()))));
         vec![
-            Tensor::from_vec([count, 3], sliced.iter().flat_map(|row| row.displacement).collect()),
-            Tensor::from_vec([count, 3], sliced.iter().flat_map(|row| row.velocity).collect()),
-            Tensor::from_vec([count, 3, 3], sliced.iter().flat_map(|row| row.factor).flatten().collect()),
-            Tensor::from_vec([count, 1], sliced.iter().map(|row| row.opacity_logit).collect()),
+            Tensor::from_vec([count, 3], all().flat_map(|row| row.displacement).collect()),
+            Tensor::from_vec([count, 3], all().flat_map(|row| row.velocity).collect()),
+            Tensor::from_vec([count, 3, 3], all().flat_map(|row| row.factor).flatten().collect()),
+            Tensor::from_vec([count, 1], all().map(|row| row.opacity_logit).collect()),
+            Tensor::from_vec([count, 1], present.collect()),
         ]
     }
 
@@ -119,15 +123,17 @@ impl<T: Real> Op<T> for Slicing<T> {
         output_grads: &[Option<&Tensor<T>>],
         _needs: &[bool],
     ) -> Vec<Option<Tensor<T>>> {
-        let backward = |(at, &row): (usize, &u32)| {
-            reference::backward(&gaussian(inputs, row as usize, self.time), &upstream_of(output_grads, at))
+        let backward = |row| {
+            let gaussian = self.present(inputs, row)?;
+            Some(reference::backward(&gaussian, &upstream_of(output_grads, row)))
         };
-        let of_rows: Vec<Gaussian<T>> =
-            self.rows.row_of_item().par_iter().enumerate().with_min_len(ROWS_PER_CHUNK).map(backward).collect();
+        let of_rows: Vec<Option<Gaussian<T>>> =
+            (0..inputs[4].len()).into_par_iter().with_min_len(ROWS_PER_CHUNK).map(backward).collect();
         let mut gradients: Vec<Vec<T>> = inputs.iter().map(|input| vec![T::ZERO; input.len()]).collect();
-        for (&row, gradient) in self.rows.row_of_item().iter().zip(&of_rows) {
+        for (row, gradient) in of_rows.iter().enumerate() {
+            let Some(gradient) = gradient else { continue };
             let Gaussian { log_scales: [x, y, z, t], rotation_left, rotation_right, .. } = *gradient;
-            let (row, late) = (row as usize, -gradient.offset_time);
+            let late = -gradient.offset_time;
             let parts: [&[T]; 6] =
                 [&[x, y, z], &[t], &rotation_left, &rotation_right, &[late], &[gradient.opacity_logit]];
             for (total, part) in gradients.iter_mut().zip(parts) {
@@ -149,7 +155,7 @@ impl<T: Real> Op<T> for Slicing<T> {
         output_grads: &[Option<&Tensor<T>>],
         _needs: &[bool],
     ) -> Option<Vec<Option<Tensor<T>>>> {
-        self.backward_on_gpu(gpu, inputs, output_grads)
+        Some(self.backward_on_gpu(gpu, inputs, output_grads))
     }
 }
 

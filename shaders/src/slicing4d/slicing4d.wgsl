@@ -1,11 +1,20 @@
-// Every chosen Gaussian at the instant; the parameters are kept in the order of the choice for the backward pass.
+// Every Gaussian at the instant; zeros and a hidden opacity where it is not there.
 
-@group(0) @binding(7) var<storage, read> row_of_item: array<u32>;
-@group(0) @binding(8) var<storage, read_write> displacements: array<f32>;
-@group(0) @binding(9) var<storage, read_write> velocities: array<f32>;
-@group(0) @binding(10) var<storage, read_write> factors: array<f32>;
-@group(0) @binding(11) var<storage, read_write> faded_logits: array<f32>;
-@group(0) @binding(12) var<storage, read_write> kept: array<Gaussian>;
+@group(0) @binding(7) var<storage, read_write> displacements: array<f32>;
+@group(0) @binding(8) var<storage, read_write> velocities: array<f32>;
+@group(0) @binding(9) var<storage, read_write> factors: array<f32>;
+@group(0) @binding(10) var<storage, read_write> faded_logits: array<f32>;
+@group(0) @binding(11) var<storage, read_write> present: array<f32>;
+
+fn write(row: u32, offset_time: f32, velocity: vec3<f32>, factor: Rows) {
+    for (var axis = 0u; axis < 3u; axis++) {
+        displacements[3u * row + axis] = offset_time * velocity[axis];
+        velocities[3u * row + axis] = velocity[axis];
+        factors[9u * row + axis] = factor.x[axis];
+        factors[9u * row + 3u + axis] = factor.y[axis];
+        factors[9u * row + 6u + axis] = factor.z[axis];
+    }
+}
 
 @compute @workgroup_size(64)
 fn main(
@@ -13,21 +22,22 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let item = flat_group(group, groups) * 64u + local;
-    if (item >= slicing.count) {
+    let row = flat_group(group, groups) * 64u + local;
+    if (row >= slicing.count) {
         return;
     }
-    let gaussian = gaussian_of(row_of_item[item]);
-    kept[item] = gaussian;
+    let gaussian = gaussian_of(row);
     let axes = axes_of(gaussian);
     let time_row = time_row_of(axes.lengths[3]);
-    let cut = cut_of(axes, time_row);
-    for (var axis = 0u; axis < 3u; axis++) {
-        displacements[3u * item + axis] = gaussian.offset_time * cut.velocity[axis];
-        velocities[3u * item + axis] = cut.velocity[axis];
-        factors[9u * item + axis] = cut.factor.x[axis];
-        factors[9u * item + 3u + axis] = cut.factor.y[axis];
-        factors[9u * item + 6u + axis] = cut.factor.z[axis];
+    let is_there = is_present(gaussian, time_row);
+    present[row] = select(0.0, 1.0, is_there);
+    if (!is_there) {
+        let nothing = vec3<f32>(0.0);
+        write(row, 0.0, nothing, Rows(nothing, nothing, nothing));
+        faded_logits[row] = slicing.hidden_logit;
+        return;
     }
-    faded_logits[item] = faded(gaussian.opacity_logit, log_share(gaussian.offset_time, time_row.deviation)).logit;
+    let cut = cut_of(axes, time_row);
+    write(row, gaussian.offset_time, cut.velocity, cut.factor);
+    faded_logits[row] = faded(gaussian.opacity_logit, log_share(gaussian.offset_time, time_row.deviation)).logit;
 }

@@ -1,27 +1,16 @@
-// The gradients of every Gaussian's parameters, zero where it was not chosen. ARRIVING tells by bits which of the gradients
+// The gradients of every Gaussian's parameters, zero where it is not there. ARRIVING tells by bits which of the gradients
 // of displacements, velocities, factors and opacities there are; what stands in for another is not read.
 
-struct Slicing {
-    time: f32,
-    least_log_share: f32,
-    // All Gaussians.
-    count: u32,
-}
-
-@group(0) @binding(0) var<uniform> slicing: Slicing;
-@group(0) @binding(1) var<storage, read> kept: array<Gaussian>;
-@group(0) @binding(2) var<storage, read> items: array<u32>;
-@group(0) @binding(3) var<storage, read> starts: array<u32>;
-@group(0) @binding(4) var<storage, read> g_displacements: array<f32>;
-@group(0) @binding(5) var<storage, read> g_velocities: array<f32>;
-@group(0) @binding(6) var<storage, read> g_factors: array<f32>;
-@group(0) @binding(7) var<storage, read> g_faded_logits: array<f32>;
-@group(0) @binding(8) var<storage, read_write> g_log_scales: array<f32>;
-@group(0) @binding(9) var<storage, read_write> g_log_scales_time: array<f32>;
-@group(0) @binding(10) var<storage, read_write> g_rotations_left: array<vec4<f32>>;
-@group(0) @binding(11) var<storage, read_write> g_rotations_right: array<vec4<f32>>;
-@group(0) @binding(12) var<storage, read_write> g_times: array<f32>;
-@group(0) @binding(13) var<storage, read_write> g_opacity_logits: array<f32>;
+@group(0) @binding(7) var<storage, read> g_displacements: array<f32>;
+@group(0) @binding(8) var<storage, read> g_velocities: array<f32>;
+@group(0) @binding(9) var<storage, read> g_factors: array<f32>;
+@group(0) @binding(10) var<storage, read> g_faded_logits: array<f32>;
+@group(0) @binding(11) var<storage, read_write> g_log_scales: array<f32>;
+@group(0) @binding(12) var<storage, read_write> g_log_scales_time: array<f32>;
+@group(0) @binding(13) var<storage, read_write> g_rotations_left: array<vec4<f32>>;
+@group(0) @binding(14) var<storage, read_write> g_rotations_right: array<vec4<f32>>;
+@group(0) @binding(15) var<storage, read_write> g_times: array<f32>;
+@group(0) @binding(16) var<storage, read_write> g_opacity_logits: array<f32>;
 
 struct Upstream {
     displacement: vec3<f32>,
@@ -34,9 +23,9 @@ fn factor_row(first: u32) -> vec3<f32> {
     return vec3<f32>(g_factors[first], g_factors[first + 1u], g_factors[first + 2u]);
 }
 
-fn upstream_of(item: u32) -> Upstream {
+fn upstream_of(row: u32) -> Upstream {
     var upstream: Upstream;
-    let at = 3u * item;
+    let at = 3u * row;
     if ((ARRIVING & 1u) != 0u) {
         upstream.displacement = vec3<f32>(g_displacements[at], g_displacements[at + 1u], g_displacements[at + 2u]);
     }
@@ -44,10 +33,10 @@ fn upstream_of(item: u32) -> Upstream {
         upstream.velocity = vec3<f32>(g_velocities[at], g_velocities[at + 1u], g_velocities[at + 2u]);
     }
     if ((ARRIVING & 4u) != 0u) {
-        upstream.factor = Rows(factor_row(9u * item), factor_row(9u * item + 3u), factor_row(9u * item + 6u));
+        upstream.factor = Rows(factor_row(9u * row), factor_row(9u * row + 3u), factor_row(9u * row + 6u));
     }
     if ((ARRIVING & 8u) != 0u) {
-        upstream.opacity_logit = g_faded_logits[item];
+        upstream.opacity_logit = g_faded_logits[row];
     }
     return upstream;
 }
@@ -147,16 +136,14 @@ fn main(
     if (row >= slicing.count) {
         return;
     }
-    let start = starts[row];
-    if (start == starts[row + 1u]) {
+    let gaussian = gaussian_of(row);
+    let axes = axes_of(gaussian);
+    let time_row = time_row_of(axes.lengths[3]);
+    if (!is_present(gaussian, time_row)) {
         write_zeros(row);
         return;
     }
-    let item = items[start];
-    let gaussian = kept[item];
-    let upstream = upstream_of(item);
-    let axes = axes_of(gaussian);
-    let time_row = time_row_of(axes.lengths[3]);
+    let upstream = upstream_of(row);
     let cut = cut_of(axes, time_row);
     let offset = gaussian.offset_time;
     let fade = faded(gaussian.opacity_logit, log_share(offset, time_row.deviation));

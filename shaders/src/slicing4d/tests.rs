@@ -30,14 +30,13 @@ fn vars(inputs: &[Var]) -> Gaussians4dVars {
     Gaussians4dVars { log_scales, log_scales_time, rotations_left, rotations_right, times, opacity_logits }
 }
 
-fn outputs(tape: &mut Tape<f64>, inputs: &[Var], rows: &[u32]) -> [Var; 4] {
-    let sliced = slice(tape, &vars(inputs), TIME, &RowIndex::new(rows.to_vec(), COUNT));
+fn outputs(tape: &mut Tape<f64>, inputs: &[Var], least_share: f64) -> [Var; 4] {
+    let sliced = slice(tape, &vars(inputs), TIME, least_share);
     [sliced.displacements, sliced.velocities, sliced.factors, sliced.opacity_logits]
 }
 
-fn all() -> Vec<u32> {
-    (0..COUNT as u32).collect()
-}
+/// The least share of which every Gaussian has more.
+const ALL: f64 = 1e-300;
 
 /// A Gaussian of opacity logit ½.
 fn one<T: Real>(log_scales: [f64; 4], left: [f64; 4], right: [f64; 4], offset: f64) -> Gaussian<T> {
@@ -59,9 +58,9 @@ fn covariance(factor: &Mat3<f64>) -> Mat3<f64> {
 fn gradients_are_central_differences() {
     for output in 0..4 {
         for seed in 0..3 {
-            // Every second Gaussian in another order, so that rows and outputs are not the same.
-            for rows in [all(), vec![4, 0, 2]] {
-                let f = |tape: &mut Tape<f64>, inputs: &[Var]| outputs(tape, inputs, &rows)[output];
+            // All of them, and some.
+            for least_share in [ALL, 0.9] {
+                let f = |tape: &mut Tape<f64>, inputs: &[Var]| outputs(tape, inputs, least_share)[output];
                 check::gradients(f, &tensors(seed), TOLERANCE).unwrap();
             }
         }
@@ -74,7 +73,7 @@ struct NearlyIdentity;
 #[test]
 fn a_slightly_wrong_gradient_is_found() {
     let wrong = |tape: &mut Tape<f64>, inputs: &[Var]| {
-        let sliced = slice(tape, &vars(inputs), TIME, &RowIndex::new(all(), COUNT));
+        let sliced = slice(tape, &vars(inputs), TIME, ALL);
         tape.apply_one(NearlyIdentity, &[sliced.displacements])
     };
     assert!(check::gradients(wrong, &tensors(0), TOLERANCE).is_err());
@@ -200,33 +199,55 @@ fn opacities_fade_without_overflow() {
     assert!(faded(1e4, 0.0).is_finite());
 }
 
-#[test]
-fn rows_are_left_out_where_little_opacity_is_left() {
-    let mut tape = Tape::<f64>::new(Device::Cpu);
+/// Gaussians at rest whose times are so many of their standard deviations away.
+fn at_distances(distances: [f64; COUNT]) -> Vec<Tensor<f64>> {
     let mut tensors = tensors(3);
-    let identity = [1.0, 0.0, 0.0, 0.0].repeat(COUNT);
-    (tensors[2], tensors[3]) = (Tensor::from_vec([COUNT, 4], identity.clone()), Tensor::from_vec([COUNT, 4], identity));
-    // 2.4477 standard deviations leave 5 %.
+    let identity = Tensor::from_vec([COUNT, 4], [1.0, 0.0, 0.0, 0.0].repeat(COUNT));
+    (tensors[2], tensors[3]) = (identity.clone(), identity);
     tensors[1] = Tensor::full([COUNT, 1], 0.1_f64.ln());
-    tensors[4] = Tensor::from_vec([COUNT, 1], [0.0, 2.44, 2.46, -2.44, -2.46].map(|at| TIME + 0.1 * at).to_vec());
-    let inputs: Vec<Var> = tensors.into_iter().map(|tensor| tape.constant(tensor)).collect();
-    assert_eq!(rows_at(&tape, &vars(&inputs), TIME, 0.05), [0, 1, 3]);
+    tensors[4] = Tensor::from_vec([COUNT, 1], distances.map(|at| TIME + 0.1 * at).to_vec());
+    tensors
 }
 
 #[test]
-fn rows_that_are_left_out_change_nothing_for_the_others() {
-    let run = |rows: &[u32]| {
+fn gaussians_are_hidden_where_little_opacity_is_left() {
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    // 2.4477 standard deviations leave 5 %.
+    let tensors = at_distances([0.0, 2.44, 2.46, -2.44, -2.46]);
+    let inputs: Vec<Var> = tensors.into_iter().map(|tensor| tape.constant(tensor)).collect();
+    let sliced = slice(&mut tape, &vars(&inputs), TIME, 0.05);
+    assert_eq!(tape.value(sliced.present).as_slice(), [1.0, 1.0, 0.0, 1.0, 0.0]);
+    let hidden = tape.value(sliced.opacity_logits).as_slice().iter().map(|&logit| logit == HIDDEN_LOGIT);
+    assert_eq!(hidden.collect::<Vec<_>>(), [false, false, true, false, true]);
+}
+
+#[test]
+fn a_gaussian_that_is_no_number_is_not_hidden() {
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let tensors = at_distances([f64::NAN; COUNT]);
+    let inputs: Vec<Var> = tensors.into_iter().map(|tensor| tape.constant(tensor)).collect();
+    let sliced = slice(&mut tape, &vars(&inputs), TIME, 0.05);
+    assert_eq!(tape.value(sliced.present).as_slice(), [1.0; COUNT]);
+    assert!(tape.value(sliced.displacements).as_slice().iter().any(|value| value.is_nan()));
+}
+
+#[test]
+fn gaussians_that_are_hidden_change_nothing_for_the_others() {
+    let run = |least_share| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
-        let inputs: Vec<Var> = tensors(4).into_iter().map(|tensor| tape.leaf(tensor)).collect();
-        let factors = outputs(&mut tape, &inputs, rows)[2];
+        let tensors = at_distances([0.1, 2.9, -0.3, 2.7, 0.2]);
+        let inputs: Vec<Var> = tensors.into_iter().map(|tensor| tape.leaf(tensor)).collect();
+        let factors = outputs(&mut tape, &inputs, least_share)[2];
         let seed = Tensor::full(tape.value(factors).shape(), 1.0);
         let mut gradients = tape.backward(&[(factors, seed)]);
         (tape.value(factors).clone(), gradients.take(inputs[2]).unwrap())
     };
-    let ((every, g_every), (some, g_some)) = (run(&all()), run(&[1, 3]));
-    for (at, row) in [1, 3].into_iter().enumerate() {
-        assert_eq!(every.row(row), some.row(at));
-        assert_eq!(g_every.row(row), g_some.row(row));
+    let ((every, g_every), (some, g_some)) = (run(ALL), run(0.05));
+    for row in [0, 2, 4] {
+        assert_eq!((every.row(row), g_every.row(row)), (some.row(row), g_some.row(row)));
     }
-    assert!(g_some.row(0).iter().all(|&value| value == 0.0));
+    for row in [1, 3] {
+        assert!(some.row(row).iter().chain(g_some.row(row)).all(|&value| value == 0.0));
+        assert!(g_every.row(row).iter().any(|&value| value != 0.0));
+    }
 }

@@ -163,6 +163,11 @@ impl<T: Real> Tensor<T> {
         self.elements.host.get().is_some()
     }
 
+    /// Where the elements are: a GPU, if they are in one's memory.
+    pub fn device(&self) -> Device {
+        self.gpu().map_or(Device::Cpu, Device::Gpu)
+    }
+
     /// The GPU in whose memory the elements are, if they are in one's.
     pub(crate) fn gpu(&self) -> Option<Gpu> {
         self.elements.gpu.get().map(GpuArray::gpu)

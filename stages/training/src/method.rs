@@ -122,7 +122,8 @@ pub trait Method<T: Real>: Send + Sync {
     /// The step size of a tensor in a phase; `None` where it is not learnt.
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear>;
 
-    /// The Gaussians at one moment: the motion model.
+    /// The Gaussians at one moment: the motion model. Those that are not there then have the opacity
+    /// [`splat::HIDDEN_LOGIT`].
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars>;
 
     /// Which rows of the model [`Method::splats`] returns at a moment, where that changes with the moment; `None`: all
@@ -226,6 +227,8 @@ pub(crate) struct WatchedRender {
     pub population: String,
     pub rendered: Rendered,
     pub size_px: [f64; 2],
+    /// Rows of the population: the first splats, unless `rows` tells which.
+    pub count: usize,
     /// Which rows the splats are, and the splats' opacity logits; `None`: all rows in order.
     pub rows: Option<(SplatRows, Var)>,
 }
@@ -293,8 +296,22 @@ impl<'a, T: Real> Step<'a, T> {
     ) -> anyhow::Result<Rendered> {
         let rendered = self.rasterize(splats, features, view)?;
         if let Some(population) = population {
-            self.watch(&rendered, view, population, None);
+            let count = rendered.splats(self.tape);
+            self.watch(&rendered, count, view, population, None);
         }
+        Ok(rendered)
+    }
+
+    /// As [`Step::render`] where the population is the `count` first splats.
+    pub fn render_first(
+        &mut self,
+        splats: &SplatVars,
+        count: usize,
+        view: &TrainingView<T>,
+        population: &str,
+    ) -> anyhow::Result<Rendered> {
+        let rendered = self.rasterize(splats, None, view)?;
+        self.watch(&rendered, count, view, population, None);
         Ok(rendered)
     }
 
@@ -306,8 +323,8 @@ impl<'a, T: Real> Step<'a, T> {
         rows: SplatRows,
     ) -> anyhow::Result<Rendered> {
         let rendered = self.rasterize(splats, None, view)?;
-        let population = rows.population;
-        self.watch(&rendered, view, population, Some((rows, splats.opacity_logits)));
+        let (population, count) = (rows.population, rows.looked_at.len());
+        self.watch(&rendered, count, view, population, Some((rows, splats.opacity_logits)));
         Ok(rendered)
     }
 
@@ -324,10 +341,18 @@ impl<'a, T: Real> Step<'a, T> {
     }
 
     /// Keeps what a render says about a population for its control.
-    fn watch(&mut self, rendered: &Rendered, view: &TrainingView<T>, population: &str, rows: Option<(SplatRows, Var)>) {
+    fn watch(
+        &mut self,
+        rendered: &Rendered,
+        count: usize,
+        view: &TrainingView<T>,
+        population: &str,
+        rows: Option<(SplatRows, Var)>,
+    ) {
         self.renders.push(WatchedRender {
             population: population.into(),
             rendered: rendered.clone(),
+            count,
             size_px: [view.camera.width as f64, view.camera.height as f64],
             rows,
         });

@@ -122,6 +122,12 @@ impl Optimizer {
         Ok(())
     }
 
+    /// Gives a tensor, which has this shape, other values; its moments stay.
+    pub fn set_values(&mut self, name: &str, tensor: Tensor<f32>) -> anyhow::Result<()> {
+        self.learner_mut(name)?.group.set_values(tensor);
+        Ok(())
+    }
+
     /// Forgets a tensor's moments.
     pub fn reset_moments(&mut self, name: &str) -> anyhow::Result<()> {
         self.learner_mut(name)?.group.reset_moments();

@@ -10,7 +10,7 @@ use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
 use crate::artifact::Model;
-use crate::bases::gaussians::baked;
+use crate::bases::gaussians::{baked, present};
 use crate::method::{Method, Moment, SceneFacts, raster_settings, too_large};
 use crate::methods;
 use crate::params::TrainingParams;
@@ -118,8 +118,14 @@ impl Player {
         let moment = self.moment(time_secs, camera);
         let splats = self.method.splats(&mut tape, &model, &moment)?;
         let rows = self.method.rows(&mut tape, &model, &moment)?;
-        let world = tape.value(splats.positions).as_slice().as_chunks().0.to_vec();
-        Ok(Positions::new(world, rows))
+        let all: &[[f32; 3]] = tape.value(splats.positions).as_slice().as_chunks().0;
+        let there = present(&tape, &splats);
+        if there.len() == all.len() {
+            return Ok(Positions::new(all.to_vec(), rows));
+        }
+        let world = there.iter().map(|&splat| all[splat as usize]).collect();
+        let row = |splat: &u32| rows.as_ref().map_or(*splat, |rows| rows[*splat as usize]);
+        Ok(Positions::new(world, Some(there.iter().map(row).collect())))
     }
 
     fn moment<'m>(&'m self, time_secs: f64, camera: &'m PinholeCamera) -> Moment<'m> {

@@ -82,17 +82,7 @@ impl<'a> Screen<'a> {
 
     /// The number of Gaussians.
     pub fn rows(&self) -> usize {
-        match (self.step, self.renders.first()) {
-            (Some((tape, _)), Some(render)) => render.rows_in_all(tape),
-            _ => self.on_host().visible.len(),
-        }
-    }
-}
-
-impl WatchedRender {
-    /// The number of rows of the population.
-    fn rows_in_all(&self, tape: &Tape<f32>) -> usize {
-        self.rows.as_ref().map_or_else(|| self.rendered.splats(tape), |(rows, _)| rows.looked_at.len())
+        self.renders.first().map_or_else(|| self.on_host().visible.len(), |render| render.count)
     }
 }
 
@@ -109,13 +99,14 @@ impl ScreenGradients {
     /// Adds one render: gradients are summed, visibility joined, the larger radius kept. A pixel is 2 / size of the
     /// normalised device coordinates.
     fn add(&mut self, render: &WatchedRender, tape: &Tape<f32>, gradients: &Gradients<f32>) {
-        self.resize(render, render.rows_in_all(tape));
+        self.resize(render, render.count);
         let [half_width, half_height] = render.size_px.map(|size| 0.5 * size);
         let (visible, radius_px) = (render.rendered.visible(), render.rendered.radii_px(tape));
         let gradient_px = gradients.get(render.rendered.means2d);
         for splat in (0..visible.len()).filter(|&splat| visible[splat]) {
             let row_of = |(rows, _): &(SplatRows, _)| rows.row_of_splat.get(splat).map(|&row| row as usize);
-            let Some(at) = render.rows.as_ref().map_or(Some(splat), row_of) else { continue };
+            let first = Some(splat).filter(|splat| *splat < render.count);
+            let Some(at) = render.rows.as_ref().map_or(first, row_of) else { continue };
             self.visible[at] = true;
             self.radius_px[at] = self.radius_px[at].max(radius_px[splat]);
             let Some(gradient) = gradient_px else { continue };
@@ -170,6 +161,7 @@ mod tests {
             population: "points".into(),
             rendered: rendered.clone(),
             size_px: [20.0, 10.0],
+            count: rows.as_ref().map_or(2, |rows| rows.looked_at.len()),
             rows: rows.clone().map(|rows| (rows, vars.opacity_logits)),
         };
         let renders = (0..times).map(|_| watched()).collect();

@@ -26,6 +26,7 @@ use shaders::splat::{self, PinholeCamera, SplatVars};
 use shaders::tape::{Device, Profile, Tape, Tensor};
 
 use crate::artifact::{Model, ModelHeader};
+use crate::bases::gaussians::present;
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::clock::{ClockReading, PhaseClock};
 use crate::coarse::check_start;
@@ -292,7 +293,7 @@ impl<'a> Trainer<'a> {
             let mut tape = Tape::new(self.device);
             let moment = self.moment(view.time, &view.camera);
             let splats = self.splats(&mut tape, &moment)?;
-            n_gaussians = tape.value(splats.positions).rows() as u64;
+            n_gaussians = present(&tape, &splats).len() as u64;
             let settings = raster_settings(&self.dataset.scene, self.sh_degree);
             let rendered = splat::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
             psnr_sum += curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
@@ -375,7 +376,7 @@ impl<'a> Trainer<'a> {
         let moment = self.moment(0.0, &camera);
         let mut tape = Tape::new(self.device);
         let splats = self.splats(&mut tape, &moment)?;
-        let n_gaussians = tape.value(splats.positions).rows() as u64;
+        let n_gaussians = present(&tape, &splats).len() as u64;
         drop(tape);
         let header = ModelHeader {
             method: self.params.method.clone(),

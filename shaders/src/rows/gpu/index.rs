@@ -1,7 +1,10 @@
 //! Rows picked and rows summed on a GPU.
 
+use std::sync::OnceLock;
+
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::rows::RowIndex;
+use crate::sort;
 use crate::tape::{Real, Tensor};
 
 const GATHER: Kernel = Kernel { name: "gather", text: &[include_str!("gather.wgsl")] };
@@ -27,14 +30,23 @@ uniforms! {
 /// The lists of a [`RowIndex`] in a GPU's memory.
 #[derive(Debug)]
 pub(crate) struct GpuIndex {
+    /// N.
+    rows: usize,
     /// [M].
     pub row_of_item: GpuArray,
+    /// Made when they are first asked for.
+    sorted: OnceLock<Sorted>,
+}
+
+/// The items by row.
+#[derive(Debug)]
+pub(crate) struct Sorted {
     /// [M], sorted by row, then by item.
     pub items: GpuArray,
     /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
     pub starts: GpuArray,
-    /// Where the segments of every pass of a sum begin: the first of items, the next of the sums before. One pass where no
-    /// row has many items.
+    /// Where the segments of every pass of a sum begin: the first of items, the next of the sums before. None where
+    /// `starts` tells it for the only pass: no row has many items, or nobody on the host knows.
     passes: Vec<GpuArray>,
 }
 
@@ -48,8 +60,31 @@ impl GpuIndex {
             passes.push(GpuArray::upload(gpu, &cuts));
             of_rows = rows;
         }
-        passes.push(GpuArray::upload(gpu, &of_rows));
-        Self { row_of_item, items, starts: GpuArray::upload(gpu, starts), passes }
+        if !passes.is_empty() {
+            passes.push(GpuArray::upload(gpu, &of_rows));
+        }
+        let sorted = Sorted { items, starts: GpuArray::upload(gpu, starts), passes };
+        Self { rows: starts.len() - 1, row_of_item, sorted: sorted.into() }
+    }
+
+    /// Items that nobody has sorted by row.
+    pub fn unsorted(row_of_item: GpuArray, rows: usize) -> Self {
+        Self { rows, row_of_item, sorted: OnceLock::new() }
+    }
+
+    pub fn sorted(&self) -> &Sorted {
+        self.sorted.get_or_init(|| {
+            let gpu = self.row_of_item.gpu();
+            let bits = self.rows.max(1).ilog2() + 1;
+            let (rows, items) = sort::sort(gpu, &self.row_of_item, bits);
+            Sorted { items, starts: sort::starts(gpu, &rows, self.rows), passes: Vec::new() }
+        })
+    }
+}
+
+impl Sorted {
+    fn passes(&self) -> &[GpuArray] {
+        if self.passes.is_empty() { std::slice::from_ref(&self.starts) } else { &self.passes }
     }
 }
 
@@ -70,7 +105,9 @@ impl RowIndex {
     pub fn gather_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
         let (columns, lists) = (x.row_len(), self.on_gpu(gpu));
         let y = GpuArray::new(gpu, self.len() * columns);
-        let read = [x.on_gpu(gpu), &lists.row_of_item, &lists.starts].map(Binding::Read);
+        // Only means look at how many items a row has.
+        let starts = if mean { &lists.sorted().starts } else { &lists.row_of_item };
+        let read = [x.on_gpu(gpu), &lists.row_of_item, starts].map(Binding::Read);
         let arrays = [&read[..], &[Binding::Write(&y)]].concat();
         let constants = ItemsBlock { columns: columns as u32 };
         GATHER.launch(gpu, &[("MEAN", u32::from(mean))], &constants, &arrays, y.len().div_ceil(GROUP));
@@ -79,14 +116,15 @@ impl RowIndex {
 
     /// y[n] = Σ x[m] over the items m of n for x [M, …]; `mean`: over their number.
     pub fn sum_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
-        let (columns, lists) = (x.row_len(), self.on_gpu(gpu));
+        let (columns, lists) = (x.row_len(), self.on_gpu(gpu).sorted());
+        let passes = lists.passes();
         let mut sums: Option<GpuArray> = None;
-        for (pass, starts) in lists.passes.iter().enumerate() {
+        for (pass, starts) in passes.iter().enumerate() {
             let y = GpuArray::new(gpu, (starts.len() - 1) * columns);
             let source = sums.as_ref().unwrap_or_else(|| x.on_gpu(gpu));
             let read = [source, &lists.items, starts, &lists.starts].map(Binding::Read);
             let arrays = [&read[..], &[Binding::Write(&y)]].concat();
-            let is_last = pass + 1 == lists.passes.len();
+            let is_last = pass + 1 == passes.len();
             let specialisation = [("INDIRECT", u32::from(pass == 0)), ("MEAN", u32::from(mean && is_last))];
             let constants = SegmentsBlock { columns: columns as u32 };
             SEGMENT_SUM.launch(gpu, &specialisation, &constants, &arrays, y.len().div_ceil(GROUP));

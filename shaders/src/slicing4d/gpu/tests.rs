@@ -4,8 +4,8 @@ use crate::gpu::conformance::{Tolerance, compare};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::layout::assert_valid;
 use crate::gpu::tests::test_gpu;
-use crate::rows::RowIndex;
-use crate::slicing4d::{Gaussians4dVars, rows_at, slice};
+use crate::gpu::windows::tests::assert_equal_in_windows;
+use crate::slicing4d::{Gaussians4dVars, slice};
 use crate::tape::{Device, Tape, Var};
 
 /// Gradients go through divisions by deviations in time, which differ by orders of magnitude.
@@ -39,21 +39,20 @@ fn vars(inputs: &[Var]) -> Gaussians4dVars {
     Gaussians4dVars { log_scales, log_scales_time, rotations_left, rotations_right, times, opacity_logits }
 }
 
-/// The slices of `rows`, of which the last comes first.
-fn sliced(mut rows: Vec<u32>, count: usize) -> impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var> {
-    rows.reverse();
-    let index = RowIndex::new(rows, count);
+/// What there is with more than this share of the opacity, and who that is.
+fn sliced(least_share: f64) -> impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var> {
     move |tape, inputs| {
-        let sliced = slice(tape, &vars(inputs), TIME, &index);
+        let sliced = slice(tape, &vars(inputs), TIME, least_share);
         vec![sliced.displacements, sliced.velocities, sliced.factors, sliced.opacity_logits]
     }
 }
 
+/// A share of which every Gaussian has more, and two that leave some and all of them out.
+const SHARES: [f64; 3] = [1e-300, 0.5, 1.0];
+
 #[test]
 fn kernels_are_valid() {
-    for kernel in [FORWARD, ROWS] {
-        assert_valid::<SlicingBlock>(&kernel, &[]);
-    }
+    assert_valid::<SlicingBlock>(&FORWARD, &[]);
     for mask in [0b1111, 0b0100] {
         assert_valid::<SlicingBlock>(&BACKWARD, &[("ARRIVING", mask)]);
     }
@@ -63,17 +62,17 @@ fn kernels_are_valid() {
 fn a_gpu_slices_what_the_cpu_slices() {
     let Some(gpu) = test_gpu() else { return };
     for count in [0, 1, 63, 64, 65, 500] {
-        let rows = (0..count as u32).filter(|row| row % 3 != 1).collect();
-        compare(gpu, &format!("{count} slices"), &inputs(count), TOLERANCE, sliced(rows, count)).unwrap();
+        for share in SHARES {
+            compare(gpu, &format!("{count} slices"), &inputs(count), TOLERANCE, sliced(share)).unwrap();
+        }
     }
-    compare(gpu, "no slice", &inputs(70), TOLERANCE, sliced(Vec::new(), 70)).unwrap();
 }
 
 #[test]
 fn gradients_of_single_outputs_agree() {
     let Some(gpu) = test_gpu() else { return };
     for output in 0..4 {
-        let f = |tape: &mut Tape<f32>, inputs: &[Var]| vec![sliced((0..90).collect(), 90)(tape, inputs)[output]];
+        let f = |tape: &mut Tape<f32>, inputs: &[Var]| vec![sliced(0.5)(tape, inputs)[output]];
         compare(gpu, "one output", &inputs(90), TOLERANCE, f).unwrap();
     }
 }
@@ -86,24 +85,44 @@ fn faults_are_noticed() {
         ("slicing4d", "e + rest", "e + 0.999 * rest"),
         ("slicing4d backward", "g_deviation -= g", "g_deviation -= 1.01 * g"),
         ("slicing4d backward", "inverse * inverse * inverse", "inverse * inverse"),
-        ("slicing4d backward", "let item = items[start]", "let item = row * arrayLength(&items) / slicing.count"),
     ];
     let inputs = inputs(100);
-    let rows: Vec<u32> = (0..100).step_by(2).collect();
-    assert_noticed(&faults, || compare(gpu, "slices", &inputs, TOLERANCE, sliced(rows.clone(), 100)));
+    assert_noticed(&faults, || compare(gpu, "slices", &inputs, TOLERANCE, sliced(SHARES[0])));
+    let faults = [
+        ("slicing4d", "<= slicing.least_log_share", "<= 1.3 * slicing.least_log_share"),
+        ("slicing4d backward", "<= slicing.least_log_share", "<= 0.7 * slicing.least_log_share"),
+    ];
+    assert_noticed(&faults, || compare(gpu, "slices", &inputs, TOLERANCE, sliced(0.5)));
 }
 
 #[test]
-fn a_gpu_leaves_out_the_rows_that_the_cpu_leaves_out() {
+fn a_gpu_hides_what_the_cpu_hides() {
     let Some(gpu) = test_gpu() else { return };
     for count in [0, 1, 31, 33, 256, 257, 3000] {
-        let rows = |device| {
+        let present = |device| {
             let mut tape = Tape::new(device);
             let vars = vars(&inputs(count).into_iter().map(|input| tape.constant(input)).collect::<Vec<_>>());
-            rows_at(&tape, &vars, TIME, 0.5)
+            let sliced = slice(&mut tape, &vars, TIME, 0.5);
+            tape.value(sliced.present).as_slice().to_vec()
         };
-        let (found, expected) = (rows(Device::Gpu(gpu)), rows(Device::Cpu));
+        let (found, expected) = (present(Device::Gpu(gpu)), present(Device::Cpu));
         assert_eq!(found, expected);
-        assert!(count < 3000 || (300..2700).contains(&found.len()), "{} rows", found.len());
+        let shown = found.iter().sum::<f32>();
+        assert!(count < 3000 || (300.0..2700.0).contains(&shown), "{shown} rows");
     }
+}
+
+#[test]
+fn windows_of_rows_change_nothing() {
+    let Some(gpu) = test_gpu() else { return };
+    let result = || {
+        let mut tape = Tape::new(Device::Gpu(gpu));
+        let inputs: Vec<Var> = inputs(700).into_iter().map(|input| tape.leaf(input)).collect();
+        let outputs = sliced(0.5)(&mut tape, &inputs);
+        let seeds: Vec<_> = outputs.iter().map(|&output| (output, tape.value(output).clone())).collect();
+        let gradients = tape.backward(&seeds);
+        let values = outputs.iter().map(|&output| tape.value(output).clone());
+        values.chain(inputs.iter().map(|&input| gradients.get(input).unwrap().clone())).collect::<Vec<_>>()
+    };
+    assert_eq!(assert_equal_in_windows(result), 2);
 }

@@ -19,11 +19,11 @@ mod tests;
 pub use density::{AdaptiveDensity, logit};
 pub use harmonics::{active_harmonics, leading_harmonics};
 pub use initial::{insert_gaussians, nearest_scales};
-pub use statistics::{RADIUS_PX, Statistics};
+pub use statistics::{RADIUS_PX, SEEN_COUNT, Statistics};
 
 use principal_axes::principal_axes;
 use scene::Gaussians;
-use shaders::splat::{ShapeVars, SplatVars};
+use shaders::splat::{HIDDEN_LOGIT, ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape};
 
 use crate::method::SceneFacts;
@@ -70,21 +70,32 @@ pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population:
 
 /// The values of splats on a tape, for files.
 pub fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> Gaussians {
-    let values = |var| tape.value(var).as_slice().to_vec();
+    let there = present(tape, splats);
+    let rows = |var| -> Vec<&[f32]> {
+        let tensor = tape.value(var);
+        there.iter().map(|&row| tensor.row(row as usize)).collect()
+    };
     let (log_scales, rotations) = match splats.shape {
-        ShapeVars::ScaleRotation { log_scales, rotations } => (values(log_scales), values(rotations)),
+        ShapeVars::ScaleRotation { log_scales, rotations } => (rows(log_scales).concat(), rows(rotations).concat()),
         ShapeVars::Factor(factors) => {
-            let factors = tape.value(factors).as_slice().as_chunks::<9>().0;
-            let (log_scales, rotations): (Vec<_>, Vec<_>) = factors.iter().map(|row| principal_axes(row)).unzip();
+            let axes = rows(factors).into_iter().map(principal_axes);
+            let (log_scales, rotations): (Vec<_>, Vec<_>) = axes.unzip();
             (log_scales.concat(), rotations.concat())
         }
     };
     Gaussians {
-        positions: values(splats.positions),
+        positions: rows(splats.positions).concat(),
         log_scales,
         rotations,
-        opacity_logits: values(splats.opacity_logits),
-        sh: values(splats.sh),
+        opacity_logits: rows(splats.opacity_logits).concat(),
+        sh: rows(splats.sh).concat(),
         sh_degree,
     }
+}
+
+/// Which of the splats are there ([`HIDDEN_LOGIT`]).
+pub fn present(tape: &Tape<f32>, splats: &SplatVars) -> Vec<u32> {
+    let logits = tape.value(splats.opacity_logits).as_slice();
+    let is_there = |row: &u32| logits[*row as usize] != HIDDEN_LOGIT as f32;
+    (0..logits.len() as u32).filter(is_there).collect()
 }

@@ -44,6 +44,11 @@ impl Statistics {
         self.rows.as_slice().as_chunks().0
     }
 
+    /// [N, 3], wherever it is.
+    pub fn tensor(&self) -> &Tensor<f32> {
+        &self.rows
+    }
+
     /// Adds the renders of one step; on the GPU that rendered, if one did.
     pub fn observe(&mut self, screen: &Screen<'_>) {
         self.resize(screen.rows());

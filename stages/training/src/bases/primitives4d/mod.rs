@@ -9,15 +9,13 @@
 //!
 //! Spatial scales and colours differ between methods.
 
-use std::sync::Arc;
-
 use rand_chacha::ChaCha8Rng;
-use shaders::rows::RowIndex;
+use shaders::losses::total;
 use shaders::slicing4d::{self, Gaussians4dVars, SlicedVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::uniform;
-use crate::method::SplatRows;
+use crate::method::Step;
 use crate::state::{ModelState, Variables};
 
 /// Gaussians of which a smaller share of the opacity is left are not drawn (published code): 2.45 standard deviations.
@@ -27,14 +25,6 @@ pub const LEAST_SHARE: f64 = 0.05;
 const TIME_MARGIN: f64 = 0.1;
 /// The first variance along time, as a share of the clip's squared length (published code).
 const INITIAL_VARIANCE_TIME: f64 = 0.2;
-
-/// The Gaussians that an instant shows.
-pub struct Slice {
-    /// Which of the population they are.
-    pub rows: RowIndex,
-    /// What they are at the instant.
-    pub sliced: SlicedVars,
-}
 
 /// The parameters of a population, with the logarithms of its spatial scales [N, 3].
 pub fn parameters(model: &Variables, population: &str, log_scales: Var) -> Gaussians4dVars {
@@ -49,16 +39,9 @@ pub fn parameters(model: &Variables, population: &str, log_scales: Var) -> Gauss
     }
 }
 
-/// The Gaussians of which at least [`LEAST_SHARE`] of the opacity is left at a time in [0, 1].
-pub fn rows_at<T: Real>(tape: &Tape<T>, parameters: &Gaussians4dVars, time: f64) -> Vec<u32> {
-    slicing4d::rows_at(tape, parameters, time, LEAST_SHARE)
-}
-
-/// Cuts a population at a time in [0, 1]; Gaussians with less than [`LEAST_SHARE`] are left out.
-pub fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, time: f64) -> Slice {
-    let rows = RowIndex::new(rows_at(tape, parameters, time), tape.value(parameters.times).len());
-    let sliced = slicing4d::slice(tape, parameters, time, &rows);
-    Slice { rows, sliced }
+/// Cuts a population at a time in [0, 1]; Gaussians with less than [`LEAST_SHARE`] of their opacity are not there.
+pub fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, time: f64) -> SlicedVars {
+    slicing4d::slice(tape, parameters, time, LEAST_SHARE)
 }
 
 /// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: spread
@@ -72,9 +55,9 @@ pub fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: 
     insert("rotations_right", Tensor::from_vec([count, 4], identity));
 }
 
-/// The rows of a slice of `population`, for [`Step::render_rows`](crate::method::Step::render_rows).
-pub fn rows_of(population: &'static str, rows: &RowIndex) -> SplatRows {
-    let mut looked_at = vec![false; rows.rows()];
-    rows.row_of_item().iter().for_each(|&row| looked_at[row as usize] = true);
-    SplatRows { population, row_of_splat: Arc::new(rows.row_of_item().to_vec()), looked_at }
+/// Counts the Gaussians that a slice leaves out, as the work of `what`.
+pub fn count_skipped<T: Real>(step: &mut Step<'_, T>, what: &'static str, sliced: &SlicedVars) {
+    let count = step.tape.value(sliced.present).len();
+    let present = total(step.tape, sliced.present);
+    step.count_skipped_later(what, present, count);
 }

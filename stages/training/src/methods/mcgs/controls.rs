@@ -3,11 +3,13 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use shaders::neighbor_blend::Neighbors;
-use shaders::tape::{Real, Tensor};
+use shaders::neighbor_blend::{Neighbors, blend};
+use shaders::pointwise;
+use shaders::rows::{columns, concat_columns};
+use shaders::tape::{Real, Tape, Tensor};
 
 use super::settings::Settings;
-use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::gaussians::{GAUSSIANS, SEEN_COUNT, Statistics};
 use crate::method::{PopulationControl, SceneFacts};
 use crate::optimizer::Optimizer;
 use crate::schedule::stretch;
@@ -22,7 +24,7 @@ pub const NOISE: &str = "mixing.noise";
 pub const VISIBILITY: &str = "nodes.visibility";
 
 /// What one step counts in the running mean: the memory is of a hundred views, about one round through a capture.
-const STEP_SHARE: f32 = 0.01;
+const STEP_SHARE: f64 = 0.01;
 
 /// Adds the tensors of this module.
 pub fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise: bool) -> anyhow::Result<()> {
@@ -108,14 +110,14 @@ pub struct Visibility {
     per_gaussian: usize,
     /// The step after which nobody asks any more.
     noise_until: u64,
-    /// Of the step before [`PopulationControl::act`].
-    visible: Vec<bool>,
+    /// [N, 3] statistics of the step before [`PopulationControl::act`] alone: its second column is 1 for what was seen.
+    seen: Option<Statistics>,
 }
 
 impl Visibility {
     /// For Gaussians that follow so many nodes, as long as a ramp has noise left.
     pub fn new(per_gaussian: usize, ramp: &Ramp) -> Self {
-        Self { per_gaussian, noise_until: ramp.noise_until, visible: Vec::new() }
+        Self { per_gaussian, noise_until: ramp.noise_until, seen: None }
     }
 }
 
@@ -126,12 +128,14 @@ impl PopulationControl for Visibility {
 
     fn observe(&mut self, screen: &Screen<'_>) {
         if screen.population == GAUSSIANS {
-            self.visible.clone_from(&screen.on_host().visible);
+            let mut seen = Statistics::default();
+            seen.observe(screen);
+            self.seen = Some(seen);
         }
     }
 
-    fn judges(&self, iteration: u64) -> bool {
-        self.watches(iteration)
+    fn judges(&self, _iteration: u64) -> bool {
+        false
     }
 
     fn act(
@@ -141,22 +145,12 @@ impl PopulationControl for Visibility {
         _scene: &SceneFacts,
         _random: &mut ChaCha8Rng,
     ) -> anyhow::Result<()> {
-        let visible = std::mem::take(&mut self.visible);
-        if visible.is_empty() {
-            return Ok(());
-        }
-        let (gaussians, nodes) = (optimizer.tensor("gaussians.positions")?, optimizer.tensor("nodes.positions")?);
-        let neighbors = Neighbors::nearest(gaussians, nodes, self.per_gaussian);
-        optimizer.edit(VISIBILITY, |means| {
-            for (node, mean) in means.iter_mut().enumerate() {
-                let (seen, all) = neighbors
-                    .followers(node)
-                    .fold((0u32, 0u32), |(seen, all), (gaussian, _)| (seen + u32::from(visible[gaussian]), all + 1));
-                if all > 0 {
-                    *mean += STEP_SHARE * (seen as f32 / all as f32 - *mean);
-                }
-            }
-        })
+        let Some(seen) = self.seen.take() else { return Ok(()) };
+        let [gaussians, nodes, before] =
+            ["gaussians.positions", "nodes.positions", VISIBILITY].map(|name| optimizer.tensor(name));
+        let neighbors = Neighbors::nearest(gaussians?, nodes?, self.per_gaussian);
+        let after = followed(seen.tensor(), before?, &neighbors);
+        optimizer.set_values(VISIBILITY, after)
     }
 
     fn save(&self) -> Value {
@@ -168,9 +162,60 @@ impl PopulationControl for Visibility {
     }
 }
 
+pointwise! {
+    /// A running mean with one more value, seen/all, unless that is of nothing.
+    fn with_one_more(before, seen, all) with(share) -> y {
+        return select(before + share * (seen / all - before), before, all == 0.0);
+    }
+    gradients(dy) {
+        before: { return select((1.0 - share) * dy, dy, all == 0.0); }
+        seen: { return select(share / all * dy, 0.0, all == 0.0); }
+        all: { return select(-share * seen / (all * all) * dy, 0.0, all == 0.0); }
+    }
+}
+
+/// The means [M, 1] after a step with these statistics [N, 3] of its Gaussians, on the device where they are.
+fn followed(statistics: &Tensor<f32>, before: &Tensor<f32>, neighbors: &Neighbors) -> Tensor<f32> {
+    let (gaussians, nodes) = (neighbors.points(), neighbors.nodes());
+    let mut tape = Tape::new(statistics.device());
+    let statistics = tape.constant(statistics.clone());
+    let seen = columns(&mut tape, statistics, SEEN_COUNT..SEEN_COUNT + 1);
+    let everyone = tape.constant(Tensor::full([gaussians, 1], 1.0));
+    let counted = concat_columns(&mut tape, &[seen, everyone]);
+    // What reaches a node of the Gaussians that blend its value is the sum over them.
+    let weights = tape.constant(Tensor::full([gaussians, neighbors.per_point()], 1.0));
+    let of_nodes = tape.leaf(Tensor::zeros([nodes, 2]));
+    let blended = blend(&mut tape, weights, of_nodes, neighbors);
+    let seed = tape.value(counted).clone();
+    let sums = tape.backward(&[(blended, seed)]).take(of_nodes).expect("a leaf");
+    let sums = tape.constant(sums);
+    let [seen, all] = [0, 1].map(|column| columns(&mut tape, sums, column..column + 1));
+    let before = tape.constant(before.clone());
+    let after = with_one_more(&mut tape, before, seen, all, STEP_SHARE);
+    tape.value(after).clone()
+}
+
 #[cfg(test)]
 mod tests {
+    use shaders::check::test_gpu;
+    use shaders::tape::Device;
+
     use super::*;
+
+    #[test]
+    fn means_follow_what_is_seen() {
+        let tensor = |shape: [usize; 2], values: &[f32]| Tensor::from_vec(shape, values.to_vec());
+        let gaussians = tensor([4, 1], &[0.0, 0.1, 0.2, 1.0]);
+        let nodes = tensor([3, 1], &[0.0, 1.0, 9.0]);
+        let statistics = tensor([4, 3], &[5.0, 1.0, 2.0, 0.0, 0.0, 0.0, 3.0, 1.0, 7.0, 0.0, 0.0, 0.0]);
+        let before = tensor([3, 1], &[0.5, 1.0, 0.25]);
+        for device in [Some(Device::Cpu), test_gpu().map(Device::Gpu)].into_iter().flatten() {
+            let [statistics, before] = [&statistics, &before].map(|tensor| tensor.clone().moved_to(device));
+            let after = followed(&statistics, &before, &Neighbors::nearest(&gaussians, &nodes, 1));
+            let expected = [0.5 + 0.01 * (2.0 / 3.0 - 0.5), 0.99, 0.25];
+            assert!(after.as_slice().iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-6), "{after:?}");
+        }
+    }
 
     #[test]
     fn shares_grow_and_noise_fades_evenly_from_the_start_of_motion() {

@@ -2,8 +2,10 @@
 
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
-use shaders::pointwise::add;
+use shaders::pointwise;
+use shaders::pointwise::{add, scale, shift};
 use shaders::quaternion;
+use shaders::rows::scale_rows;
 use shaders::tape::{Real, Tensor};
 
 use super::controls::{NOISE, VISIBILITY};
@@ -35,14 +37,16 @@ pub fn disturb<T: Real>(step: &mut Step<'_, T>, predictions: &Predictions, setti
     if left == 0.0 {
         return *predictions;
     }
-    let visibility = step.tape.value(step.model.get(VISIBILITY)).as_slice().to_vec();
-    let strength: Vec<f64> = visibility.iter().map(|seen| 1.0 + 2.0 * (1.0 - seen.to_f64())).collect();
+    let visibility = step.model.get(VISIBILITY);
+    let seldom = scale(step.tape, visibility, -2.0);
+    let strength = shift(step.tape, seldom, 3.0);
+    let shares = at_most_one(step.tape, strength, 0.5);
     let position = left * settings.position * step.scene.extent;
-    let shifts = draws::<T>(step, 3, |node| position * strength[node]);
-    let turns = draws::<T>(step, 4, |_| left * settings.rotation);
-    let shares = strength.iter().map(|strength| T::from_f64((0.5 * strength).clamp(0.0, 1.0))).collect();
-    let [shifts, turns, shares] =
-        [shifts, turns, Tensor::from_vec([strength.len(), 1], shares)].map(|tensor| step.tape.constant(tensor));
+    let [shifts, turns] = [(3, position), (4, left * settings.rotation)].map(|(columns, deviation)| {
+        let draws = draws(step, columns, deviation);
+        step.tape.constant(draws)
+    });
+    let shifts = scale_rows(step.tape, shifts, strength);
     let NodeMotion { translations, rotations } = predictions.chained;
     let translations = add(step.tape, translations, shifts);
     let turned = add(step.tape, rotations, turns);
@@ -50,13 +54,22 @@ pub fn disturb<T: Real>(step: &mut Step<'_, T>, predictions: &Predictions, setti
     Predictions { chained: NodeMotion { translations, rotations }, ..*predictions }
 }
 
-/// [M, columns] normal draws, each row with its own standard deviation.
-fn draws<T: Real>(step: &mut Step<'_, T>, columns: usize, deviation: impl Fn(usize) -> f64) -> Tensor<T> {
+/// [M, columns] normal draws.
+fn draws<T: Real>(step: &mut Step<'_, T>, columns: usize, deviation: f64) -> Tensor<T> {
     let nodes = step.tape.value(step.model.get(VISIBILITY)).rows();
-    let mut values = Vec::with_capacity(nodes * columns);
-    for at in 0..nodes * columns {
+    let mut draw = || {
         let standard: f64 = StandardNormal.sample(step.random);
-        values.push(T::from_f64(deviation(at / columns) * standard));
+        T::from_f64(deviation * standard)
+    };
+    Tensor::from_vec([nodes, columns], (0..nodes * columns).map(|_| draw()).collect())
+}
+
+pointwise! {
+    /// y = min(factor·x, 1)
+    fn at_most_one(x) with(factor) -> y {
+        return min(factor * x, 1.0);
     }
-    Tensor::from_vec([nodes, columns], values)
+    gradients(dy) {
+        x: { return select(0.0, factor * dy, factor * x < 1.0); }
+    }
 }

@@ -10,14 +10,14 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::pointwise::add;
-use shaders::rows::{RowIndex, gather};
+use shaders::slicing4d::SlicedVars;
 use shaders::splat::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 use shaders::temporal_harmonics::temporal_harmonics;
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
-use crate::bases::primitives4d::{self, Slice};
+use crate::bases::primitives4d;
 use crate::effects::Effect;
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
 use crate::params::Shared;
@@ -68,36 +68,31 @@ struct SpaceTimeGaussians {
 }
 
 impl SpaceTimeGaussians {
-    /// The Gaussians that there are at a time.
-    fn slice<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> (SplatVars, Slice) {
+    /// The Gaussians at a time.
+    fn slice<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> (SplatVars, SlicedVars) {
         let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
         let parameters = primitives4d::parameters(model, GAUSSIANS, var("log_scales"));
-        let slice = primitives4d::slice(tape, &parameters, moment.time);
-        let means = gather(tape, var("positions"), &slice.rows);
+        let sliced = primitives4d::slice(tape, &parameters, moment.time);
         let splats = SplatVars {
-            positions: add(tape, means, slice.sliced.displacements),
-            shape: ShapeVars::Factor(slice.sliced.factors),
-            opacity_logits: slice.sliced.opacity_logits,
-            sh: self.colors(tape, model, &slice.rows, moment),
+            positions: add(tape, var("positions"), sliced.displacements),
+            shape: ShapeVars::Factor(sliced.factors),
+            opacity_logits: sliced.opacity_logits,
+            sh: self.colors(tape, model, moment),
         };
-        (splats, slice)
+        (splats, sliced)
     }
 
-    /// Harmonics of the rows at a time: constant ones, and the waves once all spatial degrees are in use.
-    fn colors<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, rows: &RowIndex, moment: &Moment<'_>) -> Var {
-        let mut of_rows = |attribute: &str| {
-            let all = model.get(&format!("{GAUSSIANS}.{attribute}"));
-            gather(tape, all, rows)
-        };
+    /// Harmonics at a time: constant ones, and the waves once all spatial degrees are in use.
+    fn colors<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> Var {
+        let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
         let degree = moment.sh_degree;
-        let constant = of_rows("sh_dc");
-        let rest = (degree > 0).then(|| of_rows("sh_rest"));
-        let waves = (self.switches.temporal_color && degree == self.shared.harmonics.degree)
-            .then(|| (of_rows("sh_waves"), of_rows("times")));
-        let still = rest.map_or(constant, |rest| active_harmonics(tape, constant, rest, degree));
-        let Some((waves, times)) = waves else { return still };
+        let constant = var("sh_dc");
+        let still = if degree > 0 { active_harmonics(tape, constant, var("sh_rest"), degree) } else { constant };
+        if !self.switches.temporal_color || degree < self.shared.harmonics.degree {
+            return still;
+        }
         let count = (degree + 1).pow(2);
-        let changing = temporal_harmonics(tape, waves, times, moment.time, count, count);
+        let changing = temporal_harmonics(tape, var("sh_waves"), var("times"), moment.time, count, count);
         add(tape, still, changing)
     }
 }
@@ -156,15 +151,6 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
         Ok(self.slice(tape, model, moment).0)
     }
 
-    fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
-        if !self.switches.motion {
-            return Ok(None);
-        }
-        let log_scales = model.get(&format!("{GAUSSIANS}.log_scales"));
-        let parameters = primitives4d::parameters(model, GAUSSIANS, log_scales);
-        Ok(Some(primitives4d::rows_at(tape, &parameters, moment.time)))
-    }
-
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         if !self.switches.motion {
             return photometric_losses(self, step);
@@ -172,13 +158,13 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);
-            let (splats, Slice { rows, sliced }) = self.slice(step.tape, step.model, &moment);
-            step.count_skipped("Gaussians of other times", rows.rows() - rows.len(), rows.rows());
-            let rendered = step.render_rows(&splats, view, primitives4d::rows_of(GAUSSIANS, &rows))?;
+            let (splats, sliced) = self.slice(step.tape, step.model, &moment);
+            primitives4d::count_skipped(step, "Gaussians of other times", &sliced);
+            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
             step.photometric(rendered.color, view);
             if self.switches.rigid {
                 step.clock.enter("loss rigid");
-                let loss = rigidity::loss(step.tape, splats.positions, sliced.velocities, &self.settings, step.random);
+                let loss = rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, step.random);
                 let share = self.settings.rigid_weight / step.views.len() as f64;
                 loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
             }

@@ -1,13 +1,16 @@
 //! Neighbours move alike: the optional regulariser of the published code.
 
-use anyhow::Context as _;
+use std::num::NonZero;
+
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
-use shaders::losses::mean;
-use shaders::pointwise::{mul, scale, sub};
-use shaders::rows::{RowIndex, gather, norm};
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::losses::total;
+use shaders::neighbor_blend::Neighbors;
+use shaders::pointwise::{exponential, mul, scale, shift, sub};
+use shaders::rows::{RowIndex, concat_columns, divide_rows, gather, norm, reshape, squared_norm};
+use shaders::slicing4d::SlicedVars;
+use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::settings::Settings;
 
@@ -15,55 +18,81 @@ use super::settings::Settings;
 const DURATION: f64 = 0.1;
 /// 1 / (distance at which a neighbour counts e⁻¹)², in scene units (published code).
 const FALLOFF: f64 = 100.0;
+/// How far from all others, in scene units, those lie that are not there: no weight is left.
+const ELSEWHERE: f64 = 1e3;
 
-/// Pairs of neighbouring rows and how much each counts.
-struct Pairs {
-    first: Vec<u32>,
-    second: Vec<u32>,
-    weights: Vec<f64>,
-}
-
-/// mean over pairs of e^(−100·d²)·‖vᵢ − vⱼ‖ with displacements v over a tenth of the clip and distances d, both at one
-/// time: positions and velocities [M, 3]. `None` where there are no two Gaussians.
+/// Σ e^(−100·d²)·‖vᵢ − vⱼ‖ over some Gaussians i, drawn at random, and the nearest j of each, by the number of pairs, with
+/// displacements v over a tenth of the clip and distances d at one time; positions [N, 3]. Those that are not there count
+/// for nothing. `None` where there are no two Gaussians.
 pub fn loss<T: Real>(
     tape: &mut Tape<T>,
     positions: Var,
-    velocities: Var,
+    sliced: &SlicedVars,
     settings: &Settings,
     random: &mut ChaCha8Rng,
 ) -> Option<Var> {
+    let count = tape.value(positions).rows();
+    let mut chosen = sample(random, count, settings.rigid_samples.min(count)).into_vec();
+    chosen.sort_unstable();
+    let chosen = RowIndex::new(chosen.into_iter().map(|row| row as u32).collect(), count);
     // Who is whose neighbour, and how much that counts, is not differentiated.
-    let fixed = tape.detach(positions);
-    let points: Vec<[f64; 3]> =
-        tape.value(fixed).as_slice().as_chunks::<3>().0.iter().map(|point| point.map(|value| value.to_f64())).collect();
-    let Pairs { first, second, weights } =
-        neighbors(&points, settings, random).filter(|pairs| !pairs.first.is_empty())?;
-    let displacements = scale(tape, velocities, DURATION);
-    let mut of = |rows: Vec<u32>| gather(tape, displacements, &RowIndex::new(rows, points.len()));
-    let (first, second) = (of(first), of(second));
-    let difference = sub(tape, first, second);
-    let lengths = norm(tape, difference);
-    let weights = Tensor::from_vec([weights.len(), 1], weights.into_iter().map(T::from_f64).collect());
-    let weights = tape.constant(weights);
+    let places = places(tape, positions, sliced.present);
+    let of_chosen = gather(tape, places, &chosen);
+    // One of them is the Gaussian itself, which always moves as it does.
+    let (neighbors, per_chosen) = nearest(tape, of_chosen, places, settings.rigid_neighbors + 1)?;
+    let owners = (0..chosen.len() * per_chosen).map(|pair| chosen.row_of_item()[pair / per_chosen]).collect();
+    let owners = RowIndex::new(owners, count);
+
+    let displacements = scale(tape, sliced.velocities, DURATION);
+    let mut apart = |of: Var| {
+        let (first, second) = (gather(tape, of, &owners), gather(tape, of, &neighbors));
+        sub(tape, first, second)
+    };
+    let (distances, changes) = (apart(places), apart(displacements));
+    let squared = squared_norm(tape, distances);
+    let exponents = scale(tape, squared, -FALLOFF);
+    let weights = exponential(tape, exponents);
+    let lengths = norm(tape, changes);
     let weighted = mul(tape, lengths, weights);
-    Some(mean(tape, weighted))
+    let sum = total(tape, weighted);
+
+    let pairs_per_chosen = (per_chosen - 1) as f64;
+    let present = gather(tape, sliced.present, &chosen);
+    let present = tape.detach(present);
+    let present = total(tape, present);
+    let pairs = scale(tape, present, pairs_per_chosen);
+    let mean = divide_rows(tape, sum, pairs, pairs_per_chosen);
+    Some(reshape(tape, mean, [1]))
 }
 
-/// The neighbours of some points, drawn at random. `None` where points cannot be indexed.
-fn neighbors(points: &[[f64; 3]], settings: &Settings, random: &mut ChaCha8Rng) -> Option<Pairs> {
-    let tree: ImmutableKdTree<f64, 3> =
-        ImmutableKdTree::new_from_slice(points).context("cannot index the Gaussians").ok()?;
-    let mut chosen = sample(random, points.len(), settings.rigid_samples.min(points.len())).into_vec();
-    chosen.sort_unstable();
-    let mut pairs = Pairs { first: Vec::new(), second: Vec::new(), weights: Vec::new() };
-    let wanted = std::num::NonZero::new(settings.rigid_neighbors + 1).expect("positive");
-    for at in chosen {
-        let found = tree.query(&points[at]).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
-        for neighbor in found.iter().filter(|neighbor| neighbor.item as usize != at) {
-            pairs.first.push(at as u32);
-            pairs.second.push(neighbor.item);
-            pairs.weights.push((-FALLOFF * neighbor.distance).exp());
-        }
+/// [N, 4] where Gaussians are, those that are not there [`ELSEWHERE`] along a fourth axis.
+fn places<T: Real>(tape: &mut Tape<T>, positions: Var, present: Var) -> Var {
+    let positions = tape.detach(positions);
+    let missing = scale(tape, present, -ELSEWHERE);
+    let missing = shift(tape, missing, ELSEWHERE);
+    let places = concat_columns(tape, &[positions, missing]);
+    tape.detach(places)
+}
+
+/// The `count` places nearest to each point, or all, and how many that is; `None` where that is one, or where places cannot
+/// be indexed. A search in a tree, or of all places on a GPU.
+fn nearest<T: Real>(tape: &Tape<T>, points: Var, places: Var, count: usize) -> Option<(RowIndex, usize)> {
+    let (points, places) = (tape.value(points), tape.value(places));
+    let per_point = count.min(places.rows());
+    if per_point < 2 || points.rows() == 0 {
+        return None;
     }
-    Some(pairs)
+    if tape.device() != Device::Cpu {
+        return Some((Neighbors::nearest(points, places, per_point).node_of_item().clone(), per_point));
+    }
+    let (points, places) = (coordinates(points), coordinates(places));
+    let tree: ImmutableKdTree<f64, 4> = ImmutableKdTree::new_from_slice(&places).ok()?;
+    let wanted = NonZero::new(per_point).expect("two at least");
+    let of_point = |point: &[f64; 4]| tree.query(point).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
+    let found = points.iter().flat_map(|point| of_point(point).into_iter().map(|place| place.item)).collect();
+    Some((RowIndex::new(found, places.len()), per_point))
+}
+
+fn coordinates<T: Real>(rows: &Tensor<T>) -> Vec<[f64; 4]> {
+    rows.as_slice().as_chunks::<4>().0.iter().map(|row| row.map(|value| value.to_f64())).collect()
 }

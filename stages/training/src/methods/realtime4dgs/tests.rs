@@ -1,7 +1,7 @@
 use shaders::tape::Device;
 
 use super::*;
-use crate::bases::gaussians::baked;
+use crate::bases::gaussians::{baked, present};
 use crate::dataset::Dataset;
 use crate::effects::Effects;
 use crate::methods;
@@ -42,8 +42,6 @@ fn splats(
     let moment = Moment { scene: &dataset.scene, phase: TRAIN, time, camera: &camera, sh_degree };
     let splats = method.splats(&mut tape, &model, &moment).unwrap();
     let operations = tape.profile().ops.keys().copied().collect();
-    let rows = method.rows(&mut tape, &model, &moment).unwrap();
-    assert!(rows.is_none_or(|rows| rows.len() == tape.value(splats.positions).rows()));
     (tape, splats, operations)
 }
 
@@ -71,7 +69,7 @@ fn colours_without_time_have_no_waves() {
 }
 
 #[test]
-fn gaussians_of_other_times_are_not_computed() {
+fn gaussians_of_other_times_are_not_there() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dataset(&dir);
     let method = method(&["motion"], 0);
@@ -81,9 +79,10 @@ fn gaussians_of_other_times_are_not_computed() {
     state.insert("gaussians.times", Tensor::from_vec([30, 1], (0..30).map(|at| 0.1 * (at % 10) as f32).collect()));
     state.insert("gaussians.log_scales_time", Tensor::full([30, 1], 0.01_f32.ln()));
     let (tape, there, _) = splats(&method, &state, &dataset, 0.3, 0);
-    assert_eq!(tape.value(there.positions).shape(), [3, 3]);
+    assert_eq!(present(&tape, &there), [3, 13, 23]);
+    assert_eq!(baked(&tape, &there, 0).positions.len(), 9);
     let (tape, none, _) = splats(&method, &state, &dataset, 0.35, 0);
-    assert_eq!(tape.value(none.positions).shape(), [0, 3], "a moment that shows nothing is no error");
+    assert!(present(&tape, &none).is_empty(), "a moment that shows nothing is no error");
 }
 
 #[test]
@@ -108,13 +107,28 @@ fn slices_can_be_saved_as_gaussians() {
 #[test]
 fn neighbours_that_move_alike_cost_nothing() {
     let settings = Settings { rigid_samples: 10, rigid_neighbors: 3, ..Settings::default() };
-    let loss_of = |velocities: Vec<f64>| {
+    let loss_of = |velocities: Vec<f64>, present: [f64; 5]| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
-        let positions = tape.constant(Tensor::from_vec([5, 3], (0..15).map(|at| 0.01 * f64::from(at)).collect()));
-        let velocities = tape.constant(Tensor::from_vec([5, 3], velocities));
-        let loss = rigidity::loss(&mut tape, positions, velocities, &settings, &mut generator(0, Stream::Method));
+        let mut constant = |columns: usize, values: Vec<f64>| tape.constant(Tensor::from_vec([5, columns], values));
+        let positions = constant(3, (0..15).map(|at| 0.01 * f64::from(at)).collect());
+        let sliced = SlicedVars {
+            displacements: positions,
+            velocities: constant(3, velocities),
+            factors: constant(9, vec![0.0; 45]),
+            opacity_logits: constant(1, vec![0.0; 5]),
+            present: constant(1, present.to_vec()),
+        };
+        let loss = rigidity::loss(&mut tape, positions, &sliced, &settings, &mut generator(0, Stream::Method));
         tape.value(loss.unwrap()).as_slice()[0]
     };
-    assert_eq!(loss_of([1.0, 2.0, 3.0].repeat(5)), 0.0);
-    assert!(loss_of((0..15).map(f64::from).collect()) > 0.1);
+    assert_eq!(loss_of([1.0, 2.0, 3.0].repeat(5), [1.0; 5]), 0.0);
+    assert!(loss_of((0..15).map(f64::from).collect(), [1.0; 5]) > 0.1);
+    // What is not there has no velocity either; of two that are, each has one neighbour of three.
+    let two = |second: f64| {
+        let velocities = [[1.0; 3], [0.0; 3], [0.0; 3], [second; 3], [0.0; 3]].concat();
+        loss_of(velocities, [1.0, 0.0, 0.0, 1.0, 0.0])
+    };
+    let expected = 0.1 * 12.0_f64.sqrt() * (-100.0 * 3.0 * 0.09_f64.powi(2)).exp() / 3.0;
+    assert_eq!(two(1.0), 0.0);
+    assert!((two(3.0) - expected).abs() <= 1e-12, "{} {expected}", two(3.0));
 }

@@ -14,11 +14,12 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::pointwise::mul;
+use shaders::slicing4d::SlicedVars;
 use shaders::splat::SplatVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
-use crate::bases::primitives4d::{self, Slice};
+use crate::bases::primitives4d;
 use crate::dataset::LoadedView;
 use crate::effects::Effect;
 use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, TrainingView};
@@ -105,18 +106,18 @@ impl ViewPlaneGaussians {
         tape: &mut Tape<T>,
         model: &Variables,
         moment: &Moment<'_>,
-    ) -> (SplatVars, Option<Slice>) {
+    ) -> (SplatVars, Option<SlicedVars>) {
         if moment.phase == STATIC {
             return (standing(tape, model), None);
         }
-        let (moving, slice) = moving(tape, model, moment.time, &self.settings, &self.switches);
+        let (moving, sliced) = moving(tape, model, moment.time, &self.settings, &self.switches);
         let splats = if self.has_background() {
             let standing = standing(tape, model);
             joined(tape, &moving, &standing)
         } else {
             moving
         };
-        (splats, Some(slice))
+        (splats, Some(sliced))
     }
 
     /// The photometric loss of the static layer, on what each view shows of it.
@@ -198,15 +199,6 @@ impl<T: Real> Method<T> for ViewPlaneGaussians {
         Ok(self.layers(tape, model, moment).0)
     }
 
-    fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
-        let (splats, slice) = self.layers(tape, model, moment);
-        let Some(Slice { rows, .. }) = slice else { return Ok(None) };
-        // The moving layer's rows, then all of the static one's.
-        let standing = tape.value(splats.positions).rows() - rows.len();
-        let after = rows.rows() as u32..(rows.rows() + standing) as u32;
-        Ok(Some(rows.row_of_item().iter().copied().chain(after).collect()))
-    }
-
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         if step.phase == STATIC {
             return self.static_losses(step);
@@ -214,10 +206,11 @@ impl<T: Real> Method<T> for ViewPlaneGaussians {
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);
-            let (splats, slice) = self.layers(step.tape, step.model, &moment);
-            let rows = slice.expect("the phase has a moving layer").rows;
-            step.count_skipped("surfels of other times", rows.rows() - rows.len(), rows.rows());
-            let rendered = step.render_rows(&splats, view, primitives4d::rows_of(FOREGROUND, &rows))?;
+            let (splats, sliced) = self.layers(step.tape, step.model, &moment);
+            let sliced = sliced.expect("the phase has a moving layer");
+            primitives4d::count_skipped(step, "surfels of other times", &sliced);
+            let moving = step.tape.value(sliced.present).len();
+            let rendered = step.render_first(&splats, moving, view, FOREGROUND)?;
             step.photometric(rendered.color, view);
         }
         Ok(())

@@ -2,13 +2,14 @@
 
 use shaders::pointwise::{add, scale, sub};
 use shaders::projection::factors;
-use shaders::rows::{concat_columns, concat_rows, gather, row_dot, scale_rows};
+use shaders::rows::{concat_columns, concat_rows, row_dot, scale_rows};
+use shaders::slicing4d::SlicedVars;
 use shaders::splat::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use super::layers::{BACKGROUND, FOREGROUND};
 use super::settings::{Settings, Switches};
-use crate::bases::primitives4d::{self, Slice};
+use crate::bases::primitives4d;
 use crate::state::Variables;
 
 /// The moving surfels at a time, each where equations 2 to 6 put it.
@@ -18,26 +19,25 @@ pub fn moving<T: Real>(
     time: f64,
     settings: &Settings,
     switches: &Switches,
-) -> (SplatVars, Slice) {
+) -> (SplatVars, SlicedVars) {
     let var = |attribute: &str| model.get(&format!("{FOREGROUND}.{attribute}"));
     let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
-    let slice = primitives4d::slice(tape, &primitives4d::parameters(model, FOREGROUND, log_scales), time);
-    let mut positions = gather(tape, var("positions"), &slice.rows);
+    let sliced = primitives4d::slice(tape, &primitives4d::parameters(model, FOREGROUND, log_scales), time);
+    let mut positions = var("positions");
     if !settings.zero_offset {
-        let mut displacements = slice.sliced.displacements;
+        let mut displacements = sliced.displacements;
         if switches.constraint {
-            let axes = gather(tape, var("birth_axes"), &slice.rows);
-            displacements = within_view_plane(tape, displacements, axes, settings.depth_share);
+            displacements = within_view_plane(tape, displacements, var("birth_axes"), settings.depth_share);
         }
         positions = add(tape, positions, displacements);
     }
     let splats = SplatVars {
         positions,
-        shape: ShapeVars::Factor(slice.sliced.factors),
-        opacity_logits: slice.sliced.opacity_logits,
-        sh: gather(tape, var("sh_dc"), &slice.rows),
+        shape: ShapeVars::Factor(sliced.factors),
+        opacity_logits: sliced.opacity_logits,
+        sh: var("sh_dc"),
     };
-    (splats, slice)
+    (splats, sliced)
 }
 
 /// The static layer, which no time and no fourth dimension touches.

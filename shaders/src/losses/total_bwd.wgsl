@@ -1,4 +1,4 @@
-// The gradient of a mean: the same for every element.
+// The gradient of a total: the same for every element.
 
 struct Spread {
     factor: f32,
