@@ -75,7 +75,7 @@ fn frame(split: Split, name: String, at: u32) -> Frame {
 /// A folder with `capture` and `model`.
 fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
     let iterations = match method {
-        "static3dgs" => json!({ "train": 30 }),
+        "static3dgs" | "realtime4dgs" => json!({ "train": 30 }),
         _ => json!({ "coarse": 10, "fine": 20 }),
     };
     trained_with(json!({ "method": method, "iterations": iterations }), &NOTHING)
@@ -122,6 +122,22 @@ fn images_are_the_players_images_in_the_captures_order() {
         assert_eq!(image_file::read_rgb(&renders.image_path(rendered)).unwrap(), expected);
         assert!(out.join(rendered.maps.as_ref().unwrap()).is_file());
     }
+}
+
+#[test]
+fn gaussians_that_are_not_there_are_not_exported_and_views_without_them_have_surfaces() {
+    let (dir, mut model, capture) = trained("realtime4dgs");
+    let durations = &mut model.tensors.get_mut("gaussians.log_scales_time").unwrap().values;
+    durations.fill(0.1_f32.ln());
+    let player = Player::new(&model).unwrap();
+    let view = capture.views_of(Split::Test).next().unwrap().1;
+    let camera = PinholeCamera::from(&view.camera);
+    let there = player.gaussians(view.time_secs, &camera).unwrap().positions.len() / 3;
+    let positions = player.positions(view.time_secs, &camera).unwrap();
+    let found = (0..60).filter(|&row| positions.of_row(row).is_some()).count();
+    assert!(found == there && (1..60).contains(&there), "{there} of 60, {found} by row");
+    let params = RenderingParams { maps: Maps::All, ..RenderingParams::default() };
+    render(&model, &capture, &params, Device::Cpu, &dir.path().join("renders")).unwrap();
 }
 
 #[test]

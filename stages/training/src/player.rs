@@ -33,26 +33,31 @@ pub struct Player {
 /// Gaussians' positions at one time, and how to find the same Gaussian at another.
 #[derive(Clone, Debug)]
 pub struct Positions {
-    /// [N, 3], world.
+    /// [N, 3], world, of every splat, also of those that are not there.
     pub world: Vec<[f32; 3]>,
+    /// The model's row of every splat; `None`: all rows in order.
     rows: Option<Vec<u32>>,
-    by_row: BTreeMap<u32, usize>,
+    /// The splats that are there by their rows; `None`: all are.
+    by_row: Option<BTreeMap<u32, usize>>,
 }
 
 impl Positions {
-    fn new(world: Vec<[f32; 3]>, rows: Option<Vec<u32>>) -> Self {
-        let by_row = rows.iter().flatten().enumerate().map(|(at, &row)| (row, at)).collect();
+    /// Of splats of which those in `there` are there.
+    fn new(world: Vec<[f32; 3]>, rows: Option<Vec<u32>>, there: &[u32]) -> Self {
+        let row = |splat: u32| rows.as_ref().map_or(splat, |rows| rows[splat as usize]);
+        let is_simple = rows.is_none() && there.len() == world.len();
+        let by_row = (!is_simple).then(|| there.iter().map(|&splat| (row(splat), splat as usize)).collect());
         Self { world, rows, by_row }
     }
 
-    /// The model's row that the Gaussian at `index` is.
+    /// The model's row that the splat at `index` is.
     pub fn row(&self, index: usize) -> u32 {
         self.rows.as_ref().map_or(index as u32, |rows| rows[index])
     }
 
     /// Where the Gaussian of a model's row is, if it is there at this time.
     pub fn of_row(&self, row: u32) -> Option<[f32; 3]> {
-        let at = if self.rows.is_some() { *self.by_row.get(&row)? } else { row as usize };
+        let at = self.by_row.as_ref().map_or(Some(row as usize), |by_row| by_row.get(&row).copied())?;
         self.world.get(at).copied()
     }
 }
@@ -118,14 +123,8 @@ impl Player {
         let moment = self.moment(time_secs, camera);
         let splats = self.method.splats(&mut tape, &model, &moment)?;
         let rows = self.method.rows(&mut tape, &model, &moment)?;
-        let all: &[[f32; 3]] = tape.value(splats.positions).as_slice().as_chunks().0;
-        let there = present(&tape, &splats);
-        if there.len() == all.len() {
-            return Ok(Positions::new(all.to_vec(), rows));
-        }
-        let world = there.iter().map(|&splat| all[splat as usize]).collect();
-        let row = |splat: &u32| rows.as_ref().map_or(*splat, |rows| rows[*splat as usize]);
-        Ok(Positions::new(world, Some(there.iter().map(row).collect())))
+        let world = tape.value(splats.positions).as_slice().as_chunks().0.to_vec();
+        Ok(Positions::new(world, rows, &present(&tape, &splats)))
     }
 
     fn moment<'m>(&'m self, time_secs: f64, camera: &'m PinholeCamera) -> Moment<'m> {
