@@ -4,7 +4,8 @@
 struct View {
     // Rows of camera_from_world, with the translation last.
     rows: array<vec4<f32>, 3>,
-    position_world: vec4<f32>,
+    position_world: vec3<f32>,
+    alpha_cap: f32,
     focal: vec2<f32>,
     center: vec2<f32>,
     size: vec2<f32>,
@@ -189,7 +190,7 @@ fn harmonics(d: vec3<f32>) -> array<f32, 16> {
 
 fn color_of(splat: u32) -> Color {
     var color: Color;
-    let offset = position_of(splat) - view.position_world.xyz;
+    let offset = position_of(splat) - view.position_world;
     let range = sqrt(dot(offset, offset));
     color.inverse_distance = 0.0;
     if (range >= MIN_DISTANCE) {

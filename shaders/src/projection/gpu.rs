@@ -1,6 +1,5 @@
 //! The kernels of projection.
 
-use super::guards::Limits;
 use super::reference::View;
 use super::{Projection, ShapeInputs};
 use crate::algebra;
@@ -9,8 +8,6 @@ use crate::tape::{Real, Tensor};
 
 /// Splats per workgroup: few, because each invocation holds many numbers.
 const GROUP: usize = 64;
-/// Splats per workgroup of the counts.
-const GUARDS_GROUP: usize = 256;
 
 /// F = R_q·diag(eˢ), after the algebra.
 pub(super) const FACTOR: &str = include_str!("factor.wgsl");
@@ -22,35 +19,12 @@ pub(super) const BACKWARD: Kernel = Kernel {
     text: &[algebra::WGSL, FACTOR, GEOMETRY, include_str!("projection_bwd.wgsl")],
 };
 
-pub(super) const GUARDS: Kernel = Kernel { name: "projection, guards", text: &[include_str!("guards.wgsl")] };
-
-uniforms! {
-    struct LimitsBlock as "Limits" {
-        size_px: [f32; 2],
-        alpha_cap: f32,
-        count: u32,
-    }
-}
-
-/// How often what [`super::guards`] tells happened, for cutoffs, means, opacities and colours.
-pub(super) fn count_guards<T: Real>(gpu: Gpu, values: [&Tensor<T>; 4], limits: &Limits) -> GpuArray {
-    let counts = GpuArray::zeros(gpu, 6);
-    let count = values[0].len();
-    let size_px = limits.size_px.map(|size| size as f32);
-    let read = values.map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    let arrays = [&read[..], &[Binding::Write(&counts).all()]].concat();
-    in_windows(gpu, count, &arrays, |count, arrays| {
-        let constants = LimitsBlock { size_px, alpha_cap: limits.alpha_cap as f32, count: count as u32 };
-        GUARDS.launch(gpu, &[], &constants, arrays, count.div_ceil(GUARDS_GROUP));
-    });
-    counts
-}
-
 uniforms! {
     /// As the `View` of the kernels.
     struct ViewBlock as "View" {
         rows: [[f32; 4]; 3],
-        position_world: [f32; 4],
+        position_world: [f32; 3],
+        alpha_cap: f32,
         focal: [f32; 2],
         center: [f32; 2],
         size: [f32; 2],
@@ -71,7 +45,7 @@ pub(super) fn specialisation(sh_degree: usize, shapes: ShapeInputs) -> [(&'stati
 }
 
 impl ViewBlock {
-    fn new<T: Real>(view: &View<T>, count: usize, sh_len: usize) -> Self {
+    fn new<T: Real>(view: &View<T>, count: usize, sh_len: usize, alpha_cap: f64) -> Self {
         let f = |value: T| value.to_f64() as f32;
         let row = |axis: usize| {
             let [x, y, z] = view.rotation[axis].map(f);
@@ -81,7 +55,8 @@ impl ViewBlock {
         let [(low_x, high_x), (low_y, high_y)] = view.slope_range;
         Self {
             rows: [row(0), row(1), row(2)],
-            position_world: [x, y, z, 0.0],
+            position_world: [x, y, z],
+            alpha_cap: alpha_cap as f32,
             focal: view.focal.map(f),
             center: view.center.map(f),
             size: view.size.map(f),
@@ -105,16 +80,18 @@ fn parameters<'a, T: Real>(gpu: Gpu, inputs: &[&'a Tensor<T>]) -> Vec<Binding<'a
 
 impl<T: Real> Projection<T> {
     fn block(&self, count: usize) -> ViewBlock {
-        ViewBlock::new(&self.view, count, self.sh_len)
+        ViewBlock::new(&self.view, count, self.sh_len, self.alpha_cap)
     }
 
-    /// Means, conics, depths, opacities, colours, cutoffs.
+    /// Means, conics, depths, opacities, colours, cutoffs; and how often what [`super::guards::EVENTS`] tells happened.
     pub(super) fn project_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let count = inputs[0].rows();
         let shapes = [vec![count, 2], vec![count, 3], vec![count], vec![count], vec![count, 3], vec![count]];
         let arrays: Vec<GpuArray> = shapes.iter().map(|shape| GpuArray::new(gpu, shape.iter().product())).collect();
         let mut bindings = parameters(gpu, inputs);
         bindings.extend(arrays.iter().map(Binding::Write));
+        let events = self.events.as_ref().expect("there on a GPU");
+        bindings.push(Binding::Write(events).all());
         let specialisation = specialisation(self.view.sh_degree, ShapeInputs::of(inputs));
         in_windows(gpu, count, &bindings, |count, arrays| {
             FORWARD.launch(gpu, &specialisation, &self.block(count), arrays, count.div_ceil(GROUP));

@@ -3,7 +3,7 @@
 
 use super::settings::RasterSettings;
 use super::{PinholeCamera, ProjectedVars};
-use crate::tape::{Later, Real, Tape, Tensor};
+use crate::tape::{Real, Tape};
 
 /// Event: splats with a value that is infinite or NaN. They are not drawn; whoever trains or renders a model must ask.
 pub const NOT_FINITE: &str = "splats not finite";
@@ -31,10 +31,10 @@ impl Culled {
     }
 }
 
-/// What is counted, in the order of the kernel: splats that were culled for their numbers, and numbers that were kept in
+/// What is counted, here and by the kernel, in this order: splats that were culled for their numbers, and numbers that were kept in
 /// range: of splats far off the axis (the affine map of the perspective is that of the image's margin), opacities above
 /// what the cap of alpha allows, and colour channels below zero.
-const EVENTS: [&str; 6] = [
+pub(super) const EVENTS: [&str; 6] = [
     "splats before the near plane",
     "splats out of proportion",
     NOT_FINITE,
@@ -43,55 +43,36 @@ const EVENTS: [&str; 6] = [
     "color channels below zero",
 ];
 
-/// Counts [`EVENTS`] for the tape; on a GPU they are looked at later.
+/// Counts [`EVENTS`] of what the host projected, for the tape.
 pub(super) fn count<T: Real>(
     tape: &mut Tape<T>,
     projected: &ProjectedVars,
     camera: &PinholeCamera,
     settings: &RasterSettings,
 ) {
-    let limits = Limits { size_px: [camera.width, camera.height], alpha_cap: settings.alpha_cap };
     let ProjectedVars { means2d, opacities, colors, cutoffs, .. } = *projected;
-    let values = [cutoffs, means2d, opacities, colors].map(|var| tape.value(var));
-    match tape.device().gpu().filter(|_| !values[0].is_on_host()) {
-        Some(gpu) => {
-            let counts = super::gpu::count_guards(gpu, values, &limits);
-            tape.say_later(Later::Events { names: EVENTS.to_vec(), counts });
-        }
-        None => {
-            let counts = count_on_host(values, &limits);
-            let happened = EVENTS.into_iter().zip(counts).filter(|(_, count)| *count > 0);
-            happened.for_each(|(what, count)| tape.count(what, count));
-        }
-    }
-}
-
-/// What numbers are compared with.
-pub(super) struct Limits {
-    /// Width and height.
-    pub size_px: [usize; 2],
-    pub alpha_cap: f64,
-}
-
-fn count_on_host<T: Real>([cutoffs, means2d, opacities, colors]: [&Tensor<T>; 4], limits: &Limits) -> [u64; 6] {
-    let cutoffs = cutoffs.as_slice();
+    let [cutoffs, means2d, opacities, colors] =
+        [cutoffs, means2d, opacities, colors].map(|var| tape.value(var).as_slice());
     let culled = |why: Culled| cutoffs.iter().filter(|cutoff| cutoff.to_f64() == why.code()).count();
     let is_drawn = |index: usize| cutoffs[index] >= T::ZERO;
     let margin = super::reference::CLAMP_MARGIN;
+    let size_px = [camera.width as f64, camera.height as f64];
     let is_off_axis = |mean: &[T; 2]| {
         (0..2).any(|axis| {
-            let at = mean[axis].to_f64() / limits.size_px[axis] as f64;
+            let at = mean[axis].to_f64() / size_px[axis];
             at < -margin || at > 1.0 + margin
         })
     };
-    let means = means2d.as_slice().as_chunks::<2>().0.iter().enumerate();
+    let means = means2d.as_chunks::<2>().0.iter().enumerate();
     let off_axis = means.filter(|(index, mean)| is_drawn(*index) && is_off_axis(mean)).count();
-    let capped = opacities.as_slice().iter().filter(|opacity| opacity.to_f64() > limits.alpha_cap).count();
-    let colors = colors.as_slice().as_chunks::<3>().0.iter().enumerate();
-    let drawn = colors.filter(|(index, _)| is_drawn(*index));
+    let capped = opacities.iter().filter(|opacity| opacity.to_f64() > settings.alpha_cap).count();
+    let drawn = colors.as_chunks::<3>().0.iter().enumerate().filter(|(index, _)| is_drawn(*index));
     let dark = drawn.flat_map(|(_, color)| color).filter(|channel| **channel == T::ZERO).count();
     let [near, huge, not_finite] = [Culled::Near, Culled::Huge, Culled::NotFinite].map(culled);
-    [near, huge, not_finite, off_axis, capped, dark].map(|count| count as u64)
+    let counts = [near, huge, not_finite, off_axis, capped, dark];
+    for (what, count) in EVENTS.into_iter().zip(counts).filter(|(_, count)| *count > 0) {
+        tape.count(what, count as u64);
+    }
 }
 
 #[cfg(test)]
@@ -101,42 +82,60 @@ mod tests {
     use crate::gpu::conformance::Disagreement;
     use crate::gpu::fault::assert_noticed;
     use crate::gpu::tests::test_gpu;
+    use crate::gpu::windows::tests::in_smallest_windows;
+    use crate::projection::project;
+    use crate::splat::SplatTensors;
+    use crate::tape::{Device, Tensor};
 
-    /// Splats with everything that is counted.
-    fn guarded(count: usize) -> [Tensor<f32>; 4] {
-        let random = |len: usize, scale: f64| -> Vec<f32> {
-            noise(len, len as u64).into_iter().map(|value| (scale * value) as f32).collect()
+    /// Splats around a camera with everything that is counted.
+    fn guarded(count: usize) -> SplatTensors<f32> {
+        let random = |columns: usize, seed: u64, scale: f64, offset: f64| {
+            let values = noise(columns * count, seed).into_iter().map(|value| offset + scale * value);
+            Tensor::from_vec([count, columns], values.collect()).cast::<f32>()
         };
-        let cutoff = |index: usize| [1.0, -1.0, -2.0, -3.0, -4.0, 0.0][index % 6];
-        let cutoffs = Tensor::from_vec([count], (0..count).map(cutoff).collect());
-        let opacities = random(count, 1.5).into_iter().map(f32::abs).collect();
-        let colors = random(3 * count, 1.0).into_iter().map(|value| value.max(0.0)).collect();
-        [
-            cutoffs,
-            Tensor::from_vec([count, 2], random(2 * count, 100.0)),
-            Tensor::from_vec([count], opacities),
-            Tensor::from_vec([count, 3], colors),
-        ]
+        let mut splats = SplatTensors {
+            positions: random(3, 1, 3.0, 0.0),
+            log_scales: random(3, 2, 1.0, -1.0),
+            rotations: random(4, 3, 1.0, 0.0),
+            opacity_logits: random(1, 4, 8.0, 0.0),
+            sh: random(3, 5, 3.0, 0.0).reshape([count, 1, 3]),
+        };
+        (0..count).step_by(7).for_each(|splat| splats.log_scales.make_mut()[3 * splat] = 60.0);
+        (0..count).step_by(11).for_each(|splat| splats.opacity_logits.make_mut()[splat] = f32::NAN);
+        splats
+    }
+
+    /// How often everything happens.
+    fn events(device: Device, count: usize) -> [u64; 6] {
+        let camera = PinholeCamera {
+            width: 40,
+            height: 30,
+            focal: [30.0; 2],
+            center: [20.0, 15.0],
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [0.0; 3],
+        };
+        let mut tape = Tape::new(device);
+        let vars = guarded(count).constants(&mut tape);
+        project(&mut tape, &vars, &camera, &RasterSettings { sh_degree: 0, ..RasterSettings::default() });
+        tape.settle();
+        EVENTS.map(|event| tape.profile().events.get(event).copied().unwrap_or(0))
     }
 
     fn compare(count: usize) -> Result<usize, Disagreement> {
         let Some(gpu) = test_gpu() else { return Ok(0) };
-        let limits = Limits { size_px: [40, 30], alpha_cap: 0.99 };
-        let values = guarded(count);
-        let expected = count_on_host(values.each_ref(), &limits);
-        let mut found = [0_u32; 6];
-        super::super::gpu::count_guards(gpu, values.each_ref(), &limits).read_into(&mut found);
-        let numbers = |counts: Vec<f64>| Tensor::from_vec([6], counts);
-        let found = numbers(found.map(f64::from).to_vec());
-        crate::check::agree(&found, &numbers(expected.map(|count| count as f64).to_vec()), 0.0)
+        let numbers = |device| Tensor::from_vec([6], events(device, count).map(|count| count as f64).to_vec());
+        crate::check::agree(&numbers(Device::Gpu(gpu)), &numbers(Device::Cpu), 0.0)
             .map(|()| 1)
             .map_err(|mismatch| Disagreement { what: format!("the events of {count} splats"), mismatch })
     }
 
     #[test]
     fn a_gpu_counts_the_same() {
-        for count in [0, 1, 255, 600] {
+        assert!(events(Device::Cpu, 600).iter().all(|&count| count > 5), "{:?}", events(Device::Cpu, 600));
+        for count in [0, 1, 63, 65, 600] {
             compare(count).unwrap_or_else(|error| panic!("{error}"));
+            in_smallest_windows(|| compare(count).unwrap_or_else(|error| panic!("{error}")));
         }
     }
 
@@ -145,8 +144,13 @@ mod tests {
         if test_gpu().is_none() {
             return;
         }
-        let kernel = "projection, guards";
-        let faults = [("-4.0", "-5.0"), ("> limits.alpha_cap", "> 1.0"), ("== 0.0", "== 1.0"), ("1.0 + MARGIN", "1.0")];
-        assert_noticed(&faults.map(|(right, wrong)| (kernel, right, wrong)), || compare(600));
+        let faults = [
+            ("why == NEAR", "why == UNSEEN"),
+            ("why == NOT_FINITE", "why == HUGE"),
+            ("> view.alpha_cap", "> 1.0"),
+            ("dark.x + dark.y", "dark.x"),
+            ("1.0 + MARGIN", "1.0"),
+        ];
+        assert_noticed(&faults.map(|(right, wrong)| ("projection", right, wrong)), || compare(600));
     }
 }

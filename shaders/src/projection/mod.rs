@@ -17,6 +17,8 @@ mod shape;
 #[cfg(test)]
 mod tests;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 pub use camera::PinholeCamera;
@@ -24,8 +26,8 @@ pub use factors::factors;
 pub use guards::{Culled, NOT_FINITE};
 pub use settings::RasterSettings;
 
-use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::gpu::{Gpu, GpuArray};
+use crate::tape::{Later, Op, Real, Tape, Tensor, Var};
 use reference::{Projected, Splat, SplatGradient, View};
 use shape::Shape;
 
@@ -112,16 +114,25 @@ pub fn project<T: Real>(
         assert_eq!(tape.value(var).len(), count * row_len, "projection: a parameter has the wrong shape");
     }
     let inputs: Vec<Var> = inputs.into_iter().map(|(var, _)| var).collect();
-    let outputs = tape.apply(Projection { view: View::<T>::new(camera, settings), sh_len }, &inputs);
+    let events = tape.device().gpu().map(|gpu| Arc::new(GpuArray::zeros(gpu, guards::EVENTS.len())));
+    let view = View::<T>::new(camera, settings);
+    let projection = Projection { view, sh_len, alpha_cap: settings.alpha_cap, events: events.clone() };
+    let outputs = tape.apply(projection, &inputs);
     let [means2d, conics, depths, opacities, colors, cutoffs] = outputs[..] else { unreachable!("six outputs") };
     let projected = ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs };
-    guards::count(tape, &projected, camera, settings);
+    match events {
+        Some(counts) => tape.say_later(Later::Events { names: guards::EVENTS.to_vec(), counts }),
+        None => guards::count(tape, &projected, camera, settings),
+    }
     projected
 }
 
 struct Projection<T> {
     view: View<T>,
     sh_len: usize,
+    alpha_cap: f64,
+    /// How often a GPU found each of [`guards::EVENTS`].
+    events: Option<Arc<GpuArray>>,
 }
 
 /// What the inputs after positions, opacities and harmonics are.

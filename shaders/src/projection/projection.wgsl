@@ -1,4 +1,5 @@
-// The image of every splat; a culled splat has zeros and a negative cutoff that tells why.
+// The image of every splat; a culled splat has zeros and a negative cutoff that tells why. Splats that were culled for their
+// numbers, and numbers that were kept in range, are counted.
 
 @group(0) @binding(6) var<storage, read_write> means2d: array<f32>;
 @group(0) @binding(7) var<storage, read_write> conics: array<f32>;
@@ -6,6 +7,14 @@
 @group(0) @binding(9) var<storage, read_write> opacities: array<f32>;
 @group(0) @binding(10) var<storage, read_write> colors: array<f32>;
 @group(0) @binding(11) var<storage, read_write> cutoffs: array<f32>;
+@group(0) @binding(12) var<storage, read_write> counts: array<atomic<u32>>;
+
+// How far beyond the image, in images, means may lie.
+const MARGIN: f32 = 0.15;
+
+const EVENTS: u32 = 6u;
+
+var<workgroup> group_counts: array<atomic<u32>, EVENTS>;
 
 const UNSEEN: f32 = -1.0;
 const NEAR: f32 = -2.0;
@@ -51,27 +60,61 @@ fn write_image(splat: u32, mean2d: vec2<f32>, conic: vec3<f32>, depth: f32, opac
     cutoffs[splat] = cutoff;
 }
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let splat = flat_group(group, groups) * 64u + local;
-    if (splat >= view.count) {
-        return;
+// Whole numbers: the order of additions does not matter.
+fn note(event: u32, times: u32) {
+    if (times > 0u) {
+        atomicAdd(&group_counts[event], times);
     }
+}
+
+fn is_off_axis(mean2d: vec2<f32>) -> bool {
+    let at = mean2d / view.size;
+    return any(at < vec2<f32>(-MARGIN)) || any(at > vec2<f32>(1.0 + MARGIN));
+}
+
+fn project(splat: u32) {
     let geometry = geometry_of(splat);
     let opacity = sigmoid(opacity_logits[splat]);
     let cutoff = log(opacity / view.alpha_min);
     let color = color_of(splat);
     var drawn = geometry.usable && is_finite(cutoff) && cutoff >= 0.0;
     drawn = drawn && touches_image(geometry, cutoff) && is_finite3(color.unclamped) && shape_is_finite(splat);
-    if (drawn) {
-        let clamped = max(color.unclamped, vec3<f32>(0.0));
-        write_image(splat, geometry.mean2d, geometry.conic, geometry.position_view.z, opacity, clamped, cutoff);
-    } else {
+    if (!drawn) {
         let nothing = vec3<f32>(0.0);
-        write_image(splat, nothing.xy, nothing, 0.0, 0.0, nothing, why_culled(splat, geometry));
+        let why = why_culled(splat, geometry);
+        write_image(splat, nothing.xy, nothing, 0.0, 0.0, nothing, why);
+        note(0u, u32(why == NEAR));
+        note(1u, u32(why == HUGE));
+        note(2u, u32(why == NOT_FINITE));
+        return;
+    }
+    let clamped = max(color.unclamped, vec3<f32>(0.0));
+    write_image(splat, geometry.mean2d, geometry.conic, geometry.position_view.z, opacity, clamped, cutoff);
+    note(3u, u32(is_off_axis(geometry.mean2d)));
+    note(4u, u32(opacity > view.alpha_cap));
+    let dark = vec3<u32>(clamped == vec3<f32>(0.0));
+    note(5u, dark.x + dark.y + dark.z);
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    if (local < EVENTS) {
+        atomicStore(&group_counts[local], 0u);
+    }
+    workgroupBarrier();
+    let splat = flat_group(group, groups) * 64u + local;
+    if (splat < view.count) {
+        project(splat);
+    }
+    workgroupBarrier();
+    if (local < EVENTS) {
+        let sum = atomicLoad(&group_counts[local]);
+        if (sum > 0u) {
+            atomicAdd(&counts[local], sum);
+        }
     }
 }

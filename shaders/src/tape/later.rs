@@ -9,7 +9,7 @@ use crate::gpu::{GpuArray, Length};
 /// What a GPU counts.
 pub enum Later {
     /// How often each of these happened.
-    Events { names: Vec<&'static str>, counts: GpuArray },
+    Events { names: Vec<&'static str>, counts: Arc<GpuArray> },
     /// How many intersections a render has, for which there was so much room.
     Intersections { length: Arc<Length>, room: usize },
 }
