@@ -2,8 +2,10 @@
 
 mod observed;
 mod terms;
+mod weights;
 
-use shaders::pointwise::sub;
+use shaders::losses::total;
+use shaders::pointwise::{mul, sub};
 use shaders::splat::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
@@ -15,7 +17,8 @@ use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::FINE;
 use crate::method::{Method as _, Moment, Step, TrainingView, photometric_losses};
 use observed::{RenderedTokens, color_statistics, depth_cells, rendered_tokens};
-use terms::{CellMask, add_angle, add_distance, focus, normalized, still};
+use terms::{add_angle, add_distance};
+use weights::{CellMask, focus, normalized, still};
 
 /// Semantic features, which follow unit vectors, say nothing of a direction where they, or their changes, are shorter.
 const MIN_FEATURE_NORM: f64 = 1e-2;
@@ -72,7 +75,7 @@ impl LanguageGuided {
                 let tokens = step.tape.constant(tokens.cast());
                 grid.pool(step.tape, tokens)
             });
-            let statistics = color_statistics(grid, &view.image);
+            let statistics = color_statistics(step.tape, grid, image);
             step.clock.enter("losses");
             for (weight, value) in Teacher::reconstruction(step.tape, step.model, lesson.features, statistics, targets)
             {
@@ -101,23 +104,23 @@ impl LanguageGuided {
         step.photometric(rendered.color, view);
         let grid = self.grid(view);
         let tokens = rendered_tokens(step, grid, &rendered, self.settings.min_alpha);
-        let uncovered = tokens.covered.iter().filter(|covered| !**covered).count();
-        step.count_skipped("tokens without Gaussians", uncovered, grid.count());
+        let covered = total(step.tape, tokens.covered);
+        step.count_skipped_later("tokens without Gaussians", covered, grid.count());
 
         let asked = due.static_semantics || self.on.attention_focus;
         let lesson = asked.then(|| self.frame_lesson(step, grid, view, true));
         let focus = match &lesson {
-            Some(lesson) if self.on.attention_focus => focus(step.tape.value(lesson.probabilities)),
-            _ => vec![1.0; grid.count()],
+            Some(lesson) if self.on.attention_focus => focus(step.tape, lesson.probabilities),
+            _ => step.tape.constant(Tensor::full([grid.count(), 1], T::ONE)),
         };
         if let (true, Some(lesson)) = (due.static_semantics, &lesson) {
-            self.static_semantics(step, due, lesson, &tokens, &focus);
+            self.static_semantics(step, due, lesson, &tokens, focus);
         }
         if due.static_depth {
-            self.static_depth(step, due, view, grid, &tokens, &focus);
+            self.static_depth(step, due, view, grid, &tokens, focus);
         }
         if due.dynamics() {
-            self.changes(step, due, view, grid, (&rendered, &tokens), &focus)?;
+            self.changes(step, due, view, grid, (&rendered, &tokens), focus)?;
         }
         Ok(())
     }
@@ -149,14 +152,14 @@ impl LanguageGuided {
         due: &Due,
         lesson: &Lesson,
         tokens: &RenderedTokens,
-        focus: &[f64],
+        focus: Var,
     ) {
-        let Some(weights) = normalized(focus, |token| tokens.covered[token]) else { return };
+        let weights = normalized(step.tape, focus, tokens.covered);
         let features = tokens.features.expect("rendered where semantic losses are due");
         let weight = due.weight * self.settings.weights.statics;
-        add_distance(step, "static_semantics", weight, [lesson.features, features], &weights);
+        add_distance(step, "static_semantics", weight, [lesson.features, features], weights);
         let angle = weight * self.settings.weights.angle;
-        add_angle(step, "static_semantics", angle, [lesson.features, features], &weights, MIN_FEATURE_NORM);
+        add_angle(step, "static_semantics", angle, [lesson.features, features], weights, MIN_FEATURE_NORM);
     }
 
     /// Equation 4 for depths as vectors of cells: Σ w·(‖D − D*‖² + λ·(1 − cos(D − mean D, D* − mean D*))) over the cells
@@ -168,22 +171,22 @@ impl LanguageGuided {
         view: &TrainingView<T>,
         grid: TokenGrid,
         tokens: &RenderedTokens,
-        focus: &[f64],
+        focus: Var,
     ) {
         let Some(prior) = step.supplements.view(view.index).and_then(|priors| priors.depth.as_ref()) else {
             return step.count_skipped("depth of frames without depth", 1, 1);
         };
-        let (target, known) = depth_cells::<T>(grid, prior, step.scene.extent);
-        let mask = CellMask::new(grid.count(), &tokens.cells_covered, &known);
-        let Some(weights) = normalized(focus, |token| mask.any(token)) else { return };
+        let [target, known] = depth_cells::<T>(grid, prior, step.scene.extent).map(|cells| step.tape.constant(cells));
+        let mask = CellMask::new(step.tape, tokens.cells_covered, known);
+        let any = mask.any(step.tape);
+        let weights = normalized(step.tape, focus, any);
         let depth = tokens.depth.expect("rendered where depth losses are due");
-        let target = step.tape.constant(target);
         let LossWeights { statics, static_depth, angle, .. } = self.settings.weights;
         let weight = due.weight * statics * static_depth;
         let masked = [target, depth].map(|depth| mask.masked(step.tape, depth));
-        add_distance(step, "static_depth", weight, masked, &weights);
+        add_distance(step, "static_depth", weight, masked, weights);
         let centered = masked.map(|depth| mask.centered(step.tape, depth));
-        add_angle(step, "static_depth", weight * angle, centered, &weights, MIN_RELIEF_NORM);
+        add_angle(step, "static_depth", weight * angle, centered, weights, MIN_RELIEF_NORM);
     }
 
     /// Equations 6 to 8, from the view's time to one frame later as the same camera sees it.
@@ -194,7 +197,7 @@ impl LanguageGuided {
         view: &TrainingView<T>,
         grid: TokenGrid,
         (rendered, tokens): (&Rendered, &RenderedTokens),
-        focus: &[f64],
+        focus: Var,
     ) -> anyhow::Result<()> {
         let moves = |labels: &scene::LabelMap| labels.labels.iter().any(|&label| label != 0);
         if !step.supplements.moving(view.index).is_none_or(moves) {
@@ -217,18 +220,19 @@ impl LanguageGuided {
                 })
             };
             let features = [tokens, &later_tokens].map(|tokens| tokens.features.expect("rendered"));
-            if let Some(weights) = normalized(focus, |token| tokens.covered[token] && later_tokens.covered[token]) {
-                self.dynamic_semantics(step, due, lessons.map(|lesson| lesson.features), features, &weights);
-            }
+            let covered = mul(step.tape, tokens.covered, later_tokens.covered);
+            let weights = normalized(step.tape, focus, covered);
+            self.dynamic_semantics(step, due, lessons.map(|lesson| lesson.features), features, weights);
         }
         if due.dynamic_depth {
-            let mask = CellMask::new(grid.count(), &tokens.cells_covered, &later_tokens.cells_covered);
+            let mask = CellMask::new(step.tape, tokens.cells_covered, later_tokens.cells_covered);
+            let any = mask.any(step.tape);
+            let weights = normalized(step.tape, focus, any);
+            let weights = still(step.tape, weights);
             let depths = [&later_tokens, tokens].map(|tokens| tokens.depth.expect("rendered"));
-            if let Some(weights) = normalized(focus, |token| mask.any(token)) {
-                let masked = depths.map(|depth| mask.masked(step.tape, depth));
-                let weight = due.weight * self.settings.weights.dynamic_depth;
-                add_distance(step, "dynamic_depth", weight, masked, &still(&weights));
-            }
+            let masked = depths.map(|depth| mask.masked(step.tape, depth));
+            let weight = due.weight * self.settings.weights.dynamic_depth;
+            add_distance(step, "dynamic_depth", weight, masked, weights);
         }
         Ok(())
     }
@@ -240,13 +244,14 @@ impl LanguageGuided {
         due: &Due,
         lessons: [Var; 2],
         features: [Var; 2],
-        weights: &[f64],
+        weights: Var,
     ) {
         let changes = [lessons, features].map(|[now, later]| sub(step.tape, later, now));
         let angle = due.weight * self.settings.weights.change_angle;
         add_angle(step, "dynamic_semantics", angle, changes, weights, MIN_FEATURE_NORM);
         add_distance(step, "dynamic_semantics", due.weight, [lessons[1], lessons[0]], weights);
-        add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], &still(weights));
+        let weights = still(step.tape, weights);
+        add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], weights);
     }
 
     /// What the teacher says about a training frame.

@@ -1,12 +1,13 @@
 //! What renders, depth maps and images say about the tokens of the grid.
 
 use scene::DepthMap;
-use shaders::pointwise::scale;
-use shaders::rows::{divide_rows, reshape};
+use shaders::pointwise::{scale, square};
+use shaders::rows::{concat_columns, divide_rows, reshape};
 use shaders::splat::Rendered;
-use shaders::tape::{Device, Real, Tape, Tensor, Var};
+use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::super::tokens::{CELLS, TokenGrid};
+use super::weights::covered;
 use crate::method::Step;
 
 /// Less opacity than this leaves features and depth undetermined.
@@ -14,16 +15,28 @@ const MIN_ALPHA: f64 = 1e-3;
 /// Depth cells of one token.
 const TOKEN_CELLS: usize = CELLS * CELLS;
 
+shaders::pointwise! {
+    /// y = √max(mean of squares − mean², 0), the standard deviation; the gradient at 0 is 0.
+    fn deviation(mean, mean_of_squares) -> y {
+        let variance = mean_of_squares - mean * mean;
+        return sqrt(select(variance, 0.0, variance < 0.0));
+    }
+    gradients(dy) {
+        mean: { return select(0.0, -mean * dy / y, y > 0.0); }
+        mean_of_squares: { return select(0.0, 0.5 * dy / y, y > 0.0); }
+    }
+}
+
 /// What a render says about the tokens of the image.
 pub struct RenderedTokens {
     /// [tokens, features]: the mean feature of the Gaussians in sight.
     pub features: Option<Var>,
     /// [tokens, CELLS²] in extents of the scene.
     pub depth: Option<Var>,
-    /// [tokens]: whether Gaussians cover the token.
-    pub covered: Vec<bool>,
-    /// [tokens·CELLS²]: whether Gaussians cover the cell.
-    pub cells_covered: Vec<bool>,
+    /// [tokens, 1]: 1 where Gaussians cover the token, else 0.
+    pub covered: Var,
+    /// [tokens, CELLS²]: 1 where Gaussians cover the cell, else 0.
+    pub cells_covered: Var,
 }
 
 /// Means over tokens and cells, divided by the opacity that they were blended with; covered is what has `min_alpha`.
@@ -48,36 +61,55 @@ pub fn rendered_tokens<T: Real>(
         let relative = scale(tape, depth_view, 1.0 / extent);
         reshape(tape, relative, [grid.count(), TOKEN_CELLS])
     });
-    let is_covered = |alpha: &T| alpha.to_f64() >= min_alpha;
-    let covered = |alpha: Var| tape.value(alpha).as_slice().iter().map(is_covered).collect();
-    RenderedTokens { features, depth, covered: covered(alpha), cells_covered: covered(cell_alpha) }
+    let [covered, cells_covered] = [alpha, cell_alpha].map(|alpha| covered(tape, alpha, min_alpha));
+    let cells_covered = reshape(tape, cells_covered, [grid.count(), TOKEN_CELLS]);
+    RenderedTokens { features, depth, covered, cells_covered }
 }
 
-/// [tokens, CELLS²] of a depth map in extents of the scene, and the cells in which all of it is known.
-pub fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, extent: f64) -> (Tensor<T>, Vec<bool>) {
+/// [tokens, CELLS²] of a depth map in extents of the scene, and 1 for the cells in which all of it is known, else 0.
+pub fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, extent: f64) -> [Tensor<T>; 2] {
     let (height, width) = (map.height as usize, map.width as usize);
     let is_known = |depth: f32| depth > 0.0 && depth.is_finite();
     let relative = |&depth: &f32| T::from_f64(if is_known(depth) { f64::from(depth) / extent } else { 0.0 });
     let depth = grid.cell_values(height, width, map.depth_view.iter().map(relative).collect());
     let holes = map.depth_view.iter().map(|&depth| T::from_f64(f64::from(u8::from(!is_known(depth))))).collect();
     let holes = grid.cell_values(height, width, holes);
-    let known = holes.as_slice().iter().map(|&hole| hole == T::ZERO).collect();
-    (depth.reshape([grid.count(), TOKEN_CELLS]), known)
+    let is_whole = |&hole: &T| if hole == T::ZERO { T::ONE } else { T::ZERO };
+    let known = Tensor::from_vec(holes.shape(), holes.as_slice().iter().map(is_whole).collect());
+    [depth, known].map(|cells| cells.reshape([grid.count(), TOKEN_CELLS]))
 }
 
-/// [tokens, 6]: mean and standard deviation of the three colours.
-pub fn color_statistics<T: Real>(grid: TokenGrid, image: &Tensor<T>) -> Tensor<T> {
-    let mut tape = Tape::new(Device::Cpu);
-    let squares = image.as_slice().iter().map(|&value| value * value).collect();
-    let [means, squares] = [image.clone(), Tensor::from_vec(image.shape(), squares)].map(|image| {
-        let image = tape.constant(image);
-        let pooled = grid.pool(&mut tape, image);
-        tape.value(pooled).clone()
-    });
-    let row = |token: usize| {
-        let (means, squares) = (means.row(token), squares.row(token));
-        let deviation = |channel: usize| (squares[channel] - means[channel] * means[channel]).max(T::ZERO).sqrt();
-        [means[0], means[1], means[2], deviation(0), deviation(1), deviation(2)]
-    };
-    Tensor::from_vec([grid.count(), 6], (0..grid.count()).flat_map(row).collect())
+/// [tokens, 6]: mean and standard deviation of the three colours of an image [H, W, 3].
+pub fn color_statistics<T: Real>(tape: &mut Tape<T>, grid: TokenGrid, image: Var) -> Var {
+    let squares = square(tape, image);
+    let [means, mean_squares] = [image, squares].map(|image| grid.pool(tape, image));
+    let deviations = deviation(tape, means, mean_squares);
+    concat_columns(tape, &[means, deviations])
+}
+
+#[cfg(test)]
+mod tests {
+    use shaders::check::{TOLERANCE, gradients, noise};
+    use shaders::tape::Device;
+
+    use super::*;
+
+    #[test]
+    fn deviations_have_the_gradient_of_central_differences() {
+        let means = Tensor::from_vec([40], noise(40, 1));
+        let squares = Tensor::from_vec([40], noise(40, 2).iter().map(|x| 2.5 + x).collect());
+        gradients(|tape, vars| deviation(tape, vars[0], vars[1]), &[means, squares], TOLERANCE).unwrap();
+    }
+
+    #[test]
+    fn colors_have_their_mean_and_standard_deviation() {
+        let mut tape = Tape::<f64>::new(Device::Cpu);
+        // Two tokens of two pixels, of which the second has one colour.
+        let image = [[0.0, 0.2, 1.0], [1.0, 0.4, 1.0], [0.5, 0.25, 0.0], [0.5, 0.25, 0.0]].concat();
+        let image = tape.constant(Tensor::from_vec([1, 4, 3], image));
+        let statistics = color_statistics(&mut tape, TokenGrid { rows: 1, columns: 2 }, image);
+        let expected = [[0.5, 0.3, 1.0, 0.5, 0.1, 0.0], [0.5, 0.25, 0.0, 0.0, 0.0, 0.0]].concat();
+        let found = tape.value(statistics).as_slice();
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-7), "{found:?}");
+    }
 }

@@ -3,7 +3,7 @@
 use shaders::losses::mean;
 use shaders::pointwise::sub;
 use shaders::rows::{columns, cosine_distance, squared_norm};
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::tape::{Real, Tape, Var};
 
 use super::{COLOR_STATISTICS, MIN_NORM, Teacher};
 use crate::state::Variables;
@@ -21,12 +21,11 @@ impl Teacher<'_> {
         tape: &mut Tape<T>,
         model: &Variables,
         features: Var,
-        statistics: Tensor<T>,
+        statistics: Var,
         visual_tokens: Option<Var>,
     ) -> WeightedLosses {
         let decoded = Self::decode(tape, model, features);
         let decoded_colors = columns(tape, decoded, 0..COLOR_STATISTICS);
-        let statistics = tape.constant(statistics);
         let mut losses = vec![(1.0, mean_squared_distance(tape, decoded_colors, statistics))];
         if let Some(visual_tokens) = visual_tokens {
             let width = tape.value(decoded).row_len();
