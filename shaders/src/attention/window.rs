@@ -113,7 +113,7 @@ impl RowMap<3> for WindowAttention {
     }
 
     fn value_gpu<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; 3]) -> Option<Tensor<T>> {
-        self.value_on_gpu(gpu, inputs)
+        Some(self.value_on_gpu(gpu, inputs))
     }
 
     fn gradient_gpu<T: Real>(
@@ -123,6 +123,6 @@ impl RowMap<3> for WindowAttention {
         _y: &Tensor<T>,
         dy: &Tensor<T>,
     ) -> Option<[Tensor<T>; 3]> {
-        self.gradient_on_gpu(gpu, inputs, dy)
+        Some(self.gradient_on_gpu(gpu, inputs, dy))
     }
 }

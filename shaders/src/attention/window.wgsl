@@ -26,10 +26,9 @@ fn looking_at(row: u32, token: u32, head: u32) -> u32 {
     return (row * sizes.queries + token) * sizes.channels + head * (sizes.channels / sizes.heads);
 }
 
-// How much a query looks at every token of the window.
-fn probabilities(row: u32, token: u32, head: u32) -> array<f32, WINDOW> {
+// Holds how much a query looks at every token of the window.
+fn look(row: u32, token: u32, head: u32) {
     let query = looking_at(row, token, head);
-    var scores: array<f32, WINDOW>;
     var largest = 0.0;
     for (var at = 0u; at < WINDOW; at++) {
         let key = seen_at(row, at, head);
@@ -37,17 +36,18 @@ fn probabilities(row: u32, token: u32, head: u32) -> array<f32, WINDOW> {
         for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
             score += queries[query + channel] * keys[key + channel];
         }
-        scores[at] = sizes.factor * score;
-        largest = select(max(largest, scores[at]), scores[at], at == 0u);
+        score *= sizes.factor;
+        hold_weight(at, score);
+        largest = select(max(largest, score), score, at == 0u);
     }
     var sum = 0.0;
     for (var at = 0u; at < WINDOW; at++) {
-        scores[at] = exp(scores[at] - largest);
-        sum += scores[at];
+        let weight = exp(weight_at(at) - largest);
+        hold_weight(at, weight);
+        sum += weight;
     }
     for (var at = 0u; at < WINDOW; at++) {
-        scores[at] /= sum;
+        hold_weight(at, weight_at(at) / sum);
     }
-    return scores;
 }
 

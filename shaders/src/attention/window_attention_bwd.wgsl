@@ -5,10 +5,8 @@
 @group(0) @binding(6) var<storage, read_write> g_keys: array<f32>;
 @group(0) @binding(7) var<storage, read_write> g_values: array<f32>;
 
-// The gradient of the scores before they are scaled, times the scale.
-fn score_gradients(row: u32, token: u32, head: u32, weights: array<f32, WINDOW>) -> array<f32, WINDOW> {
-    var p = weights;
-    var gradients: array<f32, WINDOW>;
+// Holds the gradients of the scores before they are scaled, times the scale.
+fn differentiate(row: u32, token: u32, head: u32) {
     let out = looking_at(row, token, head);
     var mean = 0.0;
     for (var at = 0u; at < WINDOW; at++) {
@@ -17,13 +15,12 @@ fn score_gradients(row: u32, token: u32, head: u32, weights: array<f32, WINDOW>)
         for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
             along += dy[out + channel] * values[value + channel];
         }
-        gradients[at] = along;
-        mean += p[at] * along;
+        hold_gradient(at, along);
+        mean += weight_at(at) * along;
     }
     for (var at = 0u; at < WINDOW; at++) {
-        gradients[at] = sizes.factor * p[at] * (gradients[at] - mean);
+        hold_gradient(at, sizes.factor * weight_at(at) * (gradient_at(at) - mean));
     }
-    return gradients;
 }
 
 @compute @workgroup_size(64)
@@ -38,17 +35,18 @@ fn main(
     }
     let head = index % sizes.heads;
     let row = index / sizes.heads;
+    hold_for(index, sizes.rows * sizes.heads);
     for (var token = 0u; token < sizes.queries; token++) {
-        var weights = probabilities(row, token, head);
-        var gradients = score_gradients(row, token, head, weights);
+        look(row, token, head);
+        differentiate(row, token, head);
         let query = looking_at(row, token, head);
         for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
             var g_query = 0.0;
             for (var at = 0u; at < WINDOW; at++) {
                 let seen = seen_at(row, at, head) + channel;
-                g_query += gradients[at] * keys[seen];
-                let g_key = gradients[at] * queries[query + channel];
-                let g_value = weights[at] * dy[query + channel];
+                g_query += gradient_at(at) * keys[seen];
+                let g_key = gradient_at(at) * queries[query + channel];
+                let g_value = weight_at(at) * dy[query + channel];
                 if (token == 0u) {
                     g_keys[seen] = g_key;
                     g_values[seen] = g_value;

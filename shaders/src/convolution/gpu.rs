@@ -81,14 +81,14 @@ impl Layout {
     /// The product; `side` is the bias where the direction has one.
     fn product<'a>(&self, direction: Direction, a: &'a GpuArray, b: &'a GpuArray, side: &'a GpuArray) -> Product<'a> {
         let [rows, columns, terms] = self.sizes(direction);
-        Product { rows, columns, terms, strides: [0; 4], arrays: [a, b, side] }
+        Product { rows, columns, terms, strides: [0; 4], arrays: [a, b, side].map(Binding::Read) }
     }
 
     fn launch(&self, gpu: Gpu, direction: Direction, arrays: [&GpuArray; 3]) -> GpuArray {
         let [a, b, side] = arrays;
         let product = self.product(direction, a, b, side);
         let y = GpuArray::new(gpu, product.rows * product.columns);
-        product::each(gpu, &CONVOLUTION, &self.specialisation(direction), &[product], &[(&y, false)]);
+        product::each(gpu, &CONVOLUTION, &self.specialisation(direction), &[product], &[(Binding::Write(&y), false)]);
         y
     }
 }
@@ -122,7 +122,7 @@ impl Convolution {
             let [of_weight, of_bias] =
                 [product.rows * product.columns, product.rows].map(|len| GpuArray::new(gpu, len));
             let specialisation = self.layout.specialisation(Direction::Weight);
-            let outputs = [(&of_weight, false), (&of_bias, false)];
+            let outputs = [&of_weight, &of_bias].map(|array| (Binding::Write(array), false));
             product::with_sums(gpu, &CONVOLUTION, &specialisation, &[product], &[outputs]);
             gradients[1] = like(1, of_weight);
             gradients[2] = like(2, of_bias);

@@ -114,7 +114,10 @@ impl Launch<'_> {
 impl Gpu {
     /// Bytes that a kernel sees of an array at most.
     pub(crate) fn visible_bytes(self) -> u64 {
-        self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size)
+        let bytes = self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size);
+        #[cfg(test)]
+        let bytes = bytes.min(super::windows::tests::seen_bytes());
+        bytes
     }
 
     /// An array, or what a kernel would see of it, is larger than the adapter allows.

@@ -2,7 +2,7 @@
 //! blocks, in an order that depends on the sizes alone.
 
 use super::launch::COLUMN_SUM;
-use super::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
+use super::{Binding, Gpu, GpuArray, Kernel, columns_for, in_windows, uniforms};
 
 /// The end of a kernel of terms: the text in front of it declares the arrays from binding 2 on, and defines
 /// `fn terms(row: u32, column: u32) -> vec2<f32>`.
@@ -36,7 +36,7 @@ pub struct Terms<'a> {
     pub kernel: &'a Kernel,
     /// Constants of its specialisation besides COLUMNS.
     pub specialisation: &'a [(&'static str, u32)],
-    /// What it reads.
+    /// What it reads: arrays of so many rows, and all of others ([`Binding::all`]).
     pub arrays: &'a [Binding<'a>],
     pub rows: usize,
     pub columns: usize,
@@ -57,21 +57,25 @@ impl Terms<'_> {
         (sums, blocks)
     }
 
-    /// The sums of both terms over all rows, [columns] each.
+    /// The sums of both terms over all rows, [columns] each; from window to window where the arrays do not fit.
     pub fn sums(&self, gpu: Gpu) -> [GpuArray; 2] {
-        let (block_sums, blocks) = self.block_sums(gpu);
-        totals(gpu, &block_sums, blocks, self.columns)
+        let sums = [(); 2].map(|()| GpuArray::new(gpu, self.columns));
+        let mut adds = false;
+        in_windows(gpu, self.rows, self.arrays, |rows, arrays| {
+            let (block_sums, blocks) = Terms { arrays, rows, ..*self }.block_sums(gpu);
+            let constants = TotalsBlock { blocks: blocks as u32, columns: self.columns as u32 };
+            let arrays = [Binding::Read(&block_sums), Binding::Write(&sums[0]), Binding::Write(&sums[1])];
+            let groups = self.columns.div_ceil(TOTALS_COLUMNS);
+            TOTALS.launch(gpu, &totals_of(adds), &constants, &arrays, groups);
+            adds = true;
+        });
+        sums
     }
 }
 
-/// The sums of blocks, [blocks, 2, columns], added in order: [columns] each.
-pub fn totals(gpu: Gpu, block_sums: &GpuArray, blocks: usize, columns: usize) -> [GpuArray; 2] {
-    let sums = [(); 2].map(|()| GpuArray::new(gpu, columns));
-    let constants = TotalsBlock { blocks: blocks as u32, columns: columns as u32 };
-    let arrays = [Binding::Read(block_sums), Binding::Write(&sums[0]), Binding::Write(&sums[1])];
-    let groups = columns.div_ceil(TOTALS_COLUMNS);
-    TOTALS.launch(gpu, &[("COLUMNS", TOTALS_COLUMNS as u32)], &constants, &arrays, groups);
-    sums
+/// Constants of the totals, which may add to those of other rows.
+fn totals_of(adds: bool) -> [(&'static str, u32); 2] {
+    [("COLUMNS", TOTALS_COLUMNS as u32), ("ADDS", u32::from(adds))]
 }
 
 /// Panics unless a kernel of terms is valid.
@@ -86,6 +90,7 @@ pub fn assert_valid_terms(kernel: &Kernel, specialisation: &[(&'static str, u32)
 mod tests {
     use super::*;
     use crate::gpu::tests::test_gpu;
+    use crate::gpu::windows::tests::seeing_at_most;
 
     /// x and x².
     const SQUARES: Kernel = Kernel {
@@ -104,7 +109,8 @@ mod tests {
     #[test]
     fn the_kernels_are_valid() {
         assert_valid_terms(&SQUARES, &[]);
-        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &[("COLUMNS", 8)]);
+        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &totals_of(false));
+        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &totals_of(true));
     }
 
     #[test]
@@ -120,12 +126,15 @@ mod tests {
             let x = GpuArray::upload(gpu, &values);
             let arrays = [Binding::Read(&x)];
             let terms = Terms { kernel: &SQUARES, specialisation: &[], arrays: &arrays, rows, columns };
-            let found = terms.sums(gpu).map(|sums| {
-                let mut out = vec![0.0_f32; columns];
-                sums.read_into(&mut out);
-                out
-            });
-            assert_eq!(found, expected, "{rows} rows of {columns}");
+            let found = || {
+                terms.sums(gpu).map(|sums| {
+                    let mut out = vec![0.0_f32; columns];
+                    sums.read_into(&mut out);
+                    out
+                })
+            };
+            assert_eq!(found(), expected, "{rows} rows of {columns}");
+            assert_eq!(seeing_at_most(60_000, found), expected, "{rows} rows of {columns} in windows");
         }
     }
 }

@@ -1,4 +1,5 @@
-// The sums of blocks of rows [blocks, 2, columns] added in order: a workgroup adds up COLUMNS columns.
+// The sums of blocks of rows [blocks, 2, columns] added in order: a workgroup adds up COLUMNS columns. ADDS is
+// 1 where they add to what is there.
 
 struct Totals {
     blocks: u32,
@@ -27,7 +28,12 @@ fn main(
     let total_x = column_sum(local, own.x);
     let total_y = column_sum(local, own.y);
     if (local < COLUMNS && column < totals.columns) {
-        first[column] = total_x;
-        second[column] = total_y;
+        if (ADDS == 1u) {
+            first[column] += total_x;
+            second[column] += total_y;
+        } else {
+            first[column] = total_x;
+            second[column] = total_y;
+        }
     }
 }

@@ -36,7 +36,7 @@ pub(crate) use launch::{COLUMN_SUM, Kernel, Launch, ROW_SUM, columns_for, lanes_
 pub(crate) use length::{Groups, Length};
 pub use profile::{KernelCost, Usage};
 pub use rates::Rates;
-pub(crate) use windows::in_windows;
+pub(crate) use windows::{in_windows, in_windows_with};
 
 use launch::Pipeline;
 use recorder::Recorder;

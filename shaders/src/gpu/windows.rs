@@ -15,8 +15,19 @@ const LARGEST_BYTES: u64 = 1 << 32;
 /// Calls `launch` for windows of `rows` rows, with the number of rows and what it binds: a part of every array, which are
 /// [rows, …], and all of what is bound in part already ([`Binding::all`]). It is called once, with what is given, where all
 /// arrays fit.
-pub fn in_windows<'a>(gpu: Gpu, rows: usize, arrays: &[Binding<'a>], mut launch: impl FnMut(usize, &[Binding<'a>])) {
-    let longest = arrays.iter().filter_map(|array| array.row_len(rows)).max().unwrap_or(0);
+pub fn in_windows<'a>(gpu: Gpu, rows: usize, arrays: &[Binding<'a>], launch: impl FnMut(usize, &[Binding<'a>])) {
+    in_windows_with(gpu, rows, 0, arrays, launch);
+}
+
+/// The same for launches that make arrays of their own, with up to `row_len` elements per row.
+pub fn in_windows_with<'a>(
+    gpu: Gpu,
+    rows: usize,
+    row_len: usize,
+    arrays: &[Binding<'a>],
+    mut launch: impl FnMut(usize, &[Binding<'a>]),
+) {
+    let longest = arrays.iter().filter_map(|array| array.row_len(rows)).fold(row_len, usize::max);
     let fitting = fitting_rows(gpu, longest);
     if rows <= fitting {
         return launch(rows, arrays);

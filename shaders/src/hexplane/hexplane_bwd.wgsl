@@ -1,5 +1,5 @@
 // The gradients of what every point read from the six planes of every scale, and of the positions. A workgroup has whole
-// points, with one invocation per channel. ADDS is 1 where the gradients of the positions add to what is there.
+// points, with one invocation per channel or, of one point, per 256th channel. ADDS is 1 where the gradients of the positions add to what is there.
 
 @group(0) @binding(2) var<storage, read> dy: array<f32>;
 // [6·scales, points, channels].
@@ -53,13 +53,16 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let points_per_group = 256u / channels();
+    let per_point = min(channels(), 256u);
+    let points_per_group = 256u / per_point;
     let first_point = flat_group(group, groups) * points_per_group;
-    let own_point = first_point + local / channels();
-    if (local < points_per_group * channels() && own_point < points()) {
+    let own_point = first_point + local / per_point;
+    if (local < points_per_group * per_point && own_point < points()) {
         var derivatives = vec3<f32>();
-        for (var scale = 0u; scale < ITEMS; scale++) {
-            derivatives += differentiate(scale, own_point, local % channels());
+        for (var channel = local % per_point; channel < channels(); channel += per_point) {
+            for (var scale = 0u; scale < ITEMS; scale++) {
+                derivatives += differentiate(scale, own_point, channel);
+            }
         }
         along[local] = derivatives.x;
         along[256u + local] = derivatives.y;
@@ -75,8 +78,8 @@ fn main(
     let axis = local % 3u;
     let at = 3u * point + axis;
     var sum = 0.0;
-    for (var channel = 0u; channel < channels(); channel++) {
-        sum += along[256u * axis + local / 3u * channels() + channel];
+    for (var channel = 0u; channel < per_point; channel++) {
+        sum += along[256u * axis + local / 3u * per_point + channel];
     }
     if (ADDS == 1u) {
         sum += g_positions[at];

@@ -14,7 +14,7 @@ const BACKWARD: Kernel = Kernel { name: "soft histogram backward", text: &[PLACE
 const DIVERGENCE: Kernel =
     Kernel { name: "divergence from uniform", text: &[ROW_SUM, include_str!("divergence.wgsl")] };
 
-/// Invocations per workgroup, and the most bins that have kernels.
+/// Invocations per workgroup, and the most bins that one of them has.
 const GROUP: usize = 256;
 /// Values per workgroup of the shares.
 const BLOCK: usize = 4096;
@@ -52,21 +52,19 @@ impl SoftHistogram {
         HistogramBlock { len, blocks, bins, low, width, share }
     }
 
-    /// The shares; `None` for more than 256 bins.
-    pub(super) fn shares_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>) -> Option<Tensor<T>> {
-        if self.bins > GROUP {
-            return None;
-        }
+    /// The shares.
+    pub(super) fn shares_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>) -> Tensor<T> {
         let blocks = x.len().div_ceil(BLOCK);
         let block_shares = GpuArray::new(gpu, blocks * self.bins);
-        let columns = ("COLUMNS", self.bins.next_power_of_two() as u32);
+        let columns = self.bins.next_power_of_two().min(GROUP);
+        let groups = blocks * self.bins.div_ceil(columns);
         let arrays = [Binding::Read(x.on_gpu(gpu)), Binding::Write(&block_shares)];
-        BLOCKS.launch(gpu, &[columns], &self.block(x.len()), &arrays, blocks);
+        BLOCKS.launch(gpu, &[("COLUMNS", columns as u32)], &self.block(x.len()), &arrays, groups);
         let shares = GpuArray::new(gpu, self.bins);
         let arrays = [Binding::Read(&block_shares), Binding::Write(&shares)];
         let block = TotalBlock { blocks: blocks as u32, bins: self.bins as u32 };
         TOTAL.launch(gpu, &[LANES], &block, &arrays, self.bins);
-        Some(Tensor::from_gpu([self.bins], shares))
+        Tensor::from_gpu([self.bins], shares)
     }
 
     /// The gradient of the values.

@@ -1,5 +1,5 @@
-// The shares of the values of every block: a workgroup per block. Of each round of 256 values each invocation first places
-// one; then it is a bin, and adds every LANES-th value to it, LANES = 256 / BINS for a power of two BINS of at least `bins`.
+// The shares of the values of every block: a workgroup per block and COLUMNS bins, a power of two of at most 256. Of each
+// round of 256 values each invocation first places one; then it is a bin, and adds every (256 / COLUMNS)-th value to it.
 
 @group(0) @binding(2) var<storage, read_write> block_shares: array<f32>;
 
@@ -16,8 +16,9 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let block = flat_group(group, groups);
-    let bin = local % COLUMNS;
+    let tiles = (sizes.bins + COLUMNS - 1u) / COLUMNS;
+    let block = flat_group(group, groups) / tiles;
+    let bin = flat_group(group, groups) % tiles * COLUMNS + local % COLUMNS;
     var own = 0.0;
     for (var first = 0u; first < BLOCK; first += GROUP) {
         let at = block * BLOCK + first + local;

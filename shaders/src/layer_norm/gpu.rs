@@ -4,7 +4,7 @@
 mod tests;
 
 use crate::gpu::column_sums::{COLUMN_SUMS, Terms};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const MOMENTS: &str = include_str!("moments.wgsl");
@@ -34,35 +34,38 @@ uniforms! {
     }
 }
 
-/// Constants of specialisation, block of constants and workgroups for the rows of x.
-fn rows_of<T: Real>(x: &Tensor<T>) -> ([(&'static str, u32); 1], NormBlock, usize) {
+/// Runs a kernel for the rows of arrays in the shape of x.
+fn launch<T: Real>(gpu: Gpu, kernel: &Kernel, x: &Tensor<T>, arrays: &[Binding]) {
     let lanes = lanes_for(x.row_len());
-    let block = NormBlock { rows: x.rows() as u32, columns: x.row_len() as u32 };
-    ([("LANES", lanes as u32)], block, (x.rows() * lanes).div_ceil(GROUP))
+    in_windows(gpu, x.rows(), arrays, |rows, arrays| {
+        let block = NormBlock { rows: rows as u32, columns: x.row_len() as u32 };
+        kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
+    });
 }
 
 pub(super) fn standardize<T: Real>(gpu: Gpu, x: &Tensor<T>) -> Tensor<T> {
     let y = GpuArray::new(gpu, x.len());
-    let (lanes, block, groups) = rows_of(x);
-    STANDARDIZE.launch(gpu, &lanes, &block, &[Binding::Read(x.on_gpu(gpu)), Binding::Write(&y)], groups);
+    launch(gpu, &STANDARDIZE, x, &[Binding::Read(x.on_gpu(gpu)), Binding::Write(&y)]);
     Tensor::from_gpu([x.rows(), x.row_len()], y)
 }
 
 pub(super) fn standardize_backward<T: Real>(gpu: Gpu, [x, y, dy]: [&Tensor<T>; 3]) -> Tensor<T> {
     let dx = GpuArray::new(gpu, x.len());
-    let (lanes, block, groups) = rows_of(x);
     let read = [x, y, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    STANDARDIZE_BACKWARD.launch(gpu, &lanes, &block, &[&read[..], &[Binding::Write(&dx)]].concat(), groups);
+    launch(gpu, &STANDARDIZE_BACKWARD, x, &[&read[..], &[Binding::Write(&dx)]].concat());
     Tensor::from_gpu(x.shape(), dx)
 }
 
 /// x·scale + offset, or without offset where `is_backward`.
 fn affine<T: Real>(gpu: Gpu, [x, scale, offset]: [&Tensor<T>; 3], is_backward: bool) -> Tensor<T> {
     let y = GpuArray::new(gpu, x.len());
-    let block = AffineBlock { len: x.len() as u32, columns: x.row_len() as u32 };
-    let read = [x, scale, offset].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    let arrays = [&read[..], &[Binding::Write(&y)]].concat();
-    AFFINE.launch(gpu, &[("BACKWARD", u32::from(is_backward))], &block, &arrays, y.len().div_ceil(GROUP));
+    let columns = x.row_len();
+    let [x_read, scale, offset] = [x, scale, offset].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
+    let arrays = [x_read, scale.all(), offset.all(), Binding::Write(&y)];
+    in_windows(gpu, x.rows(), &arrays, |rows, arrays| {
+        let block = AffineBlock { len: (rows * columns) as u32, columns: columns as u32 };
+        AFFINE.launch(gpu, &[("BACKWARD", u32::from(is_backward))], &block, arrays, (rows * columns).div_ceil(GROUP));
+    });
     Tensor::from_gpu(x.shape(), y)
 }
 

@@ -1,9 +1,10 @@
-//! The kernels of layers: one matrix product for each direction, of several layers at once.
+//! The kernels of layers: one matrix product for each direction, of several layers at once, and of rows in windows where the
+//! arrays do not fit.
 
 use super::Activation;
-use super::product::{self, EACH, EACH_ARRAYS, Product, SUM, SUM_ARRAYS};
+use super::product::{self, EACH, EACH_ARRAYS, Output, Product, SUM, SUM_ARRAYS};
 use crate::gpu::grouped::Grouped;
-use crate::gpu::{Gpu, GpuArray, Kernel};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, in_windows};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
 const OPERANDS: &str = include_str!("operands.wgsl");
@@ -46,7 +47,7 @@ impl Direction {
     }
 
     /// The product of a layer for `count` rows of x.
-    fn product<'a>(self, count: usize, [inputs, outputs]: [usize; 2], arrays: [&'a GpuArray; 3]) -> Product<'a> {
+    fn product<'a>(self, count: usize, [inputs, outputs]: [usize; 2], arrays: [Binding<'a>; 3]) -> Product<'a> {
         let ([rows, columns, terms], strides) = match self {
             Self::Forward => ([count, outputs, inputs], [inputs, 1, 1, inputs]),
             Self::Inputs => ([count, inputs, outputs], [outputs, 1, inputs, 1]),
@@ -77,19 +78,23 @@ fn sizes<T: Real>(weight: &Tensor<T>) -> [usize; 2] {
 
 /// The outputs of all layers.
 pub fn forward<T: Real>(gpu: Gpu, layers: &[Places], activation: Activation, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-    let product = |layer: &Places| {
-        let arrays = layer.all().map(|place| inputs[place].on_gpu(gpu));
-        Direction::Forward.product(inputs[layer.x].rows(), sizes(inputs[layer.weight]), arrays)
+    let output = |layer: &Places| {
+        let shape = [inputs[layer.x].rows(), inputs[layer.weight].rows()];
+        Tensor::from_gpu(shape, GpuArray::new(gpu, shape[0] * shape[1]))
     };
-    let products: Vec<Product> = layers.iter().map(product).collect();
-    let output = |product: &Product| {
-        let shape = [product.rows, product.columns];
-        Tensor::from_gpu(shape, GpuArray::new(gpu, product.rows * product.columns))
-    };
-    let outputs: Vec<Tensor<T>> = products.iter().map(output).collect();
-    let arrays: Vec<_> = outputs.iter().map(|output| (output.on_gpu(gpu), false)).collect();
-    product::each(gpu, &LAYERS, &Direction::Forward.specialisation(activation), &products, &arrays);
-    outputs
+    let results: Vec<Tensor<T>> = layers.iter().map(output).collect();
+    let (mut products, mut outputs) = (Vec::new(), Vec::new());
+    for (layer, result) in layers.iter().zip(&results) {
+        let [x, weight, bias] = layer.all().map(|place| Binding::Read(inputs[place].on_gpu(gpu)));
+        let arrays = [x, weight.all(), bias.all(), Binding::Write(result.on_gpu(gpu))];
+        in_windows(gpu, result.rows(), &arrays, |count, arrays| {
+            let &[x, weight, bias, y] = arrays else { unreachable!("four arrays") };
+            products.push(Direction::Forward.product(count, sizes(inputs[layer.weight]), [x, weight, bias]));
+            outputs.push((y, false));
+        });
+    }
+    product::each(gpu, &LAYERS, &Direction::Forward.specialisation(activation), &products, &outputs);
+    results
 }
 
 /// What the backward pass of layers is given.
@@ -128,24 +133,30 @@ impl<'a, T: Real> Backward<'a, T> {
         let mut xs: Vec<usize> = live.iter().map(|layer| layer.places.x).filter(|&x| self.needs[x]).collect();
         xs.sort_unstable();
         xs.dedup();
-        let product = |layer: &Live<'a, T>| self.product(Direction::Inputs, layer);
+        let adds: Vec<bool> = xs.iter().map(|&x| self.prepare(totals, x)).collect();
         let (mut products, mut alone) = (Vec::new(), Vec::new());
-        for x in xs {
-            let mut of_x: Vec<Product> = live.iter().filter(|layer| layer.places.x == x).map(product).collect();
-            let adds = self.prepare(totals, x);
-            if of_x.len() == 1 {
-                products.append(&mut of_x);
-                alone.push((x, adds));
-            } else {
-                let y = (self.total(totals, x), adds);
-                product::sum(self.gpu, &OVER_LAYERS, &specialisation, &of_x, y);
-            }
+        for (x, adds) in xs.into_iter().zip(adds) {
+            let of_x: Vec<&Live<T>> = live.iter().filter(|layer| layer.places.x == x).collect();
+            let mut arrays: Vec<Binding> =
+                of_x.iter().flat_map(|layer| self.operands(Direction::Inputs, layer)).collect();
+            arrays.push(Binding::Write(self.total(totals, x)));
+            in_windows(self.gpu, self.inputs[x].rows(), &arrays, |count, arrays| {
+                let (&y, operands) = arrays.split_last().expect("the total");
+                let operands = operands.as_chunks().0.iter().copied();
+                let layers = of_x.iter().map(|layer| self.sizes(layer)).zip(operands);
+                let product = |(sizes, operands)| Direction::Inputs.product(count, sizes, operands);
+                let of_window: Vec<Product> = layers.map(product).collect();
+                if of_x.len() > 1 {
+                    return product::sum(self.gpu, &OVER_LAYERS, &specialisation, &of_window, (y, adds));
+                }
+                products.extend(of_window);
+                alone.push((y, adds));
+            });
         }
-        let outputs: Vec<_> = alone.into_iter().map(|(x, adds)| (self.total(totals, x), adds)).collect();
-        product::each(self.gpu, &LAYERS, &specialisation, &products, &outputs);
+        product::each(self.gpu, &LAYERS, &specialisation, &products, &alone);
     }
 
-    /// dW and db.
+    /// dW and db: window by window, each of which adds to those before.
     fn add_to_weights(&self, live: &[Live<'a, T>], totals: &mut [Option<Tensor<T>>]) {
         let needed = |layer: &&Live<T>| self.needs[layer.places.weight] || self.needs[layer.places.bias];
         let live: Vec<&Live<'a, T>> = live.iter().filter(needed).collect();
@@ -159,21 +170,42 @@ impl<'a, T: Real> Backward<'a, T> {
             }));
         }
         let total = |place: usize| self.total(if self.needs[place] { totals } else { &unneeded }, place);
-        let output = |(layer, adds): (&&Live<T>, [bool; 2])| {
-            [(total(layer.places.weight), adds[0]), (total(layer.places.bias), adds[1])]
-        };
-        let outputs: Vec<_> = live.iter().zip(adds).map(output).collect();
-        let products: Vec<Product> = live.iter().map(|layer| self.product(Direction::Weights, layer)).collect();
-        let specialisation = Direction::Weights.specialisation(self.activation);
-        product::with_sums(self.gpu, &LAYERS, &specialisation, &products, &outputs);
+        let windows: Vec<_> = live.iter().map(|layer| self.windows_of_rows(layer)).collect();
+        for window in 0..windows.iter().map(Vec::len).max().unwrap_or(0) {
+            let (mut products, mut outputs) = (Vec::new(), Vec::<[Output; 2]>::new());
+            for ((layer, windows), adds) in live.iter().zip(&windows).zip(&adds) {
+                let Some(&(count, arrays)) = windows.get(window) else { continue };
+                products.push(Direction::Weights.product(count, self.sizes(layer), arrays));
+                let output = |place, adds| (Binding::Write(total(place)), adds || window > 0);
+                outputs.push([output(layer.places.weight, adds[0]), output(layer.places.bias, adds[1])]);
+            }
+            let specialisation = Direction::Weights.specialisation(self.activation);
+            product::with_sums(self.gpu, &LAYERS, &specialisation, &products, &outputs);
+        }
     }
 
-    /// The product of a layer whose first operand is dz: dy where y is positive.
-    fn product(&self, direction: Direction, layer: &Live<'a, T>) -> Product<'a> {
-        let [x, weight] = [layer.places.x, layer.places.weight].map(|place| self.inputs[place]);
-        let other = if matches!(direction, Direction::Weights) { x } else { weight };
-        let arrays = [layer.dy, other, layer.y].map(|tensor| tensor.on_gpu(self.gpu));
-        direction.product(x.rows(), sizes(weight), arrays)
+    /// The windows of the rows of a layer: their number, and the operands of dW.
+    fn windows_of_rows(&self, layer: &Live<'a, T>) -> Vec<(usize, [Binding<'a>; 3])> {
+        let mut windows = Vec::new();
+        in_windows(self.gpu, layer.dy.rows(), &self.operands(Direction::Weights, layer), |count, arrays| {
+            windows.push((count, arrays.try_into().expect("three operands")));
+        });
+        windows
+    }
+
+    /// The operands of a layer, of which the first is dz: dy where y is positive.
+    fn operands(&self, direction: Direction, layer: &Live<'a, T>) -> [Binding<'a>; 3] {
+        let [x, weight] = [layer.places.x, layer.places.weight].map(|place| self.inputs[place].on_gpu(self.gpu));
+        let other = match direction {
+            Direction::Weights => Binding::Read(x),
+            _ => Binding::Read(weight).all(),
+        };
+        let [dy, y] = [layer.dy, layer.y].map(|tensor| Binding::Read(tensor.on_gpu(self.gpu)));
+        [dy, other, y]
+    }
+
+    fn sizes(&self, layer: &Live<'a, T>) -> [usize; 2] {
+        sizes(self.inputs[layer.places.weight])
     }
 
     /// Makes the total of an input one that kernels can write, and tells whether they add to it.

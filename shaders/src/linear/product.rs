@@ -61,11 +61,11 @@ pub struct Product<'a> {
     /// Elements between neighbouring rows and terms of A, and terms and columns of B, for what finds them.
     pub strides: [usize; 4],
     /// A, B, and what stands beside them: a bias, or what tells which elements of A count.
-    pub arrays: [&'a GpuArray; 3],
+    pub arrays: [Binding<'a>; 3],
 }
 
-/// An array, and whether a kernel adds to what is there.
-pub type Output<'a> = (&'a GpuArray, bool);
+/// An array to write, and whether a kernel adds to what is there.
+pub type Output<'a> = (Binding<'a>, bool);
 
 impl Product<'_> {
     fn tiles(&self) -> usize {
@@ -97,7 +97,7 @@ impl Product<'_> {
     /// The item of the whole product.
     fn item(&self, adds: bool) -> Item<'_, ProductItem> {
         let constants = self.constants(self.terms.max(1), self.columns, adds);
-        Item { constants, arrays: self.arrays.map(Binding::Read).to_vec(), groups: self.tiles() }
+        Item { constants, arrays: self.arrays.to_vec(), groups: self.tiles() }
     }
 
     /// Terms per part, and parts, where all products together have so many tiles.
@@ -125,7 +125,7 @@ pub fn each(
     let mut items = Vec::new();
     for (product, &(y, adds)) in products.iter().zip(outputs) {
         let mut item = product.item(adds);
-        item.arrays.push(Binding::Write(y));
+        item.arrays.push(y);
         items.push(item);
     }
     kernel.launch(gpu, &specialised(specialisation, false), &[], &items);
@@ -142,7 +142,7 @@ pub fn sum(
     for products in products.chunks(kernel.room(gpu)) {
         let items: Vec<Item<ProductItem>> = products.iter().map(|product| product.item(adds)).collect();
         let specialisation = specialised(specialisation, true);
-        kernel.launch_together(gpu, &specialisation, &[Binding::Write(y)], &items, products[0].tiles());
+        kernel.launch_together(gpu, &specialisation, &[y], &items, products[0].tiles());
         adds = true;
     }
 }
@@ -173,7 +173,7 @@ pub fn with_sums(
 
         let [rows, columns, parts] = [product.rows, product.columns + 1, parts].map(|size| size as u32);
         let adds = u32::from(y.1) | u32::from(sums.1) << 1;
-        let arrays = vec![Binding::Read(partial), Binding::Write(y.0), Binding::Write(sums.0)];
+        let arrays = vec![Binding::Read(partial), y.0, sums.0];
         let groups = (product.rows * (product.columns + 1)).div_ceil(GROUP);
         totals.push(Item { constants: PartsItem { rows, columns, parts, adds }, arrays, groups });
     }

@@ -4,6 +4,7 @@ use crate::gpu::Gpu;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::tests::test_gpu;
+use crate::gpu::windows::tests::seeing_at_most;
 use crate::tape::Device;
 
 fn image(seed: u64) -> Tensor<f64> {
@@ -63,12 +64,12 @@ fn a_weighted_mean_is_that_of_what_counts() {
     assert_eq!(mean_of([0.0; 4]), (0.0, vec![0.0; 4]));
     assert!(mean_of([1.0; 4]).0.is_nan());
 }
+const OF_SUMS: Tolerance = Tolerance { value: 1e-5, gradient: 1e-4 };
 
 fn compare_losses(gpu: Gpu, shape: [usize; 3]) -> Result<usize, Disagreement> {
     let image = |seed| Tensor::from_vec(shape, noise(shape.iter().product(), seed)).cast();
     let target: Tensor<f32> = image(2);
-    let tolerance = Tolerance { value: 1e-5, gradient: 1e-4 };
-    compare(gpu, &format!("losses of {shape:?}"), &[image(1)], tolerance, |tape, vars| {
+    compare(gpu, &format!("losses of {shape:?}"), &[image(1)], OF_SUMS, |tape, vars| {
         let target = tape.constant(target.clone());
         vec![l1(tape, vars[0], target), l1_dssim(tape, vars[0], target, 0.2), mean(tape, vars[0]), total(tape, vars[0])]
     })
@@ -80,6 +81,12 @@ fn a_gpu_takes_losses() {
     for shape in [[1, 1, 3], [40, 35, 3], [70, 90, 3]] {
         compare_losses(gpu, shape).unwrap();
     }
+    let values = |seed| Tensor::from_vec([900], noise(900, seed)).cast();
+    let in_windows = |tape: &mut Tape<f32>, vars: &[Var]| {
+        let target = tape.constant(values(2));
+        vec![l1(tape, vars[0], target), mean(tape, vars[0])]
+    };
+    seeing_at_most(2000, || compare(gpu, "elements in windows", &[values(1)], OF_SUMS, in_windows)).unwrap();
     let faults = [
         ("total backward", "spread.factor * dy[0]", "spread.factor"),
         ("total", "total.factor * sum", "sum"),

@@ -8,7 +8,9 @@ use crate::algebra;
 use crate::gpu::{Binding, COLUMN_SUM, Gpu, GpuArray, Kernel, ROW_SUM, columns_for, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const NEAREST: Kernel = Kernel { name: "nearest nodes", text: &[include_str!("nearest.wgsl")] };
+const LIST: &str = include_str!("nearest_list.wgsl");
+const NEAREST: Kernel = Kernel { name: "nearest nodes", text: &[LIST, include_str!("nearest.wgsl")] };
+const NEAREST_ANY: Kernel = Kernel { name: "nearest nodes, any", text: &[LIST, include_str!("nearest_any.wgsl")] };
 
 const BLEND: Kernel = Kernel { name: "neighbor blend", text: &[include_str!("neighbor_blend.wgsl")] };
 const BLEND_WEIGHTS: Kernel =
@@ -38,15 +40,17 @@ const FRAMES_NODES: Kernel = Kernel {
 const GROUP: usize = 256;
 /// Points per workgroup of the search, and of the frames: few, because each invocation holds many numbers.
 const POINTS_GROUP: usize = 64;
-/// The most axes of a space in which weights have kernels: an invocation holds one number for each.
+/// Axes of which an invocation holds a number each: of the point whose nodes it searches, at most, and of gradients at once.
 const MAX_AXES: usize = 32;
-/// The most nodes per point that are found on a GPU, for the same reason.
+/// The most nodes per point that it holds, for the same reason.
 const MAX_KEPT: usize = 32;
 
 uniforms! {
     struct NearestBlock as "Nearest" {
         points: u32,
         nodes: u32,
+        axes: u32,
+        kept: u32,
     }
 }
 
@@ -76,25 +80,29 @@ uniforms! {
     }
 }
 
-/// The nearest nodes of every point; `None` where there are more than 32 of each, or more than 32 axes.
+/// The nearest nodes of every point.
 pub(super) fn nearest<T: Real>(
     gpu: Gpu,
     points: &Tensor<T>,
     nodes: &Tensor<T>,
     per_point: usize,
     others: bool,
-) -> Option<GpuArray> {
+) -> GpuArray {
     let axes = nodes.row_len();
-    if axes == 0 || axes > MAX_AXES || per_point > MAX_KEPT {
-        return None;
-    }
     let node_of_item = GpuArray::new(gpu, points.rows() * per_point);
     let [points_read, nodes_read] = read(gpu, [points, nodes]);
     let arrays = [points_read, nodes_read, Binding::Write(&node_of_item)];
-    let specialisation = [("AXES", axes as u32), ("KEPT", per_point as u32), ("OTHERS", u32::from(others))];
-    let block = NearestBlock { points: points.rows() as u32, nodes: nodes.rows() as u32 };
-    NEAREST.launch(gpu, &specialisation, &block, &arrays, points.rows().div_ceil(POINTS_GROUP));
-    Some(node_of_item)
+    let (others, groups) = (("OTHERS", u32::from(others)), points.rows().div_ceil(POINTS_GROUP));
+    let sizes = [points.rows(), nodes.rows(), axes, per_point].map(|size| size as u32);
+    let block = NearestBlock { points: sizes[0], nodes: sizes[1], axes: sizes[2], kept: sizes[3] };
+    if (1..=MAX_AXES).contains(&axes) && per_point <= MAX_KEPT {
+        let specialisation = [("AXES", axes as u32), ("KEPT", per_point as u32), others];
+        NEAREST.launch(gpu, &specialisation, &block, &arrays, groups);
+    } else {
+        let distances = GpuArray::new(gpu, node_of_item.len());
+        NEAREST_ANY.launch(gpu, &[others], &block, &[&arrays[..], &[Binding::Write(&distances)]].concat(), groups);
+    }
+    node_of_item
 }
 
 impl Neighbors {
@@ -187,17 +195,13 @@ pub(super) fn weights<T: Real>(gpu: Gpu, neighbors: &Neighbors, inputs: &[&Tenso
     Tensor::from_gpu(shape, weights)
 }
 
-/// The gradients of all inputs; `None` in a space of more than 32 axes.
+/// The gradients of all inputs.
 pub(super) fn weights_backward<T: Real>(
     gpu: Gpu,
     neighbors: &Neighbors,
     inputs: &[&Tensor<T>],
     [weights, dweights]: [&Tensor<T>; 2],
-) -> Option<Vec<Option<Tensor<T>>>> {
-    let axes = inputs[0].row_len();
-    if axes > MAX_AXES {
-        return None;
-    }
+) -> Vec<Option<Tensor<T>>> {
     let (placed, gated) = placed(gpu, inputs);
     let (block, nodes) = (weights_block(neighbors, inputs[0]), neighbors.nodes());
     let unnormalised = GpuArray::new(gpu, weights.len());
@@ -213,11 +217,11 @@ pub(super) fn weights_backward<T: Real>(
     let written = [&to_nodes, &to_radii, &to_gates].map(Binding::Write);
     let followers = neighbors.followers_on_gpu(gpu);
     let of_nodes = [&placed[..], &followers, &[Binding::Read(&unnormalised)], &written].concat();
-    let specialisation = [gated, ("LANES", lanes as u32), ("AXES", axes as u32)];
+    let specialisation = [gated, ("LANES", lanes as u32), ("AXES", inputs[0].row_len().clamp(1, MAX_AXES) as u32)];
     WEIGHTS_NODES.launch(gpu, &specialisation, &block, &of_nodes, groups);
 
     let gradients = [to_points, to_nodes, to_radii, to_gates].into_iter().zip(inputs);
-    Some(gradients.map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect())
+    gradients.map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
 }
 
 fn frames_block(neighbors: &Neighbors) -> FramesBlock {

@@ -37,7 +37,7 @@ impl Neighbors {
     /// `others`: points are the nodes, and none follows itself.
     fn search<T: Real>(points: &Tensor<T>, nodes: &Tensor<T>, per_point: usize, others: bool) -> Self {
         let on_gpu = points.gpu().or(nodes.gpu()).filter(|_| per_point > 0 && points.rows() > 0);
-        let on_gpu = on_gpu.and_then(|gpu| gpu::nearest(gpu, points, nodes, per_point, others));
+        let on_gpu = on_gpu.map(|gpu| gpu::nearest(gpu, points, nodes, per_point, others));
         let on_host = || {
             let found = if per_point == 0 { Vec::new() } else { search_on_host(points, nodes, per_point, others) };
             RowIndex::new(found, nodes.rows())

@@ -2,42 +2,26 @@
 // invocation per point; nodes are loaded by the workgroup, TILE at a time. OTHERS is 1 where points are the nodes, and none
 // is its own neighbour.
 
-struct Nearest {
-    points: u32,
-    nodes: u32,
-}
-
-@group(0) @binding(0) var<uniform> sizes: Nearest;
-@group(0) @binding(1) var<storage, read> points: array<f32>;
-@group(0) @binding(2) var<storage, read> nodes: array<f32>;
-@group(0) @binding(3) var<storage, read_write> node_of_item: array<u32>;
-
 const GROUP: u32 = 64u;
 const TILE: u32 = 64u;
 
 var<workgroup> tile: array<f32, TILE * AXES>;
 
 // The nearest so far.
-struct Found {
-    count: u32,
-    nodes: array<u32, KEPT>,
-    distances: array<f32, KEPT>,
+var<private> found_nodes: array<u32, KEPT>;
+var<private> found_distances: array<f32, KEPT>;
+
+fn found_node(rank: u32) -> u32 {
+    return found_nodes[rank];
 }
 
-fn insert(found: ptr<function, Found>, node: u32, distance: f32) {
-    let is_full = (*found).count == KEPT;
-    if (is_full && !(distance < (*found).distances[KEPT - 1u])) {
-        return;
-    }
-    (*found).count = min((*found).count + 1u, KEPT);
-    var at = (*found).count - 1u;
-    while (at > 0u && distance < (*found).distances[at - 1u]) {
-        (*found).distances[at] = (*found).distances[at - 1u];
-        (*found).nodes[at] = (*found).nodes[at - 1u];
-        at -= 1u;
-    }
-    (*found).distances[at] = distance;
-    (*found).nodes[at] = node;
+fn found_distance(rank: u32) -> f32 {
+    return found_distances[rank];
+}
+
+fn set_found(rank: u32, node: u32, distance: f32) {
+    found_nodes[rank] = node;
+    found_distances[rank] = distance;
 }
 
 @compute @workgroup_size(64)
@@ -53,7 +37,6 @@ fn main(
             own[axis] = points[point * AXES + axis];
         }
     }
-    var found: Found;
     for (var first = 0u; first < sizes.nodes; first += TILE) {
         let count = min(TILE, sizes.nodes - first);
         workgroupBarrier();
@@ -68,13 +51,13 @@ fn main(
                 distance += difference * difference;
             }
             if (OTHERS == 0u || first + node != point) {
-                insert(&found, first + node, distance);
+                insert(first + node, distance);
             }
         }
     }
     if (point < sizes.points) {
         for (var rank = 0u; rank < KEPT; rank++) {
-            node_of_item[point * KEPT + rank] = found.nodes[rank];
+            node_of_item[point * KEPT + rank] = found_nodes[rank];
         }
     }
 }

@@ -128,7 +128,7 @@ impl<T: Real> Op<T> for Weights {
         output_grads: &[Option<&Tensor<T>>],
         _needs: &[bool],
     ) -> Option<Vec<Option<Tensor<T>>>> {
-        gpu::weights_backward(gpu, &self.neighbors, inputs, [outputs[0], output_grads[0]?])
+        Some(gpu::weights_backward(gpu, &self.neighbors, inputs, [outputs[0], output_grads[0]?]))
     }
 }
 

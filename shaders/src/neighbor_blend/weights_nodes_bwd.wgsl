@@ -1,5 +1,5 @@
 // The gradients of the nodes' positions, logarithmic radii and gates: LANES invocations per node, each with every LANES-th
-// follower.
+// follower, AXES axes at a time.
 
 @group(0) @binding(5) var<storage, read> items: array<u32>;
 @group(0) @binding(6) var<storage, read> starts: array<u32>;
@@ -15,28 +15,39 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let node = flat_group(group, groups) * (256u / LANES) + local / LANES;
+    for (var first = 0u; first < sizes.axes; first += AXES) {
+        add_followers(local, node, first);
+    }
+}
+
+// The gradients along the axes from the first one on, and with those from 0 on what a node has one of.
+fn add_followers(local: u32, node: u32, first: u32) {
     var g_position: array<f32, AXES>;
     var g_radius = 0.0;
     var g_gate = 0.0;
+    let axes = min(AXES, sizes.axes - first);
     if (node < sizes.nodes) {
         for (var at = starts[node] + local % LANES; at < starts[node + 1u]; at += LANES) {
             let point = items[at] / sizes.per_point;
             let pair = pair_of(point, node);
             let dweight = unnormalised[items[at]];
             let pull = dweight * pair.gate * pair.falloff * pair.inverse_variance;
-            for (var axis = 0u; axis < AXES; axis++) {
-                g_position[axis] += pull * difference(point, node, axis);
+            for (var axis = 0u; axis < axes; axis++) {
+                g_position[axis] += pull * difference(point, node, first + axis);
             }
             g_radius += pull * pair.squared_distance;
             g_gate += dweight * pair.falloff * pair.gate * (1.0 - pair.gate);
         }
     }
     let writes = node < sizes.nodes && local % LANES == 0u;
-    for (var axis = 0u; axis < AXES; axis++) {
+    for (var axis = 0u; axis < axes; axis++) {
         let sum = row_sum(local, g_position[axis]);
         if (writes) {
-            g_nodes[node * AXES + axis] = sum;
+            g_nodes[node * sizes.axes + first + axis] = sum;
         }
+    }
+    if (first > 0u) {
+        return;
     }
     let radius = row_sum(local, g_radius);
     let gate = row_sum(local, g_gate);

@@ -6,7 +6,7 @@ use crate::gpu::Gpu;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare, run};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::tests::{bits, test_gpu};
-use crate::gpu::windows::tests::{assert_equal_in_windows, in_smallest_windows};
+use crate::gpu::windows::tests::{assert_equal_in_windows, in_smallest_windows, seeing_at_most};
 use crate::tape::{Device, Tape, Tensor, Var};
 
 /// Sums of tens of terms; roots and quotients.
@@ -144,6 +144,7 @@ fn a_gpu_takes_weighted_means() {
     for (rows, weight) in [(0, 1.0), (2, 1.0), (700, 1.0), (700, 0.0)] {
         compare(gpu, &format!("{rows} rows that weigh {weight}"), &inputs(rows, weight), TIGHT, mean).unwrap();
     }
+    seeing_at_most(2000, || compare(gpu, "rows in windows", &inputs(700, 1.0), TIGHT, mean)).unwrap();
     let faults = [
         ("weighted mean, terms", "weight * squares", "squares"),
         ("weighted mean backward", "* mean[0]", "* 0.0"),

@@ -7,6 +7,8 @@ use crate::gpu::{GpuArray, Part};
 thread_local! {
     /// Bytes of a window at most, for the tests of this thread.
     static VISIBLE: Cell<u64> = const { Cell::new(u64::MAX) };
+    /// Bytes of an array that a launch may see, for the tests of this thread.
+    static SEEN: Cell<u64> = const { Cell::new(u64::MAX) };
     /// Launches that were split so far, and the one of them that reads the wrong rows.
     static SPLIT: Cell<usize> = const { Cell::new(0) };
     static FAULTY: Cell<usize> = const { Cell::new(usize::MAX) };
@@ -14,6 +16,18 @@ thread_local! {
 
 pub fn visible_bytes() -> u64 {
     VISIBLE.get()
+}
+
+pub fn seen_bytes() -> u64 {
+    SEEN.get()
+}
+
+/// The result on an adapter that lets kernels see so many bytes of an array: a launch that sees more fails.
+pub fn seeing_at_most<R>(bytes: u64, result: impl FnOnce() -> R) -> R {
+    SEEN.set(bytes);
+    let result = result();
+    SEEN.set(u64::MAX);
+    result
 }
 
 /// Counts a launch that is split; whether it is the one that is to go wrong.

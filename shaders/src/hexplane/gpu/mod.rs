@@ -2,7 +2,8 @@
 //!
 //! The gradients of the planes are gathered, not scattered: points are sorted by the cell of each plane that they are in,
 //! cells add their points block by block, and every texel adds the cells around it. A launch has all scales, as long as the
-//! adapter allows so many arrays and such large ones.
+//! adapter allows so many arrays and such large ones, and all points, or a window of them, whose gradients of planes add to
+//! those of the windows before.
 
 mod regularisers;
 mod scales;
@@ -11,7 +12,7 @@ pub use regularisers::{add_mean_gradients, sums_of_means};
 
 use super::Field;
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, in_windows, in_windows_with};
 use crate::sort::{sort, starts};
 use crate::tape::{Real, Tensor, total_on_gpu};
 use scales::{ScaleItem, cells, scales};
@@ -62,7 +63,7 @@ const GRADIENTS: &[ItemArray] = &[
     ItemArray::write("g_zt"),
 ];
 
-/// Invocations per workgroup; channels up to which a workgroup of the backward pass has whole points.
+/// Invocations per workgroup.
 const GROUP: usize = 256;
 /// Entries of the list by cells that one invocation adds.
 const ENTRIES_PER_BLOCK: usize = 32;
@@ -88,43 +89,56 @@ fn bare<'a>(scales: &[ScaleItem], groups: usize) -> Vec<Item<'a, ScaleItem>> {
     scales.iter().map(|&constants| Item { constants, arrays: Vec::new(), groups }).collect()
 }
 
-/// Features [N, C·scales]; `None` for more channels than a workgroup has invocations.
-pub fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Option<Tensor<T>> {
+/// Features [N, C·scales].
+pub fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Tensor<T> {
     let (points, channels) = (positions.rows(), field.channels());
-    if channels > GROUP {
-        return None;
-    }
     let features = GpuArray::new(gpu, points * channels * field.scales());
     let shared = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&features)];
-    let items = readers(gpu, &scales(field, points), field.planes, (points * channels).div_ceil(GROUP));
-    FORWARD.launch(gpu, &[], &shared, &items);
-    Some(Tensor::from_gpu([points, channels * field.scales()], features))
+    in_windows(gpu, points, &shared, |points, shared| {
+        let items = readers(gpu, &scales(field, points), field.planes, (points * channels).div_ceil(GROUP));
+        FORWARD.launch(gpu, &[], shared, &items);
+    });
+    Tensor::from_gpu([points, channels * field.scales()], features)
 }
 
-/// Adds the gradients of positions and planes to their totals; `false` where [`forward`] is `None`.
+/// Adds the gradients of positions and planes to their totals.
 pub fn add_gradients<T: Real>(
     gpu: Gpu,
     field: &Field<T>,
     positions: &Tensor<T>,
     dy: &Tensor<T>,
     totals: &mut [Option<Tensor<T>>],
-) -> bool {
-    if field.channels() > GROUP {
-        return false;
-    }
-    let scales = scales(field, positions.rows());
-    let list = CellList::new(gpu, &scales, positions);
+) {
     let (of_positions, of_planes) = totals.split_first_mut().expect("positions come first");
-    let (g_positions, mut adds) = total_on_gpu(gpu, of_positions, positions.shape());
+    let (g_positions, adds) = total_on_gpu(gpu, of_positions, positions.shape());
+    let [read, dy] = [positions, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
+    // A launch has one scale at least, of which it makes the gradients of six values, and the list has all entries.
+    let per_point = 6 * field.channels().max(field.scales());
+    in_windows_with(gpu, positions.rows(), per_point, &[read, dy, Binding::Write(g_positions)], |points, arrays| {
+        let &[positions, dy, g_positions] = arrays else { unreachable!("three arrays") };
+        add_window(gpu, field, points, (positions, dy), (g_positions, adds), of_planes);
+    });
+}
+
+/// The same for so many points, of which the gradients of positions are given with whether they add to what is there.
+fn add_window<T: Real>(
+    gpu: Gpu,
+    field: &Field<T>,
+    points: usize,
+    (positions, dy): (Binding, Binding),
+    (g_positions, mut adds): (Binding, bool),
+    of_planes: &mut [Option<Tensor<T>>],
+) {
+    let scales = scales(field, points);
+    let list = CellList::new(gpu, &scales, points, positions);
     let most = scales_per_launch(gpu, &scales);
     let parts = scales.chunks(most).zip(field.planes.chunks(6 * most)).zip(of_planes.chunks_mut(6 * most));
     for ((scales, planes), totals) in parts {
-        let part = Part { gpu, scales, planes, positions: positions.on_gpu(gpu), list: &list };
-        let g_values = part.value_gradients(dy.on_gpu(gpu), g_positions, adds);
+        let part = Part { gpu, scales, planes, positions, list: &list };
+        let g_values = part.value_gradients(dy, g_positions, adds);
         part.add_to_planes(&part.corners(&g_values), totals);
         adds = true;
     }
-    true
 }
 
 /// Scales whose arrays a launch can have, at least one.
@@ -148,10 +162,10 @@ struct CellList {
 }
 
 impl CellList {
-    fn new<T: Real>(gpu: Gpu, scales: &[ScaleItem], positions: &Tensor<T>) -> Self {
-        let (points, cells) = (positions.rows(), cells(scales));
+    fn new(gpu: Gpu, scales: &[ScaleItem], points: usize, positions: Binding) -> Self {
+        let cells = cells(scales);
         let cell_of_entry = GpuArray::new(gpu, 6 * scales.len() * points);
-        let shared = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&cell_of_entry)];
+        let shared = [positions, Binding::Write(&cell_of_entry)];
         CELLS.launch(gpu, &[], &shared, &bare(scales, points.div_ceil(GROUP)));
         let bits = usize::BITS - cells.saturating_sub(1).leading_zeros();
         let (sorted, entries) = sort(gpu, &cell_of_entry, bits);
@@ -175,19 +189,18 @@ struct Part<'a, T: Real> {
     gpu: Gpu,
     scales: &'a [ScaleItem],
     planes: &'a [&'a Tensor<T>],
-    positions: &'a GpuArray,
+    positions: Binding<'a>,
     list: &'a CellList,
 }
 
 impl<T: Real> Part<'_, T> {
     /// The gradients of what every point read from every plane, [6·scales, N, C]; those of the positions are added up.
-    fn value_gradients(&self, dy: &GpuArray, g_positions: &GpuArray, adds: bool) -> GpuArray {
+    fn value_gradients(&self, dy: Binding, g_positions: Binding, adds: bool) -> GpuArray {
         let (points, channels) = (self.scales[0].points(), self.scales[0].channels());
         let g_values = GpuArray::new(self.gpu, self.scales[0].values(self.scales.len()));
-        let shared =
-            [Binding::Read(self.positions), Binding::Read(dy), Binding::Write(&g_values), Binding::Write(g_positions)];
+        let shared = [self.positions, dy, Binding::Write(&g_values), g_positions];
         let items = readers(self.gpu, self.scales, self.planes, 0);
-        let groups = points.div_ceil(GROUP / channels);
+        let groups = points.div_ceil((GROUP / channels).max(1));
         BACKWARD.launch_together(self.gpu, &[("ADDS", u32::from(adds))], &shared, &items, groups);
         g_values
     }
@@ -195,8 +208,8 @@ impl<T: Real> Part<'_, T> {
     /// The gradients of the corners of every cell, block by block.
     fn corners(&self, g_values: &GpuArray) -> GpuArray {
         let corners = GpuArray::new(self.gpu, corners(self.scales));
-        let read = [self.positions, g_values, &self.list.cells, &self.list.entries].map(Binding::Read);
-        let shared = [&read[..], &[Binding::Write(&corners)]].concat();
+        let read = [g_values, &self.list.cells, &self.list.entries].map(Binding::Read);
+        let shared = [&[self.positions][..], &read, &[Binding::Write(&corners)]].concat();
         let groups = (blocks(self.scales) * self.scales[0].channels()).div_ceil(GROUP);
         BLOCKS.launch_together(self.gpu, &[], &shared, &bare(self.scales, 0), groups);
         corners

@@ -45,7 +45,7 @@ fn kernels_are_valid() {
 #[test]
 fn a_gpu_counts_as_the_cpu_does() {
     let Some(gpu) = test_gpu() else { return };
-    for (len, bins) in [(1, 2), (255, 8), (257, 33), (4097, 256), (30_000, 20), (500, 257)] {
+    for (len, bins) in [(1, 2), (255, 8), (257, 33), (4097, 256), (30_000, 20), (500, 257), (5000, 600)] {
         compare_histograms(gpu, len, bins).unwrap();
     }
 }
@@ -65,10 +65,14 @@ fn faults_are_noticed() {
     let faults = [
         ("soft histogram", "first < BLOCK", "first + GROUP < BLOCK"),
         ("soft histogram", "own += parts[value].y", "own += 0.99 * parts[value].y"),
+        ("soft histogram", "tiles * COLUMNS + local", "tiles + local"),
         ("soft histogram, total", "block += 256u", "block += 257u"),
         ("soft histogram backward", "at > 0.0 && at < last", "at > 1.0 && at < last"),
         ("divergence from uniform", "logarithm + share /", "logarithm + 0.9 * share /"),
     ];
-    // More than 256 blocks.
-    assert_noticed(&faults, || compare_histograms(gpu, 1_100_000, 8));
+    // More than 256 blocks; and more bins than a workgroup has.
+    assert_noticed(&faults, || {
+        compare_histograms(gpu, 1_100_000, 8)?;
+        compare_histograms(gpu, 500, 300)
+    });
 }

@@ -54,6 +54,7 @@ fn a_gpu_finds_the_nodes_that_the_cpu_finds() {
         ([500, 200], 3, 4),
         ([90, 70], 2, 29),
         ([9, 50], 2, 33),
+        ([70, 65], 33, 5),
     ] {
         let [x, p] = [tensor(points, axes, 1), tensor(nodes, axes, 2)];
         let found = |device: Device, others: bool| {
@@ -107,6 +108,7 @@ fn followers_are_sorted_on_a_gpu_as_on_the_host() {
 fn kernels_are_valid() {
     for others in [0, 1] {
         assert_valid::<NearestBlock>(&NEAREST, &[("AXES", 32), ("KEPT", 32), ("OTHERS", others)]);
+        assert_valid::<NearestBlock>(&NEAREST_ANY, &[("OTHERS", others)]);
     }
     for kernel in [BLEND, BLEND_WEIGHTS] {
         assert_valid::<BlendBlock>(&kernel, &[]);
@@ -149,7 +151,7 @@ fn a_gpu_carries_points_as_the_cpu_does() {
 #[test]
 fn weights_without_gates_agree_in_spaces_of_any_number_of_axes() {
     let Some(gpu) = test_gpu() else { return };
-    for axes in [1, 11, 32, 33] {
+    for axes in [1, 11, 32, 33, 70] {
         let ([points, nodes], neighbors) = placed(100, 9, axes);
         let inputs = [points, nodes, tensor(9, 1, 3)];
         let f = |tape: &mut Tape<f32>, vars: &[Var]| vec![weights(tape, vars[0], vars[1], vars[2], None, &neighbors)];
@@ -187,20 +189,22 @@ fn faults_are_noticed() {
 #[test]
 fn faults_of_the_search_are_noticed() {
     let Some(gpu) = test_gpu() else { return };
-    let faults = [
-        ("nearest nodes", "distance < (*found).distances[at - 1u]", "distance > (*found).distances[at - 1u]"),
-        ("nearest nodes", "(*found).count == KEPT", "(*found).count > 0u"),
-        ("nearest nodes", "nodes[first * AXES + at]", "nodes[at]"),
-    ];
-    let ([points, nodes], _) = placed(200, 80, 3);
-    // Nodes that are computed, and so searched where they are.
-    let f = |tape: &mut Tape<f32>, vars: &[Var]| {
-        let [points, nodes] = [vars[0], vars[1]].map(|var| pointwise::scale(tape, var, 2.0));
-        let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), 3);
-        vec![weights(tape, points, nodes, vars[2], None, &neighbors)]
-    };
-    let inputs = [points, nodes, tensor(80, 1, 3)];
-    assert_noticed(&faults, || compare(gpu, "weights of the nearest", &inputs, TOLERANCE, f));
+    let nearer = ["distance < found_distance(at - 1u)", "distance > found_distance(at - 1u)"];
+    let full = ["found_count == sizes.kept", "found_count > 0u"];
+    let of_tiles = ["nodes[first * AXES + at]", "nodes[at]"];
+    let of_lists = ["first_found = point * sizes.kept", "first_found = point"];
+    for (kernel, own, axes) in [("nearest nodes", of_tiles, 3), ("nearest nodes, any", of_lists, 40)] {
+        let ([points, nodes], _) = placed(200, 80, axes);
+        // Nodes that are computed, and so searched where they are.
+        let f = |tape: &mut Tape<f32>, vars: &[Var]| {
+            let [points, nodes] = [vars[0], vars[1]].map(|var| pointwise::scale(tape, var, 2.0));
+            let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), 3);
+            vec![weights(tape, points, nodes, vars[2], None, &neighbors)]
+        };
+        let inputs = [points, nodes, Tensor::full([80, 1], 1.0)];
+        let faults = [nearer, full, own].map(|[right, wrong]| (kernel, right, wrong));
+        assert_noticed(&faults, || compare(gpu, "weights of the nearest", &inputs, TOLERANCE, f));
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ use crate::gpu::conformance::{Disagreement, Tolerance, compare};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::layout::assert_valid;
 use crate::gpu::tests::test_gpu;
+use crate::gpu::windows::tests::seeing_at_most;
 use crate::tape::{Tape, Var};
 
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 2e-5 };
@@ -30,6 +31,9 @@ fn kernels_are_valid() {
         assert_valid::<WindowBlock>(&FORWARD, &[window]);
         assert_valid::<WindowBlock>(&BACKWARD, &[window]);
     }
+    for kernel in [LONG_FORWARD, LONG_BACKWARD] {
+        assert_valid::<WindowBlock>(&kernel, &[("WINDOW", 33)]);
+    }
 }
 
 #[test]
@@ -40,9 +44,15 @@ fn a_gpu_looks_at_windows_as_the_cpu_does() {
             compare_windows(gpu, rows, sizes).unwrap();
         }
     }
-    // The longest window with kernels, and the first without.
-    for window in [32, 33] {
+    // The longest window that invocations hold themselves, and longer ones.
+    for window in [32, 33, 200] {
         compare_windows(gpu, 4, [2, window, 4, 1]).unwrap();
+        compare_windows(gpu, 70, [3, window, 6, 2]).unwrap();
+    }
+    compare_windows(gpu, 0, [1, 33, 1, 1]).unwrap();
+    // Rows of which a kernel sees 64 only.
+    for window in [3, 40] {
+        seeing_at_most(62_000, || compare_windows(gpu, 600, [3, window, 6, 2])).unwrap();
     }
 }
 
@@ -51,9 +61,15 @@ fn faults_are_noticed() {
     let Some(gpu) = test_gpu() else { return };
     let faults = [
         ("window attention", "at < WINDOW; at++) {\n        let key", "at + 1u < WINDOW; at++) {\n        let key"),
-        ("window attention backward", "(gradients[at] - mean)", "(gradients[at] - 0.99 * mean)"),
+        ("window attention backward", "(gradient_at(at) - mean)", "(gradient_at(at) - 0.99 * mean)"),
         ("window attention backward", "g_keys[seen] += g_key", "g_keys[seen] = g_key"),
-        ("window attention backward", "weights[at] * dy[query + channel]", "weights[0] * dy[query + channel]"),
+        ("window attention backward", "weight_at(at) * dy[query + channel]", "weight_at(0u) * dy[query + channel]"),
     ];
     assert_noticed(&faults, || compare_windows(gpu, 30, [2, 4, 6, 2]));
+    let faults = [
+        ("attention to long windows", "return held[at * stride + own]", "return held[at * stride]"),
+        ("attention to long windows backward", "return held[(WINDOW + at)", "return held[(at)"),
+        ("attention to long windows backward", "held[(WINDOW + at) * stride + own] = value", "held[own] = value"),
+    ];
+    assert_noticed(&faults, || compare_windows(gpu, 30, [2, 40, 6, 2]));
 }

@@ -1,0 +1,43 @@
+// The nearest nodes of every point in a space of any number of axes, and any number of them: an invocation per point, whose
+// list lies where it is read later. OTHERS is 1 where points are the nodes, and none is its own neighbour.
+
+// Of what is in the list, [points, kept].
+@group(0) @binding(4) var<storage, read_write> distances: array<f32>;
+
+var<private> first_found: u32;
+
+fn found_node(rank: u32) -> u32 {
+    return node_of_item[first_found + rank];
+}
+
+fn found_distance(rank: u32) -> f32 {
+    return distances[first_found + rank];
+}
+
+fn set_found(rank: u32, node: u32, distance: f32) {
+    node_of_item[first_found + rank] = node;
+    distances[first_found + rank] = distance;
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let point = flat_group(group, groups) * 64u + local;
+    if (point >= sizes.points) {
+        return;
+    }
+    first_found = point * sizes.kept;
+    for (var node = 0u; node < sizes.nodes; node++) {
+        var distance = 0.0;
+        for (var axis = 0u; axis < sizes.axes; axis++) {
+            let difference = points[point * sizes.axes + axis] - nodes[node * sizes.axes + axis];
+            distance += difference * difference;
+        }
+        if (OTHERS == 0u || node != point) {
+            insert(node, distance);
+        }
+    }
+}
