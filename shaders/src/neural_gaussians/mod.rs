@@ -8,7 +8,8 @@
 //! * quaternion c₄₋₇ (normalised where it is used),
 //! * opacity logit ln(α / (1 − α)), and the colour as constant spherical harmonic.
 //!
-//! Gaussians with α ≤ 0 are left out. None of this has an edge that a render shows: opacities rise from 0.
+//! Gaussians with α ≤ 0 are not there: the CPU leaves them out; a GPU, whose opacities nobody waits for, has them with
+//! [`HIDDEN_LOGIT`]. None of this has an edge that a render shows: opacities rise from 0.
 
 mod backward;
 mod gpu;
@@ -16,15 +17,15 @@ mod gpu;
 mod tests;
 
 use std::ops::Range;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use scene::gaussians::SH_C0;
 
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::splat::HIDDEN_LOGIT;
+use crate::tape::{Device, Op, Real, Tape, Tensor, Var};
 use backward::Gradients;
-use gpu::GpuChosen;
 
 /// Opacities are kept this far from 0 and 1, where their logit is infinite: far below what an image shows.
 const OPACITY_MARGIN: f64 = 1e-6;
@@ -50,7 +51,7 @@ pub struct AnchorVars {
     pub colors: Var,
 }
 
-/// The M Gaussians with positive opacity, in the order of the anchors.
+/// M Gaussians in the order of the anchors: those with positive opacity, or all on a GPU.
 #[derive(Clone, Debug)]
 pub struct NeuralGaussians {
     /// [M, 3] world, scene units.
@@ -59,18 +60,26 @@ pub struct NeuralGaussians {
     pub log_scales: Var,
     /// [M, 4] quaternions (w, x, y, z), not normalised.
     pub rotations: Var,
-    /// [M, 1] before the logistic function.
+    /// [M, 1] before the logistic function; [`HIDDEN_LOGIT`] where the opacity is not positive.
     pub opacity_logits: Var,
     /// [M, 1, 3] the constant spherical harmonic.
     pub sh: Var,
-    /// [M] which one of the N·K it is: anchor·K + k.
-    pub slots: Arc<Vec<u32>>,
+    /// [M] which one of the N·K it is: anchor·K + k; `None`: all of them in order.
+    pub slots: Option<Arc<Vec<u32>>>,
 }
 
-/// The Gaussians that anchors spawn; differentiable in everything but the choice of positive opacities.
+/// The Gaussians that anchors spawn; differentiable in everything but whether an opacity is positive.
 pub fn neural_gaussians<T: Real>(tape: &mut Tape<T>, anchors: &AnchorVars) -> NeuralGaussians {
-    let count = tape.value(anchors.positions).rows();
-    let per_anchor = tape.value(anchors.opacities).row_len();
+    let opacities = tape.value(anchors.opacities);
+    let chosen = match tape.device() {
+        Device::Cpu => Chosen::with_positive(opacities),
+        Device::Gpu(_) => Chosen::all(opacities),
+    };
+    spawn(tape, anchors, chosen)
+}
+
+fn spawn<T: Real>(tape: &mut Tape<T>, anchors: &AnchorVars, chosen: Chosen) -> NeuralGaussians {
+    let (count, per_anchor) = (chosen.anchors, chosen.per_anchor);
     let AnchorVars { positions, log_scales, offsets, opacities, shapes, colors } = *anchors;
     let inputs = [positions, log_scales, offsets, opacities, shapes, colors];
     for (var, row_len) in inputs.into_iter().zip([3, 6, 3 * per_anchor, per_anchor, SHAPE * per_anchor, 3 * per_anchor])
@@ -78,41 +87,75 @@ pub fn neural_gaussians<T: Real>(tape: &mut Tape<T>, anchors: &AnchorVars) -> Ne
         let shape = tape.value(var).shape();
         assert!(shape[0] == count && tape.value(var).row_len() == row_len, "neural_gaussians: a shape {shape:?}");
     }
-    let chosen = Chosen::new(tape.value(opacities), per_anchor);
-    let slots = chosen.slots.clone();
+    let slots = chosen.list.as_ref().map(|list| list.slots.clone());
     let outputs = tape.apply(Spawn { chosen }, &inputs);
     let [positions, log_scales, rotations, opacity_logits, sh] = outputs[..] else { unreachable!("five outputs") };
     NeuralGaussians { positions, log_scales, rotations, opacity_logits, sh, slots }
 }
 
-/// Which of the N·K Gaussians there are.
+/// Which of the N·K Gaussians are spawned.
 struct Chosen {
+    anchors: usize,
     per_anchor: usize,
+    /// `None`: all.
+    list: Option<List>,
+}
+
+/// Some of the N·K Gaussians.
+struct List {
+    /// [M].
     slots: Arc<Vec<u32>>,
     /// [N + 1]: the Gaussians of anchor n are those from `first[n]` to `first[n + 1]`.
     first: Vec<u32>,
-    on_gpu: OnceLock<GpuChosen>,
 }
 
 impl Chosen {
-    fn new<T: Real>(opacities: &Tensor<T>, per_anchor: usize) -> Self {
+    /// All Gaussians of anchors with these opacities [N, K].
+    fn all<T: Real>(opacities: &Tensor<T>) -> Self {
+        Self { anchors: opacities.rows(), per_anchor: opacities.row_len(), list: None }
+    }
+
+    /// Those whose opacity is positive.
+    fn with_positive<T: Real>(opacities: &Tensor<T>) -> Self {
+        let all = Self::all(opacities);
         let (mut slots, mut first) = (Vec::new(), vec![0]);
-        for anchor in 0..opacities.rows() {
-            // Written so that a NaN is chosen, and found.
-            let chosen = opacities.row(anchor).iter().enumerate().filter(|(_, opacity)| !(**opacity <= T::ZERO));
-            slots.extend(chosen.map(|(k, _)| (anchor * per_anchor + k) as u32));
+        for anchor in 0..all.anchors {
+            let chosen = opacities.row(anchor).iter().enumerate().filter(|(_, opacity)| !is_hidden(**opacity));
+            slots.extend(chosen.map(|(k, _)| (anchor * all.per_anchor + k) as u32));
             first.push(slots.len() as u32);
         }
-        Self { per_anchor, slots: Arc::new(slots), first, on_gpu: OnceLock::new() }
+        Self { list: Some(List { slots: Arc::new(slots), first }), ..all }
+    }
+
+    /// How many there are.
+    fn count(&self) -> usize {
+        self.list.as_ref().map_or(self.anchors * self.per_anchor, |list| list.slots.len())
+    }
+
+    /// Anchor·K + k of a Gaussian.
+    fn slot(&self, gaussian: usize) -> usize {
+        self.list.as_ref().map_or(gaussian, |list| list.slots[gaussian] as usize)
+    }
+
+    /// Which of its anchor's Gaussians one is.
+    fn k(&self, gaussian: usize) -> usize {
+        self.slot(gaussian) % self.per_anchor
+    }
+
+    /// The Gaussians of an anchor.
+    fn gaussians(&self, anchor: usize) -> Range<usize> {
+        let first =
+            |anchor: usize| self.list.as_ref().map_or(anchor * self.per_anchor, |list| list.first[anchor] as usize);
+        first(anchor)..first(anchor + 1)
     }
 
     /// [M, width]: `body(anchor, k, row)` for every Gaussian.
     fn rows<T: Real>(&self, width: usize, body: impl Fn(usize, usize, &mut [T]) + Sync) -> Vec<T> {
-        let mut rows = vec![T::ZERO; self.slots.len() * width];
-        let chunks = rows.par_chunks_mut(width * ROWS_PER_CHUNK).zip(self.slots.par_chunks(ROWS_PER_CHUNK));
-        chunks.for_each(|(rows, slots)| {
-            for (row, &slot) in rows.chunks_exact_mut(width).zip(slots) {
-                body(slot as usize / self.per_anchor, slot as usize % self.per_anchor, row);
+        let mut rows = vec![T::ZERO; self.count() * width];
+        rows.par_chunks_mut(width * ROWS_PER_CHUNK).enumerate().for_each(|(chunk, rows)| {
+            for (index, row) in rows.chunks_exact_mut(width).enumerate() {
+                let slot = self.slot(chunk * ROWS_PER_CHUNK + index);
+                body(slot / self.per_anchor, slot % self.per_anchor, row);
             }
         });
         rows
@@ -129,15 +172,10 @@ impl Chosen {
         rows.par_chunks_mut(width * ROWS_PER_CHUNK).enumerate().for_each(|(chunk, rows)| {
             for (index, row) in rows.chunks_exact_mut(width).enumerate() {
                 let anchor = chunk * ROWS_PER_CHUNK + index;
-                body(anchor, self.first[anchor] as usize..self.first[anchor + 1] as usize, row);
+                body(anchor, self.gaussians(anchor), row);
             }
         });
         Some(Tensor::from_vec(input.shape(), rows))
-    }
-
-    /// Which of its anchor's Gaussians one is.
-    fn k(&self, gaussian: usize) -> usize {
-        self.slots[gaussian] as usize % self.per_anchor
     }
 }
 
@@ -152,7 +190,7 @@ impl<T: Real> Op<T> for Spawn {
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let &[positions, log_scales, offsets, opacities, shapes, colors] = inputs else { unreachable!("six inputs") };
-        let (chosen, count) = (&self.chosen, self.chosen.slots.len());
+        let (chosen, count) = (&self.chosen, self.chosen.count());
         let to_position = chosen.rows(3, |anchor, k, row: &mut [T]| {
             let (center, offset, scale) =
                 (positions.row(anchor), &offsets.row(anchor)[3 * k..], log_scales.row(anchor));
@@ -166,8 +204,7 @@ impl<T: Real> Op<T> for Spawn {
             row.copy_from_slice(&shapes.row(anchor)[SHAPE * k + 3..SHAPE * (k + 1)]);
         });
         let to_logit = chosen.rows(1, |anchor, k, row: &mut [T]| {
-            let opacity = inside(opacities.row(anchor)[k]).0;
-            row[0] = (opacity / (T::ONE - opacity)).ln();
+            row[0] = logit(opacities.row(anchor)[k]);
         });
         let to_harmonic = chosen.rows(3, |anchor, k, row: &mut [T]| {
             let color = &colors.row(anchor)[3 * k..];
@@ -215,6 +252,20 @@ impl<T: Real> Op<T> for Spawn {
     ) -> Option<Vec<Option<Tensor<T>>>> {
         Some(self.backward_on_gpu(gpu, inputs, output_grads))
     }
+}
+
+/// Whether there is no Gaussian with this opacity; written so that a NaN is there, and found.
+fn is_hidden<T: Real>(opacity: T) -> bool {
+    opacity <= T::ZERO
+}
+
+/// What becomes this opacity through the logistic function; that of a hidden one is constant.
+fn logit<T: Real>(opacity: T) -> T {
+    if is_hidden(opacity) {
+        return T::from_f64(HIDDEN_LOGIT);
+    }
+    let (opacity, _) = inside(opacity);
+    (opacity / (T::ONE - opacity)).ln()
 }
 
 /// ln(1 / (1 + e^−x)), from the exponential that cannot overflow.

@@ -1,4 +1,4 @@
-// The Gaussians that anchors spawn: an invocation per Gaussian.
+// The Gaussians that anchors spawn, all of them in order: an invocation per Gaussian.
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 @group(0) @binding(2) var<storage, read> log_scales: array<f32>;
@@ -6,12 +6,11 @@
 @group(0) @binding(4) var<storage, read> opacities: array<f32>;
 @group(0) @binding(5) var<storage, read> shapes: array<f32>;
 @group(0) @binding(6) var<storage, read> colors: array<f32>;
-@group(0) @binding(7) var<storage, read> slots: array<u32>;
-@group(0) @binding(8) var<storage, read_write> out_positions: array<f32>;
-@group(0) @binding(9) var<storage, read_write> out_log_scales: array<f32>;
-@group(0) @binding(10) var<storage, read_write> out_rotations: array<f32>;
-@group(0) @binding(11) var<storage, read_write> out_logits: array<f32>;
-@group(0) @binding(12) var<storage, read_write> out_sh: array<f32>;
+@group(0) @binding(7) var<storage, read_write> out_positions: array<f32>;
+@group(0) @binding(8) var<storage, read_write> out_log_scales: array<f32>;
+@group(0) @binding(9) var<storage, read_write> out_rotations: array<f32>;
+@group(0) @binding(10) var<storage, read_write> out_logits: array<f32>;
+@group(0) @binding(11) var<storage, read_write> out_sh: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -20,21 +19,19 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let gaussian = flat_group(group, groups) * 256u + local;
-    if (gaussian >= sizes.gaussians) {
+    if (gaussian >= sizes.anchors * sizes.per_anchor) {
         return;
     }
-    let slot = slots[gaussian];
-    let anchor = slot / sizes.per_anchor;
+    let anchor = gaussian / sizes.per_anchor;
     for (var axis = 0u; axis < 3u; axis++) {
         let at = 3u * gaussian + axis;
-        let shift = offsets[3u * slot + axis] * exp(log_scales[6u * anchor + axis]);
-        out_positions[at] = positions[3u * anchor + axis] + shift;
-        out_log_scales[at] = log_scales[6u * anchor + 3u + axis] + log_sigmoid(shapes[SHAPE * slot + axis]);
-        out_sh[at] = (colors[3u * slot + axis] - 0.5) / SH_C0;
+        out_positions[at] = positions[3u * anchor + axis] + offsets[at] * exp(log_scales[6u * anchor + axis]);
+        out_log_scales[at] = log_scales[6u * anchor + 3u + axis] + log_sigmoid(shapes[SHAPE * gaussian + axis]);
+        out_sh[at] = (colors[at] - 0.5) / SH_C0;
     }
     for (var part = 0u; part < 4u; part++) {
-        out_rotations[4u * gaussian + part] = shapes[SHAPE * slot + 3u + part];
+        out_rotations[4u * gaussian + part] = shapes[SHAPE * gaussian + 3u + part];
     }
-    let opacity = inside(opacities[slot]);
-    out_logits[gaussian] = log(opacity / (1.0 - opacity));
+    let opacity = inside(opacities[gaussian]);
+    out_logits[gaussian] = select(log(opacity / (1.0 - opacity)), HIDDEN_LOGIT, opacities[gaussian] <= 0.0);
 }

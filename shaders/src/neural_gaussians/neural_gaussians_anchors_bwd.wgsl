@@ -3,12 +3,10 @@
 
 @group(0) @binding(1) var<storage, read> log_scales: array<f32>;
 @group(0) @binding(2) var<storage, read> offsets: array<f32>;
-@group(0) @binding(3) var<storage, read> slots: array<u32>;
-@group(0) @binding(4) var<storage, read> first: array<u32>;
-@group(0) @binding(5) var<storage, read> by_position: array<f32>;
-@group(0) @binding(6) var<storage, read> by_log_scale: array<f32>;
-@group(0) @binding(7) var<storage, read_write> g_positions: array<f32>;
-@group(0) @binding(8) var<storage, read_write> g_log_scales: array<f32>;
+@group(0) @binding(3) var<storage, read> by_position: array<f32>;
+@group(0) @binding(4) var<storage, read> by_log_scale: array<f32>;
+@group(0) @binding(5) var<storage, read_write> g_positions: array<f32>;
+@group(0) @binding(6) var<storage, read_write> g_log_scales: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -25,14 +23,15 @@ fn main(
         var g_position = 0.0;
         var g_reach = 0.0;
         var g_scale = 0.0;
-        for (var gaussian = first[anchor]; gaussian < first[anchor + 1u]; gaussian++) {
+        for (var k = 0u; k < sizes.per_anchor; k++) {
+            let at = 3u * (anchor * sizes.per_anchor + k) + axis;
             if ((ARRIVING & 1u) != 0u) {
-                let g = by_position[3u * gaussian + axis];
+                let g = by_position[at];
                 g_position += g;
-                g_reach += g * offsets[3u * slots[gaussian] + axis] * scale;
+                g_reach += g * offsets[at] * scale;
             }
             if ((ARRIVING & 2u) != 0u) {
-                g_scale += by_log_scale[3u * gaussian + axis];
+                g_scale += by_log_scale[at];
             }
         }
         g_positions[3u * anchor + axis] = g_position;

@@ -3,7 +3,6 @@
 struct Spawn {
     anchors: u32,
     per_anchor: u32,
-    gaussians: u32,
 }
 
 @group(0) @binding(0) var<uniform> sizes: Spawn;
@@ -15,6 +14,8 @@ const SH_C0: f32 = 0.28209479177387814;
 // Opacities are kept this far from 0 and 1, where their logit is infinite.
 const LOW: f32 = 1e-6;
 const HIGH: f32 = 0.999999;
+// The logit of what is not there.
+const HIDDEN_LOGIT: f32 = -100.0;
 
 // ln(1 / (1 + e⁻ˣ)), from the exponential that cannot overflow.
 fn log_sigmoid(x: f32) -> f32 {

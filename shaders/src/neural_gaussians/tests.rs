@@ -31,7 +31,14 @@ fn spawned<T: Real>(inputs: &[Tensor<f64>]) -> (Vec<Tensor<T>>, Vec<u32>) {
     let NeuralGaussians { positions, log_scales, rotations, opacity_logits, sh, slots } =
         neural_gaussians(&mut tape, &anchor_vars(&vars));
     let values = [positions, log_scales, rotations, opacity_logits, sh].map(|var| tape.value(var).clone()).to_vec();
-    (values, slots.to_vec())
+    (values, slots.expect("the CPU leaves some out").to_vec())
+}
+
+/// All Gaussians, as a GPU has them.
+fn spawn_all(tape: &mut Tape<f64>, vars: &[Var]) -> NeuralGaussians {
+    let anchors = anchor_vars(vars);
+    let chosen = Chosen::all(tape.value(anchors.opacities));
+    spawn(tape, &anchors, chosen)
 }
 
 const OUTPUTS: [fn(&NeuralGaussians) -> Var; 5] = [
@@ -50,6 +57,32 @@ fn gradients_equal_central_differences() {
             output(&found)
         };
         gradients(spawn, &inputs(), TOLERANCE).unwrap();
+        let all = |tape: &mut Tape<f64>, vars: &[Var]| {
+            let found = spawn_all(tape, vars);
+            output(&found)
+        };
+        gradients(all, &inputs(), TOLERANCE).unwrap();
+    }
+}
+
+#[test]
+fn what_is_left_out_is_hidden_where_every_gaussian_has_a_row() {
+    let inputs = inputs();
+    let (present, slots) = spawned::<f64>(&inputs);
+    let mut tape = Tape::new(Device::Cpu);
+    let vars: Vec<Var> = inputs.iter().map(|input| tape.constant(input.clone())).collect();
+    let all = spawn_all(&mut tape, &vars);
+    assert!(all.slots.is_none());
+    for (output, present) in OUTPUTS.into_iter().zip(&present) {
+        let all = tape.value(output(&all));
+        assert_eq!(all.rows(), ANCHORS * K);
+        for (gaussian, &slot) in slots.iter().enumerate() {
+            assert_eq!(all.row(slot as usize), present.row(gaussian));
+        }
+    }
+    let logits = tape.value(all.opacity_logits).as_slice();
+    for slot in (0..ANCHORS * K).filter(|slot| !slots.contains(&(*slot as u32))) {
+        assert_eq!(logits[slot], HIDDEN_LOGIT);
     }
 }
 

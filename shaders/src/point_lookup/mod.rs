@@ -7,6 +7,7 @@
 
 mod camera_maps;
 mod gpu;
+mod in_view;
 mod lookup;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ mod tests;
 pub use crate::projection::PinholeCamera;
 use crate::tape::{Device, Real, Tape, Var};
 use camera_maps::{Project, Unproject};
+pub use in_view::in_view;
 use lookup::Lookup;
 pub use lookup::Sampling;
 

@@ -29,7 +29,8 @@ pub struct Look<'a> {
     pub rendered: &'a Rendered,
     /// Width and height.
     pub size_px: [f64; 2],
-    /// The rows that the first splats are, each at most once; further splats are of no row. `None`: the first splats are all rows in order.
+    /// The rows that the first splats are, each at most once; further splats are of no row. `None`: the first splats are
+    /// all rows in order.
     pub row_of_splat: Option<&'a [u32]>,
 }
 
@@ -59,10 +60,7 @@ pub fn observe(
         let Look { rendered, size_px, row_of_splat } = look;
         let Lists::Gpu(lists) = rendered.lists() else { return None };
         let splats = lists.rank_of_splat.len();
-        assert!(
-            row_of_splat.map_or(count <= splats, |rows| rows.len() <= splats),
-            "a splat for every row of the statistics"
-        );
+        assert!(row_of_splat.map_or(count, |rows| rows.len()) <= splats, "a splat for every row of statistics");
         let splat_of_row = look.splat_of_row(gpu, count);
         let conics = tape.value(rendered.conics).on_gpu(gpu);
         let gradient = gradients.get(rendered.means2d).map(|gradient| gradient.on_gpu(gpu));

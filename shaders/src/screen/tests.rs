@@ -55,8 +55,12 @@ fn expected(renders: usize, rows: Option<&[u32]>, statistics: &Tensor<f32>) -> T
 }
 
 fn compare(renders: usize, rows: Option<&[u32]>) -> Result<usize, Disagreement> {
+    compare_rows(renders, rows, if rows.is_some() { 400 } else { 300 })
+}
+
+/// The statistics of so many rows.
+fn compare_rows(renders: usize, rows: Option<&[u32]>, count: usize) -> Result<usize, Disagreement> {
     let Some(gpu) = test_gpu() else { return Ok(0) };
-    let count = if rows.is_some() { 400 } else { 300 };
     let values = noise(3 * count, 9).into_iter().map(|value| (1.0 + value) as f32).collect();
     let before = Tensor::from_vec([count, 3], values);
     let (tape, rendered, gradients) = looked_at(Device::Gpu(gpu), renders);
@@ -81,6 +85,8 @@ fn statistics_on_a_gpu_are_those_of_the_host() {
     for renders in [1, 2, 3] {
         compare(renders, None).unwrap_or_else(|error| panic!("{error}"));
         compare(renders, Some(&some_rows())).unwrap_or_else(|error| panic!("{error}"));
+        // Splats behind the rows are of none.
+        compare_rows(renders, None, 260).unwrap_or_else(|error| panic!("{error}"));
     }
 }
 

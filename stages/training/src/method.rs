@@ -199,16 +199,26 @@ pub trait PopulationControl: BoxedClone + Send {
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()>;
 }
 
-/// Which rows of a population the splats of a render are, where they are not all of them in order: what a network made
-/// of some of its owners' places, for this render alone, or the Gaussians that are there at a time.
+/// Which rows of a population the splats of a render are that a network made of its owners' places, for this render alone.
 #[derive(Clone, Debug)]
 pub struct SplatRows {
     /// As `anchors`.
     pub population: &'static str,
-    /// [M] the row of each of the first splats, each at most once; further ones belong to no population.
-    pub row_of_splat: Arc<Vec<u32>>,
-    /// [N] whether the render looks where the row is, drawn or not.
-    pub looked_at: Vec<bool>,
+    /// The number of rows.
+    pub count: usize,
+    /// [M] the row of each splat, each at most once; `None`: they are all rows in order.
+    pub row_of_splat: Option<Arc<Vec<u32>>>,
+    /// What owns the rows.
+    pub owners: OwnerVars,
+}
+
+/// What a render says about N owners of splats, each of equally many rows.
+#[derive(Clone, Copy, Debug)]
+pub struct OwnerVars {
+    /// [N, 1]: 1 where the render looks at the owner, drawn or not, else 0.
+    pub in_view: Var,
+    /// [N, 1]: the sum of the opacities of its splats.
+    pub opacity: Var,
 }
 
 /// One loss of a step: a scalar on the tape and its weight in the sum.
@@ -229,8 +239,8 @@ pub(crate) struct WatchedRender {
     pub size_px: [f64; 2],
     /// Rows of the population: the first splats, unless `rows` tells which.
     pub count: usize,
-    /// Which rows the splats are, and the splats' opacity logits; `None`: all rows in order.
-    pub rows: Option<(SplatRows, Var)>,
+    /// Which rows the splats are; `None`: the first ones are all rows in order.
+    pub rows: Option<SplatRows>,
 }
 
 /// One training step as a method sees it.
@@ -323,8 +333,8 @@ impl<'a, T: Real> Step<'a, T> {
         rows: SplatRows,
     ) -> anyhow::Result<Rendered> {
         let rendered = self.rasterize(splats, None, view)?;
-        let (population, count) = (rows.population, rows.looked_at.len());
-        self.watch(&rendered, count, view, population, Some((rows, splats.opacity_logits)));
+        let (population, count) = (rows.population, rows.count);
+        self.watch(&rendered, count, view, population, Some(rows));
         Ok(rendered)
     }
 
@@ -347,7 +357,7 @@ impl<'a, T: Real> Step<'a, T> {
         count: usize,
         view: &TrainingView<T>,
         population: &str,
-        rows: Option<(SplatRows, Var)>,
+        rows: Option<SplatRows>,
     ) {
         self.renders.push(WatchedRender {
             population: population.into(),

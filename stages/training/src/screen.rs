@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use shaders::screen::{self, Look};
 use shaders::tape::{Gradients, Tape, Tensor};
 
-use crate::method::{SplatRows, WatchedRender};
+use crate::method::{OwnerVars, WatchedRender};
 
 /// The renders of one step that show a population; whoever looks at the figures of single Gaussians waits for them.
 pub struct Screen<'a> {
@@ -15,6 +15,16 @@ pub struct Screen<'a> {
     /// Where they were computed.
     step: Option<(&'a Tape<f32>, &'a Gradients<f32>)>,
     on_host: OnceCell<ScreenGradients>,
+    owners: Vec<Owners>,
+}
+
+/// What a render says about the N owners of a population: the values of [`OwnerVars`].
+#[derive(Clone, Debug)]
+pub struct Owners {
+    /// [N, 1].
+    pub in_view: Tensor<f32>,
+    /// [N, 1].
+    pub opacity: Tensor<f32>,
 }
 
 /// What one step's renders say about the Gaussians of a population.
@@ -26,10 +36,6 @@ pub struct ScreenGradients {
     pub visible: Vec<bool>,
     /// [N] largest radius in pixels.
     pub radius_px: Vec<f32>,
-    /// [N] opacity, summed over the renders; empty where renders draw the rows themselves (see [`SplatRows`]).
-    pub opacity: Vec<f32>,
-    /// [N] how many renders looked where the row is, drawn or not; empty where renders draw the rows themselves.
-    pub looks: Vec<u32>,
 }
 
 impl<'a> Screen<'a> {
@@ -44,8 +50,12 @@ impl<'a> Screen<'a> {
                     renders: vec![render],
                     step: Some((tape, gradients)),
                     on_host: OnceCell::new(),
+                    owners: Vec::new(),
                 }),
             }
+        }
+        for screen in &mut screens {
+            screen.owners = screen.renders.iter().filter_map(|render| render.owners(tape)).collect();
         }
         screens
     }
@@ -53,7 +63,18 @@ impl<'a> Screen<'a> {
     /// Figures that are known already.
     #[cfg(test)]
     pub(crate) fn of(population: &'a str, figures: ScreenGradients) -> Self {
-        Self { population, renders: Vec::new(), step: None, on_host: figures.into() }
+        Self { population, renders: Vec::new(), step: None, on_host: figures.into(), owners: Vec::new() }
+    }
+
+    /// The same with what a render says about the owners of the rows.
+    #[cfg(test)]
+    pub(crate) fn owned_by(self, owners: Owners) -> Self {
+        Self { owners: vec![owners], ..self }
+    }
+
+    /// What every render says about the owners of the rows, if something owns them.
+    pub fn owners(&self) -> &[Owners] {
+        &self.owners
     }
 
     /// The figures of every Gaussian; read back from a GPU.
@@ -74,7 +95,7 @@ impl<'a> Screen<'a> {
         let look = |render: &&'a WatchedRender| Look {
             rendered: &render.rendered,
             size_px: render.size_px,
-            row_of_splat: render.rows.as_ref().map(|(rows, _)| rows.row_of_splat.as_slice()),
+            row_of_splat: render.row_of_splat(),
         };
         let looks: Vec<Look> = self.renders.iter().map(look).collect();
         screen::observe(tape, gradients, &looks, statistics)
@@ -86,40 +107,41 @@ impl<'a> Screen<'a> {
     }
 }
 
-impl ScreenGradients {
-    fn resize(&mut self, render: &WatchedRender, count: usize) {
-        let of_rows = if render.rows.is_some() { count } else { 0 };
-        self.gradient_ndc.resize(count, [0.0; 2]);
-        self.visible.resize(count, false);
-        self.radius_px.resize(count, 0.0);
-        self.opacity.resize(of_rows, 0.0);
-        self.looks.resize(of_rows, 0);
+impl WatchedRender {
+    /// The rows that the first splats are; `None`: all in order.
+    fn row_of_splat(&self) -> Option<&[u32]> {
+        Some(self.rows.as_ref()?.row_of_splat.as_ref()?.as_slice())
     }
 
+    fn owners(&self, tape: &Tape<f32>) -> Option<Owners> {
+        let OwnerVars { in_view, opacity } = self.rows.as_ref()?.owners;
+        let value = |var| tape.value(var).clone();
+        Some(Owners { in_view: value(in_view), opacity: value(opacity) })
+    }
+}
+
+impl ScreenGradients {
     /// Adds one render: gradients are summed, visibility joined, the larger radius kept. A pixel is 2 / size of the
     /// normalised device coordinates.
     fn add(&mut self, render: &WatchedRender, tape: &Tape<f32>, gradients: &Gradients<f32>) {
-        self.resize(render, render.count);
+        let count = render.count;
+        self.gradient_ndc.resize(count, [0.0; 2]);
+        self.visible.resize(count, false);
+        self.radius_px.resize(count, 0.0);
         let [half_width, half_height] = render.size_px.map(|size| 0.5 * size);
         let (visible, radius_px) = (render.rendered.visible(), render.rendered.radii_px(tape));
         let gradient_px = gradients.get(render.rendered.means2d);
         for splat in (0..visible.len()).filter(|&splat| visible[splat]) {
-            let row_of = |(rows, _): &(SplatRows, _)| rows.row_of_splat.get(splat).map(|&row| row as usize);
-            let first = Some(splat).filter(|splat| *splat < render.count);
-            let Some(at) = render.rows.as_ref().map_or(first, row_of) else { continue };
+            let first = (splat < count).then_some(splat);
+            let Some(at) = render.row_of_splat().map_or(first, |rows| rows.get(splat).map(|&row| row as usize)) else {
+                continue;
+            };
             self.visible[at] = true;
             self.radius_px[at] = self.radius_px[at].max(radius_px[splat]);
             let Some(gradient) = gradient_px else { continue };
             let row = gradient.row(splat);
             self.gradient_ndc[at][0] += (f64::from(row[0]) * half_width) as f32;
             self.gradient_ndc[at][1] += (f64::from(row[1]) * half_height) as f32;
-        }
-        if let Some((rows, logits)) = &render.rows {
-            let opacity = |logit: &f32| (1.0 / (1.0 + (-f64::from(*logit)).exp())) as f32;
-            let opacities = tape.value(*logits).as_slice().iter().map(opacity);
-            let drawn = rows.row_of_splat.iter().zip(opacities);
-            drawn.for_each(|(&row, opacity)| self.opacity[row as usize] += opacity);
-            self.looks.iter_mut().zip(&rows.looked_at).for_each(|(looks, &now)| *looks += u32::from(now));
         }
     }
 }
@@ -132,10 +154,11 @@ mod tests {
     use shaders::tape::Device;
 
     use super::*;
+    use crate::method::SplatRows;
 
     /// Two splats in an image of 20 × 10 pixels, of which only the first is visible; with the gradient of the sum of
-    /// its colours.
-    fn step(rows: Option<SplatRows>, times: usize) -> (Tape<f32>, Vec<WatchedRender>, Gradients<f32>) {
+    /// its colours. They are these of so many rows, each of an owner of its own; or all rows.
+    fn step(rows: Option<&[u32]>, count: usize, times: usize) -> (Tape<f32>, Vec<WatchedRender>, Gradients<f32>) {
         let splats = SplatTensors {
             positions: Tensor::from_vec([2, 3], vec![0.3, 0.2, 4.0, 0.0, 0.0, -4.0]),
             log_scales: Tensor::full([2, 3], -1.0),
@@ -157,12 +180,16 @@ mod tests {
         let rendered = render(&mut tape, &vars, None, &camera, &settings).unwrap();
         let seed = (0..600).map(|at| at as f32 / 600.0).collect();
         let gradients = tape.backward(&[(rendered.color, Tensor::from_vec([10, 20, 3], seed))]);
+        let [in_view, opacity] = [1.0, 0.5].map(|value| tape.constant(Tensor::full([count, 1], value)));
+        let owners = OwnerVars { in_view, opacity };
+        let rows = rows.map(|rows| Some(Arc::new(rows.to_vec())));
+        let rows = rows.map(|row_of_splat| SplatRows { population: "points", count, row_of_splat, owners });
         let watched = || WatchedRender {
             population: "points".into(),
             rendered: rendered.clone(),
             size_px: [20.0, 10.0],
-            count: rows.as_ref().map_or(2, |rows| rows.looked_at.len()),
-            rows: rows.clone().map(|rows| (rows, vars.opacity_logits)),
+            count,
+            rows: rows.clone(),
         };
         let renders = (0..times).map(|_| watched()).collect();
         (tape, renders, gradients)
@@ -170,28 +197,36 @@ mod tests {
 
     #[test]
     fn splats_that_are_the_rows_count_in_order() {
-        let (tape, renders, gradients) = step(None, 1);
+        let (tape, renders, gradients) = step(None, 2, 1);
         let screens = Screen::all(&renders, &tape, &gradients);
         let (screen, gradient) = (screens[0].on_host(), gradients.get(renders[0].rendered.means2d).unwrap());
         assert_eq!((screens.len(), screens[0].rows(), &screen.visible), (1, 2, &vec![true, false]));
         assert_eq!(screen.gradient_ndc[0], [10.0 * gradient.row(0)[0], 5.0 * gradient.row(0)[1]]);
         assert!(screen.gradient_ndc[0].iter().all(|value| *value != 0.0) && screen.gradient_ndc[1] == [0.0; 2]);
         assert!(screen.radius_px[0] > 3.0 && screen.radius_px[1] == 0.0);
-        assert!(screen.opacity.is_empty() && screen.looks.is_empty());
+        assert!(screens[0].owners().is_empty());
     }
 
     #[test]
     fn splats_count_for_the_rows_that_they_are() {
-        let row_of_splat = Arc::new(vec![2, 0]);
-        let rows = SplatRows { population: "points", row_of_splat, looked_at: vec![true, false, true] };
-        let (tape, renders, gradients) = step(Some(rows), 2);
+        let (tape, renders, gradients) = step(Some(&[2, 0]), 3, 2);
         let screens = Screen::all(&renders, &tape, &gradients);
-        let (screen, one) = (screens[0].on_host(), step(None, 1));
+        let (screen, one) = (screens[0].on_host(), step(None, 2, 1));
         let single = Screen::all(&one.1, &one.0, &one.2).remove(0);
         assert_eq!(screen.visible, [false, false, true]);
         assert_eq!(screen.gradient_ndc[2], single.on_host().gradient_ndc[0].map(|value| 2.0 * value));
         assert_eq!(screen.radius_px[2], single.on_host().radius_px[0]);
-        let of_second = 2.0 / (1.0 + (-1.0_f64).exp()) as f32;
-        assert_eq!((&screen.opacity, &screen.looks), (&vec![of_second, 0.0, 1.0], &vec![2, 0, 2]));
+        let looks: Vec<[f32; 2]> =
+            screens[0].owners().iter().map(|of| [&of.in_view, &of.opacity].map(|x| x.row(2)[0])).collect();
+        assert_eq!(looks, [[1.0, 0.5]; 2]);
+    }
+
+    #[test]
+    fn splats_behind_the_rows_count_for_none() {
+        let (tape, renders, gradients) = step(None, 1, 1);
+        let (screens, all) = (Screen::all(&renders, &tape, &gradients), step(None, 2, 1));
+        let all = Screen::all(&all.1, &all.0, &all.2).remove(0);
+        assert_eq!((screens[0].rows(), screens[0].on_host().visible.len()), (1, 1));
+        assert_eq!(screens[0].on_host().gradient_ndc[0], all.on_host().gradient_ndc[0]);
     }
 }

@@ -3,9 +3,10 @@ use crate::check::noise;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::layout::assert_valid;
+use crate::gpu::readbacks_of_this_thread;
 use crate::gpu::tests::test_gpu;
-use crate::neural_gaussians::{AnchorVars, neural_gaussians};
-use crate::tape::{Tape, Var};
+use crate::neural_gaussians::{AnchorVars, neural_gaussians, spawn};
+use crate::tape::{Device, Tape, Var};
 
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
 
@@ -34,7 +35,8 @@ fn compare_spawned(gpu: Gpu, inputs: &[Tensor<f32>], picked: &[usize]) -> Result
     let f = |tape: &mut Tape<f32>, vars: &[Var]| {
         let &[positions, log_scales, offsets, opacities, shapes, colors] = vars else { panic!("six variables") };
         let anchors = AnchorVars { positions, log_scales, offsets, opacities, shapes, colors };
-        let found = neural_gaussians(tape, &anchors);
+        let chosen = Chosen::all(tape.value(opacities));
+        let found = spawn(tape, &anchors, chosen);
         let all = [found.positions, found.log_scales, found.rotations, found.opacity_logits, found.sh];
         picked.iter().map(|&output| all[output]).collect()
     };
@@ -65,13 +67,26 @@ fn a_gpu_spawns_what_the_cpu_spawns() {
 }
 
 #[test]
+fn a_gpu_does_not_look_which_gaussians_there_are() {
+    let Some(gpu) = test_gpu() else { return };
+    let mut tape = Tape::new(Device::Gpu(gpu));
+    let vars: Vec<Var> = inputs(30, 4).into_iter().map(|input| tape.constant(input)).collect();
+    let &[positions, log_scales, offsets, opacities, shapes, colors] = &vars[..] else { panic!("six variables") };
+    let anchors = AnchorVars { positions, log_scales, offsets, opacities, shapes, colors };
+    let before = readbacks_of_this_thread();
+    let found = neural_gaussians(&mut tape, &anchors);
+    assert_eq!(readbacks_of_this_thread(), before);
+    assert!(found.slots.is_none() && tape.value(found.positions).rows() == 120);
+}
+
+#[test]
 fn faults_are_noticed() {
     let Some(gpu) = test_gpu() else { return };
     let faults = [
         ("neural gaussians", "6u * anchor + 3u + axis", "6u * anchor + axis"),
         ("neural gaussians backward", "!(opacity > HIGH)", "!(opacity > 1.0)"),
         ("neural gaussians backward", "exp(log_sigmoid(-shapes", "exp(log_sigmoid(shapes"),
-        ("neural gaussians backward", "slots[gaussian] == slot", "slots[gaussian] == slot + 1u"),
+        ("neural gaussians", "opacities[gaussian] <= 0.0", "opacities[gaussian] < 0.0"),
         ("neural gaussians backward, anchors", "g_position += g;", "g_position = g;"),
     ];
     assert_noticed(&faults, || compare_spawned(gpu, &inputs(100, 4), &[0, 1, 2, 3, 4]));

@@ -1,24 +1,39 @@
 //! Gates that are either open or closed, and learn all the same.
 
+use shaders::pointwise;
 use shaders::pointwise::add;
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::tape::{Real, Tape, Var};
+
+pointwise! {
+    /// y = what must be added to x for 1 where x > threshold, else 0; NaN for a NaN.
+    fn to_step(x) with(threshold) -> y {
+        return select(0.0, 1.0, x > threshold) - x;
+    }
+    gradients(dy) {
+        x: { return -dy; }
+    }
+}
 
 /// 1 where x > `threshold`, else 0, with the gradient of x itself: the straight-through estimator (Bengio, Léonard and
 /// Courville 2013). Any shape.
 pub fn straight_through<T: Real>(tape: &mut Tape<T>, x: Var, threshold: f64) -> Var {
-    let threshold = T::from_f64(threshold);
-    let value = tape.value(x);
-    let to_step = |&x: &T| if x > threshold { T::ONE - x } else { -x };
-    let to_step = Tensor::from_vec(value.shape(), value.as_slice().iter().map(to_step).collect());
-    let to_step = tape.detach_value(to_step);
+    let to_step = to_step(tape, x, threshold);
+    let to_step = tape.detach(to_step);
     add(tape, x, to_step)
 }
 
 #[cfg(test)]
 mod tests {
-    use shaders::tape::Device;
+    use shaders::check::{TOLERANCE, gradients, test_gpu};
+    use shaders::tape::{Device, Tensor};
 
     use super::*;
+
+    #[test]
+    fn the_step_from_a_value_has_the_gradient_of_central_differences() {
+        let x = Tensor::from_vec([4], vec![-1.0, 0.2, 0.4, 3.0]);
+        gradients(|tape, vars| to_step(tape, vars[0], 0.3), &[x], TOLERANCE).unwrap();
+    }
 
     #[test]
     fn a_gate_is_open_or_closed_and_passes_the_gradient_either_way() {
@@ -31,10 +46,13 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_is_no_number_shows() {
-        let mut tape = Tape::<f32>::new(Device::Cpu);
-        let x = tape.leaf(Tensor::scalar(f32::NAN));
-        let gate = straight_through(&mut tape, x, 0.5);
-        assert!(tape.value(gate).as_slice()[0].is_nan());
+    fn a_value_that_is_no_number_shows_on_every_device() {
+        for device in [Some(Device::Cpu), test_gpu().map(Device::Gpu)].into_iter().flatten() {
+            let mut tape = Tape::<f32>::new(device);
+            let x = tape.leaf(Tensor::from_vec([3], vec![f32::NAN, 0.1, 0.7]));
+            let gate = straight_through(&mut tape, x, 0.5);
+            let values = tape.value(gate).as_slice();
+            assert!(values[0].is_nan() && values[1..] == [0.0, 1.0], "{values:?}");
+        }
     }
 }

@@ -3,6 +3,7 @@
 use serde_json::json;
 use shaders::check::test_gpu;
 
+use super::poison::{Scene, all_effects};
 use super::tests::{bits, dataset, params};
 use super::*;
 use crate::supplements::NOTHING;
@@ -109,5 +110,48 @@ fn what_is_not_finite_ends_a_training_on_a_gpu_at_that_step_by_name() {
         let (ahead, watched) = (poisoned(false), poisoned(true));
         assert_eq!(ahead, watched);
         assert!(ahead.contains(&format!("iteration {}", phase_step + 1)) && ahead.contains(tensor), "{ahead}");
+    }
+}
+
+/// Thirty steps of anchors that come and go.
+fn anchors_that_grow() -> TrainingParams {
+    let mut params = all_effects("modecgs");
+    params.shared.iterations = [("coarse", 12), ("fine", 18)].map(|(name, steps)| (name.to_owned(), steps)).into();
+    let density = &mut params.shared.density;
+    (density.from, density.until, density.interval, density.gradient_threshold) = (3, 25, 5, 1e-7);
+    density.max_count = 200;
+    params
+}
+
+/// The losses of a training of anchors, and its end; a checkpoint is taken and gone on from after so many steps.
+fn train_anchors(scene: &Scene, device: Device, interrupted_after: Option<u64>) -> (Vec<f64>, Model) {
+    let params = anchors_that_grow();
+    let mut trainer = Trainer::new(&scene.dataset, &scene.supplements, &params).unwrap().on(device);
+    while !trainer.is_done() {
+        trainer.advance().unwrap();
+        if interrupted_after == Some(trainer.steps().0) {
+            let checkpoint = trainer.checkpoint().unwrap();
+            trainer = Trainer::resume(&scene.dataset, &scene.supplements, &params, checkpoint).unwrap().on(device);
+        }
+    }
+    trainer.settle().unwrap();
+    (trainer.every_loss.clone(), trainer.finish().unwrap())
+}
+
+#[test]
+fn anchors_grow_on_a_gpu_and_a_training_of_them_repeats_and_resumes_bit_by_bit() {
+    let Some(gpu) = test_gpu() else { return };
+    let scene = Scene::new();
+    let (on_cpu, _) = train_anchors(&scene, Device::Cpu, None);
+    let (losses, undisturbed) = train_anchors(&scene, Device::Gpu(gpu), None);
+    let until_growth = on_cpu.iter().zip(&losses).take(5);
+    for (step, (cpu, gpu)) in until_growth.enumerate() {
+        assert!((cpu - gpu).abs() <= LOSS * on_cpu[0], "step {step}: {gpu} for {cpu}");
+    }
+    let anchors = |model: &Model| model.tensors["anchors.features"].shape[0];
+    assert!(anchors(&undisturbed) > 12, "no anchor grew");
+    for interrupted_after in [None, Some(8), Some(12), Some(14)] {
+        let (_, again) = train_anchors(&scene, Device::Gpu(gpu), interrupted_after);
+        assert_eq!(bits(&again), bits(&undisturbed), "interrupted after {interrupted_after:?} steps");
     }
 }

@@ -181,7 +181,7 @@ impl PopulationControl for AnchorGrowth {
 
     fn observe(&mut self, screen: &Screen<'_>) {
         if screen.population == ANCHORS {
-            self.statistics.add(screen.on_host(), self.per_anchor);
+            self.statistics.observe(screen, self.per_anchor);
         }
     }
 

@@ -109,10 +109,11 @@ impl Default for Growth {
 }
 
 impl AnchorSettings {
-    /// Small, with voxels that hold the points of the test scene apart.
+    /// Small, with voxels that hold the points of the test scene apart, and with statistics from the first step on.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
-        Self { voxel_size: 0.05, features: 4, offsets: 4, width: 16, ..Self::default() }
+        let growth = Growth { statistics_from: 0, ..Growth::default() };
+        Self { voxel_size: 0.05, features: 4, offsets: 4, width: 16, growth, ..Self::default() }
     }
 
     /// Why these settings cannot work, if so.

@@ -1,13 +1,14 @@
 use scene::TimeMap;
-use shaders::check;
-use shaders::splat::PinholeCamera;
+use shaders::check::{self, noise, test_gpu};
+use shaders::gpu::readbacks_of_this_thread;
+use shaders::splat::{PinholeCamera, RasterSettings, render};
 use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
-use crate::method::PopulationControl;
+use crate::method::{PopulationControl, WatchedRender};
 use crate::optimizer::Optimizer;
 use crate::sampler::{Stream, generator};
-use crate::screen::{Screen, ScreenGradients};
+use crate::screen::{Owners, Screen, ScreenGradients};
 use crate::state::ModelState;
 
 /// Two Gaussians per anchor, voxels of one unit.
@@ -40,24 +41,41 @@ fn growth(change: impl FnOnce(&mut Density)) -> AnchorGrowth {
     AnchorGrowth::new(&density, &settings, 1.0)
 }
 
-/// What a render says about anchors of two Gaussians: gradients and opacities of each.
-fn screen(gradients: &[f32], opacities: &[f32]) -> ScreenGradients {
-    ScreenGradients {
-        gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
-        visible: opacities.iter().map(|&opacity| opacity > 0.0).collect(),
-        radius_px: vec![1.0; gradients.len()],
-        opacity: opacities.to_vec(),
-        looks: vec![1; gradients.len()],
+/// What a render says about anchors of two Gaussians each.
+#[derive(Clone)]
+struct Seen {
+    gaussians: ScreenGradients,
+    anchors: Owners,
+}
+
+impl Seen {
+    /// Gradients and opacities of every Gaussian; every anchor is looked at.
+    fn of(gradients: &[f32], opacities: &[f32]) -> Self {
+        let gaussians = ScreenGradients {
+            gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
+            visible: opacities.iter().map(|&opacity| opacity > 0.0).collect(),
+            radius_px: vec![1.0; gradients.len()],
+        };
+        let of_anchors: Vec<f32> = opacities.as_chunks::<2>().0.iter().map(|[a, b]| a + b).collect();
+        let shape = [of_anchors.len(), 1];
+        Self {
+            gaussians,
+            anchors: Owners { in_view: Tensor::full(shape, 1.0), opacity: Tensor::from_vec(shape, of_anchors) },
+        }
+    }
+
+    fn screen(&self) -> Screen<'static> {
+        Screen::of(ANCHORS, self.gaussians.clone()).owned_by(self.anchors.clone())
     }
 }
 
 /// The anchors after an interval of equal renders.
-fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, screen: &ScreenGradients) -> ModelState<f32> {
+fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, seen: &Seen) -> ModelState<f32> {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
     let scene = SceneFacts { extent: 10.0, time_map, background: [0.0; 3], time_count: 4 };
     let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)));
     for iteration in 1..=10 {
-        control.observe(&Screen::of(ANCHORS, screen.clone()));
+        control.observe(&seen.screen());
         control.act(iteration, &mut optimizer, &scene, &mut generator(3, Stream::Density)).unwrap();
     }
     optimizer.into_state()
@@ -77,7 +95,7 @@ fn a_voxel_holds_one_anchor_at_its_centre() {
 #[test]
 fn anchors_without_pull_stay_as_they_are() {
     let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
-    let quiet = screen(&[1e-6; 4], &[0.5; 4]);
+    let quiet = Seen::of(&[1e-6; 4], &[0.5; 4]);
     assert_eq!(after_interval(&mut growth(|_| ()), state.clone(), &quiet), state);
 }
 
@@ -90,7 +108,7 @@ fn a_pulled_gaussian_far_from_anchors_becomes_one() {
     state.insert("anchors.offsets", offsets);
     state.insert("anchors.log_scales", Tensor::zeros([2, 6]));
     state.insert("anchors.features", Tensor::from_vec([2, 2], vec![1.0, 2.0, 3.0, 4.0]));
-    let pulled = screen(&[0.0, 1.0, 0.0, 0.0], &[0.5; 4]);
+    let pulled = Seen::of(&[0.0, 1.0, 0.0, 0.0], &[0.5; 4]);
     let grown = after_interval(&mut growth(|_| ()), state, &pulled);
     let found = positions(&grown);
     assert!(found.len() > 2, "nothing grew");
@@ -111,7 +129,7 @@ fn no_more_anchors_grow_than_the_cap_on_gaussians_allows() {
     (0..4).for_each(|slot| offsets.make_mut()[3 * slot + 1] = 100.0 * (slot + 1) as f32);
     state.insert("anchors.offsets", offsets);
     state.insert("anchors.log_scales", Tensor::zeros([2, 6]));
-    let pulled = screen(&[1.0; 4], &[0.5; 4]);
+    let pulled = Seen::of(&[1.0; 4], &[0.5; 4]);
     let count = |max_count| {
         positions(&after_interval(&mut growth(|density| density.max_count = max_count), state.clone(), &pulled)).len()
     };
@@ -122,8 +140,8 @@ fn no_more_anchors_grow_than_the_cap_on_gaussians_allows() {
 #[test]
 fn transparent_anchors_go_and_those_that_no_camera_looked_at_stay() {
     let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0], [0.0, 40.0, 0.0]]);
-    let mut quiet = screen(&[0.0; 6], &[0.04, 0.05, 0.5, 0.0, 0.0, 0.0]);
-    quiet.looks[4..].fill(0);
+    let mut quiet = Seen::of(&[0.0; 6], &[0.04, 0.05, 0.5, 0.0, 0.0, 0.0]);
+    quiet.anchors.in_view.make_mut()[2] = 0.0;
     let left = after_interval(&mut growth(|_| ()), state, &quiet);
     assert_eq!(positions(&left), [[40.0, 0.0, 0.0], [0.0, 40.0, 0.0]]);
 }
@@ -131,14 +149,14 @@ fn transparent_anchors_go_and_those_that_no_camera_looked_at_stay() {
 #[test]
 fn the_last_anchor_stays_however_transparent_it_is() {
     let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
-    let left = after_interval(&mut growth(|_| ()), state, &screen(&[0.0; 4], &[0.01, 0.0, 0.0, 0.02]));
+    let left = after_interval(&mut growth(|_| ()), state, &Seen::of(&[0.0; 4], &[0.01, 0.0, 0.0, 0.02]));
     assert_eq!(positions(&left), [[40.0, 0.0, 0.0]]);
 }
 
 #[test]
 fn statistics_survive_a_checkpoint() {
     let mut control = growth(|_| ());
-    control.observe(&Screen::of(ANCHORS, screen(&[1e-3, 0.0, 2e-3, 0.0], &[0.5, 0.1, 0.2, 0.0])));
+    control.observe(&Seen::of(&[1e-3, 0.0, 2e-3, 0.0], &[0.5, 0.1, 0.2, 0.0]).screen());
     let mut restored = growth(|_| ());
     restored.restore(control.save()).unwrap();
     assert_eq!(restored.save(), control.save());
@@ -157,13 +175,64 @@ fn spawned_gaussians_know_their_slots_and_who_is_in_view() {
     let model = state.bind(&mut tape, |_| false);
     let anchors = Anchors::stored(&model);
     let spawned = spawn(&mut tape, &model, &anchors, &camera());
-    assert_eq!(*spawned.slots, [1, 3, 5]);
-    assert_eq!(spawned.rows().looked_at, [true, true, false, false, false, false]);
+    assert_eq!(**spawned.slots.as_ref().unwrap(), [1, 3, 5]);
+    let owners = spawned.rows().owners;
+    assert_eq!((spawned.rows().count, tape.value(owners.in_view).as_slice()), (6, &[1.0, 0.0, 0.0][..]));
+    check::agree(tape.value(owners.opacity), &Tensor::full([3, 1], 1.0_f64.tanh()), 1e-12).unwrap();
     let logits = tape.value(spawned.splats.opacity_logits);
     // tanh 1 = (e − 1/e) / (e + 1/e), whose logit is ln((e² − 1) / 2).
     let expected = ((2.0_f64.exp() - 1.0) / 2.0).ln();
     check::agree(logits, &Tensor::full([3, 1], expected), 1e-12).unwrap();
     check::agree(tape.value(spawned.splats.positions), state.get("anchors.positions").unwrap(), 1e-12).unwrap();
+}
+
+/// Forty anchors around the origin, some of them outside of the image, with networks.
+fn scattered() -> ModelState<f32> {
+    let places: Vec<f32> = noise(120, 1).iter().map(|&place| 4.0 * place as f32).collect();
+    let mut state = state_at(places.as_chunks::<3>().0);
+    insert_view_networks(&mut state, &settings(), &mut generator(1, Stream::Initial));
+    state
+}
+
+/// Statistics of three steps of two views each on a device, and how often somebody waited for them.
+fn observed_on(device: Device) -> (serde_json::Value, u64) {
+    let (state, mut control, mut waits) = (scattered(), growth(|_| ()), 0);
+    let settings = RasterSettings { sh_degree: 0, ..RasterSettings::default() };
+    for step in 0..3 {
+        let mut tape = Tape::new(device);
+        let model = state.bind(&mut tape, |_| true);
+        let look = |view: i32, tape: &mut Tape<f32>| {
+            let camera = PinholeCamera { translation: [f64::from(step), f64::from(view), 5.0], ..camera() };
+            let spawned = spawn(tape, &model, &Anchors::stored(&model), &camera);
+            let rendered = render(tape, &spawned.splats, None, &camera, &settings).unwrap();
+            let (population, rows) = (ANCHORS.into(), spawned.rows());
+            WatchedRender { population, rendered, size_px: [20.0; 2], count: rows.count, rows: Some(rows) }
+        };
+        let renders: Vec<WatchedRender> = (0..2).map(|view| look(view, &mut tape)).collect();
+        let weights = Tensor::from_vec([20, 20, 3], noise(1200, 4).iter().map(|&weight| weight as f32).collect());
+        let gradients = tape.backward(&[0, 1].map(|view| (renders[view].rendered.color, weights.clone())));
+        let before = readbacks_of_this_thread();
+        Screen::all(&renders, &tape, &gradients).iter().for_each(|screen| control.observe(screen));
+        waits += readbacks_of_this_thread() - before;
+    }
+    (control.save(), waits)
+}
+
+#[test]
+fn a_gpu_adds_up_the_same_statistics_and_nobody_waits() {
+    let Some(gpu) = test_gpu() else { return };
+    let ((on_cpu, _), (on_gpu, waits)) = (observed_on(Device::Cpu), observed_on(Device::Gpu(gpu)));
+    assert_eq!(waits, 0);
+    let values = |saved: &serde_json::Value, name: &str| {
+        let values: Vec<f64> = saved[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
+        Tensor::from_vec([values.len()], values)
+    };
+    for (name, tolerance) in [("seen_count", 0.0), ("look_count", 0.0), ("opacity_sum", 1e-5), ("gradient_sum", 2e-3)] {
+        let [cpu, gpu] = [&on_cpu, &on_gpu].map(|saved| values(saved, name));
+        check::agree(&gpu, &cpu, tolerance).unwrap_or_else(|mismatch| panic!("{name}: {mismatch}"));
+        let zeros = cpu.as_slice().iter().filter(|value| **value == 0.0).count();
+        assert!(zeros > 0 && zeros < cpu.len(), "{name}: the test needs both kinds");
+    }
 }
 
 #[test]

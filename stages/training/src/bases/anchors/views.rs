@@ -6,14 +6,15 @@ use std::sync::Arc;
 use rand_chacha::ChaCha8Rng;
 use shaders::linear::Activation;
 use shaders::neural_gaussians::{AnchorVars, NeuralGaussians, neural_gaussians};
-use shaders::pointwise::{hyperbolic_tangent, sigmoid, sub};
-use shaders::rows::{concat_columns, normalize, repeat_row};
+use shaders::point_lookup::in_view;
+use shaders::pointwise::{hyperbolic_tangent, relu, sigmoid, sub};
+use shaders::rows::{concat_columns, normalize, repeat_row, row_sum};
 use shaders::splat::{PinholeCamera, ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::{ANCHORS, AnchorSettings, Anchors};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
-use crate::method::SplatRows;
+use crate::method::{OwnerVars, SplatRows};
 use crate::state::{ModelState, Variables};
 
 /// The networks' tensors are called `views.…`.
@@ -36,22 +37,23 @@ pub fn insert_view_networks<T: Real>(state: &mut ModelState<T>, settings: &Ancho
 pub struct SpawnedGaussians {
     /// What is drawn.
     pub splats: SplatVars,
-    /// [M]: anchor·K + k.
-    pub slots: Arc<Vec<u32>>,
-    /// [N] whether the camera looks at the anchor.
-    in_view: Vec<bool>,
-    per_anchor: usize,
+    /// [M]: anchor·K + k; `None`: all of them in order (see [`neural_gaussians`]).
+    pub slots: Option<Arc<Vec<u32>>>,
+    /// N·K.
+    count: usize,
+    /// Of the N anchors.
+    owners: OwnerVars,
 }
 
 impl SpawnedGaussians {
     /// For [`Step::render_rows`](crate::method::Step::render_rows).
     pub fn rows(&self) -> SplatRows {
-        let looked_at = self.in_view.iter().flat_map(|&seen| std::iter::repeat_n(seen, self.per_anchor)).collect();
-        SplatRows { population: ANCHORS, row_of_splat: self.slots.clone(), looked_at }
+        let (count, row_of_splat, owners) = (self.count, self.slots.clone(), self.owners);
+        SplatRows { population: ANCHORS, count, row_of_splat, owners }
     }
 }
 
-/// The Gaussians with positive opacity of anchors as a camera sees them.
+/// The Gaussians of anchors as a camera sees them.
 pub fn spawn<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
@@ -71,26 +73,20 @@ pub fn spawn<T: Real>(
     let colors = network(tape, model, "color", seen);
     let colors = sigmoid(tape, colors);
     let Anchors { positions, log_scales, offsets, .. } = *anchors;
-    let per_anchor = tape.value(opacities).row_len();
+    let owners = owners(tape, positions, opacities, camera);
+    let count = tape.value(opacities).len();
     let found = neural_gaussians(tape, &AnchorVars { positions, log_scales, offsets, opacities, shapes, colors });
     let NeuralGaussians { positions, log_scales, rotations, opacity_logits, sh, slots } = found;
     let shape = ShapeVars::ScaleRotation { log_scales, rotations };
     let splats = SplatVars { positions, shape, opacity_logits, sh };
-    SpawnedGaussians { splats, slots, in_view: in_view(tape.value(anchors.positions), camera), per_anchor }
+    SpawnedGaussians { splats, slots, count, owners }
 }
 
-/// Whether a camera's image shows the place of each anchor, in front of it.
-fn in_view<T: Real>(positions: &Tensor<T>, camera: &PinholeCamera) -> Vec<bool> {
-    let is_seen = |row: usize| {
-        let world = positions.row(row);
-        let [x, y, z] = [0, 1, 2].map(|axis| {
-            let rotation = camera.rotation[axis];
-            (0..3).map(|at| rotation[at] * world[at].to_f64()).sum::<f64>() + camera.translation[axis]
-        });
-        let [u, v] = [camera.focal[0] * x / z + camera.center[0], camera.focal[1] * y / z + camera.center[1]];
-        z > 0.0 && (0.0..camera.width as f64).contains(&u) && (0.0..camera.height as f64).contains(&v)
-    };
-    (0..positions.rows()).map(is_seen).collect()
+/// What a camera says about anchors at `positions` [N, 3] whose networks give `opacities` [N, K].
+fn owners<T: Real>(tape: &mut Tape<T>, positions: Var, opacities: Var, camera: &PinholeCamera) -> OwnerVars {
+    // Gaussians at or below 0 are not there.
+    let opacities = relu(tape, opacities);
+    OwnerVars { in_view: in_view(tape, positions, camera), opacity: row_sum(tape, opacities) }
 }
 
 fn network<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var) -> Var {

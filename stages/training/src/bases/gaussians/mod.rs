@@ -19,7 +19,7 @@ mod tests;
 pub use density::{AdaptiveDensity, logit};
 pub use harmonics::{active_harmonics, leading_harmonics};
 pub use initial::{insert_gaussians, nearest_scales};
-pub use statistics::{RADIUS_PX, SEEN_COUNT, Statistics};
+pub use statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 
 use principal_axes::principal_axes;
 use scene::Gaussians;

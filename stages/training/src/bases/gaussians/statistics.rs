@@ -59,7 +59,7 @@ impl Statistics {
     }
 
     /// Room for so many Gaussians; new ones were never seen.
-    fn resize(&mut self, count: usize) {
+    pub fn resize(&mut self, count: usize) {
         if self.rows.rows() != count {
             let mut values = std::mem::take(self).rows.into_vec();
             values.resize(COLUMNS * count, 0.0);
@@ -85,10 +85,11 @@ impl Statistics {
         *self = kept.copied().collect::<Vec<f32>>().into();
     }
 
-    /// Starts anew with the gradients; radii count until they were judged.
-    pub fn forget_gradients(&mut self) {
-        self.rows.make_mut().as_chunks_mut::<COLUMNS>().0.iter_mut().for_each(|row| {
+    /// Starts anew with the gradients of the Gaussians that `were_judged`, by their rows; radii count until they were judged.
+    pub fn forget_gradients(&mut self, were_judged: impl Fn(&[f32; COLUMNS]) -> bool) {
+        let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
+        for row in rows.iter_mut().filter(|row| were_judged(row)) {
             (row[GRADIENT_SUM], row[SEEN_COUNT]) = (0.0, 0.0);
-        });
+        }
     }
 }

@@ -37,8 +37,6 @@ fn screen(gradients: &[f32]) -> Screen<'static> {
         gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
         visible: gradients.iter().map(|&gradient| gradient > 0.0).collect(),
         radius_px: vec![3.0; gradients.len()],
-        opacity: Vec::new(),
-        looks: Vec::new(),
     };
     Screen::of(GAUSSIANS, figures)
 }

@@ -192,7 +192,7 @@ impl<T: Real> Method<T> for KineticGaussians {
     }
 
     fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
-        Ok(Some(self.spawned(tape, model, moment).slots.to_vec()))
+        Ok(self.spawned(tape, model, moment).slots.map(|slots| slots.to_vec()))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {

@@ -196,7 +196,7 @@ impl<T: Real> Method<T> for MotionDecomposition {
     }
 
     fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
-        Ok(Some(self.gaussians(tape, model, moment).slots.to_vec()))
+        Ok(self.gaussians(tape, model, moment).slots.map(|slots| slots.to_vec()))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
