@@ -42,7 +42,14 @@ fn compare_fields(gpu: Gpu, shape: &HexplaneShape, points: usize, time: f64) -> 
 #[test]
 fn a_gpu_reads_fields_of_every_shape() {
     let Some(gpu) = test_gpu() else { return };
-    let shapes = [(16, [4, 5, 3, 6], vec![1, 2]), (3, [7, 2, 9, 1], vec![1]), (32, [1, 8, 5, 4], vec![1, 3, 2])];
+    let shapes = [
+        (16, [4, 5, 3, 6], vec![1, 2]),
+        (3, [7, 2, 9, 1], vec![1]),
+        (32, [1, 8, 5, 4], vec![1, 3, 2]),
+        // More points per workgroup than it has invocations for their axes.
+        (2, [4, 5, 3, 6], vec![1, 2]),
+        (1, [4, 5, 3, 6], vec![1]),
+    ];
     for (channels, resolution, multipliers) in shapes {
         let shape = HexplaneShape { channels, resolution, multipliers };
         for (points, time) in [(0, 0.3), (1, -1.0), (300, 0.123), (1500, 1.0)] {

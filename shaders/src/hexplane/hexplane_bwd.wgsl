@@ -70,19 +70,20 @@ fn main(
     }
     workgroupBarrier();
 
-    // One invocation per point and axis adds over the channels.
-    let point = first_point + local / 3u;
-    if (local >= 3u * points_per_group || point >= points()) {
-        return;
+    // One invocation per point and axis adds over the channels; of one or two channels there are more points than for all.
+    for (var own = local; own < 3u * points_per_group; own += 256u) {
+        let point = first_point + own / 3u;
+        if (point < points()) {
+            let axis = own % 3u;
+            let at = 3u * point + axis;
+            var sum = 0.0;
+            for (var channel = 0u; channel < per_point; channel++) {
+                sum += along[256u * axis + own / 3u * per_point + channel];
+            }
+            if (ADDS == 1u) {
+                sum += g_positions[at];
+            }
+            g_positions[at] = sum;
+        }
     }
-    let axis = local % 3u;
-    let at = 3u * point + axis;
-    var sum = 0.0;
-    for (var channel = 0u; channel < per_point; channel++) {
-        sum += along[256u * axis + local / 3u * per_point + channel];
-    }
-    if (ADDS == 1u) {
-        sum += g_positions[at];
-    }
-    g_positions[at] = sum;
 }
