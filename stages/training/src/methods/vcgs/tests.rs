@@ -233,7 +233,7 @@ fn pruning_takes_the_faint_and_the_large_and_leaves_enough() {
     let logits: Vec<f32> = [0.5, 0.04, 0.5, 0.06, 0.5].map(logit_of).to_vec();
     let screen = |radius_px: Vec<f32>| {
         let (visible, gradient_ndc) = (vec![true; 5], vec![[0.0; 2]; 5]);
-        let figures = ScreenGradients { radius_px, visible, gradient_ndc, ..ScreenGradients::default() };
+        let figures = ScreenGradients { radius_px, visible, gradient_ndc };
         Screen::of(BACKGROUND, figures)
     };
     assert_eq!(pruning.survivors(&logits), [true, false, true, true, true]);
