@@ -13,7 +13,7 @@ pub struct Pinhole<T> {
 }
 
 impl<T: Real> Pinhole<T> {
-    fn new(camera: &PinholeCamera) -> Self {
+    pub(super) fn new(camera: &PinholeCamera) -> Self {
         Self {
             focal: camera.focal.map(T::from_f64),
             center: camera.center.map(T::from_f64),
@@ -23,7 +23,7 @@ impl<T: Real> Pinhole<T> {
     }
 
     /// R·X + t.
-    fn view_from_world(&self, point: &[T; 3]) -> [T; 3] {
+    pub(super) fn view_from_world(&self, point: &[T; 3]) -> [T; 3] {
         [0, 1, 2].map(|row| self.translation[row] + (0..3).map(|axis| self.rotation[row][axis] * point[axis]).sum())
     }
 
@@ -33,12 +33,12 @@ impl<T: Real> Pinhole<T> {
     }
 
     /// Rᵀ·d.
-    fn rotated_to_world(&self, direction: &[T; 3]) -> [T; 3] {
+    pub(super) fn rotated_to_world(&self, direction: &[T; 3]) -> [T; 3] {
         [0, 1, 2].map(|axis| (0..3).map(|row| self.rotation[row][axis] * direction[row]).sum())
     }
 
     /// The direction through a pixel position, scaled to z = 1.
-    fn ray_view(&self, pixel: &[T; 2]) -> [T; 3] {
+    pub(super) fn ray_view(&self, pixel: &[T; 2]) -> [T; 3] {
         let [x, y] = [0, 1].map(|axis| (pixel[axis] - self.center[axis]) / self.focal[axis]);
         [x, y, T::ONE]
     }

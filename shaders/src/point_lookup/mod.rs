@@ -3,9 +3,10 @@
 //! With R and t of `camera_from_world`, (x, y, z) = R·X + t is seen at u = (f_x·x/z + c_x, f_y·y/z + c_y) in depth z, and
 //! X = Rᵀ·(z·((u_x − c_x)/f_x, (u_y − c_y)/f_y, 1) − t) is the point behind a pixel. Pixel (i, j) of an image has its
 //! centre at (i + ½, j + ½); between the centres an image is interpolated bilinearly, outside of the outermost ones it
-//! continues constantly.
+//! continues constantly. Where the flow of a view leads points has a kernel of its own ([`flow_targets`]).
 
 mod camera_maps;
+mod flow_target;
 mod gpu;
 mod in_view;
 mod lookup;
@@ -15,6 +16,7 @@ mod tests;
 pub use crate::projection::PinholeCamera;
 use crate::tape::{Device, Real, Tape, Var};
 use camera_maps::{Project, Unproject};
+pub use flow_target::{DEPTH_TOLERANCE, FlowMaps, FlowTargets, flow_targets};
 pub use in_view::in_view;
 use lookup::Lookup;
 pub use lookup::Sampling;

@@ -158,6 +158,11 @@ impl<T: Real> Tensor<T> {
         self.elements.gpu.get().filter(|_| !self.is_on_host())
     }
 
+    /// Whether it is the same tensor, whose elements they share, and not only an equal one.
+    pub fn is_same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.elements, &other.elements)
+    }
+
     /// Whether the elements are in the host's memory, so that looking at them costs no readback.
     pub(crate) fn is_on_host(&self) -> bool {
         self.elements.host.get().is_some()

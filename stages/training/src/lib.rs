@@ -30,6 +30,7 @@ mod test_scene;
 #[cfg(test)]
 mod test_training;
 pub mod trainer;
+mod view_constants;
 
 pub use artifact::{Model, ModelHeader, NamedTensor};
 pub use params::TrainingParams;

@@ -62,10 +62,10 @@ impl<T: Real> StepOutcome<T> {
     }
 }
 
-/// Counts what was left out where `kept` of so much was not.
+/// Counts what was left out where `kept` of so much was not: a whole number, but for rounding.
 pub fn add_kept(skipped: &mut SkippedWork, what: &'static str, kept: f64, of: usize) {
     let [left_out, all] = skipped.entry(what).or_default();
-    *left_out += of as u64 - kept as u64;
+    *left_out += of as u64 - kept.round() as u64;
     *all += of as u64;
 }
 

@@ -23,7 +23,7 @@ use anyhow::{Context as _, ensure};
 use engine::{Decision, Facts};
 use rand_chacha::ChaCha8Rng;
 use shaders::splat::{self, PinholeCamera, SplatVars};
-use shaders::tape::{Device, Profile, Tape, Tensor};
+use shaders::tape::{Device, Profile, Tape};
 
 use crate::artifact::{Model, ModelHeader};
 use crate::bases::gaussians::present;
@@ -42,6 +42,7 @@ use crate::sampler::{Stream, ViewSampler, generator, phase_generator};
 use crate::schedule::LogLinear;
 use crate::state::ModelState;
 use crate::supplements::Supplements;
+use crate::view_constants::ViewConstants;
 
 pub use finite::LargestGradient;
 pub use report::{Earlier, LossShare, Report};
@@ -85,8 +86,8 @@ pub struct Trainer<'a> {
     ahead: Option<Ahead>,
     /// For how many intersections such steps make room; 0 until a render was counted.
     room: usize,
-    /// Training images in the memory of a GPU, by index within the training views.
-    uploaded: BTreeMap<usize, Tensor<f32>>,
+    /// Training images, by index within the training views.
+    images: ViewConstants<f32>,
 }
 
 impl<'a> Trainer<'a> {
@@ -167,7 +168,7 @@ impl<'a> Trainer<'a> {
             largest_gradients: BTreeMap::new(),
             ahead: None,
             room: 0,
-            uploaded: BTreeMap::new(),
+            images: ViewConstants::default(),
         })
     }
 

@@ -14,9 +14,6 @@ use crate::screen::Screen;
 use crate::state::Variables;
 use crate::step::{StepOutcome, run_step};
 
-/// Bytes of training images that stay in the memory of a GPU: few for one that can train at their size.
-const UPLOADED_BYTES: usize = 2 << 30;
-
 impl Trainer<'_> {
     /// The next step. A GPU goes ahead with it once it is known how much room renders need.
     pub(super) fn step(&mut self) -> anyhow::Result<()> {
@@ -98,19 +95,11 @@ impl Trainer<'_> {
         Ok((outcome, model))
     }
 
-    /// The view that is drawn next. On a GPU its image stays in that memory, as long as there is room.
+    /// The view that is drawn next.
     fn next_view(&mut self) -> TrainingView<f32> {
         let index = self.sampler.next_view();
         let view = &self.dataset.train[index];
-        if let Some(image) = self.uploaded.get(&index) {
-            return view.with_image(image.clone());
-        }
-        let image = view.image().moved_to(self.device);
-        let bytes = size_of::<f32>() * self.uploaded.values().map(Tensor::len).sum::<usize>();
-        if self.device.gpu().is_some() && bytes < UPLOADED_BYTES {
-            self.uploaded.insert(index, image.clone());
-        }
-        view.with_image(image)
+        view.with_image(self.images.get(self.device, "image", index, || view.image()))
     }
 
     /// What the tape did, and what the step left out.

@@ -10,7 +10,7 @@ use crate::methods::registry;
 /// Steps of each phase: the very first of a training is watched.
 const STEPS: u64 = 6;
 /// Methods whose steps still choose rows on the host.
-const WAITING: [&str; 2] = ["phys4dgs", "kineticgs"];
+const WAITING: [&str; 1] = ["phys4dgs"];
 
 /// By phase: steps that nobody looked at, and readbacks in them.
 fn readbacks_ahead(trainer: &mut Trainer) -> BTreeMap<&'static str, [u64; 2]> {

@@ -8,10 +8,10 @@ use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shaders::losses::mean;
-use shaders::pointwise::{mul, scale, square, sub};
-use shaders::rows::{RowIndex, gather};
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::losses::{mean, weighted_mean};
+use shaders::pointwise::{mul, sub};
+use shaders::rows::{RowIndex, divide_rows, gather, reshape, squared_norm};
+use shaders::tape::{Real, Tape, Var};
 
 use super::particles::{Moved, Particles};
 use crate::bases::space_filling_curves::{Curve, neighbor_pairs, without_jumps};
@@ -36,14 +36,38 @@ pub enum Neighbors {
 }
 
 impl Neighbors {
-    /// Pairs of neighbours among positions.
-    pub fn pairs(self, positions: &[[f32; 3]], cell_size: f64, random: &mut ChaCha8Rng) -> Vec<[u32; 2]> {
+    /// How they are found in a step.
+    pub fn draw(self, random: &mut ChaCha8Rng) -> Search {
         match self {
-            Self::Curve => {
-                let curve = if random.random::<bool>() { Curve::Hilbert } else { Curve::ZOrder };
-                neighbor_pairs(positions, &curve.order(positions, cell_size), REACH, JUMP)
-            }
-            Self::Knn => without_jumps(positions, nearest_pairs(positions), JUMP),
+            Self::Curve if random.random::<bool>() => Search::Hilbert,
+            Self::Curve => Search::ZOrder,
+            Self::Knn => Search::Nearest,
+        }
+    }
+}
+
+/// How the neighbours of one step are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Search {
+    /// Along a Hilbert curve.
+    Hilbert,
+    /// Along a Z-order curve.
+    ZOrder,
+    /// The eight nearest.
+    Nearest,
+}
+
+impl Search {
+    /// Ways to search.
+    pub const COUNT: usize = 3;
+
+    /// Pairs of neighbours among positions, by cells of this side along a curve.
+    pub fn pairs(self, positions: &[[f32; 3]], cell_size: f64) -> Vec<[u32; 2]> {
+        let along = |curve: Curve| neighbor_pairs(positions, &curve.order(positions, cell_size), REACH, JUMP);
+        match self {
+            Self::Hilbert => along(Curve::Hilbert),
+            Self::ZOrder => along(Curve::ZOrder),
+            Self::Nearest => without_jumps(positions, nearest_pairs(positions), JUMP),
         }
     }
 }
@@ -66,45 +90,58 @@ fn nearest_pairs(positions: &[[f32; 3]]) -> Vec<[u32; 2]> {
     pairs.into_iter().flatten().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Mean squared difference of the displacements of neighbours that are active, in units of the root mean square
-/// displacement; `None` where no two neighbours are.
-pub fn displacement_incoherence<T: Real>(
-    tape: &mut Tape<T>,
-    moved: &Moved,
-    particle_count: usize,
-    pairs: &[[u32; 2]],
-    extent: f64,
-) -> Option<Var> {
-    let displacements = moved.displacements?;
-    let mut place = vec![None; particle_count];
-    moved.active.iter().enumerate().for_each(|(at, &particle)| place[particle as usize] = Some(at as u32));
-    let both = |[first, second]: &[u32; 2]| Some([place[*first as usize]?, place[*second as usize]?]);
-    let pairs: Vec<[u32; 2]> = pairs.iter().filter_map(both).collect();
-    let difference = mean_squared_difference(tape, displacements, &pairs)?;
-    let values = tape.value(displacements);
-    let sum: f64 = values.as_slice().iter().map(|value| value.to_f64().powi(2)).sum();
-    let squared_unit = (sum / values.rows() as f64).max((LEAST_UNIT * extent).powi(2));
-    let per_squared_unit = tape.detach_value(Tensor::scalar(T::from_f64(1.0 / squared_unit)));
-    Some(mul(tape, difference, per_squared_unit))
+/// Pairs of particles, at least one.
+pub struct Pairs {
+    /// Of every pair the first, and the second.
+    sides: [RowIndex; 2],
 }
 
-/// Mean squared difference of the window centres of neighbours, in shares of all time; `None` without windows or pairs.
-pub fn window_incoherence<T: Real>(tape: &mut Tape<T>, particles: &Particles, pairs: &[[u32; 2]]) -> Option<Var> {
-    mean_squared_difference(tape, particles.windows?.centers, pairs)
-}
-
-/// Mean over pairs (i, j) of ‖xᵢ − xⱼ‖² for x [N, C], shape [1]; `None` without pairs.
-fn mean_squared_difference<T: Real>(tape: &mut Tape<T>, x: Var, pairs: &[[u32; 2]]) -> Option<Var> {
-    if pairs.is_empty() {
-        return None;
+impl Pairs {
+    /// Pairs of so many particles; `None` without any.
+    pub fn new(pairs: &[[u32; 2]], particles: usize) -> Option<Self> {
+        let side = |side: usize| RowIndex::new(pairs.iter().map(|pair| pair[side]).collect(), particles);
+        (!pairs.is_empty()).then(|| Self { sides: [0, 1].map(side) })
     }
-    let (rows, columns) = (tape.value(x).rows(), tape.value(x).row_len());
-    let [first, second] = [0, 1].map(|side| {
-        let index = RowIndex::new(pairs.iter().map(|pair| pair[side]).collect(), rows);
-        gather(tape, x, &index)
-    });
-    let difference = sub(tape, first, second);
-    let squared = square(tape, difference);
-    let mean = mean(tape, squared);
-    Some(scale(tape, mean, columns as f64))
+
+    /// What either of each pair has of x [P, …].
+    fn both<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> [Var; 2] {
+        self.sides.each_ref().map(|side| gather(tape, x, side))
+    }
+
+    /// Mean of ‖xᵢ − xⱼ‖² over pairs (i, j) for x [P, C], those of which both have a mask [P, 1] of 1; shape [1].
+    fn mean_squared_difference<T: Real>(&self, tape: &mut Tape<T>, x: Var, mask: Option<Var>) -> Var {
+        let [first, second] = self.both(tape, x);
+        let difference = sub(tape, first, second);
+        let squared = squared_norm(tape, difference);
+        let mask = mask.map(|mask| {
+            let [first, second] = self.both(tape, mask);
+            mul(tape, first, second)
+        });
+        mean_where(tape, squared, mask)
+    }
+}
+
+/// The mean of x [N, 1], of what has a mask [N, 1] of 1; shape [1].
+fn mean_where<T: Real>(tape: &mut Tape<T>, x: Var, mask: Option<Var>) -> Var {
+    match mask {
+        None => mean(tape, x),
+        Some(mask) => weighted_mean(tape, x, mask),
+    }
+}
+
+/// Mean squared difference of the displacements of neighbours that are active, in units of the root mean square
+/// displacement; `None` where the host knows that nothing is active.
+pub fn displacement_incoherence<T: Real>(tape: &mut Tape<T>, moved: &Moved, pairs: &Pairs, extent: f64) -> Option<Var> {
+    let displacements = moved.displacements?;
+    let difference = pairs.mean_squared_difference(tape, displacements, moved.active);
+    let lengths = tape.detach(displacements);
+    let lengths = squared_norm(tape, lengths);
+    let squared_unit = mean_where(tape, lengths, moved.active);
+    let value = divide_rows(tape, difference, squared_unit, (LEAST_UNIT * extent).powi(2));
+    Some(reshape(tape, value, [1]))
+}
+
+/// Mean squared difference of the window centres of neighbours, in shares of all time; `None` without windows.
+pub fn window_incoherence<T: Real>(tape: &mut Tape<T>, particles: &Particles<T>, pairs: &Pairs) -> Option<Var> {
+    Some(pairs.mean_squared_difference(tape, particles.windows?.centers, None))
 }

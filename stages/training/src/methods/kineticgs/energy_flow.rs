@@ -5,38 +5,39 @@
 //! where the flow leads, at the depth that the next view has there. Where no view shows the arrival, only the ray is known
 //! and the particle is held to it. Targets are observations: no gradient flows through them.
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use scene::{Camera, DepthMap};
-use shaders::losses::mean;
-use shaders::pointwise::sub;
-use shaders::rows::{norm, row_dot, scale_rows};
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::losses::{total, weighted_mean};
+use shaders::point_lookup::{FlowMaps, PinholeCamera, flow_targets};
+use shaders::pointwise::{mul, sub};
+use shaders::rows::{gather, norm, row_dot, scale_rows};
+use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
-use super::particles::{Moved, ParticleMotion, Particles};
+use super::particles::{Chosen, Moved, ParticleMotion, Particles};
 use crate::dataset::Dataset;
 use crate::state::Variables;
 use crate::supplements::{FlowPrior, Supplements, ViewPriors};
+use crate::view_constants::ViewConstants;
 
-/// A particle is seen where its depth differs from the view's by less than this share.
-const DEPTH_TOLERANCE: f64 = 0.05;
 /// Pixels whose flow differs by more from that of a static scene move; px.
 const RESIDUAL_FLOW_PX: f64 = 1.0;
 
 /// One view's depth and flow, and what is known of where the flow leads.
 pub struct FlowView<'a> {
+    view: usize,
     camera: Camera,
     depth: &'a DepthMap,
     flow: &'a FlowPrior,
-    depth_to: Option<&'a DepthMap>,
+    /// With the index of the view that has it.
+    depth_to: Option<(usize, &'a DepthMap)>,
 }
 
-/// Where a particle should be at the next time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Target {
-    /// World; a point of the ray where only the ray is known.
-    pub position: DVec3,
-    /// The direction along which nothing is known: a unit vector, or zero.
-    pub free: DVec3,
+/// How well particles follow the flow of a view.
+pub struct Followed {
+    /// The mean distance of those that the view sees to where the flow leads them, scene units; 0 where it sees none. [1].
+    pub distance: Var,
+    /// How many they are. [1].
+    pub count: Var,
 }
 
 impl<'a> FlowView<'a> {
@@ -44,8 +45,9 @@ impl<'a> FlowView<'a> {
     pub fn of(dataset: &Dataset, supplements: &'a Supplements, view: usize) -> Option<Self> {
         let ViewPriors { depth, flow, .. } = supplements.view(view)?;
         let (depth, flow) = (depth.as_ref()?, flow.as_ref()?);
-        let depth_to = flow.view_to.and_then(|to| supplements.view(to)).and_then(|priors| priors.depth.as_ref());
-        Some(Self { camera: dataset.capture.views[view].camera, depth, flow, depth_to })
+        let depth_of = |to: usize| Some((to, supplements.view(to)?.depth.as_ref()?));
+        let depth_to = flow.view_to.and_then(depth_of);
+        Some(Self { view, camera: dataset.capture.views[view].camera, depth, flow, depth_to })
     }
 
     /// When the flow arrives, in seconds.
@@ -53,97 +55,92 @@ impl<'a> FlowView<'a> {
         self.flow.time_to_secs
     }
 
-    /// Where what this view sees at `position` goes; `None` where the view does not see it, or does not know.
-    pub fn target(&self, position: DVec3) -> Option<Target> {
-        let (pixel, depth_view) = self.camera.project(position)?;
-        let seen = depth_at(self.depth, pixel)?;
-        let flow = self.flow_at(pixel)?;
-        if !((depth_view - seen).abs() <= DEPTH_TOLERANCE * seen) {
-            return None;
+    /// The maps on a device, which keeps them.
+    pub fn maps<T: Real>(&self, device: Device, constants: &ViewConstants<T>) -> FlowMaps<T> {
+        let depth = |(view, map): (usize, &DepthMap)| {
+            constants.get(device, "depth", view, || tensor(map.height, map.width, &[], &map.depth_view))
+        };
+        let FlowPrior { map, camera_to, .. } = self.flow;
+        let flow = || tensor(map.height, map.width, &[2], map.flow_px.as_flattened());
+        FlowMaps {
+            camera: PinholeCamera::from(&self.camera),
+            depth: depth((self.view, self.depth)),
+            flow: constants.get(device, "flow", self.view, flow),
+            camera_to: PinholeCamera::from(camera_to),
+            depth_to: self.depth_to.map(depth),
         }
-        let arrival = pixel + flow;
-        let camera_to = &self.flow.camera_to;
-        Some(match self.depth_to.and_then(|depth| depth_at(depth, arrival)) {
-            Some(depth) => Target { position: unproject(camera_to, arrival, depth), free: DVec3::ZERO },
-            None => {
-                let position = unproject(camera_to, arrival, seen);
-                Target { position, free: (position - camera_to.position_world()).normalize_or_zero() }
-            }
-        })
     }
 
-    /// [H·W] whether a pixel moves otherwise than the camera alone would move it; false where that is not known.
-    pub fn moving_pixels(&self) -> Vec<bool> {
+    /// [H, W, 3]: 1 where pixels move as the camera alone would move them, or nobody knows how; 0 where they move otherwise.
+    pub fn static_pixels<T: Real>(&self) -> Tensor<T> {
+        let DepthMap { width, height, ref depth_view } = *self.depth;
+        let stands = (0..depth_view.len()).flat_map(|index| [if self.moves(index) { T::ZERO } else { T::ONE }; 3]);
+        Tensor::from_vec([height as usize, width as usize, 3], stands.collect())
+    }
+
+    /// Whether a pixel moves otherwise than the camera alone would move it; false where that is not known.
+    fn moves(&self, index: usize) -> bool {
         let width = self.depth.width as usize;
-        let moves = |index: usize| {
-            let pixel = DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
-            let (depth, flow) = (depth_at(self.depth, pixel)?, self.flow_at(pixel)?);
-            let (static_arrival, _) = self.flow.camera_to.project(unproject(&self.camera, pixel, depth))?;
-            Some((pixel + flow).distance(static_arrival) > RESIDUAL_FLOW_PX)
+        let pixel = DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
+        let residual = || {
+            let (depth, flow) = (known_depth(self.depth.depth_view[index])?, self.flow_at(pixel)?);
+            let point = self.camera.camera_from_world.inverse().apply(self.camera.ray_view(pixel) * depth);
+            let (static_arrival, _) = self.flow.camera_to.project(point)?;
+            Some((pixel + flow).distance(static_arrival))
         };
-        (0..self.depth.depth_view.len()).map(|index| moves(index).unwrap_or(false)).collect()
+        residual().is_some_and(|residual| residual > RESIDUAL_FLOW_PX)
     }
 
     fn flow_at(&self, pixel: DVec2) -> Option<DVec2> {
         let map = &self.flow.map;
-        let [x, y] = map.flow_px[index_of(pixel, map.width, map.height)?].map(f64::from);
-        (x.is_finite() && y.is_finite()).then_some(DVec2::new(x, y))
+        let inside = pixel.x < f64::from(map.width) && pixel.y < f64::from(map.height);
+        let [x, y] = map.flow_px[inside.then(|| pixel.y as usize * map.width as usize + pixel.x as usize)?];
+        (x.is_finite() && y.is_finite()).then_some(DVec2::new(x.into(), y.into()))
     }
 }
 
-/// The mean distance of the particles that a view sees to where its flow leads them, scene units, and how many there are;
-/// `None` where it sees none.
+/// How well particles follow the flow of a view that arrives at `time_to`; `None` where the host knows that none is seen.
 pub fn energy_flow<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
     motion: &ParticleMotion,
-    particles: &Particles,
+    particles: &Particles<T>,
     moved: &Moved,
-    view: &FlowView<'_>,
+    maps: &FlowMaps<T>,
     time_to: f64,
-) -> Option<(Var, usize)> {
-    let positions = tape.value(moved.anchors.positions);
-    let place = |&particle: &u32| {
-        let row = positions.row(particles.rows.row_of_item()[particle as usize] as usize);
-        DVec3::from_array([0, 1, 2].map(|axis| row[axis].to_f64()))
-    };
-    let targets: Vec<Option<Target>> = moved.active.iter().map(|particle| view.target(place(particle))).collect();
-    let seen = moved.active.iter().zip(&targets).filter_map(|(&particle, target)| Some((particle, (*target)?)));
-    let seen: std::collections::BTreeMap<u32, Target> = seen.collect();
-    let mut chosen: Vec<u32> = seen.keys().copied().collect();
-    let found = motion.positions_at(tape, model, particles, &mut chosen, time_to)?;
-    let observed = |part: fn(&Target) -> DVec3| {
-        let rows = chosen.iter().flat_map(|particle| part(&seen[particle]).to_array()).map(T::from_f64).collect();
-        Tensor::from_vec([chosen.len(), 3], rows)
-    };
-    let targets = tape.detach_value(observed(|target| target.position));
-    let free = tape.detach_value(observed(|target| target.free));
-    let missed = sub(tape, found, targets);
+) -> Option<Followed> {
+    let rows = &particles.population.rows;
+    if rows.is_empty() {
+        return None;
+    }
+    let positions = gather(tape, moved.anchors.positions, rows);
+    let positions = tape.detach(positions);
+    let targets = flow_targets(tape, positions, maps);
+    // Those that are seen, and active at both times.
+    let gates = motion.gates(tape, particles, time_to);
+    let masks = [moved.active, gates.map(|gates| gates.active)];
+    let mask = masks.into_iter().flatten().fold(targets.seen, |both, mask| mul(tape, both, mask));
+    let chosen = Chosen::by(tape, Some(mask));
+    if chosen.is_empty() {
+        return None;
+    }
+    let found = motion.positions_at(tape, model, particles, (&chosen, gates), time_to);
+    let [expected, free, weights] = [targets.positions, targets.free, mask].map(|x| chosen.gather(tape, x));
+    let missed = sub(tape, found, expected);
     let along = row_dot(tape, missed, free);
     let along = scale_rows(tape, free, along);
     let across = sub(tape, missed, along);
     let distances = norm(tape, across);
-    Some((mean(tape, distances), chosen.len()))
+    Some(Followed { distance: weighted_mean(tape, distances, weights), count: total(tape, mask) })
 }
 
-/// [H, W, 3]: 1 where pixels stand still, 0 where they move.
-pub fn static_mask<T: Real>(moving: &[bool], height: usize, width: usize) -> Tensor<T> {
-    let stands = moving.iter().flat_map(|&moves| [if moves { T::ZERO } else { T::ONE }; 3]).collect();
-    Tensor::from_vec([height, width, 3], stands)
+/// A map as a tensor [H, W, …].
+fn tensor<T: Real>(height: u32, width: u32, pixel: &[usize], values: &[f32]) -> Tensor<T> {
+    let shape = [&[height as usize, width as usize], pixel].concat();
+    Tensor::from_vec(shape, values.iter().map(|&value| T::from_f64(value.into())).collect())
 }
 
-/// The world point at a pixel position and view depth.
-fn unproject(camera: &Camera, pixel: DVec2, depth_view: f64) -> DVec3 {
-    camera.camera_from_world.inverse().apply(camera.ray_view(pixel) * depth_view)
-}
-
-/// The depth of the pixel that holds a position; `None` outside the image and where there is none.
-fn depth_at(map: &DepthMap, pixel: DVec2) -> Option<f64> {
-    let depth = f64::from(map.depth_view[index_of(pixel, map.width, map.height)?]);
-    (depth > 0.0 && depth.is_finite()).then_some(depth)
-}
-
-fn index_of(pixel: DVec2, width: u32, height: u32) -> Option<usize> {
-    let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(width) && pixel.y < f64::from(height);
-    inside.then(|| pixel.y as usize * width as usize + pixel.x as usize)
+/// `None` where there is no depth.
+fn known_depth(depth: f32) -> Option<f64> {
+    (depth > 0.0 && depth.is_finite()).then_some(depth.into())
 }

@@ -1,18 +1,20 @@
 //! What a step of either phase minimises (KineticGS equation 13).
 
+use shaders::losses::total;
+use shaders::pointwise::scale;
 use shaders::tape::{Real, Var};
 
-use super::coherence::{displacement_incoherence, window_incoherence};
-use super::energy_flow::{FlowView, energy_flow, static_mask};
+use super::coherence::{Pairs, displacement_incoherence, window_incoherence};
+use super::energy_flow::{FlowView, energy_flow};
 use super::particles::{Moved, Particles};
 use super::weights::Weights;
-use super::{ACTIVATION, COHERENCE, ENERGY_FLOW, KineticGaussians, MOMENTUM_INIT};
+use super::{COHERENCE, ENERGY_FLOW, KineticGaussians, MOMENTUM_INIT};
 use crate::bases::anchors;
 use crate::method::{Step, TrainingView};
 
-impl KineticGaussians {
+impl<T: Real> KineticGaussians<T> {
     /// The losses of `coarse`: anchors as if nothing moved, on the pixels that do not.
-    pub(super) fn coarse_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+    pub(super) fn coarse_losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         for view in step.views {
             step.clock.enter("motion");
             let canonical = anchors::Anchors::stored(step.model);
@@ -25,17 +27,23 @@ impl KineticGaussians {
     }
 
     /// A mask of what does not move in a view, where that is asked for and known.
-    fn static_pixels<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> Option<Var> {
+    fn static_pixels(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> Option<Var> {
         if self.settings.coarse_all || !self.has(ENERGY_FLOW) {
             return None;
         }
-        let moving = FlowView::of(step.dataset, step.supplements, view.index)?.moving_pixels();
-        step.count_skipped("moving pixels in coarse", moving.iter().filter(|moves| **moves).count(), moving.len());
-        Some(step.tape.constant(static_mask(&moving, view.camera.height, view.camera.width)))
+        let flow_view = FlowView::of(step.dataset, step.supplements, view.index)?;
+        let device = step.tape.device();
+        let mask = self.constants.get(device, "static pixels", view.index, || flow_view.static_pixels());
+        let pixels = view.camera.height * view.camera.width;
+        let mask = step.tape.constant(mask);
+        let kept = total(step.tape, mask);
+        let kept = scale(step.tape, kept, 1.0 / 3.0);
+        step.count_skipped_later("moving pixels in coarse", kept, pixels);
+        Some(mask)
     }
 
     /// The losses of `fine` with motion.
-    pub(super) fn fine_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+    pub(super) fn fine_losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let weights = self.settings.losses.at(step.iteration, self.shared.schedule_scale);
         step.clock.enter("motion");
         let particles = self.particles(step.tape, step.model);
@@ -49,42 +57,43 @@ impl KineticGaussians {
             let rendered = step.render_rows(&spawned.splats, view, spawned.rows())?;
             anchors::photometric(step, rendered.color, view, None);
             self.flow_loss(step, &particles, &moved, view, &weights);
-            self.displacement_loss(step, &particles, &moved, &pairs, &weights);
+            self.displacement_loss(step, &moved, pairs, &weights);
         }
-        self.window_losses(step, &particles, &pairs, &weights);
+        self.window_losses(step, &particles, pairs, &weights);
         self.motion.deformation.regularize(step);
         self.local.regularize(step);
         Ok(())
     }
 
-    fn count_skipped<T: Real>(&self, step: &mut Step<'_, T>, particles: &Particles, moved: &Moved) {
-        let (anchors, of_them) = (particles.rows.rows(), particles.rows.len());
+    fn count_skipped(&self, step: &mut Step<'_, T>, particles: &Particles<T>, moved: &Moved) {
+        let (anchors, of_them) = (particles.population.rows.rows(), particles.population.rows.len());
         if self.has(MOMENTUM_INIT) {
             step.count_skipped("motion of static anchors", anchors - of_them, anchors);
         }
-        if self.has(ACTIVATION) {
-            step.count_skipped("motion outside activation windows", of_them - moved.active.len(), of_them);
+        if let Some(active) = moved.active {
+            let kept = total(step.tape, active);
+            step.count_skipped_later("motion outside activation windows", kept, of_them);
         }
     }
 
     /// Pairs of neighbours among the particles; none where coherence is off.
-    fn neighbor_pairs<T: Real>(
+    fn neighbor_pairs<'p>(
         &self,
         step: &mut Step<'_, T>,
-        particles: &Particles,
+        particles: &'p Particles<T>,
         weights: &Weights,
-    ) -> Vec<[u32; 2]> {
+    ) -> Option<&'p Pairs> {
         if !self.has(COHERENCE) || weights.coherence == 0.0 {
-            return Vec::new();
+            return None;
         }
-        let positions = particles.canonical(step.tape);
-        self.settings.neighbors.pairs(&positions, self.settings.anchors.voxel_size, step.random)
+        let search = self.settings.neighbors.draw(step.random);
+        particles.population.pairs(search, self.settings.anchors.voxel_size)
     }
 
-    fn flow_loss<T: Real>(
+    fn flow_loss(
         &self,
         step: &mut Step<'_, T>,
-        particles: &Particles,
+        particles: &Particles<T>,
         moved: &Moved,
         view: &TrainingView<T>,
         weights: &Weights,
@@ -96,36 +105,28 @@ impl KineticGaussians {
         step.count_skipped("energy flow of views without priors", usize::from(flow_view.is_none()), 1);
         let Some(flow_view) = flow_view else { return };
         let time_to = step.scene.time_map.normalized(flow_view.time_to_secs());
-        let found = energy_flow(step.tape, step.model, &self.motion, particles, moved, &flow_view, time_to);
-        let followed = found.map_or(0, |(_, count)| count);
-        step.count_skipped("energy flow of particles not seen", particles.rows.len() - followed, particles.rows.len());
-        if let Some((distance, _)) = found {
-            let weight = weights.flow / (step.scene.extent * step.views.len() as f64);
-            step.add_loss("energy_flow", weight, distance);
-        }
+        let maps = flow_view.maps(step.tape.device(), &self.constants);
+        let found = energy_flow(step.tape, step.model, &self.motion, particles, moved, &maps, time_to);
+        let (what, count) = ("energy flow of particles not seen", particles.population.rows.len());
+        let Some(followed) = found else { return step.count_skipped(what, count, count) };
+        step.count_skipped_later(what, followed.count, count);
+        let weight = weights.flow / (step.scene.extent * step.views.len() as f64);
+        step.add_loss("energy_flow", weight, followed.distance);
     }
 
-    fn displacement_loss<T: Real>(
-        &self,
-        step: &mut Step<'_, T>,
-        particles: &Particles,
-        moved: &Moved,
-        pairs: &[[u32; 2]],
-        weights: &Weights,
-    ) {
-        let share = weights.coherence / step.views.len() as f64;
-        let extent = step.scene.extent;
-        if let Some(value) = displacement_incoherence(step.tape, moved, particles.rows.len(), pairs, extent) {
+    fn displacement_loss(&self, step: &mut Step<'_, T>, moved: &Moved, pairs: Option<&Pairs>, weights: &Weights) {
+        let (share, extent) = (weights.coherence / step.views.len() as f64, step.scene.extent);
+        if let Some(value) = pairs.and_then(|pairs| displacement_incoherence(step.tape, moved, pairs, extent)) {
             step.add_loss("coherence", share, value);
         }
     }
 
     /// The losses of the windows: spread over all time, alike among neighbours.
-    fn window_losses<T: Real>(
+    fn window_losses(
         &self,
         step: &mut Step<'_, T>,
-        particles: &Particles,
-        pairs: &[[u32; 2]],
+        particles: &Particles<T>,
+        pairs: Option<&Pairs>,
         weights: &Weights,
     ) {
         let Some(windows) = particles.windows else { return };
@@ -133,7 +134,7 @@ impl KineticGaussians {
             let value = windows.unevenness(step.tape);
             step.add_loss("activation", weights.activation, value);
         }
-        if let Some(value) = window_incoherence(step.tape, particles, pairs) {
+        if let Some(value) = pairs.and_then(|pairs| window_incoherence(step.tape, particles, pairs)) {
             step.add_loss("coherence", weights.coherence, value);
         }
     }

@@ -6,6 +6,7 @@ mod coherence;
 mod energy_flow;
 mod losses;
 mod particles;
+mod population;
 mod settings;
 #[cfg(test)]
 mod tests;
@@ -24,7 +25,9 @@ use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start,
 use crate::params::Shared;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
-use particles::{DYNAMIC, Moved, ParticleMotion, Particles};
+use crate::view_constants::ViewConstants;
+use particles::{Moved, ParticleMotion, Particles};
+use population::{DYNAMIC, LatestPopulation};
 use settings::Settings;
 
 const MOTION: &str = "motion";
@@ -74,14 +77,17 @@ impl MethodFolder for Kineticgs {
     }
 }
 
-struct KineticGaussians {
+struct KineticGaussians<T: Real> {
     shared: Shared,
     settings: Settings,
     motion: ParticleMotion,
     local: GaussianDeformation,
+    population: LatestPopulation<T>,
+    /// Depth, flow and what stands still.
+    constants: ViewConstants<T>,
 }
 
-impl KineticGaussians {
+impl<T: Real> KineticGaussians<T> {
     fn new(shared: &Shared, settings: Settings) -> Self {
         let motion = ParticleMotion {
             deformation: AnchorDeformation::new(&settings.deformation, &settings.anchors),
@@ -89,7 +95,8 @@ impl KineticGaussians {
             soft_location: settings.soft_location,
         };
         let local = GaussianDeformation::new(&settings.deformation);
-        Self { shared: shared.clone(), settings, motion, local }
+        let (population, constants) = (LatestPopulation::default(), ViewConstants::default());
+        Self { shared: shared.clone(), settings, motion, local, population, constants }
     }
 
     /// Whether an effect is on; without motion none is.
@@ -102,12 +109,13 @@ impl KineticGaussians {
         phase == FINE && self.has(MOTION)
     }
 
-    fn particles<T: Real>(&self, tape: &mut Tape<T>, model: &Variables) -> Particles {
-        self.motion.particles(tape, model, self.has(ACTIVATION))
+    fn particles(&self, tape: &mut Tape<T>, model: &Variables) -> Particles<T> {
+        let population = self.population.of(tape, model);
+        self.motion.particles(tape, model, population, self.has(ACTIVATION))
     }
 
     /// The Gaussians of a view at a moment.
-    fn spawned<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SpawnedGaussians {
+    fn spawned(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SpawnedGaussians {
         if !self.moves(moment.phase) {
             let canonical = anchors::Anchors::stored(model);
             return anchors::spawn(tape, model, &canonical, moment.camera);
@@ -118,20 +126,14 @@ impl KineticGaussians {
     }
 
     /// The Gaussians of anchors that are where they are at a moment.
-    fn gaussians<T: Real>(
-        &self,
-        tape: &mut Tape<T>,
-        model: &Variables,
-        moved: &Moved,
-        moment: &Moment<'_>,
-    ) -> SpawnedGaussians {
+    fn gaussians(&self, tape: &mut Tape<T>, model: &Variables, moved: &Moved, moment: &Moment<'_>) -> SpawnedGaussians {
         let mut spawned = anchors::spawn(tape, model, &moved.anchors, moment.camera);
         spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time);
         spawned
     }
 }
 
-impl<T: Real> Method<T> for KineticGaussians {
+impl<T: Real> Method<T> for KineticGaussians<T> {
     fn phases(&self) -> Vec<Phase> {
         anchors::phases(&self.shared)
     }

@@ -1,16 +1,30 @@
 //! Particles: the anchors that move, and their motion (KineticGS equations 10 and 11).
+//!
+//! Which of them are active is a mask on the tape, 1 or 0 each. The CPU looks at it and evaluates the field for those alone;
+//! a GPU evaluates it for all and lets the mask decide what counts, because the host would have to wait for it.
 
-use shaders::pointwise::add;
+use std::sync::Arc;
+
+use shaders::pointwise;
+use shaders::pointwise::{add, mul};
 use shaders::rows::{RowIndex, gather, scale_rows, segment_sum};
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::tape::{Device, Real, Tape, Var};
 
 use super::activation::Windows;
+use super::population::Population;
 use crate::bases::anchors::{AnchorChange, AnchorDeformation, Anchors};
 use crate::bases::gates::straight_through;
 use crate::state::Variables;
 
-/// [N, 1]: 1 for particles, 0 for anchors that stand still; absent where all are particles.
-pub const DYNAMIC: &str = "anchors.dynamic";
+pointwise! {
+    /// 1 where a gate is above the threshold, else 0; a NaN is kept, and shows.
+    fn is_open(gate) with(threshold) -> y {
+        return select(select(gate, 0.0, gate <= threshold), 1.0, gate > threshold);
+    }
+    gradients(dy) {
+        gate: { return 0.0 * dy; }
+    }
+}
 
 /// How particles move.
 pub struct ParticleMotion {
@@ -23,74 +37,109 @@ pub struct ParticleMotion {
 }
 
 /// The particles of a step: what does not depend on the time.
-pub struct Particles {
-    /// Which of the N anchors the P particles are.
-    pub rows: RowIndex,
+pub struct Particles<T: Real> {
+    /// Which anchors they are.
+    pub population: Arc<Population<T>>,
     /// [P, 3] canonical, world.
     pub positions: Var,
     /// When they move; `None`: always.
     pub windows: Option<Windows>,
 }
 
+/// The gates of P particles at one time.
+#[derive(Clone, Copy)]
+pub struct Gates {
+    /// [P, 1] the window where it is open; 0, without a gradient, where it is not.
+    soft: Var,
+    /// [P, 1] 1 where it is open, else 0; a NaN is kept, and shows. No gradient flows through it.
+    pub active: Var,
+}
+
 /// All anchors at one time.
 pub struct Moved {
     /// With the particles where they are.
     pub anchors: Anchors,
-    /// The A of P particles that are active.
-    pub active: Vec<u32>,
-    /// [A, 3] how far the field would move them, before gating; `None` where nothing is active.
+    /// [P, 1] 1 for particles that are active, else 0; `None`: all are.
+    pub active: Option<Var>,
+    /// [P, 3] how far the field would move those that are active, before gating, and anything for others; `None` where the
+    /// host knows that nothing is active.
     pub displacements: Option<Var>,
 }
 
-impl Particles {
-    /// [P, 3] canonical positions, world.
-    pub fn canonical<T: Real>(&self, tape: &Tape<T>) -> Vec<[f32; 3]> {
-        let rows = tape.value(self.positions).as_slice().as_chunks::<3>().0;
-        rows.iter().map(|row| row.map(|axis| axis.to_f64() as f32)).collect()
+/// Which of P particles are computed with.
+pub struct Chosen {
+    /// `None`: all.
+    some: Option<RowIndex>,
+}
+
+impl Chosen {
+    /// Those whose mask [P, 1] is not 0, if it is on the host; all where it is on a GPU, or where there is none.
+    pub fn by<T: Real>(tape: &Tape<T>, mask: Option<Var>) -> Self {
+        let Some(mask) = mask.filter(|_| tape.device() == Device::Cpu) else { return Self { some: None } };
+        let mask = tape.value(mask).as_slice();
+        let kept: Vec<u32> = (0..mask.len() as u32).filter(|&particle| mask[particle as usize] != T::ZERO).collect();
+        Self { some: (kept.len() < mask.len()).then(|| RowIndex::new(kept, mask.len())) }
+    }
+
+    /// Whether nothing is.
+    pub fn is_empty(&self) -> bool {
+        self.some.as_ref().is_some_and(RowIndex::is_empty)
+    }
+
+    /// Their rows of x [P, …]: [M, …].
+    pub fn gather<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> Var {
+        self.some.as_ref().map_or(x, |some| gather(tape, x, some))
+    }
+
+    /// x [M, …] among all particles, zeros elsewhere: [P, …].
+    fn scatter<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> Var {
+        self.some.as_ref().map_or(x, |some| segment_sum(tape, x, some))
+    }
+
+    /// Which anchors they are, where the particles are these.
+    fn among(&self, anchors: &RowIndex) -> RowIndex {
+        let Some(some) = &self.some else { return anchors.clone() };
+        let rows = some.row_of_item().iter().map(|&particle| anchors.row_of_item()[particle as usize]);
+        RowIndex::new(rows.collect(), anchors.rows())
     }
 }
 
 impl ParticleMotion {
-    /// The particles among the anchors, and their windows if `activation` is on.
-    pub fn particles<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, activation: bool) -> Particles {
-        let all = model.get("anchors.positions");
-        let count = tape.value(all).rows();
-        let rows: Vec<u32> = match model.find(DYNAMIC) {
-            None => (0..count as u32).collect(),
-            Some(dynamic) => {
-                let flags = tape.value(dynamic).as_slice();
-                (0..count as u32).filter(|&row| flags[row as usize] > T::from_f64(0.5)).collect()
-            }
-        };
-        let rows = RowIndex::new(rows, count);
-        let positions = gather(tape, all, &rows);
-        let windows = (activation && !rows.is_empty()).then(|| {
+    /// The particles of a population, and their windows if `activation` is on.
+    pub fn particles<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        population: Arc<Population<T>>,
+        activation: bool,
+    ) -> Particles<T> {
+        let positions = gather(tape, model.get("anchors.positions"), &population.rows);
+        let windows = (activation && !population.rows.is_empty()).then(|| {
             let inside = self.deformation.inside(tape, model, positions);
             Windows::of(tape, model, inside)
         });
-        Particles { rows, positions, windows }
+        Particles { population, positions, windows }
     }
 
     /// The anchors at a time in [0, 1].
     ///
-    /// Particles outside their windows are where and what they are canonically, take no part in the field's evaluation and
-    /// pass no gradient; their windows move with those of their neighbours, by regularisation and coherence.
-    pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, particles: &Particles, time: f64) -> Moved {
+    /// Particles outside their windows are where and what they are canonically and pass no gradient; their windows move with
+    /// those of their neighbours, by regularisation and coherence.
+    pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, particles: &Particles<T>, time: f64) -> Moved {
         let canonical = Anchors::stored(model);
-        let gates = particles.windows.map(|windows| windows.at(tape, time));
-        let active = self.active(tape, gates, particles.rows.len());
-        if active.is_empty() {
+        let gates = self.gates(tape, particles, time);
+        let active = gates.map(|gates| gates.active);
+        let chosen = Chosen::by(tape, active);
+        let anchors = &particles.population.rows;
+        if anchors.is_empty() || chosen.is_empty() {
             return Moved { anchors: canonical, active, displacements: None };
         }
-        let among_particles = RowIndex::new(active.clone(), particles.rows.len());
-        let row_of_active = active.iter().map(|&particle| particles.rows.row_of_item()[particle as usize]).collect();
-        let among_anchors = RowIndex::new(row_of_active, particles.rows.rows());
-        let positions = gather(tape, particles.positions, &among_particles);
+        let positions = chosen.gather(tape, particles.positions);
         let change = self.deformation.at(tape, model, positions, time);
-        let gates = gates.map(|gates| gather(tape, gates, &among_particles));
-        let gated = self.through_gates(tape, change, gates);
+        let gated = self.through_gates(tape, change, gates, &chosen);
+        let rows = chosen.among(anchors);
         let mut moved = |attribute: Var, change: Var| {
-            let change = segment_sum(tape, change, &among_anchors);
+            let change = segment_sum(tape, change, &rows);
             add(tape, attribute, change)
         };
         let anchors = Anchors {
@@ -99,43 +148,46 @@ impl ParticleMotion {
             offsets: moved(canonical.offsets, gated.offsets),
             log_scales: moved(canonical.log_scales, gated.log_scales),
         };
-        Moved { anchors, active, displacements: Some(change.positions) }
+        Moved { anchors, active, displacements: Some(chosen.scatter(tape, change.positions)) }
     }
 
-    /// [M, 3] where some particles are at a time; those that are not active are left out of `chosen`.
+    /// The gates of all particles at a time; `None` where they have no windows.
+    pub fn gates<T: Real>(&self, tape: &mut Tape<T>, particles: &Particles<T>, time: f64) -> Option<Gates> {
+        let window = particles.windows?.at(tape, time);
+        let active = is_open(tape, window, self.gate_threshold);
+        let active = tape.detach(active);
+        Some(Gates { soft: mul(tape, window, active), active })
+    }
+
+    /// [M, 3] where chosen particles are at a time at which these are their gates.
     pub fn positions_at<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
-        particles: &Particles,
-        chosen: &mut Vec<u32>,
+        particles: &Particles<T>,
+        (chosen, gates): (&Chosen, Option<Gates>),
         time: f64,
-    ) -> Option<Var> {
-        let gates = particles.windows.map(|windows| windows.at(tape, time));
+    ) -> Var {
+        let canonical = chosen.gather(tape, particles.positions);
+        let mut displacements = self.deformation.displacements(tape, model, canonical, time);
         if let Some(gates) = gates {
-            let gates = tape.value(gates).as_slice();
-            chosen.retain(|&particle| self.is_active(gates[particle as usize]));
+            let gates = chosen.gather(tape, gates.soft);
+            let gate = self.location_gate(tape, gates);
+            displacements = scale_rows(tape, displacements, gate);
         }
-        if chosen.is_empty() {
-            return None;
-        }
-        let index = RowIndex::new(chosen.clone(), particles.rows.len());
-        let canonical = gather(tape, particles.positions, &index);
-        let displacements = self.deformation.displacements(tape, model, canonical, time);
-        let displacements = match gates {
-            None => displacements,
-            Some(gates) => {
-                let gates = gather(tape, gates, &index);
-                let gate = self.location_gate(tape, gates);
-                scale_rows(tape, displacements, gate)
-            }
-        };
-        Some(add(tape, canonical, displacements))
+        add(tape, canonical, displacements)
     }
 
     /// Changes times the gates of their particles: positions move at once, all else in proportion.
-    fn through_gates<T: Real>(&self, tape: &mut Tape<T>, change: AnchorChange, gates: Option<Var>) -> AnchorChange {
+    fn through_gates<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        change: AnchorChange,
+        gates: Option<Gates>,
+        chosen: &Chosen,
+    ) -> AnchorChange {
         let Some(gates) = gates else { return change };
+        let gates = chosen.gather(tape, gates.soft);
         let location_gate = self.location_gate(tape, gates);
         AnchorChange {
             positions: scale_rows(tape, change.positions, location_gate),
@@ -147,16 +199,5 @@ impl ParticleMotion {
 
     fn location_gate<T: Real>(&self, tape: &mut Tape<T>, gates: Var) -> Var {
         if self.soft_location { gates } else { straight_through(tape, gates, self.gate_threshold) }
-    }
-
-    fn active<T: Real>(&self, tape: &Tape<T>, gates: Option<Var>, count: usize) -> Vec<u32> {
-        let Some(gates) = gates else { return (0..count as u32).collect() };
-        let gates: &Tensor<T> = tape.value(gates);
-        (0..count as u32).filter(|&particle| self.is_active(gates.as_slice()[particle as usize])).collect()
-    }
-
-    /// Written so that a NaN is active, and found.
-    fn is_active<T: Real>(&self, gate: T) -> bool {
-        !(gate.to_f64() <= self.gate_threshold)
     }
 }

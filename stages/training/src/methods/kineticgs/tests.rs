@@ -1,3 +1,4 @@
+mod devices;
 mod flow;
 mod schedules;
 mod training;
@@ -22,7 +23,7 @@ use crate::test_scene::TestScene;
 
 /// The method at the start of a phase on the test scene.
 struct World {
-    method: KineticGaussians,
+    method: KineticGaussians<f64>,
     state: ModelState<f64>,
     dataset: Dataset,
     supplements: Supplements,
@@ -79,6 +80,9 @@ impl World {
             kept: Vec::new(),
         };
         let outcome = run_step(&self.method, step).unwrap();
+        // What is kept is known here.
+        let skipped = outcome.look().1;
+        let outcome = StepOutcome { skipped, kept: Vec::new(), ..outcome };
         let operations = tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum();
         (outcome, operations)
     }
@@ -139,9 +143,9 @@ fn heads_that_start_at_zero_move_nothing() {
 }
 
 /// A model whose particles have windows of different places, some of them closed at [`SPLIT_TIME`].
-fn with_split_windows() -> World {
+fn with_split_windows(effects: &[&str]) -> World {
     let settings = Settings { deformation: DeformationSettings::tiny(), ..Settings::tiny() };
-    let mut world = World::new(&[MOTION, ACTIVATION], settings, FINE);
+    let mut world = World::new(effects, settings, FINE);
     // A large weight spreads the centres, a low bias makes windows short.
     let spread = world.state.get("activation.center.weight").unwrap().as_slice().iter().map(|w| 30.0 * w).collect();
     world.state.insert("activation.center.weight", Tensor::from_vec([1, 64], spread));
@@ -153,14 +157,15 @@ const SPLIT_TIME: f64 = 0.5;
 
 #[test]
 fn leaving_out_inactive_particles_changes_neither_values_nor_gradients() {
-    let world = with_split_windows();
+    let world = with_split_windows(&[MOTION, ACTIVATION]);
     let run = |skip: bool| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
         let model = world.state.bind(&mut tape, |name| name != "anchors.positions");
         let particles = world.method.particles(&mut tape, &model);
         let anchors = if skip {
             let moved = world.method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
-            assert!(!moved.active.is_empty() && moved.active.len() < particles.rows.len(), "the test needs both kinds");
+            let active = tape.value(moved.active.unwrap()).as_slice();
+            assert!(active.contains(&1.0) && active.contains(&0.0), "the test needs both kinds");
             moved.anchors
         } else {
             without_skipping(&mut tape, &model, &world, &particles)
@@ -186,11 +191,12 @@ fn leaving_out_inactive_particles_changes_neither_values_nor_gradients() {
 }
 
 /// The same motion with the field evaluated for every particle and closed gates multiplied by zero.
-fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, particles: &Particles) -> Anchors {
+fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, particles: &Particles<f64>) -> Anchors {
     let motion = &world.method.motion;
     let gates = particles.windows.unwrap().at(tape, SPLIT_TIME);
     let open = |gate: &f64| if *gate > motion.gate_threshold { 1.0 } else { 0.0 };
-    let open = Tensor::from_vec([particles.rows.len(), 1], tape.value(gates).as_slice().iter().map(open).collect());
+    let open =
+        Tensor::from_vec([particles.population.rows.len(), 1], tape.value(gates).as_slice().iter().map(open).collect());
     let open = tape.constant(open);
     let soft = mul(tape, gates, open);
     let hard = crate::bases::gates::straight_through(tape, gates, motion.gate_threshold);
@@ -199,7 +205,7 @@ fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, part
     let canonical = Anchors::stored(model);
     let mut moved = |attribute: Var, change: Var, gate: Var| {
         let gated = scale_rows(tape, change, gate);
-        let scattered = segment_sum(tape, gated, &particles.rows);
+        let scattered = segment_sum(tape, gated, &particles.population.rows);
         shaders::pointwise::add(tape, attribute, scattered)
     };
     Anchors {
@@ -212,7 +218,7 @@ fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, part
 
 #[test]
 fn what_is_skipped_is_counted() {
-    let world = with_split_windows();
+    let world = with_split_windows(&[MOTION, ACTIVATION]);
     let (outcome, _) = world.step(FINE, 3);
     let [inactive, particles] = outcome.skipped["motion outside activation windows"];
     assert!(0 < inactive && inactive < particles);

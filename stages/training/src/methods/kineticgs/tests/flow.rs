@@ -3,7 +3,9 @@
 use glam::DVec3;
 use scene::{Camera, DepthMap, FlowMap, Intrinsics};
 
-use super::super::energy_flow::{FlowView, Target, energy_flow};
+use shaders::point_lookup::flow_targets;
+
+use super::super::energy_flow::{FlowView, energy_flow};
 use super::*;
 use crate::supplements::{FlowPrior, ViewPriors};
 
@@ -27,24 +29,29 @@ fn wall(depth_to: Option<f32>) -> (Camera, ViewPriors, Supplements) {
     (camera, first, supplements)
 }
 
-/// The target of a point as the test scene's first view, with the camera of [`wall`], sees it.
-fn target(depth_to: Option<f32>, position: DVec3) -> Option<Target> {
+/// The target of a point as the test scene's first view, with the camera of [`wall`], sees it, and its free direction.
+fn target(depth_to: Option<f32>, position: DVec3) -> Option<[DVec3; 2]> {
     let dir = tempfile::tempdir().unwrap();
     let mut dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
     let (camera, _, supplements) = wall(depth_to);
     dataset.capture.views[0].camera = camera;
-    FlowView::of(&dataset, &supplements, 0).unwrap().target(position)
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let maps = FlowView::of(&dataset, &supplements, 0).unwrap().maps(Device::Cpu, &ViewConstants::default());
+    let point = tape.constant(Tensor::from_vec([1, 3], position.to_array().to_vec()));
+    let found = flow_targets(&mut tape, point, &maps);
+    let rows = [found.positions, found.free].map(|var| DVec3::from_slice(tape.value(var).as_slice()));
+    (tape.value(found.seen).as_slice() == [1.0]).then_some(rows)
 }
 
 #[test]
 fn a_target_is_where_flow_and_depth_lead() {
     // Two pixels at depth 2 with a focal length of 8 pixels are half a unit; at depth 4, one.
     let seen = DVec3::new(0.1, 0.0, 2.0);
-    let found = target(Some(4.0), seen).unwrap();
-    assert!(found.position.distance(DVec3::new(0.1 * 2.0 + 1.0, 0.0, 4.0)) <= 1e-9 && found.free == DVec3::ZERO);
-    let found = target(None, seen).unwrap();
-    assert!(found.position.distance(DVec3::new(0.6, 0.0, 2.0)) <= 1e-9);
-    assert!(found.free.distance(found.position.normalize()) <= 1e-9);
+    let [position, free] = target(Some(4.0), seen).unwrap();
+    assert!(position.distance(DVec3::new(0.1 * 2.0 + 1.0, 0.0, 4.0)) <= 1e-9 && free == DVec3::ZERO);
+    let [position, free] = target(None, seen).unwrap();
+    assert!(position.distance(DVec3::new(0.6, 0.0, 2.0)) <= 1e-9);
+    assert!(free.distance(position.normalize()) <= 1e-9);
 }
 
 #[test]
@@ -74,7 +81,7 @@ fn loss_and_gradient(depth_to: Option<f32>, shift: f64) -> (f64, Vec<f64>) {
     let mut world = World::fine(&[MOTION, MOMENTUM_INIT, ENERGY_FLOW]);
     let (camera, _, supplements) = wall(depth_to);
     world.dataset.capture.views[0].camera = camera;
-    let flow_view = FlowView::of(&world.dataset, &supplements, 0).unwrap();
+    let maps = FlowView::of(&world.dataset, &supplements, 0).unwrap().maps(Device::Cpu, &ViewConstants::default());
     let mut positions = world.state.get("anchors.positions").unwrap().clone();
     for particle in positions.make_mut().as_chunks_mut::<3>().0.iter_mut().rev().take(3) {
         *particle = [0.1, 0.0, 2.0];
@@ -86,9 +93,9 @@ fn loss_and_gradient(depth_to: Option<f32>, shift: f64) -> (f64, Vec<f64>) {
     let model = world.state.bind(&mut tape, |name| name == bias);
     let particles = world.method.particles(&mut tape, &model);
     let moved = world.method.motion.at(&mut tape, &model, &particles, 0.0);
-    let (distance, followed) =
-        energy_flow(&mut tape, &model, &world.method.motion, &particles, &moved, &flow_view, 0.25).unwrap();
-    assert_eq!(followed, 3);
+    let followed = energy_flow(&mut tape, &model, &world.method.motion, &particles, &moved, &maps, 0.25).unwrap();
+    assert_eq!(tape.value(followed.count).as_slice(), [3.0]);
+    let distance = followed.distance;
     let gradient = tape.backward(&[(distance, Tensor::scalar(1.0))]).take(model.get(bias)).unwrap();
     (tape.value(distance).as_slice()[0], gradient.into_vec())
 }

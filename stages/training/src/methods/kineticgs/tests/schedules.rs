@@ -1,43 +1,51 @@
 //! Neighbours, and how much each loss weighs when.
 
-use super::super::coherence::displacement_incoherence;
+use super::super::coherence::{Neighbors, Pairs, Search, displacement_incoherence};
 use super::super::weights::LossSettings;
 use super::*;
 
 #[test]
 fn neighbours_that_move_alike_are_coherent() {
-    let pairs = [[0, 1], [1, 2], [0, 2]];
-    let incoherence = |rows: Vec<f64>, active: Vec<u32>| {
+    let pairs = Pairs::new(&[[0, 1], [1, 2], [0, 2]], 3).unwrap();
+    let incoherence = |rows: Vec<f64>, active: Option<[f64; 3]>| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
-        let displacements = Some(tape.constant(Tensor::from_vec([active.len(), 3], rows)));
+        let displacements = Some(tape.constant(Tensor::from_vec([3, 3], rows)));
+        let active = active.map(|mask| tape.constant(Tensor::from_vec([3, 1], mask.to_vec())));
         let empty = tape.constant(Tensor::zeros([0, 3]));
         let anchors = Anchors { positions: empty, features: empty, offsets: empty, log_scales: empty };
         let moved = Moved { anchors, active, displacements };
-        displacement_incoherence(&mut tape, &moved, 3, &pairs, 1.0).map(|value| tape.value(value).as_slice()[0])
+        let value = displacement_incoherence(&mut tape, &moved, &pairs, 1.0).unwrap();
+        tape.value(value).as_slice()[0]
     };
-    assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3), vec![0, 1, 2]), Some(0.0));
+    assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3), None), 0.0);
+    assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3), Some([1.0; 3])), 0.0);
     // Only particles 0 and 2 are active: one pair, opposite motion; 4·0.01 in units of 0.01.
-    let opposite = incoherence(vec![0.1, 0.0, 0.0, -0.1, 0.0, 0.0], vec![0, 2]).unwrap();
-    assert!((opposite - 4.0).abs() <= 1e-9, "{opposite}");
-    assert_eq!(incoherence(vec![0.1, 0.0, 0.0], vec![1]), None);
+    let opposite = [0.1, 0.0, 0.0, 7.0, 8.0, 9.0, -0.1, 0.0, 0.0];
+    let found = incoherence(opposite.to_vec(), Some([1.0, 0.0, 1.0]));
+    assert!((found - 4.0).abs() <= 1e-9, "{found}");
+    assert_eq!(incoherence(opposite.to_vec(), Some([0.0, 1.0, 0.0])), 0.0);
     // Displacements far below the least unit do not blow up.
-    let tiny = incoherence(vec![1e-9, 0.0, 0.0, -1e-9, 0.0, 0.0], vec![0, 2]).unwrap();
+    let tiny = incoherence(opposite.map(|x| 1e-8 * x).to_vec(), Some([1.0, 0.0, 1.0]));
     assert!(tiny <= 1e-9, "{tiny}");
 }
 
 #[test]
-fn both_ways_to_find_neighbours_find_close_ones() {
+fn every_way_to_find_neighbours_finds_close_ones() {
     let positions: Vec<[f32; 3]> = (0..64).map(|at| [(at % 4) as f32, (at / 4 % 4) as f32, (at / 16) as f32]).collect();
-    for neighbors in [coherence::Neighbors::Curve, coherence::Neighbors::Knn] {
-        let pairs = neighbors.pairs(&positions, 1.0, &mut generator(4, Stream::Method));
+    for search in [Search::Hilbert, Search::ZOrder, Search::Nearest] {
+        let pairs = search.pairs(&positions, 1.0);
         let distance = |&[first, second]: &[u32; 2]| {
             glam::Vec3::from(positions[first as usize]).distance(glam::Vec3::from(positions[second as usize]))
         };
-        assert!(pairs.len() > 64, "{neighbors:?}");
-        assert!(pairs.iter().map(distance).sum::<f32>() / (pairs.len() as f32) < 2.0, "{neighbors:?}");
+        assert!(pairs.len() > 64, "{search:?}");
+        assert!(pairs.iter().map(distance).sum::<f32>() / (pairs.len() as f32) < 2.0, "{search:?}");
         assert!(pairs.iter().all(|[first, second]| first != second));
+        assert!(search.pairs(&[], 1.0).is_empty());
     }
-    assert!(coherence::Neighbors::Knn.pairs(&[], 1.0, &mut generator(4, Stream::Method)).is_empty());
+    let drawn: BTreeSet<usize> =
+        (0..20).map(|seed| Neighbors::Curve.draw(&mut generator(seed, Stream::Method)) as usize).collect();
+    assert_eq!(drawn, [Search::Hilbert as usize, Search::ZOrder as usize].into());
+    assert_eq!(Neighbors::Knn.draw(&mut generator(0, Stream::Method)), Search::Nearest);
 }
 
 #[test]
