@@ -25,6 +25,7 @@ pub mod positional_encoding;
 pub mod projection;
 pub mod quaternion;
 pub mod rows;
+pub mod sample;
 pub mod screen;
 pub mod slicing4d;
 mod sort;

@@ -146,16 +146,14 @@ impl Lookup {
         LookupBlock { width, height, channels, count, relative }
     }
 
-    /// As [`Lookup::validity`]: reads back one number per position.
-    pub(super) fn validity_on_gpu<T: Real>(&self, gpu: Gpu, image: &Tensor<T>, pixels: &Tensor<T>) -> Vec<bool> {
+    /// As [`Lookup::validity`].
+    pub(super) fn validity_on_gpu<T: Real>(&self, gpu: Gpu, image: &Tensor<T>, pixels: &Tensor<T>) -> Tensor<T> {
         let count = pixels.rows();
         let valid = GpuArray::new(gpu, count);
         let read = [image, pixels].map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays = [&read[..], &[Binding::Write(&valid)]].concat();
         VALID.launch(gpu, &[self.edges()], &self.block(count), &arrays, count.div_ceil(LOOKUP_GROUP));
-        let mut out = vec![0_u32; count];
-        valid.read_into(&mut out);
-        out.iter().map(|&valid| valid == 1).collect()
+        Tensor::from_gpu([count], valid)
     }
 
     pub(super) fn values_on_gpu<T: Real>(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Tensor<T> {

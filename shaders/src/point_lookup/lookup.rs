@@ -40,10 +40,10 @@ impl Lookup {
         Self { width, height, channels, sampling }
     }
 
-    /// Whether each position lies within the image and sees finite texels alone.
-    pub fn validity<T: Real>(&self, image: &Tensor<T>, pixels: &Tensor<T>) -> Vec<bool> {
-        let pixels = pixels.as_slice().as_chunks::<2>().0;
-        pixels.iter().map(|pixel| self.window(image.as_slice(), pixel).is_some()).collect()
+    /// 1 where a position lies within the image and sees finite texels alone, else 0.
+    pub fn validity<T: Real>(&self, image: &Tensor<T>, pixels: &Tensor<T>) -> Tensor<T> {
+        let valid = |pixel| if self.window(image.as_slice(), pixel).is_some() { T::ONE } else { T::ZERO };
+        Tensor::from_vec([pixels.rows()], pixels.as_slice().as_chunks::<2>().0.iter().map(valid).collect())
     }
 
     /// What contributes at a position; `None` where the lookup is not valid.

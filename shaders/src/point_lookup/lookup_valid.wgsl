@@ -1,6 +1,6 @@
-// Whether every position lies within the image and sees finite texels alone: an invocation per position.
+// 1 where a position lies within the image and sees finite texels alone, else 0: an invocation per position.
 
-@group(0) @binding(3) var<storage, read_write> valid: array<u32>;
+@group(0) @binding(3) var<storage, read_write> valid: array<f32>;
 
 @compute @workgroup_size(64)
 fn main(
@@ -10,6 +10,6 @@ fn main(
 ) {
     let at = flat_group(group, groups) * 64u + local;
     if (at < sizes.count) {
-        valid[at] = u32(window_of(pixels[at]).valid);
+        valid[at] = f32(window_of(pixels[at]).valid);
     }
 }

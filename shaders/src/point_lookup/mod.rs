@@ -34,12 +34,12 @@ pub struct PointsInImage {
 pub const NOWHERE: f64 = -1.0;
 
 /// What an image holds at N pixel positions.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Sampled {
     /// [N, C]; 0, without a gradient, where not valid.
     pub values: Var,
-    /// [N]: the position lies within the image, and all texels that contribute are finite.
-    pub valid: Vec<bool>,
+    /// [N]: 1 where the position lies within the image and all texels that contribute are finite, 0 elsewhere; a constant.
+    pub valid: Var,
 }
 
 /// Pixels and depths of points [N, 3] in the world; `near_view` > 0 in scene units.
@@ -74,6 +74,7 @@ pub fn lookup<T: Real>(tape: &mut Tape<T>, image: Var, pixels: Var, sampling: Sa
         Device::Cpu => op.validity(image_value, pixels_value),
         Device::Gpu(gpu) => op.validity_on_gpu(gpu, image_value, pixels_value),
     };
+    let valid = tape.constant(valid);
     let values = tape.apply_one(op, &[image, pixels]);
     Sampled { values, valid }
 }

@@ -9,7 +9,9 @@ mod gpu;
 #[cfg(test)]
 mod gpu_tests;
 mod index;
+mod keep;
 mod map;
+mod median;
 mod reduce;
 #[cfg(test)]
 mod tests;
@@ -21,7 +23,9 @@ pub use gpu::RowWgsl;
 #[cfg(test)]
 pub(crate) use gpu::validate_map;
 pub use index::{RowIndex, gather, segment_mean, segment_sum};
+pub use keep::keep_rows;
 pub use map::{RowMap, map_rows};
+pub use median::median_where;
 pub use reduce::{cosine_distance, divide_rows, norm, normalize, row_dot, row_sum, scale_rows, squared_norm};
 pub use unit_box::in_unit_box;
 pub use weighted_mean::weighted_mean_squared_difference;

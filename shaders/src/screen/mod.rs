@@ -1,8 +1,11 @@
-//! What the renders of a training say about their splats, added up for density control (Kerbl et al. 2023, section 5.2)
-//! without leaving the GPU.
+//! What the renders of a training say about their splats without leaving the GPU: which of them a mask covers, and what is
+//! added up for density control (Kerbl et al. 2023, section 5.2).
 
+mod covered;
 #[cfg(test)]
 mod tests;
+
+pub use covered::covered;
 
 use crate::binning::Lists;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};

@@ -249,6 +249,26 @@ fn a_render_with_room_equals_one_that_waits_and_tells_where_it_was_too_little() 
 }
 
 #[test]
+fn too_little_room_aside_is_told_by_the_tape_that_heeds_it() {
+    let Some(gpu) = test_gpu() else { return };
+    let scene = cast::<f32>(&splats(400, -2.0, 21));
+    let found_with = |room: usize, is_heeded: bool| {
+        let mut tape = Tape::new(Device::Gpu(gpu)).with_room(room);
+        let mut aside = tape.aside();
+        let splats = scene.constants(&mut aside);
+        render(&mut aside, &splats, None, &camera(60, 44), &default_with(false)).unwrap();
+        if is_heeded {
+            tape.heed(aside);
+        }
+        tape.settle()
+    };
+    let wanted = found_with(1 << 20, true);
+    assert!(wanted.fits && wanted.intersections > 1000, "{wanted:?}");
+    assert!(!found_with(wanted.intersections - 1, true).fits);
+    assert!(found_with(wanted.intersections - 1, false).fits, "nobody heeds it");
+}
+
+#[test]
 fn nothing_to_list_leaves_empty_tiles_where_there_is_room() {
     let Some(gpu) = test_gpu() else { return };
     let mut scene = cast::<f32>(&splats(10, -2.0, 11));

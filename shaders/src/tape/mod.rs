@@ -138,6 +138,18 @@ impl<T: Real> Tape<T> {
         Self { room: Some(intersections), ..self }
     }
 
+    /// An empty tape on the same device, whose renders have the same room: for what takes no part in differentiation, and
+    /// need not be kept until the backward pass.
+    pub fn aside(&self) -> Self {
+        Self { room: self.room, ..Self::new(self.device) }
+    }
+
+    /// Tells of itself what a tape aside has to tell, now and later: whether its renders had room, above all.
+    pub fn heed(&mut self, aside: Self) {
+        aside.profile.events.iter().for_each(|(what, times)| self.profile.count(what, *times));
+        self.later.extend(aside.later);
+    }
+
     /// Renders to come wait for the number of their intersections.
     pub fn wait_for_room(&mut self) {
         self.room = None;

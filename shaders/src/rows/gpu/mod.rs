@@ -3,6 +3,7 @@
 pub mod arrange;
 mod index;
 mod map;
+pub mod median;
 pub mod normalize;
 pub mod weighted_mean;
 

@@ -9,8 +9,6 @@ use crate::methods::registry;
 
 /// Steps of each phase: the very first of a training is watched.
 const STEPS: u64 = 6;
-/// Methods whose steps still choose rows on the host.
-const WAITING: [&str; 1] = ["phys4dgs"];
 
 /// By phase: steps that nobody looked at, and readbacks in them.
 fn readbacks_ahead(trainer: &mut Trainer) -> BTreeMap<&'static str, [u64; 2]> {
@@ -33,7 +31,7 @@ fn no_step_of_any_method_waits_for_a_gpu() {
     let Some(gpu) = test_gpu() else { return };
     let scene = Scene::new();
     let mut complaints = Vec::new();
-    for entry in registry().into_iter().filter(|entry| !WAITING.contains(&entry.name)) {
+    for entry in registry() {
         let mut params = all_effects(entry.name);
         params.shared.iterations.values_mut().for_each(|steps| *steps = STEPS);
         // Statistics are kept from the first step on; nobody judges by them.

@@ -1,12 +1,15 @@
 //! Equations 3 to 11, in frames and motion units.
 
+use rand::RngExt as _;
+use shaders::losses::total;
 use shaders::pointwise::{add, scale, sub};
 use shaders::rows::weighted_mean_squared_difference;
+use shaders::sample::{SampleSize, sample_rows};
 use shaders::splat::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
 use super::observation::{Observed, Sight, flow_displacements, surface_depth, true_displacements};
-use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit, sample};
+use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::method::{Step, TrainingView};
 
@@ -25,8 +28,8 @@ struct Kinematics {
 
 /// How squared differences become losses.
 struct Scales {
-    /// [M] of 1.
-    everyone: Var,
+    /// [M] of 1 and 0: who counts.
+    weights: Var,
     /// The ramp, over the squared motion unit and the number of views.
     factor: f64,
 }
@@ -41,17 +44,19 @@ impl PhysicalGaussians {
         gain: f64,
     ) -> anyhow::Result<()> {
         let candidates = foreground(step.tape, rendered, step.supplements.moving(view.index));
-        let all = rendered.splats(step.tape);
-        step.count_skipped("physical losses of Gaussians in the background", all - candidates.len(), all);
-        let rows = sample(candidates, self.settings.sample_share, self.settings.sample_max, step.random);
+        let count = step.tape.constant(candidates.clone());
+        let count = total(step.tape, count);
+        step.count_skipped_later("physical losses of Gaussians in the background", count, candidates.len());
+        let size = SampleSize { share: self.settings.sample_share, most: self.settings.sample_max };
+        let sampled = sample_rows(step.tape.device(), &candidates, size, step.random.random());
         let frames_ahead = self.parts.frames_ahead();
-        let Some(followed) = Trajectories::follow(step, &self.base, rows, view.time, frames_ahead) else {
+        let Some(followed) = Trajectories::follow(step, &self.base, &sampled, view.time, frames_ahead) else {
             return Ok(());
         };
         let kinematics = self.kinematics(step, &followed);
         let motion_unit = motion_unit(step.scene);
         let scales = Scales {
-            everyone: step.tape.constant(Tensor::full([followed.count], T::ONE)),
+            weights: followed.weights,
             factor: gain * AXES / (motion_unit * motion_unit * step.views.len() as f64),
         };
         self.compare_velocities(step, &scales, &kinematics);
@@ -139,7 +144,8 @@ impl PhysicalGaussians {
     ) -> anyhow::Result<()> {
         let (weights, positions) = (&self.settings.weights, followed.points[0].positions);
         let surface = surface_depth(step.tape, rendered, self.settings.min_coverage);
-        let sight = Sight::of(step.tape.value(positions), &view.camera, step.raster.near_view, surface);
+        let points = [positions, followed.weights].map(|var| step.tape.value(var));
+        let sight = Sight::of(step.tape.device(), points, &view.camera, step.raster.near_view, surface);
         if let Some(velocity) = self.velocity_of(step, view) {
             let truth = true_displacements(&sight, velocity, step.scene.time_map.frame_secs);
             let (truth, valid) = truth.constants(step);
@@ -154,9 +160,10 @@ impl PhysicalGaussians {
         let arrived = followed.positions_at(step, &self.base, time_to);
         let moved = sub(step.tape, arrived, positions);
         let moved = scale(step.tape, moved, 1.0 / frames);
-        let limit = self.settings.flow_outlier * seen.median_length().max(STANDS_STILL * step.scene.extent);
+        let outlier = self.settings.flow_outlier;
+        let (limit, least) = (seen.median_length(outlier), outlier * STANDS_STILL * step.scene.extent);
         for estimate in [kinematics.velocity, Some(moved)].into_iter().flatten() {
-            let seen = seen.without_outliers(step.tape.value(estimate), limit);
+            let seen = seen.without_outliers(step.tape.value(estimate), &limit, least);
             let (target, weight) = seen.constants(step);
             let value = weighted_mean_squared_difference(step.tape, estimate, target, weight);
             scales.add(step, "flow", weights.flow * self.flow_weight(), value);
@@ -173,9 +180,9 @@ impl PhysicalGaussians {
 }
 
 impl Scales {
-    /// The mean of ‖a − b‖² over all Gaussians, up to [`AXES`].
+    /// The mean of ‖a − b‖² over all Gaussians that count, up to [`AXES`]; 0 where none does.
     fn mean_square<T: Real>(&self, step: &mut Step<'_, T>, a: Var, b: Var) -> Var {
-        weighted_mean_squared_difference(step.tape, a, b, self.everyone)
+        weighted_mean_squared_difference(step.tape, a, b, self.weights)
     }
 
     fn add<T: Real>(&self, step: &mut Step<'_, T>, name: &'static str, weight: f64, value: Var) {

@@ -2,8 +2,11 @@
 
 use scene::VelocityMap;
 use shaders::point_lookup::{PointsInImage, Sampled, Sampling, lookup, project_points, unproject};
+use shaders::pointwise;
+use shaders::pointwise::{add, mul, scale, sub};
+use shaders::rows::{divide_rows, keep_rows, median_where, norm, repeat_row, reshape};
 use shaders::splat::{self, PinholeCamera, Rendered};
-use shaders::tape::{Device, Real, Tape, Tensor};
+use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::PhysicalGaussians;
 use crate::method::{Moment, Step, TrainingView, too_large};
@@ -15,18 +18,41 @@ const ON_SURFACE: f64 = 0.05;
 /// Depth and flow are interpolated where neighbouring pixels differ by less than this share.
 const SAMPLING: Sampling = Sampling::NearestAcrossEdges { relative: 0.1 };
 
+pointwise! {
+    /// y = depth / alpha, the expected depth, where alpha > least; else it is `unknown`.
+    fn expected_depth(depth, alpha) with(least, unknown) -> y {
+        return select(unknown, depth / alpha, alpha > least);
+    }
+    gradients(dy) {
+        depth: { return select(0.0, dy / alpha, alpha > least); }
+        alpha: { return select(0.0, -dy * y / alpha, alpha > least); }
+    }
+
+    /// y = weight where |depth − surface| < share·surface, else 0.
+    fn on_surface(weight, depth, surface) with(share) -> y {
+        return select(0.0, weight, abs(depth - surface) < share * surface);
+    }
+    gradients(dy) {
+        weight: { return select(0.0, dy, abs(depth - surface) < share * surface); }
+        depth: { return 0.0; }
+        surface: { return 0.0; }
+    }
+}
+
 /// M points as a view shows them.
 pub struct Sight<T: Real> {
+    device: Device,
     /// [M, 2] px.
     pixels: Tensor<T>,
     /// [M]: z of the surface there, view space.
     surface_depths: Tensor<T>,
-    /// [M]: the point lies on that surface.
-    visible: Vec<bool>,
+    /// [M] of 1 and 0: the point counts and lies on that surface.
+    visible: Tensor<T>,
 }
 
 /// Displacements per frame that something else than the model tells.
 pub struct Observed<T: Real> {
+    device: Device,
     /// [M, 3] world, scene units per frame; 0 where nothing is seen.
     pub displacements: Tensor<T>,
     /// [M]: 0 where nothing is seen.
@@ -35,40 +61,45 @@ pub struct Observed<T: Real> {
 
 /// Expected depth Σwz / Σw [H, W] of a render with depth; NaN where it covers no more than `min_coverage`.
 pub fn surface_depth<T: Real>(tape: &Tape<T>, rendered: &Rendered, min_coverage: f64) -> Tensor<T> {
-    let (depth, alpha) = (tape.value(rendered.depth.expect("rendered with depth")), tape.value(rendered.alpha));
-    let (unknown, min_coverage) = (T::from_f64(f64::NAN), T::from_f64(min_coverage));
-    let expected = |(&depth, &alpha): (&T, &T)| if alpha > min_coverage { depth / alpha } else { unknown };
-    let values = depth.as_slice().iter().zip(alpha.as_slice()).map(expected).collect();
-    Tensor::from_vec(alpha.shape(), values)
+    let mut aside = tape.aside();
+    let sums = [rendered.depth.expect("rendered with depth"), rendered.alpha];
+    let [depth, alpha] = sums.map(|var| aside.constant(tape.value(var).clone()));
+    let expected = expected_depth(&mut aside, depth, alpha, min_coverage, f64::NAN);
+    aside.value(expected).clone()
 }
 
 impl<T: Real> Sight<T> {
-    /// Points [M, 3] (world) in an image with these depths [H, W] of its surfaces.
-    pub fn of(points: &Tensor<T>, camera: &PinholeCamera, near_view: f64, surface_depth: Tensor<T>) -> Self {
-        let mut tape = Tape::new(Device::Cpu);
-        let points = tape.constant(points.clone());
+    /// Points [M, 3] (world) that count by their weights [M], in an image with these depths [H, W] of its surfaces.
+    pub fn of(
+        device: Device,
+        [points, weights]: [&Tensor<T>; 2],
+        camera: &PinholeCamera,
+        near_view: f64,
+        surface_depth: Tensor<T>,
+    ) -> Self {
+        let mut tape = Tape::new(device);
+        let [points, weights] = [points, weights].map(|tensor| tape.constant(tensor.clone()));
         let PointsInImage { pixels, depths } = project_points(&mut tape, points, camera, near_view);
         let surface = tape.constant(surface_depth);
         let Sampled { values, valid } = lookup(&mut tape, surface, pixels, SAMPLING);
-        let (depths, surface_depths) = (tape.value(depths).as_slice(), tape.value(values).clone());
-        let on_surface = |at: usize| {
-            let surface = surface_depths.as_slice()[at];
-            valid[at] && (depths[at] - surface).abs() < T::from_f64(ON_SURFACE) * surface
-        };
-        let visible = (0..depths.len()).map(on_surface).collect();
-        Self { pixels: tape.value(pixels).clone(), surface_depths, visible }
+        let count = tape.value(depths).len();
+        let surface_depths = reshape(&mut tape, values, [count]);
+        let counts = mul(&mut tape, valid, weights);
+        let visible = on_surface(&mut tape, counts, depths, surface_depths, ON_SURFACE);
+        let [pixels, surface_depths, visible] = [pixels, surface_depths, visible].map(|var| tape.value(var).clone());
+        Self { device, pixels, surface_depths, visible }
     }
 }
 
 /// Exact displacements within one frame (eq 4): velocity times its duration.
 pub fn true_displacements<T: Real>(sight: &Sight<T>, velocity: &VelocityMap, frame_secs: f64) -> Observed<T> {
-    let mut tape = Tape::new(Device::Cpu);
+    let mut tape = Tape::new(sight.device);
     let per_frame = |value: &f32| T::from_f64(f64::from(*value) * frame_secs);
     let values = velocity.velocity_world.as_flattened().iter().map(per_frame).collect();
     let map = tape.constant(Tensor::from_vec([velocity.height as usize, velocity.width as usize, 3], values));
-    let pixels = tape.constant(sight.pixels.clone());
+    let [pixels, visible] = [&sight.pixels, &sight.visible].map(|tensor| tape.constant(tensor.clone()));
     let Sampled { values, valid } = lookup(&mut tape, map, pixels, SAMPLING);
-    Observed::where_all(tape.value(values), &[&sight.visible, &valid])
+    Observed::where_all(tape, values, &[visible, valid])
 }
 
 /// Displacements per frame that optical flow tells (eq 2): the points behind a pixel before and after, each in the
@@ -80,53 +111,56 @@ pub fn flow_displacements<T: Real>(
     surface_depth_to: &Tensor<T>,
     frames: f64,
 ) -> Observed<T> {
-    let mut tape = Tape::new(Device::Cpu);
+    let mut tape = Tape::new(sight.device);
     let values = flow.map.flow_px.as_flattened().iter().map(|&value| T::from_f64(f64::from(value))).collect();
     let map = tape.constant(Tensor::from_vec([flow.map.height as usize, flow.map.width as usize, 2], values));
-    let (pixels, depths) = (tape.constant(sight.pixels.clone()), tape.constant(sight.surface_depths.clone()));
+    let [pixels, depths, visible, surface_to] =
+        [&sight.pixels, &sight.surface_depths, &sight.visible, surface_depth_to].map(|of| tape.constant(of.clone()));
     let shift = lookup(&mut tape, map, pixels, SAMPLING);
-    let pixels_to = shaders::pointwise::add(&mut tape, pixels, shift.values);
-    let surface_to = tape.constant(surface_depth_to.clone());
+    let pixels_to = add(&mut tape, pixels, shift.values);
     let depths_to = lookup(&mut tape, surface_to, pixels_to, SAMPLING);
     let before = unproject(&mut tape, pixels, depths, camera);
     let after = unproject(&mut tape, pixels_to, depths_to.values, &PinholeCamera::from(&flow.camera_to));
-    let displacement = shaders::pointwise::sub(&mut tape, after, before);
-    let per_frame = shaders::pointwise::scale(&mut tape, displacement, 1.0 / frames);
-    Observed::where_all(tape.value(per_frame), &[&sight.visible, &shift.valid, &depths_to.valid])
+    let displacement = sub(&mut tape, after, before);
+    let per_frame = scale(&mut tape, displacement, 1.0 / frames);
+    Observed::where_all(tape, per_frame, &[visible, shift.valid, depths_to.valid])
 }
 
 impl<T: Real> Observed<T> {
-    /// Displacements with weight 1 where all conditions hold, zeros elsewhere.
-    fn where_all(displacements: &Tensor<T>, conditions: &[&[bool]]) -> Self {
-        let holds = |row: usize| conditions.iter().all(|condition| condition[row]);
-        let rows = 0..displacements.rows();
-        let row = |row: usize| if holds(row) { displacements.row(row).to_vec() } else { vec![T::ZERO; 3] };
-        let weights = rows.clone().map(|row| if holds(row) { T::ONE } else { T::ZERO }).collect();
-        Self {
-            displacements: Tensor::from_vec(displacements.shape(), rows.clone().flat_map(row).collect()),
-            weights: Tensor::from_vec([rows.len()], weights),
-        }
+    /// Displacements on a tape, with weight 1 where all conditions [M] of 1 and 0 hold, zeros elsewhere.
+    fn where_all(mut tape: Tape<T>, displacements: Var, conditions: &[Var]) -> Self {
+        let both = |a: Var, &b: &Var| mul(&mut tape, a, b);
+        let weights = conditions[1..].iter().fold(conditions[0], both);
+        let displacements = keep_rows(&mut tape, displacements, weights);
+        let [displacements, weights] = [displacements, weights].map(|var| tape.value(var).clone());
+        Self { device: tape.device(), displacements, weights }
     }
 
-    /// The middle one of the displacements' lengths, scene units per frame; 0 where nothing is seen.
-    pub fn median_length(&self) -> f64 {
-        let is_seen = |row: &usize| self.weights.as_slice()[*row] > T::ZERO;
-        let length = |row| self.displacements.row(row).iter().map(|value| value.to_f64().powi(2)).sum::<f64>().sqrt();
-        let mut lengths: Vec<f64> = (0..self.displacements.rows()).filter(is_seen).map(length).collect();
-        lengths.sort_unstable_by(f64::total_cmp);
-        lengths.get(lengths.len() / 2).copied().unwrap_or(0.0)
+    /// So many times the middle one of the displacements' lengths, [1], scene units per frame; 0 where nothing is seen.
+    pub fn median_length(&self, times: f64) -> Tensor<T> {
+        let mut tape = Tape::new(self.device);
+        let [displacements, weights] = [&self.displacements, &self.weights].map(|of| tape.constant(of.clone()));
+        let lengths = norm(&mut tape, displacements);
+        let median = median_where(&mut tape, lengths, weights);
+        let median = scale(&mut tape, median, times);
+        tape.value(median).clone()
     }
 
-    /// Weighted so that the square pulls no harder than at a distance of `limit` from `estimate`: one step of
-    /// iteratively reweighted least squares for the loss of Huber (1964).
-    pub fn without_outliers(&self, estimate: &Tensor<T>, limit: f64) -> Self {
-        let weight = |(row, &weight): (usize, &T)| {
-            let squares = estimate.row(row).iter().zip(self.displacements.row(row)).map(|(&a, &b)| (a - b) * (a - b));
-            let distance = squares.sum::<T>().sqrt();
-            weight * (T::from_f64(limit) / distance.max(T::from_f64(limit)))
-        };
-        let weights = self.weights.as_slice().iter().enumerate().map(weight).collect();
-        Self { displacements: self.displacements.clone(), weights: Tensor::from_vec(self.weights.shape(), weights) }
+    /// Weighted so that the square pulls no harder than at a distance of `limit` [1], but of `least` at least, from
+    /// `estimate` [M, 3]: one step of iteratively reweighted least squares for the loss of Huber (1964).
+    pub fn without_outliers(&self, estimate: &Tensor<T>, limit: &Tensor<T>, least: f64) -> Self {
+        let mut tape = Tape::new(self.device);
+        let seen = [estimate, &self.displacements, &self.weights, limit];
+        let [estimate, displacements, weights, limit] = seen.map(|tensor| tape.constant(tensor.clone()));
+        let count = tape.value(weights).len();
+        let difference = sub(&mut tape, estimate, displacements);
+        let distances = norm(&mut tape, difference);
+        let limits = repeat_row(&mut tape, limit, count);
+        // weight / max(distance / max(limit, least), 1).
+        let excess = divide_rows(&mut tape, distances, limits, least);
+        let weights = divide_rows(&mut tape, weights, excess, 1.0);
+        let weights = reshape(&mut tape, weights, [count]);
+        Self { device: self.device, displacements: self.displacements.clone(), weights: tape.value(weights).clone() }
     }
 }
 
@@ -160,14 +194,16 @@ impl PhysicalGaussians {
         time: f64,
         flow: &FlowPrior,
     ) -> anyhow::Result<Tensor<T>> {
-        let mut tape = Tape::new(Device::Cpu);
-        let constant = |(name, var): (&str, _)| (name.to_string(), tape.constant(step.tape.value(var).clone()));
+        let mut aside = step.tape.aside();
+        let constant = |(name, var): (&str, _)| (name.to_string(), aside.constant(step.tape.value(var).clone()));
         let model = Variables::new(step.model.iter().map(constant).collect());
         let camera = PinholeCamera::from(&flow.camera_to);
         let moment = Moment { scene: step.scene, phase: step.phase, time, camera: &camera, sh_degree: step.sh_degree };
-        let splats = self.base.splats(&mut tape, &model, &moment);
-        let rendered = splat::render(&mut tape, &splats, None, &camera, &step.raster).map_err(too_large)?;
-        Ok(surface_depth(&tape, &rendered, self.settings.min_coverage))
+        let splats = self.base.splats(&mut aside, &model, &moment);
+        let rendered = splat::render(&mut aside, &splats, None, &camera, &step.raster).map_err(too_large)?;
+        let surface = surface_depth(&aside, &rendered, self.settings.min_coverage);
+        step.tape.heed(aside);
+        Ok(surface)
     }
 }
 

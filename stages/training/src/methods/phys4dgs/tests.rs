@@ -1,3 +1,4 @@
+mod devices;
 mod geometry;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -59,6 +60,17 @@ impl World {
     /// The first step of `fine` on a training view.
     fn step(&self, params: &TrainingParams, view: usize) -> Observation {
         let method = crate::methods::find(&params.method).unwrap().build_f64(params).unwrap();
+        self.step_on(Device::Cpu, &*method, params, view)
+    }
+
+    /// The same on a device.
+    fn step_on<T: Real>(
+        &self,
+        device: Device,
+        method: &dyn Method<T>,
+        params: &TrainingParams,
+        view: usize,
+    ) -> Observation {
         let start = Start { dataset: &self.dataset, supplements: &self.supplements };
         let points = self.dataset.initial_points(&params.shared.initial_points, 0).unwrap();
         let mut state = method.initialize(&start, &points, &mut generator(1, Stream::Initial)).unwrap();
@@ -67,9 +79,9 @@ impl World {
             state = method.enter_phase(phase.name, state, &start, &mut random).unwrap();
         }
         vary_in_time(&mut state);
-        let mut tape = Tape::new(Device::Cpu);
+        let mut tape = Tape::new(device);
         let model = state.bind(&mut tape, |name| method.learning_rate("fine", name, &self.dataset.scene).is_some());
-        let view: TrainingView<f64> = self.dataset.train[view].to_training();
+        let view: TrainingView<T> = self.dataset.train[view].to_training();
         let step = Step {
             tape: &mut tape,
             model: &model,
@@ -89,22 +101,24 @@ impl World {
             skipped: SkippedWork::new(),
             kept: Vec::new(),
         };
-        let outcome = run_step(&*method, step).unwrap();
+        let outcome = run_step(method, step).unwrap();
+        let (losses, skipped) = outcome.look();
         Observation {
             tensors: state.names().map(String::from).collect(),
-            losses: outcome.losses(),
-            skipped: outcome.skipped,
+            losses,
+            skipped,
             operations: tape.profile().ops.iter().map(|(name, cost)| (*name, cost.forward.calls)).collect(),
         }
     }
 }
 
 /// Moves the time planes, which are constant in a fresh field.
-fn vary_in_time(state: &mut ModelState<f64>) {
+fn vary_in_time<T: Real>(state: &mut ModelState<T>) {
     let planes: Vec<String> = state.names().filter(|name| name.starts_with("field.plane_")).map(String::from).collect();
     for name in planes.into_iter().filter(|name| name.ends_with('t')) {
         let plane = state.get(&name).unwrap();
-        let moved = plane.as_slice().iter().zip(noise(plane.len(), 5)).map(|(value, shift)| value + 0.1 * shift);
+        let moved =
+            plane.as_slice().iter().zip(noise(plane.len(), 5)).map(|(&value, shift)| value + T::from_f64(0.1 * shift));
         state.insert(name, Tensor::from_vec(plane.shape(), moved.collect()));
     }
 }
@@ -255,20 +269,6 @@ fn a_partial_field_table_keeps_the_papers_rates() {
     assert!(read(json!({ "field": { "chanels": 8 } })).is_err());
     let bad = [json!({ "sample_share": 0.0 }), json!({ "ramp": [5, 4] }), json!({ "weights": { "flow": -1.0 } })];
     assert!(bad.into_iter().all(|table| read(table).unwrap().check().is_err()));
-}
-
-#[test]
-fn samples_are_distinct_rows_and_every_row_can_be_drawn() {
-    let mut random = generator(4, Stream::Method);
-    let mut drawn = BTreeSet::new();
-    for _ in 0..60 {
-        let rows = trajectories::sample((10..40).collect(), 0.2, 5, &mut random);
-        assert!(rows.len() == 5 && rows.is_sorted_by(|a, b| a < b), "{rows:?}");
-        drawn.extend(rows);
-    }
-    assert!(drawn.into_iter().eq(10..40));
-    assert_eq!(trajectories::sample(vec![7, 8], 0.1, 5, &mut random).len(), 1);
-    assert!(trajectories::sample(Vec::new(), 1.0, 5, &mut random).is_empty());
 }
 
 #[test]

@@ -2,8 +2,9 @@
 
 use glam::DVec3;
 use scene::{Camera, FlowMap, Intrinsics, VelocityMap};
+use shaders::check::{agree, test_gpu};
 use shaders::splat::PinholeCamera;
-use shaders::tape::Tensor;
+use shaders::tape::{Device, Real, Tensor};
 
 use crate::methods::phys4dgs::observation::{Observed, Sight, flow_displacements, true_displacements};
 use crate::supplements::FlowPrior;
@@ -28,17 +29,23 @@ impl MovingWall {
         Self { before, after, displacement: DVec3::new(0.2, -0.1, 0.5) }
     }
 
-    fn depth(z: f64) -> Tensor<f64> {
-        Tensor::full([30, 40], z)
+    fn depth<T: Real>(z: f64) -> Tensor<T> {
+        Tensor::full([30, 40], T::from_f64(z))
     }
 
-    /// On the wall left of the middle, on it near the right border, behind it, outside of the image.
-    fn points(&self) -> Tensor<f64> {
-        Tensor::from_vec([4, 3], vec![-0.3, 0.4, 4.0, 1.5, 0.0, 4.0, 0.2, 0.2, 5.0, 9.0, 0.0, 4.0])
+    /// On the wall left of the middle, on it near the right border, behind it, outside of the image; behind the camera; and
+    /// on the wall without being asked for.
+    fn points<T: Real>() -> [Tensor<T>; 2] {
+        let points =
+            [[-0.3, 0.4, 4.0], [1.5, 0.0, 4.0], [0.2, 0.2, 5.0], [9.0, 0.0, 4.0], [0.1, 0.1, -4.0], [0.1, 0.1, 4.0]];
+        let values = points.as_flattened().iter().map(|&value| T::from_f64(value)).collect();
+        let weights = [1.0, 1.0, 1.0, 1.0, 1.0, 0.0].map(T::from_f64);
+        [Tensor::from_vec([6, 3], values), Tensor::from_vec([6], weights.to_vec())]
     }
 
-    fn sight(&self) -> Sight<f64> {
-        Sight::of(&self.points(), &PinholeCamera::from(&self.before), 0.2, Self::depth(4.0))
+    fn sight<T: Real>(&self, device: Device) -> Sight<T> {
+        let [points, weights] = Self::points();
+        Sight::of(device, [&points, &weights], &PinholeCamera::from(&self.before), 0.2, Self::depth(4.0))
     }
 
     fn flow(&self) -> FlowPrior {
@@ -53,8 +60,12 @@ impl MovingWall {
     }
 
     fn observed(&self, flow: &FlowPrior) -> Observed<f64> {
+        self.observed_on(Device::Cpu, flow)
+    }
+
+    fn observed_on<T: Real>(&self, device: Device, flow: &FlowPrior) -> Observed<T> {
         // The wall is 0.5 farther, the camera 0.2 closer to where it was.
-        flow_displacements(&self.sight(), &PinholeCamera::from(&self.before), flow, &Self::depth(4.7), 2.0)
+        flow_displacements(&self.sight(device), &PinholeCamera::from(&self.before), flow, &Self::depth(4.7), 2.0)
     }
 }
 
@@ -62,7 +73,11 @@ impl MovingWall {
 fn flow_and_depth_of_a_moving_camera_give_the_displacement() {
     let wall = MovingWall::new();
     let observed = wall.observed(&wall.flow());
-    assert_eq!(observed.weights.as_slice(), [1.0, 1.0, 0.0, 0.0], "hidden points and those outside have no flow");
+    assert_eq!(
+        observed.weights.as_slice(),
+        [1.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        "hidden points and those outside have no flow"
+    );
     for row in 0..2 {
         let expected = (0.5 * wall.displacement).to_array();
         let error =
@@ -81,10 +96,14 @@ fn flow_with_a_hole_or_out_of_the_image_is_not_seen() {
     let wall = MovingWall::new();
     let mut flow = wall.flow();
     flow.map.flow_px.iter_mut().for_each(|flow| flow[0] += 12.0);
-    assert_eq!(wall.observed(&flow).weights.as_slice(), [1.0, 0.0, 0.0, 0.0], "the second point leaves the image");
+    assert_eq!(
+        wall.observed(&flow).weights.as_slice(),
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        "the second point leaves the image"
+    );
     flow.map.flow_px.fill([f32::NAN; 2]);
     let observed = wall.observed(&flow);
-    assert_eq!(observed.weights.as_slice(), [0.0; 4]);
+    assert_eq!(observed.weights.as_slice(), [0.0; 6]);
     assert!(observed.displacements.as_slice().iter().all(|&value| value == 0.0));
 }
 
@@ -92,8 +111,8 @@ fn flow_with_a_hole_or_out_of_the_image_is_not_seen() {
 fn exact_velocities_become_displacements_within_a_frame() {
     let wall = MovingWall::new();
     let velocity = VelocityMap { width: 40, height: 30, velocity_world: vec![[2.0, 0.0, -4.0]; 1200] };
-    let observed = true_displacements(&wall.sight(), &velocity, 0.25);
-    assert_eq!(observed.weights.as_slice(), [1.0, 1.0, 0.0, 0.0]);
+    let observed = true_displacements(&wall.sight::<f64>(Device::Cpu), &velocity, 0.25);
+    assert_eq!(observed.weights.as_slice(), [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
     assert_eq!(observed.displacements.row(0), [0.5, 0.0, -1.0]);
 }
 
@@ -104,8 +123,45 @@ fn outliers_pull_with_constant_force() {
     let mut estimate = observed.displacements.clone();
     estimate.make_mut()[0] += 0.1;
     estimate.make_mut()[4] += 5.0;
-    let weights = observed.without_outliers(&estimate, 0.2).weights;
+    let weights = observed.without_outliers(&estimate, &Tensor::scalar(0.2), 0.1).weights;
     // The force is weight times distance: 0.1 within the limit, the limit beyond it.
-    let expected = [1.0, 0.2 / 5.0, 0.0, 0.0];
+    let expected = [1.0, 0.2 / 5.0, 0.0, 0.0, 0.0, 0.0];
     assert!(weights.as_slice().iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-12), "{weights:?}");
+    let of_least = observed.without_outliers(&estimate, &Tensor::scalar(0.0), 0.2).weights;
+    assert_eq!(of_least, weights, "a limit has a least value");
+}
+
+#[test]
+fn the_middle_of_what_is_seen_is_the_measure_of_outliers() {
+    let wall = MovingWall::new();
+    let observed = wall.observed(&wall.flow());
+    let length = observed.median_length(3.0).as_slice()[0];
+    let expected = 1.5 * wall.displacement.length();
+    assert!((length - expected).abs() <= 1e-2, "{length} instead of {expected}");
+    let mut nothing = wall.flow();
+    nothing.map.flow_px.fill([f32::NAN; 2]);
+    assert_eq!(wall.observed(&nothing).median_length(3.0).as_slice(), [0.0]);
+}
+
+#[test]
+fn a_gpu_observes_the_same() {
+    let Some(gpu) = test_gpu() else { return };
+    let wall = MovingWall::new();
+    let mut flow = wall.flow();
+    // A hole above the points.
+    flow.map.flow_px[..200].fill([f32::NAN; 2]);
+    let along_y = |pixel: usize| if pixel.is_multiple_of(7) { f32::NAN } else { 1.0 };
+    let velocity_world = (0..1200).map(|pixel| [2.0, along_y(pixel), -4.0]).collect();
+    let velocity = VelocityMap { width: 40, height: 30, velocity_world };
+    let tensors = |device: Device| {
+        let seen = wall.observed_on::<f32>(device, &flow);
+        let limit = seen.median_length(0.5);
+        let estimate = Tensor::from_vec([6, 3], (0..18).map(|at| at as f32 / 9.0).collect());
+        let pulled = seen.without_outliers(&estimate, &limit, 1e-3);
+        let exact = true_displacements(&wall.sight::<f32>(device), &velocity, 0.25);
+        [seen.displacements, seen.weights, limit, pulled.weights, exact.displacements, exact.weights]
+    };
+    for (found, expected) in tensors(Device::Gpu(gpu)).iter().zip(tensors(Device::Cpu)) {
+        agree(found, &expected, 1e-4).unwrap();
+    }
 }

@@ -1,0 +1,23 @@
+// Elements as whole numbers of the same order, which the bits of what is not negative are; those without a flag come last.
+
+struct Median {
+    len: u32,
+}
+
+@group(0) @binding(0) var<uniform> sizes: Median;
+@group(0) @binding(1) var<storage, read> x: array<u32>;
+@group(0) @binding(2) var<storage, read> flags: array<f32>;
+@group(0) @binding(3) var<storage, read_write> keys: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = flat_group(group, groups) * 256u + local;
+    if (at < sizes.len) {
+        // Without the sign, which a zero or a NaN may have.
+        keys[at] = select(NOWHERE, x[at] & 0x7fffffffu, flags[at] > 0.0);
+    }
+}

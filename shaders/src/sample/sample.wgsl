@@ -1,0 +1,46 @@
+// The row of every place and whether it was drawn, from the rows in the order of their keys.
+
+struct Sample {
+    rows: u32,
+    // As many as are drawn at most.
+    places: u32,
+    // Of the rows that can be drawn, so many are.
+    share: f32,
+}
+
+@group(0) @binding(0) var<uniform> draw: Sample;
+@group(0) @binding(1) var<storage, read> sorted_keys: array<u32>;
+@group(0) @binding(2) var<storage, read> order: array<u32>;
+@group(0) @binding(3) var<storage, read_write> row_of_place: array<u32>;
+@group(0) @binding(4) var<storage, read_write> weights: array<f32>;
+
+// How many rows can be drawn, by halving the list.
+fn candidate_count() -> u32 {
+    var low = 0u;
+    var high = draw.rows;
+    while (low < high) {
+        let middle = (low + high) / 2u;
+        if (sorted_keys[middle] < NOWHERE) {
+            low = middle + 1u;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let place = flat_group(group, groups) * 256u + local;
+    if (place >= draw.places) {
+        return;
+    }
+    let candidates = candidate_count();
+    let count = min(u32(ceil(draw.share * f32(candidates))), candidates);
+    row_of_place[place] = order[place];
+    weights[place] = select(0.0, 1.0, place < count);
+}

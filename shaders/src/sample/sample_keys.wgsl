@@ -1,0 +1,29 @@
+// The number of every row, below 2³¹ where it can be drawn: the same definitions as on the CPU.
+
+struct Keys {
+    rows: u32,
+    seed: u32,
+}
+
+@group(0) @binding(0) var<uniform> draw: Keys;
+@group(0) @binding(1) var<storage, read> candidates: array<f32>;
+@group(0) @binding(2) var<storage, read_write> keys: array<u32>;
+
+fn scrambled(bits: u32) -> u32 {
+    let first = (bits ^ (bits >> 16u)) * 0x85ebca6bu;
+    let second = (first ^ (first >> 13u)) * 0xc2b2ae35u;
+    return second ^ (second >> 16u);
+}
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let row = flat_group(group, groups) * 256u + local;
+    if (row < draw.rows) {
+        let key = scrambled(scrambled(row) ^ draw.seed) >> 1u;
+        keys[row] = select(NOWHERE, key, candidates[row] > 0.0);
+    }
+}
