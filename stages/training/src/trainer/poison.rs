@@ -8,6 +8,7 @@ use super::*;
 use crate::checkpoint::Checkpoint;
 use crate::effects::Effects;
 use crate::methods::registry;
+use crate::supplements::Supplements;
 use crate::test_scene::TestScene;
 
 /// Steps of each phase.

@@ -3,6 +3,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::checkpoint::Checkpoint;
+use crate::sampler::generator;
 use crate::supplements::NOTHING;
 use crate::test_scene::TestScene;
 
