@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use shaders::screen::{self, Look};
 use shaders::tape::{Gradients, Tape, Tensor};
 
-use crate::method::{OwnerVars, WatchedRender};
+use crate::step::{OwnerVars, WatchedRender};
 
 /// The renders of one step that show a population; whoever looks at the figures of single Gaussians waits for them.
 pub struct Screen<'a> {
@@ -154,7 +154,7 @@ mod tests {
     use shaders::tape::Device;
 
     use super::*;
-    use crate::method::SplatRows;
+    use crate::step::SplatRows;
 
     /// Two splats in an image of 20 × 10 pixels, of which only the first is visible; with the gradient of the sum of
     /// its colours. They are these of so many rows, each of an owner of its own; or all rows.

@@ -32,13 +32,14 @@ use crate::curve::{self, CurvePoint};
 use crate::dataset::{self, Dataset};
 use crate::device::Meter;
 use crate::effects::{CAPTURE, PRIORS, outcomes};
-use crate::method::{Method, Moment, Phase, PopulationControl, SkippedWork, Start, raster_settings, too_large};
+use crate::method::{Method, Moment, Phase, PopulationControl, Start, raster_settings, too_large};
 use crate::methods;
 use crate::optimizer::Optimizer;
 use crate::params::TrainingParams;
 use crate::sampler::{Stream, ViewSampler, phase_generator};
 use crate::schedule::LogLinear;
 use crate::state::ModelState;
+use crate::step::SkippedWork;
 use crate::view_constants::ViewConstants;
 
 pub use finite::LargestGradient;

@@ -7,8 +7,9 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use crate::bases::canonical::scales_and_rotations;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::effects::{Effect, Effects, Need};
-use crate::method::{Start, Step};
+use crate::method::Start;
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 
 /// The effect of every method whose motion model moves Gaussians one by one.
 pub const SKIP_STILL: Effect = Effect {

@@ -9,10 +9,10 @@ use super::*;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::dataset::Dataset;
 use crate::effects::{Effects, Need};
-use crate::method::{Moment, SkippedWork, Start, Step, TrainingView, raster_settings};
+use crate::method::{Moment, Start, TrainingView, raster_settings};
 use crate::sampler::{Stream, generator};
 use crate::state::ModelState;
-use crate::step::{StepOutcome, run_step};
+use crate::step::{SkippedWork, Step, StepOutcome, run_step};
 use crate::supplements::Supplements;
 use crate::test_scene::TestScene;
 

@@ -10,10 +10,10 @@ use shaders::splat::NOT_FINITE;
 use shaders::tape::{Figures, Found, Profile};
 
 use super::Trainer;
-use crate::method::{PopulationControl, SkippedWork};
+use crate::method::PopulationControl;
 use crate::optimizer::Optimizer;
 use crate::sampler::ViewSampler;
-use crate::step::{add_kept, sum_by_name};
+use crate::step::{SkippedWork, add_kept, sum_by_name};
 
 /// Steps after which somebody looks: waiting for one in so many costs nothing to speak of, and little is done in vain.
 const MOST_AHEAD: usize = 32;

@@ -10,7 +10,8 @@ use crate::budget::Choice;
 use crate::clock::ClockReading;
 use crate::curve::CurvePoint;
 use crate::device::GpuUse;
-use crate::method::{Phase, SkippedWork};
+use crate::method::Phase;
+use crate::step::SkippedWork;
 
 /// What a training measures besides its model.
 #[derive(Clone, Debug)]

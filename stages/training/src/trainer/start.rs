@@ -13,12 +13,13 @@ use crate::coarse::check_start;
 use crate::curve;
 use crate::dataset::Dataset;
 use crate::device::Meter;
-use crate::method::{SkippedWork, Start};
+use crate::method::Start;
 use crate::methods;
 use crate::optimizer::Optimizer;
 use crate::params::TrainingParams;
 use crate::sampler::{Stream, ViewSampler, generator};
 use crate::state::ModelState;
+use crate::step::SkippedWork;
 use crate::supplements::Supplements;
 use crate::view_constants::ViewConstants;
 

@@ -8,11 +8,11 @@ use shaders::tape::{Figures, Tape, Tensor};
 
 use super::Trainer;
 use super::ahead::LaterStep;
-use crate::method::{SkippedWork, Step, TrainingView, raster_settings};
+use crate::method::{TrainingView, raster_settings};
 use crate::schedule::stretch;
 use crate::screen::Screen;
 use crate::state::Variables;
-use crate::step::{StepOutcome, run_step};
+use crate::step::{SkippedWork, Step, StepOutcome, run_step};
 
 impl Trainer<'_> {
     /// The next step. A GPU goes ahead with it once it is known how much room renders need.

@@ -13,9 +13,10 @@ use crate::bases::bounds::Bounds;
 use crate::bases::heads::HeadedNetwork;
 use crate::bases::hexplane::TimeAxis;
 use crate::bases::hexplane::field::{Field, PlaneWeights};
-use crate::method::{SceneFacts, Step};
+use crate::method::SceneFacts;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
+use crate::step::Step;
 
 const ANCHOR_FIELD: &str = "anchor_field";
 const ANCHOR_NETWORK: &str = "anchor_network";

@@ -27,10 +27,11 @@ use serde::{Deserialize, Serialize};
 use shaders::losses::l1_dssim;
 use shaders::tape::{Real, Var};
 
-use crate::method::{Phase, SceneFacts, Step, TrainingView};
+use crate::method::{Phase, SceneFacts, TrainingView};
 use crate::params::{Density, Harmonics, Loss, Shared};
 use crate::schedule::{LogLinear, stretch};
 use crate::state::Variables;
+use crate::step::Step;
 
 /// The population of anchors.
 pub const ANCHORS: &str = "anchors";

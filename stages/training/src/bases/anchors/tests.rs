@@ -5,11 +5,12 @@ use shaders::splat::{PinholeCamera, RasterSettings, render};
 use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
-use crate::method::{PopulationControl, WatchedRender};
+use crate::method::PopulationControl;
 use crate::optimizer::Optimizer;
 use crate::sampler::{Stream, generator};
 use crate::screen::{Owners, Screen, ScreenGradients};
 use crate::state::ModelState;
+use crate::step::WatchedRender;
 
 /// Two Gaussians per anchor, voxels of one unit.
 fn settings() -> AnchorSettings {

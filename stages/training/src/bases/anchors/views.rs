@@ -14,8 +14,8 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::{ANCHORS, AnchorSettings, Anchors};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
-use crate::method::{OwnerVars, SplatRows};
 use crate::state::{ModelState, Variables};
+use crate::step::{OwnerVars, SplatRows};
 
 /// The networks' tensors are called `views.…`.
 pub(super) const VIEWS: &str = "views";
@@ -46,7 +46,7 @@ pub struct SpawnedGaussians {
 }
 
 impl SpawnedGaussians {
-    /// For [`Step::render_rows`](crate::method::Step::render_rows).
+    /// For [`Step::render_rows`](crate::step::Step::render_rows).
     pub fn rows(&self) -> SplatRows {
         let (count, row_of_splat, owners) = (self.count, self.slots.clone(), self.owners);
         SplatRows { population: ANCHORS, count, row_of_splat, owners }

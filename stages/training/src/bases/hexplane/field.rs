@@ -7,8 +7,8 @@ use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::bounds;
 use crate::bases::layers::uniform;
-use crate::method::Step;
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 
 /// First values of the spatial planes (published code); time planes start at 1, which means "no change".
 const SPATIAL_START: [f64; 2] = [0.1, 0.5];

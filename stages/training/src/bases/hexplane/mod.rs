@@ -25,10 +25,11 @@ use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::stillness;
 use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Need};
-use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Start, Step};
+use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Start};
 use crate::params::{Density, LearningRates, Loss, Shared};
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables, belongs};
+use crate::step::Step;
 use field::{Field, PlaneWeights};
 use network::Network;
 

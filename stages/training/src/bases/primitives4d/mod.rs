@@ -15,8 +15,8 @@ use shaders::slicing4d::{self, Gaussians4dVars, SlicedVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::uniform;
-use crate::method::Step;
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 
 /// Gaussians of which a smaller share of the opacity is left are not drawn (published code): 2.45 standard deviations.
 pub const LEAST_SHARE: f64 = 0.05;

@@ -21,10 +21,11 @@ use crate::bases::gaussians::{self, GAUSSIANS};
 use crate::bases::layers::FirstWeights;
 use crate::bases::stillness::{self, SKIP_STILL};
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, TrainingView};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, TrainingView};
 use crate::params::Shared;
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 
 /// What the network says: its heads start at random, as published.
 const POSITION: Head = Head { name: "position", outputs: 3, first: FirstWeights::FanIn };

@@ -10,10 +10,11 @@ use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse
 use crate::bases::stillness::{self, SKIP_STILL};
 use crate::coarse::CoarseSharing;
 use crate::effects::Effect;
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, photometric_losses};
 use crate::params::Shared;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 
 /// The folder's entry.
 pub struct Deformable4dgs;

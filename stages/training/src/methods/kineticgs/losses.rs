@@ -10,7 +10,8 @@ use super::particles::{Moved, Particles};
 use super::weights::Weights;
 use super::{COHERENCE, ENERGY_FLOW, KineticGaussians, MOMENTUM_INIT};
 use crate::bases::anchors;
-use crate::method::{Step, TrainingView};
+use crate::method::TrainingView;
+use crate::step::Step;
 
 impl<T: Real> KineticGaussians<T> {
     /// The losses of `coarse`: anchors as if nothing moved, on the pixels that do not.

@@ -15,9 +15,9 @@ use crate::bases::anchors::{Anchors, COARSE, DeformationSettings};
 use crate::clock::{ClockReading, PhaseClock};
 use crate::dataset::Dataset;
 use crate::effects::Effects;
-use crate::method::{SkippedWork, raster_settings};
+use crate::method::raster_settings;
 use crate::sampler::{Stream, generator};
-use crate::step::{StepOutcome, run_step};
+use crate::step::{SkippedWork, StepOutcome, run_step};
 use crate::supplements::{NOTHING, ParticleSeeds, Supplements};
 use crate::test_scene::TestScene;
 

@@ -23,10 +23,11 @@ use crate::bases::control_nodes::{Rigidity, farthest_points, insert_nodes, publi
 use crate::bases::gaussians::{self, GAUSSIANS, logit};
 use crate::bases::stillness::{self, SKIP_STILL};
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, photometric_losses};
 use crate::params::Shared;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 use controls::{Ramp, Visibility};
 use motion::{NodeMotion, Nodes};
 use settings::Settings;

@@ -10,7 +10,7 @@ use shaders::tape::{Real, Tensor};
 
 use super::controls::{NOISE, VISIBILITY};
 use super::motion::{NodeMotion, Predictions};
-use crate::method::Step;
+use crate::step::Step;
 
 /// How strong, and until when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

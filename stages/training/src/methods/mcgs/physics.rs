@@ -8,7 +8,7 @@ use shaders::rows::row_sum;
 use shaders::tape::{Real, Tape, Var};
 
 use super::motion::{NodeMotion, frame_interval};
-use crate::method::Step;
+use crate::step::Step;
 
 /// Weights, once lengths per frame are measured in scene extents per duration of the capture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -18,10 +18,11 @@ use crate::bases::anchors::{
 };
 use crate::bases::gates::straight_through;
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
 use crate::params::Shared;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 
 /// The only effect.
 const MOTION: &str = "motion";

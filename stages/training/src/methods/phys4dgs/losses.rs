@@ -11,7 +11,8 @@ use shaders::tape::{Real, Tensor, Var};
 use super::observation::{Observed, Sight, flow_displacements, surface_depth, true_displacements};
 use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
-use crate::method::{Step, TrainingView};
+use crate::method::TrainingView;
+use crate::step::Step;
 
 /// Components of a vector: the reduction averages over them, the paper's squared norms sum.
 const AXES: f64 = 3.0;

@@ -18,10 +18,11 @@ use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, M
 use crate::bases::stillness::{self, SKIP_STILL};
 use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, Effects, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
 use crate::params::Shared;
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 use settings::Phys4dgsSettings;
 
 /// The head that says a Gaussian's velocity, v in the paper.

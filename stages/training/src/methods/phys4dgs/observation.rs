@@ -9,8 +9,9 @@ use shaders::splat::{self, PinholeCamera, Rendered};
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::PhysicalGaussians;
-use crate::method::{Moment, Step, TrainingView, too_large};
+use crate::method::{Moment, TrainingView, too_large};
 use crate::state::Variables;
+use crate::step::Step;
 use crate::supplements::FlowPrior;
 
 /// A Gaussian farther than this share of the depth from the surface in its pixel is hidden by it, or not part of it.

@@ -12,7 +12,8 @@ use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{HexplaneGaussians, MovedPoints};
-use crate::method::{SceneFacts, Step};
+use crate::method::SceneFacts;
+use crate::step::Step;
 
 /// A Gaussian that moves less than this share of the scene's extent within the frames that are looked at stands still.
 pub const STANDS_STILL: f64 = 1e-4;

@@ -19,10 +19,11 @@ use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
 use crate::bases::primitives4d;
 use crate::effects::Effect;
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step, photometric_losses};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, photometric_losses};
 use crate::params::Shared;
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 use settings::{Settings, Switches};
 
 /// The only phase.

@@ -18,10 +18,11 @@ use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::stillness::{self, SKIP_STILL};
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, Step};
+use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
 use crate::params::{Density, Shared};
 use crate::schedule::{LogLinear, stretch};
 use crate::state::{ModelState, Variables};
+use crate::step::Step;
 use candidates::CANDIDATES;
 use nodes::Nodes;
 

@@ -16,9 +16,9 @@ use crate::bases::control_nodes::{NODES, Rigidity, farthest_points, identity_rot
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
-use crate::method::Step;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
+use crate::step::Step;
 
 /// What the network says of a node, with the published first weights: next to no motion.
 const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };

@@ -8,7 +8,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::super::tokens::{CELLS, TokenGrid};
 use super::weights::covered;
-use crate::method::Step;
+use crate::step::Step;
 
 /// Less opacity than this leaves features and depth undetermined.
 const MIN_ALPHA: f64 = 1e-3;

@@ -6,7 +6,7 @@ use shaders::rows::{cosine_distance, squared_norm};
 use shaders::tape::{Real, Var};
 
 use super::weights::directed;
-use crate::method::Step;
+use crate::step::Step;
 
 /// Shorter vectors count as this long in a cosine.
 const MIN_NORM: f64 = 1e-6;
