@@ -123,7 +123,7 @@ impl Convolution {
                 [product.rows * product.columns, product.rows].map(|len| GpuArray::new(gpu, len));
             let specialisation = self.layout.specialisation(Direction::Weight);
             let outputs = [&of_weight, &of_bias].map(|array| (Binding::Write(array), false));
-            product::with_sums(gpu, &CONVOLUTION, &specialisation, &[product], &[outputs]);
+            product::with_sums(gpu, &CONVOLUTION, &specialisation, (&[product], &[outputs]));
             gradients[1] = like(1, of_weight);
             gradients[2] = like(2, of_bias);
         }

@@ -57,6 +57,14 @@ impl Direction {
     }
 }
 
+/// The specialisation of a launch whose items are of [`Direction::Inputs`] and of [`Direction::Weights`].
+fn of_both(activation: Activation) -> [(&'static str, u32); 6] {
+    Direction::Inputs.specialisation(activation).map(|(name, value)| match name {
+        "A_BY_TERM" | "SUMS" => (name, 2),
+        _ => (name, value),
+    })
+}
+
 /// Which inputs of an operation are those of a layer.
 #[derive(Clone, Copy)]
 pub struct Places {
@@ -123,21 +131,44 @@ impl<'a, T: Real> Backward<'a, T> {
             dy.map(|dy| Live { places, y, dy })
         };
         let live: Vec<Live<'a, T>> = layers.filter_map(live).collect();
-        self.add_to_inputs(&live, totals);
-        self.add_to_weights(&live, totals);
-    }
-
-    /// dx: inputs of one layer in one launch, those that several share in one each.
-    fn add_to_inputs(&self, live: &[Live<'a, T>], totals: &mut [Option<Tensor<T>>]) {
-        let specialisation = Direction::Inputs.specialisation(self.activation);
         let mut xs: Vec<usize> = live.iter().map(|layer| layer.places.x).filter(|&x| self.needs[x]).collect();
         xs.sort_unstable();
         xs.dedup();
-        let adds: Vec<bool> = xs.iter().map(|&x| self.prepare(totals, x)).collect();
-        let (mut products, mut alone) = (Vec::new(), Vec::new());
-        for (x, adds) in xs.into_iter().zip(adds) {
+        let xs: Vec<(usize, bool)> = xs.into_iter().map(|x| (x, self.prepare(totals, x))).collect();
+        let needed = |layer: &&Live<T>| self.needs[layer.places.weight] || self.needs[layer.places.bias];
+        let with_weights: Vec<&Live<'a, T>> = live.iter().filter(needed).collect();
+        // What nobody needs is computed as well, and dropped.
+        let mut unneeded: Vec<Option<Tensor<T>>> = vec![None; totals.len()];
+        let mut adds = Vec::new();
+        for layer in &with_weights {
+            adds.push([layer.places.weight, layer.places.bias].map(|place| match self.needs[place] {
+                true => self.prepare(totals, place),
+                false => self.prepare(&mut unneeded, place),
+            }));
+        }
+        let (totals, unneeded) = (&*totals, &unneeded[..]);
+        let (products, outputs) = self.products_of_inputs(&live, &xs, totals);
+        let mut alone = (&products[..], &outputs[..]);
+        for (products, outputs) in self.products_of_weights(&with_weights, &adds, [totals, unneeded]) {
+            product::each_with_sums(self.gpu, &LAYERS, &of_both(self.activation), alone, (&products, &outputs));
+            alone = (&[], &[]);
+        }
+        product::each(self.gpu, &LAYERS, &Direction::Inputs.specialisation(self.activation), alone.0, alone.1);
+    }
+
+    /// dx, for inputs with whether they add to what is there: those that several layers share are computed, the products of
+    /// the others returned.
+    fn products_of_inputs<'b>(
+        &'b self,
+        live: &[Live<'a, T>],
+        xs: &[(usize, bool)],
+        totals: &'b [Option<Tensor<T>>],
+    ) -> (Vec<Product<'b>>, Vec<Output<'b>>) {
+        let specialisation = Direction::Inputs.specialisation(self.activation);
+        let (mut products, mut outputs) = (Vec::new(), Vec::new());
+        for &(x, adds) in xs {
             let of_x: Vec<&Live<T>> = live.iter().filter(|layer| layer.places.x == x).collect();
-            let mut arrays: Vec<Binding> =
+            let mut arrays: Vec<Binding<'b>> =
                 of_x.iter().flat_map(|layer| self.operands(Direction::Inputs, layer)).collect();
             arrays.push(Binding::Write(self.total(totals, x)));
             in_windows(self.gpu, self.inputs[x].rows(), &arrays, |count, arrays| {
@@ -150,38 +181,32 @@ impl<'a, T: Real> Backward<'a, T> {
                     return product::sum(self.gpu, &OVER_LAYERS, &specialisation, &of_window, (y, adds));
                 }
                 products.extend(of_window);
-                alone.push((y, adds));
+                outputs.push((y, adds));
             });
         }
-        product::each(self.gpu, &LAYERS, &specialisation, &products, &alone);
+        (products, outputs)
     }
 
-    /// dW and db: window by window, each of which adds to those before.
-    fn add_to_weights(&self, live: &[Live<'a, T>], totals: &mut [Option<Tensor<T>>]) {
-        let needed = |layer: &&Live<T>| self.needs[layer.places.weight] || self.needs[layer.places.bias];
-        let live: Vec<&Live<'a, T>> = live.iter().filter(needed).collect();
-        // What nobody needs is computed as well, and dropped.
-        let mut unneeded: Vec<Option<Tensor<T>>> = vec![None; totals.len()];
-        let mut adds = Vec::new();
-        for layer in &live {
-            adds.push([layer.places.weight, layer.places.bias].map(|place| match self.needs[place] {
-                true => self.prepare(totals, place),
-                false => self.prepare(&mut unneeded, place),
-            }));
-        }
-        let total = |place: usize| self.total(if self.needs[place] { totals } else { &unneeded }, place);
+    /// dW and db, of layers with whether both add to what is there: for each window of rows, which adds to those before.
+    fn products_of_weights<'b>(
+        &'b self,
+        live: &[&Live<'a, T>],
+        adds: &[[bool; 2]],
+        [totals, unneeded]: [&'b [Option<Tensor<T>>]; 2],
+    ) -> Vec<(Vec<Product<'b>>, Vec<[Output<'b>; 2]>)> {
+        let total = |place: usize| self.total(if self.needs[place] { totals } else { unneeded }, place);
         let windows: Vec<_> = live.iter().map(|layer| self.windows_of_rows(layer)).collect();
-        for window in 0..windows.iter().map(Vec::len).max().unwrap_or(0) {
-            let (mut products, mut outputs) = (Vec::new(), Vec::<[Output; 2]>::new());
-            for ((layer, windows), adds) in live.iter().zip(&windows).zip(&adds) {
+        let of_window = |window: usize| {
+            let (mut products, mut outputs) = (Vec::new(), Vec::new());
+            for ((layer, windows), adds) in live.iter().zip(&windows).zip(adds) {
                 let Some(&(count, arrays)) = windows.get(window) else { continue };
                 products.push(Direction::Weights.product(count, self.sizes(layer), arrays));
                 let output = |place, adds| (Binding::Write(total(place)), adds || window > 0);
                 outputs.push([output(layer.places.weight, adds[0]), output(layer.places.bias, adds[1])]);
             }
-            let specialisation = Direction::Weights.specialisation(self.activation);
-            product::with_sums(self.gpu, &LAYERS, &specialisation, &products, &outputs);
-        }
+            (products, outputs)
+        };
+        (0..windows.iter().map(Vec::len).max().unwrap_or(0)).map(of_window).collect()
     }
 
     /// The windows of the rows of a layer: their number, and the operands of dW.
@@ -225,6 +250,7 @@ fn the_kernels_are_valid_in_every_direction() {
     for direction in [Direction::Forward, Direction::Inputs, Direction::Weights] {
         for activation in [Activation::Identity, Activation::Relu] {
             assert_valid_product(&LAYERS, &direction.specialisation(activation));
+            assert_valid_product(&LAYERS, &of_both(activation));
         }
     }
     assert_valid_product(&OVER_LAYERS, &Direction::Inputs.specialisation(Activation::Relu));

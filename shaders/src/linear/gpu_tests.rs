@@ -37,6 +37,7 @@ fn a_gpu_with_another_layer_is_noticed() {
         ("linear", "value += side(item, column)", "value += side(item, 0u)"),
         ("linear", "gather_side(item, safe) <= vec4<f32>()", "gather_side(item, safe) <= vec4<f32>(0.1)"),
         ("linear", "row_sums += rows", "row_sums += 1.001 * rows"),
+        ("linear", "constants_of(item).has_sums == 1u", "constants_of(item).has_sums == 0u"),
         ("linear", "step += STEP", "step += STEP + 1u"),
         ("linear", "terms[four] < end", "terms[four] + 1u < end"),
         ("products, parts", "vec4<u32>(0u, 1u, 2u, 3u)", "vec4<u32>(0u, 1u, 2u, 2u)"),

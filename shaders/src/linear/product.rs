@@ -46,6 +46,7 @@ uniforms! {
         b_column: u32,
         y_row: u32,
         adds: u32,
+        has_sums: u32,
     }
 }
 
@@ -67,7 +68,7 @@ pub struct Product<'a> {
 /// An array to write, and whether a kernel adds to what is there.
 pub type Output<'a> = (Binding<'a>, bool);
 
-impl Product<'_> {
+impl<'a> Product<'a> {
     fn tiles(&self) -> usize {
         self.rows.div_ceil(TILE) * self.columns.div_ceil(TILE)
     }
@@ -91,11 +92,12 @@ impl Product<'_> {
             b_column,
             y_row,
             adds,
+            has_sums: 0,
         }
     }
 
     /// The item of the whole product.
-    fn item(&self, adds: bool) -> Item<'_, ProductItem> {
+    fn item(&self, adds: bool) -> Item<'a, ProductItem> {
         let constants = self.constants(self.terms.max(1), self.columns, adds);
         Item { constants, arrays: self.arrays.to_vec(), groups: self.tiles() }
     }
@@ -122,13 +124,17 @@ pub fn each(
     products: &[Product],
     outputs: &[Output],
 ) {
-    let mut items = Vec::new();
-    for (product, &(y, adds)) in products.iter().zip(outputs) {
+    kernel.launch(gpu, &specialised(specialisation, false), &[], &items_of(products, outputs));
+}
+
+/// The items of whole products.
+fn items_of<'a>(products: &[Product<'a>], outputs: &[Output<'a>]) -> Vec<Item<'a, ProductItem>> {
+    let item = |(product, &(y, adds)): (&Product<'a>, &Output<'a>)| {
         let mut item = product.item(adds);
         item.arrays.push(y);
-        items.push(item);
-    }
-    kernel.launch(gpu, &specialised(specialisation, false), &[], &items);
+        item
+    };
+    products.iter().zip(outputs).map(item).collect()
 }
 
 /// The sum of products that differ in their terms alone; `kernel` is of [`SUM`].
@@ -147,14 +153,22 @@ pub fn sum(
     }
 }
 
+/// Products with the outputs of each, and those of the sums of the rows of its A.
+pub type WithSums<'p, 'a> = (&'p [Product<'a>], &'p [[Output<'a>; 2]]);
+
 /// Every product, and the sums of the rows of its A, into their outputs; of so many terms that workgroups share their sums.
 /// `kernel` is of [`EACH`].
-pub fn with_sums(
+pub fn with_sums(gpu: Gpu, kernel: &Grouped, specialisation: &[(&'static str, u32)], products: WithSums) {
+    each_with_sums(gpu, kernel, specialisation, (&[], &[]), products);
+}
+
+/// Products alone as of [`each`], and others as of [`with_sums`], at once.
+pub fn each_with_sums(
     gpu: Gpu,
     kernel: &Grouped,
     specialisation: &[(&'static str, u32)],
-    products: &[Product],
-    outputs: &[[Output; 2]],
+    (alone, of_alone): (&[Product], &[Output]),
+    (products, outputs): WithSums,
 ) {
     let tiles: usize = products.iter().map(Product::tiles).sum();
     let partial = |product: &Product| {
@@ -162,11 +176,12 @@ pub fn with_sums(
         GpuArray::new(gpu, parts * product.rows * (product.columns + 1))
     };
     let partial: Vec<GpuArray> = products.iter().map(partial).collect();
-    let (mut items, mut totals) = (Vec::new(), Vec::new());
+    let mut items = items_of(alone, of_alone);
+    let mut totals = Vec::new();
     for ((product, partial), [y, sums]) in products.iter().zip(&partial).zip(outputs) {
         let [terms_per_part, parts] = product.parts(tiles);
         let mut item = product.item(false);
-        item.constants = product.constants(terms_per_part, product.columns + 1, false);
+        item.constants = ProductItem { has_sums: 1, ..product.constants(terms_per_part, product.columns + 1, false) };
         item.arrays.push(Binding::Write(partial));
         item.groups = parts * product.tiles();
         items.push(item);

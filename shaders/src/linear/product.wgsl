@@ -5,6 +5,8 @@
 // a further column of the output is made of the sums of the rows of A. TOGETHER: the products of all items, whose terms
 // alone differ in number, add up to one output. What stands beside this text has `result` and `set_result` for the outputs
 // and says where operands lie: `a_at(item, row, term)` and `b_at(item, term, column)`, NOWHERE what counts as 0.
+//
+// Where A_BY_TERM and SUMS are 2, items tell: those that have sums have rows as neighbours in A, the others terms.
 
 struct Item {
     // Of A·B, and the terms of each sum.
@@ -24,6 +26,8 @@ struct Item {
     y_row: u32,
     // Whether the output adds to what is there.
     adds: u32,
+    // Whether the sums of the rows of A are made, where items tell.
+    has_sums: u32,
 }
 
 const TILE: u32 = 64u;
@@ -35,6 +39,14 @@ const FOUR: vec4<u32> = vec4<u32>(0u, 1u, 2u, 3u);
 // [term, row] and [term, column].
 var<workgroup> a_tile: array<f32, 1040>;
 var<workgroup> b_tile: array<f32, 1040>;
+
+fn makes_sums(item: u32) -> bool {
+    return SUMS == 1u || (SUMS == 2u && constants_of(item).has_sums == 1u);
+}
+
+fn a_is_by_term(item: u32) -> bool {
+    return A_BY_TERM == 1u || (A_BY_TERM == 2u && !makes_sums(item));
+}
 
 // Four elements of A: 0 beyond its sizes and from `end` on.
 fn load_a(item: u32, rows: vec4<u32>, terms: vec4<u32>, end: u32) -> vec4<f32> {
@@ -69,7 +81,7 @@ fn load_b(item: u32, terms: vec4<u32>, columns: vec4<u32>, end: u32) -> vec4<f32
 fn load_tiles(item: u32, local: u32, first_row: u32, first_column: u32, first_term: u32, end: u32) {
     var rows = vec4<u32>(local % TILE);
     var terms = local / TILE + 4u * FOUR;
-    if (A_BY_TERM == 1u) {
+    if (a_is_by_term(item)) {
         rows = local / STEP + 16u * FOUR;
         terms = vec4<u32>(local % STEP);
     }
@@ -153,6 +165,7 @@ fn main(
     var row_2 = vec4<f32>();
     var row_3 = vec4<f32>();
     var row_sums = vec4<f32>();
+    let has_sums = makes_sums(item);
     let items = items_of(item);
     for (var of_item = items.x; of_item < items.y; of_item++) {
         let end = min(first_term + constants_of(of_item).terms_per_part, constants_of(of_item).terms);
@@ -169,7 +182,7 @@ fn main(
                 row_1 += rows.y * columns;
                 row_2 += rows.z * columns;
                 row_3 += rows.w * columns;
-                if (SUMS == 1u) {
+                if (has_sums) {
                     row_sums += rows;
                 }
             }
@@ -183,7 +196,7 @@ fn main(
         write_row(item, part, first_row + y_row + 16u, first_column + x, row_1);
         write_row(item, part, first_row + y_row + 32u, first_column + x, row_2);
         write_row(item, part, first_row + y_row + 48u, first_column + x, row_3);
-        if (SUMS == 1u && column_tile == 0u && x == 0u) {
+        if (has_sums && column_tile == 0u && x == 0u) {
             for (var four = 0u; four < 4u; four++) {
                 let row = first_row + y_row + 16u * four;
                 if (row < own.rows) {
