@@ -84,7 +84,7 @@ mod tests {
     use crate::gpu::tests::test_gpu;
     use crate::gpu::windows::tests::in_smallest_windows;
     use crate::projection::project;
-    use crate::splat::SplatTensors;
+    use crate::splat::{HIDDEN_LOGIT, SplatTensors};
     use crate::tape::{Device, Tensor};
 
     /// Splats around a camera with everything that is counted.
@@ -107,6 +107,10 @@ mod tests {
 
     /// How often everything happens.
     fn events(device: Device, count: usize) -> [u64; 6] {
+        events_of(device, guarded(count))
+    }
+
+    fn events_of(device: Device, splats: SplatTensors<f32>) -> [u64; 6] {
         let camera = PinholeCamera {
             width: 40,
             height: 30,
@@ -116,7 +120,7 @@ mod tests {
             translation: [0.0; 3],
         };
         let mut tape = Tape::new(device);
-        let vars = guarded(count).constants(&mut tape);
+        let vars = splats.constants(&mut tape);
         project(&mut tape, &vars, &camera, &RasterSettings { sh_degree: 0, ..RasterSettings::default() });
         tape.settle();
         EVENTS.map(|event| tape.profile().events.get(event).copied().unwrap_or(0))
@@ -136,6 +140,14 @@ mod tests {
         for count in [0, 1, 63, 65, 600] {
             compare(count).unwrap_or_else(|error| panic!("{error}"));
             in_smallest_windows(|| compare(count).unwrap_or_else(|error| panic!("{error}")));
+        }
+    }
+
+    #[test]
+    fn what_happens_to_splats_that_are_not_there_is_not_counted() {
+        for device in [Some(Device::Cpu), test_gpu().map(Device::Gpu)].into_iter().flatten() {
+            let hidden = SplatTensors { opacity_logits: Tensor::full([300, 1], HIDDEN_LOGIT as f32), ..guarded(300) };
+            assert_eq!(events_of(device, hidden), [0; 6]);
         }
     }
 

@@ -21,6 +21,9 @@ const NEAR: f32 = -2.0;
 const HUGE: f32 = -3.0;
 const NOT_FINITE: f32 = -4.0;
 
+// The opacity of a splat that is not there.
+const HIDDEN_LOGIT: f32 = -100.0;
+
 fn parameters_are_finite(splat: u32) -> bool {
     var finite = is_finite3(position_of(splat)) && is_finite(opacity_logits[splat]) && shape_is_finite(splat);
     for (var k = 0u; k < COEFFICIENTS; k++) {
@@ -39,6 +42,10 @@ fn parameters_are_finite(splat: u32) -> bool {
 fn why_culled(splat: u32, geometry: Geometry) -> f32 {
     if (!parameters_are_finite(splat)) {
         return NOT_FINITE;
+    }
+    // Wherever it would be: it is not there.
+    if (opacity_logits[splat] <= HIDDEN_LOGIT) {
+        return UNSEEN;
     }
     let z = geometry.position_view.z;
     if (z < view.near) {

@@ -4,6 +4,7 @@ use super::harmonics::{self, MAX_COEFFICIENTS};
 use super::shape::{Factor, Shape};
 use super::{Culled, PinholeCamera, RasterSettings};
 use crate::algebra::{Mat3, Vec3, apply, combine, cross, dot, product, transposed};
+use crate::splat::HIDDEN_LOGIT;
 use crate::tape::Real;
 
 /// Below this distance between splat and camera centre, in scene units, the viewing direction is undefined.
@@ -115,6 +116,10 @@ pub fn why_culled<T: Real>(splat: &Splat<T>, view: &View<T>) -> Culled {
     let scales_are_numbers = log_scales.iter().all(|value| *value < T::from_f64(f64::INFINITY));
     if !(values.into_iter().all(|value| value.is_finite()) && splat.shape.is_finite() && scales_are_numbers) {
         return Culled::NotFinite;
+    }
+    // Wherever it would be: it is not there.
+    if splat.opacity_logit <= T::from_f64(HIDDEN_LOGIT) {
+        return Culled::Unseen;
     }
     let position_view = combine(T::ONE, apply(&view.rotation, splat.position), T::ONE, view.translation);
     if position_view[2] < view.near {

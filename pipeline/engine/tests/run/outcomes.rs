@@ -173,7 +173,7 @@ fn runs_whose_reader_is_gone_stop() {
         }
     };
     let stopped = world.run_with(&slow, |_| (), stop_at_start);
-    assert_eq!(nodes(&stopped, Outcome::Interrupted), ["work/no"]);
+    assert_eq!(nodes(&stopped, Outcome::Interrupted), ["work/no"], "{:?}", stopped.results);
     assert_eq!(stopped.exit_code(false), exit::READER_GONE);
 }
 
