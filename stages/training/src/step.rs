@@ -14,6 +14,7 @@ use crate::method::{Method, Moment, SceneFacts, TrainingView, too_large};
 use crate::params::Shared;
 use crate::state::Variables;
 use crate::supplements::Supplements;
+use crate::view_constants::ViewConstants;
 
 /// Which rows of a population the splats of a render are that a network made of its owners' places, for this render alone.
 #[derive(Clone, Debug)]
@@ -87,6 +88,8 @@ pub struct Step<'a, T: Real> {
     pub random: &'a mut ChaCha8Rng,
     /// Where the time goes.
     pub clock: &'a mut PhaseClock,
+    /// What is known of views from the start, on the step's device.
+    pub(crate) constants: &'a ViewConstants<T>,
     pub(crate) losses: Vec<NamedLoss>,
     pub(crate) renders: Vec<WatchedRender>,
     pub(crate) skipped: SkippedWork,

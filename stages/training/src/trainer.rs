@@ -84,8 +84,8 @@ pub struct Trainer<'a> {
     ahead: Option<Ahead>,
     /// For how many intersections such steps make room; 0 until a render was counted.
     room: usize,
-    /// Training images, by index within the training views.
-    images: ViewConstants<f32>,
+    /// Training images, and what methods know of views.
+    constants: ViewConstants<f32>,
 }
 
 impl Trainer<'_> {

@@ -15,6 +15,7 @@ use crate::state::ModelState;
 use crate::step::{SkippedWork, Step, StepOutcome, run_step};
 use crate::supplements::Supplements;
 use crate::test_scene::TestScene;
+use crate::view_constants::ViewConstants;
 
 /// Step of the central differences: truncation 1e-12 and rounding 1e-10 stay below [`TOLERANCE`].
 const STEP: f64 = 1e-6;
@@ -108,6 +109,7 @@ impl Case {
             raster,
             random: &mut generator(2, Stream::Method),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
+            constants: &ViewConstants::default(),
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),

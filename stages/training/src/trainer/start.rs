@@ -101,7 +101,7 @@ impl<'a> Trainer<'a> {
             largest_gradients: BTreeMap::new(),
             ahead: None,
             room: 0,
-            images: ViewConstants::default(),
+            constants: ViewConstants::default(),
         })
     }
 

@@ -86,6 +86,7 @@ impl Trainer<'_> {
             raster: raster_settings(&self.dataset.scene, self.sh_degree),
             random: &mut self.method_random,
             clock: &mut self.clock,
+            constants: &self.constants,
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),
@@ -99,7 +100,7 @@ impl Trainer<'_> {
     fn next_view(&mut self) -> TrainingView<f32> {
         let index = self.sampler.next_view();
         let view = &self.dataset.train[index];
-        view.with_image(self.images.get(self.device, "image", index, || view.image()))
+        view.with_image(self.constants.get(self.device, "image", index, || view.image()))
     }
 
     /// What the tape did, and what the step left out.

@@ -34,7 +34,7 @@ impl<T: Real> KineticGaussians<T> {
         }
         let flow_view = FlowView::of(step.dataset, step.supplements, view.index)?;
         let device = step.tape.device();
-        let mask = self.constants.get(device, "static pixels", view.index, || flow_view.static_pixels());
+        let mask = step.constants.get(device, "static pixels", view.index, || flow_view.static_pixels());
         let pixels = view.camera.height * view.camera.width;
         let mask = step.tape.constant(mask);
         let kept = total(step.tape, mask);
@@ -106,7 +106,7 @@ impl<T: Real> KineticGaussians<T> {
         step.count_skipped("energy flow of views without priors", usize::from(flow_view.is_none()), 1);
         let Some(flow_view) = flow_view else { return };
         let time_to = step.scene.time_map.normalized(flow_view.time_to_secs());
-        let maps = flow_view.maps(step.tape.device(), &self.constants);
+        let maps = flow_view.maps(step.tape.device(), step.constants);
         let found = energy_flow(step.tape, step.model, &self.motion, particles, moved, &maps, time_to);
         let (what, count) = ("energy flow of particles not seen", particles.population.rows.len());
         let Some(followed) = found else { return step.count_skipped(what, count, count) };

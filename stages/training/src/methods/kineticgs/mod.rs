@@ -26,7 +26,6 @@ use crate::params::Shared;
 use crate::schedule::LogLinear;
 use crate::state::{ModelState, Variables, belongs};
 use crate::step::Step;
-use crate::view_constants::ViewConstants;
 use particles::{Moved, ParticleMotion, Particles};
 use population::{DYNAMIC, LatestPopulation};
 use settings::Settings;
@@ -84,8 +83,6 @@ struct KineticGaussians<T: Real> {
     motion: ParticleMotion,
     local: GaussianDeformation,
     population: LatestPopulation<T>,
-    /// Depth, flow and what stands still.
-    constants: ViewConstants<T>,
 }
 
 impl<T: Real> KineticGaussians<T> {
@@ -96,8 +93,8 @@ impl<T: Real> KineticGaussians<T> {
             soft_location: settings.soft_location,
         };
         let local = GaussianDeformation::new(&settings.deformation);
-        let (population, constants) = (LatestPopulation::default(), ViewConstants::default());
-        Self { shared: shared.clone(), settings, motion, local, population, constants }
+        let population = LatestPopulation::default();
+        Self { shared: shared.clone(), settings, motion, local, population }
     }
 
     /// Whether an effect is on; without motion none is.

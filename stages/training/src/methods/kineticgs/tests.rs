@@ -20,6 +20,7 @@ use crate::sampler::{Stream, generator};
 use crate::step::{SkippedWork, StepOutcome, run_step};
 use crate::supplements::{NOTHING, ParticleSeeds, Supplements};
 use crate::test_scene::TestScene;
+use crate::view_constants::ViewConstants;
 
 /// The method at the start of a phase on the test scene.
 struct World {
@@ -74,6 +75,7 @@ impl World {
             raster: raster_settings(&self.dataset.scene, 0),
             random: &mut generator(2, Stream::Method),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
+            constants: &ViewConstants::default(),
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),

@@ -5,10 +5,12 @@ use shaders::losses::total;
 use shaders::pointwise::{add, scale, sub};
 use shaders::rows::weighted_mean_squared_difference;
 use shaders::sample::{SampleSize, sample_rows};
-use shaders::splat::Rendered;
+use shaders::splat::{PinholeCamera, Rendered};
 use shaders::tape::{Real, Tensor, Var};
 
-use super::observation::{Observed, Sight, flow_displacements, surface_depth, true_displacements};
+use super::observation::{
+    Observed, Sight, displacement_map, flow_displacements, flow_map, surface_depth, true_displacements,
+};
 use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::method::TrainingView;
@@ -148,7 +150,9 @@ impl PhysicalGaussians {
         let points = [positions, followed.weights].map(|var| step.tape.value(var));
         let sight = Sight::of(step.tape.device(), points, &view.camera, step.raster.near_view, surface);
         if let Some(velocity) = self.velocity_of(step, view) {
-            let truth = true_displacements(&sight, velocity, step.scene.time_map.frame_secs);
+            let map = || displacement_map(velocity, step.scene.time_map.frame_secs);
+            let map = step.constants.get(step.tape.device(), "displacement", view.index, map);
+            let truth = true_displacements(&sight, &map);
             let (truth, valid) = truth.constants(step);
             let value = weighted_mean_squared_difference(step.tape, kinematics.moved[0], truth, valid);
             scales.add(step, "true_displacement", weights.true_displacement, value);
@@ -157,7 +161,9 @@ impl PhysicalGaussians {
         let time_to = step.scene.time_map.normalized(flow.time_to_secs);
         let frames = (time_to - view.time) / frame_of(step.scene);
         let surface_to = self.surface_at(step, time_to, flow)?;
-        let seen = flow_displacements(&sight, &view.camera, flow, &surface_to, frames);
+        let cameras = [&view.camera, &PinholeCamera::from(&flow.camera_to)];
+        let map = step.constants.get(step.tape.device(), "flow", view.index, || flow_map(&flow.map));
+        let seen = flow_displacements(&sight, cameras, [&map, &surface_to], frames);
         let arrived = followed.positions_at(step, &self.base, time_to);
         let moved = sub(step.tape, arrived, positions);
         let moved = scale(step.tape, moved, 1.0 / frames);

@@ -1,6 +1,6 @@
 //! What images show of the motion of points, as constants: no gradient flows to what was seen.
 
-use scene::VelocityMap;
+use scene::{FlowMap, VelocityMap};
 use shaders::point_lookup::{PointsInImage, Sampled, Sampling, lookup, project_points, unproject};
 use shaders::pointwise;
 use shaders::pointwise::{add, mul, scale, sub};
@@ -92,36 +92,44 @@ impl<T: Real> Sight<T> {
     }
 }
 
-/// Exact displacements within one frame (eq 4): velocity times its duration.
-pub fn true_displacements<T: Real>(sight: &Sight<T>, velocity: &VelocityMap, frame_secs: f64) -> Observed<T> {
-    let mut tape = Tape::new(sight.device);
+/// [H, W, 3] exact displacements within one frame, scene units: velocity times its duration.
+pub fn displacement_map<T: Real>(velocity: &VelocityMap, frame_secs: f64) -> Tensor<T> {
     let per_frame = |value: &f32| T::from_f64(f64::from(*value) * frame_secs);
     let values = velocity.velocity_world.as_flattened().iter().map(per_frame).collect();
-    let map = tape.constant(Tensor::from_vec([velocity.height as usize, velocity.width as usize, 3], values));
+    Tensor::from_vec([velocity.height as usize, velocity.width as usize, 3], values)
+}
+
+/// [H, W, 2] optical flow, px.
+pub fn flow_map<T: Real>(flow: &FlowMap) -> Tensor<T> {
+    let values = flow.flow_px.as_flattened().iter().map(|&value| T::from_f64(f64::from(value))).collect();
+    Tensor::from_vec([flow.height as usize, flow.width as usize, 2], values)
+}
+
+/// Exact displacements within one frame (eq 4), of their map.
+pub fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> Observed<T> {
+    let mut tape = Tape::new(sight.device);
+    let map = tape.constant(map.clone());
     let [pixels, visible] = [&sight.pixels, &sight.visible].map(|tensor| tape.constant(tensor.clone()));
     let Sampled { values, valid } = lookup(&mut tape, map, pixels, SAMPLING);
     Observed::where_all(tape, values, &[visible, valid])
 }
 
-/// Displacements per frame that optical flow tells (eq 2): the points behind a pixel before and after, each in the
+/// Displacements per frame that the map of optical flow tells (eq 2): the points behind a pixel before and after, each in the
 /// depth that is rendered there; `frames` lie between.
 pub fn flow_displacements<T: Real>(
     sight: &Sight<T>,
-    camera: &PinholeCamera,
-    flow: &FlowPrior,
-    surface_depth_to: &Tensor<T>,
+    [camera, camera_to]: [&PinholeCamera; 2],
+    [map, surface_depth_to]: [&Tensor<T>; 2],
     frames: f64,
 ) -> Observed<T> {
     let mut tape = Tape::new(sight.device);
-    let values = flow.map.flow_px.as_flattened().iter().map(|&value| T::from_f64(f64::from(value))).collect();
-    let map = tape.constant(Tensor::from_vec([flow.map.height as usize, flow.map.width as usize, 2], values));
-    let [pixels, depths, visible, surface_to] =
-        [&sight.pixels, &sight.surface_depths, &sight.visible, surface_depth_to].map(|of| tape.constant(of.clone()));
+    let given = [map, &sight.pixels, &sight.surface_depths, &sight.visible, surface_depth_to];
+    let [map, pixels, depths, visible, surface_to] = given.map(|tensor| tape.constant(tensor.clone()));
     let shift = lookup(&mut tape, map, pixels, SAMPLING);
     let pixels_to = add(&mut tape, pixels, shift.values);
     let depths_to = lookup(&mut tape, surface_to, pixels_to, SAMPLING);
     let before = unproject(&mut tape, pixels, depths, camera);
-    let after = unproject(&mut tape, pixels_to, depths_to.values, &PinholeCamera::from(&flow.camera_to));
+    let after = unproject(&mut tape, pixels_to, depths_to.values, camera_to);
     let displacement = sub(&mut tape, after, before);
     let per_frame = scale(&mut tape, displacement, 1.0 / frames);
     Observed::where_all(tape, per_frame, &[visible, shift.valid, depths_to.valid])

@@ -18,6 +18,7 @@ use crate::step::{SkippedWork, run_step};
 use crate::supplements::{NOTHING, Supplements};
 use crate::test_scene::TestScene;
 use crate::trainer::Trainer;
+use crate::view_constants::ViewConstants;
 
 const PHYSICS: [&str; 5] = ["velocity", "displacement", "higher-order", "flow", "true-displacement"];
 
@@ -96,6 +97,7 @@ impl World {
             raster: raster_settings(&self.dataset.scene, 0),
             random: &mut random,
             clock: &mut PhaseClock::start("test", ClockReading::default()),
+            constants: &ViewConstants::default(),
             losses: Vec::new(),
             renders: Vec::new(),
             skipped: SkippedWork::new(),

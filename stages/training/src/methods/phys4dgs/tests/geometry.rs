@@ -6,7 +6,9 @@ use shaders::check::{agree, test_gpu};
 use shaders::splat::PinholeCamera;
 use shaders::tape::{Device, Real, Tensor};
 
-use crate::methods::phys4dgs::observation::{Observed, Sight, flow_displacements, true_displacements};
+use crate::methods::phys4dgs::observation::{
+    Observed, Sight, displacement_map, flow_displacements, flow_map, true_displacements,
+};
 use crate::supplements::FlowPrior;
 
 /// A camera at `position` that looks along z.
@@ -65,7 +67,9 @@ impl MovingWall {
 
     fn observed_on<T: Real>(&self, device: Device, flow: &FlowPrior) -> Observed<T> {
         // The wall is 0.5 farther, the camera 0.2 closer to where it was.
-        flow_displacements(&self.sight(device), &PinholeCamera::from(&self.before), flow, &Self::depth(4.7), 2.0)
+        let cameras = [&self.before, &flow.camera_to].map(PinholeCamera::from);
+        let maps = [&flow_map(&flow.map), &Self::depth(4.7)];
+        flow_displacements(&self.sight(device), cameras.each_ref(), maps, 2.0)
     }
 }
 
@@ -111,7 +115,7 @@ fn flow_with_a_hole_or_out_of_the_image_is_not_seen() {
 fn exact_velocities_become_displacements_within_a_frame() {
     let wall = MovingWall::new();
     let velocity = VelocityMap { width: 40, height: 30, velocity_world: vec![[2.0, 0.0, -4.0]; 1200] };
-    let observed = true_displacements(&wall.sight::<f64>(Device::Cpu), &velocity, 0.25);
+    let observed = true_displacements(&wall.sight::<f64>(Device::Cpu), &displacement_map(&velocity, 0.25));
     assert_eq!(observed.weights.as_slice(), [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
     assert_eq!(observed.displacements.row(0), [0.5, 0.0, -1.0]);
 }
@@ -158,7 +162,7 @@ fn a_gpu_observes_the_same() {
         let limit = seen.median_length(0.5);
         let estimate = Tensor::from_vec([6, 3], (0..18).map(|at| at as f32 / 9.0).collect());
         let pulled = seen.without_outliers(&estimate, &limit, 1e-3);
-        let exact = true_displacements(&wall.sight::<f32>(device), &velocity, 0.25);
+        let exact = true_displacements(&wall.sight::<f32>(device), &displacement_map(&velocity, 0.25));
         [seen.displacements, seen.weights, limit, pulled.weights, exact.displacements, exact.weights]
     };
     for (found, expected) in tensors(Device::Gpu(gpu)).iter().zip(tensors(Device::Cpu)) {
