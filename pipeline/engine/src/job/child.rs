@@ -78,7 +78,8 @@ impl Process {
         let (Some(pid), Some(stop)) = (self.pid, self.stop) else { return };
         // Fails only if the process has ended already, which is what was wanted.
         let _ = match stop {
-            Stop::Save => kill_process(pid, Signal::INT),
+            // Not INT, which a shell has processes in the background ignore: a job that does not listen yet would never stop.
+            Stop::Save => kill_process(pid, Signal::USR1),
             Stop::Terminate => kill_process_group(pid, Signal::TERM),
             Stop::Kill => kill_process_group(pid, Signal::KILL),
         };
