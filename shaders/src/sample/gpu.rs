@@ -3,11 +3,11 @@
 use super::{SampleSize, SampledRows};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::rows::RowIndex;
-use crate::sort::sort;
+use crate::sort::{SOMEWHERE, sort};
 use crate::tape::{Real, Tensor};
 
 pub(super) const KEYS: Kernel = Kernel { name: "sample, keys", text: &[include_str!("sample_keys.wgsl")] };
-pub(super) const CHOOSE: Kernel = Kernel { name: "sample", text: &[include_str!("sample.wgsl")] };
+pub(super) const CHOOSE: Kernel = Kernel { name: "sample", text: &[SOMEWHERE, include_str!("sample.wgsl")] };
 
 /// Rows and places per workgroup.
 const GROUP: usize = 256;

@@ -14,21 +14,6 @@ struct Sample {
 @group(0) @binding(3) var<storage, read_write> row_of_place: array<u32>;
 @group(0) @binding(4) var<storage, read_write> weights: array<f32>;
 
-// How many rows can be drawn, by halving the list.
-fn candidate_count() -> u32 {
-    var low = 0u;
-    var high = draw.rows;
-    while (low < high) {
-        let middle = (low + high) / 2u;
-        if (sorted_keys[middle] < NOWHERE) {
-            low = middle + 1u;
-        } else {
-            high = middle;
-        }
-    }
-    return low;
-}
-
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -39,7 +24,7 @@ fn main(
     if (place >= draw.places) {
         return;
     }
-    let candidates = candidate_count();
+    let candidates = somewhere_count(draw.rows);
     let count = min(u32(ceil(draw.share * f32(candidates))), candidates);
     row_of_place[place] = order[place];
     weights[place] = select(0.0, 1.0, place < count);
