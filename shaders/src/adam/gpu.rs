@@ -71,7 +71,7 @@ fn items<'a>(
     let read = [gradient, values, first, second].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let arrays: Vec<Binding> = read.into_iter().chain(written.iter().map(Binding::Write)).collect();
     let constants = |len| AdamItem { beta1, beta2, step_size, second_moment_scale, epsilon, len, figures };
-    Item::of_windows(gpu, gradient.len(), GROUP * ELEMENTS, &arrays, constants)
+    Item::in_parts(gpu, gradient.len(), GROUP * ELEMENTS, &arrays, constants)
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 // What a pixel leaves for an entry of its tile on the way from front to back, with one scalar per pixel: Σ wφ over what is
 // still to come. The row of an entry holds the sums over all pixels of v·(1, e, e², e·dy, dy, dy²), with v the gradient of
 // σ, then of the weight times the gradient of each channel. ARRIVING tells by bits which of the gradients of colour, alpha,
-// depth and features there are; what stands in for another is not read. Rows come in bands of entries: a tile of several
-// bands is replayed from its front for each.
+// depth and features there are; what stands in for another is not read.
 
 @group(0) @binding(5) var<storage, read> transmittances: array<f32>;
 @group(0) @binding(6) var<storage, read> last_entries: array<u32>;
@@ -154,10 +153,9 @@ fn pass_entry(pixel: ptr<function, Pixel>, entry: u32, sigma: f32, is_blended: b
     return Share(select(0.0, g_alpha_here * opacity.alpha_by_sigma, is_blended), select(0.0, weight, is_blended));
 }
 
-// Entries of the band behind everything that was blended have no gradient.
+// Entries behind everything that was blended have no gradient.
 fn clear_rows(local: u32, first: u32, end: u32) {
-    let start = clamp(first, blend.first_entry, end);
-    for (var at = (start - blend.first_entry) * ROW + local; at < (end - blend.first_entry) * ROW; at += PIXELS) {
+    for (var at = first * ROW + local; at < end * ROW; at += PIXELS) {
         rows[at] = 0.0;
     }
 }

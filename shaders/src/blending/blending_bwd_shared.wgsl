@@ -26,8 +26,8 @@ fn main(
         return;
     }
     let start = tile_starts[tile];
-    let end = min(tile_starts[tile + 1u], blend.end_entry);
-    if (end <= max(start, blend.first_entry)) {
+    let end = tile_starts[tile + 1u];
+    if (end <= start) {
         return;
     }
     let corner = corner_of(tile);
@@ -117,12 +117,12 @@ fn write_rows(local: u32, first: u32, count: u32, round: u32, first_column: u32)
     let k = local / COLUMNS;
     let column = first_column + local % COLUMNS;
     let entry = first + round + k;
-    if (k >= ROUND || round + k >= count || column >= ROW || entry < blend.first_entry) {
+    if (k >= ROUND || round + k >= count || column >= ROW) {
         return;
     }
     var sum = 0.0;
     for (var part = 0u; part < PARTS; part++) {
         sum += parts[local * PARTS + part];
     }
-    rows[(entry - blend.first_entry) * ROW + column] = sum;
+    rows[entry * ROW + column] = sum;
 }

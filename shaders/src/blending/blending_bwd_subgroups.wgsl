@@ -23,8 +23,8 @@ fn main(
         return;
     }
     let start = tile_starts[tile];
-    let end = min(tile_starts[tile + 1u], blend.end_entry);
-    if (end <= max(start, blend.first_entry)) {
+    let end = tile_starts[tile + 1u];
+    if (end <= start) {
         return;
     }
     let corner = corner_of(tile);
@@ -41,14 +41,12 @@ fn main(
         stage(local, turn, first, count, corner);
         workgroupBarrier();
         let entries = meeting_subgroup(turn, subgroup) & first_bits(last_of_subgroup - min(first - start, last_of_subgroup));
-        // Those before the band only change the pixels.
-        let skipped = max(blend.first_entry, first) - first;
-        let given = leave_batch(&pixel, entries, first - start, skipped, subgroup, lane);
+        let given = leave_batch(&pixel, entries, first - start, subgroup, lane);
         if (lane == 0u) {
             left[subgroup] = given;
         }
         workgroupBarrier();
-        write_rows(local, first, count, skipped);
+        write_rows(local, first, count);
         turn = 1u - turn;
     }
     clear_rows(local, first, end);
@@ -68,7 +66,7 @@ fn meeting_subgroup(turn: u32, subgroup: u32) -> u32 {
 }
 
 // Takes the pixels of a subgroup past the entries, which are the same for all of them; those for which it left anything.
-fn leave_batch(pixel: ptr<function, Pixel>, entries: u32, before: u32, skipped: u32, subgroup: u32, lane: u32) -> u32 {
+fn leave_batch(pixel: ptr<function, Pixel>, entries: u32, before: u32, subgroup: u32, lane: u32) -> u32 {
     var given = 0u;
     for (var rest = entries; rest != 0u; rest &= rest - 1u) {
         let entry = firstTrailingBit(rest);
@@ -79,9 +77,6 @@ fn leave_batch(pixel: ptr<function, Pixel>, entries: u32, before: u32, skipped: 
             continue;
         }
         let share = pass_entry(pixel, entry, sigma, is_blended);
-        if (entry < skipped) {
-            continue;
-        }
         leave(pixel, share, offset, (entry * SUBGROUPS + subgroup) * ROW, lane);
         given |= 1u << entry;
     }
@@ -118,8 +113,8 @@ fn leave_tail(values: vec4<f32>, at: u32, first_column: u32, lane: u32) {
 }
 
 // The rows of a batch, one column of one entry per invocation at a time: what the subgroups left, in their order.
-fn write_rows(local: u32, first: u32, count: u32, skipped: u32) {
-    for (var at = min(skipped, count) * ROW + local; at < count * ROW; at += PIXELS) {
+fn write_rows(local: u32, first: u32, count: u32) {
+    for (var at = local; at < count * ROW; at += PIXELS) {
         let entry = at / ROW;
         let column = at % ROW;
         var sum = 0.0;
@@ -128,6 +123,6 @@ fn write_rows(local: u32, first: u32, count: u32, skipped: u32) {
                 sum += parts[(entry * SUBGROUPS + subgroup) * ROW + column];
             }
         }
-        rows[(first + entry - blend.first_entry) * ROW + column] = sum;
+        rows[(first + entry) * ROW + column] = sum;
     }
 }

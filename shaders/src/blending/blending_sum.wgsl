@@ -1,15 +1,9 @@
 // The gradients of every splat: its rows added in the order of its hits, then from moments to means, conics and opacities.
-// An invocation adds up one column of one splat, LANES of them side by side. Where the rows come in bands of entries, every
-// band goes on from the totals of the one before: a splat's entries ascend with its hits.
+// An invocation adds up one column of one splat, LANES of them side by side.
 
 struct Sum {
     // Splats.
     count: u32,
-    // The band's entries.
-    first_entry: u32,
-    end_entry: u32,
-    is_first: u32,
-    is_last: u32,
 }
 
 @group(0) @binding(0) var<uniform> sizes: Sum;
@@ -25,8 +19,6 @@ struct Sum {
 @group(0) @binding(10) var<storage, read_write> g_colors: array<f32>;
 @group(0) @binding(11) var<storage, read_write> g_depths: array<f32>;
 @group(0) @binding(12) var<storage, read_write> g_features: array<f32>;
-// [splat, column] between bands.
-@group(0) @binding(13) var<storage, read_write> totals: array<f32>;
 
 const MOMENTS: u32 = 6u;
 const ROW: u32 = 9u + EXTRAS;
@@ -48,26 +40,20 @@ fn main(
     let is_splat = slot < SPLATS && splat < sizes.count;
     for (var column = lane; is_splat && column < ROW; column += LANES) {
         let total = total_of(splat, column);
-        if (sizes.is_last == 0u) {
-            totals[splat * ROW + column] = total;
-        } else if (column < MOMENTS) {
+        if (column < MOMENTS) {
             moments[slot * MOMENTS + column] = total;
         } else {
             write_channel(splat, column - MOMENTS, total);
         }
     }
     workgroupBarrier();
-    if (is_splat && sizes.is_last == 1u) {
+    if (is_splat) {
         write_geometry(splat, lane, slot * MOMENTS);
     }
 }
 
-// What the band's rows add to a column of a splat.
 fn total_of(splat: u32, column: u32) -> f32 {
     var total = 0.0;
-    if (sizes.is_first == 0u) {
-        total = totals[splat * ROW + column];
-    }
     let rank = rank_of_splat[splat];
     if (rank == NOWHERE) {
         return total;
@@ -90,11 +76,11 @@ fn total_of(splat: u32, column: u32) -> f32 {
     return total;
 }
 
-// Nothing for a hit of another band and for one that was counted and not found.
+// Nothing for a hit that was counted and not found.
 fn value_of(hit: u32, column: u32) -> f32 {
     let entry = entry_of_hit[hit];
-    let is_here = entry >= sizes.first_entry && entry < sizes.end_entry;
-    return select(0.0, rows[select(0u, entry - sizes.first_entry, is_here) * ROW + column], is_here);
+    let is_found = entry != NOWHERE;
+    return select(0.0, rows[select(0u, entry, is_found) * ROW + column], is_found);
 }
 
 // Through e = dx + k·dy and σ = ½(A·e² + m·dy²): one of six gradients.

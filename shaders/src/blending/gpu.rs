@@ -34,16 +34,15 @@ uniforms! {
 
 uniforms! {
     struct BlendBlock as "Blend" {
+        background: [f32; 3],
+        alpha_cap: f32,
         width: u32,
         height: u32,
         columns: u32,
         tiles: u32,
-        alpha_cap: f32,
         stop: f32,
         alpha_threshold: f32,
-        first_entry: u32,
-        background: [f32; 3],
-        end_entry: u32,
+        padding: [u32; 2],
     }
 }
 
@@ -70,9 +69,8 @@ impl BlendBlock {
             alpha_cap: f(constants.alpha_cap),
             stop: f(constants.stop),
             alpha_threshold: RasterSettings::ALPHA_THRESHOLD as f32,
-            first_entry: 0,
             background: constants.background.map(f),
-            end_entry: u32::MAX,
+            padding: [0; 2],
         }
     }
 }
@@ -112,8 +110,7 @@ impl<T: Real> Blend<T> {
         images
     }
 
-    /// The records and extras of all splats by rank: how many are visible only the GPU knows. Splats are read in the order of
-    /// their depth, so that there are no windows of them: what is too large to be seen whole is refused.
+    /// The records and extras of all splats by rank: how many are visible only the GPU knows.
     fn pack_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists) -> (GpuArray, GpuArray) {
         let count = lists.order.len();
         let [records, extras] = [RECORD, self.extra_count()].map(|len| GpuArray::new(gpu, count * len));

@@ -2,18 +2,16 @@
 // colours, the first of which is the depth if DEPTH is 1; SMOOTH is 1 where alpha fades to zero at its threshold.
 
 struct Blend {
+    background: vec3<f32>,
+    alpha_cap: f32,
     width: u32,
     height: u32,
     // Tiles per row of tiles, tiles.
     columns: u32,
     tiles: u32,
-    alpha_cap: f32,
     stop: f32,
     alpha_threshold: f32,
-    // The entries whose rows the backward pass writes, up to end_entry.
-    first_entry: u32,
-    background: vec3<f32>,
-    end_entry: u32,
+    padding: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> blend: Blend;

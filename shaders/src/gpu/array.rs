@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::{Gpu, count, lock};
+use super::{Gpu, GpuFailure, count, lock};
 
 /// Bytes that the pool keeps at most: more is handed back to the driver.
 const POOL_BYTES: u64 = 1 << 30;
+/// The largest array: kernels count elements in 32 bits.
+const LARGEST_BYTES: u64 = 4 << 32;
 /// The smallest buffer: zero bytes cannot be bound.
 const MIN_BYTES: u64 = 256;
 
@@ -146,11 +148,13 @@ impl Pool {
 }
 
 impl Gpu {
-    /// Bytes of the buffer for so many elements. Panics with a [`super::GpuFailure`] if the adapter has none of that size.
+    /// Bytes of the buffer for so many elements. Panics with a [`GpuFailure`] if the adapter has none of that size.
     fn checked_size(self, len: usize) -> u64 {
-        let (bytes, largest) = (4 * len as u64, self.0.limits.max_buffer_size);
+        let (bytes, largest) = (4 * len as u64, self.0.limits.max_buffer_size.min(LARGEST_BYTES));
         if bytes > largest {
-            self.too_large(largest, bytes, "");
+            let name = self.name();
+            let message = format!("adapter {name:?} allows arrays of {largest} bytes, and {bytes} are needed");
+            GpuFailure::OutOfMemory(message).raise();
         }
         rounded_size(bytes).min(largest & !3)
     }

@@ -1,7 +1,7 @@
 //! What a launch binds: whole arrays, or parts of them.
 
 use super::launch::Launch;
-use super::{Gpu, GpuArray, GpuFailure};
+use super::{Gpu, GpuArray};
 use crate::tape::{Real, Tensor};
 
 /// A part of an array begins at a multiple of this many elements: 256 bytes are the coarsest alignment of all adapters.
@@ -31,12 +31,6 @@ impl<'a> Part<'a> {
         assert!(first + len <= array.len(), "{len} elements from {first} on of {}", array.len());
         Self { array, first, len }
     }
-
-    /// The part that holds so many elements from a place on, and where they begin in it.
-    pub fn around(array: &'a GpuArray, place: usize, len: usize) -> (Self, usize) {
-        let before = place % ALIGNMENT;
-        (Self::new(array, place - before, before + len), before)
-    }
 }
 
 impl<'a> Binding<'a> {
@@ -51,26 +45,19 @@ impl<'a> Binding<'a> {
         matches!(self, Self::Read(_) | Self::ReadPart(_))
     }
 
-    /// The array for all windows of a launch, as one that has no rows.
-    pub fn all(self) -> Self {
-        self.with_part(self.part())
-    }
-
     fn with_part(self, part: Part<'a>) -> Self {
         if self.is_read_only() { Self::ReadPart(part) } else { Self::WritePart(part) }
     }
 
-    /// Elements of a row where the array has so many rows; `None` for what all windows see alike.
-    pub(super) fn row_len(self, rows: usize) -> Option<usize> {
-        let (Self::Read(array) | Self::Write(array)) = self else { return None };
-        assert!(array.len().is_multiple_of(rows.max(1)), "{} elements are no {rows} rows", array.len());
-        Some(array.len() / rows.max(1))
+    /// The number of elements.
+    pub fn len(self) -> usize {
+        self.part().len
     }
 
-    /// `count` of the array's rows from the `first` on, where it has so many `rows`.
-    pub(super) fn rows(self, rows: usize, first: usize, count: usize) -> Self {
-        let Some(row_len) = self.row_len(rows) else { return self };
-        self.with_part(Part::new(self.part().array, first * row_len, count * row_len))
+    /// So many of the elements from a place on, which is a multiple of [`ALIGNMENT`].
+    pub fn within(self, first: usize, len: usize) -> Self {
+        let part = self.part();
+        self.with_part(Part::new(part.array, part.first + first, len))
     }
 
     /// Bytes of the elements; those of one vector if there are none, as nothing cannot be bound.
@@ -100,30 +87,26 @@ pub fn arriving<'a, T: Real>(
 }
 
 impl Launch<'_> {
-    /// Panics unless all arrays are on the GPU and, with a [`GpuFailure`], unless it lets a kernel see so much of them.
+    /// Panics unless all arrays are on the GPU.
     pub(super) fn check_bindings(&self, gpu: Gpu) {
         for binding in self.arrays {
             assert!(binding.part().array.gpu() == gpu, "{}: another GPU", self.name);
-            if binding.bytes() > gpu.visible_bytes() {
-                gpu.too_large(gpu.visible_bytes(), binding.bytes(), &format!(" in kernel {:?}", self.kernel()));
-            }
         }
     }
 }
 
 impl Gpu {
     /// Bytes that a kernel sees of an array at most.
-    pub(crate) fn visible_bytes(self) -> u64 {
-        let bytes = self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size);
-        #[cfg(test)]
-        let bytes = bytes.min(super::windows::tests::seen_bytes());
-        bytes
+    pub(super) fn visible_bytes(self) -> u64 {
+        self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size)
     }
+}
 
-    /// An array, or what a kernel would see of it, is larger than the adapter allows.
-    pub(super) fn too_large(self, largest: u64, bytes: u64, place: &str) -> ! {
-        let name = &self.0.name;
-        let message = format!("adapter {name:?} allows arrays of {largest} bytes{place}, and {bytes} are needed");
-        GpuFailure::OutOfMemory(message).raise()
-    }
+#[cfg(test)]
+#[test]
+#[should_panic(expected = "begins at element 65")]
+fn a_part_begins_where_adapters_let_it() {
+    // Without an adapter there is nothing to refuse.
+    let gpu = super::tests::test_gpu().unwrap_or_else(|| panic!("SKIPPED: no adapter; begins at element 65"));
+    Part::new(&GpuArray::new(gpu, 100), 65, 3);
 }

@@ -2,7 +2,7 @@
 //! blocks, in an order that depends on the sizes alone.
 
 use super::launch::COLUMN_SUM;
-use super::{Binding, Gpu, GpuArray, Kernel, columns_for, in_windows, uniforms};
+use super::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
 
 /// The end of a kernel of terms: the text in front of it declares the arrays from binding 2 on, and defines
 /// `fn terms(row: u32, column: u32) -> vec2<f32>`.
@@ -14,6 +14,7 @@ const MAX_BLOCKS: usize = 256;
 const MIN_BLOCK_ROWS: usize = 64;
 /// Columns per workgroup of the totals: 32 bytes are read at once.
 const TOTALS_COLUMNS: usize = 8;
+const COLUMNS_OF_TOTALS: (&str, u32) = ("COLUMNS", TOTALS_COLUMNS as u32);
 
 uniforms! {
     struct SumsBlock as "Sums" {
@@ -36,7 +37,7 @@ pub struct Terms<'a> {
     pub kernel: &'a Kernel,
     /// Constants of its specialisation besides COLUMNS.
     pub specialisation: &'a [(&'static str, u32)],
-    /// What it reads: arrays of so many rows, and all of others ([`Binding::all`]).
+    /// What it reads.
     pub arrays: &'a [Binding<'a>],
     pub rows: usize,
     pub columns: usize,
@@ -57,25 +58,15 @@ impl Terms<'_> {
         (sums, blocks)
     }
 
-    /// The sums of both terms over all rows, [columns] each; from window to window where the arrays do not fit.
+    /// The sums of both terms over all rows, [columns] each.
     pub fn sums(&self, gpu: Gpu) -> [GpuArray; 2] {
         let sums = [(); 2].map(|()| GpuArray::new(gpu, self.columns));
-        let mut adds = false;
-        in_windows(gpu, self.rows, self.arrays, |rows, arrays| {
-            let (block_sums, blocks) = Terms { arrays, rows, ..*self }.block_sums(gpu);
-            let constants = TotalsBlock { blocks: blocks as u32, columns: self.columns as u32 };
-            let arrays = [Binding::Read(&block_sums), Binding::Write(&sums[0]), Binding::Write(&sums[1])];
-            let groups = self.columns.div_ceil(TOTALS_COLUMNS);
-            TOTALS.launch(gpu, &totals_of(adds), &constants, &arrays, groups);
-            adds = true;
-        });
+        let (block_sums, blocks) = self.block_sums(gpu);
+        let constants = TotalsBlock { blocks: blocks as u32, columns: self.columns as u32 };
+        let arrays = [Binding::Read(&block_sums), Binding::Write(&sums[0]), Binding::Write(&sums[1])];
+        TOTALS.launch(gpu, &[COLUMNS_OF_TOTALS], &constants, &arrays, self.columns.div_ceil(TOTALS_COLUMNS));
         sums
     }
-}
-
-/// Constants of the totals, which may add to those of other rows.
-fn totals_of(adds: bool) -> [(&'static str, u32); 2] {
-    [("COLUMNS", TOTALS_COLUMNS as u32), ("ADDS", u32::from(adds))]
 }
 
 /// Panics unless a kernel of terms is valid.
@@ -89,8 +80,8 @@ pub fn assert_valid_terms(kernel: &Kernel, specialisation: &[(&'static str, u32)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gpu::parts::tests::assert_equal_in_parts;
     use crate::gpu::tests::test_gpu;
-    use crate::gpu::windows::tests::seeing_at_most;
 
     /// x and x².
     const SQUARES: Kernel = Kernel {
@@ -109,8 +100,7 @@ mod tests {
     #[test]
     fn the_kernels_are_valid() {
         assert_valid_terms(&SQUARES, &[]);
-        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &totals_of(false));
-        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &totals_of(true));
+        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &[COLUMNS_OF_TOTALS]);
     }
 
     #[test]
@@ -134,7 +124,7 @@ mod tests {
                 })
             };
             assert_eq!(found(), expected, "{rows} rows of {columns}");
-            assert_eq!(seeing_at_most(60_000, found), expected, "{rows} rows of {columns} in windows");
+            assert_equal_in_parts(found);
         }
     }
 }

@@ -1,5 +1,4 @@
-// The sums of blocks of rows [blocks, 2, columns] added in order: a workgroup adds up COLUMNS columns. ADDS is
-// 1 where they add to what is there.
+// The sums of blocks of rows [blocks, 2, columns] added in order: a workgroup adds up COLUMNS columns.
 
 struct Totals {
     blocks: u32,
@@ -28,12 +27,7 @@ fn main(
     let total_x = column_sum(local, own.x);
     let total_y = column_sum(local, own.y);
     if (local < COLUMNS && column < totals.columns) {
-        if (ADDS == 1u) {
-            first[column] += total_x;
-            second[column] += total_y;
-        } else {
-            first[column] = total_x;
-            second[column] = total_y;
-        }
+        first[column] = total_x;
+        second[column] = total_y;
     }
 }

@@ -139,9 +139,22 @@ pub(crate) fn compare(
     f: impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var>,
 ) -> Result<usize, Disagreement> {
     let expected = run(Device::Cpu, inputs, &f);
-    let found = run(Device::Gpu(gpu), inputs, &f);
+    let compared = || agree_with(&expected, &run(Device::Gpu(gpu), inputs, &f), what, tolerance);
+    let comparisons = compared()?;
+    #[cfg(test)]
+    super::parts::tests::compare_in_parts(compared)?;
+    Ok(comparisons)
+}
+
+/// The number of results, if all agree.
+fn agree_with(
+    expected: &[(String, Tensor<f32>)],
+    found: &[(String, Tensor<f32>)],
+    what: &str,
+    tolerance: Tolerance,
+) -> Result<usize, Disagreement> {
     assert_eq!(found.len(), expected.len(), "{what}: one result on each device");
-    for ((name, found), (_, expected)) in found.iter().zip(&expected) {
+    for ((name, found), (_, expected)) in found.iter().zip(expected) {
         let disagreement = |mismatch| Disagreement { what: format!("{name} of {what}"), mismatch };
         let allowed = if name.starts_with("gradient") { tolerance.gradient } else { tolerance.value };
         agree(found, expected, allowed).map_err(disagreement)?;

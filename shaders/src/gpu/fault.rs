@@ -12,14 +12,19 @@ thread_local! {
     static PLANTED: Cell<Option<Fault>> = const { Cell::new(None) };
 }
 
+/// The result with a fault.
+pub fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
+    PLANTED.set(Some(fault));
+    let result = result();
+    PLANTED.set(None);
+    result
+}
+
 /// Asserts that a comparison finds nothing as it is, and something with each of the faults.
 pub fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disagreement>) {
     compare().unwrap_or_else(|error| panic!("{error}"));
     for &fault in faults {
-        PLANTED.set(Some(fault));
-        let found = compare();
-        PLANTED.set(None);
-        assert!(found.is_err(), "nobody notices {fault:?}");
+        assert!(with_fault(fault, &compare).is_err(), "nobody notices {fault:?}");
     }
 }
 

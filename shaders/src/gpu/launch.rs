@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
+use super::parts::Parts;
 use super::{Binding, Context, Gpu, Groups, count, lock};
 
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
@@ -151,13 +152,20 @@ impl Launch<'_> {
 }
 
 impl Gpu {
-    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Panics with a
-    /// [`super::GpuFailure`] if an array is larger than a kernel can see.
+    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Arrays of which a kernel
+    /// does not see all are bound in parts; panics with a [`super::GpuFailure`] if there are more than it can see.
     pub fn launch(self, launch: &Launch) {
         if matches!(launch.groups, Groups::Count(0)) {
             return;
         }
         launch.check_bindings(self);
+        let Some(parts) = Parts::of(self, launch) else { return self.record(launch) };
+        let (name, source) = (launch.name.clone() + &parts.name(), || parts.text(&(launch.source)()));
+        self.record(&Launch { name, source: &source, arrays: &parts.bindings, ..*launch });
+    }
+
+    /// Records a kernel that sees all of its arrays.
+    fn record(self, launch: &Launch) {
         let pipeline = self.0.pipeline(launch);
         let mut recorder = lock(&self.0.recorder);
         if recorder.is_full(launch.constants.len()) {

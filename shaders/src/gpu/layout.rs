@@ -2,18 +2,27 @@
 
 use naga::valid::Capabilities;
 
+use super::binding::ALIGNMENT;
+use super::parts::text::in_parts;
+
 /// The fields of a block of constants, as [`super::uniforms`] lists them.
 pub trait Fields {
     const NAME: &'static str;
     fn offsets() -> Vec<(&'static str, usize)>;
 }
 
-/// Parses and validates a kernel without optional features.
+/// Parses and validates a kernel without optional features, also with all of its arrays in parts.
 pub fn validate(source: &str) -> Result<naga::Module, String> {
     validate_with(source, Capabilities::empty())
 }
 
 fn validate_with(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
+    let arrays = source.matches("var<storage,").count();
+    validate_text(&in_parts(source, &vec![3; arrays], ALIGNMENT), capabilities)?;
+    validate_text(source, capabilities)
+}
+
+fn validate_text(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
     let module = naga::front::wgsl::parse_str(source).map_err(|error| error.emit_to_string(source))?;
     let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities);
     validator.validate(&module).map_err(|error| format!("{error:?}"))?;

@@ -1,7 +1,7 @@
 //! The second device: one context per adapter, in which kernels are recorded and submitted in batches.
 //!
 //! A kernel is WGSL text ([`Launch`]); an operation hands it the arrays of its tensors and a block of constants, or those of
-//! many tensors at once ([`grouped`]), or as many rows of them as the adapter lets it see ([`windows`]). What is recorded runs in that order, and reading anything back submits first. Nothing
+//! many tensors at once ([`grouped`]); what is larger than a kernel sees is bound in [`parts`]. What is recorded runs in that order, and reading anything back submits first. Nothing
 //! here depends on a race: kernels use no float atomics, and every element is written by one invocation of a launch.
 
 mod adapter;
@@ -16,12 +16,12 @@ mod launch;
 #[cfg(test)]
 pub(crate) mod layout;
 pub(crate) mod length;
+pub(crate) mod parts;
 mod profile;
 mod rates;
 mod recorder;
 #[cfg(test)]
 pub(crate) mod tests;
-pub(crate) mod windows;
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -31,12 +31,11 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
 pub(crate) use array::GpuArray;
-pub(crate) use binding::{Binding, Part, arriving};
+pub(crate) use binding::{ALIGNMENT, Binding, arriving};
 pub(crate) use launch::{COLUMN_SUM, Kernel, Launch, ROW_SUM, columns_for, lanes_for, specialised, uniforms};
 pub(crate) use length::{Groups, Length};
 pub use profile::{KernelCost, Usage};
 pub use rates::Rates;
-pub(crate) use windows::{in_windows, in_windows_with};
 
 use launch::Pipeline;
 use recorder::Recorder;

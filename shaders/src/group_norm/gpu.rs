@@ -93,7 +93,7 @@ impl GroupNorm {
         dy: &Tensor<T>,
     ) -> Option<Vec<Option<Tensor<T>>>> {
         let GpuStatistics { means, inverses } = self.on_gpu.as_ref()?;
-        let (x, statistics) = (inputs[0], [means, inverses].map(|array| Binding::Read(array).all()));
+        let (x, statistics) = (inputs[0], [means, inverses].map(Binding::Read));
         let [x_read, scale, dy] = [x, inputs[1], dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
         let arrays = [&[x_read, dy][..], &statistics].concat();
         let specialisation = [self.per_group()];

@@ -6,8 +6,7 @@ use crate::check::noise;
 use crate::gpu::conformance::{Disagreement, Tolerance, compare, run};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::grouped::tests::with_arrays;
-use crate::gpu::tests::{bits, test_gpu};
-use crate::gpu::windows::tests::{assert_equal_in_windows, seeing_at_most};
+use crate::gpu::tests::test_gpu;
 use crate::tape::Device;
 
 /// Products of six values; sums over hundreds of points.
@@ -69,21 +68,6 @@ fn a_gpu_reads_fields_of_more_channels_than_a_workgroup_has_invocations() {
     for points in [1, 70] {
         compare_fields(gpu, &shape, points, 0.123).unwrap();
     }
-}
-
-#[test]
-fn fields_of_points_that_a_kernel_does_not_see_are_read_in_windows() {
-    let Some(gpu) = test_gpu() else { return };
-    let shape = HexplaneShape { channels: 16, resolution: [4, 5, 3, 6], multipliers: vec![1, 2] };
-    // Windows of 64 and of more points.
-    for bytes in [70_000, 200_000] {
-        seeing_at_most(bytes, || compare_fields(gpu, &shape, 1000, 0.123)).unwrap();
-    }
-    let inputs = inputs(&shape, 300, 1.3);
-    let result = || bits(&run(Device::Gpu(gpu), &inputs, |tape, vars| vec![hexplane(tape, &vars[1..], vars[0], 0.1)]));
-    assert_eq!(seeing_at_most(70_000, result), seeing_at_most(70_000, result));
-    // What points read, and the gradients of their positions, do not depend on the windows.
-    assert_eq!(assert_equal_in_windows(|| result()[..2].to_vec()), 2);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 mod tests;
 
 use crate::gpu::column_sums::{COLUMN_SUMS, Terms};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const MOMENTS: &str = include_str!("moments.wgsl");
@@ -36,11 +36,10 @@ uniforms! {
 
 /// Runs a kernel for the rows of arrays in the shape of x.
 fn launch<T: Real>(gpu: Gpu, kernel: &Kernel, x: &Tensor<T>, arrays: &[Binding]) {
-    let lanes = lanes_for(x.row_len());
-    in_windows(gpu, x.rows(), arrays, |rows, arrays| {
-        let block = NormBlock { rows: rows as u32, columns: x.row_len() as u32 };
-        kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
-    });
+    let (rows, columns) = (x.rows(), x.row_len());
+    let lanes = lanes_for(columns);
+    let block = NormBlock { rows: rows as u32, columns: columns as u32 };
+    kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
 }
 
 pub(super) fn standardize<T: Real>(gpu: Gpu, x: &Tensor<T>) -> Tensor<T> {
@@ -59,13 +58,10 @@ pub(super) fn standardize_backward<T: Real>(gpu: Gpu, [x, y, dy]: [&Tensor<T>; 3
 /// x·scale + offset, or without offset where `is_backward`.
 fn affine<T: Real>(gpu: Gpu, [x, scale, offset]: [&Tensor<T>; 3], is_backward: bool) -> Tensor<T> {
     let y = GpuArray::new(gpu, x.len());
-    let columns = x.row_len();
-    let [x_read, scale, offset] = [x, scale, offset].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    let arrays = [x_read, scale.all(), offset.all(), Binding::Write(&y)];
-    in_windows(gpu, x.rows(), &arrays, |rows, arrays| {
-        let block = AffineBlock { len: (rows * columns) as u32, columns: columns as u32 };
-        AFFINE.launch(gpu, &[("BACKWARD", u32::from(is_backward))], &block, arrays, (rows * columns).div_ceil(GROUP));
-    });
+    let read = [x, scale, offset].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
+    let arrays = [&read[..], &[Binding::Write(&y)]].concat();
+    let block = AffineBlock { len: x.len() as u32, columns: x.row_len() as u32 };
+    AFFINE.launch(gpu, &[("BACKWARD", u32::from(is_backward))], &block, &arrays, x.len().div_ceil(GROUP));
     Tensor::from_gpu(x.shape(), y)
 }
 

@@ -1,10 +1,9 @@
-//! The kernels of layers: one matrix product for each direction, of several layers at once, and of rows in windows where the
-//! arrays do not fit.
+//! The kernels of layers: one matrix product for each direction, of several layers at once.
 
 use super::Activation;
 use super::product::{self, EACH, EACH_ARRAYS, Output, Product, SUM, SUM_ARRAYS};
 use crate::gpu::grouped::Grouped;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, in_windows};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
 const OPERANDS: &str = include_str!("operands.wgsl");
@@ -94,12 +93,8 @@ pub fn forward<T: Real>(gpu: Gpu, layers: &[Places], activation: Activation, inp
     let (mut products, mut outputs) = (Vec::new(), Vec::new());
     for (layer, result) in layers.iter().zip(&results) {
         let [x, weight, bias] = layer.all().map(|place| Binding::Read(inputs[place].on_gpu(gpu)));
-        let arrays = [x, weight.all(), bias.all(), Binding::Write(result.on_gpu(gpu))];
-        in_windows(gpu, result.rows(), &arrays, |count, arrays| {
-            let &[x, weight, bias, y] = arrays else { unreachable!("four arrays") };
-            products.push(Direction::Forward.product(count, sizes(inputs[layer.weight]), [x, weight, bias]));
-            outputs.push((y, false));
-        });
+        products.push(Direction::Forward.product(result.rows(), sizes(inputs[layer.weight]), [x, weight, bias]));
+        outputs.push((Binding::Write(result.on_gpu(gpu)), false));
     }
     product::each(gpu, &LAYERS, &Direction::Forward.specialisation(activation), &products, &outputs);
     results
@@ -148,12 +143,13 @@ impl<'a, T: Real> Backward<'a, T> {
         }
         let (totals, unneeded) = (&*totals, &unneeded[..]);
         let (products, outputs) = self.products_of_inputs(&live, &xs, totals);
-        let mut alone = (&products[..], &outputs[..]);
-        for (products, outputs) in self.products_of_weights(&with_weights, &adds, [totals, unneeded]) {
-            product::each_with_sums(self.gpu, &LAYERS, &of_both(self.activation), alone, (&products, &outputs));
-            alone = (&[], &[]);
+        if with_weights.is_empty() {
+            let specialisation = Direction::Inputs.specialisation(self.activation);
+            return product::each(self.gpu, &LAYERS, &specialisation, &products, &outputs);
         }
-        product::each(self.gpu, &LAYERS, &Direction::Inputs.specialisation(self.activation), alone.0, alone.1);
+        let (of_weights, outputs_of_weights) = self.products_of_weights(&with_weights, &adds, [totals, unneeded]);
+        let (alone, with_sums) = ((&products[..], &outputs[..]), (&of_weights[..], &outputs_of_weights[..]));
+        product::each_with_sums(self.gpu, &LAYERS, &of_both(self.activation), alone, with_sums);
     }
 
     /// dx, for inputs with whether they add to what is there: those that several layers share are computed, the products of
@@ -167,70 +163,44 @@ impl<'a, T: Real> Backward<'a, T> {
         let specialisation = Direction::Inputs.specialisation(self.activation);
         let (mut products, mut outputs) = (Vec::new(), Vec::new());
         for &(x, adds) in xs {
-            let of_x: Vec<&Live<T>> = live.iter().filter(|layer| layer.places.x == x).collect();
-            let mut arrays: Vec<Binding<'b>> =
-                of_x.iter().flat_map(|layer| self.operands(Direction::Inputs, layer)).collect();
-            arrays.push(Binding::Write(self.total(totals, x)));
-            in_windows(self.gpu, self.inputs[x].rows(), &arrays, |count, arrays| {
-                let (&y, operands) = arrays.split_last().expect("the total");
-                let operands = operands.as_chunks().0.iter().copied();
-                let layers = of_x.iter().map(|layer| self.sizes(layer)).zip(operands);
-                let product = |(sizes, operands)| Direction::Inputs.product(count, sizes, operands);
-                let of_window: Vec<Product> = layers.map(product).collect();
-                if of_x.len() > 1 {
-                    return product::sum(self.gpu, &OVER_LAYERS, &specialisation, &of_window, (y, adds));
-                }
-                products.extend(of_window);
-                outputs.push((y, adds));
-            });
+            let of_x = live.iter().filter(|layer| layer.places.x == x);
+            let of_x: Vec<Product> = of_x.map(|layer| self.product(Direction::Inputs, layer)).collect();
+            let output = (Binding::Write(self.total(totals, x)), adds);
+            if of_x.len() > 1 {
+                product::sum(self.gpu, &OVER_LAYERS, &specialisation, &of_x, output);
+            } else {
+                products.extend(of_x);
+                outputs.push(output);
+            }
         }
         (products, outputs)
     }
 
-    /// dW and db, of layers with whether both add to what is there: for each window of rows, which adds to those before.
+    /// dW and db, of layers with whether both add to what is there.
     fn products_of_weights<'b>(
         &'b self,
         live: &[&Live<'a, T>],
         adds: &[[bool; 2]],
         [totals, unneeded]: [&'b [Option<Tensor<T>>]; 2],
-    ) -> Vec<(Vec<Product<'b>>, Vec<[Output<'b>; 2]>)> {
-        let total = |place: usize| self.total(if self.needs[place] { totals } else { unneeded }, place);
-        let windows: Vec<_> = live.iter().map(|layer| self.windows_of_rows(layer)).collect();
-        let of_window = |window: usize| {
-            let (mut products, mut outputs) = (Vec::new(), Vec::new());
-            for ((layer, windows), adds) in live.iter().zip(&windows).zip(adds) {
-                let Some(&(count, arrays)) = windows.get(window) else { continue };
-                products.push(Direction::Weights.product(count, self.sizes(layer), arrays));
-                let output = |place, adds| (Binding::Write(total(place)), adds || window > 0);
-                outputs.push([output(layer.places.weight, adds[0]), output(layer.places.bias, adds[1])]);
-            }
-            (products, outputs)
+    ) -> (Vec<Product<'b>>, Vec<[Output<'b>; 2]>) {
+        let output = |place: usize, adds| {
+            let totals = if self.needs[place] { totals } else { unneeded };
+            (Binding::Write(self.total(totals, place)), adds)
         };
-        (0..windows.iter().map(Vec::len).max().unwrap_or(0)).map(of_window).collect()
+        let products = live.iter().map(|layer| self.product(Direction::Weights, layer)).collect();
+        let outputs = live
+            .iter()
+            .zip(adds)
+            .map(|(layer, adds)| [output(layer.places.weight, adds[0]), output(layer.places.bias, adds[1])]);
+        (products, outputs.collect())
     }
 
-    /// The windows of the rows of a layer: their number, and the operands of dW.
-    fn windows_of_rows(&self, layer: &Live<'a, T>) -> Vec<(usize, [Binding<'a>; 3])> {
-        let mut windows = Vec::new();
-        in_windows(self.gpu, layer.dy.rows(), &self.operands(Direction::Weights, layer), |count, arrays| {
-            windows.push((count, arrays.try_into().expect("three operands")));
-        });
-        windows
-    }
-
-    /// The operands of a layer, of which the first is dz: dy where y is positive.
-    fn operands(&self, direction: Direction, layer: &Live<'a, T>) -> [Binding<'a>; 3] {
-        let [x, weight] = [layer.places.x, layer.places.weight].map(|place| self.inputs[place].on_gpu(self.gpu));
-        let other = match direction {
-            Direction::Weights => Binding::Read(x),
-            _ => Binding::Read(weight).all(),
-        };
-        let [dy, y] = [layer.dy, layer.y].map(|tensor| Binding::Read(tensor.on_gpu(self.gpu)));
-        [dy, other, y]
-    }
-
-    fn sizes(&self, layer: &Live<'a, T>) -> [usize; 2] {
-        sizes(self.inputs[layer.places.weight])
+    /// The product of a layer, whose A is dz: dy where y is positive.
+    fn product(&self, direction: Direction, layer: &Live<'a, T>) -> Product<'a> {
+        let [x, weight] = [layer.places.x, layer.places.weight].map(|place| self.inputs[place]);
+        let other = if let Direction::Weights = direction { x } else { weight };
+        let arrays = [layer.dy, other, layer.y].map(|tensor| Binding::Read(tensor.on_gpu(self.gpu)));
+        direction.product(layer.dy.rows(), sizes(weight), arrays)
     }
 
     /// Makes the total of an input one that kernels can write, and tells whether they add to it.

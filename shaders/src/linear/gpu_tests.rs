@@ -3,11 +3,10 @@
 use super::*;
 use crate::check::noise;
 use crate::gpu::Gpu;
-use crate::gpu::conformance::{Disagreement, Tolerance, compare, run};
+use crate::gpu::conformance::{Disagreement, Tolerance, compare};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::grouped::tests::with_arrays;
-use crate::gpu::tests::{bits, test_gpu};
-use crate::gpu::windows::tests::{assert_equal_in_windows, seeing_at_most};
+use crate::gpu::tests::test_gpu;
 use crate::tape::Device;
 
 /// Sums of up to thousands of terms.
@@ -44,28 +43,6 @@ fn a_gpu_with_another_layer_is_noticed() {
         ("products, parts", "var part = whole", "var part = whole + 1u"),
     ];
     assert_noticed(&faults, || compare_layer(gpu, [2100, 20, 9], Activation::Relu));
-}
-
-#[test]
-fn layers_of_rows_that_a_kernel_does_not_see_run_in_windows() {
-    let Some(gpu) = test_gpu() else { return };
-    // Windows of 64 and of more rows, the last of fewer; what all windows read fits.
-    for bytes in [40_000, 120_000] {
-        seeing_at_most(bytes, || compare_layer(gpu, [1000, 70, 130], Activation::Relu)).unwrap();
-        seeing_at_most(bytes, || compare_heads(gpu, [700, 20, 65], &[3, 70, 4])).unwrap();
-    }
-    let inputs = tensors_of_heads(300, 20, 30, &[3, 4]);
-    let result = || bits(&run(Device::Gpu(gpu), &inputs, |tape, vars| heads(tape, vars, &[3, 4])));
-    assert_eq!(seeing_at_most(20_000, result), seeing_at_most(20_000, result));
-    // Outputs do not depend on the windows; those that read the wrong rows are noticed.
-    let outputs = || {
-        let mut tape = Tape::new(Device::Gpu(gpu));
-        let vars: Vec<Var> = inputs[..5].iter().map(|input| tape.constant(input.clone())).collect();
-        let layer = |at: usize| Layer { x: vars[0], weight: vars[at], bias: vars[at + 1] };
-        let outputs = linears(&mut tape, &[layer(1), layer(3)], Activation::Relu);
-        outputs.iter().map(|&y| tape.value(y).as_slice().to_vec()).collect::<Vec<_>>()
-    };
-    assert_eq!(assert_equal_in_windows(outputs), 2);
 }
 
 #[test]

@@ -143,13 +143,14 @@ pub fn sum(
     kernel: &Grouped,
     specialisation: &[(&'static str, u32)],
     products: &[Product],
-    (y, mut adds): Output,
+    (y, adds): Output,
 ) {
-    for products in products.chunks(kernel.room(gpu)) {
-        let items: Vec<Item<ProductItem>> = products.iter().map(|product| product.item(adds)).collect();
-        let specialisation = specialised(specialisation, true);
-        kernel.launch_together(gpu, &specialisation, &[y], &items, products[0].tiles());
-        adds = true;
+    let mut items: Vec<Item<ProductItem>> = products.iter().map(|product| product.item(adds)).collect();
+    let specialisation = specialised(specialisation, true);
+    let room = kernel.room_for(gpu, &[y], &items);
+    for (launch, items) in items.chunks_mut(room).enumerate() {
+        items.iter_mut().for_each(|item| item.constants.adds |= u32::from(launch > 0));
+        kernel.launch_together(gpu, &specialisation, &[y], items, products[0].tiles());
     }
 }
 

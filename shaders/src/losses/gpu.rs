@@ -1,6 +1,6 @@
 //! The kernels of totals and of the mean distance.
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 use crate::sums::{self, GROUP, TOTAL_TEXT, total_of};
 use crate::tape::{Real, Tensor};
 
@@ -25,12 +25,10 @@ pub fn l1<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>) -> Tensor<T
 /// Its gradient by the render.
 pub fn l1_gradient<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>, dy: &Tensor<T>) -> Tensor<T> {
     let gradient = GpuArray::new(gpu, render.len());
-    let [render_read, target, dy] = [render, target, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    let arrays = [render_read, target, dy.all(), Binding::Write(&gradient)];
-    in_windows(gpu, render.len(), &arrays, |len, arrays| {
-        let block = DistanceBlock { len: len as u32, factor: 1.0 / render.len() as f32 };
-        L1_BACKWARD.launch(gpu, &[], &block, arrays, len.div_ceil(GROUP));
-    });
+    let read = [render, target, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
+    let arrays = [&read[..], &[Binding::Write(&gradient)]].concat();
+    let block = DistanceBlock { len: render.len() as u32, factor: 1.0 / render.len() as f32 };
+    L1_BACKWARD.launch(gpu, &[], &block, &arrays, render.len().div_ceil(GROUP));
     Tensor::from_gpu(render.shape(), gradient)
 }
 
@@ -49,8 +47,8 @@ pub fn total<T: Real>(gpu: Gpu, x: &Tensor<T>, factor: f64) -> Tensor<T> {
 pub fn total_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>, factor: f64) -> Tensor<T> {
     let gradient = GpuArray::new(gpu, x.len());
     let block = SpreadBlock { factor: factor as f32 };
-    let arrays = [Binding::Read(dy.on_gpu(gpu)).all(), Binding::Write(&gradient)];
-    in_windows(gpu, x.len(), &arrays, |len, arrays| SPREAD.launch(gpu, &[], &block, arrays, len.div_ceil(GROUP)));
+    let arrays = [Binding::Read(dy.on_gpu(gpu)), Binding::Write(&gradient)];
+    SPREAD.launch(gpu, &[], &block, &arrays, x.len().div_ceil(GROUP));
     Tensor::from_gpu(x.shape(), gradient)
 }
 

@@ -30,7 +30,7 @@ pub(super) fn largest_magnitudes(tensors: &[&Tensor<f32>]) -> Vec<f32> {
     for (slot, tensor) in tensors.iter().enumerate() {
         let constants = |count| Constants { count, slot: slot as u32 };
         let arrays = [Binding::Read(tensor.on_gpu(gpu))];
-        items.extend(Item::of_windows(gpu, tensor.len(), GROUP * VALUES, &arrays, constants));
+        items.extend(Item::in_parts(gpu, tensor.len(), GROUP * VALUES, &arrays, constants));
     }
     LARGEST.launch(gpu, &specialisation(), &[Binding::Write(&largest)], &items);
     let mut bits = vec![0.0_f32; tensors.len()];

@@ -1,7 +1,7 @@
 //! The kernels around the WGSL text of expressions.
 
 use super::expression::{Expression, Pointwise};
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, in_windows, specialised};
+use crate::gpu::{Binding, Gpu, GpuArray, Launch, specialised};
 use crate::tape::{Real, Tensor};
 
 /// Invocations per workgroup.
@@ -89,10 +89,8 @@ impl<T: Real> Pointwise<T> {
     /// Runs a kernel for so many elements.
     fn launch(&self, gpu: Gpu, name: String, source: &dyn Fn() -> String, len: usize, arrays: &[Binding]) {
         let block = self.block();
-        in_windows(gpu, len, arrays, |len, arrays| {
-            let (constants, groups) = (bytemuck::cast_slice(&block), len.div_ceil(GROUP).into());
-            gpu.launch(&Launch { name: name.clone(), source, constants, arrays, groups });
-        });
+        let (constants, groups) = (bytemuck::cast_slice(&block), len.div_ceil(GROUP).into());
+        gpu.launch(&Launch { name, source, constants, arrays, groups });
     }
 
     pub(super) fn value_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Tensor<T> {

@@ -2,8 +2,8 @@ use super::*;
 use crate::check::{self, agree, gradients};
 use crate::gpu::conformance::run;
 use crate::gpu::layout::validate;
+use crate::gpu::parts::tests::assert_equal_in_parts;
 use crate::gpu::tests::{bits, test_gpu};
-use crate::gpu::windows::tests::assert_equal_in_windows;
 use crate::tape::{Device, Tape, Tensor, Var};
 
 /// Every expression of this crate.
@@ -91,13 +91,13 @@ fn a_term_of_a_sum_passes_its_gradient_on() {
 }
 
 #[test]
-fn elements_in_windows_give_equal_bytes() {
+fn elements_in_parts_give_equal_bytes() {
     let Some(gpu) = test_gpu() else { return };
     for expression in all() {
         let (inputs, constants) = arguments(expression, 300);
         let inputs: Vec<Tensor<f32>> = inputs.iter().map(Tensor::cast).collect();
         let apply = |tape: &mut Tape<f32>, vars: &[Var]| vec![expression.apply(tape, vars, &constants)];
-        let split = assert_equal_in_windows(|| bits(&run(Device::Gpu(gpu), &inputs, apply)));
+        let split = assert_equal_in_parts(|| bits(&run(Device::Gpu(gpu), &inputs, apply)));
         let has_gradient_kernel = (0..expression.inputs).any(|input| !expression.passes_on(input));
         assert_eq!(split, 1 + usize::from(has_gradient_kernel), "{}", expression.name);
     }

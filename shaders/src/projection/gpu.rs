@@ -3,7 +3,7 @@
 use super::reference::View;
 use super::{Projection, ShapeInputs};
 use crate::algebra;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, in_windows, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
 use crate::tape::{Real, Tensor};
 
 /// Splats per workgroup: few, because each invocation holds many numbers.
@@ -91,11 +91,9 @@ impl<T: Real> Projection<T> {
         let mut bindings = parameters(gpu, inputs);
         bindings.extend(arrays.iter().map(Binding::Write));
         let events = self.events.as_ref().expect("there on a GPU");
-        bindings.push(Binding::Write(events).all());
+        bindings.push(Binding::Write(events));
         let specialisation = specialisation(self.view.sh_degree, ShapeInputs::of(inputs));
-        in_windows(gpu, count, &bindings, |count, arrays| {
-            FORWARD.launch(gpu, &specialisation, &self.block(count), arrays, count.div_ceil(GROUP));
-        });
+        FORWARD.launch(gpu, &specialisation, &self.block(count), &bindings, count.div_ceil(GROUP));
         shapes.into_iter().zip(arrays).map(|(shape, array)| Tensor::from_gpu(shape, array)).collect()
     }
 
@@ -116,13 +114,11 @@ impl<T: Real> Projection<T> {
         let gradients: Vec<GpuArray> = inputs.iter().map(|input| GpuArray::new(gpu, input.len())).collect();
         bindings.extend(gradients.iter().map(Binding::Write));
         let no_rotations = (inputs.len() == 4).then(|| GpuArray::new(gpu, 1));
-        bindings.extend(no_rotations.iter().map(|array| Binding::Write(array).all()));
+        bindings.extend(no_rotations.iter().map(Binding::Write));
 
         let [degree, given] = specialisation(self.view.sh_degree, ShapeInputs::of(inputs));
         let specialisation = [degree, given, ("ARRIVING", mask)];
-        in_windows(gpu, count, &bindings, |count, arrays| {
-            BACKWARD.launch(gpu, &specialisation, &self.block(count), arrays, count.div_ceil(GROUP));
-        });
+        BACKWARD.launch(gpu, &specialisation, &self.block(count), &bindings, count.div_ceil(GROUP));
         gradients.into_iter().zip(inputs).map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }
 }

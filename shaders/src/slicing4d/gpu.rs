@@ -5,7 +5,7 @@ mod tests;
 
 use super::Slicing;
 use crate::algebra;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, in_windows, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
 use crate::splat::HIDDEN_LOGIT;
 use crate::tape::{Real, Tensor};
 
@@ -41,9 +41,7 @@ impl Slicing {
         let outputs = shapes.each_ref().map(|shape| GpuArray::new(gpu, shape.iter().product()));
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays: Vec<Binding> = read.chain(outputs.iter().map(Binding::Write)).collect();
-        in_windows(gpu, count, &arrays, |rows, arrays| {
-            FORWARD.launch(gpu, &[], &self.block(rows), arrays, rows.div_ceil(GROUP));
-        });
+        FORWARD.launch(gpu, &[], &self.block(count), &arrays, count.div_ceil(GROUP));
         shapes.into_iter().zip(outputs).map(|(shape, array)| Tensor::from_gpu(shape, array)).collect()
     }
 
@@ -59,9 +57,7 @@ impl Slicing {
         let gradients: Vec<GpuArray> = inputs.iter().map(|input| GpuArray::new(gpu, input.len())).collect();
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu))).chain(arriving);
         let arrays: Vec<Binding> = read.chain(gradients.iter().map(Binding::Write)).collect();
-        in_windows(gpu, count, &arrays, |rows, arrays| {
-            BACKWARD.launch(gpu, &[("ARRIVING", mask)], &self.block(rows), arrays, rows.div_ceil(GROUP));
-        });
+        BACKWARD.launch(gpu, &[("ARRIVING", mask)], &self.block(count), &arrays, count.div_ceil(GROUP));
         let tensor = |(array, input): (GpuArray, &&Tensor<T>)| Some(Tensor::from_gpu(input.shape(), array));
         gradients.into_iter().zip(inputs).map(tensor).collect()
     }

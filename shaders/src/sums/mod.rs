@@ -1,10 +1,10 @@
 //! Sums on a GPU, of rows and of all elements: by blocks, and the blocks' sums again, in an order that depends on the
-//! sizes alone. Of arrays of which a kernel sees a part only they go on from window to window.
+//! sizes alone.
 
 #[cfg(test)]
 mod tests;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 
 const ROWS: Kernel = Kernel { name: "sums of rows", text: &[include_str!("rows.wgsl")] };
 /// The end of a kernel of [`total_of`], behind [`ROW_SUM`] and text that defines `fn term(at: u32) -> f32`.
@@ -35,38 +35,17 @@ uniforms! {
     }
 }
 
-/// Whether a kernel adds to what is there.
-fn adding(adds: bool) -> (&'static str, u32) {
-    ("ADDS", u32::from(adds))
-}
-
 /// The sum of the rows of x [rows, columns]: [columns].
 pub fn over_rows(gpu: Gpu, x: &GpuArray, columns: usize) -> GpuArray {
-    let (rows, sum) = (x.len() / columns.max(1), GpuArray::new(gpu, columns));
-    let mut adds = false;
-    in_windows(gpu, rows, &[Binding::Read(x)], |rows, arrays| {
-        add_rows(gpu, arrays[0], [rows, columns], &sum, adds);
-        adds = true;
-    });
-    sum
-}
-
-/// Writes the sum of the rows of x [rows, columns] to that of [columns], or adds it.
-pub fn add_rows(gpu: Gpu, x: Binding, [rows, columns]: [usize; 2], sum: &GpuArray, adds: bool) {
+    let rows = x.len() / columns.max(1);
     // As many blocks as rows per block.
     let rows_per_block = if rows <= MOST_ROWS { rows.max(1) } else { rows.isqrt() + 1 };
     let blocks = rows.div_ceil(rows_per_block).max(1);
     let constants = RowsBlock { rows: rows as u32, columns: columns as u32, rows_per_block: rows_per_block as u32 };
-    let launch = |sums: &GpuArray, adds| {
-        let arrays = [x, Binding::Write(sums)];
-        ROWS.launch(gpu, &[adding(adds)], &constants, &arrays, (blocks * columns).div_ceil(GROUP));
-    };
-    if blocks == 1 {
-        return launch(sum, adds);
-    }
-    let of_blocks = GpuArray::new(gpu, blocks * columns);
-    launch(&of_blocks, false);
-    add_rows(gpu, Binding::Read(&of_blocks), [blocks, columns], sum, adds);
+    let sums = GpuArray::new(gpu, blocks * columns);
+    let arrays = [Binding::Read(x), Binding::Write(&sums)];
+    ROWS.launch(gpu, &[], &constants, &arrays, (blocks * columns).div_ceil(GROUP));
+    if blocks == 1 { sums } else { over_rows(gpu, &sums, columns) }
 }
 
 /// factor · the sum of all elements: [1].
@@ -77,41 +56,17 @@ pub fn total(gpu: Gpu, x: &GpuArray, factor: f32) -> GpuArray {
 /// factor · the sum of so many terms, which a kernel that ends with [`TOTAL_TEXT`] makes of as many elements of each array:
 /// [1].
 pub fn total_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], terms: usize, factor: f32) -> GpuArray {
-    let total = GpuArray::new(gpu, 1);
-    let mut adds = false;
-    in_windows(gpu, terms, arrays, |terms, arrays| {
-        add_terms(gpu, kernel, arrays, terms, (&total, factor, adds));
-        adds = true;
-    });
-    total
-}
-
-/// Writes factor · the sum of so many terms to the total, or adds it.
-fn add_terms(
-    gpu: Gpu,
-    kernel: &Kernel,
-    arrays: &[Binding],
-    terms: usize,
-    (total, factor, adds): (&GpuArray, f32, bool),
-) {
     let blocks = terms.div_ceil(BLOCK).max(1);
-    let launch = |sums: &GpuArray, factor, adds| {
-        let constants = TotalBlock { len: terms as u32, factor };
-        let arrays = [&[Binding::Write(sums)], arrays].concat();
-        kernel.launch(gpu, &[LANES, adding(adds)], &constants, &arrays, blocks);
-    };
-    if blocks == 1 {
-        return launch(total, factor, adds);
-    }
-    let of_blocks = GpuArray::new(gpu, blocks);
-    launch(&of_blocks, 1.0, false);
-    add_terms(gpu, &TOTAL, &[Binding::Read(&of_blocks)], blocks, (total, factor, adds));
+    let is_last = blocks == 1;
+    let sums = GpuArray::new(gpu, blocks);
+    let constants = TotalBlock { len: terms as u32, factor: if is_last { factor } else { 1.0 } };
+    let arrays = [&[Binding::Write(&sums)], arrays].concat();
+    kernel.launch(gpu, &[LANES], &constants, &arrays, blocks);
+    if is_last { sums } else { total(gpu, &sums, factor) }
 }
 
 /// Panics unless a kernel of [`total_of`] is valid.
 #[cfg(test)]
 pub fn assert_valid_total(kernel: &Kernel) {
-    for adds in [false, true] {
-        crate::gpu::layout::assert_valid::<TotalBlock>(kernel, &[LANES, adding(adds)]);
-    }
+    crate::gpu::layout::assert_valid::<TotalBlock>(kernel, &[LANES]);
 }

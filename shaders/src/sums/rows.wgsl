@@ -1,5 +1,4 @@
-// The sums of the rows of every block of rows: one invocation per block and column. ADDS is 1 where they add to what is
-// there.
+// The sums of the rows of every block of rows: one invocation per block and column.
 
 struct Rows {
     rows: u32,
@@ -24,9 +23,6 @@ fn main(
     let first = index / sizes.columns * sizes.rows_per_block;
     let end = min(first + sizes.rows_per_block, sizes.rows);
     var sum = 0.0;
-    if (ADDS == 1u) {
-        sum = sums[index];
-    }
     for (var row = first; row < end; row++) {
         sum += x[row * sizes.columns + index % sizes.columns];
     }

@@ -1,8 +1,8 @@
 use super::*;
 use crate::check::noise;
 use crate::gpu::layout::assert_valid;
+use crate::gpu::parts::tests::assert_equal_in_parts;
 use crate::gpu::tests::test_gpu;
-use crate::gpu::windows::tests::{assert_equal_in_windows, seeing_at_most};
 
 fn read(array: &GpuArray) -> Vec<f32> {
     let mut out = vec![0.0; array.len()];
@@ -38,21 +38,14 @@ fn rows_are_added_column_by_column() {
 }
 
 #[test]
-fn sums_go_on_from_window_to_window() {
+fn sums_of_arrays_in_parts_are_those_of_whole_ones() {
     let Some(gpu) = test_gpu() else { return };
-    // Whole numbers, whose sums are exact in any order.
     let x = GpuArray::upload(gpu, &numbers(3 * 70_000));
-    let rows = || read(&over_rows(gpu, &x, 3));
-    let all = || read(&total(gpu, &x, 0.5));
-    assert!(seeing_at_most(60_000, rows) == rows() && seeing_at_most(60_000, all) == all());
-    let x = GpuArray::upload(gpu, &numbers(3 * 200));
-    assert_eq!(assert_equal_in_windows(|| [read(&over_rows(gpu, &x, 3)), read(&total(gpu, &x, 0.5))]), 2);
+    assert!(assert_equal_in_parts(|| [read(&over_rows(gpu, &x, 3)), read(&total(gpu, &x, 0.5))]) >= 3);
 }
 
 #[test]
 fn the_kernels_are_valid() {
-    for adds in [false, true] {
-        assert_valid::<RowsBlock>(&ROWS, &[adding(adds)]);
-    }
+    assert_valid::<RowsBlock>(&ROWS, &[]);
     assert_valid_total(&TOTAL);
 }

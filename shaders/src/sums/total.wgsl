@@ -1,5 +1,5 @@
 // The sum of every block of 4096 terms, times a factor: one workgroup per block. The text in front defines `term(at)`, with
-// arrays from binding 2 on. ADDS is 1 where the sums add to what is there.
+// arrays from binding 2 on.
 
 struct Total {
     len: u32,
@@ -25,11 +25,6 @@ fn main(
     }
     let sum = row_sum(local, own);
     if (local == 0u && block < arrayLength(&sums)) {
-        let scaled = total.factor * sum;
-        if (ADDS == 1u) {
-            sums[block] += scaled;
-        } else {
-            sums[block] = scaled;
-        }
+        sums[block] = total.factor * sum;
     }
 }

@@ -4,7 +4,7 @@
 mod tests;
 
 use super::Waves;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const WAVES: &str = include_str!("waves.wgsl");
@@ -28,9 +28,8 @@ uniforms! {
 }
 
 impl Waves {
-    /// So many rows of the waves.
-    fn block<T: Real>(&self, waves: &Tensor<T>, rows: usize) -> WavesBlock {
-        let per_row = waves.row_len() / self.stored;
+    fn block<T: Real>(&self, waves: &Tensor<T>) -> WavesBlock {
+        let (rows, per_row) = (waves.rows(), waves.row_len() / self.stored);
         let [rows, waves, stored, used] = [rows, per_row, self.stored, self.used].map(|size| size as u32);
         WavesBlock { time: self.time as f32, rows, waves, stored, used }
     }
@@ -38,9 +37,7 @@ impl Waves {
     pub(super) fn value_on_gpu<T: Real>(&self, gpu: Gpu, [waves, times]: [&Tensor<T>; 2]) -> Tensor<T> {
         let y = GpuArray::new(gpu, waves.rows() * self.used);
         let arrays = [Binding::Read(waves.on_gpu(gpu)), Binding::Read(times.on_gpu(gpu)), Binding::Write(&y)];
-        in_windows(gpu, waves.rows(), &arrays, |rows, arrays| {
-            FORWARD.launch(gpu, &[], &self.block(waves, rows), arrays, (rows * self.used).div_ceil(GROUP));
-        });
+        FORWARD.launch(gpu, &[], &self.block(waves), &arrays, y.len().div_ceil(GROUP));
         Tensor::from_gpu([waves.rows(), self.used], y)
     }
 
@@ -54,10 +51,8 @@ impl Waves {
         let read = [waves, times, dy].map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays = [&read[..], &gradients.each_ref().map(Binding::Write)].concat();
         let lanes = lanes_for(self.stored);
-        in_windows(gpu, waves.rows(), &arrays, |rows, arrays| {
-            let groups = (rows * lanes).div_ceil(GROUP);
-            BACKWARD.launch(gpu, &[("LANES", lanes as u32)], &self.block(waves, rows), arrays, groups);
-        });
+        let groups = (waves.rows() * lanes).div_ceil(GROUP);
+        BACKWARD.launch(gpu, &[("LANES", lanes as u32)], &self.block(waves), &arrays, groups);
         let [of_waves, of_times] = gradients;
         [Tensor::from_gpu(waves.shape(), of_waves), Tensor::from_gpu(times.shape(), of_times)]
     }

@@ -4,7 +4,7 @@
 mod tests;
 
 use super::WindowAttention;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, in_windows_with, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 const REGISTERS: &str = include_str!("../window_registers.wgsl");
@@ -53,20 +53,15 @@ impl WindowAttention {
         let [of_queries, window] = [queries, keys].map(|tensor| tensor.row_len() / self.channels);
         let specialisation = [("WINDOW", window as u32)];
         let [of_queries, channels, heads] = [of_queries, self.channels, self.heads].map(|size| size as u32);
-        let block = WindowBlock { rows: 0, queries: of_queries, channels, heads, factor: self.factor() };
+        let rows = queries.rows();
+        let block = WindowBlock { rows: rows as u32, queries: of_queries, channels, heads, factor: self.factor() };
         let [per_row, numbers] = work(&block).map(|count| count as usize);
-        let is_long = window > MAX_WINDOW;
-        let held_by_row = if is_long { numbers * window * per_row } else { 0 };
-        in_windows_with(gpu, queries.rows(), held_by_row, arrays, |rows, arrays| {
-            let (block, groups) = (WindowBlock { rows: rows as u32, ..block }, (rows * per_row).div_ceil(GROUP));
-            if is_long {
-                let held = GpuArray::new(gpu, rows * held_by_row);
-                let arrays = [arrays, &[Binding::Write(&held)]].concat();
-                long.launch(gpu, &specialisation, &block, &arrays, groups);
-            } else {
-                short.launch(gpu, &specialisation, &block, arrays, groups);
-            }
-        });
+        let groups = (rows * per_row).div_ceil(GROUP);
+        if window <= MAX_WINDOW {
+            return short.launch(gpu, &specialisation, &block, arrays, groups);
+        }
+        let held = GpuArray::new(gpu, rows * per_row * numbers * window);
+        long.launch(gpu, &specialisation, &block, &[arrays, &[Binding::Write(&held)]].concat(), groups);
     }
 
     pub(super) fn value_on_gpu<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; 3]) -> Tensor<T> {

@@ -1,7 +1,5 @@
 //! The kernels of the backward pass.
 
-use std::ops::Range;
-
 use super::plan::Plan;
 use super::{Blend, BlendBlock, ELLIPSE, Kept, SAMPLE, STAGE};
 use crate::binning::GpuLists;
@@ -43,10 +41,6 @@ const LARGEST_PARTS: usize = 3072;
 uniforms! {
     pub(super) struct SumBlock as "Sum" {
         count: u32,
-        first_entry: u32,
-        end_entry: u32,
-        is_first: u32,
-        is_last: u32,
     }
 }
 
@@ -83,15 +77,9 @@ impl<T: Real> Blend<T> {
         let gradients = lens.map(|len| GpuArray::new(gpu, len));
 
         // The lists may have room for more entries than there are; rows behind the last are neither written nor read.
-        let bands = Plan::of(gpu).bands(lists.ranks.len(), self.row_len());
-        let rows = GpuArray::new(gpu, bands[0].len() * self.row_len());
-        let totals = GpuArray::new(gpu, if bands.len() > 1 { count * self.row_len() } else { 0 });
-        let written: Vec<&GpuArray> = gradients.iter().chain([&totals]).collect();
-        for (index, band) in bands.iter().enumerate() {
-            self.write_rows(gpu, (outputs, output_grads), lists, band, &rows);
-            let is_edge = [index == 0, index + 1 == bands.len()];
-            self.add_rows(gpu, inputs, lists, (band, is_edge), &rows, &written);
-        }
+        let rows = GpuArray::new(gpu, lists.ranks.len() * self.row_len());
+        self.write_rows(gpu, (outputs, output_grads), lists, &rows);
+        self.add_rows(gpu, inputs, lists, &rows, &gradients);
 
         let [means2d, conics, opacities, colors, depths, features] = gradients;
         let mut gradients = vec![Some(means2d), Some(conics), Some(opacities), Some(colors), None];
@@ -106,16 +94,15 @@ impl<T: Real> Blend<T> {
         ROW_COLORS + 3 + self.extra_count()
     }
 
-    /// [entries of a band, row]: the sums of every (tile, splat).
+    /// [entries, row]: the sums of every (tile, splat).
     fn write_rows(
         &self,
         gpu: Gpu,
         (outputs, output_grads): (&[&Tensor<T>], &[Option<&Tensor<T>>]),
         lists: &GpuLists,
-        band: &Range<usize>,
         rows: &GpuArray,
     ) {
-        if band.is_empty() {
+        if rows.is_empty() {
             return;
         }
         let Kept { records, extras, transmittances, last_entries } = self.kept.as_ref().expect("forward has run");
@@ -128,29 +115,18 @@ impl<T: Real> Blend<T> {
         let arrays: Vec<Binding> = read.chain(arriving).chain([Binding::Write(rows)]).collect();
         let (kernel, adding) = adding_up(Plan::of(gpu), self.row_len());
         let specialisation = [&self.specialisation()[..], &adding, &[("ARRIVING", mask)]].concat();
-        let [first_entry, end_entry] = [band.start, band.end].map(|entry| entry as u32);
-        let constants = BlendBlock { first_entry, end_entry, ..BlendBlock::new(&self.constants, lists.grid) };
+        let constants = BlendBlock::new(&self.constants, lists.grid);
         kernel.launch(gpu, &specialisation, &constants, &arrays, lists.grid.tiles());
     }
 
-    /// Adds a band's rows to what the bands before left in the totals of the splats; the last one makes gradients of them.
-    fn add_rows(
-        &self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        lists: &GpuLists,
-        (band, is_edge): (&Range<usize>, [bool; 2]),
-        rows: &GpuArray,
-        written: &[&GpuArray],
-    ) {
+    /// Adds the rows of every splat, and makes gradients of them.
+    fn add_rows(&self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists, rows: &GpuArray, gradients: &[GpuArray]) {
         let read = [rows, &lists.entry_of_hit, &lists.hit_starts, &lists.rank_of_splat];
         let shapes = [inputs[1].on_gpu(gpu), inputs[2].on_gpu(gpu)];
         let read = read.into_iter().chain(shapes).map(Binding::Read);
-        let arrays: Vec<Binding> = read.chain(written.iter().map(|array| Binding::Write(array))).collect();
+        let arrays: Vec<Binding> = read.chain(gradients.iter().map(Binding::Write)).collect();
         let (count, lanes) = (inputs[0].rows(), self.row_len().min(LARGEST_LANES));
-        let [first_entry, end_entry] = [band.start, band.end].map(|entry| entry as u32);
-        let [is_first, is_last] = is_edge.map(u32::from);
-        let constants = SumBlock { count: count as u32, first_entry, end_entry, is_first, is_last };
+        let constants = SumBlock { count: count as u32 };
         let [extras, depth, _] = self.specialisation();
         let specialisation = [extras, depth, ("LANES", lanes as u32)];
         SUM.launch(gpu, &specialisation, &constants, &arrays, count.div_ceil(WORKGROUP_SIZE / lanes));

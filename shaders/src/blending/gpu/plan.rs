@@ -1,7 +1,5 @@
 //! How the kernels run.
 
-use std::ops::Range;
-
 use crate::gpu::Gpu;
 
 /// Choices that change no image.
@@ -11,8 +9,6 @@ pub struct Plan {
     pub is_culled: bool,
     /// The size of the subgroups in which the backward pass adds up pixels; `None` if it does so in workgroup memory.
     pub subgroup: Option<u32>,
-    /// Bytes of the rows of a band.
-    pub row_bytes: u64,
 }
 
 #[cfg(test)]
@@ -25,19 +21,12 @@ impl Plan {
     /// What is fastest on an adapter.
     pub fn of(gpu: Gpu) -> Self {
         #[cfg_attr(not(test), expect(unused_mut))]
-        let mut plan = Self { is_culled: true, subgroup: gpu.subgroup_size(), row_bytes: gpu.visible_bytes() };
+        let mut plan = Self { is_culled: true, subgroup: gpu.subgroup_size() };
         #[cfg(test)]
         if let Some(change) = CHANGE.get() {
             change(&mut plan);
         }
         plan
-    }
-
-    /// So many entries in bands whose rows, of so many columns, fit in one array; one band at least.
-    pub fn bands(self, entries: usize, row_len: usize) -> Vec<Range<usize>> {
-        let fitting = usize::try_from(self.row_bytes / 4).map_or(usize::MAX, |numbers| numbers / row_len).max(1);
-        let starts = (0..entries.max(1)).step_by(fitting);
-        starts.map(|start| start..entries.min(start.saturating_add(fitting))).collect()
     }
 
     /// What a kernel that stages so many entries at once is specialised for.

@@ -187,37 +187,6 @@ fn every_way_of_adding_up_gives_equal_bytes_twice() {
     }
 }
 
-#[test]
-fn rows_come_in_bands_that_fit() {
-    let plan = Plan { is_culled: true, subgroup: None, row_bytes: 1000 };
-    let bands = |entries, row_len| -> Vec<[usize; 2]> {
-        plan.bands(entries, row_len).into_iter().map(|band| [band.start, band.end]).collect()
-    };
-    assert_eq!(bands(60, 10), [[0, 25], [25, 50], [50, 60]]);
-    assert_eq!([bands(25, 10), bands(0, 10)], [[[0, 25]], [[0, 0]]]);
-    assert_eq!(bands(2, 1000), [[0, 1], [1, 2]]);
-}
-
-#[test]
-fn bands_of_rows_change_nothing() {
-    let Some(gpu) = test_gpu() else { return };
-    // Rows have 12 columns: bands of 37 entries, in which no tile and no batch ends, and of one.
-    let banded: [[fn(&mut Plan); 2]; 3] = [
-        [|_| {}, |plan| plan.row_bytes = 37 * 48],
-        [in_workgroups, |plan| (plan.subgroup, plan.row_bytes) = (None, 37 * 48)],
-        [|_| {}, |plan| plan.row_bytes = 1],
-    ];
-    for (plans, count) in banded.into_iter().zip([200, 200, 10]) {
-        compare_plans(gpu, &ellipses(count, [60, 40], 6), [60, 40], plans).unwrap();
-    }
-    let faults = [
-        ("blending, sums", "sizes.is_first == 0u", "sizes.is_first == 2u"),
-        ("blending, sums", "entry - sizes.first_entry, is_here", "entry, is_here"),
-        ("blending backward", "max(blend.first_entry, first) - first", "max(blend.first_entry, first) - first + 1u"),
-    ];
-    assert_noticed(&faults, || compare_plans(gpu, &ellipses(100, [40, 30], 6), [40, 30], banded[0]));
-}
-
 /// Subgroups of any size, made of workgroup memory: what the sums rest on where an adapter has subgroups of that size.
 const EXCHANGE: &str = "
 var<private> invocation: u32;

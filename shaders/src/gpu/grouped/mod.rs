@@ -10,7 +10,7 @@
 #[cfg(test)]
 pub(crate) mod tests;
 
-use super::{Binding, Gpu, Kernel, in_windows};
+use super::{Binding, Gpu, Kernel, parts};
 
 const TEXT: &str = include_str!("grouped.wgsl");
 /// Bytes of constants between neighbouring items are a multiple of this, as WGSL wants it.
@@ -47,21 +47,22 @@ pub struct Item<'a, C> {
 }
 
 impl<'a, C> Item<'a, C> {
-    /// One item for arrays of so many elements each, or several that each have a window of them where they do not fit;
-    /// the constants follow from the number of elements.
-    pub fn of_windows(
+    /// One item for arrays of so many elements each, or several that each have a part of them where a kernel does not see
+    /// all; the constants follow from the number of elements.
+    pub fn in_parts(
         gpu: Gpu,
         len: usize,
         elements_per_group: usize,
         arrays: &[Binding<'a>],
         constants: impl Fn(u32) -> C,
     ) -> Vec<Self> {
-        let mut items = Vec::new();
-        in_windows(gpu, len, arrays, |len, arrays| {
-            let groups = len.div_ceil(elements_per_group);
-            items.push(Self { constants: constants(len as u32), arrays: arrays.to_vec(), groups });
-        });
-        items
+        let visible = parts::visible_len(gpu);
+        let item = |first: usize| {
+            let len = visible.min(len - first);
+            let arrays = arrays.iter().map(|array| array.within(first, len)).collect();
+            Self { constants: constants(len as u32), arrays, groups: len.div_ceil(elements_per_group) }
+        };
+        (0..len).step_by(visible).map(item).collect()
     }
 }
 
@@ -126,10 +127,16 @@ impl Grouped {
         TEXT.to_owned() + &padded + &declared.chain(functions).collect::<String>()
     }
 
-    /// Items that one launch has room for.
+    /// Items that one launch has room for, if a kernel sees their arrays whole.
     pub fn room(&self, gpu: Gpu) -> usize {
-        let arrays = gpu.arrays_per_kernel() - self.shared;
-        arrays.checked_div(self.arrays.len()).unwrap_or(MOST_ITEMS).clamp(1, MOST_ITEMS)
+        room(gpu, self.shared, self.arrays.len())
+    }
+
+    /// Items that one launch has room for, of these.
+    pub fn room_for<C>(&self, gpu: Gpu, shared: &[Binding], items: &[Item<C>]) -> usize {
+        let parts = |arrays: &[Binding]| arrays.iter().map(|array| parts::count(gpu, array.len())).sum();
+        let most = items.iter().map(|item| parts(&item.arrays)).max();
+        room(gpu, parts(shared), most.unwrap_or(self.arrays.len()))
     }
 
     /// Records one run over all items, in as few launches as the adapter allows; items without workgroups are left out.
@@ -140,9 +147,10 @@ impl Grouped {
         shared: &[Binding],
         items: &[Item<C>],
     ) {
+        let room = self.room_for(gpu, shared, items);
         let items: Vec<&Item<C>> = items.iter().filter(|item| item.groups > 0).collect();
         // Of equal sizes, which share a pipeline.
-        let launches = items.len().div_ceil(self.room(gpu)).max(1);
+        let launches = items.len().div_ceil(room).max(1);
         for items in items.chunks(items.len().div_ceil(launches).max(1)) {
             let mut groups = 0;
             let mut first_groups = Vec::new();
@@ -192,9 +200,15 @@ impl Grouped {
     }
 }
 
+/// Items of so many arrays that a launch has room for beside shared ones; one at least.
+fn room(gpu: Gpu, shared: usize, arrays: usize) -> usize {
+    let left = gpu.arrays_per_kernel().saturating_sub(shared);
+    left.checked_div(arrays).unwrap_or(MOST_ITEMS).clamp(1, MOST_ITEMS)
+}
+
 impl Gpu {
     /// Arrays that one launch may have.
-    fn arrays_per_kernel(self) -> usize {
+    pub(crate) fn arrays_per_kernel(self) -> usize {
         let most = (self.0.limits.max_storage_buffers_per_shader_stage as usize).min(MOST_ARRAYS);
         #[cfg(test)]
         let most = most.min(tests::MOST.get());

@@ -2,8 +2,7 @@
 //!
 //! The gradients of the planes are gathered, not scattered: points are sorted by the cell of each plane that they are in,
 //! cells add their points block by block, and every texel adds the cells around it. A launch has all scales, as long as the
-//! adapter allows so many arrays and such large ones, and all points, or a window of them, whose gradients of planes add to
-//! those of the windows before.
+//! adapter allows so many arrays, and as many points as there is memory for.
 
 mod regularisers;
 mod scales;
@@ -12,7 +11,7 @@ pub use regularisers::{add_mean_gradients, sums_of_means};
 
 use super::Field;
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, in_windows, in_windows_with};
+use crate::gpu::{ALIGNMENT, Binding, Gpu, GpuArray, Kernel, parts};
 use crate::sort::{sort, starts};
 use crate::tape::{Real, Tensor, total_on_gpu};
 use scales::{ScaleItem, cells, scales};
@@ -65,6 +64,8 @@ const GRADIENTS: &[ItemArray] = &[
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;
+/// Gradients of values at most, 1 GiB of them: a step needs little more memory for millions of points than for many.
+const MOST_VALUES: usize = 1 << 28;
 /// Entries of the list by cells that one invocation adds.
 const ENTRIES_PER_BLOCK: usize = 32;
 
@@ -94,10 +95,8 @@ pub fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Te
     let (points, channels) = (positions.rows(), field.channels());
     let features = GpuArray::new(gpu, points * channels * field.scales());
     let shared = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&features)];
-    in_windows(gpu, points, &shared, |points, shared| {
-        let items = readers(gpu, &scales(field, points), field.planes, (points * channels).div_ceil(GROUP));
-        FORWARD.launch(gpu, &[], shared, &items);
-    });
+    let items = readers(gpu, &scales(field, points), field.planes, (points * channels).div_ceil(GROUP));
+    FORWARD.launch(gpu, &[], &shared, &items);
     Tensor::from_gpu([points, channels * field.scales()], features)
 }
 
@@ -111,17 +110,28 @@ pub fn add_gradients<T: Real>(
 ) {
     let (of_positions, of_planes) = totals.split_first_mut().expect("positions come first");
     let (g_positions, adds) = total_on_gpu(gpu, of_positions, positions.shape());
-    let [read, dy] = [positions, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
-    // A launch has one scale at least, of which it makes the gradients of six values, and the list has all entries.
-    let per_point = 6 * field.channels().max(field.scales());
-    in_windows_with(gpu, positions.rows(), per_point, &[read, dy, Binding::Write(g_positions)], |points, arrays| {
-        let &[positions, dy, g_positions] = arrays else { unreachable!("three arrays") };
-        add_window(gpu, field, points, (positions, dy), (g_positions, adds), of_planes);
-    });
+    let points = positions.rows();
+    let [positions, dy] = [positions, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
+    let most = points_at_once(gpu, field);
+    for first in (0..points).step_by(most) {
+        let count = most.min(points - first);
+        let [positions, dy, g_positions] = [positions, dy, Binding::Write(g_positions)].map(|array| {
+            let columns = array.len() / points;
+            array.within(columns * first, columns * count)
+        });
+        add_points(gpu, field, count, (positions, dy), (g_positions, adds), of_planes);
+    }
+}
+
+/// Points whose gradients of values are there at once, so many that more can begin behind them.
+fn points_at_once<T: Real>(gpu: Gpu, field: &Field<T>) -> usize {
+    let per_point = 6 * field.scales() * field.channels();
+    let fitting = parts::visible_len(gpu).min(MOST_VALUES) / per_point;
+    (fitting / ALIGNMENT * ALIGNMENT).max(ALIGNMENT)
 }
 
 /// The same for so many points, of which the gradients of positions are given with whether they add to what is there.
-fn add_window<T: Real>(
+fn add_points<T: Real>(
     gpu: Gpu,
     field: &Field<T>,
     points: usize,
@@ -130,8 +140,8 @@ fn add_window<T: Real>(
     of_planes: &mut [Option<Tensor<T>>],
 ) {
     let scales = scales(field, points);
-    let list = CellList::new(gpu, &scales, points, positions);
-    let most = scales_per_launch(gpu, &scales);
+    let list = CellList::new(gpu, &scales, positions);
+    let most = scales_per_launch(gpu, &scales, field.planes);
     let parts = scales.chunks(most).zip(field.planes.chunks(6 * most)).zip(of_planes.chunks_mut(6 * most));
     for ((scales, planes), totals) in parts {
         let part = Part { gpu, scales, planes, positions, list: &list };
@@ -141,13 +151,20 @@ fn add_window<T: Real>(
     }
 }
 
-/// Scales whose arrays a launch can have, at least one.
-fn scales_per_launch(gpu: Gpu, scales: &[ScaleItem]) -> usize {
-    let most = BACKWARD.room(gpu).min(TEXELS.room(gpu));
-    let fits = |count: &usize| {
-        let elements = |part: &[ScaleItem]| part[0].values(part.len()).max(corners(part));
-        scales.chunks(*count).all(|part| 4 * elements(part) as u64 <= gpu.visible_bytes())
+/// Neighbouring scales of whose gradients kernels see all at once; one at least.
+fn scales_per_launch<T: Real>(gpu: Gpu, scales: &[ScaleItem], planes: &[&Tensor<T>]) -> usize {
+    let fits = |&count: &usize| {
+        scales.chunks(count).zip(planes.chunks(6 * count)).all(|(scales, planes)| {
+            let [points, values] = [scales[0].points(), scales[0].values(scales.len())];
+            let features = points * scales[0].features as usize;
+            let sum = |lens: &[usize]| lens.iter().map(|&len| parts::count(gpu, len)).sum::<usize>();
+            let of_backward = sum(&[3 * points, 3 * points, features, values]);
+            let of_texels = sum(&[cells(scales) + 1, corners(scales)]);
+            let of_planes: usize = planes.iter().map(|plane| parts::count(gpu, plane.len())).sum();
+            of_planes + of_backward.max(of_texels) <= gpu.arrays_per_kernel()
+        })
     };
+    let most = BACKWARD.room(gpu).min(TEXELS.room(gpu));
     (1..=most).rev().find(fits).unwrap_or(1)
 }
 
@@ -162,8 +179,8 @@ struct CellList {
 }
 
 impl CellList {
-    fn new(gpu: Gpu, scales: &[ScaleItem], points: usize, positions: Binding) -> Self {
-        let cells = cells(scales);
+    fn new(gpu: Gpu, scales: &[ScaleItem], positions: Binding) -> Self {
+        let (cells, points) = (cells(scales), scales[0].points());
         let cell_of_entry = GpuArray::new(gpu, 6 * scales.len() * points);
         let shared = [positions, Binding::Write(&cell_of_entry)];
         CELLS.launch(gpu, &[], &shared, &bare(scales, points.div_ceil(GROUP)));

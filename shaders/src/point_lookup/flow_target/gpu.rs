@@ -2,7 +2,7 @@
 
 use super::{DEPTH_TOLERANCE, FlowMaps};
 use crate::algebra;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, in_windows, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::point_lookup::PinholeCamera;
 use crate::tape::{Real, Tensor};
 
@@ -61,13 +61,11 @@ pub(super) fn targets<T: Real>(gpu: Gpu, maps: &FlowMaps<T>, points: &Tensor<T>)
     let count = points.rows();
     let [positions, free, seen] = [3, 3, 1].map(|columns| GpuArray::new(gpu, columns * count));
     let depth_to = maps.depth_to.as_ref().unwrap_or(&maps.depth);
-    let views = [&maps.depth, &maps.flow, depth_to].map(|map| Binding::Read(map.on_gpu(gpu)).all());
+    let views = [&maps.depth, &maps.flow, depth_to].map(|map| Binding::Read(map.on_gpu(gpu)));
     let written = [&positions, &free, &seen].map(Binding::Write);
     let arrays = [&[Binding::Read(points.on_gpu(gpu))][..], &views, &written].concat();
     let knows_arrival = ("KNOWS_ARRIVAL", u32::from(maps.depth_to.is_some()));
-    in_windows(gpu, count, &arrays, |count, arrays| {
-        TARGETS.launch(gpu, &[knows_arrival], &block(maps, count), arrays, count.div_ceil(GROUP));
-    });
+    TARGETS.launch(gpu, &[knows_arrival], &block(maps, count), &arrays, count.div_ceil(GROUP));
     let of_three = [positions, free].map(|array| Tensor::from_gpu([count, 3], array));
     of_three.into_iter().chain([Tensor::from_gpu([count, 1], seen)]).collect()
 }

@@ -7,8 +7,8 @@ struct Columns {
     width: u32,
     from_stride: u32,
     from_columns: u32,
-    // The column that goes to the first one written.
-    from_first: i32,
+    // The column that goes to the first one written; before the first column by as much as it is below 2³².
+    from_first: u32,
     to_stride: u32,
     to_first: u32,
 }
@@ -29,10 +29,10 @@ fn main(
     }
     let row = index / sizes.width;
     let column = index % sizes.width;
-    let source = i32(column) + sizes.from_first;
+    let source = column + sizes.from_first;
     var value = 0.0;
-    if (source >= 0 && source < i32(sizes.from_columns)) {
-        value = x[row * sizes.from_stride + u32(source)];
+    if (source < sizes.from_columns) {
+        value = x[row * sizes.from_stride + source];
     }
     y[row * sizes.to_stride + sizes.to_first + column] = value;
 }

@@ -4,7 +4,7 @@
 use std::array::from_fn;
 use std::fmt::Write;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, in_windows, specialised, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Launch, specialised, uniforms};
 use crate::rows::map::RowMap;
 use crate::tape::{Real, Tensor};
 
@@ -94,10 +94,8 @@ impl<const I: usize> RowKernel<I> {
         [rows, columns]: [usize; 2],
         arrays: &[Binding],
     ) {
-        in_windows(gpu, rows, arrays, |rows, arrays| {
-            let (block, groups) = (self.block(rows), (rows * columns).div_ceil(GROUP).into());
-            gpu.launch(&Launch { name: name.clone(), source, constants: bytemuck::bytes_of(&block), arrays, groups });
-        });
+        let (block, groups) = (self.block(rows), (rows * columns).div_ceil(GROUP).into());
+        gpu.launch(&Launch { name, source, constants: bytemuck::bytes_of(&block), arrays, groups });
     }
 
     /// What tells these kernels from others of the same map.

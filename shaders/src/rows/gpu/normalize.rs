@@ -1,6 +1,6 @@
 //! Rows of length one on a GPU, however wide.
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const LENGTH: &str = include_str!("length.wgsl");
@@ -22,10 +22,8 @@ uniforms! {
 /// Runs a kernel for the rows of arrays that are all of one shape.
 fn launch(gpu: Gpu, kernel: &Kernel, [rows, columns]: [usize; 2], epsilon: f64, arrays: &[Binding]) {
     let lanes = lanes_for(columns);
-    in_windows(gpu, rows, arrays, |rows, arrays| {
-        let block = LengthsBlock { rows: rows as u32, columns: columns as u32, epsilon: epsilon as f32 };
-        kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
-    });
+    let block = LengthsBlock { rows: rows as u32, columns: columns as u32, epsilon: epsilon as f32 };
+    kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
 }
 
 /// x / max(‖x‖, ε) of every row.

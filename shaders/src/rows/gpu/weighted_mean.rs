@@ -1,7 +1,7 @@
 //! The weighted mean of squared differences on a GPU.
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, in_windows, uniforms};
-use crate::sums::{GROUP, LANES, add_rows};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::sums::{GROUP, LANES, over_rows};
 use crate::tape::{Real, Tensor};
 
 const SIZES: &str = include_str!("weighted.wgsl");
@@ -25,29 +25,21 @@ pub struct WeightedMeanOnGpu {
 }
 
 impl WeightedBlock {
-    /// So many rows of a.
-    fn of<T: Real>(a: &Tensor<T>, rows: usize) -> Self {
-        Self { rows: rows as u32, columns: a.row_len() as u32 }
+    fn of<T: Real>(a: &Tensor<T>) -> Self {
+        Self { rows: a.rows() as u32, columns: a.row_len() as u32 }
     }
 }
 
 impl WeightedMeanOnGpu {
     /// The mean for a, b and weights.
     pub fn new<T: Real>(gpu: Gpu, inputs: &[&Tensor<T>]) -> (Self, Tensor<T>) {
-        let rows = inputs[0].rows();
-        let (sums, mean) = (GpuArray::new(gpu, 2), GpuArray::new(gpu, 1));
-        let read: Vec<Binding> = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu))).collect();
-        let mut adds = false;
-        in_windows(gpu, rows, &read, |rows, read| {
-            let groups = rows.div_ceil(GROUP);
-            let terms = GpuArray::new(gpu, 2 * groups);
-            let arrays = [read, &[Binding::Write(&terms)]].concat();
-            TERMS.launch(gpu, &[LANES], &WeightedBlock::of(inputs[0], rows), &arrays, groups);
-            add_rows(gpu, Binding::Read(&terms), [groups, 2], &sums, adds);
-            adds = true;
-        });
-        let arrays = [Binding::Read(&sums), Binding::Write(&mean)];
-        MEAN.launch(gpu, &[], &WeightedBlock::of(inputs[0], rows), &arrays, 1);
+        let (block, groups) = (WeightedBlock::of(inputs[0]), inputs[0].rows().div_ceil(GROUP));
+        let (terms, mean) = (GpuArray::new(gpu, 2 * groups), GpuArray::new(gpu, 1));
+        let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
+        let arrays: Vec<Binding> = read.chain([Binding::Write(&terms)]).collect();
+        TERMS.launch(gpu, &[LANES], &block, &arrays, groups);
+        let sums = over_rows(gpu, &terms, 2);
+        MEAN.launch(gpu, &[], &block, &[Binding::Read(&sums), Binding::Write(&mean)], 1);
         (Self { sums }, Tensor::from_gpu([1], mean))
     }
 
@@ -61,12 +53,9 @@ impl WeightedMeanOnGpu {
     ) -> [Tensor<T>; 3] {
         let gradients = [0, 1, 2].map(|input| GpuArray::new(gpu, inputs[input].len()));
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
-        let numbers = [mean.on_gpu(gpu), dy.on_gpu(gpu), &self.sums].map(|array| Binding::Read(array).all());
+        let numbers = [mean.on_gpu(gpu), dy.on_gpu(gpu), &self.sums].map(Binding::Read);
         let arrays: Vec<Binding> = read.chain(numbers).chain(gradients.iter().map(Binding::Write)).collect();
-        in_windows(gpu, inputs[0].rows(), &arrays, |rows, arrays| {
-            let groups = (rows * inputs[0].row_len()).div_ceil(GROUP);
-            BACKWARD.launch(gpu, &[], &WeightedBlock::of(inputs[0], rows), arrays, groups);
-        });
+        BACKWARD.launch(gpu, &[], &WeightedBlock::of(inputs[0]), &arrays, inputs[0].len().div_ceil(GROUP));
         let mut inputs = inputs.iter();
         gradients.map(|array| Tensor::from_gpu(inputs.next().expect("as many").shape(), array))
     }

@@ -4,7 +4,6 @@ use crate::gpu::conformance::{Tolerance, compare};
 use crate::gpu::fault::assert_noticed;
 use crate::gpu::layout::assert_valid;
 use crate::gpu::tests::test_gpu;
-use crate::gpu::windows::tests::assert_equal_in_windows;
 use crate::slicing4d::{Gaussians4dVars, slice};
 use crate::tape::{Device, Tape, Var};
 
@@ -110,19 +109,4 @@ fn a_gpu_hides_what_the_cpu_hides() {
         let shown = found.iter().sum::<f32>();
         assert!(count < 3000 || (300.0..2700.0).contains(&shown), "{shown} rows");
     }
-}
-
-#[test]
-fn windows_of_rows_change_nothing() {
-    let Some(gpu) = test_gpu() else { return };
-    let result = || {
-        let mut tape = Tape::new(Device::Gpu(gpu));
-        let inputs: Vec<Var> = inputs(700).into_iter().map(|input| tape.leaf(input)).collect();
-        let outputs = sliced(0.5)(&mut tape, &inputs);
-        let seeds: Vec<_> = outputs.iter().map(|&output| (output, tape.value(output).clone())).collect();
-        let gradients = tape.backward(&seeds);
-        let values = outputs.iter().map(|&output| tape.value(output).clone());
-        values.chain(inputs.iter().map(|&input| gradients.get(input).unwrap().clone())).collect::<Vec<_>>()
-    };
-    assert_eq!(assert_equal_in_windows(result), 2);
 }

@@ -1,0 +1,94 @@
+use std::cell::Cell;
+
+use super::*;
+use crate::gpu::conformance::Disagreement;
+use crate::gpu::fault::with_fault;
+
+thread_local! {
+    /// Whether parts are as small as they can be, for the tests of this thread.
+    static SMALLEST: Cell<bool> = const { Cell::new(false) };
+    /// Launches of which an array came in parts.
+    static SPLIT: Cell<usize> = const { Cell::new(0) };
+    /// Comparisons of this test that were made again in parts.
+    static COMPARED: Cell<usize> = const { Cell::new(0) };
+}
+
+/// Comparisons of a test that are made again in parts: for each of them kernels are compiled anew.
+const MOST_COMPARED: usize = 2;
+
+/// The numbers of a part where a test wants others than the adapter.
+pub fn changed_len() -> Option<usize> {
+    SMALLEST.get().then_some(ALIGNMENT)
+}
+
+/// The numbers of a part for these arrays; where a test wants the smallest, so many that a kernel sees all parts.
+pub fn len_that_fits(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
+    let parts = |len| arrays.iter().map(|array| count_of(array.len(), len)).sum::<usize>();
+    let fits = |&len: &usize| !SMALLEST.get() || parts(len) <= gpu.arrays_per_kernel();
+    let len = (len..).step_by(ALIGNMENT).find(fits).expect("whole arrays fit");
+    SPLIT.set(SPLIT.get() + usize::from(parts(len) > arrays.len()));
+    len
+}
+
+/// The result with parts as small as can be, and in how many launches an array came in parts.
+fn in_parts<R>(result: impl FnOnce() -> R) -> (R, usize) {
+    SPLIT.set(0);
+    SMALLEST.set(true);
+    let result = result();
+    SMALLEST.set(false);
+    (result, SPLIT.get())
+}
+
+/// Makes a comparison again with arrays in parts, unless the test has done so with others already.
+pub fn compare_in_parts(compare: impl FnOnce() -> Result<usize, Disagreement>) -> Result<(), Disagreement> {
+    if COMPARED.get() == MOST_COMPARED || SMALLEST.get() {
+        return Ok(());
+    }
+    let (compared, split) = in_parts(compare);
+    COMPARED.set(COMPARED.get() + usize::from(split > 0));
+    compared.map(drop).map_err(|error| Disagreement { what: format!("in parts, {}", error.what), ..error })
+}
+
+/// The launches of which an array comes in parts, where parts are as small as can be. Panics unless the result is the same
+/// as with whole arrays, and another where parts are mistaken for each other.
+pub fn assert_equal_in_parts<R: PartialEq>(result: impl Fn() -> R) -> usize {
+    // In parts first: what nobody writes does not hold what an earlier run left there.
+    let (found, split) = in_parts(&result);
+    assert!(found == result(), "{split} launches, with arrays in parts, compute something else");
+    let (mistaken, _) = with_fault(("parts", "_1_part[at - ", "_1_part[1u + at - "), || in_parts(&result));
+    assert!(split == 0 || mistaken != found, "nobody notices that parts are mistaken");
+    split
+}
+
+#[test]
+fn places_are_looked_for_in_their_parts() {
+    let kernel = "
+        @group(0) @binding(1) var<storage, read> x: array<vec4<f32>>; // x[0] = 3;
+        @group(0) @binding(2) var<storage, read_write> y: array<f32>;
+        @group(0) @binding(3) var<storage, read> z: array<u32>;
+        y[z[i] + z[1]] += x[z[2]].w; if (y[0] == y.z[3]) { y[1] = arrayLength(&y); }
+    ";
+    let found = text::in_parts(kernel, &[2, 3, 1], 64);
+    assert!(found.starts_with(
+        "@group(0) @binding(4) var<storage, read> x_1_part: array<vec4<f32>>;\n\
+         fn len_x() -> u32 { return 16u + arrayLength(&x_1_part); }\n\
+         fn get_x(at: u32) -> vec4<f32> {\n    switch at / 16u {\n        case 1u: { return x_1_part[at - 16u]; }\n        \
+         default: {}\n    }\n    return x[at];\n}\n\
+         @group(0) @binding(5) var<storage, read_write> y_1_part: array<f32>;\n\
+         @group(0) @binding(6) var<storage, read_write> y_2_part: array<f32>;\n"
+    ));
+    let uses =
+        "set_y(z[i] + z[1], get_y(z[i] + z[1]) + ( get_x(z[2]).w)); if (get_y(0) == y.z[3]) { set_y(1,  len_y()); }";
+    assert!(found.contains(uses) && !found.contains("= 3"), "{found}");
+    let z = text::in_parts(kernel, &[1, 1, 2], 64);
+    assert!(z.contains("y[get_z(i) + get_z(1)] += x[get_z(2)].w; if (y[0] == y.z[3])"), "{z}");
+}
+
+#[test]
+fn atomic_operations_find_their_part() {
+    let kernel = "@group(0) @binding(1) var<storage, read_write> n: array<atomic<u32>>;
+        atomicAdd(&n[atomicLoad(&m[0])], n_of(a[3])); atomicMax(&m[1], 2u);";
+    let found = text::in_parts(kernel, &[2], 64);
+    assert!(found.contains("fn atomicMax_n(at: u32, value: u32) -> u32 {"), "{found}");
+    assert!(found.contains("atomicAdd_n(atomicLoad(&m[0]), n_of(a[3])); atomicMax(&m[1], 2u);"), "{found}");
+}
