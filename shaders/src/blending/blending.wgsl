@@ -68,7 +68,7 @@ fn blend_batch(pixel: ptr<function, Pixel>, place: vec2<u32>, cell: u32, turn: u
         while (bits != 0u) {
             let entry = 32u * word + firstTrailingBit(bits);
             bits &= bits - 1u;
-            let sigma = sigma_of(entry, offset_to(entry, place));
+            let sigma = sigma_of(entry, offset_to(entry, center_of(place)));
             if (!is_seen(entry, sigma)) {
                 continue;
             }
@@ -81,7 +81,7 @@ fn blend_batch(pixel: ptr<function, Pixel>, place: vec2<u32>, cell: u32, turn: u
             let weight = alpha * (*pixel).transmittance;
             (*pixel).color += weight * colors[entry].xyz;
             for (var channel = 0u; channel < EXTRAS; channel++) {
-                (*pixel).extras[channel] += weight * extras[staged_ranks[entry] * EXTRAS + channel];
+                (*pixel).extras[channel] += weight * extra_value(entry, channel);
             }
             (*pixel).transmittance = next;
             (*pixel).last = before + entry + 1u;

@@ -21,7 +21,7 @@ const ROW: u32 = MOMENTS + CHANNELS;
 const TAILS: u32 = (CHANNELS + 1u) / 4u;
 
 struct Pixel {
-    position: vec2<u32>,
+    center: vec2<f32>,
     // Entries of the tile up to the last that was blended.
     last: u32,
     transmittance: f32,
@@ -36,6 +36,13 @@ struct Share {
     // The gradient of σ.
     v: f32,
     weight: f32,
+}
+
+// What a share adds to the columns of a row, in their order.
+struct Row {
+    first: vec4<f32>,
+    second: vec4<f32>,
+    tails: array<vec4<f32>, TAILS>,
 }
 
 var<workgroup> tile_last: atomic<u32>;
@@ -89,7 +96,7 @@ fn gradient_in_total(at: u32) -> f32 {
 // A pixel before the first entry; outside the image it blends nothing.
 fn pixel_before(position: vec2<u32>) -> Pixel {
     var pixel: Pixel;
-    pixel.position = position;
+    pixel.center = center_of(position);
     pixel.transmittance = 1.0;
     if (is_in_image(position)) {
         let at = position.y * blend.width + position.x;
@@ -112,13 +119,6 @@ fn last_of_tile(local: u32, last: u32) -> u32 {
     // A maximum of whole numbers: its order does not matter.
     atomicMax(&tile_last, last);
     return workgroupUniformLoad(&tile_last);
-}
-
-fn extra_value(entry: u32, extra: u32) -> f32 {
-    if (extra < EXTRAS) {
-        return extras[staged_ranks[entry] * EXTRAS + extra];
-    }
-    return 0.0;
 }
 
 // The values of an entry that belong to the gradients of a tail.
@@ -153,9 +153,21 @@ fn pass_entry(pixel: ptr<function, Pixel>, entry: u32, sigma: f32, is_blended: b
     return Share(select(0.0, g_alpha_here * opacity.alpha_by_sigma, is_blended), select(0.0, weight, is_blended));
 }
 
+fn row_of(pixel: ptr<function, Pixel>, share: Share, offset: vec2<f32>) -> Row {
+    var row: Row;
+    let by_e = share.v * offset.x;
+    let by_dy = share.v * offset.y;
+    row.first = vec4<f32>(share.v, by_e, by_e * offset.x, by_e * offset.y);
+    row.second = vec4<f32>(by_dy, by_dy * offset.y, share.weight * (*pixel).head);
+    for (var tail = 0u; tail < TAILS; tail++) {
+        row.tails[tail] = share.weight * (*pixel).tails[tail];
+    }
+    return row;
+}
+
 // Entries behind everything that was blended have no gradient.
-fn clear_rows(local: u32, first: u32, end: u32) {
-    for (var at = first * ROW + local; at < end * ROW; at += PIXELS) {
+fn clear_rows(local: u32, invocations: u32, first: u32, end: u32) {
+    for (var at = first * ROW + local; at < end * ROW; at += invocations) {
         rows[at] = 0.0;
     }
 }

@@ -57,7 +57,7 @@ fn main(
         }
         turn = 1u - turn;
     }
-    clear_rows(local, first, end);
+    clear_rows(local, PIXELS, first, end);
 }
 
 // Takes a pixel past the entries of a round that meet its cell.
@@ -68,7 +68,7 @@ fn leave_round(pixel: ptr<function, Pixel>, entries: u32, before: u32, round: u3
             continue;
         }
         var share = Share(0.0, 0.0);
-        let sigma = sigma_of(entry, offset_to(entry, (*pixel).position));
+        let sigma = sigma_of(entry, offset_to(entry, (*pixel).center));
         if (before + entry < (*pixel).last && is_seen(entry, sigma)) {
             share = pass_entry(pixel, entry, sigma, true);
         }
@@ -97,7 +97,7 @@ fn add_part(local: u32, turn: u32, corner: vec2<u32>, round: u32, first_column: 
 
 // What a pixel's share adds to four columns of a row.
 fn columns_of(share: Share, entry: u32, position: vec2<u32>, column: u32) -> vec4<f32> {
-    let offset = offset_to(entry, position);
+    let offset = offset_to(entry, center_of(position));
     if (column == 0u) {
         return share.v * vec4<f32>(1.0, offset.x, offset.x * offset.x, offset.x * offset.y);
     }

@@ -49,7 +49,7 @@ fn main(
         write_rows(local, first, count);
         turn = 1u - turn;
     }
-    clear_rows(local, first, end);
+    clear_rows(local, PIXELS, first, end);
 }
 
 fn first_bits(count: u32) -> u32 {
@@ -70,37 +70,33 @@ fn leave_batch(pixel: ptr<function, Pixel>, entries: u32, before: u32, subgroup:
     var given = 0u;
     for (var rest = entries; rest != 0u; rest &= rest - 1u) {
         let entry = firstTrailingBit(rest);
-        let offset = offset_to(entry, (*pixel).position);
+        let offset = offset_to(entry, (*pixel).center);
         let sigma = sigma_of(entry, offset);
         let is_blended = before + entry < (*pixel).last && is_seen(entry, sigma);
         if (!subgroupAny(is_blended)) {
             continue;
         }
         let share = pass_entry(pixel, entry, sigma, is_blended);
-        leave(pixel, share, offset, (entry * SUBGROUPS + subgroup) * ROW, lane);
+        leave(row_of(pixel, share, offset), (entry * SUBGROUPS + subgroup) * ROW, lane);
         given |= 1u << entry;
     }
     return given;
 }
 
-// Adds up the shares of a subgroup's pixels, for the columns of a row from `at` on.
-fn leave(pixel: ptr<function, Pixel>, share: Share, offset: vec2<f32>, at: u32, lane: u32) {
-    let by_e = share.v * offset.x;
-    let by_dy = share.v * offset.y;
-    let first = vec4<f32>(share.v, by_e, by_e * offset.x, by_e * offset.y);
-    let second = vec4<f32>(by_dy, by_dy * offset.y, share.weight * (*pixel).head);
+// Adds up the rows of a subgroup's pixels, from `at` on.
+fn leave(row: Row, at: u32, lane: u32) {
     if (SUBGROUP >= 8u) {
-        let sum = added8(lane, first, second);
+        let sum = added8(lane, row.first, row.second);
         if (lane % EIGHTH == 0u) {
             parts[at + lane / EIGHTH] = sum;
         }
     } else {
-        parts[at + lane] = added4(lane, first, 2u);
-        parts[at + 4u + lane] = added4(lane, second, 2u);
+        parts[at + lane] = added4(lane, row.first, 2u);
+        parts[at + 4u + lane] = added4(lane, row.second, 2u);
     }
-    leave_tail(share.weight * (*pixel).tails[0], at, 8u, lane);
+    leave_tail(row.tails[0], at, 8u, lane);
     for (var tail = 1u; tail < TAILS; tail++) {
-        leave_tail(share.weight * (*pixel).tails[tail], at, 8u + 4u * tail, lane);
+        leave_tail(row.tails[tail], at, 8u + 4u * tail, lane);
     }
 }
 

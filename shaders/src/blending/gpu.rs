@@ -14,9 +14,11 @@ use plan::Plan;
 
 const ELLIPSE: &str = include_str!("../binning/ellipse.wgsl");
 const SAMPLE: &str = include_str!("sample.wgsl");
+const CELLS: &str = include_str!("cells.wgsl");
 const STAGE: &str = include_str!("stage.wgsl");
 const PACK: Kernel = Kernel { name: "blending, records", text: &[include_str!("blending_pack.wgsl")] };
-const FORWARD: Kernel = Kernel { name: "blending", text: &[ELLIPSE, SAMPLE, STAGE, include_str!("blending.wgsl")] };
+const FORWARD: Kernel =
+    Kernel { name: "blending", text: &[ELLIPSE, SAMPLE, CELLS, STAGE, include_str!("blending.wgsl")] };
 
 /// Splats per workgroup.
 const PACK_GROUP: usize = 256;

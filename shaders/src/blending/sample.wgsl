@@ -52,10 +52,14 @@ fn is_in_image(pixel: vec2<u32>) -> bool {
     return pixel.x < blend.width && pixel.y < blend.height;
 }
 
-// e = dx + k·dy and dy, of mean − centre of the pixel, for an entry of the batch.
-fn offset_to(entry: u32, pixel: vec2<u32>) -> vec2<f32> {
+fn center_of(pixel: vec2<u32>) -> vec2<f32> {
+    return vec2<f32>(pixel) + 0.5;
+}
+
+// e = dx + k·dy and dy, of mean − centre of a pixel, for an entry of the batch.
+fn offset_to(entry: u32, center: vec2<f32>) -> vec2<f32> {
     let place = places[entry];
-    let offset = place.xy - (vec2<f32>(pixel) + 0.5);
+    let offset = place.xy - center;
     return vec2<f32>(offset.x + place.w * offset.y, offset.y);
 }
 

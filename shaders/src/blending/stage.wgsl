@@ -1,6 +1,5 @@
 // The entries of a tile, a batch at a time, in workgroup memory, and which of them meet which cell of the tile. BATCH is at
-// most the number of invocations. Which cells an entry meets is decided as which tiles are, by the ellipse σ ≤ cutoff grown
-// by more than roundings: no pixel sees a splat that its cell does not meet. CULLED is 0 where every cell meets every entry.
+// most the number of invocations.
 
 // Words of 32 entries.
 const WORDS: u32 = (BATCH + 31u) / 32u;
@@ -20,25 +19,12 @@ fn meeting(turn: u32, cell: u32, word: u32) -> u32 {
     return atomicLoad(&meetings[turn * MEETINGS + cell * WORDS + word]);
 }
 
-// The cells of a tile that meet the ellipse, by bits.
-fn cells_meeting(ellipse: Ellipse, corner: vec2<u32>) -> u32 {
-    if (CULLED == 0u) {
-        return (1u << CELLS) - 1u;
+// A channel of an entry of the batch; none behind the last.
+fn extra_value(entry: u32, extra: u32) -> f32 {
+    if (extra < EXTRAS) {
+        return extras[staged_ranks[entry] * EXTRAS + extra];
     }
-    var cells = 0u;
-    let left = f32(corner.x) + 0.5;
-    for (var row = 0u; row < CELLS / 2u; row++) {
-        let top = f32(corner.y + row * CELL_HEIGHT) + 0.5;
-        let shadow = shadow_between(ellipse, top, top + f32(CELL_HEIGHT - 1u));
-        for (var column = 0u; column < 2u; column++) {
-            let first = left + f32(column * CELL_WIDTH);
-            // What cannot be compared meets.
-            if (!(shadow.y < first) && !(shadow.x > first + f32(CELL_WIDTH - 1u))) {
-                cells |= 1u << (2u * row + column);
-            }
-        }
-    }
-    return cells;
+    return 0.0;
 }
 
 // Before the first batch, followed by a barrier.
@@ -64,7 +50,7 @@ fn stage(local: u32, turn: u32, first: u32, count: u32, corner: vec2<u32>) {
     shapes[local] = shape;
     colors[local] = records[3u * rank + 2u];
     staged_ranks[local] = rank;
-    let cells = cells_meeting(ellipse_around(place.xy, vec3<f32>(place.zw, shape.x), shape.z), corner);
+    let cells = cells_meeting(place, shape, corner);
     // Setting bits in any order gives the same word.
     for (var cell = 0u; cell < CELLS; cell++) {
         if ((cells >> cell & 1u) != 0u) {

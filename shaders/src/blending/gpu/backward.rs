@@ -1,7 +1,7 @@
 //! The kernels of the backward pass.
 
 use super::plan::Plan;
-use super::{Blend, BlendBlock, ELLIPSE, Kept, SAMPLE, STAGE};
+use super::{Blend, BlendBlock, CELLS, ELLIPSE, Kept, SAMPLE, STAGE};
 use crate::binning::GpuLists;
 use crate::blending::ROW_COLORS;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, arriving, uniforms};
@@ -15,6 +15,7 @@ pub(super) const IN_SUBGROUPS: Kernel = Kernel {
     text: &[
         ELLIPSE,
         SAMPLE,
+        CELLS,
         STAGE,
         SHARES,
         include_str!("../shuffle.wgsl"),
@@ -25,7 +26,12 @@ pub(super) const IN_SUBGROUPS: Kernel = Kernel {
 /// Pixels are added up in workgroup memory.
 pub(super) const IN_WORKGROUPS: Kernel = Kernel {
     name: "blending backward",
-    text: &[ELLIPSE, SAMPLE, STAGE, SHARES, include_str!("../blending_bwd_shared.wgsl")],
+    text: &[ELLIPSE, SAMPLE, CELLS, STAGE, SHARES, include_str!("../blending_bwd_shared.wgsl")],
+};
+/// Splats add up pixels that stream through their subgroup.
+pub(super) const BY_SPLATS: Kernel = Kernel {
+    name: "blending backward",
+    text: &[ELLIPSE, SAMPLE, CELLS, SHARES, include_str!("../blending_bwd_splats.wgsl")],
 };
 pub(super) const SUM: Kernel = Kernel { name: "blending, sums", text: &[include_str!("../blending_sum.wgsl")] };
 
@@ -37,6 +43,9 @@ const LARGEST_LANES: usize = 32;
 const LARGEST_BATCH: u32 = 32;
 /// Parts of rows in workgroup memory: 12 KiB of the 16 that every adapter has; the rest holds what is staged.
 const LARGEST_PARTS: usize = 3072;
+/// Columns of the rows of splats by which pixels stream: the tile's pixels with a gradient for each channel take less than the
+/// 16 KiB of workgroup memory that every adapter has.
+pub(super) const LARGEST_ROW_BY_SPLATS: usize = 16;
 
 uniforms! {
     pub(super) struct SumBlock as "Sum" {
@@ -53,10 +62,15 @@ pub(super) fn subgroup_batch(subgroup: u32, row_len: usize) -> Option<u32> {
 
 /// The kernel that makes the rows, and what it is specialised for.
 fn adding_up(plan: Plan, row_len: usize) -> (&'static Kernel, Vec<(&'static str, u32)>) {
-    let fitting = plan.subgroup.and_then(|subgroup| Some((subgroup, subgroup_batch(subgroup, row_len)?)));
-    match fitting {
-        Some((subgroup, batch)) => (&IN_SUBGROUPS, [&plan.staging(batch)[..], &[("SUBGROUP", subgroup)]].concat()),
-        None => (&IN_WORKGROUPS, plan.staging(LARGEST_BATCH).to_vec()),
+    let in_workgroups = (&IN_WORKGROUPS, plan.staging(LARGEST_BATCH).to_vec());
+    let Some(subgroup) = plan.subgroup else { return in_workgroups };
+    let specialised = |batch| [&plan.staging(batch)[..], &[("SUBGROUP", subgroup)]].concat();
+    if plan.is_by_splats && row_len <= LARGEST_ROW_BY_SPLATS {
+        return (&BY_SPLATS, specialised(1));
+    }
+    match subgroup_batch(subgroup, row_len) {
+        Some(batch) => (&IN_SUBGROUPS, specialised(batch)),
+        None => in_workgroups,
     }
 }
 

@@ -2,6 +2,10 @@
 
 use crate::gpu::Gpu;
 
+/// The largest subgroups of splats past which pixels stream. A bucket visits the pixels of every cell that one of its splats
+/// meets: the larger it is, the more of them the others visit in vain (ARCHITECTURE, "No float atomics", has the figures).
+const LARGEST_BY_SPLATS: u32 = 8;
+
 /// Choices that change no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plan {
@@ -9,6 +13,8 @@ pub struct Plan {
     pub is_culled: bool,
     /// The size of the subgroups in which the backward pass adds up pixels; `None` if it does so in workgroup memory.
     pub subgroup: Option<u32>,
+    /// Whether an invocation of a subgroup is a splat and not a pixel in the backward pass, where rows are short enough.
+    pub is_by_splats: bool,
 }
 
 #[cfg(test)]
@@ -20,8 +26,10 @@ thread_local! {
 impl Plan {
     /// What is fastest on an adapter.
     pub fn of(gpu: Gpu) -> Self {
+        let subgroup = gpu.subgroup_size();
+        let is_by_splats = subgroup.is_some_and(|size| size <= LARGEST_BY_SPLATS);
         #[cfg_attr(not(test), expect(unused_mut))]
-        let mut plan = Self { is_culled: true, subgroup: gpu.subgroup_size() };
+        let mut plan = Self { is_culled: true, subgroup, is_by_splats };
         #[cfg(test)]
         if let Some(change) = CHANGE.get() {
             change(&mut plan);
