@@ -25,10 +25,7 @@ fn missing_data_is_named_with_what_to_do_about_it() {
 
 #[test]
 fn present_scenes_run_and_absent_ones_are_missing() {
-    let Some(data) = std::env::var_os("PIPELINE_DATA") else {
-        println!("skipped: no PIPELINE_DATA");
-        return;
-    };
+    let Some(data) = needs::data("") else { return };
     let data = root().join("tests").join(data);
     let dir = tempfile::tempdir().unwrap();
     let plan = dnerf("plan", &data, &dir.path().join("store")).ok();

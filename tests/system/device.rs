@@ -13,7 +13,7 @@ fn has_gpu() -> bool {
     let required = std::env::var("REQUIRE_ADAPTER").is_ok_and(|value| value == "1");
     assert!(doctor.code == 0 || !required, "REQUIRE_ADAPTER=1: {}", doctor.stdout);
     if doctor.code != 0 {
-        eprintln!("SKIPPED: {}", doctor.stdout);
+        needs::skip("no GPU adapter");
     }
     doctor.code == 0
 }

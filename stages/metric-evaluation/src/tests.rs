@@ -127,11 +127,7 @@ fn planted_faults_are_rejected() {
 /// Real pairs: renders of 4DGaussians by somebody else, judged by an independent implementation.
 #[test]
 fn real_renders_match_independent_values() {
-    let Some(data) = std::env::var_os("PIPELINE_DATA") else {
-        println!("skipped: no PIPELINE_DATA");
-        return;
-    };
-    let folder = Path::new(&data).join("dnerf_bouncingballs_4dgs_renders");
+    let Some(folder) = needs::data("dnerf_bouncingballs_4dgs_renders") else { return };
     let golden = std::fs::read_to_string(folder.join("golden_metrics.json")).expect("golden values");
     let golden: serde_json::Value = serde_json::from_str(&golden).expect("JSON");
     let started = std::time::Instant::now();

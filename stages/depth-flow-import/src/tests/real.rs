@@ -1,6 +1,6 @@
 //! Files of benchmarks, where `PIPELINE_DATA` names a folder that holds them.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use scene::{Camera, Intrinsics, RigidTransform};
@@ -9,20 +9,7 @@ use crate::depth::depth_view;
 use crate::flow::{believed, flow_map, known_share, rigid};
 use crate::formats::{Content, read};
 use crate::params::{DepthParams, FlowParams};
-
-/// A file or folder of the data; says so where there is none.
-fn data(name: &str) -> Option<PathBuf> {
-    let Some(root) = std::env::var_os("PIPELINE_DATA") else {
-        eprintln!("skipped: no PIPELINE_DATA");
-        return None;
-    };
-    let path = Path::new(&root).join(name);
-    if !path.exists() {
-        eprintln!("skipped: no {name} in PIPELINE_DATA");
-        return None;
-    }
-    Some(path)
-}
+use needs::data;
 
 #[test]
 fn ground_truth_flow_of_middlebury_and_kitti() {

@@ -119,15 +119,7 @@ fn files_that_are_not_there_are_missing_and_others_under_their_name_are_refused(
 /// The genuine heads, where they are at hand.
 #[test]
 fn published_heads_are_read() {
-    let Some(data) = std::env::var_os("PIPELINE_DATA") else {
-        println!("skipped: no PIPELINE_DATA");
-        return;
-    };
-    let folder = std::path::Path::new(&data).join("lpips/lpips/weights/v0.1");
-    if !folder.is_dir() {
-        println!("skipped: no weights of LPIPS");
-        return;
-    }
+    let Some(folder) = needs::data("lpips/lpips/weights/v0.1") else { return };
     for backbone in [Backbone::Alex, Backbone::Vgg, Backbone::Squeeze] {
         let heads = weights::read_head(&folder, backbone).expect("the published file");
         let lpips = Lpips::new(backbone, &generated(backbone)[0], &heads).expect("all heads");

@@ -13,15 +13,7 @@ use crate::params::{Resize, TestSplit};
 
 /// The folder of a real capture; says so where there is none.
 fn data(name: &str) -> Option<PathBuf> {
-    let Some(root) = std::env::var_os("PIPELINE_DATA") else {
-        eprintln!("skipped: no PIPELINE_DATA");
-        return None;
-    };
-    let dir = Path::new(&root).join(name);
-    if !dir.is_dir() {
-        eprintln!("skipped: no {name} in PIPELINE_DATA");
-        return None;
-    }
+    let dir = needs::data(name)?;
     eprintln!("{}", crate::inspect::describe(&dir).unwrap());
     Some(dir)
 }
