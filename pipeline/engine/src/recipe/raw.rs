@@ -94,7 +94,7 @@ const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 pub(crate) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
     let mut recipe = RawRecipe::default();
     refuse_unknown(&loaded.root, "", &ROOT_KEYS, report);
-    recipe.name = loaded.root.get("name").and_then(|item| name(item, "name", report)).map(|named| named.name);
+    recipe.name = loaded.root.get("name").and_then(|item| recipe_name(item, report));
     for (key, item) in table_at(&loaded.root, "axes", "axes", report) {
         let values = axis_values(key, item, report);
         recipe.axes.insert(key.clone(), Axis { values });
@@ -111,6 +111,12 @@ pub(crate) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
         recipe.rules.extend(rule(&item, &recipe, &loaded.axis_values, report));
     }
     recipe
+}
+
+fn recipe_name(item: &Item, report: &mut Report) -> Option<String> {
+    let Named { name, at } = name(item, "name", report)?;
+    check_name(&name, at, "name", report);
+    Some(name)
 }
 
 /// The text of an axis value: strings and integers have one.
@@ -138,7 +144,7 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
             report.add(&item.at, &key, "axis values are strings or integers", None);
             continue;
         };
-        check_name(&text, item.at, &key, report);
+        check_characters(&text, item.at, &key, report);
         if values.iter().any(|known| known.text == text) {
             report.add(&item.at, &key, format!("axis value `{text}` is there twice"), None);
         } else {
@@ -252,12 +258,26 @@ fn rule(
     Some(Rule { when, params })
 }
 
-/// Names end up in job names, folders and patterns.
+/// Names of recipes, axes and nodes begin what people write as an argument, which `-` would make an option.
 fn check_name(name: &str, at: Place, key: &str, report: &mut Report) {
+    if name.starts_with('-') {
+        report.add(
+            &at,
+            key,
+            format!("the name `{name}` would read as an option"),
+            Some("begin it with a letter".into()),
+        );
+    }
+    check_characters(name, at, key, report);
+}
+
+/// Names end up in job names, folders and patterns.
+fn check_characters(name: &str, at: Place, key: &str, report: &mut Report) {
     let plain = |c: char| c.is_ascii_alphanumeric() || "._+-".contains(c);
     if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
-        let message = format!("`{name}` cannot be part of a job's name");
-        report.add(&at, key, message, Some("use letters, digits, `_`, `-`, `+` and `.`".into()));
+        let part_of = if key == "name" { "a recipe's name" } else { "part of a job's name" };
+        let hint = "use letters, digits, `_`, `-`, `+` and `.`, the last not in front";
+        report.add(&at, key, format!("`{name}` cannot be {part_of}"), Some(hint.into()));
     }
 }
 

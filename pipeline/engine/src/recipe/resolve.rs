@@ -34,13 +34,19 @@ pub fn resolve(path: &Path, overrides: &[String], registry: &Registry, data_root
     }
     match order {
         Some(order) if resolver.report.is_empty() => {
-            let stem = path.file_stem().map_or("recipe".into(), |stem| stem.to_string_lossy().into_owned());
-            let name = recipe.name.clone().unwrap_or(stem);
+            let name = recipe.name.clone().unwrap_or_else(|| name_of_file(path));
             let plan = link(&recipe, registry, data_root, &order, drafts, name, &mut resolver.report);
             resolver.report.finish(Some(plan))
         }
         _ => resolver.report.finish(None),
     }
+}
+
+/// The name of a recipe that states none: the file's stem, which is the name of a folder but for `..` in front.
+fn name_of_file(path: &Path) -> String {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let name = stem.trim_start_matches(['.', '-']);
+    if name.is_empty() { "recipe".into() } else { name.into() }
 }
 
 /// A job whose producers are not known yet.

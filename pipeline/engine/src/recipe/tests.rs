@@ -212,7 +212,7 @@ nodes.trian.params.steps = 1
     let expected = [
         "3: axes.scene: axis value `ball` is there twice",
         "3: axes.scene: axis values are strings or integers",
-        "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`)",
+        "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`, the last not in front)",
         "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-join, test-list, test-work, test-write)",
         "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, only, inputs, like, params)",
         "9: nodes.other.over: unknown axis `scen` (did you mean `scene`? allowed: scene)",
@@ -288,6 +288,24 @@ fn overrides_are_checked_like_files() {
         "1: nodse: unknown key `nodse` (did you mean `nodes`? allowed: extends, name, axes, nodes, set)",
     ];
     assert_eq!(found, expected);
+}
+
+#[test]
+fn names_that_would_lead_elsewhere_or_read_as_options_are_refused() {
+    for name in ["../../w", "..", "", "/w", "a/b", ".hidden"] {
+        let found = errors(GRID, &[&format!("name = \"{name}\"")]);
+        let expected = format!("1: name: `{name}` cannot be a recipe's name (use letters");
+        assert!(found.len() == 1 && found[0].starts_with(&expected), "{found:?}");
+    }
+    let found = errors(GRID, &["name = \"-x\"", "nodes.-y = { stage = \"test-write\" }", "axes.-z = [1]"]);
+    let starts = found.iter().map(|error| error.split(" (").next().unwrap_or_default()).collect::<Vec<_>>();
+    assert_eq!(starts.len(), 3, "{found:?}");
+    assert!(starts.iter().all(|error| error.ends_with("would read as an option")), "{found:?}");
+    // A value stands behind the name of its node.
+    assert_eq!(plan(GRID, &["axes.seed = [-1, 1]"]).nodes[1].name, "capture/lego");
+    for (file, name) in [("...toml", "recipe"), ("..toml", "recipe"), ("-x.toml", "x"), ("my own.toml", "my own")] {
+        assert_eq!(Recipes::new(&[(file, GRID)]).resolve(file, &[]).unwrap().recipe, name, "{file}");
+    }
 }
 
 #[test]

@@ -10,6 +10,7 @@ use anyhow::Context;
 use rayon::prelude::*;
 use walkdir::WalkDir;
 
+use super::results::is_own;
 use super::{ActionRecord, Store};
 use crate::Digest;
 
@@ -150,7 +151,10 @@ impl Store {
             let name = target.as_deref().and_then(Path::file_name);
             name.is_some_and(|name| contents.contains(name.to_string_lossy().as_ref()))
         };
-        files.extend(files_below(&self.root.join("results"))?.into_iter().filter(|link| !leads_to_kept(link)));
+        let mut links = files_below(&self.root.join("results"))?;
+        // What people put beside the links is theirs.
+        links.retain(|link| is_own(link) && !leads_to_kept(link));
+        files.extend(links);
         files.extend(files_below(&self.root.join("tmp"))?);
         files.extend(files_below(&self.root.join("locks"))?);
         for folder in ["checkpoints", "failures", "quarantine", "runs"] {

@@ -255,6 +255,33 @@ fn results_are_linked_by_name_and_links_go_with_them() {
 }
 
 #[test]
+fn what_the_store_did_not_make_is_never_removed() {
+    let root = tempfile::tempdir().unwrap();
+    let store = Store::open(&root.path().join("store")).unwrap();
+    let content = publish(&store, "a", "hello").content;
+    let mine = root.path().join("w/notes/mine.txt");
+    let kept = store.result_link("r", "train/kept/report.md");
+    let linked = store.result_link("r", "elsewhere");
+    for file in [&mine, &kept] {
+        fs::create_dir_all(file.parent().unwrap()).unwrap();
+        fs::write(file, "years of work").unwrap();
+    }
+    symlink(root.path().join("w"), &linked).unwrap();
+    let absolute = root.path().join("w").display().to_string();
+    let ways = [("../../w", "notes"), ("..", "../w/notes"), (absolute.as_str(), "notes"), ("", "../../w/notes")];
+    let in_the_way = [("r", "train"), ("r", "train/kept/report.md"), ("r", "elsewhere"), ("r", "elsewhere/notes")];
+    for (recipe, node) in ways.into_iter().chain(in_the_way) {
+        store.link_results(recipe, [(node, &content)]).unwrap_err();
+        assert!(
+            [&mine, &kept].iter().all(|file| fs::read_to_string(file).unwrap() == "years of work"),
+            "{recipe} {node}"
+        );
+    }
+    store.gc(&BTreeSet::new(), Duration::ZERO, false).unwrap();
+    assert!(kept.exists() && mine.exists() && linked.is_symlink());
+}
+
+#[test]
 fn errors_of_the_machine_name_the_file() {
     with_store(|store| {
         fs::remove_dir(store.root().join("runs")).unwrap();
