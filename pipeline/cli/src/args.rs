@@ -43,6 +43,8 @@ pub enum Verb {
     Compare(CompareArgs),
     /// Writes a model in a format of other programs
     Export(ExportArgs),
+    /// Films a trained model: PNG frames at any times, from any cameras
+    Render(RenderArgs),
     /// Tells what is recognised in a capture's folder
     Inspect {
         /// The capture's folder
@@ -292,6 +294,26 @@ pub struct ExportArgs {
     /// Times in seconds of the capture, as FIRST:LAST:COUNT
     #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT")]
     pub times: Times,
+    /// The folder to write into
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    #[command(flatten)]
+    pub recipe: RecipeArgs,
+    /// The training job, as train/lego/deformable4dgs/0
+    pub node: String,
+    /// Times in seconds of the capture, as FIRST:LAST:COUNT; 0.5:0.5:60 lets time stand still
+    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT")]
+    pub times: Times,
+    /// Views of the capture that the camera moves through, as test_000,test_004 (default: it stands at the first test view)
+    #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
+    pub views: Vec<String>,
+    /// Dim what is not what one of the model's prompts means, as ball; for l4dgs
+    #[arg(long)]
+    pub prompt: Option<String>,
     /// The folder to write into
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,

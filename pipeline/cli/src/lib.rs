@@ -65,6 +65,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Table(args) => verbs::table::table(&store, &args),
         Verb::Compare(args) => verbs::compare::compare(&store, &args),
         Verb::Export(args) => verbs::results::export(&store, &args),
+        Verb::Render(args) => verbs::results::render(&store, &args),
         Verb::Inspect { dir } => verbs::tools::inspect(&dir),
         Verb::Eval(args) => verbs::tools::eval(&args),
         Verb::Cache(CacheVerb::Verify { repair }) => verbs::cache::verify(&store, repair),

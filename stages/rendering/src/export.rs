@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context as _, bail, ensure};
-use engine::Artifact as _;
+use engine::{Artifact as _, Failure, FailureKind};
 use scene::{Capture, Gaussians, Split};
 use shaders::splat::{self, PinholeCamera, RasterSettings, SplatTensors};
 use shaders::tape::Tensor;
@@ -21,11 +21,12 @@ pub fn ply_sequence(model_dir: &Path, capture_dir: &Path, times: &[f64], out: &P
     model.check().with_context(|| format!("not a valid model: {}", model_dir.display()))?;
     let capture = Capture::open(capture_dir)?;
     check_times(times, &capture)?;
+    ensure!(times.windows(2).all(|pair| pair[0] < pair[1]), "times must increase");
     let view = capture.views_of(Split::Test).next().or_else(|| capture.views_of(Split::Train).next());
     let (_, view) = view.with_context(|| format!("no view to compare at: {}", capture_dir.display()))?;
     let camera = PinholeCamera::from(&view.camera);
     let player = Player::new(&model)?;
-    std::fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    make_folder(out)?;
 
     let mut report = String::new();
     for (index, &time_secs) in times.iter().enumerate() {
@@ -39,8 +40,19 @@ pub fn ply_sequence(model_dir: &Path, capture_dir: &Path, times: &[f64], out: &P
     Ok(report)
 }
 
-/// At least one time, finite, increasing, within the capture.
-fn check_times(times: &[f64], capture: &Capture) -> anyhow::Result<()> {
+/// Makes a folder for frames; refuses one with files, among which those of another sequence could stay.
+pub(crate) fn make_folder(out: &Path) -> anyhow::Result<()> {
+    let cannot = || format!("cannot make the folder {}", out.display());
+    std::fs::create_dir_all(out).with_context(cannot)?;
+    if std::fs::read_dir(out).with_context(cannot)?.next().is_some() {
+        let failure = Failure::new(FailureKind::BadInput, "the folder is not empty");
+        return Err(failure.hint("name another one, or remove what is there").at(out).into());
+    }
+    Ok(())
+}
+
+/// At least one time, finite, within the capture.
+pub(crate) fn check_times(times: &[f64], capture: &Capture) -> anyhow::Result<()> {
     let map = &capture.time_map;
     let slack = TIME_SLACK * (map.end_secs - map.start_secs).max(1.0);
     ensure!(!times.is_empty(), "no times to export; give some, as 0:1:30");
@@ -49,7 +61,6 @@ fn check_times(times: &[f64], capture: &Capture) -> anyhow::Result<()> {
             bail!("time {time} s is outside of the capture, which lasts from {} to {} s", map.start_secs, map.end_secs);
         }
     }
-    ensure!(times.windows(2).all(|pair| pair[0] < pair[1]), "times must increase");
     Ok(())
 }
 

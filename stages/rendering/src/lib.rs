@@ -2,6 +2,7 @@
 
 pub mod artifact;
 pub mod export;
+pub mod film;
 pub mod frame_rate;
 pub mod params;
 pub mod run;

@@ -16,6 +16,7 @@ use training::supplements::{FeatureTokens, NOTHING, Supplements};
 use training::{Model, TrainingParams};
 
 use crate::export::ply_sequence;
+use crate::film::{Film, film};
 use crate::run::{render, to_image};
 use crate::{FrameRate, Maps, Rendering, RenderingParams, Renders};
 
@@ -177,6 +178,21 @@ fn a_model_with_words_says_where_they_are() {
             assert!((0..width).all(|c| maps.features[c][at] == features.as_slice()[width * at + c]));
         }
     }
+    // A film of a prompt dims what is something else; a prompt that the model does not know is refused by those it knows.
+    let shot = |prompt, name: &str| {
+        let shot = Film { times: &[0.4], views: &[], prompt };
+        film(&dir.path().join("model"), &dir.path().join("capture"), &shot, Device::Cpu, &dir.path().join(name))
+    };
+    for (prompt, name) in [(None, "plain"), (Some("sky"), "sky"), (Some("ground"), "ground")] {
+        shot(prompt, name).unwrap();
+    }
+    let sum = |name: &str| -> u64 {
+        let frame = image_file::read_rgb(&dir.path().join(name).join("frame_0000.png")).unwrap();
+        frame.as_raw().iter().map(|&byte| u64::from(byte)).sum()
+    };
+    assert!(sum("sky") < sum("plain") && sum("ground") < sum("plain") && sum("sky") != sum("ground"));
+    let unknown = format!("{:?}", shot(Some("cat"), "cat").unwrap_err());
+    assert!(unknown.contains("\"cat\"") && unknown.contains("sky, ground"), "{unknown}");
     // No labels, no truth to compare with: by default nothing is written; a model without words never has any.
     let unasked =
         render(&model, &capture, &RenderingParams::default(), Device::Cpu, &dir.path().join("unasked")).unwrap().0;
@@ -224,6 +240,47 @@ fn exported_gaussians_render_as_the_model_does() {
     // The planted fault: another time's file must not pass for this one.
     let read = |index: usize| std::fs::read(out.join(format!("frame_{index:04}.ply"))).unwrap();
     assert_ne!(read(0), read(2));
+}
+
+#[test]
+fn a_film_is_what_the_player_renders_along_the_way() {
+    let (dir, model, capture) = trained("deformable4dgs");
+    let [capture_dir, model_dir] = ["capture", "model"].map(|name| dir.path().join(name));
+    let shot = |times: &[f64], views: &[&str], name: &str| {
+        let views: Vec<String> = views.iter().map(|view| (*view).to_owned()).collect();
+        let shot = Film { times, views: &views, prompt: None };
+        film(&model_dir, &capture_dir, &shot, Device::Cpu, &dir.path().join(name))
+    };
+    let frame = |name: &str, index: usize| {
+        image_file::read_rgb(&dir.path().join(name).join(format!("frame_{index:04}.png"))).unwrap()
+    };
+    let player = Player::new(&model).unwrap();
+    let rendered = |name: &str, time_secs: f64| {
+        let view = capture.views.iter().find(|view| view.name == name).unwrap();
+        to_image(&player.render(time_secs, &PinholeCamera::from(&view.camera)).unwrap())
+    };
+    // Without views the camera stands at the first test view.
+    let told = shot(&[0.0, 1.0, 2.0], &[], "standing").unwrap();
+    assert!(told.starts_with("3 frames of 20 × 20 px"), "{told}");
+    for (index, time_secs) in [0.0, 1.0, 2.0].into_iter().enumerate() {
+        assert_eq!(frame("standing", index), rendered("test_0", time_secs));
+    }
+    // Time stands still, and the camera ends where the last view was taken.
+    shot(&[1.0; 3], &["train_0", "train_1"], "moving").unwrap();
+    assert_eq!(frame("moving", 2), rendered("train_1", 1.0));
+    assert!(frame("moving", 1) != frame("moving", 0) && frame("moving", 1) != frame("moving", 2));
+
+    let refused = |shot: anyhow::Result<String>, reason: &str| {
+        let error = format!("{:?}", shot.unwrap_err());
+        assert!(error.contains(reason), "{error}");
+    };
+    refused(shot(&[1.0], &[], "moving"), "the folder is not empty");
+    refused(shot(&[1.0], &["train_9"], "other"), "no view \"train_9\"");
+    refused(shot(&[3.0], &[], "other"), "outside of the capture");
+    let of_prompt = Film { times: &[1.0], views: &[], prompt: Some("ball") };
+    let out = dir.path().join("other");
+    refused(film(&model_dir, &capture_dir, &of_prompt, Device::Cpu, &out), "answers none");
+    assert!(!out.exists(), "nothing was written");
 }
 
 #[test]

@@ -1,10 +1,12 @@
-//! `show`, `export`: what jobs made.
+//! `show`, `export`, `render`: what jobs made.
 
 use std::path::{Path, PathBuf};
 
+use rendering::film::{self, Film};
 use serde_json::json;
+use training::device::compute_on;
 
-use crate::args::{ExportArgs, ExportFormat, ShowArgs};
+use crate::args::{ExportArgs, ExportFormat, RenderArgs, ShowArgs};
 use crate::error::CliError;
 use crate::output::{bytes, duration, print, print_json, print_line};
 use crate::session::Session;
@@ -55,9 +57,9 @@ pub fn tables(session: &Session) -> Result<Vec<usize>, CliError> {
     Ok(tables)
 }
 
-pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?;
-    let index = session.node(&args.node)?;
+/// The folders of the model that a training job made, and of the capture that it was trained on.
+fn model_and_capture(session: &Session, job: &str) -> Result<[PathBuf; 2], CliError> {
+    let index = session.node(job)?;
     let node = &session.plan.nodes[index];
     let capture = node.inputs.iter().find(|input| input.port == "capture").and_then(|input| input.producers.first());
     let (true, Some(&capture)) = (node.stage == "training", capture) else {
@@ -65,12 +67,25 @@ pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
     };
     let folder =
         |index: usize| -> Result<PathBuf, CliError> { Ok(session.store.view(&session.record(index)?.content)?) };
+    Ok([folder(index)?, folder(capture)?])
+}
+
+pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
+    let session = Session::look(store, &args.recipe)?;
+    let [model, capture] = model_and_capture(&session, &args.node)?;
     let report = match args.format {
-        ExportFormat::PlySeq => {
-            rendering::export::ply_sequence(&folder(index)?, &folder(capture)?, &args.times.0, &args.out)
-                .map_err(CliError::of_input)?
-        }
+        ExportFormat::PlySeq => rendering::export::ply_sequence(&model, &capture, &args.times.0, &args.out),
     };
-    print_line(report.trim_end())?;
+    print_line(report.map_err(CliError::of_input)?.trim_end())?;
+    Ok(engine::exit::OK)
+}
+
+pub fn render(store: &Path, args: &RenderArgs) -> Result<u8, CliError> {
+    let session = Session::look(store, &args.recipe)?;
+    session.device.check()?;
+    let [model, capture] = model_and_capture(&session, &args.node)?;
+    let film = Film { times: &args.times.0, views: &args.views, prompt: args.prompt.as_deref() };
+    let report = compute_on(&session.device.id(), |device| film::film(&model, &capture, &film, device, &args.out));
+    print_line(&report.map_err(CliError::of_input)?)?;
     Ok(engine::exit::OK)
 }
