@@ -308,7 +308,7 @@ pub struct RenderArgs {
     /// Times in seconds of the capture, as FIRST:LAST:COUNT; 0.5:0.5:60 lets time stand still
     #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT")]
     pub times: Times,
-    /// Views of the capture that the camera moves through, as test_000,test_004 (default: it stands at the first test view)
+    /// Views of the capture that the camera moves through, as test_0000,test_0004 (default: it stands at the first test view)
     #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
     pub views: Vec<String>,
     /// Dim what is not what one of the model's prompts means, as ball; for l4dgs

@@ -1,10 +1,11 @@
 //! A model filmed: one image per time, from a camera that stands still or moves through views of the capture.
 
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use anyhow::Context as _;
 use engine::{Artifact as _, Failure, FailureKind};
-use glam::DQuat;
+use glam::{DMat3, DQuat, DVec3};
 use scene::{Camera, Capture, RigidTransform, Split, image_file};
 use shaders::splat::PinholeCamera;
 use shaders::tape::{Device, Tensor};
@@ -71,18 +72,92 @@ fn cameras(capture: &Capture, names: &[String]) -> anyhow::Result<Vec<Camera>> {
     names.iter().map(camera).collect()
 }
 
-/// The camera after a share of the way through all cameras: in straight lines, turning evenly, with the pinhole of the first.
+/// The camera after a share of the way through all cameras, with the pinhole of the first: around what they look at
+/// together, or else in straight lines.
 fn camera_at(cameras: &[Camera], share: f64) -> Camera {
     let place = share * (cameras.len() - 1) as f64;
     let first = (place as usize).min(cameras.len().saturating_sub(2));
     let [from, to] = [first, (first + 1).min(cameras.len() - 1)].map(|at| cameras[at].camera_from_world.inverse());
     let along = place - first as f64;
-    let turned = DQuat::from_mat3(&from.rotation).slerp(DQuat::from_mat3(&to.rotation), along);
-    let world_from_camera = RigidTransform {
-        rotation: glam::DMat3::from_quat(turned.normalize()),
-        translation: from.translation.lerp(to.translation, along),
+    let world_from_camera = match Orbit::of(cameras) {
+        Some(orbit) => orbit.between(&from, &to, along),
+        None => straight(&from, &to, along),
     };
     Camera { intrinsics: cameras[0].intrinsics, camera_from_world: world_from_camera.inverse() }
+}
+
+fn straight(from: &RigidTransform, to: &RigidTransform, along: f64) -> RigidTransform {
+    RigidTransform {
+        rotation: turned(from.rotation, to.rotation, along),
+        translation: from.translation.lerp(to.translation, along),
+    }
+}
+
+fn turned(from: DMat3, to: DMat3, along: f64) -> DMat3 {
+    DMat3::from_quat(DQuat::from_mat3(&from).slerp(DQuat::from_mat3(&to), along).normalize())
+}
+
+/// The way around a point that cameras look at.
+struct Orbit {
+    focus_world: DVec3,
+    /// Two horizontal axes and up, as columns.
+    world_from_orbit: DMat3,
+}
+
+impl Orbit {
+    /// The smallest determinant of the sum of the planes across the axes of cameras, per camera cubed: below, the axes are as
+    /// good as parallel (5° apart for two cameras), and where they meet is anybody's guess.
+    const LEAST_DETERMINANT: f64 = 1e-3;
+
+    /// `None` if the cameras look at nothing together: fewer than two of them, parallel axes, or one that looks away.
+    fn of(cameras: &[Camera]) -> Option<Self> {
+        let poses: Vec<RigidTransform> = cameras.iter().map(|camera| camera.camera_from_world.inverse()).collect();
+        // The point nearest to all optical axes: Σ (I − f·fᵀ)·(x − position) = 0.
+        let across = |pose: &RigidTransform| {
+            let forward = pose.rotation.z_axis;
+            DMat3::IDENTITY - DMat3::from_cols(forward * forward.x, forward * forward.y, forward * forward.z)
+        };
+        let planes = poses.iter().map(across).fold(DMat3::ZERO, |sum, plane| sum + plane);
+        if planes.determinant() < Self::LEAST_DETERMINANT * (cameras.len() as f64).powi(3) {
+            return None;
+        }
+        let sum: DVec3 = poses.iter().map(|pose| across(pose) * pose.translation).sum();
+        let focus_world = planes.inverse() * sum;
+        let looks_there = |pose: &RigidTransform| (focus_world - pose.translation).dot(pose.rotation.z_axis) > 0.0;
+        let up = -poses.iter().map(|pose| pose.rotation.y_axis).sum::<DVec3>().try_normalize()?;
+        let x = up.any_orthonormal_vector();
+        let world_from_orbit = DMat3::from_cols(x, up.cross(x), up);
+        poses.iter().all(looks_there).then_some(Self { focus_world, world_from_orbit })
+    }
+
+    /// Azimuth, elevation and distance change evenly, and so does how a camera is turned from looking at the focus.
+    fn between(&self, from: &RigidTransform, to: &RigidTransform, along: f64) -> RigidTransform {
+        let [a, b] = [from, to].map(|pose| self.place(pose.translation));
+        let turn = (b.x - a.x + PI).rem_euclid(TAU) - PI;
+        let place = DVec3::new(a.x + along * turn, a.y + along * (b.y - a.y), a.z + along * (b.z - a.z));
+        let looking = |place: DVec3| self.world_from_orbit * looking_inwards(place);
+        let own = |pose: &RigidTransform, place| looking(place).transpose() * pose.rotation;
+        let (sin, cos) = place.y.sin_cos();
+        let direction = DVec3::new(cos * place.x.cos(), cos * place.x.sin(), sin);
+        RigidTransform {
+            rotation: looking(place) * turned(own(from, a), own(to, b), along),
+            translation: self.focus_world + self.world_from_orbit * (place.z * direction),
+        }
+    }
+
+    /// Azimuth, elevation and distance of a position.
+    fn place(&self, position_world: DVec3) -> DVec3 {
+        let offset = self.world_from_orbit.transpose() * (position_world - self.focus_world);
+        DVec3::new(offset.y.atan2(offset.x), offset.z.atan2(offset.truncate().length()), offset.length())
+    }
+}
+
+/// The axes of a camera at an azimuth and an elevation that looks at the middle: right, down, forward.
+fn looking_inwards(place: DVec3) -> DMat3 {
+    let ((sin_a, cos_a), (sin_e, cos_e)) = (place.x.sin_cos(), place.y.sin_cos());
+    let forward = -DVec3::new(cos_e * cos_a, cos_e * sin_a, sin_e);
+    let right = DVec3::new(-sin_a, cos_a, 0.0);
+    DMat3::from_cols(right, forward.cross(right), forward)
 }
 
 /// Which of the prompts that the model knows a prompt is.
@@ -118,27 +193,50 @@ fn dim(color: &mut Tensor<f32>, relevancy: &[f32]) {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
     use scene::Intrinsics;
 
     use super::*;
 
-    #[test]
-    fn a_camera_goes_through_all_cameras_and_keeps_its_pinhole() {
-        let intrinsics =
-            Intrinsics { width: 20, height: 10, focal_x: 9.0, focal_y: 9.0, center_x: 10.0, center_y: 5.0 };
-        let at = |x: f64, y: f64| Camera::look_at(intrinsics, DVec3::new(x, y, 1.0), DVec3::ZERO, DVec3::Z);
-        let cameras = [at(3.0, 0.0), at(0.0, 3.0), at(-3.0, 0.0)];
-        for (index, share) in [(0, 0.0), (1, 0.5), (2, 1.0)] {
-            let [found, expected] = [camera_at(&cameras, share), cameras[index]].map(|camera| camera.camera_from_world);
-            assert!(found.rotation.abs_diff_eq(expected.rotation, 1e-12), "{share}");
-            assert!(found.translation.abs_diff_eq(expected.translation, 1e-12), "{share}");
+    const INTRINSICS: Intrinsics =
+        Intrinsics { width: 20, height: 10, focal_x: 9.0, focal_y: 9.0, center_x: 10.0, center_y: 5.0 };
+
+    fn assert_passes(cameras: &[Camera]) {
+        for (index, camera) in cameras.iter().enumerate() {
+            let found = camera_at(cameras, index as f64 / (cameras.len() - 1).max(1) as f64);
+            let [found, expected] = [found, *camera].map(|camera| camera.camera_from_world);
+            assert!(found.rotation.abs_diff_eq(expected.rotation, 1e-9), "{index}: {found:?}");
+            assert!(found.translation.abs_diff_eq(expected.translation, 1e-9), "{index}: {found:?}");
         }
-        let between = camera_at(&cameras, 0.25);
-        assert!(between.position_world().abs_diff_eq(DVec3::new(1.5, 1.5, 1.0), 1e-12));
-        // Half of the turn: what both cameras have in the middle column stays there.
-        assert!((between.project(DVec3::ZERO).unwrap().0.x - 10.0).abs() < 1e-9);
-        assert_eq!(camera_at(&cameras[..1], 0.7), camera_at(&cameras[..1], 0.0));
+    }
+
+    #[test]
+    fn cameras_that_look_at_one_point_are_passed_around_it() {
+        let focus = DVec3::new(0.3, -0.2, 0.1);
+        let at = |x: f64, y: f64, z: f64| Camera::look_at(INTRINSICS, focus + DVec3::new(x, y, z), focus, DVec3::Z);
+        let cameras = [at(3.0, 0.0, 1.0), at(0.0, 3.0, 1.0), at(-2.0, 0.5, 0.0)];
+        assert_passes(&cameras);
+        for step in 0..=20 {
+            let camera = camera_at(&cameras, f64::from(step) / 20.0);
+            let (pixel, depth) = camera.project(focus).unwrap();
+            assert!(pixel.abs_diff_eq(glam::DVec2::new(10.0, 5.0), 1e-6), "{step}: {pixel}");
+            assert!(depth > 2.0 && depth < 3.2, "{step}: {depth}");
+        }
+        let halfway = camera_at(&cameras[..2], 0.5).position_world() - focus;
+        assert!((halfway.x - halfway.y).abs() < 1e-9 && (halfway.length() - 10.0_f64.sqrt()).abs() < 1e-9, "{halfway}");
+    }
+
+    #[test]
+    fn cameras_side_by_side_are_passed_in_a_straight_line_and_one_camera_stands() {
+        let at = |x: f64| {
+            let position = DVec3::new(x, 0.0, 0.0);
+            Camera::look_at(INTRINSICS, position, position + DVec3::Y, DVec3::Z)
+        };
+        let cameras = [at(0.0), at(1.0)];
+        assert!(Orbit::of(&cameras).is_none());
+        assert_passes(&cameras);
+        assert!(camera_at(&cameras, 0.25).position_world().abs_diff_eq(DVec3::new(0.25, 0.0, 0.0), 1e-12));
+        let alone = camera_at(&cameras[1..], 0.7).camera_from_world;
+        assert!(alone.translation.abs_diff_eq(cameras[1].camera_from_world.translation, 1e-12));
     }
 
     #[test]
