@@ -25,6 +25,7 @@ mod view;
 
 use std::fs;
 use std::io::{self, ErrorKind, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -154,7 +155,7 @@ impl Store {
     /// killed), fsync, rename that never replaces.
     fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
-        let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
+        let mut file = new_file("", &self.root.join("tmp"))?;
         file.write_all(bytes).map_err(naming(path))?;
         file.as_file().sync_all().map_err(naming(path))?;
         file.persist_noclobber(path).map_err(|error| naming(path)(error.error))?;
@@ -164,7 +165,7 @@ impl Store {
     /// Writes a file, replacing what is there in one step.
     pub(crate) fn write_over(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
-        let mut file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
+        let mut file = new_file("", &self.root.join("tmp"))?;
         file.write_all(bytes).map_err(naming(path))?;
         file.persist(path).map_err(|error| naming(path)(error.error))?;
         Ok(())
@@ -190,7 +191,7 @@ impl Store {
 
     /// Makes FORMAT, the first file of a store. Two processes may do so at once; both write the same line.
     fn write_format(&self) -> io::Result<()> {
-        let mut file = tempfile::Builder::new().prefix(NEW_FORMAT_PREFIX).tempfile_in(&self.root)?;
+        let mut file = new_file(NEW_FORMAT_PREFIX, &self.root)?;
         file.write_all(format!("{FORMAT}\n").as_bytes())?;
         file.as_file().sync_all()?;
         match file.persist_noclobber(self.format_file()) {
@@ -224,6 +225,12 @@ impl Store {
 /// The same error, with the file that it is about at the end of its message.
 pub(crate) fn naming(path: &Path) -> impl Fn(io::Error) -> io::Error {
     move |error| io::Error::new(error.kind(), format!("{error}: {}", path.display()))
+}
+
+/// A temporary file with the rights that the user's umask gives any new file, so that colleagues may read what it becomes.
+fn new_file(prefix: &str, dir: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let rights = fs::Permissions::from_mode(0o666); // less the umask
+    tempfile::Builder::new().prefix(prefix).permissions(rights).tempfile_in(dir)
 }
 
 fn sync_dir(dir: &Path) -> io::Result<()> {

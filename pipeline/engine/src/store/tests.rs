@@ -67,19 +67,38 @@ fn published_folder_is_found_and_reads_in_place() {
 }
 
 #[test]
-fn pages_in_views_are_files_by_their_own_name_and_damage_to_them_is_noticed() {
+fn an_artifact_with_a_page_can_be_copied_out_and_damage_to_it_is_noticed() {
     with_store(|store| {
         let scratch = store.scratch("pages").unwrap();
         let output = scratch.path().join("output");
         fs::create_dir_all(&output).unwrap();
         fs::write(output.join("index.html"), "<!DOCTYPE html>").unwrap();
+        fs::write(output.join("report.json"), "{}").unwrap();
         let content = store.publish(&output, &json!(null)).unwrap().content;
         let page = store.view(&content).unwrap().join("index.html");
-        assert!(fs::symlink_metadata(&page).unwrap().is_file());
+        for file in ["index.html", "report.json"] {
+            assert!(fs::symlink_metadata(page.with_file_name(file)).unwrap().is_file(), "{file}");
+        }
         fs::remove_file(&page).unwrap();
         fs::write(&page, "<!DOCTYPE htm?>").unwrap();
         let again = store.view(&content).unwrap().join("index.html");
         assert_eq!(fs::read_to_string(again).unwrap(), "<!DOCTYPE html>");
+    });
+}
+
+#[test]
+fn all_files_of_a_store_may_be_read_by_whom_the_umask_lets() {
+    use std::os::unix::fs::PermissionsExt;
+    with_store(|store| {
+        let probe = store.root().parent().unwrap().join("probe");
+        fs::write(&probe, "").unwrap();
+        let may_read = fs::metadata(&probe).unwrap().permissions().mode() & 0o444;
+        publish(store, "a", "hello");
+        store.write_over(&store.stat_cache_file(), b"{}").unwrap();
+        for file in super::maintenance::files_below(store.root()).unwrap() {
+            let mode = fs::metadata(&file).unwrap().permissions().mode();
+            assert_eq!(mode & may_read, may_read, "{mode:o} {}", file.display());
+        }
     });
 }
 

@@ -1,6 +1,7 @@
 //! Views: folders of links into `cas`, so that artifacts are read in place.
 //!
-//! Pages and drawings are copied: a browser follows a link first, and then takes a file without an extension for text.
+//! An artifact with a page is one that people open, keep and send: all of its files are copied. A browser follows a link
+//! first, and then takes a file without an extension for text; and a folder of links cannot leave the store.
 
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -36,7 +37,7 @@ impl Store {
         for file in &manifest.files {
             let link = building.join(&file.path);
             fs::create_dir_all(link.parent().unwrap_or(&building))?;
-            match is_for_browsers(&file.path) {
+            match is_for_people(manifest) {
                 true => fs::copy(self.blob_path(&file.sha256), link).map(drop)?,
                 false => symlink(link_target(&file.path, &file.sha256), link)?,
             }
@@ -49,9 +50,9 @@ impl Store {
     }
 }
 
-/// Whether what the file is shows in its name alone.
-fn is_for_browsers(path: &str) -> bool {
-    [".html", ".svg"].iter().any(|extension| path.ends_with(extension))
+/// Whether people open the artifact, which has a page then.
+fn is_for_people(manifest: &Manifest) -> bool {
+    manifest.files.iter().any(|file| file.path.ends_with(".html"))
 }
 
 /// Where the link at `path` in a view points: out of the folders of `path`, the view and `views`, then into `cas`.
@@ -63,7 +64,7 @@ fn link_target(path: &str, digest: &Digest) -> PathBuf {
 fn is_complete(view: &Path, manifest: &Manifest) -> bool {
     let is_right = |file: &super::ManifestFile| {
         let path = view.join(&file.path);
-        match is_for_browsers(&file.path) {
+        match is_for_people(manifest) {
             true => blob::is_whole(&path, &file.sha256, file.size_bytes),
             false => fs::read_link(path).is_ok_and(|target| target == link_target(&file.path, &file.sha256)),
         }
