@@ -5,6 +5,7 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use indexmap::IndexMap;
 use serde::{Deserialize, Serialize};
 
 use crate::plan::Plan;
@@ -100,30 +101,23 @@ struct Drawing {
 
 impl Drawing {
     fn new(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> Self {
-        // The box of each node: its own, or the one of its template.
-        let mut templates: Vec<&str> = Vec::new();
-        let mut box_of = |index: usize| {
-            let template = plan.nodes[index].template.as_str();
-            match templates.iter().position(|known| collapse && *known == template) {
-                Some(index) => index,
-                None => {
-                    templates.push(template);
-                    templates.len() - 1
-                }
-            }
+        // The nodes of each box: one node, or all of a template.
+        let mut members: IndexMap<&str, Vec<usize>> = IndexMap::new();
+        for (index, node) in plan.nodes.iter().enumerate() {
+            members.entry(if collapse { &node.template } else { &node.name }).or_default().push(index);
+        }
+        let mut box_of = vec![0; plan.nodes.len()];
+        for (drawn, nodes) in members.values().enumerate() {
+            nodes.iter().for_each(|&index| box_of[index] = drawn);
+        }
+        let drawn = |nodes: &Vec<usize>| {
+            let state = |index: &usize| states.get(index).copied().unwrap_or_default();
+            let states: Vec<NodeState> = nodes.iter().map(state).collect();
+            let worst = states.iter().copied().max().unwrap_or_default();
+            let label = if collapse { collapsed_label(plan, nodes, &states) } else { plain_label(plan, nodes[0]) };
+            (label, worst)
         };
-        let box_of: Vec<usize> = (0..plan.nodes.len()).map(&mut box_of).collect();
-        let members = |drawn: usize| (0..plan.nodes.len()).filter(|&index| box_of[index] == drawn).collect::<Vec<_>>();
-        let boxes = (0..templates.len())
-            .map(|drawn| {
-                let nodes = members(drawn);
-                let state = |index: &usize| states.get(index).copied().unwrap_or_default();
-                let states: Vec<NodeState> = nodes.iter().map(state).collect();
-                let worst = states.iter().copied().max().unwrap_or_default();
-                let label = if collapse { collapsed_label(plan, &nodes, &states) } else { plain_label(plan, nodes[0]) };
-                (label, worst)
-            })
-            .collect();
+        let boxes = members.values().map(drawn).collect();
         let edge = |(consumer, node): (usize, &crate::Node)| {
             node.producers().into_iter().map(|producer| (box_of[producer], box_of[consumer])).collect::<Vec<_>>()
         };

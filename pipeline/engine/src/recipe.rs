@@ -36,5 +36,6 @@ mod wire;
 pub(crate) mod tests;
 
 pub use errors::{RecipeError, RecipeErrors};
+pub use load::{Overrides, StageOverride};
 pub(crate) use nearest::nearest;
-pub use resolve::resolve;
+pub use resolve::{resolve, resolve_with};

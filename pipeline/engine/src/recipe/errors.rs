@@ -96,6 +96,11 @@ impl Report {
         self.errors.iter().any(|(known, error)| known == place && error.key == key)
     }
 
+    /// Whether there is an error about `key` anywhere already.
+    pub fn concerns(&self, key: &str) -> bool {
+        self.errors.iter().any(|(_, error)| error.key == key)
+    }
+
     pub fn is_empty(&self) -> bool {
         self.errors.is_empty()
     }

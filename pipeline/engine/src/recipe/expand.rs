@@ -17,14 +17,45 @@ pub(crate) struct Instance {
     pub params: Table,
 }
 
+/// More jobs than this are a slip of the finger: a plan holds some 25 kB of each, and the largest recipes have hundreds.
+const MAX_JOBS: usize = 20_000;
+
+/// Whether the recipe has too many jobs to expand, which is an error.
+pub(crate) fn has_too_many_jobs(recipe: &RawRecipe, report: &mut Report) -> bool {
+    let jobs_of = |template: &Template| {
+        let counts = template.over.iter().map(|&axis| there(recipe, template, axis).count());
+        counts.fold(1_usize, usize::saturating_mul)
+    };
+    let jobs = recipe.templates.values().map(jobs_of).fold(0, usize::saturating_add);
+    let largest = recipe.templates.iter().max_by_key(|(_, template)| jobs_of(template));
+    if let (true, Some((name, template))) = (jobs > MAX_JOBS, largest) {
+        let lengths = template.over.iter().map(|&axis| {
+            let axis = (recipe.axis_name(axis), there(recipe, template, axis).count());
+            format!("{} of axis `{}`", axis.1, axis.0)
+        });
+        let message = format!("the recipe has {jobs} jobs, of which {} of node `{name}`", jobs_of(template));
+        let hint = format!(
+            "at most {MAX_JOBS} can be planned; a job of `{name}` stands for each value, {}",
+            lengths.collect::<Vec<_>>().join(" × ")
+        );
+        report.add(&template.at, format!("nodes.{name}.over"), message, Some(hint));
+    }
+    jobs > MAX_JOBS
+}
+
+/// The values of an axis that a template is there for.
+fn there<'a>(recipe: &'a RawRecipe, template: &'a Template, axis: usize) -> impl Iterator<Item = &'a AxisValue> {
+    let is_there = move |value: &&AxisValue| template.only.get(&axis).is_none_or(|only| only.contains(&value.text));
+    recipe.axes[axis].values.iter().filter(is_there)
+}
+
 /// All jobs of the template called `name`, the last axis varying fastest, for the values that the template is there for.
 pub(crate) fn instances(recipe: &RawRecipe, name: &str, template: &Template, report: &mut Report) -> Vec<Instance> {
     let mut combinations = vec![Vec::new()];
     for &axis in &template.over {
-        let is_there = |value: &&AxisValue| template.only.get(&axis).is_none_or(|only| only.contains(&value.text));
         let longer = |head: &Vec<(usize, AxisValue)>| {
             let with = |value: &AxisValue| head.iter().cloned().chain([(axis, value.clone())]).collect();
-            recipe.axes[axis].values.iter().filter(is_there).map(with).collect::<Vec<_>>()
+            there(recipe, template, axis).map(with).collect::<Vec<_>>()
         };
         combinations = combinations.iter().flat_map(longer).collect();
     }

@@ -8,6 +8,26 @@ use super::places::Place;
 use super::raw::axis_text;
 use super::tree::{self, Item, Table, Tree};
 
+/// What the command line changes in a recipe.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    /// Values of the recipe, as `nodes.train.params.iterations=500`.
+    pub set: Vec<String>,
+    /// Parameters of all jobs of a stage.
+    pub of_stages: Vec<StageOverride>,
+}
+
+/// Parameters that an option of the command line gives to all jobs of a stage.
+#[derive(Clone, Debug)]
+pub struct StageOverride {
+    /// The stage's id.
+    pub stage: String,
+    /// The option, for messages, as `--budget`.
+    pub option: &'static str,
+    /// The parameters in TOML, as `budget_secs = 60.0`.
+    pub params: String,
+}
+
 /// The merged text of a recipe, before anything is known about its meaning.
 #[derive(Default)]
 pub(crate) struct Loaded {
@@ -17,16 +37,19 @@ pub(crate) struct Loaded {
     pub rules: Vec<Item>,
     /// The parameters of nodes that the command line overrides, applied after all rules.
     pub overrides: Vec<Item>,
+    /// Stage → parameters that all of its jobs get from the command line, laid over everything else.
+    pub of_stages: Vec<(String, Table)>,
     /// Every value that any layer gives an axis: a recipe may narrow an axis and keep the rules of its base.
     pub axis_values: BTreeMap<String, BTreeSet<String>>,
 }
 
 /// Reads the recipe at `path`; everything wrong goes to `report`. Nothing comes back if a file cannot be read at all:
 /// what the other files say would only raise errors that are none.
-pub(crate) fn load(path: &Path, overrides: &[String], report: &mut Report) -> Option<Loaded> {
+pub(crate) fn load(path: &Path, overrides: &Overrides, report: &mut Report) -> Option<Loaded> {
     let mut loaded = Loaded::default();
     let root = read(path, None, &mut Vec::new(), report, &mut loaded);
     let tables: Vec<Option<Table>> = overrides
+        .set
         .iter()
         .map(|text| {
             let text = report.texts.add(Path::new("-s"), text.clone(), true);
@@ -35,6 +58,10 @@ pub(crate) fn load(path: &Path, overrides: &[String], report: &mut Report) -> Op
         .collect();
     loaded.root = root?;
     tables.into_iter().flatten().for_each(|table| add_override(&mut loaded, table));
+    for StageOverride { stage, option, params } in &overrides.of_stages {
+        let text = report.texts.add(Path::new(option), params.clone(), true);
+        loaded.of_stages.extend(tree::parse(text, report).map(|table| (stage.clone(), table)));
+    }
     Some(loaded)
 }
 

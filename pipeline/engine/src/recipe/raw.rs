@@ -22,6 +22,8 @@ pub(crate) struct RawRecipe {
     pub axes: IndexMap<String, Axis>,
     pub templates: IndexMap<String, Template>,
     pub rules: Vec<Rule>,
+    /// Stage → parameters that all of its jobs get from the command line.
+    pub of_stages: Vec<(String, Table)>,
 }
 
 impl RawRecipe {
@@ -92,7 +94,7 @@ const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
 /// Reads the merged text.
 pub(crate) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
-    let mut recipe = RawRecipe::default();
+    let mut recipe = RawRecipe { of_stages: loaded.of_stages, ..RawRecipe::default() };
     refuse_unknown(&loaded.root, "", &ROOT_KEYS, report);
     recipe.name = loaded.root.get("name").and_then(|item| recipe_name(item, report));
     for (key, item) in table_at(&loaded.root, "axes", "axes", report) {
@@ -135,20 +137,21 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
         report.add(&item.at, key, "an axis is an array of strings or integers", None);
         return Vec::new();
     };
-    if items.is_empty() {
+    // Values that recipes cannot have are told already, and left out.
+    if items.is_empty() && !report.concerns(&key) {
         report.add(&item.at, &key, "an axis needs at least one value", None);
     }
-    let mut values: Vec<AxisValue> = Vec::new();
+    let (mut values, mut known) = (Vec::new(), BTreeSet::new());
     for item in items {
         let Some(text) = axis_text(item) else {
             report.add(&item.at, &key, "axis values are strings or integers", None);
             continue;
         };
         check_characters(&text, item.at, &key, report);
-        if values.iter().any(|known| known.text == text) {
-            report.add(&item.at, &key, format!("axis value `{text}` is there twice"), None);
-        } else {
+        if known.insert(text.clone()) {
             values.push(AxisValue { text, value: item.to_json() });
+        } else {
+            report.add(&item.at, &key, format!("axis value `{text}` is there twice"), None);
         }
     }
     values

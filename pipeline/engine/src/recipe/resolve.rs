@@ -6,8 +6,9 @@ use std::path::{Component, Path};
 use serde_json::Value;
 
 use super::errors::{RecipeErrors, Report};
-use super::expand::{Instance, instances};
+use super::expand::{Instance, has_too_many_jobs, instances};
 use super::link::link;
+use super::load::Overrides;
 use super::raw::{RawRecipe, Template};
 use super::tree::{self, Table};
 use super::{load, raw, wire};
@@ -20,12 +21,26 @@ use crate::{ParamProblem, Registry};
 /// that nothing is decided about inputs while the recipe has other errors. Stages may look below `data_root`, so that
 /// the data that is there decides what is simulated; the store decides nothing.
 pub fn resolve(path: &Path, overrides: &[String], registry: &Registry, data_root: &Path) -> Result<Plan, RecipeErrors> {
+    let overrides = Overrides { set: overrides.to_vec(), ..Overrides::default() };
+    resolve_with(path, &overrides, registry, data_root)
+}
+
+/// The same with everything that a command line can change.
+pub fn resolve_with(
+    path: &Path,
+    overrides: &Overrides,
+    registry: &Registry,
+    data_root: &Path,
+) -> Result<Plan, RecipeErrors> {
     let mut report = Report::default();
     let Some(loaded) = load::load(path, overrides, &mut report) else {
         return report.finish(None);
     };
     let recipe = raw::read(loaded, &mut report);
     let order = wire::check(&recipe, registry, &mut report);
+    if has_too_many_jobs(&recipe, &mut report) {
+        return report.finish(None);
+    }
     let mut resolver = Resolver { recipe: &recipe, registry, report };
     let drafts: Vec<Vec<Draft>> = (0..recipe.templates.len()).map(|template| resolver.drafts(template)).collect();
     if recipe.templates.is_empty() {
@@ -82,7 +97,15 @@ impl Resolver<'_> {
         instances.into_iter().filter_map(|instance| self.draft(name, template, stage, instance)).collect()
     }
 
-    fn draft(&mut self, name: &str, template: &Template, stage: &dyn AnyStage, instance: Instance) -> Option<Draft> {
+    fn draft(
+        &mut self,
+        name: &str,
+        template: &Template,
+        stage: &dyn AnyStage,
+        mut instance: Instance,
+    ) -> Option<Draft> {
+        let of_stage = self.recipe.of_stages.iter().filter(|(id, _)| id == stage.id());
+        of_stage.for_each(|(_, params)| tree::merge(&mut instance.params, params.clone()));
         let params = match stage.canonical_params(&tree::table_to_json(&instance.params)) {
             Ok(params) => params,
             Err(problems) => {

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 use tempfile::TempDir;
 
-use super::{RecipeErrors, resolve};
+use super::{Overrides, RecipeErrors, StageOverride, resolve, resolve_with};
 use crate::plan::{Origin, Plan};
 use crate::registry::tests::registry;
 
@@ -221,7 +221,7 @@ nodes.trian.params.steps = 1
         "13: nodes.train.inputs.txt: stage `test-work` has no port `txt` (did you mean `text`? allowed: text)",
         "13: nodes.train.inputs.text: unknown node `captures` (did you mean `capture`? allowed: capture, other, train)",
         "14: nodes.train.params.stpes: unknown key `stpes` (did you mean `steps`? allowed: letter, steps, sleep_millis, rate, keep, fail)",
-        "14: nodes.train.params.keep: invalid type: string \"x\", expected usize",
+        "14: nodes.train.params.keep: invalid type: string \"x\", expected a whole number from 0 on",
         "14: nodes.train.params.steps: must be at least 1",
         "14: nodes.train.params.rate: numbers must be finite",
         "16: set.when.scene: axis `scene` has no value `bal` (did you mean `ball`? allowed: a/b, ball)",
@@ -309,6 +309,40 @@ fn names_that_would_lead_elsewhere_or_read_as_options_are_refused() {
 }
 
 #[test]
+fn a_recipe_of_too_many_jobs_is_refused_before_any_is_made() {
+    let seeds: Vec<usize> = (0..10_000).collect();
+    let found = errors(GRID, &[&format!("axes.seed = {seeds:?}")]);
+    let expected =
+        "16: nodes.train.over: the recipe has 40003 jobs, of which 40000 of node `train` (at most 20000 can be planned";
+    assert!(found.len() == 1 && found[0].starts_with(expected), "{found:?}");
+    assert!(found[0].contains("2 of axis `scene` × 2 of axis `method` × 10000 of axis `seed`"), "{found:?}");
+}
+
+#[test]
+fn a_value_that_no_recipe_can_have_is_told_once() {
+    assert_eq!(errors(GRID, &["axes.seed = [18446744073709551616]"]).len(), 1);
+    assert_eq!(
+        errors(GRID, &["nodes.train.params.keep = {}"]),
+        ["1: nodes.train.params.keep: invalid type: table, expected a whole number from 0 on",]
+    );
+}
+
+#[test]
+fn an_option_gives_parameters_to_all_jobs_of_a_stage() {
+    let recipes = Recipes::new(&[("recipe.toml", GRID)]);
+    let resolved = |params: &str| {
+        let of_stages = vec![StageOverride { stage: "test-work".into(), option: "--keep", params: params.into() }];
+        let overrides = Overrides { set: vec!["nodes.train.params.keep = 5".into()], of_stages };
+        resolve_with(&recipes.path("recipe.toml"), &overrides, &registry(), recipes.0.path())
+    };
+    let plan = resolved("keep = 9").unwrap();
+    let trained: Vec<_> = plan.nodes.iter().filter(|node| node.stage == "test-work").collect();
+    assert!(trained.len() == 8 && trained.iter().all(|node| node.params["keep"] == 9));
+    let error = resolved("keep = -1").unwrap_err().0.remove(0);
+    assert_eq!((error.file.as_path(), error.key.as_str()), (Path::new("--keep"), "nodes.train.params.keep"));
+}
+
+#[test]
 fn rules_must_be_able_to_hold() {
     let text = GRID.replace("nodes.train.params.steps = 5", "nodes.capture.params.text = \"x\"");
     let expected =
@@ -358,7 +392,10 @@ fn a_line_that_is_wrong_for_many_jobs_is_one_error() {
         .replace("steps = 3", "steps = \"{scene}\"")
         .replace("[[set]]\nwhen = { scene = \"ball\", method = [\"b\"] }\nnodes.train.params.steps = 5", "");
     let found = errors(&text, &[]);
-    assert_eq!(found, ["20: nodes.train.params.steps: invalid type: string \"ball\", expected usize"]);
+    assert_eq!(
+        found,
+        ["20: nodes.train.params.steps: invalid type: string \"ball\", expected a whole number from 0 on"]
+    );
 }
 
 #[test]

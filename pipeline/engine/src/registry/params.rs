@@ -74,7 +74,7 @@ fn explained(mut path: Vec<String>, message: &str) -> (Vec<String>, ParamProblem
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
     let what = ["field", "variant"].iter().position(|word| message.starts_with(&format!("unknown {word} `")));
     let (Some(what), Some((&wrong, allowed))) = (what, quoted.split_first()) else {
-        return (path.clone(), problem(&path.join("."), message));
+        return (path.clone(), problem(&path.join("."), in_words_of_recipes(message)));
     };
     // Depending on the kind of struct the path ends at the unknown key or at the table around it.
     if what == 0 && path.last().is_none_or(|last| last != wrong) {
@@ -88,6 +88,23 @@ fn explained(mut path: Vec<String>, message: &str) -> (Vec<String>, ParamProblem
     };
     let key = path.join(".");
     (path, ParamProblem { key, message: format!("unknown {noun} `{wrong}`"), hint: Some(hint) })
+}
+
+/// Serde's words with the types as recipes have them, in place of Rust's.
+fn in_words_of_recipes(message: &str) -> String {
+    let Some((found, expected)) = message.split_once(", expected ") else { return message.to_owned() };
+    let expected = match expected {
+        "usize" | "u64" | "u32" | "u16" | "u8" => "a whole number from 0 on",
+        "isize" | "i64" | "i32" | "i16" | "i8" => "a whole number",
+        "f64" | "f32" => "a number",
+        "a boolean" => "true or false",
+        "a map" => "a table",
+        "a sequence" => "an array",
+        text if text.starts_with("struct ") => "a table",
+        text => text,
+    };
+    let found = found.replace("map", "table").replace("sequence", "array").replace("unit value", "nothing");
+    format!("{found}, expected {expected}")
 }
 
 /// The deepest value without which an error is no longer `message`; empty if no single one is to blame.
