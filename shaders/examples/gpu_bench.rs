@@ -3,11 +3,12 @@
 //! A floor counts what a kernel must at least move and compute: every input read once, every output written once, and the
 //! arithmetic of its definition. `ci/gpu-bench` runs this and more.
 
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
-use shaders::gpu::{Gpu, Rates};
+use shaders::gpu::{Gpu, GpuFailure, Rates};
 use shaders::hexplane::{HexplaneShape, hexplane};
 use shaders::linear::{Activation, linear};
 use shaders::losses::l1_dssim;
@@ -20,7 +21,7 @@ const RUNS: usize = 5;
 const WORD: f64 = 4.0;
 
 /// The radix sort with its scans.
-const SORT: [&str; 5] = ["sort, counts", "sort, scatter", "sort, starts", "scan", "scan, offsets"];
+const SORT: [&str; 6] = ["sort, counts", "sort, rows", "sort, scatter", "sort, starts", "scan", "scan, offsets"];
 
 /// What a kernel, or several that do one thing, must at least do in a run.
 struct Work {
@@ -52,7 +53,17 @@ fn main() -> ExitCode {
     };
     let is_timed = gpu.time_kernels();
     let rates = gpu.measure_rates();
-    let benchmarks = [render(gpu, splats, size), dense(gpu, splats), losses(gpu, size), optimizer(gpu, splats)];
+    let run = || [render(gpu, splats, size), dense(gpu, splats), losses(gpu, size), optimizer(gpu, splats)];
+    let benchmarks = match catch_unwind(AssertUnwindSafe(run)) {
+        Ok(benchmarks) => benchmarks,
+        Err(payload) => match payload.downcast::<GpuFailure>() {
+            Ok(failure) => {
+                eprintln!("error: {failure}");
+                return ExitCode::FAILURE;
+            }
+            Err(bug) => resume_unwind(bug),
+        },
+    };
     let rows: Vec<String> = benchmarks.iter().flatten().map(|row| row.json(&rates)).collect();
     println!("{{");
     println!("  \"adapter\": {:?}, \"timestamps\": {is_timed}, \"splats\": {splats}, \"size_px\": {size},", gpu.name());
@@ -86,6 +97,10 @@ fn measure(gpu: Gpu, works: Vec<Work>, mut run: impl FnMut()) -> Vec<Row> {
     (0..RUNS).for_each(|_| run());
     gpu.wait();
     let spent = gpu.usage().since(&before).kernels;
+    for (name, cost) in spent.iter().filter(|(name, _)| !works.iter().any(|work| work.kernels.contains(&name.as_str())))
+    {
+        eprintln!("in no row: {name}, {:.4} ms", 1e3 * cost.secs / RUNS as f64);
+    }
     let row = |work: Work| {
         let mine = spent.iter().filter(|(name, _)| work.kernels.contains(&name.as_str()));
         let (secs, launches) = mine.fold((0.0, 0), |sum, (_, cost)| (sum.0 + cost.secs, sum.1 + cost.launches));

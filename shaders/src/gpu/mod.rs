@@ -143,8 +143,9 @@ pub enum GpuFailure {
 }
 
 impl GpuFailure {
+    /// Unwinds to whoever catches it, without the message and backtrace of a panic: it is no bug.
     fn raise(self) -> ! {
-        std::panic::panic_any(self)
+        std::panic::resume_unwind(Box::new(self))
     }
 }
 
