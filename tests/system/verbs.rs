@@ -17,7 +17,7 @@ fn a_recipe_runs_once_and_every_verb_understands_the_result() {
     looking_at_the_plan(&world);
     looking_at_results(&world);
     tables(&world);
-    judging_and_exporting(&world);
+    judging_exporting_and_filming(&world);
     the_store_is_sound(&world);
 }
 
@@ -80,7 +80,7 @@ fn tables(world: &World) {
     assert!(json.to_string().contains("static3dgs"), "{json}");
 }
 
-fn judging_and_exporting(world: &World) {
+fn judging_exporting_and_filming(world: &World) {
     let folder = |job: &str| world.call("show", &[job, "--path"]).ok().trim().to_owned();
     let renders = folder("render/bouncing-spheres/static3dgs/0") + "/images";
     let against = |truth: &str| -> Value {
@@ -103,6 +103,14 @@ fn judging_and_exporting(world: &World) {
         let ply = std::fs::read(world.path(&format!("ply/frame_{index:04}.ply"))).unwrap();
         assert!(ply.starts_with(b"ply\nformat binary_little_endian 1.0\n"), "{line}");
     }
+
+    let film = world.path("film").display().to_string();
+    let shot = [TRAINING, "--times", "0.1:0.1:3", "--views", "test_0000,test_0001", "--out", &film];
+    assert!(world.call("render", &shot).ok().starts_with("3 frames of "));
+    let frame = |index: usize| std::fs::read(world.path(&format!("film/frame_{index:04}.png"))).unwrap();
+    assert!(frame(0).starts_with(b"\x89PNG") && frame(0) != frame(2), "time stands still, the camera does not");
+    let again = world.call("render", &shot);
+    assert!(again.code == 3 && again.stderr.contains("the folder is not empty"), "{}", again.stderr);
 
     let unknown = Ended::of(program(&["inspect", &out]));
     let told = unknown.stdout + &unknown.stderr;
