@@ -27,7 +27,7 @@ impl Sources {
     /// Copies the workspace as it is now.
     pub fn copy() -> Self {
         let dir = TempDir::new().expect("a folder for the copy");
-        for part in ["Cargo.toml", "Cargo.lock", "pipeline", "stages", "shaders"] {
+        for part in ["Cargo.toml", "Cargo.lock", "pipeline", "stages", "shaders", "tests/needs"] {
             for entry in WalkDir::new(root().join(part)).into_iter().filter_entry(|entry| entry.file_name() != "target")
             {
                 let entry = entry.expect("sources are readable");

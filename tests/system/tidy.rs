@@ -43,7 +43,28 @@ fn sources_keep_the_house_rules() {
 
 #[test]
 fn a_broken_rule_is_noticed() {
-    assert_eq!(problems("x.rs", concat!("fn f() { to", "do!() }")).len(), 1);
+    for (head, tail, reason) in FORBIDDEN {
+        assert_eq!(problems("x.rs", &format!("fn f() {{ {head}{tail} }}")).len(), 1, "{reason}");
+        assert!(problems("x.rs", &format!("fn f() {{ {head} {tail} }}")).is_empty(), "{reason}");
+    }
+}
+
+/// Whether a test of that name runs: a function under `#[test]`, or one that a list of tests names.
+fn is_test(sources: &str, name: &str) -> bool {
+    let is_marked = |at: usize| {
+        let above = sources[..at].split('\n').rev().skip(1).map(str::trim);
+        above.take_while(|line| line.starts_with("#[") || line.starts_with("//")).any(|line| line == "#[test]")
+    };
+    let function = format!("fn {name}(");
+    let is_listed = sources.contains(&format!("(\"{name}\", {name})"));
+    sources.match_indices(&function).any(|(at, _)| is_listed || is_marked(at))
+}
+
+#[test]
+fn a_function_that_no_test_runs_is_noticed() {
+    let listed = concat!("fn a() {}\nconst TESTS: [T; 1] = [(\"a", "\", a)];");
+    assert!(is_test("#[test]\n/// Text.\nfn a() {}", "a") && is_test("mod m {\n    #[test]\n    fn a() {}", "a"));
+    assert!(is_test(listed, "a") && !is_test("#[test]\nfn b() {}\nfn a() {}", "a") && !is_test("#[test]\n", "a"));
 }
 
 #[test]
@@ -57,7 +78,7 @@ fn every_invariant_names_a_test_that_exists() {
         let tests: Vec<_> = row.split('`').skip(1).step_by(2).filter(|word| word.contains('_')).collect();
         assert!(!tests.is_empty(), "an invariant without a test: {row}");
         for test in tests {
-            assert!(sources.contains(&format!("fn {test}(")), "no test {test}, named by: {row}");
+            assert!(is_test(&sources, test), "no test {test}, named by: {row}");
         }
     }
 }
