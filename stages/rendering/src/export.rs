@@ -1,6 +1,7 @@
 //! A model as files that common viewers open: one 3DGS-layout PLY per time, proved by reading it back.
 
 use std::fmt::Write as _;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Context as _, bail, ensure};
@@ -11,8 +12,9 @@ use shaders::tape::Tensor;
 use training::Model;
 use training::player::Player;
 
-/// Times may lie outside of the capture by this share of its duration: the rounding of a range typed by hand.
-const TIME_SLACK: f64 = 1e-6;
+/// Times may lie outside of the capture by this share of its duration, and count as its ends then: the rounding of a range
+/// typed by hand with four digits.
+const TIME_SLACK: f64 = 1e-4;
 
 /// Writes the Gaussians at every time (seconds of the capture) as `frame_0000.ply`, …, reads each file back, renders it
 /// at the first test camera and compares the image with the model's own; the report has a line per file.
@@ -29,7 +31,8 @@ pub fn ply_sequence(model_dir: &Path, capture_dir: &Path, times: &[f64], out: &P
     make_folder(out)?;
 
     let mut report = String::new();
-    for (index, &time_secs) in times.iter().enumerate() {
+    let times = times.iter().map(|time| time.clamp(capture.time_map.start_secs, capture.time_map.end_secs));
+    for (index, time_secs) in times.enumerate() {
         let path = out.join(format!("frame_{index:04}.ply"));
         player.gaussians(time_secs, &camera)?.write_ply(&path)?;
         let from_file = render_file(&path, &camera, &player.raster_settings())?;
@@ -43,7 +46,13 @@ pub fn ply_sequence(model_dir: &Path, capture_dir: &Path, times: &[f64], out: &P
 /// Makes a folder for frames; refuses one with files, among which those of another sequence could stay.
 pub(crate) fn make_folder(out: &Path) -> anyhow::Result<()> {
     let cannot = || format!("cannot make the folder {}", out.display());
-    std::fs::create_dir_all(out).with_context(cannot)?;
+    match std::fs::create_dir_all(out) {
+        Err(error) if matches!(error.kind(), ErrorKind::AlreadyExists | ErrorKind::NotADirectory) => {
+            let failure = Failure::new(FailureKind::BadInput, "this is no folder");
+            return Err(failure.hint("name another one").at(out).into());
+        }
+        made => made.with_context(cannot)?,
+    }
     if std::fs::read_dir(out).with_context(cannot)?.next().is_some() {
         let failure = Failure::new(FailureKind::BadInput, "the folder is not empty");
         return Err(failure.hint("name another one, or remove what is there").at(out).into());

@@ -240,6 +240,11 @@ fn exported_gaussians_render_as_the_model_does() {
     // The planted fault: another time's file must not pass for this one.
     let read = |index: usize| std::fs::read(out.join(format!("frame_{index:04}.ply"))).unwrap();
     assert_ne!(read(0), read(2));
+    // A range typed by hand may be longer than the capture by its rounding.
+    let report = ply_sequence(&model, &capture, &[0.0, 2.00005], &dir.path().join("rounded")).unwrap();
+    assert!(report.lines().last().unwrap().starts_with("2.0000 s"), "{report}");
+    let file = out.join("frame_0000.ply");
+    assert!(ply_sequence(&model, &capture, &[0.0], &file).unwrap_err().to_string().contains("no folder"));
 }
 
 #[test]

@@ -24,7 +24,7 @@ impl Stage for SceneSynthesis {
     type Output = CaptureArtifact;
 
     const ID: &'static str = "scene-synthesis";
-    const ABOUT: &'static str = "render an analytic dynamic scene with exact depth, flow, masks and velocity";
+    const ABOUT: &'static str = "renders an analytic dynamic scene with exact depth, flow, masks and velocity";
 
     fn ports() -> Vec<Port> {
         Vec::new()

@@ -28,7 +28,7 @@ impl Stage for SfmImport {
 
     const ID: &'static str = "sfm-import";
     const ABOUT: &'static str =
-        "Imports a capture with known poses: D-NeRF/Blender, COLMAP, Nerfies/HyperNeRF/DyCheck, or Neural 3D Video.";
+        "imports a capture with known poses: D-NeRF/Blender, COLMAP, Nerfies/HyperNeRF/DyCheck, or Neural 3D Video";
 
     fn ports() -> Vec<Port> {
         Vec::new()

@@ -10,7 +10,8 @@ mod tests;
 
 use std::collections::BTreeSet;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use serde_json::Value;
 
 pub use choice::{Choice, KnownInputs, known_inputs, outcomes};
 pub use evidence::{BACKGROUND, CAPTURE, FEATURES, LAYERS, PARTICLES, PRIORS};
@@ -67,12 +68,12 @@ pub enum Need {
 }
 
 /// What a recipe says about effects, or what that came to.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(untagged)]
 pub enum Effects {
     /// Not resolved: every effect whose needs are met.
     #[default]
-    #[serde(with = "auto")]
+    #[serde(serialize_with = "write_auto")]
     Auto,
     /// These and no others; or, where all begin with `+` or `-`, changes of the automatic choice.
     Named(BTreeSet<String>),
@@ -97,18 +98,22 @@ impl Effects {
     }
 }
 
-/// The word `"auto"`.
-mod auto {
-    use serde::{Deserialize as _, Deserializer, Serializer, de};
+/// The word for [`Effects::Auto`].
+const AUTO: &str = "auto";
 
-    pub fn serialize<S: Serializer>(serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str("auto")
-    }
+fn write_auto<S: Serializer>(serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(AUTO)
+}
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(), D::Error> {
-        match String::deserialize(deserializer)?.as_str() {
-            "auto" => Ok(()),
-            other => Err(de::Error::custom(format!("effects must be \"auto\" or a list of names, not {other:?}"))),
+impl<'de> Deserialize<'de> for Effects {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let value = Value::deserialize(deserializer)?;
+        let names = || BTreeSet::deserialize(&value).ok();
+        match value.as_str() {
+            Some(AUTO) => Ok(Self::Auto),
+            _ => names().map(Self::Named).ok_or_else(|| {
+                de::Error::custom(format!("effects must be \"auto\" or a list of names, not {value}")) //
+            }),
         }
     }
 }

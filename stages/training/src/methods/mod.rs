@@ -158,11 +158,12 @@ fn read_settings<M: MethodFolder>(given: &Value) -> anyhow::Result<M::Settings> 
     Ok(settings)
 }
 
-/// The method of that name; the error lists the registered ones.
+/// The method of that name; the error lists the registered ones, in serde's words for an unknown name, of which the error
+/// of a recipe makes a suggestion.
 pub fn find(name: &str) -> Result<Registration, String> {
-    let known = || registry().iter().map(|entry| entry.name).collect::<Vec<_>>().join(", ");
+    let known = || registry().iter().map(|entry| format!("`{}`", entry.name)).collect::<Vec<_>>().join(", ");
     registry().into_iter().find(|entry| entry.name == name).ok_or_else(|| {
-        format!("unknown method {name:?}, expected one of {}", known()) //
+        format!("unknown variant `{name}`, expected one of {}", known()) //
     })
 }
 
