@@ -28,6 +28,46 @@ fn every_verb_has_help() {
     assert_eq!(Ended::of(program(&["no-such-verb"])).code, 2);
 }
 
+#[test]
+fn errors_are_in_the_words_of_recipes() {
+    let recipe = root().join("recipes/quickstart.toml").display().to_string();
+    for (value, told) in [
+        ("axes.method=[\"statc3dgs\"]", "did you mean `static3dgs`?"),
+        ("nodes.train.params.effects=\"none\"", "effects must be \"auto\" or a list of names, not \"none\""),
+        ("nodes.train.params.density.max_count=-1", "expected a whole number from 0 on"),
+        ("name=\"../../w\"", "`../../w` cannot be a recipe's name"),
+    ] {
+        let refused = Ended::of(program(&["plan", &recipe, "-s", value]));
+        assert!(refused.code == 3 && refused.stderr.contains(told), "{value}\n{}", refused.stderr);
+    }
+}
+
+#[test]
+fn an_empty_variable_is_none_and_an_empty_option_is_refused() {
+    let recipe = root().join("recipes/quickstart.toml").display().to_string();
+    let mut cleared = program(&["plan", &recipe]);
+    cleared.envs(["PIPELINE_STORE", "PIPELINE_DATA", "PIPELINE_DEVICE"].map(|name| (name, "")));
+    Ended::of(cleared).ok();
+    for wrong in ["--device=", "--budget=0s", "--replicates=100000", "--store="] {
+        assert_eq!(Ended::of(program(&["plan", &recipe, wrong])).code, 2, "{wrong}");
+    }
+}
+
+#[test]
+fn doctor_tells_whether_a_store_can_be_made() {
+    let folder = tempfile::tempdir().expect("a folder for the test");
+    let (file, place) = (folder.path().join("file"), folder.path().join("store"));
+    std::fs::write(&file, "").expect("the file is written");
+    let of_store = |store: &std::path::Path| {
+        let store = store.display().to_string();
+        Ended::of(program(&["doctor", "--device", "cpu", "--store", &store]))
+    };
+    let told = of_store(&place).ok();
+    assert!(told.contains("the first run makes it") && told.contains("none asked for") && !place.exists(), "{told}");
+    let told = of_store(&file.join("store"));
+    assert!(told.code == 13 && told.stdout.contains("NOT USABLE: it cannot be made"), "{}", told.stdout);
+}
+
 /// The program's commands in a text: what follows `cargo run --release --`, and the first words in the table below the
 /// heading of verbs.
 fn commands(text: &str) -> Vec<String> {

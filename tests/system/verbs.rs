@@ -17,8 +17,10 @@ fn a_recipe_runs_once_and_every_verb_understands_the_result() {
     looking_at_the_plan(&world);
     looking_at_results(&world);
     tables(&world);
+    other_recipes_and_kept_reports(&world);
     judging_exporting_and_filming(&world);
     the_store_is_sound(&world);
+    options_are_in_the_commands_of_the_report(&world);
 }
 
 fn second_run_executes_nothing(world: &World) {
@@ -80,6 +82,36 @@ fn tables(world: &World) {
     assert!(json.to_string().contains("static3dgs"), "{json}");
 }
 
+/// What another recipe made is nobody else's result; what was kept of a recipe compares with what it comes to now.
+fn other_recipes_and_kept_reports(world: &World) {
+    let [tiny, other, out, store, kept] =
+        ["tiny.toml", "other.toml", "none", "store", "kept"].map(|name| world.path(name).display().to_string());
+    std::fs::write(&other, "extends = [\"tiny.toml\"]\nnodes.train.params.loss.lambda_dssim = 0.5\n").unwrap();
+    let ended = |arguments: &[&str]| Ended::of(program(&[arguments, &["--store", &store]].concat()));
+    for arguments in [
+        &["table", &other][..],
+        &["show", &other, TRAINING],
+        &["compare", &tiny, &other],
+        &["export", &other, TRAINING, "--times", "0:0.2:2", "--out", &out],
+        &["table", &tiny, "-s", "nodes.train.params.loss.lambda_dssim=0.5"],
+    ] {
+        let Ended { code, stdout, stderr } = ended(arguments);
+        assert!(code == 4 && stderr.contains("has no result"), "{arguments:?}\n{stdout}\n{stderr}");
+    }
+    let plan = ended(&["plan", &other]).ok();
+    assert!(
+        plan.contains("will run     train/") && plan.contains(": never ran") && !plan.contains("params."),
+        "{plan}"
+    );
+
+    let copied =
+        std::process::Command::new("cp").args(["-r", &format!("{store}/results/tiny/report/"), &kept]).status();
+    assert!(copied.expect("cp starts").success());
+    assert!(ended(&["compare", &kept, &tiny]).ok().contains("| +0.00 |"));
+    let page = std::fs::read_to_string(format!("{kept}/index.html")).expect("the page is a file");
+    assert!(page.contains(&format!(" --device cpu --only {}", TRAINING.replacen("train", "metrics", 1))), "{page}");
+}
+
 fn judging_exporting_and_filming(world: &World) {
     let folder = |job: &str| world.call("show", &[job, "--path"]).ok().trim().to_owned();
     let renders = folder("render/bouncing-spheres/static3dgs/0") + "/images";
@@ -137,6 +169,13 @@ fn the_store_is_sound(world: &World) {
     Ended::of(program(&["cache", "verify", "--repair", "--store", &store])).ok();
     assert!(world.run(&[]).counts["executed"] > 0);
     cache("verify").ok();
+}
+
+/// Whoever changes the recipe by an option has it in the commands.
+fn options_are_in_the_commands_of_the_report(world: &World) {
+    world.call("run", &["-s", "nodes.report.params.title = 'its title'"]).ok();
+    let page = std::fs::read_to_string(world.path("store/results/tiny/report/index.html")).expect("the page");
+    assert!(page.contains(r"-s 'nodes.report.params.title = '\''its title'\''' --device cpu"), "{page}");
 }
 
 fn make_writable(path: &std::path::Path) {

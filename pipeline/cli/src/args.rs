@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use engine::DeviceClass;
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
@@ -61,8 +63,8 @@ pub enum Verb {
         #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
         data_root: PathBuf,
         /// Look at this GPU only, which must be usable: part of its name, its PCI id as 10de:2335, its
-        /// PCI bus, or gpu for the likely fastest
-        #[arg(long, value_name = "ADAPTER")]
+        /// PCI bus, or gpu for the likely fastest; with cpu, at none
+        #[arg(long, value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]
         device: Option<String>,
     },
     /// Prints completions for a shell
@@ -83,33 +85,58 @@ pub enum Verb {
 pub struct RecipeArgs {
     /// The recipe, a TOML file
     pub recipe: PathBuf,
+    #[command(flatten)]
+    pub with: Conditions,
+}
+
+/// What a recipe is applied to, and what is changed in it.
+#[derive(Clone, Debug, Args)]
+pub struct Conditions {
     /// Folder that the recipe's sources are relative to
-    #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+    #[arg(long, env = "PIPELINE_DATA", default_value = DATA_ROOT, value_name = "DIR")]
     pub data_root: PathBuf,
     /// Overrides a value of the recipe, as nodes.train.params.schedule_scale=0.5; can be repeated
     #[arg(short = 's', long = "set", value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Train with the seeds 0 to N − 1 instead of those of the recipe
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    #[arg(long, value_parser = replicates, value_name = "N")]
     pub replicates: Option<usize>,
     /// Shorten the schedules of every training so that it takes about so long, as 60s or 10m; how much is measured when
     /// it starts, so that such a result is not reproducible bit for bit
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
+    #[arg(long, value_parser = budget, value_name = "TIME")]
     pub budget: Option<Duration>,
     /// What trains and renders: cpu, gpu (the likely fastest adapter), auto (a GPU if there is one that is not software,
     /// else the CPU), or an adapter by part of its name, its PCI id or its PCI bus; CPU and GPU keep separate results
-    #[arg(long, env = "PIPELINE_DEVICE", default_value = AUTO, value_name = "DEVICE")]
+    #[arg(long, env = "PIPELINE_DEVICE", default_value = AUTO, value_name = "DEVICE", value_parser = NonEmptyStringValueParser::new())]
     pub device: String,
 }
 
 /// The device if none is named.
 const AUTO: &str = "auto";
 
-impl RecipeArgs {
-    /// A recipe as it is.
-    pub fn plain(recipe: &Path, data_root: &Path, device: &str) -> Self {
-        let (recipe, data_root, device) = (recipe.into(), data_root.into(), device.into());
-        Self { recipe, data_root, set: Vec::new(), replicates: None, budget: None, device }
+/// The folder of data if none is named.
+const DATA_ROOT: &str = "data";
+
+/// The variables of the environment that options are read from.
+pub const VARIABLES: [&str; 3] = ["PIPELINE_STORE", "PIPELINE_DATA", "PIPELINE_DEVICE"];
+
+impl Conditions {
+    /// Whether nothing of the recipe is changed.
+    pub fn is_plain(&self) -> bool {
+        self.set.is_empty() && self.replicates.is_none() && self.budget.is_none()
+    }
+
+    /// The arguments that make the same again, on a device of this class. Where data lies changes nothing: `DATA` stands
+    /// for the folder.
+    pub fn arguments(&self, device: DeviceClass) -> Vec<String> {
+        let mut arguments: Vec<String> = self.set.iter().flat_map(|set| ["-s".into(), set.clone()]).collect();
+        arguments.extend(self.replicates.iter().flat_map(|count| ["--replicates".into(), count.to_string()]));
+        let budget = self.budget.map(|budget| humantime::format_duration(budget).to_string().replace(' ', ""));
+        arguments.extend(budget.into_iter().flat_map(|budget| ["--budget".into(), budget]));
+        arguments.extend(["--device".into(), device.as_str().into()]);
+        let is_elsewhere = self.data_root != Path::new(DATA_ROOT);
+        arguments.extend(["--data-root", "DATA"].map(String::from).into_iter().filter(|_| is_elsewhere));
+        arguments
     }
 }
 
@@ -244,16 +271,13 @@ pub struct TableArgs {
 
 #[derive(Debug, Args)]
 pub struct CompareArgs {
-    /// What B is compared with: a recipe, the folder of a report, or its report.json
+    /// What B is compared with: a recipe, the folder of a report, or its report.json; options hold for recipes, so that a
+    /// recipe is compared with itself by keeping its report: cp -r store/results/NAME/report/ KEPT
     pub a: PathBuf,
     /// The same
     pub b: PathBuf,
-    /// Folder that the recipes' sources are relative to
-    #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
-    pub data_root: PathBuf,
-    /// The recipes' results of this device, as `run` names it
-    #[arg(long, env = "PIPELINE_DEVICE", default_value = AUTO, value_name = "DEVICE")]
-    pub device: String,
+    #[command(flatten)]
+    pub with: Conditions,
     /// Compare this row of A with that row of B, as static3dgs=mcgs (default: rows of equal names); can be repeated
     #[arg(long, value_parser = two_rows, value_name = "ROW_A=ROW_B")]
     pub rows: Vec<(String, String)>,
@@ -292,7 +316,7 @@ pub struct ExportArgs {
     #[arg(long, value_enum, default_value_t)]
     pub format: ExportFormat,
     /// Times in seconds of the capture, as FIRST:LAST:COUNT
-    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT")]
+    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT", allow_hyphen_values = true)]
     pub times: Times,
     /// The folder to write into
     #[arg(long, value_name = "DIR")]
@@ -306,7 +330,7 @@ pub struct RenderArgs {
     /// The training job, as train/lego/deformable4dgs/0
     pub node: String,
     /// Times in seconds of the capture, as FIRST:LAST:COUNT; 0.5:0.5:60 lets time stand still
-    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT")]
+    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT", allow_hyphen_values = true)]
     pub times: Times,
     /// Views of the capture that the camera moves through, as test_0000,test_0004 (default: it stands at the first test view)
     #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
@@ -388,6 +412,19 @@ fn two_rows(text: &str) -> Result<(String, String), String> {
 /// A count of which 0 makes no sense.
 fn at_least_one(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|&count| count > 0).ok_or_else(|| "expected a number from 1 on".to_owned())
+}
+
+/// More seeds than this are a slip of the finger.
+const MAX_REPLICATES: usize = 1000;
+
+fn replicates(text: &str) -> Result<usize, String> {
+    let count = at_least_one(text)?;
+    if count <= MAX_REPLICATES { Ok(count) } else { Err(format!("at most {MAX_REPLICATES} seeds, not {count}")) }
+}
+
+fn budget(text: &str) -> Result<Duration, String> {
+    let time = humantime::parse_duration(text).map_err(|error| error.to_string())?;
+    if time.is_zero() { Err("a training needs some time, as 60s".into()) } else { Ok(time) }
 }
 
 /// A filter that the jobs will understand.

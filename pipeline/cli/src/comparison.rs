@@ -235,6 +235,11 @@ fn interval(values: &[[f64; 2]], mean: f64) -> Option<[f64; 2]> {
 }
 
 impl Comparison {
+    /// Whether any figure is there on both sides.
+    pub fn has_figures(&self) -> bool {
+        self.protocols.iter().flat_map(|under| &under.rows).any(|row| !row.metrics.is_empty())
+    }
+
     /// What exceeds the limits: a row whose mean in B is worse than in A by more than allowed, or where B lacks a value
     /// that A has. A metric that no row has cannot pass. All rows together say nothing that their rows do not.
     pub fn violations(&self, limits: &[(Column, Amount)]) -> Vec<String> {

@@ -32,6 +32,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 /// The program: parses the command line, does what it says, and returns the exit code.
 pub fn main() -> ExitCode {
     quiet_drivers();
+    unset_empty_variables();
     let cli = Cli::parse();
     match dispatch(cli) {
         Ok(code) => ExitCode::from(code),
@@ -50,6 +51,14 @@ fn quiet_drivers() {
     if std::env::var_os(SOCKETS).is_none() {
         // SAFETY: no other thread has been started yet.
         unsafe { std::env::set_var(SOCKETS, std::env::temp_dir()) };
+    }
+}
+
+/// An empty variable is one that is not set: scripts clear one so.
+fn unset_empty_variables() {
+    for name in args::VARIABLES.iter().filter(|name| std::env::var_os(name).is_some_and(|value| value.is_empty())) {
+        // SAFETY: no other thread has been started yet.
+        unsafe { std::env::remove_var(name) };
     }
 }
 

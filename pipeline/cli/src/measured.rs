@@ -9,7 +9,7 @@ use metric_evaluation::Score;
 use serde::Deserialize;
 use table_generation::{Column, Run};
 
-use crate::args::RecipeArgs;
+use crate::args::{Conditions, RecipeArgs};
 use crate::error::CliError;
 use crate::session::Session;
 use crate::verbs::results::tables;
@@ -23,10 +23,11 @@ struct Runs {
     runs: Vec<Run>,
 }
 
-/// The runs that `named` holds: of a recipe (`.toml`) what it last came to on a device, or of a report's folder or file.
-pub fn open(store: &Path, named: &Path, data_root: &Path, device: &str) -> Result<Vec<Run>, CliError> {
+/// The runs that `named` holds: of a recipe (`.toml`) what it last came to under the conditions, or of a report's folder or file.
+pub fn open(store: &Path, named: &Path, with: &Conditions) -> Result<Vec<Run>, CliError> {
     if named.extension().is_some_and(|extension| extension == "toml") {
-        return of_recipe(&Session::look(store, &RecipeArgs::plain(named, data_root, device))?);
+        let recipe = RecipeArgs { recipe: named.to_owned(), with: with.clone() };
+        return of_recipe(&Session::look(store, &recipe)?);
     }
     read(&if named.is_dir() { named.join(REPORT) } else { named.to_owned() })
 }

@@ -3,9 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use engine::recipe::{Overrides, StageOverride};
 use engine::scheduler::Sources;
 use engine::status::{History, Prediction, State, predict};
-use engine::store::ActionRecord;
+use engine::store::{ActionRecord, Provenance};
 use engine::{DeviceClass, Failure, FailureKind, Plan, Store};
 
 use crate::args::{RecipeArgs, SelectionArgs};
@@ -16,36 +17,39 @@ use crate::stages::stages;
 
 /// The stage that `--replicates`, `--budget` and `--profile` are about.
 pub const TRAINING: &str = "training";
+/// The stage of reports.
+pub const REPORT: &str = "table-generation";
 /// The axis that `--replicates` sets.
 const SEED: &str = "seed";
 
 /// The recipe with everything that the command line changes in it.
-fn resolve(recipe: &RecipeArgs) -> Result<Plan, CliError> {
-    let stages = stages();
-    let resolve = |overrides: &[String]| {
-        engine::recipe::resolve(&recipe.recipe, overrides, &stages, &recipe.data_root) //
-    };
-    let mut overrides = recipe.set.clone();
-    if let Some(count) = recipe.replicates {
+fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
+    let (with, stages) = (&recipe.with, stages());
+    let mut overrides = Overrides { set: with.set.clone(), of_stages: Vec::new() };
+    if let Some(count) = with.replicates {
         let seeds: Vec<usize> = (0..count).collect();
-        overrides.push(format!("axes.{SEED} = {seeds:?}"));
+        overrides.set.push(format!("axes.{SEED} = {seeds:?}"));
     }
-    let mut plan = resolve(&overrides)?;
-    let trainings = |plan: &Plan| -> BTreeSet<String> {
-        plan.nodes.iter().filter(|node| node.stage == TRAINING).map(|node| node.template.clone()).collect()
-    };
+    overrides.of_stages.extend(with.budget.map(|budget| StageOverride {
+        stage: TRAINING.into(),
+        option: "--budget",
+        params: format!("budget_secs = {:?}", budget.as_secs_f64()),
+    }));
+    // The commands that a report prints make its numbers only with the arguments that made them here.
+    let arguments = toml::Value::from(with.arguments(device));
+    overrides.of_stages.push(StageOverride {
+        stage: REPORT.into(),
+        option: "command line",
+        params: format!("arguments = {arguments}"),
+    });
+    let mut plan = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data_root)?;
     let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
-    if recipe.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
+    if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
         let hint = format!("add an axis `{SEED}`, train over it, and give it on: params.seed = \"{{{SEED}}}\"");
         let failure = Failure::new(FailureKind::BadInput, "the recipe trains without seeds: nothing to replicate");
         return Err(CliError::Input(failure.hint(hint).at(&recipe.recipe).into()));
     }
-    if let Some(budget) = recipe.budget {
-        // Which jobs train is known now.
-        let of_node = |name: String| format!("nodes.{name}.params.budget_secs = {:?}", budget.as_secs_f64());
-        overrides.extend(trainings(&plan).into_iter().map(of_node));
-        plan = resolve(&overrides)?;
-    }
+    plan.device = device;
     Ok(plan)
 }
 
@@ -55,6 +59,8 @@ pub struct Session {
     pub store: Store,
     pub data_root: PathBuf,
     pub device: ChosenDevice,
+    /// Whether the command line changes nothing in the recipe.
+    pub is_plain: bool,
     /// The jobs asked for.
     pub targets: BTreeSet<usize>,
     /// Jobs to run even if their results are there.
@@ -74,13 +80,11 @@ impl Session {
     }
 
     fn with(store: impl FnOnce() -> anyhow::Result<Store>, recipe: &RecipeArgs) -> Result<Self, CliError> {
-        let mut plan = resolve(recipe)?;
-        let device = ChosenDevice::choose(&recipe.device)?;
-        plan.device = device.class();
+        let device = ChosenDevice::choose(&recipe.with.device)?;
+        let plan = resolve(recipe, device.class())?;
         let targets = (0..plan.nodes.len()).collect();
-        let store = store()?;
-        let data_root = recipe.data_root.clone();
-        Ok(Self { plan, store, data_root, device, targets, force: BTreeSet::new(), rehash: false })
+        let (data_root, is_plain) = (recipe.with.data_root.clone(), recipe.with.is_plain());
+        Ok(Self { plan, store: store()?, data_root, device, is_plain, targets, force: BTreeSet::new(), rehash: false })
     }
 
     /// The same with a selection of jobs.
@@ -133,20 +137,24 @@ impl Session {
         }
     }
 
-    /// The record of one job's result: the current one or, with a warning, the last that there is.
+    /// The record of one job's result: the current one or, of a recipe as it is, the last one that it has on this class of
+    /// devices, with a warning that says which. Another recipe's is never taken.
     pub fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
         if let Some(Prediction { state: State::Cached { record }, .. }) =
             self.predict_for(&BTreeSet::from([index]))?.remove(&index)
         {
             return Ok(*record);
         }
-        let node = &self.plan.nodes[index];
-        let history = History::read(&self.store)?;
-        let last = history
-            .newest(&self.plan.recipe, node)
-            .ok_or_else(|| CliError::nothing(format!("{} has no result", node.name), "run the recipe first"))?;
+        let (node, recipe) = (&self.plan.nodes[index], &self.plan.recipe);
+        let history = if self.is_plain { History::read(&self.store)? } else { History::default() };
+        let Some(last) = history.newest(recipe, node, Some(self.plan.device)) else {
+            let message = format!("{} of recipe {recipe} has no result on this device", node.name);
+            let same = if self.is_plain { "" } else { ", with the same -s, --replicates and --budget" };
+            return Err(CliError::nothing(message, format!("run the recipe first{same}")));
+        };
+        let Provenance { run, .. } = &last.provenance;
         tell(&format!(
-            "warning: the recipe, its data or the code changed since {} ran; this is the last result",
+            "warning: the recipe, its data or the code differ from what {} ran with; this is its last result, of run {run}",
             node.name
         ));
         Ok(last.clone())

@@ -8,7 +8,7 @@ use crate::explain::{Change, Component, diff};
 use crate::graph::NodeState;
 use crate::scheduler::{Done, Readiness, Rest, Sources, readiness};
 use crate::store::{ActionRecord, FailureRecord, Lookup};
-use crate::{ActionKey, Failure, KeyComponents, Node, Plan, Store, lock};
+use crate::{ActionKey, DeviceClass, Failure, KeyComponents, Node, Plan, Store, lock};
 
 /// What is known of a job without running anything.
 #[derive(Clone, Debug, Serialize)]
@@ -147,7 +147,7 @@ impl Predictor<'_> {
         let recipe = &self.plan.recipe;
         let running = self.is_running(&key);
         let has_checkpoint = !running && self.store.has_checkpoint(&key);
-        let changes = match (found.is_empty(), self.history()?.newest(recipe, node)) {
+        let changes = match (found.is_empty(), self.history()?.newest(recipe, node, None)) {
             (false, _) => found,
             (true, _) if has_checkpoint => {
                 vec![Change::new(Component::Record, "interrupted, continues from a checkpoint")]
@@ -165,7 +165,7 @@ impl Predictor<'_> {
     fn waiting(&mut self, index: usize) -> anyhow::Result<State> {
         let (plan, sources) = (self.plan, self.sources);
         let node = &plan.nodes[index];
-        let Some(previous) = self.history()?.newest(&plan.recipe, node) else {
+        let Some(previous) = self.history()?.newest(&plan.recipe, node, None) else {
             let changes = vec![Change::new(Component::Record, "never ran")];
             return Ok(State::Pending { changes, may_be_cut_off: false });
         };
@@ -224,13 +224,15 @@ impl History {
         Ok(Self { records })
     }
 
-    /// The newest record of the same job: same name and stage, in this recipe if it ran there, or else in any.
-    pub fn newest(&self, recipe: &str, node: &Node) -> Option<&ActionRecord> {
-        let same =
-            |record: &&ActionRecord| record.provenance.node == node.name && record.components.stage == node.stage;
-        let here = |record: &&ActionRecord| record.provenance.recipe == recipe;
-        let newest_here = self.records.iter().rev().find(|record| same(record) && here(record));
-        newest_here.or_else(|| self.records.iter().rev().find(same))
+    /// The newest record of the same job: same name and stage in the same recipe, in a run on that class of devices if
+    /// one is named.
+    pub fn newest(&self, recipe: &str, node: &Node, device: Option<DeviceClass>) -> Option<&ActionRecord> {
+        let is_same = |record: &&ActionRecord| {
+            let made = &record.provenance;
+            let is_job = made.recipe == recipe && made.node == node.name && record.components.stage == node.stage;
+            is_job && device.is_none_or(|device| made.device == device)
+        };
+        self.records.iter().rev().find(is_same)
     }
 
     /// Seconds that the job took last time, or the mean over all jobs of its stage.

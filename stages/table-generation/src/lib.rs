@@ -31,6 +31,7 @@ pub use artifact::ReportFolder;
 pub use claims::{Claim, ClaimColumn, ClaimTable, Verdict, built_in_claims};
 pub use collect::{CurvePoint, FrameScore, Job, LargestGradient, Machine, Run, RunFailure};
 pub use column::Column;
+pub use format::{number, signed};
 pub use params::TableGenerationParams;
 pub use report::{Cell, Group, Report, Row};
 pub use run::TableGeneration;

@@ -13,6 +13,9 @@ pub struct TableGenerationParams {
     pub title: String,
     /// The recipe's file, as `recipes/dnerf.toml`, for the commands that the report names.
     pub recipe: String,
+    /// What the command line changes in the recipe, as the arguments of `pipeline run`, for the same commands; the command
+    /// line sets it itself.
+    pub arguments: Vec<String>,
     /// Papers whose tables are set beside our figures: `l4dgs`, `phys4dgs`, `kineticgs`, `mcgs`, `vcgs`.
     pub papers: Vec<String>,
     /// Whether the seconds of the curves are on a logarithmic axis.
@@ -35,6 +38,7 @@ impl Default for TableGenerationParams {
         Self {
             title: "Results".into(),
             recipe: "RECIPE".into(),
+            arguments: Vec::new(),
             papers: Vec::new(),
             log_time: false,
             reproduced_within_db: 0.3,

@@ -35,6 +35,15 @@ fn pairs_give_mean_interval_and_wins() {
 }
 
 #[test]
+fn a_result_without_figures_is_told_from_one_that_is_no_worse() {
+    let whole = side("m", [20.0, 30.0, 25.0]);
+    let failed: Vec<Run> = ["a", "b", "c"].map(|scene| run("m", scene, "0", None)).to_vec();
+    let compared = compare(&whole, &failed, &[]).unwrap();
+    assert!(!compared.has_figures() && compared.protocols[0].rows[0].lost[&Column::PSNR].len() == 3);
+    assert!(compare(&whole, &whole, &[]).unwrap().has_figures());
+}
+
+#[test]
 fn rows_pair_by_name_or_as_told_or_as_the_only_ones() {
     let both = [side("m", [1.0; 3]), side("n", [3.0; 3])].concat();
     let compared = compare(&both, &both, &[]).unwrap();

@@ -1,11 +1,12 @@
 //! `compare`: two results, paired by row, scene and seed.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use engine::exit;
 use metric_evaluation::Metric;
 use serde_json::json;
-use table_generation::Column;
+use table_generation::{Column, number, signed};
 
 use crate::args::CompareArgs;
 use crate::comparison::{self, ComparedRow, Comparison, Paired};
@@ -17,7 +18,7 @@ use crate::output::{count, print, print_json};
 const USUAL: [Column; 3] = [Column::PSNR, Column::Metric(Metric::Ssim), Column::TrainingSecs];
 
 pub fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
-    let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.data_root, &args.device));
+    let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.with));
     let comparison =
         comparison::compare(&a?, &b?, &args.rows).map_err(|differ| CliError::Incomparable(Box::new(differ)))?;
     if comparison.protocols.is_empty() {
@@ -25,13 +26,20 @@ pub fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
         return Err(CliError::nothing("no measured run of A has a partner in B: same row, scene and seed", hint));
     }
     let violations = comparison.violations(&args.fail_if_worse);
+    let wanted = if args.metrics.is_empty() { &USUAL[..] } else { &args.metrics[..] };
     if args.json {
         print_json(&json!({ "comparison": comparison, "violations": violations }))?;
     } else {
-        let wanted = if args.metrics.is_empty() { &USUAL[..] } else { &args.metrics[..] };
         print(&text(args, &comparison, wanted, &violations))?;
     }
-    Ok(if violations.is_empty() { exit::OK } else { exit::DIFFERS })
+    match (&violations[..], comparison.has_figures()) {
+        ([], true) => Ok(exit::OK),
+        ([], false) => {
+            let hint = "`pipeline status RECIPE` tells what became of its jobs";
+            Err(CliError::nothing("no pair of runs has a figure on both sides: nothing was compared", hint))
+        }
+        _ => Ok(exit::DIFFERS),
+    }
 }
 
 fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violations: &[String]) -> String {
@@ -54,21 +62,38 @@ fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violatio
         }
     }
     notes.iter().for_each(|note| text += &format!("note: {note}\n"));
+    for (run, metrics) in lost(comparison, wanted) {
+        text += &format!("LOST in B: {} of {run}\n", metrics.join(", "));
+    }
     violations.iter().for_each(|violation| text += &format!("WORSE: {violation}\n"));
     text
+}
+
+/// What B lacks of what is printed: run and reason → metrics.
+fn lost<'a>(comparison: &'a Comparison, wanted: &[Column]) -> BTreeMap<&'a str, Vec<&'static str>> {
+    let mut lost: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for row in comparison.protocols.iter().flat_map(|under| &under.rows) {
+        for column in wanted {
+            let runs = row.lost.get(column).into_iter().flatten();
+            runs.for_each(|run| lost.entry(run).or_default().push(column.key()));
+        }
+    }
+    lost
 }
 
 fn line(row: &ComparedRow, column: Column, paired: &Paired) -> String {
     let Paired { pairs, mean_a, mean_b, difference, interval, better, worse } = paired;
     let decimals = column.decimals();
     let interval = match interval {
-        Some([low, high]) => format!("{low:+.decimals$} … {high:+.decimals$}"),
+        Some([low, high]) => format!("{} … {}", signed(*low, decimals), signed(*high, decimals)),
         None => "–".into(),
     };
     format!(
-        "| {} | {} | {pairs} | {mean_a:.decimals$} | {mean_b:.decimals$} | {difference:+.decimals$} | {interval} | \
-         {better} | {worse} |\n",
+        "| {} | {} | {pairs} | {} | {} | {} | {interval} | {better} | {worse} |\n",
         row.name(),
-        column.heading()
+        column.heading(),
+        number(*mean_a, decimals),
+        number(*mean_b, decimals),
+        signed(*difference, decimals),
     )
 }

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use engine::{Store, exit};
+use anyhow::Context;
+use engine::{DeviceClass, Store, exit};
 use shaders::gpu::{self, AdapterReport};
 
 use crate::error::CliError;
@@ -37,7 +38,12 @@ pub fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Result<u8
 fn try_store(path: &Path) -> anyhow::Result<String> {
     let store = Store::look(path)?;
     if !store.exists() {
-        return Ok(format!("{}: not there yet; the first run makes it", store.root().display()));
+        let root = store.root();
+        let there = root.ancestors().find(|folder| folder.exists()).unwrap_or(root);
+        let probe = there.join(format!(".pipeline-doctor-{}", std::process::id()));
+        let probed = std::fs::create_dir(&probe).and_then(|()| std::fs::remove_dir(&probe));
+        probed.with_context(|| format!("it cannot be made: {}", root.display()))?;
+        return Ok(format!("{}: not there yet; the first run makes it", root.display()));
     }
     let in_use = store.lock_shared()?;
     std::fs::write(store.scratch("doctor")?.path().join("probe"), "probe")?;
@@ -49,6 +55,10 @@ fn try_store(path: &Path) -> anyhow::Result<String> {
 /// Describes the GPUs, or the one that is named, and lets each compute what the CPU computes; whether the named one can be
 /// used. Without a name nothing is required: everything runs on the CPU.
 fn try_adapters(device: Option<&str>) -> Result<bool, CliError> {
+    if device == Some(DeviceClass::Cpu.as_str()) {
+        print("adapter      none asked for: everything runs on the CPU\n")?;
+        return Ok(true);
+    }
     let chosen = match device {
         None => Ok(gpu::adapters().iter().collect()),
         Some(name) => gpu::choose(name).map(|adapter| vec![adapter]),

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
+use engine::Digest;
 use rendering::film::{self, Film};
 use serde_json::json;
 use training::device::compute_on;
@@ -9,7 +11,7 @@ use training::device::compute_on;
 use crate::args::{ExportArgs, ExportFormat, RenderArgs, ShowArgs};
 use crate::error::CliError;
 use crate::output::{bytes, duration, print, print_json, print_line};
-use crate::session::Session;
+use crate::session::{REPORT, Session, TRAINING};
 
 pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
     let session = Session::look(store, &args.node.recipe)?;
@@ -45,7 +47,7 @@ pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
 /// The jobs of the recipe that make tables.
 pub fn table_nodes(session: &Session) -> Vec<usize> {
     let nodes = session.plan.nodes.iter().enumerate();
-    nodes.filter(|(_, node)| node.stage == "table-generation").map(|(index, _)| index).collect()
+    nodes.filter(|(_, node)| node.stage == REPORT).map(|(index, _)| index).collect()
 }
 
 /// The same, of a recipe that must make some.
@@ -61,13 +63,15 @@ pub fn tables(session: &Session) -> Result<Vec<usize>, CliError> {
 fn model_and_capture(session: &Session, job: &str) -> Result<[PathBuf; 2], CliError> {
     let index = session.node(job)?;
     let node = &session.plan.nodes[index];
-    let capture = node.inputs.iter().find(|input| input.port == "capture").and_then(|input| input.producers.first());
-    let (true, Some(&capture)) = (node.stage == "training", capture) else {
+    if node.stage != TRAINING {
         return Err(CliError::nothing(format!("{} does not train a model", node.name), "name a training job"));
-    };
-    let folder =
-        |index: usize| -> Result<PathBuf, CliError> { Ok(session.store.view(&session.record(index)?.content)?) };
-    Ok([folder(index)?, folder(capture)?])
+    }
+    let record = session.record(index)?;
+    // The very capture that the model was trained on, whatever the recipe says now.
+    let capture = record.components.inputs.get("capture").and_then(|inputs| inputs.first()?.content.as_deref());
+    let capture =
+        Digest::from_hex(capture.unwrap_or_default()).context("the record of the training names no capture")?;
+    Ok([session.store.view(&record.content)?, session.store.view(&capture)?])
 }
 
 pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {

@@ -73,6 +73,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
         node: spec.node.clone(),
         plan_id: spec.plan_id.clone(),
         run: spec.run.clone(),
+        device: spec.device_of_run,
         host: rustix::system::uname().nodename().to_string_lossy().into_owned(),
         threads: spec.threads,
         started_at_secs: started_at.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64(),

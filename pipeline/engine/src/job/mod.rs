@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::fingerprint::UnusedSources;
-use crate::{Coordinates, Digest, Failure, KeyComponents, Progress};
+use crate::{Coordinates, DeviceClass, Digest, Failure, KeyComponents, Progress};
 
 pub use child::{Ended, ProcessHandle, Stop, supervise};
 pub use exec::execute;
@@ -47,6 +47,8 @@ pub struct JobSpec {
     pub threads: usize,
     /// The device that it computes on.
     pub device: String,
+    /// What the run's jobs compute on that compute on a device.
+    pub device_of_run: DeviceClass,
     /// Whether it measures closely.
     pub profile: bool,
     /// Whether the result replaces an earlier record of the same key (`--force`).

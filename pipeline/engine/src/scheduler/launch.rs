@@ -75,6 +75,7 @@ impl Scheduler<'_> {
             sources,
             threads,
             device: self.device_of(node),
+            device_of_run: self.plan.device,
             profile: self.options.profile,
             replace: self.options.force.contains(&index),
             log_filter: self.options.log_filter.clone(),
@@ -155,6 +156,7 @@ impl Watch {
             node: self.spec.node.clone(),
             plan_id: self.spec.plan_id.clone(),
             run: self.spec.run.clone(),
+            device: self.spec.device_of_run,
             threads: self.spec.threads,
             peak_rss_bytes: ended.peak_rss_bytes,
             ..Provenance::default()

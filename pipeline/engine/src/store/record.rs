@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{Store, naming};
-use crate::{ActionKey, Digest, Failure, KeyComponents};
+use crate::{ActionKey, DeviceClass, Digest, Failure, KeyComponents};
 
 /// The version of both record types. A record of another version is a miss.
 const VERSION: u32 = 1;
@@ -61,6 +61,9 @@ pub struct Provenance {
     pub plan_id: String,
     /// The run that executed the job.
     pub run: String,
+    /// What the run had its jobs compute on that compute on a device; also where this job does not.
+    #[serde(default)]
+    pub device: DeviceClass,
     /// The machine's name.
     pub host: String,
     /// The job's threads.

@@ -3,15 +3,17 @@
 use std::collections::BTreeSet;
 use std::fs;
 
+use engine::DeviceClass;
 use engine::event::Outcome;
 use engine::scheduler::Sources;
-use engine::status::{Prediction, State, predict};
+use engine::status::{History, Prediction, State, predict};
 
 use crate::world::{GRID, World, nodes};
 
 pub const TESTS: &[(&str, fn())] = &[
     ("new_plan_will_run_throughout", new_plan_will_run_throughout),
     ("changes_are_named_and_consequences_may_be_cut_off", changes_are_named_and_consequences_may_be_cut_off),
+    ("what_another_recipe_ran_is_no_earlier_run_of_this_one", what_another_recipe_ran_is_no_earlier_run_of_this_one),
     ("missing_data_and_failures_are_foretold", missing_data_and_failures_are_foretold),
 ];
 
@@ -46,6 +48,18 @@ fn new_plan_will_run_throughout() {
     let told = foretell(&World::new(GRID), &[]);
     assert_eq!(told.iter().filter(|line| line.ends_with(": will run (never ran)")).count(), 2);
     assert_eq!(told.iter().filter(|line| line.ends_with(": will run later (never ran)")).count(), 5);
+}
+
+fn what_another_recipe_ran_is_no_earlier_run_of_this_one() {
+    let world = World::new(GRID);
+    world.run(&[]);
+    let told = foretell(&world, &["name = \"other\"", "nodes.work.params.steps=5"]);
+    assert!(told.contains(&"text/ball: cached".into()), "{told:?}");
+    assert!(told.contains(&"work/lego/p: will run (never ran)".into()), "{told:?}");
+    let (history, node) = (History::read(&world.store()).unwrap(), &world.plan(&[]).nodes[0]);
+    let is_there = |recipe: &str, device| history.newest(recipe, node, device).is_some();
+    assert!(is_there("grid", None) && is_there("grid", Some(DeviceClass::Cpu)));
+    assert!(!is_there("other", None) && !is_there("grid", Some(DeviceClass::Gpu)));
 }
 
 fn changes_are_named_and_consequences_may_be_cut_off() {

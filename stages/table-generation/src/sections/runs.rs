@@ -37,7 +37,8 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     }
     table.remarks.push(
         "Seconds are those of the whole job, with loading and evaluation. `pipeline show RECIPE JOB` has a job's folder, \
-         parameters and whole key. A command makes what the job needs too, and nothing that is in the store."
+         parameters and whole key. A command makes what the job needs too, and nothing that is in the store; `DATA` stands \
+         for the folder of the recipe's sources."
             .into(),
     );
     vec![Block::Table(table)]

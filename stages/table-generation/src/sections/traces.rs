@@ -1,5 +1,6 @@
 //! From a number to the jobs that it comes from: places in the table of runs.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use crate::collect::Run;
@@ -21,7 +22,8 @@ impl Traces {
         let scenes = distinct(report.runs.iter().map(|run| run.scene.as_str()));
         for (r, row) in rows.iter().enumerate() {
             let n_runs = report.runs.iter().filter(|run| run.row == *row).count();
-            by_row.insert(row.clone(), Link { to: format!("run-{r}"), hint: format!("{row}: {n_runs} runs") });
+            let plural = if n_runs == 1 { "" } else { "s" };
+            by_row.insert(row.clone(), Link { to: format!("run-{r}"), hint: format!("{row}: {n_runs} run{plural}") });
             for (s, scene) in scenes.iter().enumerate() {
                 let first = report.runs.iter().find(|run| run.row == *row && run.scene == *scene);
                 let link = first.map(|run| Link { to: format!("run-{r}-{s}"), hint: hint(run, params) });
@@ -49,9 +51,24 @@ fn hint(run: &Run, params: &TableGenerationParams) -> String {
     format!("{} · key {key} · {}", job.1, command(run, params))
 }
 
-/// The command that makes the run, with all that it needs.
+/// The command that makes the run, with all that it needs: the recipe with what this report's command line changed in it.
 pub fn command(run: &Run, params: &TableGenerationParams) -> String {
-    format!("pipeline run {} --only {}", params.recipe, last_job(run).1)
+    let arguments = params.arguments.iter().map(|argument| format!(" {}", quoted(argument)));
+    format!(
+        "pipeline run {}{} --only {}",
+        quoted(&params.recipe),
+        arguments.collect::<String>(),
+        quoted(last_job(run).1)
+    )
+}
+
+/// An argument as a shell takes it for itself.
+fn quoted(argument: &str) -> Cow<'_, str> {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
+    match !argument.is_empty() && argument.chars().all(is_plain) {
+        true => argument.into(),
+        false => format!("'{}'", argument.replace('\'', r"'\''")).into(),
+    }
 }
 
 /// Port and name of the last job of the run.

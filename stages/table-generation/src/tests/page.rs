@@ -63,7 +63,9 @@ fn planted_faults_of_a_page_are_noticed() {
 
 #[test]
 fn a_number_leads_to_its_run_with_job_key_and_command() {
-    let params = TableGenerationParams { recipe: "recipes/x.toml".into(), ..TableGenerationParams::default() };
+    let arguments = ["-s", "axes.note = ['it']", "--replicates", "2"].map(String::from).to_vec();
+    let recipe = "recipes/x.toml".into();
+    let params = TableGenerationParams { recipe, arguments, ..TableGenerationParams::default() };
     let document = crate::sections::document(&report(two_by_two()), Vec::new(), &params).expect("a document");
     let page = html::html(&document);
     // 40.6 dB is the mean over two seeds of deformable4dgs on bouncingballs.
@@ -71,7 +73,8 @@ fn a_number_leads_to_its_run_with_job_key_and_command() {
     let target = attributes(cell, "href")[0].trim_start_matches('#').to_owned();
     assert!(attributes(cell, "title")[0].contains("train/bouncingballs/deformable4dgs/0 · key 0123456789ab"), "{cell}");
     let row = page.split("<tr>").find(|row| row.contains(&format!("id=\"{target}\""))).expect("the row of the run");
-    let command = "pipeline run recipes/x.toml --only train/bouncingballs/deformable4dgs/0";
+    let command = "pipeline run recipes/x.toml -s 'axes.note = ['\\''it'\\'']' --replicates 2 --only \
+                   train/bouncingballs/deformable4dgs/0";
     for part in ["deformable4dgs", "bouncingballs", "0123456789ab", ">12.0<", command] {
         assert!(row.contains(part), "{part} is missing: {row}");
     }
