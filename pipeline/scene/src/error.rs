@@ -1,3 +1,4 @@
+use std::io;
 use std::path::PathBuf;
 
 /// A problem with scene data: what is wrong, what to do about it, and the file concerned (printed last).
@@ -10,6 +11,8 @@ pub struct Error {
     pub hint: Option<String>,
     /// The file or folder concerned.
     pub path: Option<PathBuf>,
+    /// What the machine refused, where that is the reason: then nobody's data is wrong.
+    pub source: Option<io::Error>,
 }
 
 /// Results of the vocabulary.
@@ -18,7 +21,13 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// A problem described by `message`.
     pub fn new(message: impl Into<String>) -> Self {
-        Self { message: message.into(), hint: None, path: None }
+        Self { message: message.into(), hint: None, path: None, source: None }
+    }
+
+    /// The same problem, which the machine is the reason for.
+    pub(crate) fn because_of(mut self, source: io::Error) -> Self {
+        self.source = Some(source);
+        self
     }
 
     /// The same problem with advice.
@@ -31,5 +40,20 @@ impl Error {
     pub fn at(mut self, path: impl Into<PathBuf>) -> Self {
         self.path = Some(path.into());
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::error::Error as _;
+    use std::path::Path;
+
+    /// Every write to this device fails as on a full disk.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_is_the_machines_fault() {
+        let error = crate::image_file::write_file(Path::new("/dev/full"), b"x").unwrap_err();
+        let source = error.source().and_then(|source| source.downcast_ref::<std::io::Error>());
+        assert_eq!(source.map(std::io::Error::kind), Some(std::io::ErrorKind::StorageFull), "{error}");
     }
 }

@@ -61,7 +61,7 @@ pub fn encode_rgb(image: &RgbImage) -> Result<Vec<u8>> {
 
 /// Writes a whole file, blaming its path.
 pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
-    std::fs::write(path, bytes).map_err(|error| Error::new(format!("cannot write the file ({error})")).at(path))
+    std::fs::write(path, bytes).map_err(|error| Error::new("cannot write the file").at(path).because_of(error))
 }
 
 /// Reads a whole file, blaming its path.

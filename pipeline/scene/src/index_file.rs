@@ -89,5 +89,5 @@ fn check_inside(file: &Path) -> Result<()> {
 
 /// Creates a folder and those above it.
 pub fn create_dir(dir: &Path) -> Result<()> {
-    std::fs::create_dir_all(dir).map_err(|error| Error::new(format!("cannot create the folder ({error})")).at(dir))
+    std::fs::create_dir_all(dir).map_err(|error| Error::new("cannot create the folder").at(dir).because_of(error))
 }
