@@ -4,7 +4,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageReader};
+use image::error::{DecodingError, ImageFormatHint};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageReader, ImageResult};
 pub use image::{GrayImage, Rgb, RgbImage, RgbaImage};
 
 use crate::{Error, Result};
@@ -69,11 +70,45 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(|error| Error::new(format!("cannot read the file ({error})")).at(path))
 }
 
-/// Decodes a PNG or JPEG, recognised by its content and not by its name.
+/// Decodes a PNG or JPEG, recognised by its content and not by its name. A JPEG that was cut short is an error, where its
+/// decoder alone would paint the rest grey.
+pub fn decode(path: &Path) -> ImageResult<DynamicImage> {
+    let bytes = std::fs::read(path)?;
+    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format()?;
+    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_has_an_end(&bytes) {
+        let why = "the file ends before its image does";
+        return Err(ImageError::Decoding(DecodingError::new(ImageFormatHint::Exact(ImageFormat::Jpeg), why)));
+    }
+    reader.decode()
+}
+
+/// Whether the marker EOI follows the last scan: walks the segments by their lengths and the entropy-coded data by its
+/// markers (ITU-T T.81, annex B).
+fn jpeg_has_an_end(bytes: &[u8]) -> bool {
+    const EOI: u8 = 0xd9;
+    const SOS: u8 = 0xda;
+    let is_alone = |marker: u8| matches!(marker, 0x01 | 0xd0..=0xd8); // TEM, RST0 to RST7, SOI: no length follows
+    let mut at = 0;
+    let mut in_scan = false;
+    while let Some([first, marker]) = bytes.get(at..at + 2) {
+        match (*first, *marker) {
+            (0xff, 0xff) => at += 1, // fill bytes may precede any marker
+            (0xff, EOI) => return true,
+            (0xff, 0x00) if in_scan => at += 2, // a byte 0xff of the data
+            (0xff, marker) if is_alone(marker) => at += 2,
+            (0xff, marker) => {
+                let Some([high, low]) = bytes.get(at + 2..at + 4) else { return false };
+                at += 2 + usize::from(u16::from_be_bytes([*high, *low]));
+                in_scan = marker == SOS;
+            }
+            _ => at += 1, // entropy-coded data, or bytes between segments, which decoders skip
+        }
+    }
+    false
+}
+
 fn read(path: &Path) -> Result<DynamicImage> {
-    let reader = ImageReader::new(Cursor::new(read_file(path)?)).with_guessed_format();
-    let reader = reader.map_err(|error| Error::new(format!("cannot read the image ({error})")).at(path))?;
-    reader.decode().map_err(|error| not_readable(&error, path))
+    decode(path).map_err(|error| not_readable(&error, path))
 }
 
 /// Fast compression: files twice as small cost ten times the time and nobody keeps them for long.

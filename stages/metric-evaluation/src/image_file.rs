@@ -35,12 +35,10 @@ impl Image {
     /// Straight alpha is composited on `background` and rounded to 8 bits, unless `quantise` says otherwise; without a
     /// background a transparent image is refused, because what lies behind it decides the score.
     pub fn read(path: &Path, quantise: Quantise, background: Option<Background>) -> Result<Self, Failure> {
-        let unreadable = |error: &dyn std::fmt::Display| {
+        let unreadable = |error: image::ImageError| {
             Failure::new(FailureKind::BadInput, format!("cannot read image: {error}")).at(path)
         };
-        let reader = image::ImageReader::open(path).map_err(|error| unreadable(&error))?;
-        let decoded = reader.with_guessed_format().map_err(|error| unreadable(&error))?.decode();
-        let pixels = decoded.map_err(|error| unreadable(&error))?;
+        let pixels = scene::image_file::decode(path).map_err(unreadable)?;
         let has_alpha = pixels.color().has_alpha();
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let mut planes: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(width * height));

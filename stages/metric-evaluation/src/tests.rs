@@ -75,6 +75,16 @@ fn mismatched_folders_are_explained() {
 }
 
 #[test]
+fn a_jpeg_that_was_cut_short_is_not_judged() {
+    let (_root, [renders, truth]) = folders(&["a.jpg"], 1);
+    assert!(evaluate_folders(&renders, &truth).is_ok());
+    let path = renders.join("a.jpg");
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() - 9]).unwrap();
+    assert!(error_of(&renders, &truth).contains("the file ends before its image does"));
+}
+
+#[test]
 fn transparent_images_need_a_background() {
     let (_root, [renders, truth]) = folders(&["a.png"], 0);
     let path = truth.join("a.png");

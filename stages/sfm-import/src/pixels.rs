@@ -4,7 +4,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use scene::float_image::FloatImage;
-use scene::{Intrinsics, LabelMap};
+use scene::{Intrinsics, LabelMap, image_file};
 
 use crate::lens::{Lens, plane_point};
 use crate::source::{Result, bad, image_size};
@@ -23,10 +23,9 @@ pub fn has_alpha(path: &Path) -> Result<bool> {
     Ok(decoder.color_type().has_alpha())
 }
 
-fn decode(path: &Path) -> Result<DynamicImage> {
-    let reader = ImageReader::open(path).map_err(image::ImageError::from);
-    let image = reader.and_then(|reader| reader.with_guessed_format()?.decode());
-    image.map_err(|error| bad(format!("image cannot be read ({error})")).hint("the file may be damaged").at(path))
+pub(crate) fn decode(path: &Path) -> Result<DynamicImage> {
+    image_file::decode(path)
+        .map_err(|error| bad(format!("image cannot be read ({error})")).hint("the file may be damaged").at(path))
 }
 
 /// The colours of a file, composited on `background` and rounded to 8 bits, and its alpha where it has some:

@@ -14,6 +14,11 @@ use crate::params::Format;
 use crate::recognise::recognise;
 use crate::{Params, blender, colmap, n3v, nerfies};
 
+/// Units from the origin beyond which neighbouring numbers of single precision lie more than 1/16 apart.
+const MAX_DISTANCE: f64 = 1e6;
+/// Fields of view of pinholes: a telescope's to the widest lenses without a fisheye's distortion (150°) and some room.
+const VIEW_DEGREES: std::ops::RangeInclusive<f64> = 0.01..=170.0;
+
 /// Results of this crate: every error has a kind, a message, a hint and a file.
 pub type Result<T> = std::result::Result<T, Failure>;
 
@@ -134,23 +139,20 @@ impl SourceCapture {
         problems
     }
 
-    /// Times of one camera must grow strictly in the order of its file.
+    /// One camera has one view per instant; importers list them in order of time.
     fn time_problems(&self) -> Vec<Failure> {
         let mut last: BTreeMap<(Split, u32), &Frame> = BTreeMap::new();
         let mut problems = Vec::new();
         for frame in &self.frames {
             let Some(before) = last.insert((frame.split, frame.camera_index), frame) else { continue };
-            let what = match frame.time_secs.partial_cmp(&before.time_secs) {
-                Some(std::cmp::Ordering::Greater) => continue,
-                Some(std::cmp::Ordering::Equal) => "the same time as",
-                _ => "an earlier time than",
-            };
+            if frame.time_secs > before.time_secs {
+                continue;
+            }
             let message = format!(
-                "{} (time {}) has {what} {} before it (time {})",
+                "{} (time {}) does not come after {} (time {})",
                 frame.name, frame.time_secs, before.name, before.time_secs
             );
-            let hint = "one camera's frames must be listed in order of time, one per instant; \
-                        static = true imports a scene at rest";
+            let hint = "one camera has one view per instant: remove the others, or correct the times";
             problems.push(bad(message).hint(hint).at(&frame.stated_in));
         }
         problems
@@ -181,6 +183,7 @@ impl Frame {
     fn check(&self) -> Result<()> {
         let pinhole = Camera { intrinsics: self.lens.intrinsics, camera_from_world: self.camera_from_world };
         pinhole.check().map_err(|error| bad(format!("{}: {}", self.name, error.message)).at(&self.stated_in))?;
+        self.check_range()?;
         if !self.time_secs.is_finite() {
             return Err(bad(format!("{}: the time is {}", self.name, self.time_secs)).at(&self.stated_in));
         }
@@ -194,6 +197,28 @@ impl Frame {
             return Err(bad(message).hint("use the images that the poses were computed from").at(&self.image));
         }
         self.camera().map(|_| ())
+    }
+
+    /// Whether splats can be computed in single precision from here.
+    fn check_range(&self) -> Result<()> {
+        let distance = self.camera_from_world.translation.length();
+        if !(distance <= MAX_DISTANCE) {
+            let message = format!("{}: the camera is {distance:e} units from the origin", self.name);
+            let hint =
+                format!("centre and scale the poses: single precision is too coarse beyond {MAX_DISTANCE:e} units");
+            return Err(bad(message).hint(hint).at(&self.stated_in));
+        }
+        let k = self.lens.intrinsics;
+        let degrees = |pixels: u32, focal: f64| (2.0 * (0.5 * f64::from(pixels) / focal).atan()).to_degrees();
+        let views = [degrees(k.width, k.focal_x), degrees(k.height, k.focal_y)];
+        match views.into_iter().find(|view| !VIEW_DEGREES.contains(view)) {
+            None => Ok(()),
+            Some(view) => {
+                let message = format!("{}: the camera sees {view:.2e}°, which no pinhole does", self.name);
+                let hint = "angles are in radians, focal lengths in pixels of these images";
+                Err(bad(message).hint(hint).at(&self.stated_in))
+            }
+        }
     }
 }
 

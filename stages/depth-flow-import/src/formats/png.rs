@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use image::{DynamicImage, ImageReader};
-use scene::{Error, FloatImage, Result};
+use image::DynamicImage;
+use scene::{Error, FloatImage, Result, image_file};
 
 use super::{Content, checked_size, damaged};
 
@@ -14,9 +14,7 @@ const KITTI_OFFSET: f32 = 32768.0;
 
 /// Decodes a file: depth as integers of 16 bits, masks as grey levels of 8, flow in pixels, normals as shares of the largest value in [0, 1].
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
-    let reader = ImageReader::open(path).map_err(image::ImageError::from);
-    let image = reader.and_then(|reader| reader.with_guessed_format()?.decode());
-    let image = image.map_err(|error| damaged("PNG file", error, path))?;
+    let image = image_file::decode(path).map_err(|error| damaged("PNG file", error, path))?;
     let (width, height) = checked_size(image.width().into(), image.height().into(), path)?;
     let values = match (content, image) {
         (Content::Depth, DynamicImage::ImageLuma16(image)) => image.iter().map(|value| f32::from(*value)).collect(),

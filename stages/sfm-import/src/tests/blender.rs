@@ -204,12 +204,21 @@ fn not_a_number_is_refused() {
 }
 
 #[test]
-fn unsorted_and_duplicate_times_are_refused() {
-    for (time, words) in [(0.5, "the same time as train_002"), (0.1, "an earlier time than train_002")] {
-        let dir = blender_scene();
-        edit_transforms(dir.path(), "train", |json| json["frames"][3]["time"] = json!(time));
-        assert_refused(dir.path(), &Params::default(), &["train_003", words, "transforms_train.json"]);
+fn frames_in_any_order_are_sorted_by_time_and_one_instant_has_one_view() {
+    let dir = blender_scene();
+    let in_order = frames(dir.path(), &Params::default());
+    edit_transforms(dir.path(), "train", |json| json["frames"].as_array_mut().unwrap().reverse());
+    let reversed = frames(dir.path(), &Params::default());
+    for (expected, frame) in in_order.iter().zip(&reversed) {
+        assert_eq!((&frame.image, frame.time_secs), (&expected.image, expected.time_secs));
+        assert_eq!((frame.frame_index, frame.camera_from_world), (expected.frame_index, expected.camera_from_world));
     }
+    assert_eq!(reversed[0].name, "train_004", "named by its place in the file");
+    assert!(run(dir.path(), &Params::default()).is_ok());
+    edit_transforms(dir.path(), "train", |json| json["frames"][0]["time"] = json!(0.75));
+    let words =
+        ["train_001 (time 0.75) does not come after train_000", "one view per instant", "transforms_train.json"];
+    assert_refused(dir.path(), &Params::default(), &words);
 }
 
 #[test]

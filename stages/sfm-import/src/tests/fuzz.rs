@@ -111,12 +111,22 @@ fn mangled_poses_never_panic() {
 }
 
 #[test]
-fn truncated_images_never_panic() {
+fn every_truncation_of_an_image_is_refused() {
     let dir = blender_scene();
-    let path = dir.path().join("test/r_002.png");
-    let good = std::fs::read(&path).unwrap();
-    for length in (0..good.len() - 12).step_by(7) {
-        overwrite(&path, &good[..length]);
-        assert_refused(dir.path(), &Params::default(), &["image cannot be read", "r_002.png"]);
+    let jpeg = dir.path().join("test/r_002.jpg");
+    for path in [dir.path().join("test/r_002.png"), jpeg.clone()] {
+        if path == jpeg {
+            write_image(&path, 5);
+            edit_transforms(dir.path(), "test", |json| json["frames"][2]["file_path"] = "test/r_002.jpg".into());
+        }
+        assert!(run(dir.path(), &Params::default()).is_ok());
+        let good = std::fs::read(&path).unwrap();
+        let n_essential = if path == jpeg { good.len() } else { good.len() - 12 }; // IEND of a PNG says nothing
+        for length in (0..n_essential).step_by(7).chain([n_essential - 1]) {
+            overwrite(&path, &good[..length]);
+            let file = path.file_name().unwrap().to_str().unwrap();
+            assert_refused(dir.path(), &Params::default(), &["image cannot be read", file]);
+        }
+        overwrite(&path, good);
     }
 }

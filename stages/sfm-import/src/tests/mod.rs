@@ -1,6 +1,7 @@
 //! Tests over small generated captures, and over real ones where `PIPELINE_DATA` names them.
 
 mod blender;
+mod blender_lens;
 mod colmap;
 mod fuzz;
 mod inspect;

@@ -3,16 +3,18 @@
 //!
 //! `camera_angle_x` is the horizontal field of view in radians; `transform_matrix` maps camera to world with Blender's
 //! axes (x right, y up, looking along −z); `time` is in [0, 1] and absent for a scene at rest; `file_path` names a PNG,
-//! its extension left out.
+//! its extension left out. Focal lengths, principal point and distortion count where a file or a frame states them.
+
+mod stated_lens;
 
 use std::path::{Component, Path, PathBuf};
 
 use glam::{DMat4, DVec4};
-use scene::{Intrinsics, RigidTransform, Split, TimeMap};
+use scene::{RigidTransform, Split, TimeMap};
 use serde::Deserialize;
 
+use self::stated_lens::StatedLens;
 use crate::Params;
-use crate::lens::Lens;
 use crate::params::{Format, TestSplit};
 use crate::source::{Frame, Result, SourceCapture, bad, image_size, read_bytes};
 use crate::split;
@@ -28,7 +30,8 @@ const LEGO: &str = "D-NeRF's lego: the test images show another state of the sce
 
 #[derive(Deserialize)]
 struct Transforms {
-    camera_angle_x: f64,
+    #[serde(flatten)]
+    lens: StatedLens,
     frames: Vec<TransformFrame>,
 }
 
@@ -37,6 +40,8 @@ struct TransformFrame {
     file_path: String,
     time: Option<f64>,
     transform_matrix: [[f64; 4]; 4],
+    #[serde(flatten)]
+    lens: StatedLens,
 }
 
 /// One split file, read.
@@ -146,18 +151,18 @@ fn any_image_size(images: Vec<PathBuf>) -> Result<(u32, u32)> {
     }
 }
 
-/// The frames of one file, in its order; of a scene at rest each is a camera of its own, counted from `first_camera`.
+/// The frames of one file in order of time, which the file need not have; of a scene at rest each is a camera of its own,
+/// counted from `first_camera`.
 fn file_frames(
     file: &SplitFile,
     images: Vec<PathBuf>,
-    (width, height): (u32, u32),
+    size: (u32, u32),
     first_camera: Option<usize>,
 ) -> Result<Vec<Frame>> {
     let transforms = &file.transforms;
-    let intrinsics = intrinsics(transforms.camera_angle_x, width, height);
-    let lens = Lens::pinhole(intrinsics.map_err(|failure| failure.at(&file.path))?);
     let frame = |(index, (stated, image)): (usize, (&TransformFrame, PathBuf))| {
         let name = format!("{}_{index:03}", file.label);
+        let lens = stated.lens.or(&transforms.lens).lens(size).map_err(|failure| failure.at(&file.path))?;
         let camera_from_world = camera_from_world(&stated.transform_matrix)
             .map_err(|failure| bad(format!("{} ({name}): {}", stated.file_path, failure.message)).at(&file.path))?;
         Ok(Frame {
@@ -168,12 +173,17 @@ fn file_frames(
             lens,
             camera_from_world,
             camera_index: first_camera.map_or(0, |first| (first + index) as u32),
-            frame_index: if first_camera.is_some() { 0 } else { index as u32 },
+            frame_index: 0,
             time_secs: stated.time.filter(|_| first_camera.is_none()).unwrap_or_default(),
             stated_in: file.path.clone(),
         })
     };
-    transforms.frames.iter().zip(images).enumerate().map(frame).collect()
+    let mut frames: Vec<Frame> = transforms.frames.iter().zip(images).enumerate().map(frame).collect::<Result<_>>()?;
+    if first_camera.is_none() {
+        frames.sort_by(|a, b| a.time_secs.total_cmp(&b.time_secs));
+        frames.iter_mut().zip(0..).for_each(|(frame, rank)| frame.frame_index = rank);
+    }
+    Ok(frames)
 }
 
 /// `file_path` with `.png` unless it names a PNG or JPEG itself; must stay inside the capture.
@@ -187,16 +197,6 @@ fn image_path(dir: &Path, frame: &TransformFrame) -> Result<PathBuf> {
     let name = stated.components().filter(|part| matches!(part, Component::Normal(_))).collect::<PathBuf>();
     let name = if has_extension { name } else { PathBuf::from(format!("{}.png", name.display())) };
     Ok(dir.join(name))
-}
-
-/// Square pixels, centred principal point: focal = width / (2 tan(angle / 2)).
-fn intrinsics(angle_x: f64, width: u32, height: u32) -> Result<Intrinsics> {
-    if !(angle_x > 0.0 && angle_x < std::f64::consts::PI) {
-        return Err(bad(format!("camera_angle_x is {angle_x}, not an angle between 0 and π radians")));
-    }
-    let focal = 0.5 * f64::from(width) / (0.5 * angle_x).tan();
-    let (center_x, center_y) = (0.5 * f64::from(width), 0.5 * f64::from(height));
-    Ok(Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x, center_y })
 }
 
 /// Camera-to-world with y up and z backwards to world-to-camera with y down and z forwards.
