@@ -49,8 +49,11 @@ pub enum Verb {
     Render(RenderArgs),
     /// Tells what is recognised in a capture's folder
     Inspect {
-        /// The capture's folder
+        /// The capture's folder, or one of several captures
         dir: PathBuf,
+        /// Print nothing but a recipe that trains on what is there
+        #[arg(long)]
+        recipe: bool,
     },
     /// Judges images, whoever made them
     Eval(EvalArgs),
@@ -101,8 +104,8 @@ pub struct Conditions {
     /// Train with the seeds 0 to N − 1 instead of those of the recipe
     #[arg(long, value_parser = replicates, value_name = "N")]
     pub replicates: Option<usize>,
-    /// Shorten the schedules of every training so that it takes about so long, as 60s or 10m; how much is measured when
-    /// it starts, so that such a result is not reproducible bit for bit
+    /// Give every training the schedule, shorter or longer than its own, that takes about so long, as 60s or 10m; which one
+    /// is measured when it starts, so that such a result is not reproducible bit for bit
     #[arg(long, value_parser = budget, value_name = "TIME")]
     pub budget: Option<Duration>,
     /// What trains and renders: cpu, gpu (the likely fastest adapter), auto (a GPU if there is one that is not software,

@@ -75,7 +75,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Compare(args) => verbs::compare::compare(&store, &args),
         Verb::Export(args) => verbs::results::export(&store, &args),
         Verb::Render(args) => verbs::results::render(&store, &args),
-        Verb::Inspect { dir } => verbs::tools::inspect(&dir),
+        Verb::Inspect { dir, recipe } => verbs::tools::inspect(&dir, recipe),
         Verb::Eval(args) => verbs::tools::eval(&args),
         Verb::Cache(CacheVerb::Verify { repair }) => verbs::cache::verify(&store, repair),
         Verb::Cache(CacheVerb::Gc(args)) => verbs::cache::gc(&store, &args),

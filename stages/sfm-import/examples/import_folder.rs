@@ -17,7 +17,7 @@ fn main() -> anyhow::Result<()> {
         params.insert(key.into(), serde_json::from_str(value).with_context(|| format!("{value} is not JSON"))?);
     }
     let params: sfm_import::Params = serde_json::from_value(Value::Object(params))?;
-    println!("{}", sfm_import::inspect::describe(Path::new(source))?);
+    println!("{}", sfm_import::inspect::inspect(Path::new(source))?.text());
     let capture = sfm_import::import(Path::new(source), &params, Path::new(output))?;
     println!("{} views: {}", capture.views.len(), capture.protocol.line());
     Ok(())

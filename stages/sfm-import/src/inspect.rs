@@ -1,12 +1,13 @@
 //! What a folder holds, in words: for people before they write a recipe, and as data for programs.
 
+mod recipe;
+
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use engine::Failure;
-use scene::protocol::PRESETS;
 use scene::{Intrinsics, Split};
 use serde::Serialize;
 
@@ -17,9 +18,6 @@ use crate::source::{self, Quality, SourceCapture};
 
 /// Problems that are printed one by one.
 const LISTED_PROBLEMS: usize = 8;
-
-/// Pixels per row from which the recipe suggests half of them.
-const LARGE_WIDTH: u32 = 800;
 
 /// One folder, as far as it could be read.
 #[derive(Clone, Debug, Serialize)]
@@ -34,8 +32,8 @@ pub struct Summary {
     pub warnings: Vec<String>,
     /// What makes it unusable, each with a hint and a file.
     pub problems: Vec<Failure>,
-    /// A recipe node that imports it, where it is usable.
-    pub recipe: Option<String>,
+    /// Parameters of an import with their values in TOML, beyond the source, where it is usable.
+    pub params: Option<Vec<(&'static str, String)>>,
 }
 
 /// What the frames of a capture are.
@@ -63,25 +61,41 @@ pub struct Frames {
     pub quality: Option<Quality>,
 }
 
-/// Describes the capture in `dir`, or every capture directly below it, for a person.
-pub fn describe(dir: &Path) -> anyhow::Result<String> {
-    let summaries = inspect(dir)?;
-    let text: Vec<String> = summaries.iter().map(Summary::text).collect();
-    let mut text = text.join("\n");
-    if summaries.len() > 1 {
-        write!(text, "\n{}", folder_recipe(dir, &summaries))?;
-    }
-    Ok(text)
+/// A folder that was looked at.
+pub struct Inspection {
+    dir: PathBuf,
+    /// The capture in it, or every capture directly below it.
+    pub captures: Vec<Summary>,
 }
 
-/// The capture in `dir`, or every capture directly below it; an error only where there is nothing to look at.
-pub fn inspect(dir: &Path) -> anyhow::Result<Vec<Summary>> {
+/// Looks at the capture in `dir`, or at every capture directly below it; an error only where there is nothing to look at.
+pub fn inspect(dir: &Path) -> anyhow::Result<Inspection> {
     let dir = dir.canonicalize().with_context(|| format!("cannot open the folder: {}", dir.display()))?;
     let below = captures_below(&dir);
-    if recognise(&dir, Format::Auto).is_err() && !below.is_empty() {
-        return Ok(below.iter().map(|path| Summary::of(path)).collect());
+    let captures = if recognise(&dir, Format::Auto).is_err() && !below.is_empty() {
+        below.iter().map(|path| Summary::of(path)).collect()
+    } else {
+        vec![Summary::of(&dir)]
+    };
+    Ok(Inspection { dir, captures })
+}
+
+impl Inspection {
+    /// The description for a person.
+    pub fn text(&self) -> String {
+        let mut text = self.captures.iter().map(Summary::text).collect::<Vec<_>>().join("\n");
+        if self.captures.len() > 1 {
+            let ready = self.captures.iter().filter(|summary| summary.params.is_some()).count();
+            write!(text, "\n{ready} of {} captures are ready\n", self.captures.len()).expect("strings do not fail");
+        }
+        let indented = |recipe: String| recipe.lines().map(|line| format!("  {line}\n")).collect::<String>();
+        text + &self.recipe().map(|recipe| format!("\n{}", indented(recipe))).unwrap_or_default()
     }
-    Ok(vec![Summary::of(&dir)])
+
+    /// A recipe that trains on every capture that is ready, to be saved beside the common ones; none where none is.
+    pub fn recipe(&self) -> Option<String> {
+        recipe::of(&self.dir, &self.captures)
+    }
 }
 
 impl Summary {
@@ -94,15 +108,16 @@ impl Summary {
             frames: None,
             warnings: Vec::new(),
             problems: vec![failure],
-            recipe: None,
+            params: None,
         };
         match source::read(dir, &Params::default()) {
             Err(failure) => unread(failure),
             Ok(source) => {
                 let problems = source.problems();
                 let frames = Frames::of(&source);
-                let recipe = frames.as_ref().filter(|_| problems.is_empty()).map(|frames| recipe(&source, frames));
-                Self { path: dir.into(), format, frames, warnings: source.warnings, problems, recipe }
+                let usable = frames.as_ref().filter(|_| problems.is_empty());
+                let params = usable.map(|frames| recipe::params(&source, frames.intrinsics.width));
+                Self { path: dir.into(), format, frames, warnings: source.warnings, problems, params }
             }
         }
     }
@@ -118,24 +133,22 @@ impl Summary {
         self.warnings.iter().for_each(|warning| line("note", warning));
         self.problems.iter().take(LISTED_PROBLEMS).for_each(|problem| line("problem", &problem.to_string()));
         match self.problems.len().saturating_sub(LISTED_PROBLEMS) {
-            0 if self.problems.is_empty() => line("verdict", "ready to import"),
+            0 if self.problems.is_empty() => {
+                line("verdict", "ready to import, as far as is known without decoding an image");
+            }
             0 => line("verdict", "cannot be imported before the problems are solved"),
             more => line("verdict", &format!("cannot be imported: {more} more problems like these")),
-        }
-        if let Some(recipe) = &self.recipe {
-            let data_root = self.path.parent().unwrap_or(&self.path).display();
-            write!(out, "\n  # recipe, with --data-root {data_root}\n{}", indented(recipe))
-                .expect("strings do not fail");
         }
         out
     }
 
     fn format_name(&self) -> &'static str {
-        let timed = self.frames.as_ref().is_some_and(|frames| frames.time_range_secs.is_some());
+        let timed = self.frames.as_ref().map(|frames| frames.time_range_secs.is_some());
         match (self.format, timed) {
             (Format::Auto, _) => "not recognised",
-            (Format::Blender, true) => "D-NeRF (Blender transforms_*.json with times)",
-            (Format::Blender, false) => "Blender transforms_*.json without times (a scene at rest)",
+            (Format::Blender, None) => "D-NeRF or Blender (transforms_*.json)",
+            (Format::Blender, Some(true)) => "D-NeRF (Blender transforms_*.json with times)",
+            (Format::Blender, Some(false)) => "Blender transforms_*.json without times (a scene at rest)",
             (Format::Colmap, _) => "COLMAP sparse model",
             (Format::Nerfies, _) => "Nerfies, HyperNeRF or DyCheck (a camera file per view)",
             (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and a folder of frames per camera)",
@@ -180,7 +193,8 @@ impl Frames {
         }
         if let Some(quality) = self.quality {
             lines.push(("poses", format!("{} of {} images registered", quality.registered, quality.images)));
-            let error = quality.reprojection.map_or(String::new(), |error| {
+            let known = quality.reprojection.filter(|error| error.recomputed_px.is_finite());
+            let error = known.map_or(String::new(), |error| {
                 format!(
                     ", {:.2} px from their keypoints on average (COLMAP stored {:.2})",
                     error.recomputed_px, error.stored_px
@@ -209,61 +223,4 @@ impl Frames {
             None => "one instant".into(),
         }
     }
-}
-
-/// A recipe node for one capture.
-fn recipe(source: &SourceCapture, frames: &Frames) -> String {
-    let mut params = vec![format!("source = {:?}", source.name)];
-    let width = frames.intrinsics.width;
-    if source.format == Format::N3v {
-        params.extend(protocol_params(source, width));
-    } else if width >= LARGE_WIDTH {
-        params.push(format!("width = {}, resize = \"area\"", width / 2));
-    }
-    let mut note = "";
-    if source.format == Format::Colmap {
-        params.push("every_nth = 8, fps = 30.0".into());
-        note = "# images are taken for the frames of a video in the order of their names;\n\
-                # for photos of a scene at rest replace fps by static = true\n";
-    } else if source.format == Format::Nerfies {
-        params.push("fps = 30.0".into());
-    } else if source.name == "lego" && source.dataset == "dnerf" {
-        params.push("test_split = \"val\"".into());
-    }
-    format!("{note}[nodes.capture]\nstage = \"sfm-import\"\nparams = {{ {} }}\n", params.join(", "))
-}
-
-/// The size and the protocol that the literature has for the data set, where images of `width` can come to have them.
-fn protocol_params(source: &SourceCapture, width: u32) -> Option<String> {
-    let preset = PRESETS.iter().find(|preset| preset.protocol().dataset == source.dataset)?;
-    let protocol = preset.protocol();
-    if width <= protocol.width {
-        return None;
-    }
-    let size = format!("width = {}, resize = {:?}", protocol.width, protocol.resize);
-    let is_whole = source.split_rule == protocol.split;
-    Some(if is_whole { format!("{size}, protocol = {:?}", preset.name) } else { size })
-}
-
-/// A recipe node for all captures of a folder that are ready.
-fn folder_recipe(dir: &Path, summaries: &[Summary]) -> String {
-    let ready = summaries.iter().filter(|summary| summary.recipe.is_some());
-    let names: Vec<String> =
-        ready.filter_map(|summary| Some(format!("{:?}", summary.path.file_name()?.to_str()?))).collect();
-    let recipe = format!(
-        "[axes]\nscene = [{}]\n[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
-         params = {{ source = \"{{scene}}\" }}\n",
-        names.join(", ")
-    );
-    format!(
-        "{} of {} captures are ready\n\n  # recipe for all of them, with --data-root {}\n{}",
-        names.len(),
-        summaries.len(),
-        dir.display(),
-        indented(&recipe)
-    )
-}
-
-fn indented(text: &str) -> String {
-    text.lines().map(|line| format!("  {line}\n")).collect()
 }

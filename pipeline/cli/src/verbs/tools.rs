@@ -16,13 +16,23 @@ fn require_folder(path: &Path) -> Result<(), CliError> {
     if path.is_dir() { Ok(()) } else { Err(anyhow::Error::from(no_folder()).into()) }
 }
 
-/// Describes a capture; an exit code other than 0 if it cannot be imported.
-pub fn inspect(dir: &Path) -> Result<u8, CliError> {
+/// Describes a capture, or prints a recipe for it alone; an exit code other than 0 if it cannot be imported.
+pub fn inspect(dir: &Path, recipe_alone: bool) -> Result<u8, CliError> {
+    if dir.is_file() {
+        let failure = Failure::new(FailureKind::BadInput, "a capture is a folder, this is a file");
+        return Err(anyhow::Error::from(failure.hint("name the folder that the file lies in").at(dir)).into());
+    }
     require_folder(dir)?;
-    let text = sfm_import::inspect::describe(dir).map_err(CliError::of_input)?;
-    print_line(text.trim_end())?;
     let found = sfm_import::inspect::inspect(dir).map_err(CliError::of_input)?;
-    if found.iter().all(|capture| capture.problems.is_empty()) {
+    match found.recipe() {
+        Some(recipe) if recipe_alone => print_line(recipe.trim_end())?,
+        None if recipe_alone => {
+            let failure = Failure::new(FailureKind::BadInput, "nothing here can be imported");
+            return Err(anyhow::Error::from(failure.hint("without --recipe, inspect says why").at(dir)).into());
+        }
+        _ => print_line(found.text().trim_end())?,
+    }
+    if found.captures.iter().all(|capture| capture.problems.is_empty()) {
         return Ok(exit::OK);
     }
     Err(CliError::of_input(anyhow::anyhow!("not everything can be imported; see the problems: {}", dir.display())))

@@ -92,12 +92,16 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     if lost > 0 {
         warnings.push(format!("{lost} of {} images have no pose and are left out", quality.images));
     }
-    if let Some(error) = quality.reprojection.filter(|error| !(error.recomputed_px <= POOR_REPROJECTION_PX)) {
+    let reprojection = quality.reprojection.filter(|error| error.recomputed_px.is_finite());
+    if reprojection.is_none() && quality.reprojection.is_some() {
+        warnings.push("points lie where the cameras that see them cannot: poses are wrong".into());
+    }
+    if let Some(error) = reprojection.filter(|error| !(error.recomputed_px <= POOR_REPROJECTION_PX)) {
         warnings.push(format!("points miss their keypoints by {:.1} px: poses are poor", error.recomputed_px));
     }
     let differs =
         |error: &ReprojectionError| !((error.recomputed_px / error.stored_px - 1.0).abs() <= STORED_TOLERANCE);
-    if let Some(error) = quality.reprojection.filter(|error| error.stored_px > 0.0 && differs(error)) {
+    if let Some(error) = reprojection.filter(|error| error.stored_px > 0.0 && differs(error)) {
         let ReprojectionError { recomputed_px, stored_px } = error;
         warnings.push(format!(
             "points miss their keypoints by {recomputed_px:.2} px where COLMAP stored {stored_px:.2}: \

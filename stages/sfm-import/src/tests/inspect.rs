@@ -1,6 +1,6 @@
 use super::support::*;
 use crate::Params;
-use crate::inspect::{describe, inspect};
+use crate::inspect::inspect;
 use crate::params::Format;
 
 fn assert_contains(text: &str, parts: &[&str]) {
@@ -17,8 +17,8 @@ fn a_blender_capture_is_described_with_a_recipe() {
         &text,
         &["D-NeRF", "24×16; 5 train, 2 val, 3 test", "40.1° wide", "0 to 1.0000 s", "ready to import"],
     );
-    let name = dir.path().file_name().unwrap().to_str().unwrap();
-    assert_contains(&text, &["[nodes.capture]", "stage = \"sfm-import\"", &format!("source = {name:?}")]);
+    let name = dir.path().file_name().unwrap().to_str().unwrap().trim_start_matches('.');
+    assert_contains(&text, &["[nodes.capture]", "stage = \"sfm-import\"", &format!("scene = [{name:?}]")]);
 }
 
 #[test]
@@ -41,7 +41,7 @@ fn problems_are_listed_with_files_and_no_recipe() {
     let text = describe(dir.path()).unwrap();
     assert_contains(&text, &["image file is missing", "val/r_000.png", "val/r_001.png", "cannot be imported"]);
     assert!(!text.contains("[nodes.capture]"), "{text}");
-    let summary = &inspect(dir.path()).unwrap()[0];
+    let summary = &inspect(dir.path()).unwrap().captures[0];
     assert_eq!(summary.problems.len(), 2);
     let json = serde_json::to_value(summary).unwrap();
     assert_eq!(json["frames"]["counts"]["train"], 5);
@@ -59,7 +59,7 @@ fn a_folder_of_captures_lists_each() {
     std::fs::create_dir(root.path().join("notes")).unwrap();
     let text = describe(root.path()).unwrap();
     assert_contains(&text, &["/a\n", "/b\n", "1 of 2 captures are ready", "scene = [\"a\"]", "source = \"{scene}\""]);
-    assert_eq!(inspect(root.path()).unwrap().len(), 2);
+    assert_eq!(inspect(root.path()).unwrap().captures.len(), 2);
     assert_refused(root.path(), &Params::default(), &["folder of captures: choose one, as a"]);
 }
 
@@ -103,4 +103,37 @@ fn unknown_folders_say_what_was_found_and_what_is_supported() {
     std::fs::rename(model.path().join("sparse"), both.path().join("sparse")).unwrap();
     assert_refused(both.path(), &Params::default(), &["holds both", "set format"]);
     assert!(run(both.path(), &Params { format: Format::Blender, ..Params::default() }).is_ok());
+}
+
+#[test]
+fn the_format_is_known_where_the_files_cannot_be_used() {
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "train", |json| json["camera_angle_x"] = serde_json::json!(0.0));
+    assert_contains(&describe(dir.path()).unwrap(), &["D-NeRF or Blender (transforms_*.json)", "camera_angle_x is 0"]);
+}
+
+#[test]
+fn poses_that_no_camera_has_are_problems() {
+    let mut workspace = Workspace::video(10);
+    workspace.model.images.get_mut(&3).unwrap().translation[0] = 1e300;
+    let text = describe(workspace.write().path()).unwrap();
+    assert_contains(&text, &["1e300 units from the origin", "cannot be imported", "poses are wrong"]);
+    assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
+}
+
+#[test]
+fn a_recipe_says_once_what_captures_have_in_common() {
+    let root = tempfile::tempdir().unwrap();
+    for name in ["lego", "my {scene}"] {
+        std::fs::rename(blender_scene().keep(), root.path().join(name)).unwrap();
+    }
+    let recipe = inspect(root.path()).unwrap().recipe().unwrap();
+    assert_contains(&recipe, &["scene = [\"lego\", \"my__scene_\"]", "params = { source = \"{scene}\" }"]);
+    assert_contains(
+        &recipe,
+        &[
+            "when = { scene = \"lego\" }\nnodes.capture.params.test_split = \"val\"",
+            "when = { scene = \"my__scene_\" }\nnodes.capture.params.source = \"my {{scene}}\"",
+        ],
+    );
 }

@@ -7,7 +7,7 @@ use scene::protocol::Preset;
 use super::n3v::{NAMES, rig, rows, write_poses};
 use super::support::*;
 use crate::Params;
-use crate::inspect::{describe, inspect};
+use crate::inspect::inspect;
 use crate::params::Format;
 
 /// Spoils a good rig and tells its message; an error names its camera and its file.
@@ -108,7 +108,7 @@ fn a_rig_is_described_with_a_recipe_for_its_protocol() {
         assert!(text.contains(part), "{part:?} is not in:\n{text}");
     }
     assert!(text.contains("ready to import") && !text.contains("width ="), "{text}");
-    assert_eq!(inspect(dir.path()).unwrap()[0].format, Format::N3v);
+    assert_eq!(inspect(dir.path()).unwrap().captures[0].format, Format::N3v);
     assert_refused(dir.path(), &Params { format: Format::Nerfies, ..Params::default() }, &["not a Nerfies/HyperNeRF"]);
     std::fs::remove_dir_all(dir.path().join("cam02/images")).unwrap();
     let text = describe(dir.path()).unwrap();
@@ -145,7 +145,7 @@ fn the_recipe_of_a_real_sized_rig_names_the_protocol() {
             std::fs::hard_link(&large, image).unwrap();
         }
     }
-    let recipe = inspect(dir.path()).unwrap().remove(0).recipe.unwrap();
+    let recipe = inspect(dir.path()).unwrap().recipe().unwrap();
     let size = "width = 1352, resize = \"lanczos3\", protocol = \"n3v-1352\"";
     assert!(recipe.contains(size), "{recipe}");
     let preset = Preset::named("n3v-1352").unwrap().protocol();

@@ -10,7 +10,6 @@ use tempfile::TempDir;
 
 use super::support::*;
 use crate::Params;
-use crate::inspect::describe;
 use crate::params::Format;
 
 const SCALE: f64 = 0.05;

@@ -14,7 +14,7 @@ use crate::params::{Resize, TestSplit};
 /// The folder of a real capture; says so where there is none.
 fn data(name: &str) -> Option<PathBuf> {
     let dir = needs::data(name)?;
-    eprintln!("{}", crate::inspect::describe(&dir).unwrap());
+    eprintln!("{}", crate::inspect::inspect(&dir).unwrap().text());
     Some(dir)
 }
 

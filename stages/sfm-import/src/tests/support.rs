@@ -12,6 +12,7 @@ use tempfile::TempDir;
 use crate::colmap::Model;
 use crate::colmap::model::{Point, RegisteredImage, lens};
 use crate::colmap::write::StatedCamera;
+use crate::inspect::inspect;
 use crate::{Params, SfmImport, source};
 
 /// Size of generated images.
@@ -43,6 +44,11 @@ pub fn assert_refused(dir: &Path, params: &Params, parts: &[&str]) {
     for part in parts {
         assert!(message.contains(part), "{part:?} is not in {message:?}");
     }
+}
+
+/// What `inspect` says of a folder.
+pub fn describe(dir: &Path) -> anyhow::Result<String> {
+    Ok(inspect(dir)?.text())
 }
 
 /// The frames that are imported, without touching pixels.
