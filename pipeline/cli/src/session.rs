@@ -82,6 +82,9 @@ impl Session {
     fn with(store: impl FnOnce() -> anyhow::Result<Store>, recipe: &RecipeArgs) -> Result<Self, CliError> {
         let device = ChosenDevice::choose(&recipe.with.device)?;
         let plan = resolve(recipe, device.class())?;
+        for idle in plan.idle_axes() {
+            tell(&format!("warning: {idle}; give it to a parameter, as \"{{{}}}\", or leave it out", idle.axis));
+        }
         let targets = (0..plan.nodes.len()).collect();
         let (data_root, is_plain) = (recipe.with.data_root.clone(), recipe.with.is_plain());
         Ok(Self { plan, store: store()?, data_root, device, is_plain, targets, force: BTreeSet::new(), rehash: false })

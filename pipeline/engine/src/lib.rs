@@ -35,7 +35,7 @@ pub use digest::Digest;
 pub use failure::{Failure, FailureKind};
 pub use fingerprint::{Code, CodeTable, CrateCode};
 pub use key::{ActionKey, KeyComponents, KeyInput};
-pub use plan::{DeviceClass, Node, Plan, PlanInput, PlanSource};
+pub use plan::{DeviceClass, IdleAxis, Node, Plan, PlanInput, PlanSource};
 pub use registry::{AnyStage, Registry};
 pub use resolution::{Decision, Facts, PlanContext, Resolution};
 pub use stage::{Arity, Measurements, ParamProblem, Port, Resources, Source, Stage};

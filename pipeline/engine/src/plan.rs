@@ -1,5 +1,6 @@
 //! The resolved recipe: every job with its parameters filled in and its producers known, before anything runs.
 
+mod axes;
 mod select;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -15,6 +16,7 @@ use serde_json::Value;
 use crate::fingerprint::{Code, UnusedSources};
 use crate::{Coordinates, Decision, Measurements};
 
+pub use axes::IdleAxis;
 pub use select::{NothingSelected, matches_pattern};
 
 /// All jobs of a recipe, producers before consumers; equal recipes give equal plans.

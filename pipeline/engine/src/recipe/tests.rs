@@ -419,3 +419,16 @@ fn a_node_may_be_there_for_some_values_only() {
     assert_eq!(gap.len(), 1, "{gap:?}");
     assert!(gap[0].contains("no producer on port `text`") && gap[0].contains("the same `only`"), "{gap:?}");
 }
+
+#[test]
+fn an_axis_that_reaches_nothing_is_noticed_at_the_first_node_that_it_should_reach() {
+    let idle = |text: &str, overrides: &[&str]| -> Vec<String> {
+        plan(text, overrides).idle_axes().iter().map(ToString::to_string).collect()
+    };
+    let fixed = GRID.replace("when = { seed = 1 }", "when = { seed = [0, 1] }");
+    assert_eq!(idle(&fixed, &[]), ["axis `seed` changes nothing: train/ball/a/0 and train/ball/a/1 are one job"]);
+    assert_eq!(idle(&fixed, &["axes.seed=[1]"]), [""; 0], "one value needs no difference");
+    // Reaching one job of many is enough.
+    let one = GRID.replace("when = { seed = 1 }", "when = { seed = 1, scene = \"lego\", method = \"b\" }");
+    assert_eq!((idle(GRID, &[]), idle(&one, &[])), (Vec::new(), Vec::new()));
+}
