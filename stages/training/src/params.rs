@@ -13,7 +13,7 @@ use serde_json::{Map, Value};
 
 use crate::effects::Effects;
 use crate::methods;
-use crate::schedule::LogLinear;
+use crate::schedule::{LogLinear, MOST_RATE, is_rate};
 
 /// The method that is trained where a recipe names none.
 const DEFAULT_METHOD: &str = "static3dgs";
@@ -290,8 +290,9 @@ impl TrainingParams {
         let unknown_phase = shared.iterations.keys().find(|phase| !phases.contains_key(*phase));
         let known = phases.keys().cloned().collect::<Vec<_>>().join(", ");
         let Shared { initial_points, harmonics, loss, learning_rates, density, curve, .. } = shared;
-        let steps = shared.iterations.values().fold(0.0, |sum, &steps| sum + steps as f64) * shared.schedule_scale;
-        let positive_rate = "must be positive";
+        let planned = shared.iterations.values().fold(0.0, |sum, &steps| sum + steps as f64);
+        let steps = planned * shared.schedule_scale;
+        let is_a_rate = format!("must be in (0, {MOST_RATE}]");
         let checks = [
             (unknown_phase.is_none(), "iterations", format!("{} has the phases {known}", self.method)),
             (
@@ -301,7 +302,16 @@ impl TrainingParams {
             ),
             (shared.iterations.values().any(|&n| n > 0), "iterations", "nothing to train for".into()),
             (positive(shared.schedule_scale), "schedule_scale", "must be positive".into()),
-            (shared.budget_secs.is_none_or(positive), "budget_secs", "must be positive".into()),
+            (
+                shared.budget_secs.is_none_or(|secs| secs >= LEAST_BUDGET_SECS && secs.is_finite()),
+                "budget_secs",
+                format!("must be at least {LEAST_BUDGET_SECS} s"),
+            ),
+            (
+                !positive(shared.schedule_scale) || !positive(planned) || steps >= 1.0,
+                "schedule_scale",
+                format!("{steps:.1e} iterations are less than one"),
+            ),
             (!(steps > MOST_STEPS), "schedule_scale", format!("{steps:e} iterations are more than {MOST_STEPS:e}")),
             (within(shared.batch, MOST_VIEWS), "batch", format!("must be 1 to {MOST_VIEWS}")),
             (harmonics.degree <= 3, "harmonics.degree", "must be 0 to 3".into()),
@@ -314,12 +324,12 @@ impl TrainingParams {
             (within(initial_points.random_count, MOST_GAUSSIANS), "initial_points.random_count", few_gaussians()),
             (within(initial_points.max_count, MOST_GAUSSIANS), "initial_points.max_count", few_gaussians()),
             ((0.0..=1.0).contains(&loss.lambda_dssim), "loss.lambda_dssim", "must be in [0, 1]".into()),
-            (learning_rates.position.is_valid(), "learning_rates.position", positive_rate.into()),
-            (positive(learning_rates.sh_dc), "learning_rates.sh_dc", positive_rate.into()),
-            (positive(learning_rates.sh_rest), "learning_rates.sh_rest", positive_rate.into()),
-            (positive(learning_rates.opacity), "learning_rates.opacity", positive_rate.into()),
-            (positive(learning_rates.scale), "learning_rates.scale", positive_rate.into()),
-            (positive(learning_rates.rotation), "learning_rates.rotation", positive_rate.into()),
+            (learning_rates.position.is_valid(), "learning_rates.position", is_a_rate.clone()),
+            (is_rate(learning_rates.sh_dc), "learning_rates.sh_dc", is_a_rate.clone()),
+            (is_rate(learning_rates.sh_rest), "learning_rates.sh_rest", is_a_rate.clone()),
+            (is_rate(learning_rates.opacity), "learning_rates.opacity", is_a_rate.clone()),
+            (is_rate(learning_rates.scale), "learning_rates.scale", is_a_rate.clone()),
+            (is_rate(learning_rates.rotation), "learning_rates.rotation", is_a_rate),
             (density.interval > 0, "density.interval", "must be at least 1".into()),
             (density.prune_interval > 0, "density.prune_interval", "must be at least 1".into()),
             (positive(density.gradient_threshold), "density.gradient_threshold", "must be positive".into()),
@@ -329,6 +339,7 @@ impl TrainingParams {
             (within(density.max_count, MOST_GAUSSIANS), "density.max_count", few_gaussians()),
             (open_share(density.min_opacity), "density.min_opacity", "must be in (0, 1)".into()),
             (open_share(density.opacity_reset_to), "density.opacity_reset_to", "must be in (0, 1)".into()),
+            (curve.points <= MOST_POINTS, "curve.points", format!("must be at most {MOST_POINTS}")),
             (curve.points == 0 || curve.views > 0, "curve.views", "must be at least 1".into()),
         ];
         let problem = |(_, key, message): (bool, &str, String)| ParamProblem { key: key.into(), message, hint: None };
@@ -340,6 +351,12 @@ impl TrainingParams {
 
 /// More optimiser steps than any schedule has: beyond it, a factor was mistyped.
 const MOST_STEPS: f64 = 1e8;
+
+/// Every point of a curve renders several views: more points than this take longer than what they measure.
+const MOST_POINTS: u64 = 1000;
+
+/// What the miniature takes from which the price of a step is learnt.
+const LEAST_BUDGET_SECS: f64 = 0.1;
 
 /// More views per step than any published batch (24) by far.
 const MOST_VIEWS: usize = 1024;
@@ -457,6 +474,11 @@ mod tests {
         let bad = [
             ("schedule_scale", json!({ "schedule_scale": -1.0 })),
             ("schedule_scale", json!({ "schedule_scale": 1e300 })),
+            ("schedule_scale", json!({ "schedule_scale": 1e-300 })),
+            ("budget_secs", json!({ "budget_secs": 1e-9 })),
+            ("curve.points", json!({ "curve": { "points": 1_000_000_000_u64 } })),
+            ("learning_rates.position", json!({ "learning_rates": { "position": { "start": 1e30 } } })),
+            ("learning_rates.opacity", json!({ "learning_rates": { "opacity": 11.0 } })),
             ("batch", json!({ "batch": 1_000_000 })),
             ("initial_points.random_count", json!({ "initial_points": { "random_count": u64::MAX } })),
             ("learning_rates.opacity", json!({ "learning_rates": { "opacity": -1.0 } })),

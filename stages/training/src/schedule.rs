@@ -44,11 +44,18 @@ impl LogLinear {
         Self { start: self.at(steps), end: self.end, steps: self.steps.saturating_sub(steps).max(1) }
     }
 
-    /// Positive and finite at both ends, over at least one step.
+    /// Rates at both ends, over at least one step.
     pub fn is_valid(&self) -> bool {
-        let good = |rate: f64| rate > 0.0 && rate.is_finite();
-        good(self.start) && good(self.end) && self.steps > 0
+        is_rate(self.start) && is_rate(self.end) && self.steps > 0
     }
+}
+
+/// Adam moves a value by about its rate at every step; one that moves by more than this can settle nowhere.
+pub const MOST_RATE: f64 = 10.0;
+
+/// Whether this can be a learning rate.
+pub fn is_rate(rate: f64) -> bool {
+    rate > 0.0 && rate <= MOST_RATE
 }
 
 /// `steps` times `factor`, rounded, at least 1 where `steps` is.

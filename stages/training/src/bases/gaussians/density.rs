@@ -108,7 +108,6 @@ impl AdaptiveDensity {
         split.iter().for_each(|&parent| keep[parent] = false);
         optimizer.keep(&self.population, &keep)?;
         self.statistics.keep(&keep);
-        self.statistics.forget_gradients(|_| true);
         Ok(())
     }
 
