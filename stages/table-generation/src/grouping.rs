@@ -14,6 +14,9 @@ use crate::report::{Cell, Cells, Group, Row, ScenePart, failure_mark};
 use crate::statistics::{mean, sample_std};
 use crate::{Column, TableGenerationParams};
 
+/// Share of a budget by which a training may miss it unmarked.
+const BUDGET_TOLERANCE: f64 = 0.15;
+
 /// One group per protocol and metric definition among the measured runs, in order of appearance.
 pub fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -> Vec<Group> {
     let key = |run: &Run| Some((run.protocol.as_ref()?.line(), run.judged_by.clone()?));
@@ -26,11 +29,14 @@ pub fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -
     let in_group = |name: usize, wanted: &(String, String)| {
         let members: Vec<&Run> = runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted)).collect();
         let member_scenes: BTreeSet<&str> = members.iter().map(|run| run.scene.as_str()).collect();
-        // A failed run has no protocol: it leaves a hole wherever its scene is tabulated, or, where its scene failed
-        // for every method, in every group, so that no mean silently skips that scene.
+        // A failed run leaves a hole wherever its scene is tabulated, or, where its scene failed for every method, in the
+        // groups of its capture's protocol, so that no mean silently skips that scene. A scene that was not even
+        // imported has no protocol and belongs to no group.
+        let is_shown_alike = |run: &Run| run.protocol.as_ref().is_some_and(|protocol| protocol.line() == wanted.0);
         let leaves_hole = |run: &Run| {
             key(run).is_none()
-                && (member_scenes.contains(run.scene.as_str()) || !measured_scenes.contains(run.scene.as_str()))
+                && (member_scenes.contains(run.scene.as_str())
+                    || !measured_scenes.contains(run.scene.as_str()) && is_shown_alike(run))
         };
         let relevant: Vec<&Run> =
             runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted) || leaves_hole(run)).collect();
@@ -139,13 +145,29 @@ fn shortened(runs: &[&Run]) -> Option<String> {
     };
     let budgets: Vec<String> = runs.iter().filter_map(|run| run.budget_secs).map(short).collect();
     let budgets = distinct(budgets.iter().map(String::as_str));
-    Some(if budgets.is_empty() { length } else { format!("{length}, to fit a budget of {} s", budgets.join(", ")) })
+    if budgets.is_empty() {
+        return Some(length);
+    }
+    Some(format!("{length}, to fit a budget of {} s{}", budgets.join(", "), missed_budget(runs)))
 }
 
-/// The number with up to four decimals.
+/// The seconds that trainings took which missed their budgets by more than prices of steps vary.
+fn missed_budget(runs: &[&Run]) -> String {
+    let missed = runs.iter().filter_map(|run| {
+        let (budget, took) = (run.budget_secs?, figure(run, Column::TrainingSecs).ok()?);
+        ((took / budget - 1.0).abs() > BUDGET_TOLERANCE).then_some(took)
+    });
+    let missed: Vec<String> = missed.map(|took| format!("{} s", number(took, 1))).collect();
+    if missed.is_empty() { String::new() } else { format!(" which was missed: {}", missed.join(", ")) }
+}
+
+/// The number with up to four decimals, or in powers of ten where these would say 0.
 fn short(value: f64) -> String {
     let text = number(value, 4);
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    match text.trim_end_matches('0').trim_end_matches('.') {
+        "0" | "" if value != 0.0 => format!("{value:.1e}"),
+        text => text.to_owned(),
+    }
 }
 
 /// A figure of a run, or why it has none.

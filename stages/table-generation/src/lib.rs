@@ -29,7 +29,7 @@ mod tests;
 
 pub use artifact::ReportFolder;
 pub use claims::{Claim, ClaimColumn, ClaimTable, Verdict, built_in_claims};
-pub use collect::{CurvePoint, FrameScore, Job, LargestGradient, Machine, Run, RunFailure};
+pub use collect::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure, TensorGradient};
 pub use column::Column;
 pub use format::{number, signed};
 pub use params::TableGenerationParams;

@@ -6,9 +6,10 @@ use anyhow::Context as _;
 use engine::InputRecord;
 use scene::Split;
 use serde::Deserialize;
+use training::trainer::LargestGradient;
 
 use super::costs::Costs;
-use super::run::{CurvePoint, LargestGradient, Machine};
+use super::run::{CurvePoint, Machine, TensorGradient};
 
 /// What training measures beside its model.
 #[derive(Default, Deserialize)]
@@ -28,10 +29,10 @@ pub struct TrainingMeasurements {
 
 impl TrainingMeasurements {
     /// The largest gradient of all tensors.
-    pub fn largest_gradient(&self) -> Option<LargestGradient> {
+    pub fn largest_gradient(&self) -> Option<TensorGradient> {
         let all = self.largest_gradients.iter();
         let (tensor, largest) = all.max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude))?;
-        Some(LargestGradient { tensor: tensor.clone(), ..largest.clone() })
+        Some(TensorGradient { tensor: tensor.clone(), largest: largest.clone() })
     }
 }
 

@@ -12,7 +12,7 @@ use rendering::Renders;
 use serde_json::Value;
 use training::{Model, ModelHeader};
 
-pub use run::{CurvePoint, FrameScore, Job, LargestGradient, Machine, Run, RunFailure};
+pub use run::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure, TensorGradient};
 
 use crate::Column;
 use measured::{RenderingMeasurements, TrainingMeasurements, circumstances, measurements};
@@ -68,7 +68,8 @@ impl Inputs {
         })
     }
 
-    /// Joins models, renders and metrics to runs, in the order of the recipe.
+    /// Joins models, renders and metrics to runs, in the order of the recipe. What several seeds have from one and the same
+    /// jobs is one run.
     pub fn runs(&self) -> anyhow::Result<Vec<Run>> {
         let records = || records(&self.models).chain(records(&self.renders)).chain(records(&self.metrics));
         // A run is the finest set of coordinates; a producer that lacks an axis belongs to all of its runs.
@@ -80,7 +81,14 @@ impl Inputs {
                 finest.push(coordinates);
             }
         }
-        finest.into_iter().map(|coordinates| self.run_at(coordinates)).collect()
+        let mut runs = Vec::<Run>::new();
+        for coordinates in finest {
+            let run = self.run_at(coordinates)?;
+            if !runs.iter().any(|other| other.repeats(&run)) {
+                runs.push(run);
+            }
+        }
+        Ok(runs)
     }
 
     fn run_at(&self, coordinates: &Coordinates) -> anyhow::Result<Run> {
@@ -94,6 +102,9 @@ impl Inputs {
         for input in belonging(&self.metrics, coordinates) {
             run.add_metrics(input)?;
         }
+        // What failed before it had a model shows, at least, the scene that its capture does.
+        let mut captures = belonging(&self.captures, coordinates).filter_map(|input| input.artifact.as_ref().ok());
+        run.protocol = run.protocol.or_else(|| Some(captures.next()?.protocol.clone()));
         run.name_row(coordinates);
         Ok(run)
     }
@@ -155,9 +166,17 @@ impl Run {
         self.method.clone_from(&renders.method);
         self.protocol = Some(renders.protocol.clone());
         let measured: RenderingMeasurements = measurements(&input.record)?;
-        self.set(Column::FpsRaster, measured.fps_raster.map(|rate| rate.median));
-        self.set(Column::FpsModel, measured.fps_model.map(|rate| rate.median));
-        self.set(Column::FpsDelivered, measured.fps_delivered.map(|rate| rate.median));
+        let rates = [
+            (Column::FpsRaster, measured.fps_raster),
+            (Column::FpsModel, measured.fps_model),
+            (Column::FpsDelivered, measured.fps_delivered),
+        ];
+        for (column, rate) in rates {
+            match renders.n_gaussians {
+                0 => drop(self.figures.insert(column, Score::undefined("no Gaussian is left"))),
+                _ => self.set(column, rate.map(|rate| rate.median)),
+            }
+        }
         Ok(())
     }
 

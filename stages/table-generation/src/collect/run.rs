@@ -6,6 +6,7 @@ use engine::FailureKind;
 use metric_evaluation::Score;
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
+use training::trainer::LargestGradient;
 
 use super::costs::Costs;
 use crate::Column;
@@ -41,7 +42,7 @@ pub struct Run {
     pub costs: Costs,
     /// The largest gradient of the training.
     #[serde(default)]
-    pub largest_gradient: Option<LargestGradient>,
+    pub largest_gradient: Option<TensorGradient>,
     /// How often the rasteriser kept a number in range, by what was out of it.
     #[serde(default)]
     pub guards: BTreeMap<String, u64>,
@@ -74,16 +75,12 @@ pub struct CurvePoint {
 
 /// The largest gradient that any tensor had during a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LargestGradient {
+pub struct TensorGradient {
     /// The tensor.
-    #[serde(default)]
     pub tensor: String,
-    /// Loss per unit of the tensor.
-    pub magnitude: f64,
-    /// The phase in which it was.
-    pub phase: String,
-    /// The step within the phase.
-    pub iteration: u64,
+    /// How large, and when.
+    #[serde(flatten)]
+    pub largest: LargestGradient,
 }
 
 /// Quality of one image.
@@ -143,6 +140,15 @@ pub struct RunFailure {
     pub kind: FailureKind,
     /// What went wrong, and what to do about it; without paths, which differ between machines.
     pub message: String,
+}
+
+impl Run {
+    /// Whether `other` has its numbers from the same jobs, so that they say nothing about noise.
+    pub(super) fn repeats(&self, other: &Self) -> bool {
+        let keys = |run: &Self| run.jobs.iter().map(|(port, job)| (port.clone(), job.key.clone())).collect::<Vec<_>>();
+        let is_known = !self.jobs.is_empty() && self.jobs.values().all(|job| !job.key.is_empty());
+        is_known && (&self.scene, &self.row) == (&other.scene, &other.row) && keys(self) == keys(other)
+    }
 }
 
 impl Machine {

@@ -4,7 +4,7 @@ use engine::FailureKind;
 
 use super::Content;
 use crate::Column;
-use crate::collect::Run;
+use crate::collect::{Run, TensorGradient};
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, signed};
 use crate::grouping::distinct;
@@ -32,7 +32,8 @@ fn outcome_table(content: &Content<'_>) -> Table {
         for run in runs().filter(|run| run.scene == scene) {
             let seed = if one_seed { String::new() } else { format!(", seed {}", run.seed) };
             let name = Text::plain(format!("{}{seed}", run.row)).linked(content.traces.scene(&run.row, &scene));
-            let gradient = run.largest_gradient.as_ref().map_or(NONE.into(), |g| format!("{:.1e}", g.magnitude));
+            let gradient =
+                run.largest_gradient.as_ref().map_or(NONE.into(), |g| format!("{:.1e}", g.largest.magnitude));
             let figures = [outcome(run), place(run), guards(run), gain_text(content, run), gradient];
             table.rows.push([name].into_iter().chain(figures.map(Text::plain)).collect());
         }
@@ -57,8 +58,8 @@ fn outcome(run: &Run) -> String {
 /// What ended the run, or where its largest gradient was.
 fn place(run: &Run) -> String {
     let of_gradient = || {
-        let largest = run.largest_gradient.as_ref()?;
-        Some(format!("{}, iteration {} of {}", largest.tensor, largest.iteration, largest.phase))
+        let TensorGradient { tensor, largest } = run.largest_gradient.as_ref()?;
+        Some(format!("{tensor}, iteration {} of {}", largest.iteration, largest.phase))
     };
     let of_failure = run.failure.as_ref().map(|failure| failure.message.clone());
     of_failure.or_else(of_gradient).unwrap_or_else(|| NONE.into())

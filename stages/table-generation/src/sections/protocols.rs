@@ -6,7 +6,7 @@ use crate::Column;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, scenes, signed};
 use crate::grouping::distinct;
-use crate::report::{Cells, Group, Report, Row};
+use crate::report::{Cells, FailedRun, Group, Report, Row, failure_mark};
 
 /// The parts of all groups.
 pub fn blocks(content: &Content<'_>) -> Vec<Block> {
@@ -14,6 +14,7 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     if content.report.groups.is_empty() {
         blocks.push(Block::Paragraph("No run was measured; see what failed below.".into()));
     }
+    blocks.extend(judged_nowhere(content.report).map(Block::Paragraph));
     for group in &content.report.groups {
         blocks.push(Block::Heading(format!("Protocol {}: {}", group.name, group.protocol.dataset)));
         blocks.push(Block::Paragraph(protocol_text(group, content.report)));
@@ -23,6 +24,17 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
         blocks.extend(conditional_tables(content, group).map(Block::Table));
     }
     blocks
+}
+
+/// The scenes that are in no table, because there is nothing of them to judge; data that is not there is told elsewhere.
+fn judged_nowhere(report: &Report) -> Option<String> {
+    let is_tabulated = |scene: &String| report.groups.iter().any(|group| group.scenes.contains(scene));
+    let untold = report.failures.iter().filter(|failed| !is_tabulated(&failed.scene));
+    let named = |failed: &FailedRun| format!("{} ({})", failed.scene, failure_mark(failed.failure.kind));
+    let scenes: Vec<String> = untold.map(named).collect();
+    let scenes = distinct(scenes.iter().map(String::as_str));
+    let anything = !scenes.is_empty() && !report.groups.is_empty();
+    anything.then(|| format!("In no table and in no mean, because nothing could be judged: {}.", scenes.join(", ")))
 }
 
 /// The protocol in one line, what means are over, and where the same data set is judged otherwise.
@@ -117,7 +129,7 @@ fn gain_table(content: &Content<'_>, group: &Group) -> Option<Table> {
             let text = Text::plain(gain.map_or(NONE.into(), |gain| signed(gain, Column::PSNR.decimals())));
             traced(text, content.traces.scene(&row.name, scene))
         });
-        let count = Text::plain(format!("{n_above} of {}", gains.len()));
+        let count = Text::plain(format!("{n_above} of {}", gains.iter().flatten().count()));
         table.rows.push([Text::plain(&row.name)].into_iter().chain(texts).chain([count]).collect());
     }
     (!table.rows.is_empty()).then_some(table)

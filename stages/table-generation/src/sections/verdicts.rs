@@ -8,7 +8,7 @@ use crate::Column;
 use crate::claims::{ClaimColumn, Verdict};
 use crate::document::{Block, Table, Text};
 use crate::format::number;
-use crate::report::{Group, Report, Row, failure_mark};
+use crate::report::{Cell, Group, Report, failure_mark};
 use crate::statistics::{mean, welch_half_width};
 
 /// The first section.
@@ -39,14 +39,26 @@ fn what_ran(report: &Report) -> String {
     format!("{n_runs} runs: {n_finished} finished{others}.")
 }
 
-/// Who leads in quality and in time.
+/// Who leads in quality and in time, and who cannot be told from the leader.
 fn best(group: &Group) -> String {
     let leader = |column: Column, what: &str, unit: &str| {
-        let is_best = |row: &&Row| row.headline.get(&column).is_some_and(|cell| cell.rank == Some(1));
-        let best: Vec<&Row> = group.rows.iter().filter(is_best).collect();
-        let value = best.first()?.headline.get(&column)?.mean?;
-        let names: Vec<&str> = best.iter().map(|row| row.name.as_str()).collect();
-        Some(format!("{what} {} ({} {unit})", names.join(" and "), number(value, column.decimals())))
+        let cells = || group.rows.iter().filter_map(|row| Some((row.name.as_str(), row.headline.get(&column)?)));
+        let best: Vec<_> = cells().filter(|(_, cell)| cell.rank == Some(1)).collect();
+        let value = best.first()?.1.mean?;
+        let limit = smallest_difference(group, column).map_or(0.0, |(limit, _)| limit);
+        let is_tied = |cell: &Cell| {
+            let behind = cell.mean.map(|mean| (mean - value).abs());
+            cell.rank.is_some_and(|rank| rank > 1)
+                && (cell.within_noise || behind.is_some_and(|behind| cell.std.is_some() && behind < limit))
+        };
+        let said = |value| number(value, column.decimals());
+        let tied: Vec<String> = cells()
+            .filter(|(_, cell)| is_tied(cell))
+            .filter_map(|(name, cell)| Some(format!("{name} ({})", said(cell.mean?))))
+            .collect();
+        let names: Vec<&str> = best.iter().map(|(name, _)| *name).collect();
+        let tie = if tied.is_empty() { String::new() } else { format!(", within noise of {}", tied.join(", ")) };
+        Some(format!("{what} {} ({} {unit}){tie}", names.join(" and "), said(value)))
     };
     let leaders = [
         leader(Column::PSNR, "highest PSNR", "dB"),
@@ -62,17 +74,20 @@ fn best(group: &Group) -> String {
     format!("{about}: {}.", leaders.join("; "))
 }
 
-/// The smallest difference in mean PSNR that the seeds can tell from noise.
-fn noise(group: &Group) -> String {
-    let cells = || group.rows.iter().filter_map(|row| row.headline.get(&Column::PSNR));
+/// The smallest difference of two means that the seeds can tell from noise, from the spread over all rows, and how many
+/// seeds there are.
+fn smallest_difference(group: &Group, column: Column) -> Option<(f64, usize)> {
+    let cells = || group.rows.iter().filter_map(|row| row.headline.get(&column));
     let variances: Vec<f64> = cells().filter_map(|cell| cell.std).map(|std| std * std).collect();
-    let n_seeds = cells().filter(|cell| cell.std.is_some()).map(|cell| cell.n()).min();
-    let width = mean(&variances).zip(n_seeds).and_then(|(variance, n)| {
-        let one = (variance.sqrt(), n);
-        welch_half_width(one, one)
-    });
-    match (width, n_seeds) {
-        (Some(width), Some(n)) => format!(
+    let n_seeds = cells().filter(|cell| cell.std.is_some()).map(|cell| cell.n()).min()?;
+    let one = (mean(&variances)?.sqrt(), n_seeds);
+    Some((welch_half_width(one, one)?, n_seeds))
+}
+
+/// What the seeds can tell from noise.
+fn noise(group: &Group) -> String {
+    match smallest_difference(group, Column::PSNR) {
+        Some((width, n)) => format!(
             "With {n} seeds, methods of protocol {} whose mean PSNR differs by less than {} dB cannot be told apart (95 %).",
             group.name,
             number(width, 2)

@@ -117,7 +117,7 @@ fn missing_data_is_reported_and_not_averaged_but_other_failures_leave_holes() {
     assert!(missing.failures.is_empty());
     assert!(text(&missing).contains("| lego | lego went wrong |"), "{}", text(&missing));
     assert!(headline(&missing, 0, Column::PSNR).mean.is_some());
-    runs.push(failed("hook", "static3dgs", 0, FailureKind::Crashed));
+    runs.push(Run { protocol: Some(protocol(800)), ..failed("hook", "static3dgs", 0, FailureKind::Crashed) });
     assert_eq!(headline(&report(runs), 0, Column::PSNR).mean, None, "a scene that failed for all was skipped");
 }
 
@@ -205,4 +205,26 @@ fn figures_of_surfaces_have_a_table_over_the_scenes_that_define_them() {
     assert!(text.contains("| method | trex |\n"), "{text}");
     assert!(text.contains("| phys4dgs | 0.125 |"), "{text}");
     assert!(!text.contains("flow error"), "{text}");
+}
+
+#[test]
+fn a_scene_that_was_not_imported_is_told_once_and_takes_no_mean() {
+    let mut runs = two_by_two();
+    runs.retain(|run| run.seed == "0");
+    runs[2].protocol = Some(protocol(400));
+    runs[3].protocol = Some(protocol(400));
+    runs.extend(["static3dgs", "deformable4dgs"].map(|method| failed("lego", method, 0, FailureKind::BadInput)));
+    let of_two_protocols = report(runs.clone());
+    let scenes = of_two_protocols.groups.iter().map(|group| group.scenes.clone());
+    assert_eq!(scenes.collect::<Vec<_>>(), [["bouncingballs"], ["trex"]]);
+    assert!(headline(&of_two_protocols, 0, Column::PSNR).mean.is_some());
+    let said = text(&of_two_protocols);
+    assert_eq!(said.matches("because nothing could be judged: lego (bad input).").count(), 1, "{said}");
+    assert!(said.contains("Judged otherwise: trex (protocol B)") && said.contains("| +15.50 | 1 of 1 |"), "{said}");
+    // It was imported, and then every training failed: no mean of its protocol may skip it.
+    runs[4].protocol = Some(protocol(400));
+    let trained_nowhere = report(runs);
+    let scenes = trained_nowhere.groups.iter().map(|group| group.scenes.clone());
+    assert_eq!(scenes.collect::<Vec<_>>(), [vec!["bouncingballs"], vec!["trex", "lego"]]);
+    assert_eq!(trained_nowhere.groups[1].rows[0].headline[&Column::PSNR].mean, None);
 }

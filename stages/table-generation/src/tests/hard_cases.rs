@@ -1,15 +1,17 @@
 //! The table of what became of every run.
 
 use engine::FailureKind;
+use training::trainer::LargestGradient;
 
 use super::*;
-use crate::collect::LargestGradient;
+use crate::collect::TensorGradient;
 use crate::markdown::markdown;
 use crate::sections;
 
 /// A run with a gradient and a guard.
 fn trained(method: &str, psnr: f64) -> Run {
-    let largest = LargestGradient { tensor: "positions".into(), magnitude: 1234.5, phase: "fine".into(), iteration: 7 };
+    let largest = LargestGradient { magnitude: 1234.5, phase: "fine".into(), iteration: 7 };
+    let largest = TensorGradient { tensor: "positions".into(), largest };
     let guards = [("colours below zero".to_owned(), 12)].into();
     Run { largest_gradient: Some(largest), guards, ..run("trex", method, 0, psnr) }
 }

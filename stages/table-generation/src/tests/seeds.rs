@@ -36,3 +36,32 @@ fn gains_over_the_baseline_are_counted() {
     let text = text(&report(two_by_two()));
     assert!(text.contains("| deformable4dgs | +15.50 | +10.00 | 2 of 2 |"), "{text}");
 }
+
+#[test]
+fn who_cannot_be_told_from_the_leader_is_named_with_it() {
+    let close = text(&three_seeds([30.0, 30.5, 31.0], [30.4, 30.9, 31.4]));
+    let tied = "highest PSNR deformable4dgs (30.90 dB), within noise of static3dgs (30.50); \
+                shortest training static3dgs (130.5 s), within noise of deformable4dgs (130.9);";
+    assert!(close.contains(tied), "{close}");
+    let apart = text(&three_seeds([30.0, 30.1, 30.2], [33.0, 33.1, 33.2]));
+    assert!(
+        apart.contains("highest PSNR deformable4dgs (33.10 dB); shortest training static3dgs (130.1 s);"),
+        "{apart}"
+    );
+    // A lead below the limit that is stated for all rows is none, even where these two alone spread less.
+    let noisy = (0..3).map(|seed| run("trex", "scgs", seed, 20.0 + 5.0 * f64::from(seed)));
+    let pair = [("static3dgs", 30.0), ("deformable4dgs", 31.0)];
+    let pair = pair
+        .into_iter()
+        .flat_map(|(method, psnr)| (0..3).map(move |seed| run("trex", method, seed, psnr + 0.01 * f64::from(seed))));
+    let text = text(&report(pair.chain(noisy).collect()));
+    assert!(text.contains("highest PSNR deformable4dgs (31.01 dB), within noise of static3dgs (30.01)"), "{text}");
+}
+
+#[test]
+fn a_budget_that_was_missed_is_told() {
+    let within = |secs| Run { schedule_scale: Some(1e-6), budget_secs: Some(secs), ..run("trex", "mcgs", 0, 30.0) };
+    let said = |secs| text(&report(vec![within(secs)]));
+    assert!(said(120.0).contains("schedule at 1.0e-6 of its length, to fit a budget of 120 s ("), "{}", said(120.0));
+    assert!(said(100.0).contains("to fit a budget of 100 s which was missed: 130.0 s ("), "{}", said(100.0));
+}

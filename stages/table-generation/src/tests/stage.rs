@@ -171,6 +171,34 @@ fn artifacts_and_failures_become_a_report() {
 }
 
 #[test]
+fn seeds_with_one_job_are_one_run() {
+    let root = tempfile::tempdir().expect("folder");
+    write_artifacts(root.path());
+    let mut context = JobContext::detached(root.path()).expect("context");
+    let seeds = |port: &str, node: &str, keys: [&str; 2]| -> (String, Vec<InputRecord>) {
+        let dir = root.path().join(port);
+        let of_seed = |(seed, key): (&str, &str)| {
+            let same = record(node, "static3dgs", Ok(&dir), Value::Null);
+            let coordinates = [("seed".to_owned(), seed.to_owned())].into_iter();
+            let coordinates = same.coordinates.clone().into_iter().chain(coordinates).collect();
+            InputRecord { coordinates, action_key: key.into(), ..same }
+        };
+        (port.into(), ["0", "1"].into_iter().zip(keys).map(of_seed).collect())
+    };
+    context.inputs.insert("capture".into(), vec![capture_record(root.path())]);
+    let mut runs_with = |trained: [&str; 2]| {
+        context.inputs.extend([
+            seeds("model", "train", trained),
+            seeds("renders", "render", ["r", "r"]),
+            seeds("metrics", "metrics", ["m", "m"]),
+        ]);
+        crate::collect::Inputs::open(&context).expect("opened").runs().expect("runs").len()
+    };
+    assert_eq!(runs_with(["a", "a"]), 1, "the axis reached no parameter");
+    assert_eq!(runs_with(["a", "b"]), 2, "two trainings may end alike");
+}
+
+#[test]
 fn unreadable_measurements_blame_their_producer() {
     let root = tempfile::tempdir().expect("folder");
     write_artifacts(root.path());
@@ -190,5 +218,7 @@ fn a_tolerance_that_is_none_is_refused() {
         assert_eq!(TableGeneration::check_params(&params).len(), 1);
     }
     assert!(TableGeneration::check_params(&TableGenerationParams::default()).is_empty());
+    let unknown = TableGenerationParams { baseline: "nope".into(), ..Default::default() };
+    assert_eq!(TableGeneration::check_params(&unknown)[0].key, "baseline");
     assert!(serde_json::from_str::<TableGenerationParams>(r#"{ "titel": "x" }"#).is_err());
 }
