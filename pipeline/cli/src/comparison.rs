@@ -55,15 +55,16 @@ pub struct ComparedRow {
 /// One metric over the pairs that both sides have it of.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Paired {
-    /// Pairs (scenes × seeds).
+    /// Pairs (scenes × seeds, and × rows where all of them are taken together).
     pub pairs: usize,
-    /// Mean over the pairs in A.
+    /// Mean in A over the scenes' means; of a single scene, over its seeds.
     pub mean_a: f64,
-    /// Mean over the pairs in B.
+    /// The same in B.
     pub mean_b: f64,
     /// Mean of B − A.
     pub difference: f64,
-    /// Student's interval of 95 % for the mean of B − A; none for a single pair.
+    /// Student's interval of 95 % for the mean of B − A, from the spread over scenes, or over the seeds of a single scene:
+    /// what shares a scene is not independent. None for a single scene and seed.
     pub interval: Option<[f64; 2]>,
     /// Pairs in which B is better.
     pub better: usize,
@@ -195,7 +196,7 @@ fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -
         let mut values = Vec::new();
         for (a, b) in pairs {
             match (figure(a, column), figure(b, column)) {
-                (Ok(a), Ok(b)) => values.push([a, b]),
+                (Ok(value_a), Ok(value_b)) => values.push((*a, [value_a, value_b])),
                 (Ok(_), Err(reason)) => {
                     row.lost.entry(column).or_default().push(format!("{}: {reason}", name(b)));
                 }
@@ -208,21 +209,36 @@ fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -
 }
 
 /// The figures of at least one pair of values.
-fn paired(values: &[[f64; 2]], column: Column) -> Option<Paired> {
-    let count = values.len() as f64;
-    let mean = |of: &dyn Fn(&[f64; 2]) -> f64| values.iter().map(of).sum::<f64>() / count;
-    let difference = mean(&|[a, b]| b - a);
+fn paired(pairs: &[(&Run, [f64; 2])], column: Column) -> Option<Paired> {
+    let values = independent(pairs);
+    let [mean_a, mean_b] = mean_pair(values.iter())?;
     let sign = if column.higher_is_better() { 1.0 } else { -1.0 };
-    let count_where = |holds: &dyn Fn(f64) -> bool| values.iter().filter(|[a, b]| holds(sign * (b - a))).count();
-    (!values.is_empty()).then(|| Paired {
-        pairs: values.len(),
-        mean_a: mean(&|[a, _]| *a),
-        mean_b: mean(&|[_, b]| *b),
-        difference,
-        interval: interval(values, difference),
+    let count_where = |holds: &dyn Fn(f64) -> bool| pairs.iter().filter(|(_, [a, b])| holds(sign * (b - a))).count();
+    Some(Paired {
+        pairs: pairs.len(),
+        mean_a,
+        mean_b,
+        difference: mean_b - mean_a,
+        interval: interval(&values, mean_b - mean_a),
         better: count_where(&|gain| gain > 0.0),
         worse: count_where(&|gain| gain < 0.0),
     })
+}
+
+/// The means of what shares a scene or, where all share one, of what shares a seed.
+fn independent(pairs: &[(&Run, [f64; 2])]) -> Vec<[f64; 2]> {
+    let one_scene = pairs.iter().all(|(run, _)| run.scene == pairs[0].0.scene);
+    let mut by_unit = BTreeMap::<&str, Vec<[f64; 2]>>::new();
+    for (run, values) in pairs {
+        by_unit.entry(if one_scene { &run.seed } else { &run.scene }).or_default().push(*values);
+    }
+    by_unit.values().filter_map(|values| mean_pair(values.iter())).collect()
+}
+
+fn mean_pair<'a>(values: impl ExactSizeIterator<Item = &'a [f64; 2]>) -> Option<[f64; 2]> {
+    let count = values.len() as f64;
+    let [a, b] = values.fold([0.0; 2], |[sum_a, sum_b], [a, b]| [sum_a + a, sum_b + b]);
+    (count > 0.0).then(|| [a / count, b / count])
 }
 
 /// Student's interval for the mean of the differences: mean ± t·s/√n with n − 1 degrees of freedom.

@@ -44,6 +44,30 @@ fn a_result_without_figures_is_told_from_one_that_is_no_worse() {
 }
 
 #[test]
+fn what_shares_a_scene_is_averaged_before_an_interval_is_made() {
+    let of = |row: &str, psnr: [f64; 4]| -> Vec<Run> {
+        let places = [("a", "0"), ("a", "1"), ("b", "0"), ("b", "1")];
+        places.into_iter().zip(psnr).map(|((scene, seed), psnr)| run(row, scene, seed, Some(psnr))).collect()
+    };
+    let before = [of("m", [20.0; 4]), of("n", [20.0; 4])].concat();
+    let after = [of("m", [21.0, 21.2, 23.0, 23.2]), of("n", [21.1, 21.3, 23.1, 23.3])].concat();
+    let compared = compare(&before, &after, &[]).unwrap();
+    // Two scenes: m gains 1.1 and 3.1 dB, all 1.15 and 3.15; t(0.975, 1) = 12.706 (any table), s/√2 = 1.
+    let all = compared.protocols[0].all.as_ref().unwrap();
+    for (row, gain, pairs) in [(&compared.protocols[0].rows[0], 2.1, 4), (all, 2.15, 8)] {
+        let found = row.metrics[&Column::PSNR];
+        let [low, high] = found.interval.unwrap();
+        assert!((found.difference - gain).abs() < 1e-9 && (found.pairs, found.better) == (pairs, pairs));
+        assert!((low - (gain - 12.706)).abs() < 1e-2 && (high - (gain + 12.706)).abs() < 1e-2, "{low} {high}");
+    }
+    // One scene: its seeds, over the rows.
+    let one = |runs: &[Run]| runs.iter().filter(|run| run.scene == "a").cloned().collect::<Vec<_>>();
+    let compared = compare(&one(&before), &one(&after), &[]).unwrap();
+    let [low, high] = compared.protocols[0].all.as_ref().unwrap().metrics[&Column::PSNR].interval.unwrap();
+    assert!((high - low - 2.0 * 12.706 * 0.1).abs() < 1e-2, "{low} {high}");
+}
+
+#[test]
 fn rows_pair_by_name_or_as_told_or_as_the_only_ones() {
     let both = [side("m", [1.0; 3]), side("n", [3.0; 3])].concat();
     let compared = compare(&both, &both, &[]).unwrap();
