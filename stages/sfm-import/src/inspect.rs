@@ -12,6 +12,7 @@ use scene::{Intrinsics, Split};
 use serde::Serialize;
 
 use crate::Params;
+use crate::colmap::model::ReprojectionError;
 use crate::params::Format;
 use crate::recognise::{captures_below, recognise};
 use crate::source::{self, Quality, SourceCapture};
@@ -193,7 +194,7 @@ impl Frames {
         }
         if let Some(quality) = self.quality {
             lines.push(("poses", format!("{} of {} images registered", quality.registered, quality.images)));
-            let known = quality.reprojection.filter(|error| error.recomputed_px.is_finite());
+            let known = quality.reprojection.filter(ReprojectionError::is_of_images);
             let error = known.map_or(String::new(), |error| {
                 format!(
                     ", {:.2} px from their keypoints on average (COLMAP stored {:.2})",

@@ -92,7 +92,7 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     if lost > 0 {
         warnings.push(format!("{lost} of {} images have no pose and are left out", quality.images));
     }
-    let reprojection = quality.reprojection.filter(|error| error.recomputed_px.is_finite());
+    let reprojection = quality.reprojection.filter(ReprojectionError::is_of_images);
     if reprojection.is_none() && quality.reprojection.is_some() {
         warnings.push("points lie where the cameras that see them cannot: poses are wrong".into());
     }

@@ -69,6 +69,9 @@ pub struct Point {
     pub track: Vec<(u32, u32)>,
 }
 
+/// More pixels than images have in a row.
+const MOST_ERROR_PX: f64 = 1e6;
+
 /// Reprojection error in pixels, recomputed from poses and observations, beside what COLMAP stored.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReprojectionError {
@@ -76,6 +79,13 @@ pub struct ReprojectionError {
     pub recomputed_px: f64,
     /// Mean over points of the stored error.
     pub stored_px: f64,
+}
+
+impl ReprojectionError {
+    /// Whether images could have such an error: beyond their sizes it measures nothing.
+    pub fn is_of_images(&self) -> bool {
+        self.recomputed_px < MOST_ERROR_PX
+    }
 }
 
 impl Model {

@@ -74,11 +74,14 @@ pub fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
     };
     Some(format!(
         "# Save as recipes/{name}.toml and run with --data-root {data_root}\n\
-         # Without common/cpu.toml, methods train as long and as large as their papers.\n\
-         extends = [\"common/benchmark.toml\", \"common/cpu.toml\"]\nname = {name:?}\n\n\
+         extends = [\"common/benchmark.toml\"]\nname = {name:?}\n\n\
          [axes]\nscene = [{}]\nmethod = [\"static3dgs\", \"deformable4dgs\"]\nseed = [0]\n\n\
          {note}[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
          params = {{ source = \"{{scene}}\"{} }}\n{own}\n\
+         # Sizes for a CPU; without them, methods train as long and as large as their papers.\n\
+         [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\
+         density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n\
+         deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n\n\
          [nodes.report.params]\ntitle = {name:?}\nrecipe = \"recipes/{name}.toml\"\n",
         scenes.join(", "),
         common.concat(),

@@ -114,11 +114,13 @@ fn the_format_is_known_where_the_files_cannot_be_used() {
 
 #[test]
 fn poses_that_no_camera_has_are_problems() {
-    let mut workspace = Workspace::video(10);
-    workspace.model.images.get_mut(&3).unwrap().translation[0] = 1e300;
-    let text = describe(workspace.write().path()).unwrap();
-    assert_contains(&text, &["1e300 units from the origin", "cannot be imported", "poses are wrong"]);
-    assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
+    for (far, told) in [(1e30, "1e30 units from the origin"), (1e300, "inf units from the origin")] {
+        let mut workspace = Workspace::video(10);
+        workspace.model.images.get_mut(&3).unwrap().translation[0] = far;
+        let text = describe(workspace.write().path()).unwrap();
+        assert_contains(&text, &[told, "cannot be imported", "poses are wrong"]);
+        assert!(!text.contains("NaN") && !text.contains(" px from their keypoints"), "{text}");
+    }
 }
 
 #[test]
