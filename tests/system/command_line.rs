@@ -104,7 +104,9 @@ fn the_readme_names_recipes_that_exist() {
     let readme = std::fs::read_to_string(root().join("README.md")).expect("the README is there");
     let named = recipes(&readme);
     assert!(named.contains("recipes/quickstart.toml"), "{named:?}");
-    for recipe in named {
+    // What a command of the README writes itself is there once it ran.
+    let is_written = |recipe: &str| readme.contains(&format!("> {recipe}\n"));
+    for recipe in named.into_iter().filter(|recipe| !is_written(recipe)) {
         assert!(root().join(recipe).is_file(), "the README names {recipe}");
     }
 }

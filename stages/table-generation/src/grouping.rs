@@ -155,7 +155,7 @@ fn shortened(runs: &[&Run]) -> Option<String> {
 fn missed_budget(runs: &[&Run]) -> String {
     let missed = runs.iter().filter_map(|run| {
         let (budget, took) = (run.budget_secs?, figure(run, Column::TrainingSecs).ok()?);
-        ((took / budget - 1.0).abs() > BUDGET_TOLERANCE).then_some(took)
+        (took > budget * (1.0 + BUDGET_TOLERANCE)).then_some(took)
     });
     let missed: Vec<String> = missed.map(|took| format!("{} s", number(took, 1))).collect();
     if missed.is_empty() { String::new() } else { format!(" which was missed: {}", missed.join(", ")) }

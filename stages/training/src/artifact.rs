@@ -23,6 +23,17 @@ pub struct Model {
     pub tensors: BTreeMap<String, NamedTensor>,
 }
 
+/// The largest magnitude that a tensor's gradient had, as trainings measure it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LargestGradient {
+    /// Loss per unit of the tensor.
+    pub magnitude: f64,
+    /// The phase in which it was.
+    pub phase: String,
+    /// The step within the phase.
+    pub iteration: u64,
+}
+
 /// Everything about a model that is not a tensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -32,6 +32,6 @@ mod test_training;
 pub mod trainer;
 mod view_constants;
 
-pub use artifact::{Model, ModelHeader, NamedTensor};
+pub use artifact::{LargestGradient, Model, ModelHeader, NamedTensor};
 pub use params::TrainingParams;
 pub use run::{CaptureArtifact, Training};

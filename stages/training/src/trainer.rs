@@ -25,6 +25,7 @@ use rand_chacha::ChaCha8Rng;
 use shaders::splat::{self, PinholeCamera, SplatVars};
 use shaders::tape::{Device, Profile, Tape};
 
+use crate::artifact::LargestGradient;
 use crate::artifact::{Model, ModelHeader};
 use crate::bases::gaussians::present;
 use crate::clock::PhaseClock;
@@ -42,7 +43,6 @@ use crate::state::ModelState;
 use crate::step::SkippedWork;
 use crate::view_constants::ViewConstants;
 
-pub use finite::LargestGradient;
 pub use report::{Earlier, LossShare, Report};
 
 use ahead::Ahead;

@@ -65,7 +65,8 @@ pub fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
     }
     let is_one_capture = captures.len() == 1 && captures[0].path == dir;
     let data_root = if is_one_capture { dir.parent().unwrap_or(dir) } else { dir };
-    let (name, data_root) = (axis_value(&folder(dir)), data_root.display());
+    // No recipe that comes with the program is called so.
+    let (name, data_root) = (format!("own-{}", axis_value(&folder(dir))), data_root.display());
     let note = if ready.iter().any(|(summary, ..)| summary.format == Format::Colmap) {
         "# Images are taken for the frames of a video in the order of their names; for photos of a scene at rest, replace fps by\n\
          # static = true.\n"

@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use engine::InputRecord;
 use scene::Split;
 use serde::Deserialize;
-use training::trainer::LargestGradient;
+use training::LargestGradient;
 
 use super::costs::Costs;
 use super::run::{CurvePoint, Machine, TensorGradient};

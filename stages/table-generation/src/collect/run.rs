@@ -6,7 +6,7 @@ use engine::FailureKind;
 use metric_evaluation::Score;
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
-use training::trainer::LargestGradient;
+use training::LargestGradient;
 
 use super::costs::Costs;
 use crate::Column;

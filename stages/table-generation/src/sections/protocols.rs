@@ -21,6 +21,7 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
         blocks.extend(mean_tables(content, group).into_iter().map(Block::Table));
         blocks.push(Block::Table(scene_table(content, group, Column::PSNR)));
         blocks.extend(gain_table(content, group).map(Block::Table));
+        blocks.extend(no_baseline(content, group).map(Block::Paragraph));
         blocks.extend(conditional_tables(content, group).map(Block::Table));
     }
     blocks
@@ -111,6 +112,14 @@ fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
         table.rows.push(cells);
     }
     table
+}
+
+/// That several methods were measured, and none of them is the baseline.
+fn no_baseline(content: &Content<'_>, group: &Group) -> Option<String> {
+    let baseline = &content.params.baseline;
+    let is_there = group.rows.iter().any(|row| row.method == *baseline);
+    let told = || format!("Nothing is compared with the baseline: no run of `{baseline}` was measured here.");
+    (!is_there && group.rows.len() > 1).then(told)
 }
 
 /// PSNR above that of the baseline, where the baseline was measured.

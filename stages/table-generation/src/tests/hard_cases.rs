@@ -1,7 +1,7 @@
 //! The table of what became of every run.
 
 use engine::FailureKind;
-use training::trainer::LargestGradient;
+use training::LargestGradient;
 
 use super::*;
 use crate::collect::TensorGradient;

@@ -33,8 +33,14 @@ fn the_smallest_difference_that_counts_is_stated() {
 
 #[test]
 fn gains_over_the_baseline_are_counted() {
-    let text = text(&report(two_by_two()));
-    assert!(text.contains("| deformable4dgs | +15.50 | +10.00 | 2 of 2 |"), "{text}");
+    let told = text(&report(two_by_two()));
+    assert!(
+        told.contains("| deformable4dgs | +15.50 | +10.00 | 2 of 2 |") && !told.contains("with the baseline"),
+        "{told}"
+    );
+    let others = two_by_two().into_iter().map(|run| Run { method: format!("{}-like", run.method), ..run });
+    let told = text(&report(others.collect()));
+    assert!(told.contains("with the baseline: no run of `static3dgs` was measured here"), "{told}");
 }
 
 #[test]

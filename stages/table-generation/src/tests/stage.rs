@@ -218,7 +218,5 @@ fn a_tolerance_that_is_none_is_refused() {
         assert_eq!(TableGeneration::check_params(&params).len(), 1);
     }
     assert!(TableGeneration::check_params(&TableGenerationParams::default()).is_empty());
-    let unknown = TableGenerationParams { baseline: "nope".into(), ..Default::default() };
-    assert_eq!(TableGeneration::check_params(&unknown)[0].key, "baseline");
     assert!(serde_json::from_str::<TableGenerationParams>(r#"{ "titel": "x" }"#).is_err());
 }

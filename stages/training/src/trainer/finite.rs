@@ -3,24 +3,12 @@
 use std::collections::BTreeMap;
 
 use engine::{Failure, FailureKind};
-use serde::{Deserialize, Serialize};
 use shaders::splat;
 use shaders::tape::{Tape, Tensor};
 
 use super::Trainer;
-use crate::artifact::NamedTensor;
+use crate::artifact::{LargestGradient, NamedTensor};
 use crate::optimizer::Optimizer;
-
-/// The largest magnitude that a tensor's gradient had.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LargestGradient {
-    /// Loss per unit of the tensor.
-    pub magnitude: f64,
-    /// The phase in which it was.
-    pub phase: String,
-    /// The step within the phase.
-    pub iteration: u64,
-}
 
 impl Trainer<'_> {
     /// Every loss must be finite, and so must every splat that was rendered: the rasteriser leaves the others out.
