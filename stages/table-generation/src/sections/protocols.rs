@@ -118,7 +118,7 @@ fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
 fn no_baseline(content: &Content<'_>, group: &Group) -> Option<String> {
     let baseline = &content.params.baseline;
     let is_there = group.rows.iter().any(|row| row.method == *baseline);
-    let told = || format!("Nothing is compared with the baseline: no run of `{baseline}` was measured here.");
+    let told = || format!("Nothing is compared with the baseline: no run of {baseline} was measured here.");
     (!is_there && group.rows.len() > 1).then(told)
 }
 
