@@ -293,6 +293,7 @@ impl TrainingParams {
         let planned = shared.iterations.values().fold(0.0, |sum, &steps| sum + steps as f64);
         let steps = planned * shared.schedule_scale;
         let is_a_rate = format!("must be in (0, {MOST_RATE}]");
+        let position = learning_rates.position;
         let checks = [
             (unknown_phase.is_none(), "iterations", format!("{} has the phases {known}", self.method)),
             (
@@ -324,7 +325,11 @@ impl TrainingParams {
             (within(initial_points.random_count, MOST_GAUSSIANS), "initial_points.random_count", few_gaussians()),
             (within(initial_points.max_count, MOST_GAUSSIANS), "initial_points.max_count", few_gaussians()),
             ((0.0..=1.0).contains(&loss.lambda_dssim), "loss.lambda_dssim", "must be in [0, 1]".into()),
-            (learning_rates.position.is_valid(), "learning_rates.position", is_a_rate.clone()),
+            (
+                position.is_valid() && is_rate(position.start.max(position.end)),
+                "learning_rates.position",
+                is_a_rate.clone(),
+            ),
             (is_rate(learning_rates.sh_dc), "learning_rates.sh_dc", is_a_rate.clone()),
             (is_rate(learning_rates.sh_rest), "learning_rates.sh_rest", is_a_rate.clone()),
             (is_rate(learning_rates.opacity), "learning_rates.opacity", is_a_rate.clone()),

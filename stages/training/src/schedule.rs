@@ -44,9 +44,10 @@ impl LogLinear {
         Self { start: self.at(steps), end: self.end, steps: self.steps.saturating_sub(steps).max(1) }
     }
 
-    /// Rates at both ends, over at least one step.
+    /// Positive and finite at both ends, over at least one step.
     pub fn is_valid(&self) -> bool {
-        is_rate(self.start) && is_rate(self.end) && self.steps > 0
+        let good = |rate: f64| rate > 0.0 && rate.is_finite();
+        good(self.start) && good(self.end) && self.steps > 0
     }
 }
 

@@ -85,7 +85,7 @@ impl CoordinateMlpSettings {
             (self.skip_after < self.depth, "skip_after must be less than depth"),
             (self.position_bands.max(self.time_bands) <= MOST_BANDS, "bands must be 20 at most"),
             (self.time_features <= MOST_CHANNELS, "time_features must be 4096 at most"),
-            (self.rate.is_valid(), "rates must be in (0, 10]"),
+            (self.rate.is_valid(), "rates must be positive"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }

@@ -122,7 +122,7 @@ impl DeformationSettings {
         let good = [
             (self.anchors.works() && self.gaussians.works(), "fields need 1 to 4096 texels and weights from 0 on"),
             ((1..=MOST_TEXELS).contains(&self.width), "the width of the networks must be 1 to 4096"),
-            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be in (0, 10]"),
+            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }

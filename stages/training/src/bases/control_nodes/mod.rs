@@ -67,7 +67,7 @@ impl ControlNodeSettings {
             (few(self.count) && few(self.per_gaussian), "nodes.count and nodes.per_gaussian must be 1 to 65536"),
             (few(self.rigid_neighbors), "nodes.rigid_neighbors must be 1 to 65536"),
             (self.first_radius > 0.0 && self.first_radius.is_finite(), "nodes.first_radius must be positive"),
-            (self.rate.is_valid(), "rates must be in (0, 10]"),
+            (self.rate.is_valid(), "rates must be positive"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }

@@ -135,7 +135,7 @@ impl HexplaneSettings {
         let good = [
             (sizes.iter().all(few), "channels, resolutions and width must be 1 to 4096"),
             (!self.multipliers.is_empty() && self.multipliers.iter().all(few), "multipliers must be 1 to 4096"),
-            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be in (0, 10]"),
+            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
             (self.heads != Heads::NONE, "a deformation without heads moves nothing"),
         ];

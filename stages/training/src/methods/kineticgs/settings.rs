@@ -63,7 +63,7 @@ impl Settings {
         let good = [
             ((0.0..1.0).contains(&self.gate_threshold), "gate_threshold must be in [0, 1)"),
             (self.losses.works(), "weights must not be negative, and the flow must fade before it ends"),
-            (self.activation_rate.is_valid(), "activation_rate must be in (0, 10]"),
+            (self.activation_rate.is_valid(), "activation_rate must be positive"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }

@@ -78,7 +78,7 @@ impl MethodFolder for Modecgs {
         settings.deformation.check()?;
         let good = [
             (settings.segments > 0, "segments must be at least 1"),
-            (settings.gate_rate.is_valid(), "gate_rate must be in (0, 10]"),
+            (settings.gate_rate.is_valid(), "gate_rate must be positive"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
