@@ -3,7 +3,8 @@
 use crate::gpu::Gpu;
 
 /// The largest subgroups of splats past which pixels stream. A bucket visits the pixels of every cell that one of its splats
-/// meets: the larger it is, the more of them the others visit in vain (ARCHITECTURE, "A splat or a pixel per invocation", has the figures).
+/// meets: the larger it is, the more of them the others visit in vain (figures: ARCHITECTURE, "A splat or a pixel per
+/// invocation").
 const LARGEST_BY_SPLATS: u32 = 8;
 
 /// Choices that change no image.
