@@ -5,11 +5,12 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use shaders::binning::{self, Grid, Lists};
-use shaders::blending;
 use shaders::check::noise;
-use shaders::projection;
-use shaders::splat::{Isa, PinholeCamera, ProjectedVars, RasterSettings, SplatTensors, SplatVars};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::binning::{self, Grid, Lists};
+use shaders::rasteriser::blending;
+use shaders::rasteriser::projection;
+use shaders::rasteriser::{Isa, ProjectedVars, RasterSettings, SplatTensors, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
 const SPLATS: usize = 20_000;

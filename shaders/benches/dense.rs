@@ -5,9 +5,9 @@ use std::hint::black_box;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
-use shaders::hexplane::{HexplaneShape, PlaneMean, hexplane, is_time_plane, plane_means};
-use shaders::linear::{Activation, linear};
-use shaders::losses::l1_dssim;
+use shaders::losses::l1::l1_dssim;
+use shaders::networks::hexplane::{HexplaneShape, PlaneMean, hexplane, is_time_plane, plane_means};
+use shaders::networks::linear::{Activation, linear};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
 const POINTS: usize = 20_000;

@@ -8,11 +8,12 @@ use std::process::ExitCode;
 
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::gpu::{Gpu, GpuFailure, Rates};
-use shaders::hexplane::{HexplaneShape, hexplane};
-use shaders::linear::{Activation, linear};
-use shaders::losses::l1_dssim;
-use shaders::splat::{self, PinholeCamera, RasterSettings, SplatTensors};
+use shaders::losses::l1::l1_dssim;
+use shaders::networks::hexplane::{HexplaneShape, hexplane};
+use shaders::networks::linear::{Activation, linear};
+use shaders::rasteriser::{self, RasterSettings, SplatTensors};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
 /// Measured runs, after one that compiles.
@@ -139,7 +140,7 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
     let stats = {
         let mut tape = Tape::new(Device::Cpu);
         let vars = scene.constants(&mut tape);
-        splat::render(&mut tape, &vars, None, &camera, &settings).expect("it fits").stats()
+        rasteriser::render(&mut tape, &vars, None, &camera, &settings).expect("it fits").stats()
     };
     let entries = stats.intersections as f64;
     let (count, pixels) = (splats as f64, (size * size) as f64);
@@ -167,7 +168,7 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
     measure(gpu, works, || {
         let mut tape = Tape::new(Device::Gpu(gpu));
         let vars = scene.leaves(&mut tape);
-        let rendered = splat::render(&mut tape, &vars, None, &camera, &settings).expect("it fits");
+        let rendered = rasteriser::render(&mut tape, &vars, None, &camera, &settings).expect("it fits");
         let seed = Tensor::full([size, size, 3], 1e-3);
         tape.backward(&[(rendered.color, seed)]);
     })

@@ -1,36 +1,26 @@
-//! The differentiable kernels: a tape of coarse operations ([`tape`]) and one folder per kernel with its equations, its
-//! readable reference, its fast body, its tests and, where it has them, its kernels for a GPU ([`gpu`]).
+//! The differentiable kernels, on floors: a module imports only what stands on its own floor or below. Every kernel is one
+//! folder with its equations, its readable reference, its fast body, its tests and its kernels for a GPU.
+//!
+//! | floor | modules | |
+//! |---|---|---|
+//! | 1 | [`gpu`] | the second device: adapters, arrays, kernels in WGSL, launches |
+//! | 2 | [`tape`] | scalars, tensors and the tape that differentiates coarse operations |
+//! | 3 | [`pointwise`] | operations written once as an expression: f32, f64, WGSL and their gradients |
+//! | 4 | [`arrays`] | rows, sums, sorting, sampling: what lies between large kernels |
+//! | 5 | [`geometry`] | cameras, quaternions, neighbours, points in images |
+//! | 5 | [`networks`] | layers of neural networks and fields |
+//! | 5 | [`losses`] | distances between images, histograms |
+//! | 5 | [`adam`] | the optimiser |
+//! | 6 | [`rasteriser`] | 3D Gaussians to images: sources of splats, projection, binning, blending |
+//! | 7 | [`check`] | what kernels are compared with: finite differences, the other device |
 
 pub mod adam;
-pub(crate) mod algebra;
-pub mod attention;
-pub mod binning;
-pub mod blending;
+pub mod arrays;
 pub mod check;
-pub mod convolution;
+pub mod geometry;
 pub mod gpu;
-pub mod group_norm;
-pub mod hexplane;
-pub mod histogram;
-pub mod layer_norm;
-pub mod linear;
 pub mod losses;
-pub mod magnitude;
-pub mod neighbor_blend;
-pub mod neural_gaussians;
-pub mod point_lookup;
+pub mod networks;
 pub mod pointwise;
-pub mod pooling;
-pub mod positional_encoding;
-pub mod projection;
-pub mod quaternion;
-pub mod rows;
-pub mod sample;
-pub mod screen;
-pub mod slicing4d;
-mod sort;
-pub mod splat;
-pub mod ssim;
-mod sums;
+pub mod rasteriser;
 pub mod tape;
-pub mod temporal_harmonics;

@@ -64,7 +64,7 @@ fn an_edit_reruns_what_it_can_influence() {
     let before = quickstart(sources.code(), &[]);
     let after = |file: &str| rerun(&before, &quickstart(sources.code_with(file, more_code), &[]));
     let is_static = |name: &str| name.contains("/static3dgs/") || name == "report";
-    assert_eq!(after("shaders/src/blending/mod.rs"), jobs(&before, |name| !name.starts_with("capture")));
+    assert_eq!(after("shaders/src/rasteriser/blending/mod.rs"), jobs(&before, |name| !name.starts_with("capture")));
     assert_eq!(after("stages/training/src/methods/static3dgs/mod.rs"), jobs(&before, is_static));
     assert_eq!(after("stages/table-generation/src/markdown.rs"), jobs(&before, |name| name == "report"));
     assert_eq!(after("stages/sfm-import/src/run.rs"), BTreeSet::new());

@@ -1,6 +1,7 @@
 //! `--device`: what trains and renders.
 
 use engine::{DeviceClass, Failure, FailureKind};
+use shaders::check::conformance;
 use shaders::gpu::{self, AdapterError, AdapterReport};
 
 use crate::error::CliError;
@@ -43,7 +44,7 @@ impl ChosenDevice {
         let Self::Gpu(adapter) = self else { return Ok(()) };
         let hint = "choose another one with --device, or --device cpu; `pipeline doctor` describes them";
         let gpu = adapter.open().map_err(refused)?;
-        match gpu::conformance::check(gpu) {
+        match conformance::check(gpu) {
             Ok(_) => Ok(()),
             Err(error) => {
                 let message = format!("adapter {:?} does not compute what the CPU computes: {error}", adapter.name);

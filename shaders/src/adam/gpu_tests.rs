@@ -1,10 +1,10 @@
 //! A GPU updates as the CPU does.
 
 use super::*;
+use crate::check::conformance::Disagreement;
 use crate::check::{agree, noise};
 use crate::gpu::Gpu;
-use crate::gpu::conformance::Disagreement;
-use crate::gpu::fault::assert_noticed;
+use crate::gpu::fault_tests::assert_noticed;
 use crate::gpu::parts::tests::assert_equal_in_parts;
 use crate::gpu::tests::{bits, test_gpu};
 use crate::tape::Device;
@@ -99,7 +99,7 @@ fn a_gpu_tells_the_largest_magnitudes_of_every_group() {
             let disagreement = |mismatch| Disagreement { what: "one of many groups".into(), mismatch };
             agree(found.tensor(), expected.tensor(), 1e-5).map_err(disagreement)?;
             let gradient = tensor(found.rows(), 99);
-            figures.extend(crate::magnitude::largest_magnitudes(&[&gradient, found.tensor()]));
+            figures.extend(crate::arrays::magnitude::largest_magnitudes(&[&gradient, found.tensor()]));
         }
         figures.truncate(2 * 19);
         let disagreement = |mismatch| Disagreement { what: "the largest magnitudes".into(), mismatch };

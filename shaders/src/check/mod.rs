@@ -1,5 +1,7 @@
 //! Comparisons that every kernel is held to. A NaN fails all of them.
 
+pub mod conformance;
+pub(crate) mod seeded;
 #[cfg(test)]
 mod tests;
 

@@ -1,8 +1,6 @@
 //! What a launch binds: whole arrays, or parts of them.
 
-use super::launch::Launch;
 use super::{Gpu, GpuArray};
-use crate::tape::{Real, Tensor};
 
 /// A part of an array begins at a multiple of this many elements: 256 bytes are the coarsest alignment of all adapters.
 pub const ALIGNMENT: usize = 64;
@@ -34,6 +32,11 @@ impl<'a> Part<'a> {
 }
 
 impl<'a> Binding<'a> {
+    /// The GPU that holds the array.
+    pub(super) fn gpu(self) -> Gpu {
+        self.part().array.gpu()
+    }
+
     fn part(self) -> Part<'a> {
         match self {
             Self::Read(array) | Self::Write(array) => Part { array, first: 0, len: array.len() },
@@ -70,28 +73,6 @@ impl<'a> Binding<'a> {
         let Part { array, first, .. } = self.part();
         let size = std::num::NonZero::new(self.bytes());
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: array.buffer(), offset: 4 * first as u64, size })
-    }
-}
-
-/// The gradients of an operation's outputs as a kernel reads them: by bits which of them there are, and an array for each,
-/// where there is none one that stands in for it and is not looked at.
-pub fn arriving<'a, T: Real>(
-    gpu: Gpu,
-    gradients: &[Option<&'a Tensor<T>>],
-    otherwise: &'a GpuArray,
-) -> (u32, Vec<Binding<'a>>) {
-    let mask =
-        gradients.iter().enumerate().fold(0, |mask, (bit, gradient)| mask | u32::from(gradient.is_some()) << bit);
-    let array = |gradient: &Option<&'a Tensor<T>>| gradient.map_or(otherwise, |gradient| gradient.on_gpu(gpu));
-    (mask, gradients.iter().map(|gradient| Binding::Read(array(gradient))).collect())
-}
-
-impl Launch<'_> {
-    /// Panics unless all arrays are on the GPU.
-    pub(super) fn check_bindings(&self, gpu: Gpu) {
-        for binding in self.arrays {
-            assert!(binding.part().array.gpu() == gpu, "{}: another GPU", self.name);
-        }
     }
 }
 

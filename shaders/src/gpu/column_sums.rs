@@ -73,7 +73,7 @@ impl Terms<'_> {
 #[cfg(test)]
 pub fn assert_valid_terms(kernel: &Kernel, specialisation: &[(&'static str, u32)]) {
     for columns in [1, 32] {
-        super::layout::assert_valid::<SumsBlock>(kernel, &[&[("COLUMNS", columns)], specialisation].concat());
+        super::layout_tests::assert_valid::<SumsBlock>(kernel, &[&[("COLUMNS", columns)], specialisation].concat());
     }
 }
 
@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn the_kernels_are_valid() {
         assert_valid_terms(&SQUARES, &[]);
-        super::super::layout::assert_valid::<TotalsBlock>(&TOTALS, &[COLUMNS_OF_TOTALS]);
+        super::super::layout_tests::assert_valid::<TotalsBlock>(&TOTALS, &[COLUMNS_OF_TOTALS]);
     }
 
     #[test]

@@ -72,7 +72,7 @@ macro_rules! uniforms {
         $vis struct $name { $($vis $field: $type),+ }
 
         #[cfg(test)]
-        impl $crate::gpu::layout::Fields for $name {
+        impl $crate::gpu::layout_tests::Fields for $name {
             const NAME: &'static str = $wgsl;
             fn offsets() -> Vec<(&'static str, usize)> {
                 vec![$((stringify!($field), std::mem::offset_of!($name, $field))),+]
@@ -100,7 +100,7 @@ impl Kernel {
     pub fn source_with(&self, declarations: &str, specialisation: &[(&str, u32)]) -> String {
         let text = declarations.to_owned() + &self.text.concat();
         #[cfg(test)]
-        let text = super::fault::planted(self.name, text);
+        let text = super::fault_tests::planted(self.name, text);
         specialised(&text, specialisation)
     }
 
@@ -108,7 +108,7 @@ impl Kernel {
     fn pipeline_name(&self, specialisation: &[(&str, u32)]) -> String {
         let name = format!("{} {specialisation:?}", self.name);
         #[cfg(test)]
-        let name = super::fault::marked(self.name, name);
+        let name = super::fault_tests::marked(self.name, name);
         name
     }
 
@@ -158,8 +158,10 @@ impl Gpu {
         if matches!(launch.groups, Groups::Count(0)) {
             return;
         }
-        launch.check_bindings(self);
-        let Some(parts) = Parts::of(self, launch) else { return self.record(launch) };
+        for binding in launch.arrays {
+            assert!(binding.gpu() == self, "{}: another GPU", launch.name);
+        }
+        let Some(parts) = Parts::of(self, launch.kernel(), launch.arrays) else { return self.record(launch) };
         let (name, source) = (launch.name.clone() + &parts.name(), || parts.text(&(launch.source)()));
         self.record(&Launch { name, source: &source, arrays: &parts.bindings, ..*launch });
     }

@@ -84,7 +84,7 @@ pub(crate) mod tests {
 
     #[test]
     fn lengths_stop_where_there_is_no_room_and_dispatches_are_folded() {
-        crate::gpu::layout::assert_valid::<WantedBlock>(&WRITE, &[]);
+        crate::gpu::layout_tests::assert_valid::<WantedBlock>(&WRITE, &[]);
         let Some(gpu) = test_gpu() else { return };
         let read = |count, room| {
             let mut out = [0_u32; 8];

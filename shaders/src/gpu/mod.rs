@@ -8,13 +8,13 @@ mod adapter;
 mod array;
 mod binding;
 pub(crate) mod column_sums;
-pub mod conformance;
+mod copy;
 #[cfg(test)]
-pub(crate) mod fault;
+pub(crate) mod fault_tests;
 pub(crate) mod grouped;
 mod launch;
 #[cfg(test)]
-pub(crate) mod layout;
+pub(crate) mod layout_tests;
 pub(crate) mod length;
 pub(crate) mod parts;
 mod profile;
@@ -31,7 +31,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
 pub(crate) use array::GpuArray;
-pub(crate) use binding::{ALIGNMENT, Binding, arriving};
+pub(crate) use binding::{ALIGNMENT, Binding};
 pub(crate) use launch::{COLUMN_SUM, Kernel, Launch, ROW_SUM, columns_for, lanes_for, specialised, uniforms};
 pub(crate) use length::{Groups, Length};
 pub use profile::{KernelCost, Usage};

@@ -75,7 +75,7 @@ impl Gpu {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::layout::{check_layout, validate};
+    use crate::gpu::layout_tests::{check_layout, validate};
     use crate::gpu::tests::test_gpu;
 
     #[test]

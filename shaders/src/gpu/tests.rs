@@ -1,7 +1,7 @@
 use std::panic::AssertUnwindSafe;
 
-use super::conformance::{Tolerance, compare, run};
 use super::*;
+use crate::check::conformance::{self, Tolerance, compare, run};
 pub(crate) use crate::check::test_gpu;
 use crate::pointwise;
 use crate::tape::{Device, Op, Tape, Tensor, Var};

@@ -1,22 +1,8 @@
 //! Several sums at once.
 
-use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
-
-const SUMS: Grouped = Grouped {
-    kernel: Kernel { name: "sums of pairs", text: &[include_str!("adds.wgsl")] },
-    shared: 0,
-    arrays: &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::write("y")],
-};
-
-/// Elements per workgroup.
-const GROUP: usize = 256;
-
-uniforms! {
-    struct SumItem as "Item" { len: u32 }
-}
+use crate::tape::{Op, Real, Tape, Tensor, Var, sums_on_gpu};
 
 /// The sums of pairs of equal shape, each as [`super::add`] makes it. A GPU computes them together.
 pub fn adds<T: Real>(tape: &mut Tape<T>, pairs: &[[Var; 2]]) -> Vec<Var> {
@@ -63,34 +49,16 @@ impl<T: Real> Op<T> for Adds {
     }
 }
 
-/// The sums of pairs of equal shape, in arrays of their own.
-pub(crate) fn sums_on_gpu<T: Real>(gpu: Gpu, pairs: &[[&Tensor<T>; 2]]) -> Vec<Tensor<T>> {
-    let sums: Vec<GpuArray> = pairs.iter().map(|[a, _]| GpuArray::new(gpu, a.len())).collect();
-    let mut items = Vec::new();
-    for ([a, b], sum) in pairs.iter().zip(&sums) {
-        let arrays = [Binding::Read(a.on_gpu(gpu)), Binding::Read(b.on_gpu(gpu)), Binding::Write(sum)];
-        items.extend(Item::in_parts(gpu, sum.len(), GROUP, &arrays, |len| SumItem { len }));
-    }
-    SUMS.launch(gpu, &[], &[], &items);
-    pairs.iter().zip(sums).map(|([a, _], sum)| Tensor::from_gpu(a.shape(), sum)).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::check::conformance::{Tolerance, compare, run};
     use crate::check::noise;
-    use crate::gpu::conformance::{Tolerance, compare, run};
-    use crate::gpu::fault::assert_noticed;
-    use crate::gpu::grouped::tests::assert_valid_grouped;
+    use crate::gpu::fault_tests::assert_noticed;
     use crate::gpu::parts::tests::assert_equal_in_parts;
     use crate::gpu::tests::{bits, test_gpu};
     use crate::pointwise::{add, square};
     use crate::tape::Device;
-
-    #[test]
-    fn the_kernel_is_valid() {
-        assert_valid_grouped::<SumItem>(&SUMS, &[]);
-    }
 
     fn inputs() -> Vec<Tensor<f32>> {
         let shapes = [[70, 3], [1, 1], [0, 4], [257, 2]];

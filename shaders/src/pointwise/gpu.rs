@@ -141,8 +141,3 @@ impl<T: Real> Pointwise<T> {
         gradients.into_iter().map(|array| Some(Tensor::from_gpu(dy.shape(), array?))).collect()
     }
 }
-
-/// x in an array of its own.
-pub(crate) fn copy_on_gpu<T: Real>(gpu: Gpu, x: &Tensor<T>) -> Tensor<T> {
-    Pointwise { expression: &super::scale::EXPRESSION, constants: vec![T::ONE] }.value_on_gpu(gpu, &[x])
-}

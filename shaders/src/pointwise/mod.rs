@@ -8,10 +8,7 @@ mod gpu;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use gpu::copy_on_gpu;
-
 pub use adds::adds;
-pub(crate) use adds::sums_on_gpu;
 pub use expression::{Expression, GradientKernel, ValueKernel};
 
 /// Defines pointwise operations: the value and, for every input, the gradient.

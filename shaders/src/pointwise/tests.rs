@@ -1,14 +1,14 @@
 use super::*;
+use crate::check::conformance::run;
 use crate::check::{self, agree, gradients};
-use crate::gpu::conformance::run;
-use crate::gpu::layout::validate;
+use crate::gpu::layout_tests::validate;
 use crate::gpu::parts::tests::assert_equal_in_parts;
 use crate::gpu::tests::{bits, test_gpu};
 use crate::tape::{Device, Tape, Tensor, Var};
 
 /// Every expression of this crate.
 fn all() -> impl Iterator<Item = &'static &'static Expression> {
-    EXPRESSIONS.iter().chain(crate::losses::EXPRESSIONS)
+    EXPRESSIONS.iter().chain(crate::losses::l1::EXPRESSIONS)
 }
 
 /// Inputs in [−3, 3] and constants in [−1, 1] for any expression.

@@ -7,6 +7,7 @@
 mod backward;
 pub mod chunks;
 mod later;
+mod pair_sums;
 mod profile;
 mod real;
 pub(crate) mod simd;
@@ -14,6 +15,7 @@ mod tensor;
 #[cfg(test)]
 mod tests;
 mod totals;
+mod upstream;
 
 use std::time::Instant;
 
@@ -22,11 +24,13 @@ pub use backward::Gradients;
 use backward::Node;
 pub(crate) use later::Later;
 pub use later::{Figures, Found};
+pub(crate) use pair_sums::sums_on_gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
 use totals::add_all;
 pub(crate) use totals::total_on_gpu;
+pub(crate) use upstream::upstream;
 
 /// A value on a tape.
 #[derive(Copy, Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -199,7 +199,7 @@ impl<T: Real> Tensor<T> {
     pub(crate) fn make_mut_on_gpu(&mut self, gpu: Gpu) -> &GpuArray {
         self.on_gpu(gpu);
         if Arc::get_mut(&mut self.elements).is_none() {
-            *self = crate::pointwise::copy_on_gpu(gpu, self);
+            *self = Self::from_gpu(self.shape(), self.on_gpu(gpu).copied());
         }
         let elements = Arc::get_mut(&mut self.elements).expect("nobody shares them");
         // A copy on the host would be out of date.

@@ -1,9 +1,9 @@
 //! Gradients that add up, where a value is used more than once.
 
 use super::chunks::{CHUNK, for_each_chunk};
+use super::pair_sums::sums_on_gpu;
 use super::{Real, Tensor};
 use crate::gpu::{Gpu, GpuArray};
-use crate::pointwise::sums_on_gpu;
 
 /// Adds the gradients of those inputs that need one to their totals; on a GPU in one launch.
 pub(super) fn add_all<T: Real>(
@@ -70,9 +70,9 @@ fn add<T: Real>(total: &mut Tensor<T>, term: &Tensor<T>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::check::conformance::{Tolerance, compare};
     use crate::check::noise;
-    use crate::gpu::conformance::{Tolerance, compare};
-    use crate::gpu::fault::assert_noticed;
+    use crate::gpu::fault_tests::assert_noticed;
     use crate::gpu::grouped::tests::with_arrays;
     use crate::gpu::tests::test_gpu;
     use crate::pointwise::{add, mul, square};

@@ -7,7 +7,8 @@ use std::path::Path;
 use anyhow::{Context as _, bail, ensure};
 use engine::{Artifact as _, Failure, FailureKind};
 use scene::{Capture, Gaussians, Split};
-use shaders::splat::{self, PinholeCamera, RasterSettings, SplatTensors};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{self, RasterSettings, SplatTensors};
 use shaders::tape::Tensor;
 use training::Model;
 use training::player::Player;
@@ -86,7 +87,7 @@ fn render_file(path: &Path, camera: &PinholeCamera, settings: &RasterSettings) -
         opacity_logits: Tensor::from_vec([count, 1], gaussians.opacity_logits),
         sh: Tensor::from_vec([count, sh_count, 3], gaussians.sh),
     };
-    Ok(splat::render_image(&splats, camera, &settings)?.color)
+    Ok(rasteriser::render_image(&splats, camera, &settings)?.color)
 }
 
 /// In dB, on unquantised colours in [0, 1]; infinite where they are equal.

@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use engine::{Artifact as _, Failure, FailureKind};
 use glam::{DMat3, DQuat, DVec3};
 use scene::{Camera, Capture, RigidTransform, Split, image_file};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor};
 use training::Model;
 use training::player::Player;

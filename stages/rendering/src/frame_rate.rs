@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use scene::image_file::encode_rgb;
 use serde::{Deserialize, Serialize};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use training::player::Player;
 
 use crate::run::to_image;

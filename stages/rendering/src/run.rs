@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
 use image::RgbImage;
 use scene::{Capture, View, image_file};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor};
 use training::device::compute_on;
 use training::player::Player;

@@ -1,7 +1,7 @@
 //! What a render means: semantic features, and where the prompts are that the model was trained with.
 
 use scene::View;
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Tensor;
 use training::player::Player;
 

@@ -5,7 +5,8 @@
 
 use anyhow::Context as _;
 use scene::{Camera, View};
-use shaders::splat::{PinholeCamera, RasterSettings};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::RasterSettings;
 use shaders::tape::Tensor;
 use training::player::Player;
 

@@ -8,7 +8,7 @@ use glam::DVec3;
 use image::{Rgb, RgbImage};
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Protocol, Split, TimeMap, image_file};
 use serde_json::{Value, json};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor};
 use training::player::Player;
 use training::run::{Watch, train};

@@ -8,7 +8,7 @@ use anyhow::{Context as _, bail};
 use engine::ParamProblem;
 use scene::{Capture, Split, image_file};
 use serde_json::{Map, Value};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Device;
 use training::TrainingParams;
 use training::curve::{psnr, to_bytes};

@@ -6,7 +6,7 @@ use engine::{Facts, Failure, FailureKind};
 use rayon::prelude::*;
 use scene::cloud::PointCloud;
 use scene::{Capture, Split, View, facts};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Real, Tensor};
 
 use crate::method::{SceneFacts, TrainingView};

@@ -1,8 +1,9 @@
 //! Asking a trained model in words: where in the picture is what a prompt means?
 
 use anyhow::ensure;
-use shaders::rows::{divide_rows, normalize, reshape};
-use shaders::splat::{self, PinholeCamera};
+use shaders::arrays::rows::{divide_rows, normalize, reshape};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::method::too_large;
@@ -51,7 +52,7 @@ impl Player {
             return Ok(None);
         };
         let settings = self.raster_settings();
-        let rendered = splat::render(&mut tape, &splats, Some(semantics), camera, &settings).map_err(too_large)?;
+        let rendered = rasteriser::render(&mut tape, &splats, Some(semantics), camera, &settings).map_err(too_large)?;
         let features = rendered.features.expect("features were given");
         let (width, pixels) = (tape.value(features).shape()[2], camera.height * camera.width);
         let by_pixel = reshape(&mut tape, features, [pixels, width]);

@@ -7,7 +7,8 @@ use engine::{Failure, FailureKind};
 use rand_chacha::ChaCha8Rng;
 use scene::TimeMap;
 use scene::cloud::PointCloud;
-use shaders::splat::{PinholeCamera, RasterSettings, SplatVars, TooManyIntersections};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{RasterSettings, SplatVars, TooManyIntersections};
 use shaders::tape::{Real, Tape, Tensor};
 
 use crate::dataset::Dataset;
@@ -119,7 +120,7 @@ pub trait Method<T: Real>: Send + Sync {
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear>;
 
     /// The Gaussians at one moment: the motion model. Those that are not there then have the opacity
-    /// [`shaders::splat::HIDDEN_LOGIT`].
+    /// [`shaders::rasteriser::HIDDEN_LOGIT`].
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars>;
 
     /// Which rows of the model [`Method::splats`] returns at a moment, where that changes with the moment; `None`: all

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context as _, ensure};
 use shaders::adam::{Adam, Group, GroupState, Update};
+use shaders::arrays::magnitude::largest_magnitudes;
 use shaders::gpu::Gpu;
-use shaders::magnitude::largest_magnitudes;
 use shaders::tape::{Tape, Tensor};
 
 use crate::artifact::NamedTensor;

@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::Context as _;
 use engine::{Failure, FailureKind};
 use scene::Gaussians;
-use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, SplatVars};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
 use crate::artifact::Model;
@@ -141,15 +142,15 @@ impl Player {
         camera: &PinholeCamera,
         settings: &RasterSettings,
     ) -> anyhow::Result<Rendered> {
-        let mut rendered = splat::render(tape, splats, features, camera, settings).map_err(too_large)?;
+        let mut rendered = rasteriser::render(tape, splats, features, camera, settings).map_err(too_large)?;
         let mut found = tape.settle();
         if !found.fits {
             tape.wait_for_room();
-            rendered = splat::render(tape, splats, features, camera, settings).map_err(too_large)?;
+            rendered = rasteriser::render(tape, splats, features, camera, settings).map_err(too_large)?;
             found = tape.settle();
         }
         self.room.fetch_max(found.intersections, Ordering::Relaxed);
-        match found.events.get(splat::NOT_FINITE) {
+        match found.events.get(rasteriser::NOT_FINITE) {
             Some(count) => {
                 let message = format!("a value of {count} splats is not finite");
                 Err(Failure::new(FailureKind::Diverged, message).into())

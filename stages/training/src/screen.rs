@@ -2,7 +2,7 @@
 
 use std::cell::OnceCell;
 
-use shaders::screen::{self, Look};
+use shaders::rasteriser::screen::{self, Look};
 use shaders::tape::{Gradients, Tape, Tensor};
 
 use crate::step::{OwnerVars, WatchedRender};
@@ -150,7 +150,8 @@ impl ScreenGradients {
 mod tests {
     use std::sync::Arc;
 
-    use shaders::splat::{PinholeCamera, RasterSettings, SplatTensors, render};
+    use shaders::geometry::camera::PinholeCamera;
+    use shaders::rasteriser::{RasterSettings, SplatTensors, render};
     use shaders::tape::Device;
 
     use super::*;

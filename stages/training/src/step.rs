@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use rand_chacha::ChaCha8Rng;
-use shaders::losses::l1_dssim;
-use shaders::splat::{self, RasterSettings, Rendered, SplatVars};
+use shaders::losses::l1::l1_dssim;
+use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Gradients, Real, Tape, Tensor, Var, first_elements};
 
 use crate::clock::PhaseClock;
@@ -164,7 +164,8 @@ impl<'a, T: Real> Step<'a, T> {
         view: &TrainingView<T>,
     ) -> anyhow::Result<Rendered> {
         self.clock.enter("render");
-        let rendered = splat::render(self.tape, splats, features, &view.camera, &self.raster).map_err(too_large)?;
+        let rendered =
+            rasteriser::render(self.tape, splats, features, &view.camera, &self.raster).map_err(too_large)?;
         self.clock.enter("losses");
         Ok(rendered)
     }

@@ -9,7 +9,8 @@ use scene::{
     Protocol, Split, TimeMap, VelocityMap,
 };
 use shaders::check::noise;
-use shaders::splat::{self, PinholeCamera, RasterSettings, Rendered, ShapeVars, SplatVars};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{self, RasterSettings, Rendered, ShapeVars, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
 use crate::curve::to_bytes;
@@ -192,7 +193,7 @@ impl TestScene {
         let moves = tape.constant(Tensor::from_vec([6, 1], (0..6).map(|at| f32::from(at % 2 == 0)).collect()));
         let settings = RasterSettings { background: [0.0; 3], sh_degree: 0, depth, ..RasterSettings::default() };
         let camera = PinholeCamera::from(camera);
-        let rendered = splat::render(&mut tape, &splats, Some(moves), &camera, &settings).unwrap();
+        let rendered = rasteriser::render(&mut tape, &splats, Some(moves), &camera, &settings).unwrap();
         let moving = tape.value(rendered.features.unwrap()).as_slice().to_vec();
         (tape, rendered, moving)
     }

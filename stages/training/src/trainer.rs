@@ -22,7 +22,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use engine::{Decision, Facts};
 use rand_chacha::ChaCha8Rng;
-use shaders::splat::{self, PinholeCamera, SplatVars};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{self, SplatVars};
 use shaders::tape::{Device, Profile, Tape};
 
 use crate::artifact::LargestGradient;
@@ -157,7 +158,7 @@ impl Trainer<'_> {
             let splats = self.splats(&mut tape, &moment)?;
             n_gaussians = present(&tape, &splats).len() as u64;
             let settings = raster_settings(&self.dataset.scene, self.sh_degree);
-            let rendered = splat::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
+            let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
             psnr_sum += curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
         }
         self.curve.push(CurvePoint {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use engine::{DeviceClass, Store, exit};
+use shaders::check::conformance;
 use shaders::gpu::{self, AdapterReport};
 
 use crate::error::CliError;
@@ -102,7 +103,7 @@ fn describe(adapter: &AdapterReport) -> String {
 /// Opens the adapter and compares it with the CPU.
 fn try_adapter(adapter: &AdapterReport) -> anyhow::Result<String> {
     let gpu = adapter.open()?;
-    let conformance = gpu::conformance::check(gpu)?;
+    let conformance = conformance::check(gpu)?;
     let launches = gpu.counts().launches;
     Ok(format!(
         "agrees with the CPU in {} comparisons ({launches} launches, {:.1} s)",

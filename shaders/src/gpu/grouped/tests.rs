@@ -2,9 +2,9 @@ use std::cell::Cell;
 
 use super::*;
 use crate::check::agree;
-use crate::gpu::conformance::Disagreement;
-use crate::gpu::fault::assert_noticed;
-use crate::gpu::layout::{Fields, check_layout, validate};
+use crate::check::conformance::Disagreement;
+use crate::gpu::fault_tests::assert_noticed;
+use crate::gpu::layout_tests::{Fields, check_layout, validate};
 use crate::gpu::tests::test_gpu;
 use crate::gpu::{GpuArray, uniforms};
 use crate::tape::Tensor;

@@ -1,8 +1,8 @@
 use std::cell::Cell;
 
 use super::*;
-use crate::gpu::conformance::Disagreement;
-use crate::gpu::fault::with_fault;
+use crate::check::conformance::Disagreement;
+use crate::gpu::fault_tests::with_fault;
 
 thread_local! {
     /// Whether parts are as small as they can be, for the tests of this thread.

@@ -75,7 +75,7 @@ impl<'a> SplitArray<'a> {
         let get = self.choice(&|element| format!("return {element};"));
         let get = format!("fn get_{name}(at: u32) -> {element} {{\n{get}}}\n");
         #[cfg(test)]
-        let get = crate::gpu::fault::planted("parts", get);
+        let get = crate::gpu::fault_tests::planted("parts", get);
         if !self.is_written {
             return get;
         }

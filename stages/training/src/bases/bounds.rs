@@ -1,7 +1,7 @@
 //! The box of a scene: what reads coordinates reads them in its box, so that neither where the world's origin lies nor
 //! how long its unit is changes what is learnt.
 
-use shaders::rows::in_unit_box;
+use shaders::arrays::rows::in_unit_box;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::state::{ModelState, Variables};

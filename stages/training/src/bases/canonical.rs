@@ -6,7 +6,7 @@
 
 use scene::cloud::PointCloud;
 use shaders::pointwise;
-use shaders::splat::{ShapeVars, SplatVars};
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};

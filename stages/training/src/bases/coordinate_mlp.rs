@@ -8,10 +8,10 @@
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
-use shaders::linear::Activation;
+use shaders::arrays::rows::{RowIndex, concat_columns, gather};
+use shaders::networks::linear::Activation;
+use shaders::networks::positional_encoding::PositionalEncoding;
 use shaders::pointwise::scale;
-use shaders::positional_encoding::PositionalEncoding;
-use shaders::rows::{RowIndex, concat_columns, gather};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::bounds::{self, Bounds};

@@ -2,7 +2,7 @@
 //! (Wu et al. 2024, section 4.3).
 
 use rand_chacha::ChaCha8Rng;
-use shaders::linear::Activation;
+use shaders::networks::linear::Activation;
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::layers::{FirstWeights, apply_layer, apply_layers, insert_layer};

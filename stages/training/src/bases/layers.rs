@@ -3,7 +3,7 @@
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use shaders::linear::{Activation, Layer, linear, linears};
+use shaders::networks::linear::{Activation, Layer, linear, linears};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::state::{ModelState, Variables};

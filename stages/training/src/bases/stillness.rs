@@ -1,7 +1,8 @@
 //! Gaussians that no training view shows where something moves: they skip what moves the others.
 
-use shaders::rows::{RowIndex, concat_rows, gather};
-use shaders::splat::{PinholeCamera, ShapeVars, SplatVars};
+use shaders::arrays::rows::{RowIndex, concat_rows, gather};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::canonical::scales_and_rotations;

@@ -6,7 +6,7 @@
 //! them again one by one, watching each: a failure then shows where it arises, and a lack of room never has an effect.
 
 use rand_chacha::ChaCha8Rng;
-use shaders::splat::NOT_FINITE;
+use shaders::rasteriser::NOT_FINITE;
 use shaders::tape::{Figures, Found, Profile};
 
 use super::Trainer;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use engine::{Failure, FailureKind};
-use shaders::splat;
+use shaders::rasteriser;
 use shaders::tape::{Tape, Tensor};
 
 use super::Trainer;
@@ -16,7 +16,7 @@ impl Trainer<'_> {
         if let Some(name) = losses.iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name) {
             return Err(self.not_finite(&format!("loss {name}"), Some(tape)));
         }
-        match tape.profile().events.get(splat::NOT_FINITE) {
+        match tape.profile().events.get(rasteriser::NOT_FINITE) {
             Some(count) => Err(self.not_finite(&format!("a value of {count} splats"), Some(tape))),
             None => Ok(()),
         }

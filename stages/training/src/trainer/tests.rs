@@ -135,7 +135,7 @@ fn one_frame_is_overfitted() {
         let mut tape = Tape::new(Device::Cpu);
         let splats = trainer.splats(&mut tape, &trainer.moment(view.time, &view.camera)).unwrap();
         let settings = raster_settings(&dataset.scene, trainer.sh_degree);
-        let rendered = splat::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
+        let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
         let psnr = curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
         assert!(psnr >= 30.0, "{method} reaches {psnr:.2} dB on its only frame");
     }

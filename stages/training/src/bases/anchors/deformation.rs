@@ -3,9 +3,9 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
+use shaders::geometry::quaternion;
 use shaders::pointwise::adds;
-use shaders::quaternion;
-use shaders::splat::{ShapeVars, SplatVars};
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use super::{ANCHORS, AnchorSettings};

@@ -24,7 +24,7 @@ pub use views::{SpawnedGaussians, insert_view_networks, spawn};
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use shaders::losses::l1_dssim;
+use shaders::losses::l1::l1_dssim;
 use shaders::tape::{Real, Var};
 
 use crate::method::{Phase, SceneFacts, TrainingView};

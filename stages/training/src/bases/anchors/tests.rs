@@ -1,7 +1,8 @@
 use scene::TimeMap;
 use shaders::check::{self, noise, test_gpu};
+use shaders::geometry::camera::PinholeCamera;
 use shaders::gpu::readbacks_of_this_thread;
-use shaders::splat::{PinholeCamera, RasterSettings, render};
+use shaders::rasteriser::{RasterSettings, render};
 use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;

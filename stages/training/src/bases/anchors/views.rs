@@ -4,12 +4,13 @@
 use std::sync::Arc;
 
 use rand_chacha::ChaCha8Rng;
-use shaders::linear::Activation;
-use shaders::neural_gaussians::{AnchorVars, NeuralGaussians, neural_gaussians};
-use shaders::point_lookup::in_view;
+use shaders::arrays::rows::{concat_columns, normalize, repeat_row, row_sum};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::geometry::point_lookup::in_view;
+use shaders::networks::linear::Activation;
 use shaders::pointwise::{hyperbolic_tangent, relu, sigmoid, sub};
-use shaders::rows::{concat_columns, normalize, repeat_row, row_sum};
-use shaders::splat::{PinholeCamera, ShapeVars, SplatVars};
+use shaders::rasteriser::neural_gaussians::{AnchorVars, NeuralGaussians, neural_gaussians};
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::{ANCHORS, AnchorSettings, Anchors};

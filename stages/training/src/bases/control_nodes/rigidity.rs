@@ -1,10 +1,10 @@
 //! As-rigid-as-possible motion (Sorkine and Alexa 2007): neighbourhoods may move and turn, but should not stretch.
 
-use shaders::losses::total;
-use shaders::neighbor_blend::Neighbors;
+use shaders::arrays::rows::{RowIndex, gather};
+use shaders::arrays::totals::total;
+use shaders::geometry::neighbor_blend::Neighbors;
+use shaders::geometry::quaternion;
 use shaders::pointwise::{square, sub};
-use shaders::quaternion;
-use shaders::rows::{RowIndex, gather};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 /// Who stays rigid to whom.

@@ -1,6 +1,6 @@
 //! The harmonics in use: constant and higher coefficients, which are stored apart because their step sizes differ.
 
-use shaders::rows::{columns, concat_columns, reshape};
+use shaders::arrays::rows::{columns, concat_columns, reshape};
 use shaders::tape::{Real, Tape, Var};
 
 /// [N, 1, 3] and [N, R, 3] to [N, (degree + 1)², 3]: the constant coefficient followed by the first higher ones.

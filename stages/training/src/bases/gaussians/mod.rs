@@ -23,7 +23,7 @@ pub use statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 
 use principal_axes::principal_axes;
 use scene::Gaussians;
-use shaders::splat::{HIDDEN_LOGIT, ShapeVars, SplatVars};
+use shaders::rasteriser::{HIDDEN_LOGIT, ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape};
 
 use crate::method::SceneFacts;

@@ -1,7 +1,7 @@
 //! What renders said about Gaussians since they were last judged.
 
 use serde::{Deserialize, Serialize};
-use shaders::screen::COLUMNS;
+use shaders::rasteriser::screen::COLUMNS;
 use shaders::tape::Tensor;
 
 use crate::screen::{Screen, ScreenGradients};
@@ -10,7 +10,7 @@ use crate::screen::{Screen, ScreenGradients};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Vec<f32>", into = "Vec<f32>")]
 pub struct Statistics {
-    /// [N, 3], as [`shaders::screen::observe`] adds them up: the sum of the gradients' norms, steps that saw the Gaussian,
+    /// [N, 3], as [`shaders::rasteriser::screen::observe`] adds them up: the sum of the gradients' norms, steps that saw the Gaussian,
     /// and its largest radius in pixels.
     rows: Tensor<f32>,
 }

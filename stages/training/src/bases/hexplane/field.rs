@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use shaders::hexplane::{HexplaneShape, PlaneMean, hexplane, is_time_plane, plane_means};
+use shaders::networks::hexplane::{HexplaneShape, PlaneMean, hexplane, is_time_plane, plane_means};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::bounds;

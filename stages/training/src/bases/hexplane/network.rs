@@ -4,7 +4,7 @@
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::pointwise::{add, adds};
-use shaders::splat::{ShapeVars, SplatVars};
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::leading_harmonics;

@@ -2,7 +2,7 @@ use std::collections::BTreeSet;
 
 use scene::TimeMap;
 use shaders::check;
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor};
 
 use super::*;

@@ -10,8 +10,8 @@
 //! Spatial scales and colours differ between methods.
 
 use rand_chacha::ChaCha8Rng;
-use shaders::losses::total;
-use shaders::slicing4d::{self, Gaussians4dVars, SlicedVars};
+use shaders::arrays::totals::total;
+use shaders::rasteriser::slicing4d::{self, Gaussians4dVars, SlicedVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::uniform;

@@ -9,9 +9,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
+use shaders::geometry::quaternion;
 use shaders::pointwise::add;
-use shaders::quaternion;
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;

@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;

@@ -1,10 +1,10 @@
 //! When each particle moves: a window of time around a learnt centre (KineticGS equations 7 to 9).
 
 use rand_chacha::ChaCha8Rng;
-use shaders::histogram::{divergence_from_uniform, soft_histogram};
-use shaders::linear::Activation;
+use shaders::losses::histogram::{divergence_from_uniform, soft_histogram};
+use shaders::networks::linear::Activation;
+use shaders::networks::positional_encoding::PositionalEncoding;
 use shaders::pointwise::{add, hyperbolic_tangent, mul, scale, shift, sigmoid, sub};
-use shaders::positional_encoding::PositionalEncoding;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer, uniform};

@@ -8,9 +8,9 @@ use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shaders::losses::{mean, weighted_mean};
+use shaders::arrays::rows::{RowIndex, divide_rows, gather, reshape, squared_norm};
+use shaders::arrays::totals::{mean, weighted_mean};
 use shaders::pointwise::{mul, sub};
-use shaders::rows::{RowIndex, divide_rows, gather, reshape, squared_norm};
 use shaders::tape::{Real, Tape, Var};
 
 use super::particles::{Moved, Particles};

@@ -7,10 +7,10 @@
 
 use glam::DVec2;
 use scene::{Camera, DepthMap};
-use shaders::losses::{total, weighted_mean};
-use shaders::point_lookup::{FlowMaps, PinholeCamera, flow_targets};
+use shaders::arrays::rows::{gather, norm, row_dot, scale_rows};
+use shaders::arrays::totals::{total, weighted_mean};
+use shaders::geometry::point_lookup::{FlowMaps, PinholeCamera, flow_targets};
 use shaders::pointwise::{mul, sub};
-use shaders::rows::{gather, norm, row_dot, scale_rows};
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::particles::{Chosen, Moved, ParticleMotion, Particles};

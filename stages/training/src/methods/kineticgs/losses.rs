@@ -1,6 +1,6 @@
 //! What a step of either phase minimises (KineticGS equation 13).
 
-use shaders::losses::total;
+use shaders::arrays::totals::total;
 use shaders::pointwise::scale;
 use shaders::tape::{Real, Var};
 

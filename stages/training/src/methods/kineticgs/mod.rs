@@ -15,7 +15,7 @@ mod weights;
 use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;

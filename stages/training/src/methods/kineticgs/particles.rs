@@ -5,9 +5,9 @@
 
 use std::sync::Arc;
 
+use shaders::arrays::rows::{RowIndex, gather, scale_rows, segment_sum};
 use shaders::pointwise;
 use shaders::pointwise::{add, mul};
-use shaders::rows::{RowIndex, gather, scale_rows, segment_sum};
 use shaders::tape::{Device, Real, Tape, Var};
 
 use super::activation::Windows;

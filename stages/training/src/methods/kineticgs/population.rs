@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use shaders::rows::RowIndex;
+use shaders::arrays::rows::RowIndex;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::coherence::{Pairs, Search};

@@ -5,9 +5,9 @@ mod training;
 
 use std::collections::BTreeSet;
 
+use shaders::arrays::rows::{scale_rows, segment_sum};
 use shaders::check;
 use shaders::pointwise::mul;
-use shaders::rows::{scale_rows, segment_sum};
 use shaders::tape::{Device, Var};
 
 use super::*;

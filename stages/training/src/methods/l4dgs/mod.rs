@@ -12,7 +12,7 @@ mod tokens;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use scene::cloud::PointCloud;
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;

@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 
 use serde_json::{Value, json};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Device;
 
 use super::*;

@@ -1,7 +1,7 @@
 //! The grid of tokens that an image is cut into.
 
-use shaders::pooling::average_pool;
-use shaders::rows::{RowIndex, gather, reshape};
+use shaders::arrays::rows::{RowIndex, gather, reshape};
+use shaders::networks::pooling::average_pool;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::settings::TeacherSettings;

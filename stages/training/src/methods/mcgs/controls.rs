@@ -3,9 +3,9 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use shaders::neighbor_blend::{Neighbors, blend};
+use shaders::arrays::rows::{columns, concat_columns};
+use shaders::geometry::neighbor_blend::{Neighbors, blend};
 use shaders::pointwise;
-use shaders::rows::{columns, concat_columns};
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::settings::Settings;

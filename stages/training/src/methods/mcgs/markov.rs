@@ -3,12 +3,12 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use shaders::attention::window_attention;
-use shaders::layer_norm::layer_norm;
-use shaders::linear::Activation;
+use shaders::arrays::rows::{RowIndex, columns, concat_columns, gather, reshape};
+use shaders::geometry::quaternion;
+use shaders::networks::attention::window_attention;
+use shaders::networks::layer_norm::layer_norm;
+use shaders::networks::linear::Activation;
 use shaders::pointwise::{add, relu, scale};
-use shaders::quaternion;
-use shaders::rows::{RowIndex, columns, concat_columns, gather, reshape};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::motion::{NETWORK, NodeMotion, frame_interval};

@@ -12,9 +12,9 @@ mod tests;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
+use shaders::arrays::rows::{RowIndex, gather};
 use shaders::pointwise::add;
-use shaders::rows::{RowIndex, gather};
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;

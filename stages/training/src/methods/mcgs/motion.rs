@@ -2,11 +2,11 @@
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
-use shaders::neighbor_blend::{Neighbors, blend, weights};
+use shaders::arrays::rows::{RowIndex, gather};
+use shaders::geometry::neighbor_blend::{Neighbors, blend, weights};
+use shaders::geometry::quaternion;
 use shaders::pointwise::{add, mix};
-use shaders::quaternion;
-use shaders::rows::{RowIndex, gather};
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::markov::Chain;

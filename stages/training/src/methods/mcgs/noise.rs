@@ -2,10 +2,10 @@
 
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
+use shaders::arrays::rows::scale_rows;
+use shaders::geometry::quaternion;
 use shaders::pointwise;
 use shaders::pointwise::{add, scale, shift};
-use shaders::quaternion;
-use shaders::rows::scale_rows;
 use shaders::tape::{Real, Tensor};
 
 use super::controls::{NOISE, VISIBILITY};

@@ -1,10 +1,10 @@
 //! Nodes avoid acceleration and haste (equations 17 to 19).
 
 use serde::{Deserialize, Serialize};
-use shaders::losses::mean;
+use shaders::arrays::rows::row_sum;
+use shaders::arrays::totals::mean;
+use shaders::geometry::quaternion;
 use shaders::pointwise::{add, magnitude, scale, square, sub};
-use shaders::quaternion;
-use shaders::rows::row_sum;
 use shaders::tape::{Real, Tape, Var};
 
 use super::motion::{NodeMotion, frame_interval};

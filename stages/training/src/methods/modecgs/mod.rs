@@ -6,9 +6,9 @@ mod tests;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
+use shaders::arrays::rows::{columns, scale_rows};
 use shaders::pointwise::{add, sigmoid};
-use shaders::rows::{columns, scale_rows};
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;

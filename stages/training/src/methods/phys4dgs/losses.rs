@@ -1,11 +1,12 @@
 //! Equations 3 to 11, in frames and motion units.
 
 use rand::RngExt as _;
-use shaders::losses::total;
+use shaders::arrays::rows::weighted_mean_squared_difference;
+use shaders::arrays::sample::{SampleSize, sample_rows};
+use shaders::arrays::totals::total;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::pointwise::{add, scale, sub};
-use shaders::rows::weighted_mean_squared_difference;
-use shaders::sample::{SampleSize, sample_rows};
-use shaders::splat::{PinholeCamera, Rendered};
+use shaders::rasteriser::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
 use super::observation::{

@@ -9,7 +9,7 @@ mod trajectories;
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;

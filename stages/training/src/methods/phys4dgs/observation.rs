@@ -1,11 +1,12 @@
 //! What images show of the motion of points, as constants: no gradient flows to what was seen.
 
 use scene::{FlowMap, VelocityMap};
-use shaders::point_lookup::{PointsInImage, Sampled, Sampling, lookup, project_points, unproject};
+use shaders::arrays::rows::{divide_rows, keep_rows, median_where, norm, repeat_row, reshape};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::geometry::point_lookup::{PointsInImage, Sampled, Sampling, lookup, project_points, unproject};
 use shaders::pointwise;
 use shaders::pointwise::{add, mul, scale, sub};
-use shaders::rows::{divide_rows, keep_rows, median_where, norm, repeat_row, reshape};
-use shaders::splat::{self, PinholeCamera, Rendered};
+use shaders::rasteriser::{self, Rendered};
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::PhysicalGaussians;
@@ -209,7 +210,7 @@ impl PhysicalGaussians {
         let camera = PinholeCamera::from(&flow.camera_to);
         let moment = Moment { scene: step.scene, phase: step.phase, time, camera: &camera, sh_degree: step.sh_degree };
         let splats = self.base.splats(&mut aside, &model, &moment);
-        let rendered = splat::render(&mut aside, &splats, None, &camera, &step.raster).map_err(too_large)?;
+        let rendered = rasteriser::render(&mut aside, &splats, None, &camera, &step.raster).map_err(too_large)?;
         let surface = surface_depth(&aside, &rendered, self.settings.min_coverage);
         step.tape.heed(aside);
         Ok(surface)

@@ -1,13 +1,13 @@
 //! Gaussians followed over a few frames.
 
 use scene::LabelMap;
-use shaders::losses::total;
+use shaders::arrays::rows::{RowIndex, gather, reshape, squared_norm};
+use shaders::arrays::sample::SampledRows;
+use shaders::arrays::totals::total;
 use shaders::pointwise;
 use shaders::pointwise::{scale, shift, sub};
-use shaders::rows::{RowIndex, gather, reshape, squared_norm};
-use shaders::sample::SampledRows;
-use shaders::screen::covered;
-use shaders::splat::Rendered;
+use shaders::rasteriser::Rendered;
+use shaders::rasteriser::screen::covered;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use crate::bases::gaussians::GAUSSIANS;

@@ -9,11 +9,11 @@ use std::collections::BTreeMap;
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
+use shaders::networks::temporal_harmonics::temporal_harmonics;
 use shaders::pointwise::add;
-use shaders::slicing4d::SlicedVars;
-use shaders::splat::{ShapeVars, SplatVars};
+use shaders::rasteriser::slicing4d::SlicedVars;
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
-use shaders::temporal_harmonics::temporal_harmonics;
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};

@@ -5,11 +5,11 @@ use std::num::NonZero;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
-use shaders::losses::total;
-use shaders::neighbor_blend::Neighbors;
+use shaders::arrays::rows::{RowIndex, concat_columns, divide_rows, gather, norm, reshape, squared_norm};
+use shaders::arrays::totals::total;
+use shaders::geometry::neighbor_blend::Neighbors;
 use shaders::pointwise::{exponential, mul, scale, shift, sub};
-use shaders::rows::{RowIndex, concat_columns, divide_rows, gather, norm, reshape, squared_norm};
-use shaders::slicing4d::SlicedVars;
+use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::settings::Settings;

@@ -1,9 +1,9 @@
 //! Candidates for nodes: round Gaussians that the network moves, so that they come to lie where things move.
 
 use scene::cloud::PointCloud;
+use shaders::arrays::rows::{concat_columns, row_sum};
 use shaders::pointwise::{add, scale};
-use shaders::rows::{concat_columns, row_sum};
-use shaders::splat::{ShapeVars, SplatVars};
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape};
 
 use super::nodes::Nodes;

@@ -8,7 +8,7 @@ mod tests;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;

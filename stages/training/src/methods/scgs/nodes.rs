@@ -3,10 +3,10 @@
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
-use shaders::neighbor_blend::{Frames, Neighbors, blend, blend_frames, weights};
+use shaders::arrays::rows::{RowIndex, concat_columns, gather};
+use shaders::geometry::neighbor_blend::{Frames, Neighbors, blend, blend_frames, weights};
 use shaders::pointwise::add;
-use shaders::rows::{RowIndex, concat_columns, gather};
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::Settings;

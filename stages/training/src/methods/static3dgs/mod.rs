@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;

@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::pointwise::mul;
-use shaders::slicing4d::SlicedVars;
-use shaders::splat::SplatVars;
+use shaders::rasteriser::SplatVars;
+use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;

@@ -1,10 +1,10 @@
 //! The splats of both layers at a time.
 
+use shaders::arrays::rows::{concat_columns, concat_rows, row_dot, scale_rows};
 use shaders::pointwise::{add, scale, sub};
-use shaders::projection::factors;
-use shaders::rows::{concat_columns, concat_rows, row_dot, scale_rows};
-use shaders::slicing4d::SlicedVars;
-use shaders::splat::{ShapeVars, SplatVars};
+use shaders::rasteriser::projection::factors;
+use shaders::rasteriser::slicing4d::SlicedVars;
+use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use super::layers::{BACKGROUND, FOREGROUND};

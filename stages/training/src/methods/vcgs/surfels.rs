@@ -4,7 +4,8 @@ use std::collections::HashSet;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Camera, DepthMap, NormalMap};
-use shaders::splat::{PinholeCamera, RasterSettings, SplatTensors, TooManyIntersections, render_image};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{RasterSettings, SplatTensors, TooManyIntersections, render_image};
 use shaders::tape::Tensor;
 
 /// Standard deviation per pixel spacing: 1/√2 covers the image without holes at the sampling limit (Yu et al. 2025,

@@ -1,7 +1,8 @@
 use glam::DVec3;
 use scene::Camera;
 use shaders::check::{self, TOLERANCE, noise};
-use shaders::splat::{PinholeCamera, RasterSettings};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::RasterSettings;
 use shaders::tape::{Device, Var};
 use tempfile::TempDir;
 
@@ -202,7 +203,8 @@ fn surfels_lie_on_the_surface_and_show_the_picture() {
     let model = state.bind(&mut tape, |_| false);
     let splats = standing(&mut tape, &model);
     let settings = RasterSettings { sh_degree: 0, ..RasterSettings::default() };
-    let rendered = shaders::splat::render(&mut tape, &splats, None, &PinholeCamera::from(&camera), &settings).unwrap();
+    let rendered =
+        shaders::rasteriser::render(&mut tape, &splats, None, &PinholeCamera::from(&camera), &settings).unwrap();
     let image = tape.value(rendered.color).as_slice();
     let errors = image.iter().zip(&pixels).map(|(found, &level)| (found - f32::from(level) / 255.0).powi(2));
     let mse = errors.sum::<f32>() / image.len() as f32;

@@ -1,8 +1,8 @@
 //! A GPU, which masks particles, computes what the CPU does, which leaves them out; and nobody waits for it.
 
 use shaders::check::test_gpu;
+use shaders::geometry::point_lookup::FlowMaps;
 use shaders::gpu::readbacks_of_this_thread;
-use shaders::point_lookup::FlowMaps;
 
 use super::super::coherence::{Search, displacement_incoherence, window_incoherence};
 use super::super::energy_flow::{FlowView, energy_flow};

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use scene::{Camera, DepthMap, FlowMap, Intrinsics};
 
-use shaders::point_lookup::flow_targets;
+use shaders::geometry::point_lookup::flow_targets;
 
 use super::super::energy_flow::{FlowView, energy_flow};
 use super::*;

@@ -4,9 +4,9 @@ mod observed;
 mod terms;
 mod weights;
 
-use shaders::losses::total;
+use shaders::arrays::totals::total;
 use shaders::pointwise::{mul, sub};
-use shaders::splat::Rendered;
+use shaders::rasteriser::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
 use super::settings::LossWeights;

@@ -1,9 +1,9 @@
 //! What renders, depth maps and images say about the tokens of the grid.
 
 use scene::DepthMap;
+use shaders::arrays::rows::{concat_columns, divide_rows, reshape};
 use shaders::pointwise::{scale, square};
-use shaders::rows::{concat_columns, divide_rows, reshape};
-use shaders::splat::Rendered;
+use shaders::rasteriser::Rendered;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::super::tokens::{CELLS, TokenGrid};

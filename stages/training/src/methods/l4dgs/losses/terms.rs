@@ -1,8 +1,8 @@
 //! Sums over weighted tokens: the terms that equations 3 to 8 have in common.
 
-use shaders::losses::total;
+use shaders::arrays::rows::{cosine_distance, squared_norm};
+use shaders::arrays::totals::total;
 use shaders::pointwise::{mul, sub};
-use shaders::rows::{cosine_distance, squared_norm};
 use shaders::tape::{Real, Var};
 
 use super::weights::directed;

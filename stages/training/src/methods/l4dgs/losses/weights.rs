@@ -1,9 +1,9 @@
 //! How much tokens and cells count: ones, zeros and shares on the step's device, which nobody on the host looks at. They
 //! are cut off from what they follow from, so that no gradient flows through a weight.
 
-use shaders::losses::total;
+use shaders::arrays::rows::{RowIndex, divide_rows, norm, repeat_row, reshape, row_sum, scale_rows, segment_mean};
+use shaders::arrays::totals::total;
 use shaders::pointwise::{mul, sub};
-use shaders::rows::{RowIndex, divide_rows, norm, repeat_row, reshape, row_sum, scale_rows, segment_mean};
 use shaders::tape::{Real, Tape, Var};
 
 /// Less than any weight that is not zero: what divides by a sum of weights gives 0 where all of them are.

@@ -13,10 +13,10 @@ mod text;
 pub use text::prompt_embeddings;
 
 use rand_chacha::ChaCha8Rng;
-use shaders::attention::{TopKAttention, top_k_attention};
-use shaders::linear::Activation;
+use shaders::arrays::rows::{concat_columns, normalize};
+use shaders::networks::attention::{TopKAttention, top_k_attention};
+use shaders::networks::linear::Activation;
 use shaders::pointwise::add;
-use shaders::rows::{concat_columns, normalize};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::settings::TeacherSettings;

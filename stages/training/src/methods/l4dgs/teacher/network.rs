@@ -2,10 +2,10 @@
 //! the one before: convolution, group normalisation, ReLU.
 
 use rand_chacha::ChaCha8Rng;
-use shaders::convolution::{Sampling, central_difference, convolution};
-use shaders::group_norm::group_norm;
+use shaders::networks::convolution::{Sampling, central_difference, convolution};
+use shaders::networks::group_norm::group_norm;
+use shaders::networks::pooling::average_pool;
 use shaders::pointwise::relu;
-use shaders::pooling::average_pool;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::super::settings::TeacherSettings;

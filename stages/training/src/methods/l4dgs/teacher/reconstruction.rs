@@ -1,8 +1,8 @@
 //! What the teacher is trained on: every token is decoded to what the image shows there.
 
-use shaders::losses::mean;
+use shaders::arrays::rows::{columns, cosine_distance, squared_norm};
+use shaders::arrays::totals::mean;
 use shaders::pointwise::sub;
-use shaders::rows::{columns, cosine_distance, squared_norm};
 use shaders::tape::{Real, Tape, Var};
 
 use super::{COLOR_STATISTICS, MIN_NORM, Teacher};

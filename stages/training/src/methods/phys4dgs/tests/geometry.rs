@@ -3,7 +3,7 @@
 use glam::DVec3;
 use scene::{Camera, FlowMap, Intrinsics, VelocityMap};
 use shaders::check::{agree, test_gpu};
-use shaders::splat::PinholeCamera;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Real, Tensor};
 
 use crate::methods::phys4dgs::observation::{

@@ -1,0 +1,289 @@
+//! Operations that move elements and compute nothing.
+
+mod gpu;
+
+use std::ops::Range;
+
+use super::with_rows;
+use crate::gpu::Gpu;
+use crate::tape::chunks::map_chunks;
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+
+/// Rows per partial sum of the backward pass of [`repeat_row`].
+const ROWS_PER_CHUNK: usize = 4096;
+
+/// Tensors of N rows side by side: [N, a], [N, b], … → [N, a + b + …].
+pub fn concat_columns<T: Real>(tape: &mut Tape<T>, parts: &[Var]) -> Var {
+    let rows = tape.value(parts[0]).rows();
+    assert!(parts.iter().all(|&part| tape.value(part).rows() == rows), "concat_columns: numbers of rows differ");
+    tape.apply_one(ConcatColumns, parts)
+}
+
+/// Tensors of equal row shape below each other: [M, …], [N, …], … → [M + N + …, …].
+pub fn concat_rows<T: Real>(tape: &mut Tape<T>, parts: &[Var]) -> Var {
+    let row_shape = |part: &Var| tape.value(*part).shape()[1..].to_vec();
+    let first = row_shape(&parts[0]);
+    assert!(parts.iter().all(|part| row_shape(part) == first), "concat_rows: shapes of rows differ");
+    tape.apply_one(ConcatRows, parts)
+}
+
+/// Some columns of every row: [N, C] → [N, range.len()].
+pub fn columns<T: Real>(tape: &mut Tape<T>, x: Var, range: Range<usize>) -> Var {
+    let count = tape.value(x).row_len();
+    assert!(range.start <= range.end && range.end <= count, "columns: {range:?} of {count}");
+    tape.apply_one(Columns { range }, &[x])
+}
+
+/// One row as often as asked for: [C] or [1, C] → [rows, C].
+pub fn repeat_row<T: Real>(tape: &mut Tape<T>, row: Var, rows: usize) -> Var {
+    let shape = tape.value(row).shape();
+    assert!(shape.len() == 1 || shape[0] == 1, "repeat_row: {shape:?} is more than one row");
+    tape.apply_one(RepeatRow { rows }, &[row])
+}
+
+/// The same elements in the same order under another shape.
+pub fn reshape<T: Real>(tape: &mut Tape<T>, x: Var, shape: impl Into<Vec<usize>>) -> Var {
+    tape.apply_one(Reshape { shape: shape.into() }, &[x])
+}
+
+struct ConcatColumns;
+
+impl<T: Real> Op<T> for ConcatColumns {
+    fn name(&self) -> &'static str {
+        "concat_columns"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let rows = inputs[0].rows();
+        let columns = inputs.iter().map(|input| input.row_len()).sum();
+        let mut joined = Vec::with_capacity(rows * columns);
+        for row in 0..rows {
+            inputs.iter().for_each(|input| joined.extend_from_slice(input.row(row)));
+        }
+        vec![Tensor::from_vec([rows, columns], joined)]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
+        let mut first = 0;
+        let mut part_of = |(input, &needed): (&&Tensor<T>, &bool)| {
+            let range = first..first + input.row_len();
+            first = range.end;
+            needed.then(|| Tensor::from_vec(input.shape(), cut_columns(dy, range)))
+        };
+        inputs.iter().zip(needs).map(&mut part_of).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::concat_columns(gpu, inputs)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+        let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
+        Some(gpu::split(gpu, dy, dy.rows(), shapes))
+    }
+}
+
+struct ConcatRows;
+
+/// The shape of tensors below each other.
+fn joined_shape<T: Real>(parts: &[&Tensor<T>]) -> Vec<usize> {
+    with_rows(parts[0].shape(), parts.iter().map(|part| part.rows()).sum())
+}
+
+impl<T: Real> Op<T> for ConcatRows {
+    fn name(&self) -> &'static str {
+        "concat_rows"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let slices: Vec<&[T]> = inputs.iter().map(|input| input.as_slice()).collect();
+        vec![Tensor::from_vec(joined_shape(inputs), slices.concat())]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
+        let mut rest = dy.as_slice();
+        let mut part_of = |(input, &needed): (&&Tensor<T>, &bool)| {
+            let part = rest.split_off(..input.len()).expect("as many rows");
+            needed.then(|| Tensor::from_vec(input.shape(), part.to_vec()))
+        };
+        inputs.iter().zip(needs).map(&mut part_of).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::concat_rows(gpu, inputs, joined_shape(inputs))])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+        let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
+        Some(gpu::split(gpu, dy, 1, shapes))
+    }
+}
+
+struct Columns {
+    range: Range<usize>,
+}
+
+impl<T: Real> Op<T> for Columns {
+    fn name(&self) -> &'static str {
+        "columns"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        vec![Tensor::from_vec([inputs[0].rows(), self.range.len()], cut_columns(inputs[0], self.range.clone()))]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0] else { return vec![None] };
+        let mut dx = Tensor::zeros(inputs[0].shape());
+        let columns = inputs[0].row_len();
+        for (row, dx) in dx.make_mut().chunks_exact_mut(columns).enumerate() {
+            dx[self.range.clone()].copy_from_slice(dy.row(row));
+        }
+        vec![Some(dx)]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::columns(gpu, inputs[0], &self.range)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![output_grads[0].map(|dy| gpu::among_zeros(gpu, dy, self.range.start, inputs[0].shape()))])
+    }
+}
+
+fn cut_columns<T: Real>(x: &Tensor<T>, range: Range<usize>) -> Vec<T> {
+    (0..x.rows()).flat_map(|row| &x.row(row)[range.clone()]).copied().collect()
+}
+
+struct RepeatRow {
+    rows: usize,
+}
+
+impl<T: Real> Op<T> for RepeatRow {
+    fn name(&self) -> &'static str {
+        "repeat_row"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        let row = inputs[0].as_slice();
+        vec![Tensor::from_vec([self.rows, row.len()], row.repeat(self.rows))]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let Some(dy) = output_grads[0] else { return vec![None] };
+        let partial_sum = |rows: Range<usize>| {
+            let mut sum = vec![0.0; dy.row_len()];
+            rows.for_each(|row| sum.iter_mut().zip(dy.row(row)).for_each(|(sum, value)| *sum += value.to_f64()));
+            sum
+        };
+        let mut total = vec![0.0; dy.row_len()];
+        for part in map_chunks(dy.rows(), ROWS_PER_CHUNK, partial_sum) {
+            total.iter_mut().zip(part).for_each(|(total, part)| *total += part);
+        }
+        vec![Some(Tensor::from_vec(inputs[0].shape(), total.into_iter().map(T::from_f64).collect()))]
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(vec![gpu::repeat_row(gpu, inputs[0], self.rows)])
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(vec![output_grads[0].map(|dy| gpu::sum_rows(gpu, dy, inputs[0].shape()))])
+    }
+}
+
+struct Reshape {
+    shape: Vec<usize>,
+}
+
+impl<T: Real> Op<T> for Reshape {
+    fn name(&self) -> &'static str {
+        "reshape"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        vec![inputs[0].clone().reshape(self.shape.clone())]
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        _outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        vec![output_grads[0].map(|dy| dy.clone().reshape(inputs[0].shape()))]
+    }
+
+    // Elements stay where they are.
+    fn forward_gpu(&mut self, _gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        Some(self.forward(inputs))
+    }
+
+    fn backward_gpu(
+        &mut self,
+        _gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        Some(self.backward(inputs, outputs, output_grads, needs))
+    }
+}

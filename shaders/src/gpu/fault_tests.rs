@@ -1,0 +1,48 @@
+//! Faults that tests plant in the text of kernels: a comparison that does not notice them compares nothing.
+
+use std::cell::Cell;
+
+use crate::check::conformance::Disagreement;
+
+/// `(kernel, part of its text, what stands there instead)`.
+pub type Fault = (&'static str, &'static str, &'static str);
+
+thread_local! {
+    /// Of this thread alone, as tests run side by side.
+    static PLANTED: Cell<Option<Fault>> = const { Cell::new(None) };
+}
+
+/// The result with a fault.
+pub fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
+    PLANTED.set(Some(fault));
+    let result = result();
+    PLANTED.set(None);
+    result
+}
+
+/// Asserts that a comparison finds nothing as it is, and something with each of the faults.
+pub fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disagreement>) {
+    compare().unwrap_or_else(|error| panic!("{error}"));
+    for &fault in faults {
+        assert!(with_fault(fault, &compare).is_err(), "nobody notices {fault:?}");
+    }
+}
+
+/// The text of a kernel with the fault that is planted in it.
+pub fn planted(kernel: &str, text: String) -> String {
+    match PLANTED.get() {
+        Some((faulty, right, wrong)) if faulty == kernel => {
+            assert!(text.contains(right), "{kernel} has no {right:?}");
+            text.replacen(right, wrong, 1)
+        }
+        _ => text,
+    }
+}
+
+/// The name under which the pipeline of a kernel is kept: not that of the kernel without the fault.
+pub fn marked(kernel: &str, name: String) -> String {
+    match PLANTED.get() {
+        Some((faulty, right, wrong)) if faulty == kernel => format!("{name}, {right:?} as {wrong:?}"),
+        _ => name,
+    }
+}

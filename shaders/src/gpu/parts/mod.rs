@@ -1,0 +1,81 @@
+//! Arrays of which an adapter lets a kernel see less than there is are bound in parts, side by side, and the text of the
+//! kernel, whichever it is, chooses among the parts by place ([`text`]). A scene is as large as the adapter's memory.
+
+#[cfg(test)]
+pub(crate) mod tests;
+pub mod text;
+
+use super::binding::ALIGNMENT;
+use super::{Binding, Gpu, GpuFailure};
+
+/// 32-bit numbers of an array that a kernel sees: as many as the adapter lets it, up to where another part can begin.
+pub fn visible_len(gpu: Gpu) -> usize {
+    #[cfg(test)]
+    if let Some(len) = tests::changed_len() {
+        return len;
+    }
+    let numbers = usize::try_from(gpu.visible_bytes() / 4).unwrap_or(usize::MAX);
+    numbers / ALIGNMENT * ALIGNMENT
+}
+
+/// Parts in which a kernel sees an array of so many numbers.
+pub fn count(gpu: Gpu, len: usize) -> usize {
+    count_of(len, visible_len(gpu))
+}
+
+/// Parts of so many numbers each.
+fn count_of(array_len: usize, len: usize) -> usize {
+    array_len.div_ceil(len).max(1)
+}
+
+/// The arrays of a launch, some of them in parts.
+pub struct Parts<'a> {
+    /// How many parts every array has.
+    counts: Vec<usize>,
+    /// 32-bit numbers of every part but the last.
+    len: usize,
+    /// The arrays, or their first parts, and then what is left of those that have several.
+    pub bindings: Vec<Binding<'a>>,
+}
+
+impl<'a> Parts<'a> {
+    /// The parts of a kernel's arrays; `None` if the kernel sees every array whole. Panics with a [`GpuFailure`] if it
+    /// cannot see this many parts.
+    pub fn of(gpu: Gpu, kernel: &str, arrays: &[Binding<'a>]) -> Option<Self> {
+        let len = visible_len(gpu);
+        #[cfg(test)]
+        let len = tests::len_that_fits(gpu, arrays, len);
+        let counts: Vec<usize> = arrays.iter().map(|array| count_of(array.len(), len)).collect();
+        if counts.iter().all(|&count| count == 1) {
+            return None;
+        }
+        let part = |array: Binding<'a>, index: usize| {
+            let first = index * len;
+            array.within(first, len.min(array.len() - first))
+        };
+        let firsts = arrays.iter().map(|&array| part(array, 0));
+        let others = arrays.iter().zip(&counts);
+        let others = others.flat_map(|(&array, &count)| (1..count).map(move |index| part(array, index)));
+        let bindings: Vec<Binding> = firsts.chain(others).collect();
+        let allowed = gpu.arrays_per_kernel();
+        if bindings.len() > allowed {
+            let (name, bytes, kernel, needed) = (gpu.name(), 4 * len, kernel, bindings.len());
+            let room = format!("adapter {name:?} allows {allowed} arrays of {bytes} bytes in kernel {kernel:?}");
+            GpuFailure::OutOfMemory(format!("{room}, and {needed} are needed")).raise();
+        }
+        Some(Self { counts, len, bindings })
+    }
+
+    /// What tells the kernel from the same one with other parts.
+    pub fn name(&self) -> String {
+        let name = format!(" [parts {:?} of {}]", self.counts, self.len);
+        #[cfg(test)]
+        let name = super::fault_tests::marked("parts", name);
+        name
+    }
+
+    /// The text of the kernel for its arrays in parts.
+    pub fn text(&self, whole: &str) -> String {
+        text::in_parts(whole, &self.counts, self.len)
+    }
+}

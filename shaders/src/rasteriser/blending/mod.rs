@@ -1,0 +1,387 @@
+//! Blending of projected splats, front to back, into an image.
+//!
+//! At a pixel with distance (dx, dy) = mean − pixel centre: σ = ½(A(dx + k·dy)² + m·dy²), alpha = min(cap, opacity·e^(−σ)),
+//! skipped where σ > cutoff; weight wᵢ = alphaᵢ·Tᵢ, Tᵢ₊₁ = Tᵢ(1 − alphaᵢ); the first splat that would leave T ≤ stop is not
+//! blended and ends the pixel (Kerbl et al. 2023). Colour = Σ wᵢcᵢ + T·background, depth = Σ wᵢzᵢ, features = Σ wᵢfᵢ,
+//! opacity of the image = 1 − T.
+//!
+//! The backward pass replays the forward pass with one scalar per pixel, Σⱼ wⱼφⱼ over what is still to come, with
+//! φ = Σ value·gradient over the channels, and leaves one row of sums per (tile, splat), in moments of (e, dy) with
+//! e = dx + k·dy. The rows of a splat are added in a fixed order: the result does not depend on scheduling.
+
+mod cpu;
+mod gpu;
+mod kernel;
+mod lanes;
+mod packed;
+mod reference;
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
+use crate::rasteriser::isa::Isa;
+
+use crate::gpu::Gpu;
+use crate::rasteriser::binning::{Lists, TILE};
+use crate::rasteriser::projection::ProjectedVars;
+use crate::rasteriser::settings::RasterSettings;
+use crate::tape::{Op, Real, Tape, Tensor, Var};
+use packed::{PackedSplats, Tile};
+
+/// Pixels of a tile, and so the length of one of its planes.
+const PIXELS: usize = TILE * TILE;
+/// Splats per parallel chunk: tens of microseconds.
+const SPLATS_PER_CHUNK: usize = 1024;
+/// Where a row of sums holds Σ v·(1, e, e², e·dy, dy, dy²) with v the gradient of σ.
+const ROW_MOMENTS: usize = 0;
+/// Where a row of sums holds the gradients of the three colours, followed by those of the extras.
+const ROW_COLORS: usize = 6;
+
+/// Images of [`blend`].
+#[derive(Clone, Debug)]
+pub struct Blended {
+    /// [H, W, 3].
+    pub color: Var,
+    /// [H, W]: 1 − transmittance.
+    pub alpha: Var,
+    /// [H, W]: Σ wᵢzᵢ, not divided by alpha; present if the settings ask for it.
+    pub depth: Option<Var>,
+    /// [H, W, F]: Σ wᵢfᵢ.
+    pub features: Option<Var>,
+    /// (Pixel, splat) pairs that were blended; not counted on a GPU.
+    pub blended_count: Option<u64>,
+}
+
+/// Blends projected splats and, with the same weights, their features [N, F].
+pub fn blend<T: Real>(
+    tape: &mut Tape<T>,
+    projected: &ProjectedVars,
+    features: Option<Var>,
+    lists: &Arc<Lists>,
+    settings: &RasterSettings,
+) -> Blended {
+    let ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs } = *projected;
+    let mut inputs = vec![means2d, conics, opacities, colors, cutoffs];
+    inputs.extend(settings.depth.then_some(depths));
+    inputs.extend(features);
+    let feature_count = features.map_or(0, |features| tape.value(features).row_len());
+    assert!(features.is_none() || feature_count > 0, "features need at least one channel");
+    let blended_count = Arc::new(AtomicU64::new(0));
+    let op = Blend {
+        lists: lists.clone(),
+        constants: Constants::<T>::new(settings),
+        depth_count: usize::from(settings.depth),
+        feature_count,
+        isa: (!settings.smooth_cutoff).then_some(settings.isa),
+        splats: RankedSplats::default(),
+        transmittance: Vec::new(),
+        kept: None,
+        blended_count: blended_count.clone(),
+    };
+    let mut outputs = tape.apply(op, &inputs).into_iter();
+    let mut next = || outputs.next().expect("one output per kind of channel");
+    Blended {
+        color: next(),
+        alpha: next(),
+        depth: settings.depth.then(&mut next),
+        features: features.map(|_| next()),
+        blended_count: matches!(**lists, Lists::Host(_)).then(|| blended_count.load(Ordering::Relaxed)),
+    }
+}
+
+/// Settings rounded to the scalar type.
+struct Constants<T> {
+    alpha_cap: T,
+    stop: T,
+    background: [T; 3],
+    smooth_cutoff: bool,
+}
+
+impl<T: Real> Constants<T> {
+    fn new(settings: &RasterSettings) -> Self {
+        Self {
+            alpha_cap: T::from_f64(settings.alpha_cap),
+            stop: T::from_f64(settings.transmittance_stop),
+            background: settings.background.map(|value| T::from_f64(value.into())),
+            smooth_cutoff: settings.smooth_cutoff,
+        }
+    }
+
+    /// The factor by which an alpha near the threshold is reduced, and its derivative: 1, or for finite differences a smooth
+    /// step (3t² − 2t³) from ½ to 1½ of the threshold.
+    fn fade(&self, alpha: T) -> (T, T) {
+        let threshold = T::from_f64(RasterSettings::ALPHA_THRESHOLD);
+        let t = (alpha / threshold - T::from_f64(0.5)).max(T::ZERO).min(T::ONE);
+        if !self.smooth_cutoff || t >= T::ONE {
+            return (T::ONE, T::ZERO);
+        }
+        let (two, three) = (T::from_f64(2.0), T::from_f64(3.0));
+        (t * t * (three - two * t), (two * three) * t * (T::ONE - t) / threshold)
+    }
+}
+
+/// The splats that meet the image, front to back, each in one place.
+#[derive(Default)]
+struct RankedSplats<T> {
+    /// Mean (2), conic (3), opacity, cutoff, colour (3).
+    records: Vec<[T; 10]>,
+    /// [ranks, E]: depth if it is rendered, then features.
+    extras: Vec<T>,
+    extra_count: usize,
+}
+
+impl<T: Real> RankedSplats<T> {
+    fn new(inputs: &[&Tensor<T>], order: &[u32]) -> Self {
+        let &[means2d, conics, opacities, colors, cutoffs, ref extras @ ..] = inputs else {
+            unreachable!("five inputs")
+        };
+        let (means2d, conics) = (means2d.as_slice().as_chunks().0, conics.as_slice().as_chunks().0);
+        let colors = colors.as_slice().as_chunks().0;
+        let record = |&splat: &u32| {
+            let splat = splat as usize;
+            let ([u, v], [a, k, m]): ([T; 2], [T; 3]) = (means2d[splat], conics[splat]);
+            let [r, g, b]: [T; 3] = colors[splat];
+            [u, v, a, k, m, opacities.as_slice()[splat], cutoffs.as_slice()[splat], r, g, b]
+        };
+        let extras_of = |&splat: &u32| extras.iter().flat_map(move |extra| extra.row(splat as usize).iter().copied());
+        Self {
+            records: order.par_iter().with_min_len(SPLATS_PER_CHUNK).map(record).collect(),
+            extras: if extras.is_empty() { Vec::new() } else { order.iter().flat_map(extras_of).collect() },
+            extra_count: extras.iter().map(|extra| extra.row_len()).sum(),
+        }
+    }
+
+    /// Colour and extras of a splat.
+    fn channels(&self, rank: usize) -> impl Iterator<Item = T> {
+        let [.., r, g, b] = self.records[rank];
+        [r, g, b].into_iter().chain(self.extras[rank * self.extra_count..][..self.extra_count].iter().copied())
+    }
+}
+
+struct Blend<T> {
+    lists: Arc<Lists>,
+    constants: Constants<T>,
+    depth_count: usize,
+    feature_count: usize,
+    /// The instructions of the fast body, or `None` for the reference.
+    isa: Option<Isa>,
+    splats: RankedSplats<T>,
+    /// [tiles, 256], after the last splat.
+    transmittance: Vec<T>,
+    /// The same on a GPU.
+    kept: Option<gpu::Kept>,
+    blended_count: Arc<AtomicU64>,
+}
+
+/// The code that blends one tile.
+enum Body<'a, T> {
+    Fast(PackedSplats<'a>),
+    Reference(&'a RankedSplats<T>, &'a Constants<T>),
+}
+
+impl<T: Real> Body<'_, T> {
+    fn forward(&self, tile: &Tile, planes: &mut [T]) -> u64 {
+        match (self, T::as_f32_mut(planes)) {
+            (Self::Fast(splats), Some(planes)) => splats.forward(tile, planes),
+            (Self::Reference(splats, constants), _) => reference::forward(splats, constants, tile, planes),
+            (Self::Fast(_), None) => unreachable!("the fast body is for f32"),
+        }
+    }
+
+    fn backward(&self, tile: &Tile, planes: &mut [T], rows: &mut [T]) {
+        match (self, T::as_f32_mut(planes), T::as_f32_mut(rows)) {
+            (Self::Fast(splats), Some(planes), Some(rows)) => splats.backward(tile, planes, rows),
+            (Self::Reference(splats, constants), ..) => reference::backward(splats, constants, tile, planes, rows),
+            (Self::Fast(_), ..) => unreachable!("the fast body is for f32"),
+        }
+    }
+}
+
+impl<T: Real> Blend<T> {
+    fn extra_count(&self) -> usize {
+        self.depth_count + self.feature_count
+    }
+
+    fn body(&self) -> Body<'_, T> {
+        let fast = self.isa.and_then(|isa| PackedSplats::new(&self.splats, &self.constants, isa));
+        fast.map_or(Body::Reference(&self.splats, &self.constants), Body::Fast)
+    }
+
+    fn tile(&self, index: usize) -> Tile<'_> {
+        let grid = self.lists.on_host().grid;
+        Tile { origin: grid.origin(index), extent: grid.extent(index), ranks: self.lists.on_host().tile(index) }
+    }
+
+    /// An image of `count` channels from the planes of all tiles; `finish(value, transmittance, channel)` gives its values.
+    fn image(&self, planes: &[T], first: usize, count: usize, finish: impl Fn(T, T, usize) -> T + Sync) -> Vec<T> {
+        let (grid, plane_count) = (self.lists.on_host().grid, 4 + self.extra_count());
+        let mut image = vec![T::ZERO; grid.width * grid.height * count];
+        image.par_chunks_mut((grid.width * count).max(1)).enumerate().for_each(|(y, row)| {
+            for (column, segment) in row.chunks_mut(TILE * count).enumerate() {
+                let planes = &planes[(y / TILE * grid.columns() + column) * plane_count * PIXELS..];
+                for (x, values) in segment.chunks_exact_mut(count).enumerate() {
+                    let pixel = y % TILE * TILE + x;
+                    for (channel, value) in values.iter_mut().enumerate() {
+                        *value = finish(planes[(first + channel) * PIXELS + pixel], planes[pixel], channel);
+                    }
+                }
+            }
+        });
+        image
+    }
+
+    /// The planes that the backward pass of a tile starts from: Σ gradient·output, and the gradients of each channel.
+    fn gradient_planes(&self, index: usize, outputs: &[&Tensor<T>], output_grads: &[Option<&Tensor<T>>]) -> Vec<T> {
+        let mut planes = vec![T::ZERO; (4 + self.extra_count()) * PIXELS];
+        let Tile { origin: [left, top], extent: [width, height], .. } = self.tile(index);
+        let mut first_plane = 1;
+        for (kind, (output, gradient)) in outputs.iter().zip(output_grads).enumerate() {
+            let is_alpha = kind == 1;
+            let count = output.len() / (self.lists.on_host().grid.width * self.lists.on_host().grid.height);
+            if let Some(gradient) = gradient {
+                for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+                    let pixel = y * TILE + x;
+                    let at = ((top + y) * self.lists.on_host().grid.width + left + x) * count;
+                    let (output, gradient) = (&output.as_slice()[at..at + count], &gradient.as_slice()[at..at + count]);
+                    if is_alpha {
+                        planes[pixel] -= gradient[0] * self.transmittance[index * PIXELS + pixel];
+                        continue;
+                    }
+                    for (channel, (&output, &gradient)) in output.iter().zip(gradient).enumerate() {
+                        planes[pixel] += gradient * output;
+                        planes[(first_plane + channel) * PIXELS + pixel] = gradient;
+                    }
+                }
+            }
+            first_plane += if is_alpha { 0 } else { count };
+        }
+        planes
+    }
+
+    /// [entries, row]: the sums of every (tile, splat).
+    fn entry_rows(&self, outputs: &[&Tensor<T>], output_grads: &[Option<&Tensor<T>>]) -> Vec<T> {
+        let row_len = ROW_COLORS + 3 + self.extra_count();
+        let mut rows = vec![T::ZERO; self.lists.on_host().ranks.len() * row_len];
+        let mut rest = &mut rows[..];
+        let mut rows_of_tiles = Vec::with_capacity(self.lists.on_host().grid.tiles());
+        for tile in 0..self.lists.on_host().grid.tiles() {
+            let (rows_of_tile, after) = rest.split_at_mut(self.lists.on_host().tile(tile).len() * row_len);
+            rows_of_tiles.push(rows_of_tile);
+            rest = after;
+        }
+        let body = self.body();
+        rows_of_tiles.into_par_iter().enumerate().filter(|(_, rows)| !rows.is_empty()).for_each(|(index, rows)| {
+            let mut planes = self.gradient_planes(index, outputs, output_grads);
+            body.backward(&self.tile(index), &mut planes, rows);
+        });
+        rows
+    }
+
+    /// [N, row]: the sums of every splat, over its tiles in a fixed order.
+    fn splat_rows(&self, entry_rows: &[T]) -> Vec<T> {
+        let row_len = ROW_COLORS + 3 + self.extra_count();
+        let mut totals = vec![T::ZERO; self.lists.on_host().rank_of_splat.len() * row_len];
+        let rows = totals.par_chunks_exact_mut(row_len).with_min_len(SPLATS_PER_CHUNK).enumerate();
+        rows.for_each(|(splat, total)| {
+            for &entry in self.lists.on_host().entries_of_splat(splat) {
+                let row = &entry_rows[entry as usize * row_len..][..row_len];
+                total.iter_mut().zip(row).for_each(|(total, &value)| *total += value);
+            }
+        });
+        totals
+    }
+}
+
+impl<T: Real> Op<T> for Blend<T> {
+    fn name(&self) -> &'static str {
+        "blending"
+    }
+
+    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+        self.splats = RankedSplats::new(inputs, &self.lists.on_host().order);
+        let grid = self.lists.on_host().grid;
+        let planes_len = (4 + self.extra_count()) * PIXELS;
+        let mut planes = vec![T::ZERO; grid.tiles() * planes_len];
+        let body = self.body();
+        planes.par_chunks_mut(planes_len).enumerate().for_each(|(index, planes)| {
+            let blended = body.forward(&self.tile(index), planes);
+            self.blended_count.fetch_add(blended, Ordering::Relaxed);
+        });
+
+        let background = self.constants.background;
+        let color = self.image(&planes, 1, 3, |value, transmittance, c| value + transmittance * background[c]);
+        let alpha = self.image(&planes, 0, 1, |_, transmittance, _| T::ONE - transmittance);
+        let size = [grid.height, grid.width];
+        let mut images = vec![Tensor::from_vec([size[0], size[1], 3], color), Tensor::from_vec(size, alpha)];
+        if self.depth_count > 0 {
+            images.push(Tensor::from_vec(size, self.image(&planes, 4, 1, |value, _, _| value)));
+        }
+        // Features are the inputs after mean, conic, opacity, colour, cutoff and, where it is rendered, depth.
+        if inputs.len() > 5 + self.depth_count {
+            let features = self.image(&planes, 4 + self.depth_count, self.feature_count, |value, _, _| value);
+            images.push(Tensor::from_vec([size[0], size[1], self.feature_count], features));
+        }
+        self.transmittance = planes.chunks_exact(planes_len).flat_map(|planes| &planes[..PIXELS]).copied().collect();
+        images
+    }
+
+    fn backward(
+        &mut self,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Vec<Option<Tensor<T>>> {
+        let rows = self.splat_rows(&self.entry_rows(outputs, output_grads));
+        let rows = rows.par_chunks_exact(ROW_COLORS + 3 + self.extra_count());
+        let conics = inputs[1].as_slice().as_chunks::<3>().0;
+        let opacities = inputs[2].as_slice();
+        let half = T::from_f64(0.5);
+
+        // Through e = dx + k·dy and σ = ½(A·e² + m·dy²).
+        let of_mean = |(row, &[a, k, m]): (&[T], &[T; 3])| [a * row[1], a * k * row[1] + m * row[4]];
+        let of_conic = |(row, &[a, _, _]): (&[T], &[T; 3])| [half * row[2], a * row[3], half * row[5]];
+        // alpha is opacity·e^(−σ), so that ∂/∂opacity = −∂/∂σ / opacity; a culled splat has opacity and gradient 0.
+        let of_opacity = |(row, &opacity): (&[T], &T)| if opacity > T::ZERO { -row[0] / opacity } else { T::ZERO };
+        let of_color = |row: &[T]| [row[ROW_COLORS], row[ROW_COLORS + 1], row[ROW_COLORS + 2]];
+        let means: Vec<[T; 2]> = rows.clone().zip(conics).map(of_mean).collect();
+        let conics: Vec<[T; 3]> = rows.clone().zip(conics).map(of_conic).collect();
+        let opacities: Vec<T> = rows.clone().zip(opacities).map(of_opacity).collect();
+        let colors: Vec<[T; 3]> = rows.clone().map(of_color).collect();
+        let mut gradients = vec![means.into_flattened(), conics.into_flattened(), opacities, colors.into_flattened()];
+        gradients.push(vec![T::ZERO; inputs[4].len()]);
+        let mut first = ROW_COLORS + 3;
+        for input in &inputs[5..] {
+            let extra = first..first + input.row_len();
+            gradients.push(rows.clone().flat_map_iter(|row| row[extra.clone()].iter().copied()).collect());
+            first += input.row_len();
+        }
+        gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
+    }
+
+    fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
+        let lists = self.lists.clone();
+        match &*lists {
+            Lists::Gpu(lists) => Some(self.blend_on_gpu(gpu, inputs, lists)),
+            Lists::Host(_) => None,
+        }
+    }
+
+    fn backward_gpu(
+        &mut self,
+        gpu: Gpu,
+        inputs: &[&Tensor<T>],
+        outputs: &[&Tensor<T>],
+        output_grads: &[Option<&Tensor<T>>],
+        _needs: &[bool],
+    ) -> Option<Vec<Option<Tensor<T>>>> {
+        match &*self.lists {
+            Lists::Gpu(lists) => Some(self.backward_on_gpu(gpu, inputs, outputs, output_grads, lists)),
+            Lists::Host(_) => None,
+        }
+    }
+}

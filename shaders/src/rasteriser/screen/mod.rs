@@ -1,0 +1,82 @@
+//! What the renders of a training say about their splats without leaving the GPU: which of them a mask covers, and what is
+//! added up for density control (Kerbl et al. 2023, section 5.2).
+
+mod covered;
+#[cfg(test)]
+mod tests;
+
+pub use covered::covered;
+
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::rasteriser::binning::Lists;
+use crate::rasteriser::render::Rendered;
+use crate::tape::{Gradients, Tape, Tensor};
+
+const SCREEN: Kernel = Kernel { name: "screen statistics", text: &[include_str!("screen.wgsl")] };
+/// Splats per workgroup.
+const GROUP: usize = 256;
+/// Columns of the statistics.
+pub const COLUMNS: usize = 3;
+
+uniforms! {
+    struct LookBlock as "Look" {
+        count: u32,
+        half_width: f32,
+        half_height: f32,
+        has_gradient: u32,
+    }
+}
+
+/// A render of a population.
+pub struct Look<'a> {
+    pub rendered: &'a Rendered,
+    /// Width and height.
+    pub size_px: [f64; 2],
+    /// The rows that the first splats are, each at most once; further splats are of no row. `None`: the first splats are
+    /// all rows in order.
+    pub row_of_splat: Option<&'a [u32]>,
+}
+
+impl Look<'_> {
+    /// The splat that each of so many rows is, on a GPU.
+    fn splat_of_row(&self, gpu: Gpu, count: usize) -> Option<GpuArray> {
+        let rows = self.row_of_splat?;
+        let mut splats = vec![u32::MAX; count];
+        rows.iter().enumerate().for_each(|(splat, &row)| splats[row as usize] = splat as u32);
+        Some(GpuArray::upload(gpu, &splats))
+    }
+}
+
+/// Adds the renders of one step to statistics [N, 3]: the sum over steps of the norm of the gradient by the projected mean,
+/// in normalised device coordinates and summed over the renders; steps that saw the splat; its largest radius in pixels.
+/// `None` if the renders are not on a GPU.
+pub fn observe(
+    tape: &Tape<f32>,
+    gradients: &Gradients<f32>,
+    looks: &[Look],
+    statistics: &Tensor<f32>,
+) -> Option<Tensor<f32>> {
+    let gpu = tape.device().gpu()?;
+    let (count, last) = (statistics.rows(), looks.len().checked_sub(1)?);
+    let (sums, observed) = (GpuArray::new(gpu, 4 * count * last.min(1)), GpuArray::new(gpu, COLUMNS * count));
+    for (index, look) in looks.iter().enumerate() {
+        let Look { rendered, size_px, row_of_splat } = look;
+        let Lists::Gpu(lists) = rendered.lists() else { return None };
+        let splats = lists.rank_of_splat.len();
+        assert!(row_of_splat.map_or(count, |rows| rows.len()) <= splats, "a splat for every row of statistics");
+        let splat_of_row = look.splat_of_row(gpu, count);
+        let conics = tape.value(rendered.conics).on_gpu(gpu);
+        let gradient = gradients.get(rendered.means2d).map(|gradient| gradient.on_gpu(gpu));
+        let [half_width, half_height] = size_px.map(|size| (0.5 * size) as f32);
+        let has_gradient = u32::from(gradient.is_some());
+        let constants = LookBlock { count: count as u32, half_width, half_height, has_gradient };
+        let read =
+            [gradient.unwrap_or(conics), conics, &lists.rank_of_splat, statistics.on_gpu(gpu)].map(Binding::Read);
+        let splats = Binding::Read(splat_of_row.as_ref().unwrap_or(&lists.rank_of_splat));
+        let arrays = [&read[..], &[&sums, &observed].map(Binding::Write), &[splats]].concat();
+        let rows = ("ROWS", u32::from(splat_of_row.is_some()));
+        let specialisation = [("FIRST", u32::from(index == 0)), ("LAST", u32::from(index == last)), rows];
+        SCREEN.launch(gpu, &specialisation, &constants, &arrays, count.div_ceil(GROUP));
+    }
+    Some(Tensor::from_gpu([count, COLUMNS], observed))
+}

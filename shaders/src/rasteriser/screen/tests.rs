@@ -1,0 +1,110 @@
+use super::*;
+use crate::check::conformance::Disagreement;
+use crate::check::{agree, noise};
+use crate::gpu::fault_tests::assert_noticed;
+use crate::gpu::layout_tests::assert_valid;
+use crate::gpu::tests::test_gpu;
+use crate::rasteriser::render::render;
+use crate::rasteriser::render::scene_tests::{camera, cast, splats};
+use crate::rasteriser::settings::RasterSettings;
+use crate::tape::Device;
+
+/// Renders of 300 splats from so many sides on a device, and their gradients.
+fn looked_at(device: Device, renders: usize) -> (Tape<f32>, Vec<Rendered>, Gradients<f32>) {
+    let mut tape = Tape::new(device);
+    let leaves = cast::<f32>(&splats(300, -2.0, 3)).leaves(&mut tape);
+    let render = |index: usize, tape: &mut Tape<f32>| {
+        render(tape, &leaves, None, &camera(40 + 8 * index, 30), &RasterSettings::default()).unwrap()
+    };
+    let rendered: Vec<Rendered> = (0..renders).map(|index| render(index, &mut tape)).collect();
+    let seed = |rendered: &Rendered| {
+        let color = tape.value(rendered.color);
+        let weights = noise(color.len(), 5).into_iter().map(|weight| weight as f32).collect();
+        (rendered.color, Tensor::from_vec(color.shape(), weights))
+    };
+    let seeds: Vec<_> = rendered.iter().map(seed).collect();
+    let gradients = tape.backward(&seeds);
+    (tape, rendered, gradients)
+}
+
+/// Rows of a population of 400 that the splats are; the last ones are of none.
+fn some_rows() -> Vec<u32> {
+    (0..290).map(|splat| splat * 7 % 397).collect()
+}
+
+/// The definition, on the host.
+fn expected(renders: usize, rows: Option<&[u32]>, statistics: &Tensor<f32>) -> Tensor<f32> {
+    let (tape, rendered, gradients) = looked_at(Device::Cpu, renders);
+    let mut values: Vec<f32> = statistics.as_slice().to_vec();
+    let seen: Vec<_> = rendered.iter().map(|render| (render.visible(), render.radii_px(&tape))).collect();
+    for (at, row) in values.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+        let of_row = |rows: &[u32]| rows.iter().position(|&row| row as usize == at);
+        let Some(splat) = rows.map_or(Some(at), of_row) else { continue };
+        let mut sum = [0.0_f32; 2];
+        for (index, (render, (visible, radii))) in rendered.iter().zip(&seen).enumerate() {
+            if visible[splat] {
+                let gradient = gradients.get(render.means2d).unwrap().row(splat);
+                sum[0] += gradient[0] * (20 + 4 * index) as f32;
+                sum[1] += gradient[1] * 15.0;
+                row[2] = row[2].max(radii[splat]);
+            }
+        }
+        row[0] += sum[0].hypot(sum[1]);
+        row[1] += f32::from(seen.iter().any(|(visible, _)| visible[splat]));
+    }
+    Tensor::from_vec(statistics.shape(), values)
+}
+
+fn compare(renders: usize, rows: Option<&[u32]>) -> Result<usize, Disagreement> {
+    compare_rows(renders, rows, if rows.is_some() { 400 } else { 300 })
+}
+
+/// The statistics of so many rows.
+fn compare_rows(renders: usize, rows: Option<&[u32]>, count: usize) -> Result<usize, Disagreement> {
+    let Some(gpu) = test_gpu() else { return Ok(0) };
+    let values = noise(3 * count, 9).into_iter().map(|value| (1.0 + value) as f32).collect();
+    let before = Tensor::from_vec([count, 3], values);
+    let (tape, rendered, gradients) = looked_at(Device::Gpu(gpu), renders);
+    let look = |(index, rendered)| Look { rendered, size_px: [(40 + 8 * index) as f64, 30.0], row_of_splat: rows };
+    let looks: Vec<Look> = rendered.iter().enumerate().map(look).collect();
+    let found = observe(&tape, &gradients, &looks, &before).expect("on a GPU");
+    let what = format!("the statistics of {renders} renders");
+    agree(&found, &expected(renders, rows, &before), 2e-3)
+        .map(|()| 1)
+        .map_err(|mismatch| Disagreement { what, mismatch })
+}
+
+#[test]
+fn the_kernel_is_valid() {
+    for (first, last, rows) in [(0, 0, 0), (0, 1, 1), (1, 0, 0), (1, 1, 1)] {
+        assert_valid::<LookBlock>(&SCREEN, &[("FIRST", first), ("LAST", last), ("ROWS", rows)]);
+    }
+}
+
+#[test]
+fn statistics_on_a_gpu_are_those_of_the_host() {
+    for renders in [1, 2, 3] {
+        compare(renders, None).unwrap_or_else(|error| panic!("{error}"));
+        compare(renders, Some(&some_rows())).unwrap_or_else(|error| panic!("{error}"));
+        // Splats behind the rows are of none.
+        compare_rows(renders, None, 260).unwrap_or_else(|error| panic!("{error}"));
+    }
+}
+
+#[test]
+fn faults_are_noticed() {
+    if test_gpu().is_none() {
+        return;
+    }
+    let wrong =
+        [("sum.z = 1.0", "sum.z += 1.0"), ("* look.half_width", ""), ("k * k / m", "k / m"), ("FIRST == 0u", "true")];
+    assert_noticed(&wrong.map(|(right, wrong)| (SCREEN.name, right, wrong)), || compare(2, None));
+    assert_noticed(&[(SCREEN.name, "splat_of_row[row]", "row")], || compare(1, Some(&some_rows())));
+}
+
+#[test]
+fn renders_of_the_host_are_left_to_it() {
+    let (tape, rendered, gradients) = looked_at(Device::Cpu, 1);
+    let look = Look { rendered: &rendered[0], size_px: [40.0, 30.0], row_of_splat: None };
+    assert!(observe(&tape, &gradients, &[look], &Tensor::zeros([300, 3])).is_none());
+}
