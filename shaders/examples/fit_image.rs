@@ -10,8 +10,9 @@ use std::error::Error;
 use image::imageops::FilterType;
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
-use shaders::losses::l1_dssim;
-use shaders::splat::{PinholeCamera, RasterSettings, ShapeVars, SplatVars, render};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::losses::l1::l1_dssim;
+use shaders::rasteriser::{RasterSettings, ShapeVars, SplatVars, render};
 use shaders::tape::{Device, Tape, Tensor};
 
 const SPLATS: usize = 4000;
