@@ -8,28 +8,28 @@ use rand_chacha::ChaCha8Rng;
 use crate::ply::{Ply, PlyFormat, Property, write_ply};
 use crate::{Error, Result};
 
-/// N points in the world.
+/// N coloured points in world coordinates.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {
-    /// [N, 3] world, scene units.
+    /// [N, 3] world positions in scene units.
     pub positions: Vec<[f32; 3]>,
-    /// [N, 3] sRGB.
+    /// [N, 3] sRGB colours.
     pub colors: Vec<[u8; 3]>,
 }
 
 impl PointCloud {
-    /// N.
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether there are no points.
+    /// Whether the cloud has no points.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 
-    /// `count` grey points drawn uniformly in a box (min, max corner), as captures without structure from motion
-    /// are initialised (Kerbl et al. 2023).
+    /// Draws `count` grey points uniformly in a box (min, max corner): the initialisation for captures without
+    /// structure from motion (Kerbl et al. 2023).
     pub fn random_in(bounds_world: [[f64; 3]; 2], count: usize, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let [low, high] = bounds_world;
@@ -38,20 +38,20 @@ impl PointCloud {
         Self { positions: (0..count).map(|_| point()).collect(), colors: vec![[128; 3]; count] }
     }
 
-    /// As many colours as points, finite positions.
+    /// Checks that there is one colour per point and that all positions are finite.
     pub fn check(&self) -> Result<()> {
         if self.positions.len() != self.colors.len() {
             let (points, colors) = (self.positions.len(), self.colors.len());
             return Err(Error::new(format!("{points} points with {colors} colours")));
         }
         match self.positions.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
-            Some(at) => Err(Error::new(format!("point {at} lies at {:?}", self.positions[at]))),
+            Some(at) => Err(Error::new(format!("point {at} has the position {:?}", self.positions[at]))),
             None => Ok(()),
         }
     }
 
-    /// Reads `vertex` elements with x, y, z and, where present, colours (`red` or `r`, 0–255 or float 0–1; grey
-    /// where absent); other properties and elements are skipped.
+    /// Reads the `vertex` elements of a PLY file: x, y, z and, if present, colours (e.g. `red` or `r`; integers in
+    /// 0–255 or floats in 0–1). Points without colours are grey. Other properties and elements are skipped.
     pub fn read_ply(path: &Path) -> Result<Self> {
         let ply = Ply::open(path)?;
         let values = ply.vertices(&["x", "y", "z"])?;
@@ -71,7 +71,7 @@ impl PointCloud {
         Ok(cloud)
     }
 
-    /// Writes positions as float and colours as uchar.
+    /// Writes a PLY file with positions as `float` and colours as `uchar`.
     pub fn write_ply(&self, path: &Path, format: PlyFormat) -> Result<()> {
         self.check().map_err(|error| error.at(path))?;
         let mut properties = vec![];

@@ -1,4 +1,4 @@
-//! Float images in OpenEXR files: named f32 channels.
+//! OpenEXR files: float images with named f32 channels.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -12,47 +12,47 @@ use exr::prelude::{
 use crate::image_file::{read_file, write_file};
 use crate::{Error, Result};
 
-/// More pixels than any camera has; a larger header is damage and must not become an allocation.
+/// Upper limit of pixels per file: a damaged header must not cause a huge allocation.
 const MAX_PIXELS: usize = 1 << 28;
 
-/// What the header of a file says.
+/// The header of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExrHeader {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// In the file's order, which is alphabetic.
+    /// Channel names in the order of the file, which is alphabetic.
     pub channels: Vec<String>,
 }
 
 /// A decoded file.
 #[derive(Clone, Debug)]
 pub struct ExrImage {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Name and [H, W] values, in the file's order; half and integer samples are converted.
+    /// Channel names and [H, W] values, in the order of the file; half and integer samples are converted to f32.
     pub channels: Vec<(String, Vec<f32>)>,
 }
 
 impl ExrImage {
-    /// The values of the channel with one of these names (the first that exists).
+    /// The values of the channel with the first of these names that exists.
     pub fn channel(&self, names: &[&str]) -> Option<&[f32]> {
         let find = |name: &&str| self.channels.iter().find(|(channel, _)| channel.as_str() == *name);
         names.iter().find_map(find).map(|(_, values)| values.as_slice())
     }
 }
 
-/// Size and channels, without decoding any pixel.
+/// Reads size and channel names without decoding pixels.
 pub fn read_header(path: &Path) -> Result<ExrHeader> {
     let file = std::fs::File::open(path);
     let file = file.map_err(|error| Error::new(format!("cannot read the file ({error})")).at(path))?;
     guarded(path, || parse_header(std::io::BufReader::new(file)))
 }
 
-/// Decodes the first layer.
+/// Decodes the first layer of a file.
 pub fn read(path: &Path) -> Result<ExrImage> {
     let bytes = read_file(path)?;
     guarded(path, || {
@@ -84,7 +84,7 @@ pub fn read(path: &Path) -> Result<ExrImage> {
     })
 }
 
-/// Writes [H, W] channels, ZIP compressed in one thread, so that equal values give equal bytes.
+/// Writes channels of [H, W] values. ZIP compression on one thread makes equal values give equal bytes.
 pub fn write(path: &Path, width: u32, height: u32, channels: &[(&str, Vec<f32>)]) -> Result<()> {
     let (width, height) = (width as usize, height as usize);
     if let Some((name, values)) = channels.iter().find(|(_, values)| values.len() != width * height) {
@@ -102,21 +102,22 @@ pub fn write(path: &Path, width: u32, height: u32, channels: &[(&str, Vec<f32>)]
     write_file(path, &bytes)
 }
 
+/// Parses the header of the first layer.
 fn parse_header(bytes: impl std::io::Read) -> std::result::Result<ExrHeader, String> {
     let meta = MetaData::read_from_buffered(bytes, false).map_err(|error| error.to_string())?;
     let header = meta.headers.first().ok_or("no layer")?;
     let (width, height) = (header.layer_size.width(), header.layer_size.height());
     if width.saturating_mul(height) > MAX_PIXELS {
-        return Err(format!("{width}×{height} pixels are more than {MAX_PIXELS}"));
+        return Err(format!("{width}×{height} pixels exceed the limit of {MAX_PIXELS}"));
     }
     let channels = header.channels.list.iter().map(|channel| channel.name.to_string()).collect();
     Ok(ExrHeader { width: width as u32, height: height as u32, channels })
 }
 
-/// Runs a decoder that is not ours; a panic in it on damaged bytes is an error like any other.
+/// Runs the external decoder and converts a panic on damaged bytes to an error.
 fn guarded<T>(path: &Path, decode: impl FnOnce() -> std::result::Result<T, String>) -> Result<T> {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode));
-    let outcome = outcome.unwrap_or_else(|_| Err("the decoder failed".into()));
+    let outcome = outcome.unwrap_or_else(|_| Err("the decoder panicked".into()));
     outcome.map_err(|reason| {
         Error::new(format!("not a readable EXR image ({reason})")).hint("the file may be damaged").at(path)
     })

@@ -1,14 +1,15 @@
-//! Names of what can be known of an artifact before it is made, so that whoever tells and whoever asks use the same ones.
+//! Keys of static facts: properties of an artifact that are known before it is computed. Producers and consumers share
+//! these keys.
 //!
-//! A fact that is not told is unknown. Counts are numbers; everything else is a truth value.
+//! A missing fact is unknown. [`TIMES`] is a count; all other facts are booleans.
 
-/// Count: different times among the training views.
+/// Number of distinct times among the training views.
 pub const TIMES: &str = "times";
 /// Whether anything moves between the first and the last time.
 pub const MOVING: &str = "moving";
 /// Whether colours depend on the viewpoint.
 pub const VIEW_DEPENDENT: &str = "view dependent";
-/// Whether successive training frames come from unrelated viewpoints, so that the video shows no parallax of its own.
+/// Whether successive training frames have unrelated viewpoints, so that the video has no continuous parallax.
 pub const TELEPORTING_CAMERA: &str = "teleporting camera";
 /// Whether there is a point cloud.
 pub const POINTS: &str = "points";
@@ -18,7 +19,7 @@ pub const DEPTH: &str = "depth";
 pub const FLOW: &str = "flow";
 /// Whether views have normal maps.
 pub const NORMALS: &str = "normals";
-/// Whether views have maps of the seen surface's 3D velocity.
+/// Whether views have maps of the 3D velocity of the visible surface.
 pub const VELOCITY: &str = "velocity";
 /// Whether views have instance masks.
 pub const MASKS: &str = "masks";

@@ -1,4 +1,4 @@
-//! 8-bit images in PNG and JPEG files.
+//! PNG and JPEG files of 8-bit images.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -10,29 +10,24 @@ pub use image::{GrayImage, Rgb, RgbImage, RgbaImage};
 
 use crate::{Error, Result};
 
-/// Pixels per row and rows, from the file's header alone.
+/// Reads width and height from the header of a file.
 pub fn read_size(path: &Path) -> Result<(u32, u32)> {
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
     let reader = reader.map_err(|error| Error::new(format!("cannot read the image ({error})")).at(path))?;
     reader.into_dimensions().map_err(|error| not_readable(&error, path))
 }
 
-/// An opaque colour image. A file with transparent pixels is refused: compositing is the caller's decision.
+/// Reads an opaque colour image. Transparent pixels are an error, because compositing is up to the caller.
 pub fn read_rgb(path: &Path) -> Result<RgbImage> {
     let image = read(path)?;
     if image.color().has_alpha() && image.to_rgba8().pixels().any(|pixel| pixel[3] != 255) {
-        let error = Error::new("image has transparent pixels where an opaque one is needed");
+        let error = Error::new("the image has transparent pixels, but an opaque image is required");
         return Err(error.hint("composite it on the declared background first").at(path));
     }
     Ok(image.into_rgb8())
 }
 
-/// A colour image with straight (not premultiplied) alpha; 255 everywhere where the file has none.
-pub fn read_rgba(path: &Path) -> Result<RgbaImage> {
-    Ok(read(path)?.into_rgba8())
-}
-
-/// An 8-bit image with one channel, its values as they are in the file.
+/// Reads an 8-bit image with one channel, without any conversion.
 pub fn read_grey(path: &Path) -> Result<GrayImage> {
     match read(path)? {
         DynamicImage::ImageLuma8(image) => Ok(image),
@@ -40,51 +35,46 @@ pub fn read_grey(path: &Path) -> Result<GrayImage> {
     }
 }
 
-/// Writes a PNG with fixed settings, so that equal pixels give equal bytes.
+/// Writes an RGB image as PNG. Fixed settings make equal pixels give equal bytes.
 pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<()> {
     write_file(path, &encode_png(image.as_raw(), image.width(), image.height(), ExtendedColorType::Rgb8)?)
 }
 
-/// As [`write_rgb`], with straight alpha.
-pub fn write_rgba(path: &Path, image: &RgbaImage) -> Result<()> {
-    write_file(path, &encode_png(image.as_raw(), image.width(), image.height(), ExtendedColorType::Rgba8)?)
-}
-
-/// As [`write_rgb`], with one channel.
+/// Writes a one-channel image as PNG. Fixed settings make equal pixels give equal bytes.
 pub fn write_grey(path: &Path, image: &GrayImage) -> Result<()> {
     write_file(path, &encode_png(image.as_raw(), image.width(), image.height(), ExtendedColorType::L8)?)
 }
 
-/// The bytes of a PNG file of an RGB image, as [`write_rgb`] writes them.
+/// Encodes an RGB image as the PNG file that [`write_rgb`] writes.
 pub fn encode_rgb(image: &RgbImage) -> Result<Vec<u8>> {
     encode_png(image.as_raw(), image.width(), image.height(), ExtendedColorType::Rgb8)
 }
 
-/// Writes a whole file, blaming its path.
+/// Writes a whole file; an error names the path.
 pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     std::fs::write(path, bytes).map_err(|error| Error::new("cannot write the file").at(path).because_of(error))
 }
 
-/// Reads a whole file, blaming its path.
+/// Reads a whole file; an error names the path.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(|error| Error::new(format!("cannot read the file ({error})")).at(path))
 }
 
-/// Decodes a PNG or JPEG, recognised by its content and not by its name. A JPEG that was cut short is an error, where its
-/// decoder alone would paint the rest grey.
+/// Decodes a PNG or JPEG file, recognised by its content and not by its name. A truncated JPEG is an error; its decoder
+/// alone would fill the missing part with grey.
 pub fn decode(path: &Path) -> ImageResult<DynamicImage> {
     let bytes = std::fs::read(path)?;
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format()?;
-    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_has_an_end(&bytes) {
-        let why = "the file ends before its image does";
+    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_is_complete(&bytes) {
+        let why = "the file ends before the end of the image";
         return Err(ImageError::Decoding(DecodingError::new(ImageFormatHint::Exact(ImageFormat::Jpeg), why)));
     }
     reader.decode()
 }
 
-/// Whether the marker EOI follows the last scan: walks the segments by their lengths and the entropy-coded data by its
+/// Whether an EOI marker follows the last scan. Walks the segments by their lengths and the entropy-coded data by its
 /// markers (ITU-T T.81, annex B).
-fn jpeg_has_an_end(bytes: &[u8]) -> bool {
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
     const EOI: u8 = 0xd9;
     const SOS: u8 = 0xda;
     let is_alone = |marker: u8| matches!(marker, 0x01 | 0xd0..=0xd8); // TEM, RST0 to RST7, SOI: no length follows
@@ -94,7 +84,7 @@ fn jpeg_has_an_end(bytes: &[u8]) -> bool {
         match (*first, *marker) {
             (0xff, 0xff) => at += 1, // fill bytes may precede any marker
             (0xff, EOI) => return true,
-            (0xff, 0x00) if in_scan => at += 2, // a byte 0xff of the data
+            (0xff, 0x00) if in_scan => at += 2, // a data byte 0xff
             (0xff, marker) if is_alone(marker) => at += 2,
             (0xff, marker) => {
                 let Some([high, low]) = bytes.get(at + 2..at + 4) else { return false };
@@ -107,11 +97,12 @@ fn jpeg_has_an_end(bytes: &[u8]) -> bool {
     false
 }
 
+/// Decodes a file; an error names the path.
 fn read(path: &Path) -> Result<DynamicImage> {
     decode(path).map_err(|error| not_readable(&error, path))
 }
 
-/// Fast compression: files twice as small cost ten times the time and nobody keeps them for long.
+/// Encodes a PNG file with fast compression: half the size would take ten times as long, and the files are short-lived.
 fn encode_png(pixels: &[u8], width: u32, height: u32, color: ExtendedColorType) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)

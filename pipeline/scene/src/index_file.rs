@@ -1,4 +1,4 @@
-//! Folders of per-view files: the JSON index that describes them, and the rules that the files keep.
+//! Folders of per-view files: their JSON index, and checks of the files that it names.
 
 use std::path::{Component, Path};
 
@@ -8,42 +8,43 @@ use serde::de::DeserializeOwned;
 use crate::image_file::{self, read_file, write_file};
 use crate::{Error, Intrinsics, Result, exr_file};
 
-/// Reads the index at `path`; `what` it describes is named in errors.
+/// Reads the index at `path`; errors name `what` it describes.
 pub fn read<T: DeserializeOwned>(path: &Path, what: &str) -> Result<T> {
-    let bytes = read_file(path).map_err(|error| error.hint(format!("is this the folder of {what}?")))?;
+    let bytes = read_file(path).map_err(|error| error.hint(format!("is this a folder with {what}?")))?;
     serde_json::from_slice(&bytes)
         .map_err(|error| Error::new(format!("not a valid index of {what} ({error})")).at(path))
 }
 
-/// Writes an index; equal values give equal bytes.
+/// Writes an index as JSON; equal values give equal bytes. Errors name `what` it describes.
 pub fn write<T: Serialize>(path: &Path, what: &str, index: &T) -> Result<()> {
     let json = serde_json::to_string_pretty(index);
     let json = json.map_err(|error| Error::new(format!("cannot write the index of {what} ({error})")).at(path))?;
     write_file(path, format!("{json}\n").as_bytes())
 }
 
-/// The files of one view: below one folder, and of the view's size.
+/// Access to the files of one view, which lie below one folder and have the size of the view.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewFiles<'a> {
     /// The folder that paths are relative to.
     pub dir: &'a Path,
-    /// Pixels per row and rows that every file has.
+    /// Width and height that every file must have.
     pub size: (u32, u32),
 }
 
 impl<'a> ViewFiles<'a> {
-    /// Files below `dir` of the size that a camera's images have.
+    /// Access to files below `dir` that have the image size of a camera.
     pub fn of(dir: &'a Path, intrinsics: &Intrinsics) -> Self {
         Self { dir, size: (intrinsics.width, intrinsics.height) }
     }
 
-    /// An 8-bit image with the right size (only its header is read).
+    /// Checks that an 8-bit image lies below the folder and has the right size. Reads the header only.
     pub fn check_image(&self, file: &Path) -> Result<()> {
         check_inside(file)?;
         self.check_size(file, image_file::read_size(&self.dir.join(file))?)
     }
 
-    /// An EXR file with the right size and, for every list of names, one channel called so (only its header is read).
+    /// Checks that an EXR file lies below the folder, has the right size and, for every list of alternative names, one
+    /// channel. Reads the header only.
     pub fn check_floats(&self, file: &Path, channels: &[&[&str]]) -> Result<()> {
         check_inside(file)?;
         let header = exr_file::read_header(&self.dir.join(file))?;
@@ -52,13 +53,13 @@ impl<'a> ViewFiles<'a> {
         match channels.iter().find(|names| !present(names)) {
             None => Ok(()),
             Some(missing) => {
-                let message = format!("channels {:?} where {} is needed", header.channels, missing.join(" or "));
+                let message = format!("channels {:?}, but {} is required", header.channels, missing.join(" or "));
                 Err(Error::new(message).at(self.dir.join(file)))
             }
         }
     }
 
-    /// Reads a file, where there is one, and checks the size of what was in it.
+    /// Reads a file, if given, and checks the size of its content.
     pub fn load<T>(
         &self,
         file: Option<&Path>,
@@ -71,23 +72,23 @@ impl<'a> ViewFiles<'a> {
         Ok(Some(value))
     }
 
-    /// Whether `file` has this view's size.
+    /// Checks that the content of `file` has the size of the view.
     pub fn check_size(&self, file: &Path, (width, height): (u32, u32)) -> Result<()> {
         if (width, height) == self.size {
             return Ok(());
         }
-        let message = format!("{width}×{height} pixels where the camera has {}×{}", self.size.0, self.size.1);
+        let message = format!("{width}×{height} pixels, but the camera has {}×{}", self.size.0, self.size.1);
         Err(Error::new(message).at(self.dir.join(file)))
     }
 }
 
-/// The files of a folder lie in it, so that it can be moved and hashed.
+/// Checks that a file lies below its folder, so that the folder can be moved and hashed.
 fn check_inside(file: &Path) -> Result<()> {
     let inside = file.components().all(|part| matches!(part, Component::Normal(_)));
-    if inside { Ok(()) } else { Err(Error::new("the path leads out of the folder").at(file)) }
+    if inside { Ok(()) } else { Err(Error::new("the path leads outside the folder").at(file)) }
 }
 
-/// Creates a folder and those above it.
+/// Creates a folder and its missing parents.
 pub fn create_dir(dir: &Path) -> Result<()> {
     std::fs::create_dir_all(dir).map_err(|error| Error::new("cannot create the folder").at(dir).because_of(error))
 }

@@ -1,9 +1,5 @@
-//! The vocabulary of dynamic scenes: cameras, time, frames, images, depth, flow, masks, clouds and Gaussians, with
-//! their standard file formats. Knows no engine, no stage and no GPU.
-//!
-//! Conventions, everywhere: world and camera axes are right-handed; a camera looks along +z with x right and y down
-//! (OpenCV); the centre of pixel (column i, row j) lies at (i + 0.5, j + 0.5); colours are sRGB-encoded in [0, 1];
-//! depth is view-space z in scene units; time is in seconds and [`TimeMap`] is the only place that normalises it.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
 pub mod camera;
 pub mod capture;
@@ -17,10 +13,13 @@ pub mod image_file;
 pub mod index_file;
 pub mod mangle;
 pub mod maps;
+mod mask;
 pub mod npy_file;
+pub mod pixels;
 pub mod ply;
 pub mod protocol;
 pub mod time;
+mod videos;
 
 pub use camera::{Camera, Intrinsics, RigidTransform};
 pub use capture::{Capture, CaptureInfo, CaptureWriter, Frame, Split, View};
@@ -29,8 +28,10 @@ pub use error::{Error, Result};
 pub use float_image::{FloatImage, ResizeFilter};
 pub use gaussians::Gaussians;
 pub use maps::{DepthMap, FlowMap, LabelMap, NormalMap, VelocityMap};
+pub use mask::Mask;
 pub use protocol::Protocol;
 pub use time::TimeMap;
+pub use videos::Videos;
 
 #[cfg(test)]
-mod mangled_files;
+mod damaged_files_tests;

@@ -1,4 +1,4 @@
-//! NumPy arrays in `.npy` files, of any shape.
+//! NumPy `.npy` files with arrays of any shape.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -11,22 +11,22 @@ use crate::{Error, Result};
 /// A decoded array.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NpyArray {
-    /// Sizes, outermost first.
+    /// Size of every axis, outermost first.
     pub shape: Vec<usize>,
-    /// Row-major, whatever the file's order.
+    /// Values in row-major order, for files in either order.
     pub values: Vec<f64>,
 }
 
-/// Reads an array of floats (half, single or double), of integers up to 32 bits, or of truth values (0 and 1).
+/// Reads an array of floats (half, single or double), integers of up to 32 bits (u1, u2, i4), or booleans (0 and 1).
 pub fn read(path: &Path) -> Result<NpyArray> {
     parse(&read_file(path)?, path)
 }
 
-/// As [`read`], of bytes that were found in `path`.
+/// Decodes the bytes of an `.npy` file, like [`read`]; errors name `path`.
 pub fn parse(bytes: &[u8], path: &Path) -> Result<NpyArray> {
     let file = NpyFile::new(Cursor::new(bytes)).map_err(|error| damaged(&error, path))?;
     let shape: Vec<usize> = file.shape().iter().map(|side| *side as usize).collect();
-    // The header may lie about the shape: its product must neither overflow nor become an allocation.
+    // The shape in the header may be wrong: its product must neither overflow nor cause a huge allocation.
     let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
     let count = count.filter(|count| *count <= bytes.len());
     let count = count.ok_or_else(|| damaged(&format!("shape {shape:?} in {} bytes", bytes.len()), path))?;
@@ -39,11 +39,11 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<NpyArray> {
     Ok(NpyArray { shape, values })
 }
 
-/// All values in the order of the file.
+/// Decodes all values in the order of the file.
 fn numbers(file: NpyFile<Cursor<&[u8]>>, path: &Path) -> Result<Vec<f64>> {
-    let unsupported = |what: String| Error::new(format!("an array of {what} where numbers are expected")).at(path);
+    let unsupported = |what: String| Error::new(format!("an array of {what} instead of numbers")).at(path);
     let DType::Plain(number) = file.dtype() else { return Err(unsupported("records".into())) };
-    // `f4` for `<f4` and `>f4`: the reader minds the byte order.
+    // The prefix is the byte order, which the decoder handles.
     let name = number.to_string();
     let values = match name.trim_start_matches(['<', '>', '|', '=']) {
         "f2" => file.into_vec::<npyz::half::f16>().map(|values| values.into_iter().map(f64::from).collect()),
@@ -58,14 +58,14 @@ fn numbers(file: NpyFile<Cursor<&[u8]>>, path: &Path) -> Result<Vec<f64>> {
     values.map_err(|error| damaged(&error, path))
 }
 
-/// The values of a column-major array in row-major order.
+/// Reorders a column-major array to row-major order.
 fn row_major(shape: &[usize], values: &[f64]) -> Vec<f64> {
     let mut out = Vec::with_capacity(values.len());
     let mut index = vec![0; shape.len()];
     for _ in 0..values.len() {
         let at = index.iter().zip(shape).rev().fold(0, |at, (index, side)| at * side + index);
         out.push(values[at]);
-        // The last axis counts fastest.
+        // Advance the index; the last axis is the fastest.
         for (index, side) in index.iter_mut().zip(shape).rev() {
             *index += 1;
             if *index < *side {
@@ -85,8 +85,8 @@ fn damaged(reason: &dyn std::fmt::Display, path: &Path) -> Error {
 pub(crate) mod tests {
     use super::*;
 
-    /// The bytes of a file with this description of its numbers.
-    pub fn npy_bytes(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
+    /// The bytes of an `.npy` file with the given type and shape.
+    pub(crate) fn npy_bytes(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
         let order = if fortran { "True" } else { "False" };
         let header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
         let padded = format!("{header:<117}\n");
@@ -105,7 +105,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn number_types_and_orders_give_the_same_array() {
+    fn every_type_and_order_decodes_to_the_same_array() {
         let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
         let single: Vec<u8> = values.iter().flat_map(|value| (*value as f32).to_le_bytes()).collect();
         let double: Vec<u8> = values.iter().flat_map(|value: &f64| value.to_be_bytes()).collect();
@@ -120,7 +120,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_no_array_of_numbers_is_refused() {
+    fn other_types_and_damaged_headers_are_rejected() {
         for (bytes, expected) in [
             (npy_bytes("<c8", false, "(1,)", &[0; 8]), "type c8"),
             (npy_bytes("|u1", false, "(7,)", &[0; 6]), "not a readable NumPy array"),

@@ -1,4 +1,4 @@
-//! The artifact: maps of the views of one capture.
+//! The artifact: depth, flow, normals and velocity of the views of one capture.
 
 use std::path::{Path, PathBuf};
 
@@ -7,91 +7,90 @@ use scene::index_file::{self, ViewFiles};
 use scene::{Camera, Capture, DepthMap, FlowMap, NormalMap, VelocityMap};
 use serde::{Deserialize, Serialize};
 
-/// The file that describes the maps.
+/// Name of the index file.
 const INDEX_FILE: &str = "priors.json";
-/// What the index describes, for errors.
+/// What the index describes, for error messages.
 const WHAT: &str = "priors";
 
-/// Maps on disk: `priors.json` (this structure) beside the files that it names.
+/// Maps on disk: the index `priors.json` (this structure) and the files that it names.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Priors {
-    /// The folder; not stored.
+    /// The folder of the artifact; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// Where the maps come from: `capture`, `files` or `sparse-points`.
+    /// The origin of the maps: `capture`, `files` or `sparse-points`.
     pub source: String,
     /// One entry per view of the capture, in its order.
     pub views: Vec<PriorView>,
 }
 
-/// What is known of one view.
+/// The maps of one view, as files relative to the artifact's folder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PriorView {
     /// The name of the capture's view.
     pub name: String,
-    /// The view's camera; every map has the size of its image.
+    /// The camera of the view; every map has the size of its image.
     pub camera: Camera,
-    /// EXR, view-space z in scene units; 0 where there is none.
+    /// EXR: view-space z in scene units; 0 where unknown.
     pub depth: Option<PathBuf>,
-    /// Optical flow and where it leads.
+    /// Optical flow and its target.
     pub flow: Option<FlowRecord>,
-    /// EXR, unit normals in the camera's frame (right, down, forward), towards the camera; 0 where there is none.
+    /// EXR: unit normals in the camera's frame (right, down, forward), facing the camera; 0 where unknown.
     pub normals: Option<PathBuf>,
-    /// EXR, world velocity of the seen surface in scene units per second.
+    /// EXR: world velocity of the visible surface in scene units per second.
     pub velocity: Option<PathBuf>,
 }
 
-/// Optical flow in a file; fields as in [`FlowPrior`].
+/// Optical flow in a file, with its target; [`FlowPrior`] is the same in memory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FlowRecord {
-    /// EXR, pixels.
+    /// EXR: displacement in pixels; NaN where unknown.
     pub map: PathBuf,
-    /// The camera that sees the pixels where they arrive.
+    /// The camera at the target.
     pub camera_to: Camera,
-    /// When they arrive, in seconds.
+    /// The time of the target in seconds.
     pub time_to_secs: f64,
-    /// The view that shows them there, if any does.
+    /// Index of the target view within the views of the capture, if the target is a view.
     pub view_to: Option<usize>,
 }
 
-/// Optical flow of one view, and where it leads.
+/// Optical flow of one view, with its target.
 #[derive(Clone, Debug)]
 pub struct FlowPrior {
-    /// Displacement in pixels; NaN where there is none or where it failed the forward–backward check.
+    /// Displacement in pixels; NaN where unknown or where the forward–backward check failed.
     pub map: FlowMap,
-    /// The camera that sees the pixels where they arrive: the next view's, or this view's own where the flow was made
-    /// for a camera that stands still.
+    /// The camera at the target: that of the target view, or this view's own if the flow refers to a static camera.
     pub camera_to: Camera,
-    /// When they arrive, in seconds.
+    /// The time of the target in seconds.
     pub time_to_secs: f64,
-    /// The view that shows them there, as an index within the capture's views, if any does.
+    /// Index of the target view within the views of the capture, if the target is a view.
     pub view_to: Option<usize>,
 }
 
 /// The maps of one view in memory.
 #[derive(Clone, Debug, Default)]
 pub struct ViewMaps {
-    /// View-space z in scene units.
+    /// View-space z in scene units; 0 where unknown.
     pub depth: Option<DepthMap>,
-    /// Flow to the next instant.
+    /// Flow to a later instant.
     pub flow: Option<FlowPrior>,
-    /// Surface normals in the camera's frame.
+    /// Unit surface normals in the camera's frame (right, down, forward).
     pub normals: Option<NormalMap>,
-    /// Exact world velocity, which only synthetic captures know.
+    /// World velocity in scene units per second; only synthetic captures have it.
     pub velocity: Option<VelocityMap>,
 }
 
 impl Priors {
-    /// View-space z of a view (by its index within the capture), where it is known.
+    /// Reads the depth of a view (an index within the views of the capture), if it has any.
     pub fn load_depth(&self, view: usize) -> scene::Result<Option<DepthMap>> {
         let file = self.views[view].depth.as_deref();
         self.files(view).load(file, DepthMap::read, |map| (map.width, map.height))
     }
 
-    /// Flow of a view to the next instant, where it is known.
+    /// Reads the flow of a view (an index within the views of the capture), if it has any.
     pub fn load_flow(&self, view: usize) -> scene::Result<Option<FlowPrior>> {
         let Some(FlowRecord { map, camera_to, time_to_secs, view_to }) = &self.views[view].flow else {
             return Ok(None);
@@ -102,29 +101,31 @@ impl Priors {
         Ok(map.map(with_target))
     }
 
-    /// Normals of a view, where they are known.
+    /// Reads the normals of a view (an index within the views of the capture), if it has any.
     pub fn load_normals(&self, view: usize) -> scene::Result<Option<NormalMap>> {
         let file = self.views[view].normals.as_deref();
         self.files(view).load(file, NormalMap::read, |map| (map.width, map.height))
     }
 
-    /// Velocity of what a view sees, where it is known.
+    /// Reads the velocity of a view (an index within the views of the capture), if it has any.
     pub fn load_velocity(&self, view: usize) -> scene::Result<Option<VelocityMap>> {
         let file = self.views[view].velocity.as_deref();
         self.files(view).load(file, VelocityMap::read, |map| (map.width, map.height))
     }
 
-    /// Whether these maps were made for `capture`: the same views, in the same order, by the same cameras.
+    /// Checks that these maps belong to `capture`: the same views, in the same order, with the same cameras.
     pub fn check_against(&self, capture: &Capture) -> scene::Result<()> {
         capture.check_names(self.views.iter().map(|view| view.name.as_str()))?;
         match self.views.iter().zip(&capture.views).find(|(prior, view)| prior.camera != view.camera) {
             None => Ok(()),
-            Some((prior, _)) => Err(scene::Error::new(format!("view {} has another camera in the priors", prior.name))
-                .hint("were they made for another capture?")),
+            Some((prior, _)) => {
+                Err(scene::Error::new(format!("the camera of view {} differs from that of the priors", prior.name))
+                    .hint("they may belong to another capture"))
+            }
         }
     }
 
-    /// Writes the maps of one view below `dir`; values that are not finite (save missing flow) are refused.
+    /// Writes the maps of one view below `dir` and returns its index entry.
     pub fn write_view(dir: &Path, name: &str, camera: Camera, maps: &ViewMaps) -> scene::Result<PriorView> {
         let write = |kind: &str, write: &dyn Fn(&Path) -> scene::Result<()>| {
             let file = Path::new(kind).join(format!("{name}.exr"));
@@ -150,7 +151,7 @@ impl Priors {
         })
     }
 
-    /// Writes the index into `dir`, where the maps of `views` lie already.
+    /// Writes the index into `dir`, after the maps of all `views`.
     pub fn save(dir: &Path, source: &str, views: Vec<PriorView>) -> scene::Result<Self> {
         let priors = Self { dir: dir.into(), source: source.into(), views };
         index_file::write(&dir.join(INDEX_FILE), WHAT, &priors)?;
@@ -176,11 +177,20 @@ impl Priors {
         let [flow_x, flow_y] = &FlowMap::CHANNELS;
         files.check_floats(&flow.map, &[flow_x, flow_y])?;
         flow.camera_to.check()?;
-        ensure!(flow.time_to_secs.is_finite(), "the flow of view {} leads to no finite time", view.name);
+        ensure!(flow.time_to_secs.is_finite(), "the target time of the flow of view {} is not finite", view.name);
         if let Some(to) = flow.view_to {
-            ensure!(to != index && to < self.views.len(), "the flow of view {} leads to view number {to}", view.name);
-            let arrived = self.views[to].camera == flow.camera_to;
-            ensure!(arrived, "the flow of view {} leads to {} by another camera", view.name, self.views[to].name);
+            ensure!(
+                to != index && to < self.views.len(),
+                "the flow of view {} leads to itself or to a missing view, number {to}",
+                view.name
+            );
+            let same_camera = self.views[to].camera == flow.camera_to;
+            ensure!(
+                same_camera,
+                "the flow of view {} leads to {} with a different camera",
+                view.name,
+                self.views[to].name
+            );
         }
         Ok(())
     }
@@ -256,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn flow_without_a_target_and_files_of_another_size_are_refused() {
+    fn invalid_flow_targets_and_map_sizes_are_rejected() {
         let dir = tempfile::tempdir().unwrap();
         let priors = save(dir.path());
         let refused = |change: fn(&mut Priors)| {
@@ -264,9 +274,9 @@ mod tests {
             change(&mut changed);
             changed.check().unwrap_err().to_string()
         };
-        assert!(refused(|priors| priors.views[0].flow.as_mut().unwrap().view_to = Some(0)).contains("view number 0"));
-        assert!(refused(|priors| priors.views[0].flow.as_mut().unwrap().view_to = Some(2)).contains("view number 2"));
-        assert!(refused(|priors| priors.views[1].camera = camera(2.0)).contains("by another camera"));
+        assert!(refused(|priors| priors.views[0].flow.as_mut().unwrap().view_to = Some(0)).contains("view, number 0"));
+        assert!(refused(|priors| priors.views[0].flow.as_mut().unwrap().view_to = Some(2)).contains("view, number 2"));
+        assert!(refused(|priors| priors.views[1].camera = camera(2.0)).contains("a different camera"));
         assert!(refused(|priors| priors.views[0].flow.as_mut().unwrap().time_to_secs = f64::NAN).contains("time"));
         assert!(refused(|priors| priors.views[0].camera.intrinsics.width = 4).contains("normals/a.exr"));
         assert!(refused(|priors| priors.views.truncate(0)).contains("no view has"));

@@ -1,32 +1,33 @@
-//! From the values of a file to view-space depth in scene units.
+//! Conversion of decoded depth values to view-space depth in scene units.
 
 use std::path::Path;
 
-use scene::{Camera, DepthMap, Error, FloatImage, PointCloud, Result};
+use scene::maps::alignment::{Fit, MIN_INLIER_SHARE, MIN_SAMPLES, fit_scale, fit_scale_shift, median};
+use scene::{Camera, DepthMap, Error, FloatImage, PointCloud, Result, pixels};
 
-use crate::alignment::{Fit, MIN_INLIER_SHARE, MIN_SAMPLES, fit_scale, fit_scale_shift, median};
-use crate::params::{Alignment, DepthKind, DepthParams};
-use crate::raster::pixel_centers;
+use crate::params::{Alignment, DepthParams};
 
-/// What is farther than this multiple of the median distance of the points has no known depth: its aligned inverse depth
-/// is rounding and noise around 0.
+/// Largest aligned depth, as a multiple of the median depth of the points. Beyond it, inverse depth is noise and
+/// rounding around 0, so the depth counts as unknown.
 const FARTHEST: f64 = 1000.0;
 
-/// Depth of a view of `camera` from the decoded values of `path`, and the fit to `points` (world) where one was made.
+/// Depth of a view of `camera` from the values decoded from `path`, and the fit to `points` (world) if one was made.
 ///
-/// Values that are zero (distances) or not finite are missing; a negative distance and a map without any value are
-/// errors.
-pub fn depth_view(
+/// Values that are zero (for distances) or not finite are missing. A negative distance or a map without any value is an
+/// error.
+pub(crate) fn depth_view(
     values: &FloatImage,
     camera: &Camera,
     params: &DepthParams,
     points: Option<&PointCloud>,
     path: &Path,
 ) -> Result<(DepthMap, Option<Fit>)> {
-    let inverse_depths = inverse_depths(values, camera, params).map_err(|error| error.at(path))?;
+    let units_per_value = params.units_per_value.unwrap_or(1.0);
+    let inverse_depths = params.kind.inverse_depths(values, camera, units_per_value);
+    let inverse_depths = inverse_depths.map_err(|error| error.at(path))?;
     if inverse_depths.iter().all(Option::is_none) {
-        let hint = "an estimator that fails writes zeros or NaN";
-        return Err(Error::new("a depth map without any value").hint(hint).at(path));
+        let hint = "an estimator that failed writes zeros or NaN";
+        return Err(Error::new("the depth map has no value").hint(hint).at(path));
     }
     let alignment = params.alignment();
     let (fit, farthest) = if alignment == Alignment::None {
@@ -47,37 +48,15 @@ pub fn depth_view(
     Ok((DepthMap { width: values.width, height: values.height, depth_view }, fit))
 }
 
-/// Inverse z per pixel, in the map's own scale; `None` where the file has no value.
-pub fn inverse_depths(values: &FloatImage, camera: &Camera, params: &DepthParams) -> Result<Vec<Option<f64>>> {
-    let units = params.units_per_value.unwrap_or(1.0);
-    let centers = pixel_centers(values.width, values.height);
-    let inverse_depth = |(value, center): (&f32, glam::DVec2)| {
-        let value = f64::from(*value);
-        let z = match params.kind {
-            DepthKind::InverseDepth => return Ok(value.is_finite().then_some(value)),
-            DepthKind::Z => value * units,
-            DepthKind::RayDistance => value * units / camera.ray_view(center).length(),
-        };
-        match value {
-            value if value < 0.0 => Err(Error::new(format!("depth {value} is not a distance"))
-                .hint("is it inverse depth, or are the axes those of OpenGL?")),
-            value if value > 0.0 && value.is_finite() => Ok(Some(1.0 / z)),
-            _ => Ok(None),
-        }
-    };
-    values.values.iter().zip(centers).map(inverse_depth).collect()
-}
-
-/// The map's value and the inverse depth of the nearest of the points in each pixel that has one.
+/// Pairs of map value and inverse depth of a point, one for every pixel with a value and at least one point; of several
+/// points in a pixel, the nearest counts.
 fn samples(inverse_depths: &[Option<f64>], camera: &Camera, points: &PointCloud) -> Vec<(f64, f64)> {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let mut nearest = vec![0.0_f64; inverse_depths.len()];
     for point in &points.positions {
-        let Some((pixel, z)) = camera.project(point.map(f64::from).into()) else { continue };
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(width) && pixel.y < f64::from(height);
-        if inside {
-            let at = pixel.y as usize * width as usize + pixel.x as usize;
-            nearest[at] = nearest[at].max(1.0 / z);
+        let Some((position, z)) = camera.project(point.map(f64::from).into()) else { continue };
+        if let Some(pixel) = pixels::index_at(position, width, height) {
+            nearest[pixel] = nearest[pixel].max(1.0 / z);
         }
     }
     let both = inverse_depths.iter().zip(nearest).filter(|(_, point)| *point > 0.0);
@@ -92,10 +71,10 @@ fn no_points() -> Error {
 fn not_aligned(samples: &[(f64, f64)], inverse_depths: &[Option<f64>]) -> Error {
     let known = inverse_depths.iter().flatten().count();
     let message = match samples.len() {
-        few if few < MIN_SAMPLES => format!("only {few} points fall on the {known} pixels with a value"),
+        few if few < MIN_SAMPLES => format!("only {few} points project onto the {known} pixels with a value"),
         many => {
             format!("no scale and shift fits {:.0} % of the {many} points in this view", 100.0 * MIN_INLIER_SHARE)
         }
     };
-    Error::new(message).hint("is the kind of depth right, and do the poses belong to this view?")
+    Error::new(message).hint("is depth.kind right, and do the poses belong to this view?")
 }

@@ -1,4 +1,4 @@
-//! What is known of priors before they are imported.
+//! Static facts about priors, known before the import runs.
 
 use engine::{Facts, PlanContext};
 use scene::facts;
@@ -7,11 +7,11 @@ use crate::Params;
 use crate::from_files::{DEPTH, FLOW_FORWARD, NORMALS};
 use crate::params::{MapKind, MapSource};
 
-/// Which maps there will be: those of the capture, or those whose folders are there.
-pub fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
+/// Predicts which maps the priors will have, from the facts of the capture or from the folders that exist.
+pub(crate) fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
     let capture = context.facts("capture");
     let folder = context.data_root.join(&params.folder);
-    let is_there = |name: &str| folder.is_dir().then(|| folder.join(name).is_dir());
+    let exists = |name: &str| folder.is_dir().then(|| folder.join(name).is_dir());
     let maps = [
         (MapKind::Depth, facts::DEPTH, Some(DEPTH)),
         (MapKind::Flow, facts::FLOW, Some(FLOW_FORWARD)),
@@ -26,7 +26,7 @@ pub fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
                 capture.and_then(|capture| capture.flag(facts::POINTS))
             }
             (MapSource::SparsePoints, _) | (MapSource::Files, None) => Some(false),
-            (MapSource::Files, Some(name)) => is_there(name),
+            (MapSource::Files, Some(name)) => exists(name),
         };
         match if params.wants(kind) { found } else { Some(false) } {
             Some(found) => known.with(fact, found),
@@ -52,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_passes_on_what_it_has_and_what_is_wanted() {
+    fn facts_of_the_capture_are_limited_to_wanted_maps() {
         let capture = Facts::default().with(facts::DEPTH, true).with(facts::FLOW, true);
         let context = context(Path::new("nowhere"), capture);
         let all = of_priors(&Params::default(), &context);
@@ -62,17 +62,17 @@ mod tests {
     }
 
     #[test]
-    fn points_become_depth_and_nothing_else() {
+    fn sparse_points_give_depth_alone() {
         let params = Params { source: MapSource::SparsePoints, ..Params::default() };
         let known = Facts::default().with(facts::POINTS, true).with(facts::FLOW, true);
-        let told = flags(&of_priors(&params, &context(Path::new("nowhere"), known)));
-        assert_eq!(told, [Some(true), Some(false), Some(false), Some(false)]);
+        let predicted = flags(&of_priors(&params, &context(Path::new("nowhere"), known)));
+        assert_eq!(predicted, [Some(true), Some(false), Some(false), Some(false)]);
         let unknown = of_priors(&params, &context(Path::new("nowhere"), Facts::default()));
         assert_eq!(unknown.flag(facts::DEPTH), None);
     }
 
     #[test]
-    fn folders_tell_which_maps_they_hold() {
+    fn existing_folders_predict_their_maps() {
         let root = tempfile::tempdir().unwrap();
         let params = Params { source: MapSource::Files, folder: "maps".into(), ..Params::default() };
         let absent = of_priors(&params, &context(root.path(), Facts::default()));

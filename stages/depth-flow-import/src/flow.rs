@@ -1,20 +1,19 @@
-//! Optical flow: which is believed (going there and back must end where it began), and that of a world at rest.
+//! Optical flow from files: unit conversion and the forward–backward consistency check.
 
 use glam::Vec2;
-use scene::{Camera, DepthMap, FloatImage, FlowMap};
+use scene::{FloatImage, FlowMap};
 
 use crate::params::FlowParams;
-use crate::raster::pixel_centers;
 
-/// Flow in pixels of the view, from a file whose pixels were `scale` times larger.
-pub fn flow_map(values: &FloatImage, scale: [f32; 2]) -> FlowMap {
+/// Flow in pixels of the view, from a file with `1 / scale` times as many pixels per axis.
+pub(crate) fn flow_map(values: &FloatImage, scale: [f32; 2]) -> FlowMap {
     let flow_px = values.values.chunks_exact(2).map(|flow| [flow[0] * scale[0], flow[1] * scale[1]]).collect();
     FlowMap { width: values.width, height: values.height, flow_px }
 }
 
-/// The forward flow with NaN where it leaves the image and, where backward flow is given, where
+/// The forward flow f, with NaN where it leaves the image or is inconsistent with the backward flow b (if given):
 /// `|f(x) + b(x + f(x))| > max_round_trip_px + max_round_trip_share · |f(x)|` (Sundaram et al. 2010).
-pub fn believed(forward: &FlowMap, backward: Option<&FlowMap>, params: &FlowParams) -> FlowMap {
+pub(crate) fn consistent(forward: &FlowMap, backward: Option<&FlowMap>, params: &FlowParams) -> FlowMap {
     let (width, height) = (forward.width, forward.height);
     let keep = |(at, flow): (usize, &[f32; 2])| {
         let flow = Vec2::from(*flow);
@@ -28,26 +27,13 @@ pub fn believed(forward: &FlowMap, backward: Option<&FlowMap>, params: &FlowPara
     FlowMap { width, height, flow_px: forward.flow_px.iter().enumerate().map(keep).collect() }
 }
 
-/// The flow of a world at rest: where the camera `to` sees what each pixel of the camera `from` sees at its depth; NaN
-/// where the depth is unknown or the point lies behind the other camera.
-pub fn rigid(depth: &DepthMap, from: &Camera, to: &Camera) -> FlowMap {
-    let world_from_camera = from.camera_from_world.inverse();
-    let flow = |(center, depth_view): (glam::DVec2, &f32)| {
-        let point_world = world_from_camera.apply(from.ray_view(center) * f64::from(*depth_view));
-        let arrival = if *depth_view > 0.0 { to.project(point_world) } else { None };
-        arrival.map_or([f32::NAN; 2], |(pixel, _)| (pixel - center).as_vec2().to_array())
-    };
-    let flow_px = pixel_centers(depth.width, depth.height).zip(&depth.depth_view).map(flow).collect();
-    FlowMap { width: depth.width, height: depth.height, flow_px }
-}
-
-/// Share of the pixels that have flow.
-pub fn known_share(map: &FlowMap) -> f64 {
+/// Share of pixels with known flow, in [0, 1].
+pub(crate) fn known_share(map: &FlowMap) -> f64 {
     let known = map.flow_px.iter().filter(|flow| flow[0].is_finite()).count();
     known as f64 / map.flow_px.len().max(1) as f64
 }
 
-/// The flow at a position, between the centres of four pixels (the nearest ones at the border); NaN if one is unknown.
+/// Bilinear interpolation of the flow at a position, clamped at the border; NaN if any of the four pixels is unknown.
 fn bilinear(map: &FlowMap, position: Vec2) -> Vec2 {
     let last = Vec2::new(map.width as f32 - 1.0, map.height as f32 - 1.0);
     let place = (position - 0.5).clamp(Vec2::ZERO, last);
@@ -70,31 +56,31 @@ mod tests {
     }
 
     #[test]
-    fn a_shift_is_believed_where_it_stays_inside() {
+    fn a_shift_is_kept_where_it_stays_inside() {
         let (forward, backward) = (map(8, 4, |_, _| [2.0, 0.0]), map(8, 4, |_, _| [-2.0, 0.0]));
-        let kept = believed(&forward, Some(&backward), &FlowParams::default());
+        let kept = consistent(&forward, Some(&backward), &FlowParams::default());
         for (at, flow) in kept.flow_px.iter().enumerate() {
             assert_eq!(flow[0].is_finite(), at % 8 < 6, "pixel {at}: {flow:?}");
         }
         assert_eq!(known_share(&kept), 0.75);
-        assert_eq!(known_share(&believed(&forward, None, &FlowParams::default())), 0.75);
+        assert_eq!(known_share(&consistent(&forward, None, &FlowParams::default())), 0.75);
     }
 
     #[test]
-    fn what_does_not_return_is_dropped() {
+    fn flow_that_does_not_return_is_dropped() {
         let forward = map(16, 16, |_, _| [3.0, 1.0]);
-        // A patch whose backward flow belongs to something else, and one whose flow is unknown.
+        // One patch has the backward flow of another motion, one has unknown backward flow.
         let backward = map(16, 16, |x, y| match (x, y) {
             (x, y) if x > 4.0 && x < 8.0 && y < 8.0 => [0.0, 0.0],
             (x, y) if x > 10.0 && x < 14.0 && y > 8.0 => [f32::NAN; 2],
             _ => [-3.0, -1.0],
         });
-        let kept = believed(&forward, Some(&backward), &FlowParams::default());
+        let kept = consistent(&forward, Some(&backward), &FlowParams::default());
         let known = |x: usize, y: usize| kept.flow_px[y * 16 + x][0].is_finite();
         assert!(!known(3, 3) && !known(8, 9) && known(3, 12) && known(8, 3));
         let loose = FlowParams { max_round_trip_px: 10.0, ..FlowParams::default() };
-        let kept = believed(&forward, Some(&backward), &loose);
-        assert!(kept.flow_px[3 * 16 + 3][0].is_finite(), "the limit decides");
+        let kept = consistent(&forward, Some(&backward), &loose);
+        assert!(kept.flow_px[3 * 16 + 3][0].is_finite(), "a larger limit keeps it");
     }
 
     #[test]

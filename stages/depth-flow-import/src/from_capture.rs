@@ -1,15 +1,15 @@
-//! Maps that the capture itself carries.
+//! Maps that are part of the capture itself.
 
 use scene::{Capture, View};
 
 use crate::params::MapKind;
 use crate::{FlowPrior, Params, ViewMaps};
 
-/// Flow arrives at a view if the view's time is off by less than this share of a frame.
+/// Largest time difference, as a share of a frame, between the target of a flow and the view that shows it.
 const SAME_INSTANT: f64 = 1e-3;
 
-/// The maps of a view. A capture's flow leads to what the same camera pose sees one frame later.
-pub fn maps(capture: &Capture, view: &View, params: &Params) -> anyhow::Result<ViewMaps> {
+/// The maps of a view. The flow of a capture leads to what the same camera pose sees one frame later.
+pub(crate) fn maps(capture: &Capture, view: &View, params: &Params) -> anyhow::Result<ViewMaps> {
     let frame_secs = capture.time_map.frame_secs;
     let time_to_secs = view.time_secs + frame_secs;
     let arrives = |other: &View| {

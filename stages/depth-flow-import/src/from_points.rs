@@ -1,35 +1,35 @@
-//! Depth without an estimator: the capture's points, interpolated over each image.
+//! Depth without an estimator: the points of the capture, interpolated over each image.
 //!
-//! Structure from motion triangulates what stands still, so this is the depth of the static scene: what moves gets the
-//! depth of what is seen around it.
+//! Structure from motion triangulates static points only, so this is the depth of the static scene. A moving object
+//! gets the depth of its surroundings.
 
 use std::num::NonZero;
 
+use engine::{Failure, FailureKind};
 use glam::{DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use scene::{Camera, Capture, DepthMap, PointCloud};
+use scene::{Camera, Capture, DepthMap, PointCloud, pixels};
 
-use crate::folder::bad;
-use crate::raster::pixel_centers;
-
-/// Points that a pixel is interpolated from: enough to smooth the noise of single points, few enough to stay local.
+/// Number of points that a pixel is interpolated from: enough to average out noise, few enough to stay local.
 const NEIGHBORS: usize = 8;
-/// Fewer points in an image say nothing about its depth.
+/// Minimum number of points in an image.
 const MIN_POINTS: usize = 16;
-/// Squared pixels added to each squared distance, so that a point on a pixel's centre does not silence all others.
+/// Added to every squared distance, so that a point at a pixel centre does not outweigh all others.
 const SOFTENING_PX2: f64 = 1.0;
 
-/// The points of `capture`, of which depth is made.
-pub fn points(capture: &Capture) -> anyhow::Result<PointCloud> {
-    let hint = "structure from motion gives points; set source = \"files\" for maps of estimators";
-    let missing = || bad("the capture has no points to make depth of").hint(hint).at(&capture.dir);
+/// The points of a capture; a failure if it has none.
+pub(crate) fn points(capture: &Capture) -> anyhow::Result<PointCloud> {
+    let hint = "import a capture with structure from motion, or set source = \"files\" to import an estimator's maps";
+    let message = "the capture has no points to interpolate depth from";
+    let missing = || Failure::new(FailureKind::BadInput, message).hint(hint).at(&capture.dir);
     Ok(capture.load_points()?.ok_or_else(missing)?)
 }
 
-/// View-space z of every pixel: the mean of the inverse depths of the nearest points in the image, weighted by the inverse
-/// squared distance in pixels (Shepard 1968); inverse depth is what is linear in the image of a plane. `None` where too few
-/// points are seen.
-pub fn depth_view(points: &PointCloud, camera: &Camera) -> Option<DepthMap> {
+/// View-space z of every pixel: the mean of the inverse depths of the nearest points in the image, weighted by the
+/// inverse squared distance in pixels (Shepard 1968). Inverse depth is interpolated because it is linear in the image
+/// of a plane.
+/// `None` if the camera sees too few points.
+pub(crate) fn depth_view(points: &PointCloud, camera: &Camera) -> Option<DepthMap> {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let size = DVec2::new(f64::from(width), f64::from(height));
     let project = |point: &[f32; 3]| camera.project(DVec3::from(point.map(f64::from)));
@@ -51,7 +51,7 @@ pub fn depth_view(points: &PointCloud, camera: &Camera) -> Option<DepthMap> {
         }
         (weights / weighted) as f32
     };
-    Some(DepthMap { width, height, depth_view: pixel_centers(width, height).map(depth).collect() })
+    Some(DepthMap { width, height, depth_view: pixels::centers(width, height).map(depth).collect() })
 }
 
 #[cfg(test)]
@@ -66,7 +66,7 @@ mod tests {
         Camera::look_at(intrinsics, DVec3::new(0.0, -4.0, 1.0), DVec3::ZERO, DVec3::Z)
     }
 
-    /// Points on the floor z = 0 and behind the camera.
+    /// `count` points on the floor z = 0, and as many behind the camera.
     fn floor(count: usize) -> PointCloud {
         let mut cloud = PointCloud::random_in([[-2.0, -2.0, 0.0], [2.0, 3.0, 0.0]], count, 1);
         cloud.positions.extend((0..count).map(|at| [at as f32, -9.0, 0.0]));
@@ -80,11 +80,11 @@ mod tests {
         let map = depth_view(&floor(3000), &camera).unwrap();
         let world_from_camera = camera.camera_from_world.inverse();
         let mut compared = 0;
-        for (center, depth) in pixel_centers(40, 30).zip(&map.depth_view) {
+        for (center, depth) in pixels::centers(40, 30).zip(&map.depth_view) {
             let ray = world_from_camera.rotation * camera.ray_view(center);
             let expected = -world_from_camera.translation.z / ray.z;
             let point = world_from_camera.translation + expected * ray;
-            // Away from the borders of the floor, beyond which nothing is known.
+            // The depth is unknown beyond the border of the floor.
             if expected > 0.0 && point.x.abs() < 1.7 && point.y.abs() < 1.7 {
                 let error = (f64::from(*depth) / expected - 1.0).abs();
                 assert!(error <= 0.05, "{center}: {depth} instead of {expected}");

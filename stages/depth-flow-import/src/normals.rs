@@ -1,20 +1,21 @@
-//! From the values of a file to unit normals in the camera's frame.
+//! Conversion of decoded normals to unit vectors in the camera's frame.
 
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use scene::{Camera, Error, FloatImage, NormalMap, Result};
+use scene::{Camera, Error, FloatImage, NormalMap, Result, pixels};
 
 use crate::params::{Axes, NormalParams};
-use crate::raster::pixel_centers;
 
-/// Shorter vectors mark missing normals; estimators do not normalise exactly, and 8 bits round.
+/// Minimum length of a stored normal; shorter vectors mark missing ones. The limit leaves room for estimators that do
+/// not normalise exactly, and for 8-bit rounding.
 const SHORTEST: f32 = 0.5;
-/// If more normals than this look away from the camera, the axes are other ones than declared.
+/// Largest share of normals that may point away from the camera before the declared axes count as wrong.
 const MAX_AWAY_SHARE: f64 = 0.25;
 
-/// Normals of a view from the decoded values of `path`; values of PNG files (`is_png`) map [0, 1] to [-1, 1].
-pub fn normals_view(
+/// Normals of a view from the values decoded from `path`. Values of PNG files (`is_png`) are mapped from [0, 1] to [-1,
+/// 1].
+pub(crate) fn normals_view(
     values: &FloatImage,
     camera: &Camera,
     params: &NormalParams,
@@ -33,15 +34,15 @@ pub fn normals_view(
     let normals: Vec<Vec3> = values.values.chunks_exact(3).map(unit).collect();
     let known = normals.iter().filter(|normal| **normal != Vec3::ZERO).count();
     if known == 0 {
-        return Err(Error::new("a map without any normal").at(path));
+        return Err(Error::new("the normal map has no value").at(path));
     }
-    let centers = pixel_centers(values.width, values.height);
-    let looks_away = |(normal, center): &(&Vec3, _)| DVec3::from(**normal).dot(camera.ray_view(*center)) > 0.0;
-    let away = normals.iter().zip(centers).filter(looks_away).count();
+    let centers = pixels::centers(values.width, values.height);
+    let faces_away = |(normal, center): &(&Vec3, _)| DVec3::from(**normal).dot(camera.ray_view(*center)) > 0.0;
+    let away = normals.iter().zip(centers).filter(faces_away).count();
     if away as f64 > MAX_AWAY_SHARE * known as f64 {
-        let message = format!("{away} of {known} normals look away from the camera");
+        let message = format!("{away} of {known} normals point away from the camera");
         return Err(Error::new(message)
-            .hint("normals.axes is \"opencv\" (right, down, forward) or \"opengl\"")
+            .hint("set normals.axes to \"opencv\" (right, down, forward) or \"opengl\" (right, up, backward)")
             .at(path));
     }
     let normals_view = normals.iter().map(Vec3::to_array).collect();

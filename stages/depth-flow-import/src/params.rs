@@ -1,9 +1,10 @@
-//! What a recipe may say about priors.
+//! Parameters of the stage.
 
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
 use engine::ParamProblem;
+use scene::maps::DepthKind;
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the stage `depth-flow-import`.
@@ -12,30 +13,30 @@ use serde::{Deserialize, Serialize};
 pub struct Params {
     /// Where the maps come from.
     pub source: MapSource,
-    /// `files`: the folder with `depth/`, `flow_fwd/`, `flow_bwd/` and `normal/`, relative to the data root.
+    /// For `files`: the folder with `depth/`, `flow_fwd/`, `flow_bwd/` and `normal/`, relative to the data root.
     pub folder: PathBuf,
-    /// Which maps are imported; empty imports all that there are.
+    /// The kinds of maps to import; empty imports every kind that exists.
     pub maps: BTreeSet<MapKind>,
-    /// `files`: training views without a map that others have are no error.
+    /// For `files`: whether training views may lack a map that other views have.
     pub allow_missing: bool,
-    /// `files`: what depth maps hold.
+    /// For `files`: the content of depth maps.
     pub depth: DepthParams,
-    /// `files`: what flow maps lead to, and when they are believed.
+    /// For `files`: the target frame of flow maps, and their consistency check.
     pub flow: FlowParams,
-    /// `files`: what normal maps hold.
+    /// For `files`: the content of normal maps.
     pub normals: NormalParams,
 }
 
-/// Where maps come from.
+/// The origin of maps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MapSource {
-    /// The capture carries them, as synthetic captures do.
+    /// Exact maps that are part of a synthetic capture.
     #[default]
     Capture,
-    /// Estimators wrote them into a folder.
+    /// Files of estimators in a folder.
     Files,
-    /// Depth alone, interpolated between the capture's points: coarse, and that of the static scene.
+    /// Depth alone, interpolated between the points of the capture: coarse, and of the static scene only.
     SparsePoints,
 }
 
@@ -49,41 +50,29 @@ pub enum MapKind {
     Flow,
     /// Surface normals.
     Normals,
-    /// Exact velocity (`capture` only).
+    /// Exact 3D velocity, from synthetic captures only.
     Velocity,
 }
 
-/// What depth maps hold.
+/// The content of depth maps.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthParams {
-    /// The quantity.
+    /// The quantity that they store.
     pub kind: DepthKind,
-    /// Distance in scene units that the value 1 stands for: 0.001 for millimetres in a scene in metres. Must be stated
-    /// for 16-bit PNG files of distances, and is 1 elsewhere unless stated.
+    /// Distance in scene units that the value 1 stands for, e.g. 0.001 for millimetres in a scene in metres. Required
+    /// for 16-bit PNG files of distances; otherwise it defaults to 1.
     pub units_per_value: Option<f64>,
-    /// How maps get the scale of the scene. Unset: `scale-shift` for inverse depth, `none` for distances.
+    /// How maps are brought to the scale of the scene; by default `scale-shift` for inverse depth, `none` for
+    /// distances.
     pub alignment: Option<Alignment>,
 }
 
-/// The quantity in a depth map.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum DepthKind {
-    /// View-space z.
-    #[default]
-    Z,
-    /// Distance from the camera's centre.
-    RayDistance,
-    /// Inverse z up to scale and shift, as relative monocular estimators give it.
-    InverseDepth,
-}
-
-/// What is fitted between a map and the capture's points, per view, in inverse depth.
+/// The model that is fitted between a map and the points of the capture, per view, in inverse depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alignment {
-    /// Nothing: the map has the scene's scale.
+    /// No fit: the map has the scale of the scene.
     None,
     /// One factor.
     Scale,
@@ -91,24 +80,24 @@ pub enum Alignment {
     ScaleShift,
 }
 
-/// What flow maps lead to, and when they are believed.
+/// The target frame of flow maps, and their consistency check.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlowParams {
-    /// Frames between the two frames of a pair: forward flow leads to the frame that comes so many frames later in the
-    /// same camera's video, backward flow to the one so many frames earlier.
+    /// Distance in frames between the two frames of a pair, within the video of one camera: forward flow leads this
+    /// many frames ahead, backward flow this many frames back.
     pub stride: u32,
-    /// Where backward flow is there, a pixel is kept if going there and back ends within this many pixels …
+    /// Largest error of the round trip along forward and backward flow, in pixels, for flow of length 0.
     pub max_round_trip_px: f64,
-    /// … plus this share of the flow's length.
+    /// Increase of that limit, as a share of the length of the flow.
     pub max_round_trip_share: f64,
 }
 
-/// What normal maps hold.
+/// The content of normal maps.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NormalParams {
-    /// The axes of the camera's frame.
+    /// The camera axes that the normals refer to.
     pub axes: Axes,
 }
 
@@ -125,13 +114,13 @@ pub enum Axes {
 
 impl Default for FlowParams {
     fn default() -> Self {
-        // Half a pixel for the estimate each way, and errors grow with the length of the flow.
+        // Half a pixel of estimation error in each direction; errors grow with the length of the flow.
         Self { stride: 1, max_round_trip_px: 1.0, max_round_trip_share: 0.05 }
     }
 }
 
 impl DepthParams {
-    /// What is fitted.
+    /// The alignment, with the default of the kind of depth.
     pub fn alignment(&self) -> Alignment {
         self.alignment.unwrap_or(match self.kind {
             DepthKind::InverseDepth => Alignment::ScaleShift,
@@ -141,47 +130,57 @@ impl DepthParams {
 }
 
 impl Params {
-    /// Whether a kind of map is imported where it is there.
-    pub fn wants(&self, kind: MapKind) -> bool {
+    /// Whether a kind of map is imported if it exists.
+    pub(crate) fn wants(&self, kind: MapKind) -> bool {
         self.maps.is_empty() || self.maps.contains(&kind)
     }
 
-    /// Every problem that the types cannot see.
-    pub fn problems(&self) -> Vec<ParamProblem> {
+    /// Every problem that the types do not rule out.
+    pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let files = self.source == MapSource::Files;
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
-        let ungauged = self.depth.kind == DepthKind::InverseDepth && self.depth.alignment() == Alignment::None;
+        let no_scale = self.depth.kind == DepthKind::InverseDepth && self.depth.alignment() == Alignment::None;
         let FlowParams { stride, max_round_trip_px, max_round_trip_share } = self.flow;
         let checks = [
-            (files && self.folder.as_os_str().is_empty(), "folder", "no folder", "folder = \"priors/scene\""),
-            (!relative(&self.folder), "folder", "the folder must lie below the data root", "use a relative path"),
+            (
+                files && self.folder.as_os_str().is_empty(),
+                "folder",
+                "no folder given",
+                "e.g. folder = \"priors/scene\"",
+            ),
+            (
+                !relative(&self.folder),
+                "folder",
+                "the folder must be below the data root",
+                "use a relative path without `..`",
+            ),
             (
                 !files && !self.folder.as_os_str().is_empty(),
                 "folder",
-                "no folder is read from a capture",
+                "this source reads no folder",
                 "set source = \"files\", or remove folder",
             ),
             (
                 files && self.maps.contains(&MapKind::Velocity),
                 "maps",
-                "velocity is never imported from files",
-                "only synthetic captures know it exactly",
+                "velocity cannot be imported from files",
+                "only synthetic captures have it",
             ),
             (
                 !self.depth.units_per_value.is_none_or(positive),
                 "depth.units_per_value",
                 "must be positive and finite",
-                "0.001 for millimetres in a scene in metres",
+                "e.g. 0.001 for millimetres in a scene in metres",
             ),
-            (ungauged, "depth.alignment", "inverse depth has no scale of its own", "use \"scale\" or \"scale-shift\""),
-            (stride == 0, "flow.stride", "must be at least 1", "1 leads to the next frame"),
+            (no_scale, "depth.alignment", "inverse depth has no absolute scale", "use \"scale\" or \"scale-shift\""),
+            (stride == 0, "flow.stride", "must be at least 1", "1 stands for the next frame"),
             (
                 !(not_negative(max_round_trip_px) && not_negative(max_round_trip_share)),
                 "flow",
-                "limits of the round trip must be finite and not negative",
-                "max_round_trip_px = 1.0, max_round_trip_share = 0.05",
+                "the limits of the round trip must be finite and not negative",
+                "the defaults are max_round_trip_px = 1.0 and max_round_trip_share = 0.05",
             ),
         ];
         let problem = |(_, key, message, hint): (bool, &str, &str, &str)| ParamProblem {

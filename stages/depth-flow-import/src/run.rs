@@ -1,23 +1,18 @@
-//! The stage: reads maps, aligns and checks them, writes them in one format.
+//! The stage: reads, aligns and checks maps, and writes them in one format.
 
-use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Source, Stage};
+use captures::{CaptureArtifact, per_view};
+use engine::{Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resources, Source, Stage};
 use scene::Capture;
+use scene::maps::alignment::median;
 
-use crate::alignment::median;
-use crate::folder::bad;
 use crate::from_capture;
 use crate::from_files::{Files, Outcome};
 use crate::from_points;
 use crate::params::MapSource;
-use crate::{Params, PriorView, Priors, ViewMaps, facts, per_view};
+use crate::{Params, PriorView, Priors, ViewMaps, facts};
 
-/// The name under which the engine hands over the folder of maps.
+/// Name of the source folder of maps.
 const FOLDER: &str = "folder";
-
-engine::artifact! {
-    /// The capture that the maps belong to.
-    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
-}
 
 /// The stage `depth-flow-import`.
 pub struct DepthFlowImport;
@@ -50,7 +45,7 @@ impl Stage for DepthFlowImport {
     }
 
     fn resources(_params: &Params) -> Resources {
-        Resources { threads: 0 } // decoding maps is all there is to do, and it scales
+        Resources { threads: 0 } // views are independent
     }
 
     fn run(context: &JobContext, params: &Params) -> anyhow::Result<Priors> {
@@ -61,7 +56,7 @@ impl Stage for DepthFlowImport {
                     Ok((from_capture::maps(&capture, &capture.views[index], params)?, Outcome::default()))
                 };
                 let (views, _) = write_views(context, &capture, maps)?;
-                refuse_nothing(&views, &capture)?;
+                check_not_empty(&views, &capture)?;
                 Ok(Priors::save(context.output_dir(), "capture", views)?)
             }
             MapSource::SparsePoints => {
@@ -71,7 +66,7 @@ impl Stage for DepthFlowImport {
                     Ok((ViewMaps { depth, ..ViewMaps::default() }, Outcome::default()))
                 };
                 let (views, _) = write_views(context, &capture, maps)?;
-                refuse_nothing(&views, &capture)?;
+                check_not_empty(&views, &capture)?;
                 Ok(Priors::save(context.output_dir(), "sparse-points", views)?)
             }
             MapSource::Files => {
@@ -84,7 +79,7 @@ impl Stage for DepthFlowImport {
     }
 }
 
-/// Writes the maps of every view.
+/// Computes and writes the maps of every view.
 fn write_views(
     context: &JobContext,
     capture: &Capture,
@@ -95,20 +90,21 @@ fn write_views(
         let (view, (maps, outcome)) = (&capture.views[index], maps(index)?);
         Ok((Priors::write_view(dir, &view.name, view.camera, &maps)?, outcome))
     };
-    Ok(per_view::map(context, capture.views.len(), write)?.into_iter().unzip())
+    Ok(per_view(context, capture.views.len(), write)?.into_iter().unzip())
 }
 
-/// A capture without any map gives no priors.
-fn refuse_nothing(views: &[PriorView], capture: &Capture) -> anyhow::Result<()> {
+/// Fails if no view has depth or flow.
+fn check_not_empty(views: &[PriorView], capture: &Capture) -> anyhow::Result<()> {
     let any = views.iter().any(|view| view.depth.is_some() || view.flow.is_some());
     if any {
         return Ok(());
     }
-    let hint = "synthetic captures write them where truths says so; set source = \"files\" for those of estimators";
-    Err(bad("the capture carries no depth and no flow").hint(hint).at(&capture.dir).into())
+    let hint =
+        "enable `truths` in scene-synthesis to write them, or set source = \"files\" to import an estimator's output";
+    Err(Failure::new(FailureKind::BadInput, "the capture has no depth and no flow").hint(hint).at(&capture.dir).into())
 }
 
-/// How well the import went, for people.
+/// Records the quality of the import; fails if every flow map is zero.
 fn measure(context: &JobContext, outcomes: &[Outcome], unused: usize) -> anyhow::Result<()> {
     let middle = |values: Vec<f64>| median(values.into_iter());
     let count = |test: fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| test(outcome)).count();
@@ -121,7 +117,8 @@ fn measure(context: &JobContext, outcomes: &[Outcome], unused: usize) -> anyhow:
     context.measure("alignment_inlier_share_min", fits().map(|fit| fit.inlier_share).min_by(f64::total_cmp))?;
     let maps = count(|outcome| outcome.flow_kept.is_some());
     if maps > 0 && count(|outcome| outcome.flow_is_zero) == maps {
-        return Err(bad("every flow map is zero everywhere").hint("did the estimator run?").into());
+        let failure = Failure::new(FailureKind::BadInput, "every flow map is zero everywhere");
+        return Err(failure.hint("check the output of the flow estimator").into());
     }
     Ok(())
 }

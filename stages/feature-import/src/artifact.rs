@@ -9,57 +9,57 @@ use serde::{Deserialize, Serialize};
 
 use crate::tensor_file;
 
-/// The file that describes the features.
+/// Name of the index file.
 const INDEX_FILE: &str = "features.json";
-/// What the index describes, for errors.
+/// What the index describes, for error messages.
 const WHAT: &str = "features";
-/// The text embeddings' file name.
+/// Name of the file of text embeddings.
 const TEXT: &str = "text.safetensors";
-/// The folder of the visual tokens, a file per view.
+/// Name of the folder of visual tokens, with one file per view.
 const VISUAL: &str = "visual";
 
-/// What a capture shows in words: `features.json` (this structure), `text.safetensors` [P, F] and
-/// `visual/<view>.safetensors` [rows, columns, F]. Tokens and embeddings live in one space: the more a patch shows of what
-/// a prompt says, the larger the cosine between them.
+/// Language features of a capture: the index `features.json` (this structure), text embeddings `text.safetensors` [P,
+/// F] and visual tokens `visual/<view>.safetensors` [rows, columns, F]. Both are in one embedding space, in which the
+/// cosine similarity of a token and a prompt grows with how much of the prompt the image patch shows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Features {
-    /// The folder; not stored.
+    /// The folder of the artifact; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// Who computed tokens and embeddings: `labels` or `files`.
+    /// Origin of tokens and embeddings: `labels` or `files`.
     pub source: String,
-    /// F.
+    /// Dimension F of the embedding space.
     pub dimension: usize,
-    /// P of them, one per row of the text embeddings.
+    /// The P prompts, one per row of the text embeddings.
     pub prompts: Vec<String>,
-    /// By index within the capture's views.
+    /// One entry per view of the capture, in its order.
     pub views: Vec<TokenView>,
 }
 
-/// The tokens of one view.
+/// The index entry of one view.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TokenView {
-    /// The view's name in the capture.
+    /// Name of the view.
     pub name: String,
-    /// Rows and columns of its grid; `None` for views without tokens.
+    /// Rows and columns of the token grid; `None` for a view without tokens.
     pub grid: Option<[usize; 2]>,
 }
 
-/// Tokens on a grid that covers the whole image evenly.
+/// Visual tokens on a regular grid over the whole image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TokenGrid {
-    /// From top to bottom.
+    /// Number of rows, from top to bottom.
     pub rows: usize,
-    /// From left to right.
+    /// Number of columns, from left to right.
     pub columns: usize,
-    /// [rows, columns, F].
+    /// [rows, columns, F] values.
     pub values: Vec<f32>,
 }
 
 impl Features {
-    /// The tokens of the view at `index` within the capture's views, where it has any.
+    /// Reads the tokens of the view at `index` within the views of the capture, if it has any.
     pub fn load_tokens(&self, index: usize) -> anyhow::Result<Option<TokenGrid>> {
         let TokenView { name, grid } = &self.views[index];
         let Some([rows, columns]) = *grid else { return Ok(None) };
@@ -68,33 +68,34 @@ impl Features {
         Ok(Some(TokenGrid { rows, columns, values }))
     }
 
-    /// [P, F], one row per prompt.
+    /// Reads the [P, F] text embeddings, one row per prompt.
     pub fn load_text(&self) -> anyhow::Result<Vec<f32>> {
         load(&self.dir.join(TEXT), &[self.prompts.len(), self.dimension])
     }
 
-    /// Whether these features were made for `capture`: the same views, in the same order.
+    /// Checks that these features belong to `capture`: the same views, in the same order.
     pub fn check_against(&self, capture: &Capture) -> scene::Result<()> {
         capture.check_names(self.views.iter().map(|view| view.name.as_str())).map_err(|error| error.at(&self.dir))
     }
 
-    /// Writes the tokens of one view of these features.
+    /// Writes the tokens of one view.
     pub(crate) fn write_tokens(&self, name: &str, tokens: &TokenGrid) -> anyhow::Result<()> {
         let path = self.tokens_path(name);
         tensor_file::write(&path, "tokens", &[tokens.rows, tokens.columns, self.dimension], &tokens.values)
     }
 
-    /// Writes header and text embeddings, after all tokens.
+    /// Writes the text embeddings and the index, after all tokens.
     pub(crate) fn finish(&self, text: &[f32]) -> anyhow::Result<()> {
         tensor_file::write(&self.dir.join(TEXT), "text", &[self.prompts.len(), self.dimension], text)?;
         Ok(index_file::write(&self.dir.join(INDEX_FILE), WHAT, self)?)
     }
 
-    /// Makes the folder that tokens are written into.
+    /// Creates the folder of tokens.
     pub(crate) fn create_folders(&self) -> anyhow::Result<()> {
         Ok(index_file::create_dir(&self.dir.join(VISUAL))?)
     }
 
+    /// The path of the tokens of a view.
     fn tokens_path(&self, name: &str) -> PathBuf {
         self.dir.join(VISUAL).join(format!("{name}.safetensors"))
     }
@@ -108,14 +109,14 @@ impl engine::Artifact for Features {
         Ok(Self { dir: dir.into(), ..index_file::read(&dir.join(INDEX_FILE), WHAT)? })
     }
 
-    /// One embedding per prompt, at least one view with tokens, and files of the stated shapes whose vectors are finite
-    /// and have a direction.
+    /// Checks for one embedding per prompt, at least one view with tokens, and files of the stated shapes with finite,
+    /// nonzero vectors.
     fn check(&self) -> anyhow::Result<()> {
-        ensure!(!self.prompts.is_empty(), "features without prompts");
+        ensure!(!self.prompts.is_empty(), "the features have no prompts");
         if let Some(at) = self.prompts.iter().position(|prompt| prompt.trim().is_empty()) {
             anyhow::bail!("prompt {at} is empty");
         }
-        ensure!(self.dimension > 0, "features of length 0");
+        ensure!(self.dimension > 0, "the features have dimension 0");
         ensure!(self.views.iter().any(|view| view.grid.is_some()), "no view has tokens");
         check_vectors(&self.load_text()?, self.dimension, &self.dir.join(TEXT))?;
         for (index, view) in self.views.iter().enumerate() {
@@ -127,19 +128,19 @@ impl engine::Artifact for Features {
     }
 }
 
-/// Refuses vectors that are not finite or have no direction.
+/// Fails on vectors that are zero or not finite.
 pub(crate) fn check_vectors(values: &[f32], dimension: usize, path: &Path) -> anyhow::Result<()> {
     for (index, vector) in values.chunks_exact(dimension).enumerate() {
         let squared_norm: f64 = vector.iter().map(|value| f64::from(*value).powi(2)).sum();
         ensure!(squared_norm.is_finite(), "vector {index} is not finite: {}", path.display());
-        ensure!(squared_norm > 0.0, "vector {index} is zero and has no direction: {}", path.display());
+        ensure!(squared_norm > 0.0, "vector {index} is zero: {}", path.display());
     }
     Ok(())
 }
 
-/// The values of a tensor file that must have this shape.
+/// Reads a tensor file, which must have the given shape.
 fn load(path: &Path, shape: &[usize]) -> anyhow::Result<Vec<f32>> {
     let (found, values) = tensor_file::read(path)?;
-    ensure!(found == shape, "shape {found:?} where {shape:?} is expected: {}", path.display());
+    ensure!(found == shape, "shape {found:?} instead of {shape:?}: {}", path.display());
     Ok(values)
 }

@@ -1,5 +1,5 @@
-//! Features that an estimator wrote: `clip/<view>.npy` [rows, columns, F], `text.npy` [P, F] and `prompts.txt`, one prompt
-//! per line; each array may be a safetensors file with one f32 tensor instead.
+//! Features of an estimator: `clip/<view>.npy` [rows, columns, F], `text.npy` [P, F], and `prompts.txt` with one prompt
+//! per line. Each array may also be a safetensors file with one f32 tensor.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -10,31 +10,35 @@ use scene::{Capture, Split, View, npy_file};
 use crate::artifact::{TokenGrid, check_vectors};
 use crate::tensor_file;
 
-/// The folder of the visual tokens.
+/// Name of the folder of visual tokens.
 const VISUAL: &str = "clip";
-/// Extensions of arrays; the first that exists is read.
+/// Extensions of arrays, in order of preference.
 const EXTENSIONS: [&str; 2] = ["npy", "safetensors"];
 
-/// The files of one capture.
-pub struct FeatureFiles {
-    /// P prompts.
-    pub prompts: Vec<String>,
-    /// [P, F].
-    pub text: Vec<f32>,
-    /// F.
-    pub dimension: usize,
+/// The feature files of one capture.
+pub(crate) struct FeatureFiles {
+    /// The P prompts.
+    pub(crate) prompts: Vec<String>,
+    /// [P, F] text embeddings.
+    pub(crate) text: Vec<f32>,
+    /// Dimension F.
+    pub(crate) dimension: usize,
+    /// Folder of visual tokens.
     visual: PathBuf,
-    /// Whether a frame's number names one view.
+    /// Whether every frame number identifies one view.
     by_number: bool,
 }
 
 impl FeatureFiles {
     /// Reads prompts and text embeddings.
-    pub fn open(folder: &Path, capture: &Capture) -> anyhow::Result<Self> {
+    pub(crate) fn open(folder: &Path, capture: &Capture) -> anyhow::Result<Self> {
         let visual = folder.join(VISUAL);
         if !visual.is_dir() {
-            let hint = "is --data-root right, and are the features computed?";
-            return Err(Failure::new(FailureKind::MissingData, "no folder of tokens").hint(hint).at(visual).into());
+            let hint = "check --data-root and the recipe's folder";
+            return Err(Failure::new(FailureKind::MissingData, "no such folder of visual tokens")
+                .hint(hint)
+                .at(visual)
+                .into());
         }
         let prompts = read_prompts(&folder.join("prompts.txt"))?;
         let path = array_path(&folder.join("text"))
@@ -44,7 +48,7 @@ impl FeatureFiles {
         if rows != prompts.len() {
             let message = format!("{rows} text embeddings for {} prompts", prompts.len());
             return Err(Failure::new(FailureKind::BadInput, message)
-                .hint("prompts.txt has one per line")
+                .hint("prompts.txt must have one prompt per line")
                 .at(path)
                 .into());
         }
@@ -53,9 +57,9 @@ impl FeatureFiles {
         Ok(Self { prompts, text, dimension, visual, by_number: numbers.len() == capture.views.len() })
     }
 
-    /// The tokens of a view: under its name, or, where every view has a frame number of its own, under that number with
-    /// five digits. Held-out views may lack tokens, training views may not.
-    pub fn tokens(&self, view: &View) -> anyhow::Result<Option<TokenGrid>> {
+    /// Reads the tokens of a view from a file with its name or, if every frame number identifies one view, with the
+    /// frame number in five digits. Training views must have tokens; held-out views may lack them.
+    pub(crate) fn tokens(&self, view: &View) -> anyhow::Result<Option<TokenGrid>> {
         let named = array_path(&self.visual.join(&view.name));
         let numbered = || array_path(&self.visual.join(format!("{:05}", view.frame_index)));
         let path = named.or_else(|| if self.by_number { numbered() } else { None });
@@ -72,7 +76,8 @@ impl FeatureFiles {
             return Err(wrong_shape(&shape, "[rows, columns, F]", &path));
         };
         if dimension != self.dimension {
-            let message = format!("tokens of length {dimension} where the text embeddings have {}", self.dimension);
+            let message =
+                format!("the tokens have dimension {dimension}, but the text embeddings have {}", self.dimension);
             let hint = "tokens and text must come from the same estimator";
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint).at(path).into());
         }
@@ -81,10 +86,10 @@ impl FeatureFiles {
     }
 }
 
-/// The lines of a file, none of them empty.
+/// Reads the lines of a file, none of which may be empty.
 fn read_prompts(path: &Path) -> anyhow::Result<Vec<String>> {
     let text = std::fs::read_to_string(path).map_err(|error| {
-        let hint = "it holds one prompt per line, in the order of the text embeddings";
+        let hint = "the file must have one prompt per line, in the order of the text embeddings";
         Failure::new(FailureKind::MissingData, format!("cannot read the prompts ({error})")).hint(hint).at(path)
     })?;
     let prompts: Vec<String> = text.lines().map(|line| line.trim().to_owned()).collect();
@@ -97,14 +102,14 @@ fn read_prompts(path: &Path) -> anyhow::Result<Vec<String>> {
     }
 }
 
-/// The file of an array, without its extension in `stem`.
+/// Finds the file of an array from its path without extension.
 fn array_path(stem: &Path) -> Option<PathBuf> {
-    // Names may have dots of their own, so that `with_extension` would cut them.
+    // Names may contain dots, which `with_extension` would cut.
     let with = |extension| PathBuf::from(format!("{}.{extension}", stem.display()));
     EXTENSIONS.into_iter().map(with).find(|path| path.is_file())
 }
 
-/// Shape and values of an array that is not empty.
+/// Reads shape and values of an array, which must not be empty.
 fn read_array(path: &Path) -> anyhow::Result<(Vec<usize>, Vec<f32>)> {
     let (shape, values) = if path.extension().is_some_and(|extension| extension == "safetensors") {
         tensor_file::read(path)?
@@ -115,6 +120,7 @@ fn read_array(path: &Path) -> anyhow::Result<(Vec<usize>, Vec<f32>)> {
     if values.is_empty() { Err(wrong_shape(&shape, "values", path)) } else { Ok((shape, values)) }
 }
 
+/// The failure for an array of another shape.
 fn wrong_shape(shape: &[usize], expected: &str, path: &Path) -> anyhow::Error {
-    Failure::new(FailureKind::BadInput, format!("shape {shape:?} where {expected} is expected")).at(path).into()
+    Failure::new(FailureKind::BadInput, format!("shape {shape:?} instead of {expected}")).at(path).into()
 }

@@ -1,4 +1,4 @@
-//! Exact features of captures whose instances are labelled: the oracle for everything that reads CLIP.
+//! Exact features from instance labels: ground truth for consumers of CLIP features.
 
 use engine::{Failure, FailureKind};
 use rand::SeedableRng;
@@ -9,22 +9,22 @@ use scene::{Capture, FloatImage, LabelMap, ResizeFilter, View};
 use crate::Params;
 use crate::artifact::TokenGrid;
 
-/// The classes of a capture and one embedding of each.
-pub struct Vocabulary {
-    /// The background, then the capture's class names: label k is at position k.
-    pub prompts: Vec<String>,
-    /// [P, F], orthonormal rows.
-    pub embeddings: Vec<f32>,
+/// The classes of a capture with one embedding each.
+pub(crate) struct Vocabulary {
+    /// The background, then the class names of the capture; label k has index k.
+    pub(crate) prompts: Vec<String>,
+    /// [P, F] matrix with orthonormal rows.
+    pub(crate) embeddings: Vec<f32>,
     dimension: usize,
 }
 
 impl Vocabulary {
-    /// One random direction per class, each orthogonal to all others.
-    pub fn of(capture: &Capture, params: &Params) -> anyhow::Result<Self> {
+    /// Draws one random direction per class, orthogonal to all others.
+    pub(crate) fn of(capture: &Capture, params: &Params) -> anyhow::Result<Self> {
         let prompts: Vec<String> = capture.label_names().map(str::to_owned).collect();
         if prompts.len() > params.dimension {
             let (classes, dimension) = (prompts.len(), params.dimension);
-            let message = format!("{classes} classes cannot have orthogonal embeddings of length {dimension}");
+            let message = format!("{classes} classes do not fit into orthogonal embeddings of dimension {dimension}");
             let hint = format!("set dimension to at least {classes}");
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
         }
@@ -32,12 +32,12 @@ impl Vocabulary {
         Ok(Self { prompts, embeddings, dimension: params.dimension })
     }
 
-    /// The tokens of one view: the mean of the embeddings of the pixels that a cell covers, partly covered pixels in
-    /// proportion. A token's product with an embedding is thus the share of its cell that shows the class.
-    pub fn tokens(&self, capture: &Capture, view: &View, grid: u32) -> anyhow::Result<TokenGrid> {
+    /// The tokens of one view: the mean class embedding over the pixels of a cell, with partly covered pixels weighted
+    /// by their share. The dot product of a token and an embedding is thus the share of the cell that shows the class.
+    pub(crate) fn tokens(&self, capture: &Capture, view: &View, grid: u32) -> anyhow::Result<TokenGrid> {
         let Some(labels) = capture.load_mask(view)? else {
             let message = format!("view {} has no instance labels", view.name);
-            let hint = "add \"masks\" to the truths of the synthetic capture";
+            let hint = "add \"masks\" to `truths` of scene-synthesis";
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
         };
         let [rows, columns] = grid_size(labels.width, labels.height, grid);
@@ -52,7 +52,7 @@ impl Vocabulary {
         Ok(TokenGrid { rows: rows as usize, columns: columns as usize, values })
     }
 
-    /// [H, W, P]: 1 for the class of a pixel.
+    /// One-hot classes of pixels, [H, W, P].
     fn one_hot(&self, labels: &LabelMap) -> FloatImage {
         let classes = self.prompts.len();
         let mut values = vec![0.0; labels.labels.len() * classes];
@@ -63,7 +63,8 @@ impl Vocabulary {
     }
 }
 
-/// Rows and columns of a grid with `longest` tokens along the longer side of an image, none smaller than a pixel.
+/// Rows and columns of a grid with `longest` tokens along the longer side of an image; no token is smaller than a
+/// pixel.
 fn grid_size(width: u32, height: u32, longest: u32) -> [u32; 2] {
     let side = width.max(height);
     let longest = longest.min(side);
@@ -71,7 +72,7 @@ fn grid_size(width: u32, height: u32, longest: u32) -> [u32; 2] {
     [tokens(height), tokens(width)]
 }
 
-/// Random orthonormal rows: Gram–Schmidt on normal deviates, repeated once against rounding, in f64.
+/// Random orthonormal rows: Gram–Schmidt on normal deviates in f64, repeated once against rounding errors.
 fn orthonormal_rows(count: usize, dimension: usize, seed: u64) -> Vec<f32> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut rows: Vec<Vec<f64>> = Vec::with_capacity(count);
@@ -95,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn embeddings_are_orthonormal_up_to_the_full_dimension_and_follow_the_seed() {
+    fn embeddings_are_orthonormal_and_follow_the_seed() {
         for (count, dimension) in [(1, 1), (5, 64), (16, 16)] {
             let rows = orthonormal_rows(count, dimension, 3);
             for (i, a) in rows.chunks_exact(dimension).enumerate() {
@@ -111,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn grids_keep_the_aspect_and_are_never_finer_than_pixels() {
+    fn grids_keep_the_aspect_ratio_and_cover_pixels() {
         assert_eq!(grid_size(200, 200, 32), [32, 32]);
         assert_eq!(grid_size(1920, 1072, 32), [18, 32]);
         assert_eq!(grid_size(24, 16, 32), [16, 24]);

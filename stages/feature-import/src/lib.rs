@@ -1,5 +1,5 @@
-//! Brings what pictures show in words into the pipeline: visual tokens on a grid per view and text embeddings of prompts
-//! in one space, computed elsewhere (CLIP) or exactly from instance labels.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
 mod artifact;
 mod files;

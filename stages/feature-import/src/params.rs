@@ -1,4 +1,4 @@
-//! Where tokens and embeddings come from.
+//! Parameters of the stage.
 
 use std::path::{Component, PathBuf};
 
@@ -9,26 +9,26 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Who computes tokens and embeddings.
+    /// The origin of tokens and embeddings.
     pub source: FeatureSource,
-    /// `files`: the folder that holds `clip/`, `text.npy` and `prompts.txt`, relative to the data root.
+    /// For `files`: the folder with `clip/`, `text.npy` and `prompts.txt`, relative to the data root.
     pub folder: PathBuf,
-    /// `labels`: F, the length of embeddings; at least the number of classes plus one for the background.
+    /// For `labels`: dimension F of the embeddings; at least the number of classes plus one for the background.
     pub dimension: usize,
-    /// `labels`: tokens along the longer side of an image.
+    /// For `labels`: number of tokens along the longer side of an image.
     pub grid: u32,
-    /// `labels`: of the random embeddings.
+    /// For `labels`: seed of the random embeddings.
     pub seed: u64,
 }
 
-/// Who computes tokens and embeddings.
+/// The origin of tokens and embeddings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeatureSource {
-    /// Exact ones from the capture's instance labels: an orthonormal embedding per class name.
+    /// Exact features from the instance labels of the capture: one orthonormal embedding per class name.
     #[default]
     Labels,
-    /// Those of an estimator, as CLIP, in files.
+    /// Files of an estimator, e.g. CLIP.
     Files,
 }
 
@@ -37,25 +37,30 @@ impl Default for Params {
         Self {
             source: FeatureSource::Labels,
             folder: PathBuf::new(),
-            dimension: 64, // what language-guided models reduce CLIP's 512 to
-            grid: 32,      // attention over all tokens of an image stays below 1024²
+            dimension: 64, // language-guided models reduce the 512 dimensions of CLIP to this
+            grid: 32,      // attention over all tokens of an image has at most 1024² entries
             seed: 0,
         }
     }
 }
 
 impl Params {
-    /// Every problem that the types cannot see.
-    pub fn problems(&self) -> Vec<ParamProblem> {
+    /// Every problem that the types do not rule out.
+    pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let from_files = self.source == FeatureSource::Files;
         let below_root = self.folder.components().all(|part| matches!(part, Component::Normal(_)));
         let no_folder = self.folder.as_os_str().is_empty();
         let checks = [
-            (from_files && no_folder, "folder", "no folder of features", "folder = \"hypernerf/broom2/aux\""),
-            (!from_files && !no_folder, "folder", "nothing is read from a folder", "set source = \"files\""),
-            (!below_root, "folder", "the folder must lie below the data root", "use a relative path"),
-            (self.dimension == 0, "dimension", "an embedding needs at least one value", "64 holds 63 classes"),
-            (self.grid == 0, "grid", "must be at least 1", "32 is the most that attention over all tokens can bear"),
+            (from_files && no_folder, "folder", "no folder given", "e.g. folder = \"hypernerf/broom2/aux\""),
+            (
+                !from_files && !no_folder,
+                "folder",
+                "this source reads no folder",
+                "set source = \"files\", or remove folder",
+            ),
+            (!below_root, "folder", "the folder must be below the data root", "use a relative path without `..`"),
+            (self.dimension == 0, "dimension", "must be at least 1", "64 fits 63 classes and the background"),
+            (self.grid == 0, "grid", "must be at least 1", "the default is 32"),
         ];
         let problem = |(_, key, message, hint): (bool, &str, &str, &str)| ParamProblem {
             key: key.into(),

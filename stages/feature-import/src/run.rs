@@ -1,7 +1,8 @@
-//! The stage: features of a capture.
+//! The stage: writes language features of every view of a capture.
 
 use std::path::Path;
 
+use captures::CaptureArtifact;
 use engine::{JobContext, ParamProblem, Port, Resources, Source, Stage};
 use rayon::prelude::*;
 use scene::{Capture, View};
@@ -11,12 +12,7 @@ use crate::files::FeatureFiles;
 use crate::labels::Vocabulary;
 use crate::{FeatureSource, Features, Params};
 
-engine::artifact! {
-    /// The capture that the features describe.
-    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
-}
-
-/// The name under which the engine hands over the folder of files.
+/// Name of the source folder of features.
 const FOLDER: &str = "folder";
 
 /// The stage `feature-import`.
@@ -28,7 +24,7 @@ impl Stage for FeatureImport {
 
     const ID: &'static str = "feature-import";
     const ABOUT: &'static str =
-        "brings visual tokens and text embeddings (CLIP's, or exact ones from labels) to a capture";
+        "imports visual tokens and text embeddings (from CLIP, or exact ones from labels) for a capture";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<CaptureArtifact>("capture")]
@@ -67,7 +63,7 @@ impl Stage for FeatureImport {
     }
 }
 
-/// Writes exact features of every view of `capture` into the folder `dir`.
+/// Writes exact features from the instance labels of every view of `capture` into the folder `dir`.
 pub fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Features> {
     let vocabulary = Vocabulary::of(capture, params)?;
     let tokens = |view: &View| Ok(Some(vocabulary.tokens(capture, view, params.grid)?));
@@ -75,7 +71,7 @@ pub fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Re
     write(capture, "labels", text, tokens, dir)
 }
 
-/// Writes the features of `capture` that lie in files below `folder` into the folder `dir`.
+/// Imports the features of `capture` from the files below `folder` into the folder `dir`.
 pub fn from_files(capture: &Capture, folder: &Path, dir: &Path) -> anyhow::Result<Features> {
     let files = FeatureFiles::open(folder, capture)?;
     let text = Text { prompts: &files.prompts, embeddings: &files.text, dimension: files.dimension };
@@ -89,6 +85,7 @@ struct Text<'a> {
     dimension: usize,
 }
 
+/// Writes the tokens of all views, the text embeddings and the index.
 fn write(
     capture: &Capture,
     source: &str,

@@ -1,31 +1,32 @@
-//! One f32 tensor per safetensors file.
+//! Safetensors files with one f32 tensor.
 
 use std::path::Path;
 
 use anyhow::{Context as _, ensure};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
-/// The shape and the values, row-major, of the only tensor in the file.
-pub fn read(path: &Path) -> anyhow::Result<(Vec<usize>, Vec<f32>)> {
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read the file: {}", path.display()))?;
-    parse(&bytes).with_context(|| format!("not a tensor file: {}", path.display()))
+/// Reads the shape and the row-major values of the only tensor in a file.
+pub(crate) fn read(path: &Path) -> anyhow::Result<(Vec<usize>, Vec<f32>)> {
+    let bytes = fs_err::read(path)?;
+    parse(&bytes).with_context(|| format!("not a readable tensor file: {}", path.display()))
 }
 
+/// Decodes the only tensor of a file.
 fn parse(bytes: &[u8]) -> anyhow::Result<(Vec<usize>, Vec<f32>)> {
     let file = SafeTensors::deserialize(bytes)?;
     let tensors = file.tensors();
     let [(_, tensor)] = tensors.as_slice() else {
-        anyhow::bail!("{} tensors where one is expected", tensors.len());
+        anyhow::bail!("{} tensors instead of one", tensors.len());
     };
-    ensure!(tensor.dtype() == Dtype::F32, "{:?} values where f32 is expected", tensor.dtype());
+    ensure!(tensor.dtype() == Dtype::F32, "{:?} values instead of f32", tensor.dtype());
     Ok((tensor.shape().to_vec(), bytemuck::pod_collect_to_vec(tensor.data())))
 }
 
-/// Writes one tensor called `name`; equal values give equal bytes.
-pub fn write(path: &Path, name: &str, shape: &[usize], values: &[f32]) -> anyhow::Result<()> {
+/// Writes one tensor with a name; equal values give equal bytes.
+pub(crate) fn write(path: &Path, name: &str, shape: &[usize], values: &[f32]) -> anyhow::Result<()> {
     let view = TensorView::new(Dtype::F32, shape.to_vec(), bytemuck::cast_slice(values))?;
     let bytes = safetensors::serialize([(name, view)], None)?;
-    std::fs::write(path, bytes).with_context(|| format!("cannot write the file: {}", path.display()))
+    Ok(fs_err::write(path, bytes)?)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The stage on synthetic captures.
+//! The stage on synthetic captures and on files.
 
 use engine::Artifact as _;
 use scene::Capture;
@@ -27,7 +27,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 }
 
 #[test]
-fn a_token_times_an_embedding_is_the_share_of_the_cell_that_shows_the_class() {
+fn tokens_encode_the_class_shares_of_their_cell() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(&dir.path().join("capture"), SceneKind::BouncingSpheres);
     let out = dir.path().join("features");
@@ -54,11 +54,11 @@ fn a_token_times_an_embedding_is_the_share_of_the_cell_that_shows_the_class() {
             }
         }
     }
-    assert!(seen.iter().all(|seen| *seen), "some class was never seen: {seen:?}");
+    assert!(seen.iter().all(|seen| *seen), "a class is never visible: {seen:?}");
 }
 
 #[test]
-fn every_synthetic_scene_names_its_instances() {
+fn prompts_are_the_class_names_of_each_scene() {
     let dir = tempfile::tempdir().unwrap();
     for (scene, expected) in [
         (SceneKind::SwingingArm, &["background", "arm"][..]),
@@ -75,7 +75,7 @@ fn every_synthetic_scene_names_its_instances() {
 }
 
 #[test]
-fn what_cannot_work_is_refused_by_name() {
+fn too_many_classes_and_missing_labels_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let labelled = capture(&dir.path().join("capture"), SceneKind::BouncingSpheres);
     let refusal = |capture: &Capture, params: &Params| {
@@ -90,7 +90,7 @@ fn what_cannot_work_is_refused_by_name() {
 }
 
 #[test]
-fn damage_is_found_by_the_check_and_names_the_file() {
+fn the_check_reports_damaged_files_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(&dir.path().join("capture"), SceneKind::SwingingArm);
     let out = dir.path().join("features");
@@ -114,7 +114,7 @@ fn damage_is_found_by_the_check_and_names_the_file() {
     std::fs::write(&path, &original).unwrap();
     features.check().unwrap();
 
-    // Features of another capture are not taken for those of this one.
+    // Features of another capture are rejected.
     let mut renamed = capture;
     renamed.views[0].name = "other".into();
     assert!(features.check_against(&renamed).is_err());
@@ -122,7 +122,7 @@ fn damage_is_found_by_the_check_and_names_the_file() {
     assert!(features.check_against(&renamed).is_err());
 }
 
-/// A `.npy` file of f32 values.
+/// Writes an `.npy` file of f32 values.
 fn write_npy(path: &std::path::Path, shape: &str, values: &[f32]) {
     let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
     let mut bytes = [&b"\x93NUMPY\x01\x00\x76\x00"[..], format!("{header:<117}\n").as_bytes()].concat();
@@ -130,7 +130,7 @@ fn write_npy(path: &std::path::Path, shape: &str, values: &[f32]) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// Files for the capture's training views, by number and in both formats, with three prompts of length 2.
+/// Writes files for the training views of a capture, in both formats, with three prompts of dimension 2.
 fn write_files(folder: &std::path::Path, capture: &Capture) {
     std::fs::create_dir_all(folder.join("clip")).unwrap();
     std::fs::write(folder.join("prompts.txt"), "a ball\nthe floor\nnothing\n").unwrap();
@@ -147,7 +147,7 @@ fn write_files(folder: &std::path::Path, capture: &Capture) {
 }
 
 #[test]
-fn files_of_an_estimator_are_imported_by_name_or_number() {
+fn files_are_found_by_view_name_or_frame_number() {
     let dir = tempfile::tempdir().unwrap();
     let mut capture = capture(&dir.path().join("capture"), SceneKind::Occluder);
     let folder = dir.path().join("aux");
@@ -164,7 +164,7 @@ fn files_of_an_estimator_are_imported_by_name_or_number() {
         }
     };
     check(&capture, "by-name");
-    // Frame numbers count where they are unique: held-out views share theirs with training views, so they go.
+    // Frame numbers must be unique, so the held-out views, which share theirs with training views, are removed.
     capture.views.retain(|view| view.split == scene::Split::Train);
     for (index, view) in capture.views.iter().enumerate() {
         let extension = if index % 2 == 0 { "npy" } else { "safetensors" };
@@ -175,7 +175,7 @@ fn files_of_an_estimator_are_imported_by_name_or_number() {
 }
 
 #[test]
-fn files_that_do_not_fit_are_refused_by_name() {
+fn inconsistent_files_are_rejected_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(&dir.path().join("capture"), SceneKind::Occluder);
     type Fault = fn(&std::path::Path);
@@ -195,7 +195,7 @@ fn files_that_do_not_fit_are_refused_by_name() {
         (|folder| std::fs::remove_file(folder.join("clip/train_0002.npy")).unwrap(), &["train_0002 has no tokens"]),
         (
             |folder| write_npy(&folder.join("clip/train_0000.npy"), "(1, 1, 3)", &[1.0; 3]),
-            &["length 3", "train_0000.npy"],
+            &["dimension 3", "train_0000.npy"],
         ),
         (
             |folder| write_npy(&folder.join("clip/train_0000.npy"), "(1, 1, 2)", &[f32::NAN; 2]),

@@ -1,4 +1,4 @@
-//! The artifact: a filled image per view, its depth, and what could not be filled.
+//! The artifact: an image of the static scene per view, its depth, and a mask of unfilled pixels.
 
 use std::path::{Path, PathBuf};
 
@@ -8,65 +8,65 @@ use scene::index_file::{self, ViewFiles};
 use scene::{Capture, DepthMap, LabelMap};
 use serde::{Deserialize, Serialize};
 
-/// The file that describes the images.
+/// Name of the index file.
 const INDEX_FILE: &str = "background.json";
-/// What the index describes, for errors.
+/// What the index describes, for error messages.
 const WHAT: &str = "a background";
 
-/// A static video on disk: `background.json` (this structure) beside the files that it names.
+/// Images of the static scene on disk: the index `background.json` (this structure) and the files that it names.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Background {
-    /// The folder; not stored.
+    /// The folder of the artifact; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// Where the filled pixels come from: `files` or `propagate`.
+    /// The origin of filled pixels: `files` or `propagate`.
     pub source: String,
     /// One entry per view of the capture, in its order.
     pub views: Vec<BackgroundView>,
 }
 
-/// The static part of one view.
+/// The index entry of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackgroundView {
     /// The name of the capture's view.
     pub name: String,
-    /// Pixels per row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// The files, where this view was filled.
+    /// The files of the view, if it was filled.
     pub filled: Option<FilledFiles>,
 }
 
-/// Files of a filled view; content as in [`FilledView`].
+/// Files of a filled view, relative to the artifact's folder; [`FilledView`] is their content.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilledFiles {
-    /// 8-bit RGB PNG.
+    /// 8-bit RGB PNG of the static scene.
     pub image: PathBuf,
-    /// EXR, view-space z in scene units; 0 where there is none.
+    /// EXR: view-space z in scene units; 0 where unknown.
     pub depth: Option<PathBuf>,
-    /// 8-bit grey PNG, nonzero where nothing could fill the image.
+    /// 8-bit grey PNG, nonzero where the image is unfilled.
     pub unfilled: PathBuf,
-    /// Share of unfilled pixels among all, in [0, 1].
+    /// Share of unfilled pixels in the image, in [0, 1].
     pub unfilled_share: f64,
 }
 
-/// The static part of one view in memory.
+/// The static scene as one view shows it, in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilledView {
-    /// The image without what moves; the capture's background colour where nothing could fill it.
+    /// The image without moving objects; the background colour of the capture where unfilled.
     pub image: RgbImage,
-    /// Depth of the filled image, where known (0 elsewhere).
+    /// View-space depth of the filled image, if known; 0 where unknown.
     pub depth: Option<DepthMap>,
-    /// Nonzero where nothing could fill the image.
+    /// Nonzero where the image is unfilled.
     pub unfilled: LabelMap,
 }
 
 impl Background {
-    /// The static part of a view (by its index within the capture); `None` where the view was not filled.
+    /// Reads a view (an index within the views of the capture); `None` if it was not filled.
     pub fn load_view(&self, view: usize) -> scene::Result<Option<FilledView>> {
         let Some(filled) = &self.views[view].filled else { return Ok(None) };
         let files = self.files(view);
@@ -83,12 +83,12 @@ impl Background {
         shares.iter().sum::<f64>() / shares.len().max(1) as f64
     }
 
-    /// Whether these images were made for `capture`.
+    /// Checks that these images belong to `capture`: the same views, in the same order.
     pub fn check_against(&self, capture: &Capture) -> scene::Result<()> {
         capture.check_names(self.views.iter().map(|view| view.name.as_str()))
     }
 
-    /// Writes one view (of `size` = width, height) below `dir`.
+    /// Writes one view of `size` (width, height) below `dir` and returns its index entry.
     pub fn write_view(
         dir: &Path,
         name: &str,
@@ -116,7 +116,7 @@ impl Background {
         Ok(BackgroundView { name: name.into(), width, height, filled: filled.map(write).transpose()? })
     }
 
-    /// Writes the index into `dir`, where the files of `views` lie already.
+    /// Writes the index into `dir`, after the files of all `views`.
     pub fn save(dir: &Path, source: &str, views: Vec<BackgroundView>) -> scene::Result<Self> {
         let background = Self { dir: dir.into(), source: source.into(), views };
         index_file::write(&dir.join(INDEX_FILE), WHAT, &background)?;
@@ -141,7 +141,11 @@ impl engine::Artifact for Background {
         for (index, view) in self.views.iter().enumerate() {
             let Some(filled) = &view.filled else { continue };
             let (files, share) = (self.files(index), filled.unfilled_share);
-            ensure!((0.0..=1.0).contains(&share), "view {} has {share} as its share of unfilled pixels", view.name);
+            ensure!(
+                (0.0..=1.0).contains(&share),
+                "the share of unfilled pixels of view {} is {share}, not in [0, 1]",
+                view.name
+            );
             files.check_image(&filled.image)?;
             files.check_image(&filled.unfilled)?;
             filled.depth.as_ref().map_or(Ok(()), |depth| files.check_floats(depth, &[&DepthMap::CHANNELS]))?;
@@ -183,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sizes_and_lost_files_are_refused() {
+    fn wrong_sizes_and_missing_files_are_rejected() {
         let dir = tempfile::tempdir().unwrap();
         let background = save(dir.path());
         let mut larger = background.clone();

@@ -1,42 +1,43 @@
-//! Frames of a video inpainter, and their depth.
+//! Frames of a video inpainter, with their depth.
 
 use std::path::{Path, PathBuf};
 
-use depth_flow_import::alignment::fit_scale_shift;
-use depth_flow_import::depth::inverse_depths;
-use depth_flow_import::folder::ViewFolder;
-use depth_flow_import::formats::{self, Content};
-use depth_flow_import::params::DepthParams;
-use depth_flow_import::raster;
+use captures::{match_required, open_folder};
 use engine::{Failure, FailureKind};
-use layer_split::Mask;
 use scene::image_file::{self, RgbImage};
-use scene::{Capture, DepthMap, FloatImage, ResizeFilter, Split};
+use scene::maps::alignment::fit_scale_shift;
+use scene::maps::fit_to_view;
+use scene::maps::formats::{self, Content};
+use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split};
 
-use crate::still::StillView;
+use crate::static_view::StaticView;
 use crate::{FilledView, Params};
 
-/// Endings of frames.
+/// File extensions of frames.
 const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];
-/// Depth is aligned on the pixels at rest between these distances from what moves: near, so that the seam closes, but
-/// not at the blurred edge.
+/// Inner and outer distance from moving pixels of the ring of static pixels on which depth is aligned: near, so that
+/// the seam closes, but beyond blurred edges.
 const RING_PX: [u32; 2] = [5, 20];
 
-/// The files of the views of a capture.
-pub struct Frames<'a> {
+/// The files of an inpainter, one entry per view of a capture.
+pub(crate) struct Frames<'a> {
     params: &'a Params,
     images: Vec<Option<PathBuf>>,
     depths: Vec<Option<PathBuf>>,
 }
 
 impl<'a> Frames<'a> {
-    /// Finds the files; every training view needs a frame, and depth where a folder of it is named.
-    pub fn find(images: &Path, depths: Option<&Path>, capture: &Capture, params: &'a Params) -> anyhow::Result<Self> {
+    /// Finds the files. Every training view needs a frame and, if a folder of depth is given, a depth map.
+    pub(crate) fn find(
+        images: &Path,
+        depths: Option<&Path>,
+        capture: &Capture,
+        params: &'a Params,
+    ) -> anyhow::Result<Self> {
         let files = |dir: &Path, extensions: &[&str]| -> anyhow::Result<Vec<Option<PathBuf>>> {
-            let missing = || Failure::new(FailureKind::MissingData, "no such folder").at(dir);
-            let folder = ViewFolder::open(dir, extensions)?.ok_or_else(missing)?;
-            let (found, _) = folder.of_views(capture, |view| view.split == Split::Train)?;
-            Ok(found.into_iter().map(|path| path.map(Path::to_path_buf)).collect())
+            let folder = open_folder(dir, extensions, "inpainted frames")?;
+            let matched = match_required(&folder, capture, |view| view.split == Split::Train)?;
+            Ok(matched.files.into_iter().map(|path| path.map(Path::to_path_buf)).collect())
         };
         let depths = match depths {
             Some(dir) => files(dir, &formats::EXTENSIONS)?,
@@ -45,12 +46,12 @@ impl<'a> Frames<'a> {
         Ok(Self { params, images: files(images, &IMAGES)?, depths })
     }
 
-    /// The inpainted frame of a view where something moves, and the view itself elsewhere.
-    pub fn fill(&self, index: usize, view: &StillView) -> anyhow::Result<FilledView> {
+    /// Fills the moving pixels of a view from its inpainted frame.
+    pub(crate) fn fill(&self, index: usize, view: &StaticView) -> anyhow::Result<FilledView> {
         let path = self.images[index].as_deref().expect("every training view has a frame");
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let frame = FloatImage::from_rgb(&image_file::read_rgb(path)?);
-        // Inpainters work at sizes that are multiples of 8.
+        // Inpainters round sizes to multiples of 8.
         let frame = frame.resized(width, height, ResizeFilter::Lanczos3).to_rgb8()?;
         let pick = |x: u32, y: u32| {
             let moves = view.moving.inside[y as usize * width as usize + x as usize];
@@ -61,25 +62,29 @@ impl<'a> Frames<'a> {
         Ok(FilledView { image, depth, unfilled: Mask::empty(width, height).to_labels() })
     }
 
-    /// The view's depth where it is at rest, and elsewhere that of the inpainted frame, in the view's scale: scale and
-    /// shift of inverse depth are fitted on the ring around what moves.
-    fn depth(&self, path: &Path, view: &StillView) -> anyhow::Result<DepthMap> {
-        let no_depth = || Failure::new(FailureKind::BadInput, "inpainted depth needs the depth of the view itself");
+    /// The depth of the view where it is static, and the depth of the inpainted frame elsewhere. The latter is brought
+    /// to the scale of the view by a scale and a shift of inverse depth, fitted on a ring around the moving pixels.
+    fn depth(&self, path: &Path, view: &StaticView) -> anyhow::Result<DepthMap> {
+        let no_depth = || {
+            Failure::new(FailureKind::BadInput, "inpainted depth cannot be aligned: the view has no depth of its own")
+        };
         let hint = "wire priors with depth to the port priors, or remove depth_folder";
         let own = view.depth.as_ref().ok_or_else(|| no_depth().hint(hint).at(path))?;
-        let kind = DepthParams { kind: self.params.depth_kind, ..DepthParams::default() };
-        let (values, _) = raster::fitted(formats::read(path, Content::Depth)?, &view.camera.intrinsics, path)?;
-        let inverse_depths = inverse_depths(&values, &view.camera, &kind).map_err(|error| error.at(path))?;
+        let (values, _) = fit_to_view(formats::read(path, Content::Depth)?, &view.camera.intrinsics, path)?;
+        let inverse_depths = self.params.depth_kind.inverse_depths(&values, &view.camera, 1.0);
+        let inverse_depths = inverse_depths.map_err(|error| error.at(path))?;
         if view.moving.count() == 0 {
             return Ok(own.clone());
         }
         let ring = view.moving.dilated(RING_PX[1]).without(&view.moving.dilated(RING_PX[0]));
         let on_ring = (0..ring.inside.len()).filter(|at| ring.inside[*at]);
         let samples: Vec<_> =
-            on_ring.filter_map(|at| Some((inverse_depths[at]?, 1.0 / view.still_depth(at)?))).collect();
+            on_ring.filter_map(|at| Some((inverse_depths[at]?, 1.0 / view.static_depth(at)?))).collect();
         let [inner, outer] = RING_PX;
-        let message = || format!("inpainted depth does not continue that of the view {inner} to {outer} px outside");
-        let not_aligned = || Failure::new(FailureKind::BadInput, message()).hint("is depth_kind right?").at(path);
+        let message = || {
+            format!("inpainted depth does not continue the depth of the view {inner} to {outer} px around what moves")
+        };
+        let not_aligned = || Failure::new(FailureKind::BadInput, message()).hint("check depth_kind").at(path);
         let fit = fit_scale_shift(&samples).ok_or_else(not_aligned)?;
         let filled = |at: usize| {
             let inverse_depth = inverse_depths[at].map(|value| fit.apply(value)).filter(|value| *value > 0.0);

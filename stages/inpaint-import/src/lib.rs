@@ -1,14 +1,15 @@
-//! The static part of every view, with what moves painted out.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
 mod artifact;
 mod imported;
-pub mod params;
+mod params;
 mod propagate;
 mod run;
-mod still;
+mod static_view;
 #[cfg(test)]
 mod tests;
 
 pub use artifact::{Background, BackgroundView, FilledFiles, FilledView};
 pub use params::Params;
-pub use run::{CaptureArtifact, InpaintImport};
+pub use run::InpaintImport;

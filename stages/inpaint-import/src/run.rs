@@ -1,6 +1,7 @@
-//! The stage: the static part of every training view.
+//! The stage: fills the moving pixels of every training view.
 
-use depth_flow_import::{Priors, per_view};
+use captures::{CaptureArtifact, per_view};
+use depth_flow_import::Priors;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
 use layer_split::Layers;
 use scene::{Capture, Split, facts};
@@ -8,18 +9,13 @@ use scene::{Capture, Split, facts};
 use crate::imported::Frames;
 use crate::params::FillSource;
 use crate::propagate;
-use crate::still::StillView;
-use crate::{Background, FilledView, Params};
+use crate::static_view::StaticView;
+use crate::{Background, BackgroundView, FilledView, Params};
 
-/// The name under which the engine hands over the folder of frames.
+/// Name of the source folder of inpainted frames.
 const FOLDER: &str = "folder";
-/// The name under which the engine hands over the folder of depth maps.
+/// Name of the source folder of their depth maps.
 const DEPTH_FOLDER: &str = "depth_folder";
-
-engine::artifact! {
-    /// The capture whose views are filled.
-    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
-}
 
 /// The stage `inpaint-import`.
 pub struct InpaintImport;
@@ -29,7 +25,8 @@ impl Stage for InpaintImport {
     type Output = Background;
 
     const ID: &'static str = "inpaint-import";
-    const ABOUT: &'static str = "replaces what moves by what lies behind: from other views, or from inpainted frames";
+    const ABOUT: &'static str =
+        "replaces moving pixels with the static scene behind them, from other views or inpainted frames";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<CaptureArtifact>("capture"), Port::one::<Layers>("layers"), Port::optional::<Priors>("priors")]
@@ -48,7 +45,7 @@ impl Stage for InpaintImport {
         params.problems()
     }
 
-    /// Whether anything moves, and whether the filled images have depth.
+    /// Predicts whether the filled images have depth, and passes on whether anything moves.
     fn facts(params: &Params, context: &PlanContext<'_>) -> Facts {
         let known = |port: &str, fact| context.facts(port).and_then(|facts| facts.flag(fact));
         let own =
@@ -57,15 +54,15 @@ impl Stage for InpaintImport {
             (FillSource::Files, None) => Some(false),
             (FillSource::Files, Some(_)) | (FillSource::Propagate, _) => own,
         };
-        let told = [(facts::DEPTH, depth), (facts::MOVING, known("layers", facts::MOVING))];
+        let facts = [(facts::DEPTH, depth), (facts::MOVING, known("layers", facts::MOVING))];
         let with = |known: Facts, (fact, flag): (&str, Option<bool>)| match flag {
             Some(flag) => known.with(fact, flag),
             None => known,
         };
-        told.into_iter().fold(Facts::default(), with)
+        facts.into_iter().fold(Facts::default(), with)
     }
 
-    /// Inpainted frames without depth need no depth.
+    /// Priors are not read for inpainted frames without depth.
     fn resolve(params: Params, _context: &PlanContext<'_>) -> Result<Resolution<Params>, Vec<ParamProblem>> {
         let needs_depth = params.source == FillSource::Propagate || params.depth_folder.is_some();
         let unread = if needs_depth { Default::default() } else { ["priors"].into() };
@@ -84,10 +81,10 @@ impl Stage for InpaintImport {
         if let Some(priors) = &priors {
             priors.check_against(&capture)?;
         }
-        // Views without a mask are neither looked into nor filled.
-        let is_split = |index: &usize| layers.views[*index].moving.is_some();
-        let views: Vec<usize> = capture.views_of(Split::Train).map(|(index, _)| index).filter(is_split).collect();
-        let load = |index: usize| StillView::load(&capture, &layers, priors.as_ref(), index, params.margin_px);
+        // Views without a mask are neither sources nor filled.
+        let has_mask = |index: &usize| layers.views[*index].moving.is_some();
+        let views: Vec<usize> = capture.views_of(Split::Train).map(|(index, _)| index).filter(has_mask).collect();
+        let load = |index: usize| StaticView::load(&capture, &layers, priors.as_ref(), index, params.margin_px);
         let source = match params.source {
             FillSource::Propagate => "propagate",
             FillSource::Files => "files",
@@ -112,15 +109,15 @@ impl Stage for InpaintImport {
     }
 }
 
-/// Writes every view; only `views` are filled.
+/// Writes every view of the capture; only `views` are filled.
 fn write(
     context: &JobContext,
     capture: &Capture,
     views: &[usize],
     fill: &(dyn Fn(usize) -> anyhow::Result<FilledView> + Sync),
-) -> anyhow::Result<Vec<crate::BackgroundView>> {
+) -> anyhow::Result<Vec<BackgroundView>> {
     let dir = context.output_dir();
-    per_view::map(context, capture.views.len(), |index| {
+    per_view(context, capture.views.len(), |index| {
         let view = &capture.views[index];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let filled = views.contains(&index).then(|| fill(index)).transpose()?;
@@ -128,7 +125,7 @@ fn write(
     })
 }
 
-/// At most `limit` of the views, evenly spread.
+/// At most `limit` of the views, evenly spaced.
 fn spread(views: &[usize], limit: usize) -> impl Iterator<Item = usize> {
     let count = views.len().min(limit);
     (0..count).map(move |at| views[at * views.len() / count])

@@ -1,4 +1,4 @@
-//! The artifact: a mask of what moves, per view.
+//! The artifact: a mask of moving pixels per view.
 
 use std::path::{Path, PathBuf};
 
@@ -7,62 +7,63 @@ use scene::index_file::{self, ViewFiles};
 use scene::{Capture, LabelMap};
 use serde::{Deserialize, Serialize};
 
-/// The file that describes the masks.
+/// Name of the index file.
 const INDEX_FILE: &str = "layers.json";
-/// What the index describes, for errors.
+/// What the index describes, for error messages.
 const WHAT: &str = "layers";
-/// Folder of the masks.
+/// Name of the folder of masks.
 const MASKS: &str = "moving";
 
-/// Masks on disk: `layers.json` (this structure) beside the PNG files that it names.
+/// Masks on disk: the index `layers.json` (this structure) and the PNG files that it names.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Layers {
-    /// The folder; not stored.
+    /// The folder of the artifact; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// What decided: `velocity`, `masks`, `files` or `residual-flow`, several joined by `+`.
+    /// The evidence for motion: `velocity`, `masks`, `velocity+masks`, `files` or `residual-flow`.
     pub source: String,
     /// One entry per view of the capture, in its order.
     pub views: Vec<LayerView>,
 }
 
-/// The split of one view.
+/// The mask of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LayerView {
     /// The name of the capture's view.
     pub name: String,
-    /// Pixels per row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// 8-bit grey PNG, nonzero where something moves; none where nothing is known of this view.
+    /// 8-bit grey PNG, nonzero where something moves; `None` for a view without evidence.
     pub moving: Option<PathBuf>,
-    /// Share of moving pixels, in [0, 1]; 0 where nothing is known.
+    /// Share of moving pixels, in [0, 1]; 0 for a view without evidence.
     pub moving_share: f64,
 }
 
 impl Layers {
-    /// What moves in a view (by its index within the capture): nonzero; `None` where nothing is known of the view.
+    /// Reads the mask of a view (an index within the views of the capture), nonzero where something moves; `None` if
+    /// the view has no mask.
     pub fn load_moving(&self, view: usize) -> scene::Result<Option<LabelMap>> {
         let file = self.views[view].moving.as_deref();
         self.files(view).load(file, LabelMap::read, |map| (map.width, map.height))
     }
 
-    /// Mean share of moving pixels over the views of which something is known.
-    pub fn moving_share(&self) -> f64 {
+    /// Mean share of moving pixels over the views that have a mask.
+    pub(crate) fn moving_share(&self) -> f64 {
         let known: Vec<f64> =
             self.views.iter().filter(|view| view.moving.is_some()).map(|view| view.moving_share).collect();
         known.iter().sum::<f64>() / known.len().max(1) as f64
     }
 
-    /// Whether these masks were made for `capture`.
+    /// Checks that these masks belong to `capture`: the same views, in the same order.
     pub fn check_against(&self, capture: &Capture) -> scene::Result<()> {
         capture.check_names(self.views.iter().map(|view| view.name.as_str()))
     }
 
-    /// Writes the mask of one view (of `size` = width, height) below `dir`.
+    /// Writes the mask of one view of `size` (width, height) below `dir` and returns its index entry.
     pub fn write_view(dir: &Path, name: &str, size: (u32, u32), moving: Option<&LabelMap>) -> scene::Result<LayerView> {
         let write = |map: &LabelMap| {
             let file = Path::new(MASKS).join(format!("{name}.png"));
@@ -78,7 +79,7 @@ impl Layers {
         Ok(LayerView { name: name.into(), width, height, moving: moving.map(write).transpose()?, moving_share })
     }
 
-    /// Writes the index into `dir`, where the masks of `views` lie already.
+    /// Writes the index into `dir`, after the masks of all `views`.
     pub fn save(dir: &Path, source: &str, views: Vec<LayerView>) -> scene::Result<Self> {
         let layers = Self { dir: dir.into(), source: source.into(), views };
         index_file::write(&dir.join(INDEX_FILE), WHAT, &layers)?;
@@ -102,7 +103,11 @@ impl engine::Artifact for Layers {
         ensure!(self.views.iter().any(|view| view.moving.is_some()), "no view has a mask");
         for (index, view) in self.views.iter().enumerate() {
             let share = view.moving_share;
-            ensure!((0.0..=1.0).contains(&share), "view {} has {share} as its share of moving pixels", view.name);
+            ensure!(
+                (0.0..=1.0).contains(&share),
+                "the share of moving pixels of view {} is {share}, not in [0, 1]",
+                view.name
+            );
             view.moving.as_ref().map_or(Ok(()), |file| self.files(index).check_image(file))?;
         }
         Ok(())
@@ -134,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sizes_shares_and_lost_files_are_refused() {
+    fn wrong_sizes_shares_and_missing_files_are_rejected() {
         let dir = tempfile::tempdir().unwrap();
         let layers = save(dir.path());
         let refused = |change: fn(&mut Layers)| {
@@ -145,7 +150,7 @@ mod tests {
         assert!(refused(|layers| layers.views[0].width = 5).contains("moving/a.png"));
         assert!(refused(|layers| layers.views[0].moving_share = f64::NAN).contains("share"));
         assert!(refused(|layers| layers.views[0].moving = Some("moving/b.png".into())).contains("moving/b.png"));
-        assert!(refused(|layers| layers.views[0].moving = Some("../a.png".into())).contains("leads out"));
+        assert!(refused(|layers| layers.views[0].moving = Some("../a.png".into())).contains("leads outside"));
         assert!(refused(|layers| layers.views[0].moving = None).contains("no view has a mask"));
     }
 }

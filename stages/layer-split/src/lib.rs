@@ -1,14 +1,13 @@
-//! The split of every view into what moves and what does not.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
 mod artifact;
-pub mod mask;
-pub mod params;
-pub mod residual;
+mod params;
+mod residual;
 mod run;
 #[cfg(test)]
 mod tests;
 
 pub use artifact::{LayerView, Layers};
-pub use mask::Mask;
 pub use params::Params;
-pub use run::{CaptureArtifact, LayerSplit};
+pub use run::LayerSplit;

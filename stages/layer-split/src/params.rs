@@ -1,4 +1,4 @@
-//! What a recipe may say about layers.
+//! Parameters of the stage.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -9,34 +9,34 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// What decides.
+    /// The evidence for motion.
     pub source: LayerSource,
-    /// `files`: the folder of masks, relative to the data root, as `priors/scene/mask`.
+    /// For `files`: the folder of masks, relative to the data root, e.g. `priors/scene/mask`.
     pub folder: PathBuf,
-    /// Masks: which pixels move.
+    /// For masks of the capture and of `files`: which pixels move.
     pub polarity: Polarity,
-    /// `files`: pixels above this grey level are set; 127 for soft mattes.
+    /// For `files`: pixels above this grey level are set, e.g. 127 for soft mattes.
     pub threshold: u8,
-    /// `residual-flow`: a pixel moves if its flow differs by more than this from that of a world at rest …
+    /// For `residual-flow`: lower limit of the residual of a moving pixel, in pixels.
     pub min_residual_px: f64,
-    /// … and by more than this multiple of the noise of the view's flow.
+    /// For `residual-flow`: lower limit of the residual of a moving pixel, in standard deviations of the flow's noise.
     pub noise_multiple: f64,
-    /// `residual-flow`: gaps up to twice as wide are closed.
+    /// For `residual-flow`: radius of the morphological closing; gaps of up to twice this width are closed.
     pub closing_px: u32,
-    /// `residual-flow`: smaller parts and smaller holes are noise.
+    /// For `residual-flow`: minimum number of pixels of a component or hole; smaller ones count as noise.
     pub min_area_px: usize,
 }
 
-/// What decides what moves.
+/// The evidence for motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LayerSource {
-    /// What there is: the capture's masks and exact velocity; without them residual flow.
+    /// The best available: masks of the capture and exact velocity, otherwise residual flow.
     #[default]
     Auto,
     /// Masks in a folder.
     Files,
-    /// Flow that the camera's motion does not explain.
+    /// Optical flow that camera motion does not explain.
     ResidualFlow,
 }
 
@@ -44,10 +44,10 @@ pub enum LayerSource {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Polarity {
-    /// Those that are set: RoMo, DAVIS, labels of moving instances.
+    /// Set pixels move: RoMo, DAVIS, labels of moving instances.
     #[default]
     SetMoves,
-    /// Those that are not: masks of the static part.
+    /// Set pixels are static: masks of the background.
     SetRests,
 }
 
@@ -58,8 +58,8 @@ impl Default for Params {
             folder: PathBuf::new(),
             polarity: Polarity::SetMoves,
             threshold: 0,
-            min_residual_px: 0.5, // below, estimators of flow disagree with each other
-            noise_multiple: 5.0,  // of 10⁵ pixels of noise (Rayleigh), one is farther out
+            min_residual_px: 0.5, // below it, flow estimators disagree with each other
+            noise_multiple: 5.0,  // exceeded by one in 10⁵ pixels of pure noise (Rayleigh)
             closing_px: 1,
             min_area_px: 4,
         }
@@ -67,22 +67,42 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Every problem that the types cannot see.
-    pub fn problems(&self) -> Vec<ParamProblem> {
+    /// Every problem that the types do not rule out.
+    pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let files = self.source == LayerSource::Files;
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
         let checks = [
-            (files && self.folder.as_os_str().is_empty(), "folder", "no folder", "folder = \"priors/scene/mask\""),
-            (!relative(&self.folder), "folder", "the folder must lie below the data root", "use a relative path"),
+            (
+                files && self.folder.as_os_str().is_empty(),
+                "folder",
+                "no folder given",
+                "e.g. folder = \"priors/scene/mask\"",
+            ),
+            (
+                !relative(&self.folder),
+                "folder",
+                "the folder must be below the data root",
+                "use a relative path without `..`",
+            ),
             (
                 !files && !self.folder.as_os_str().is_empty(),
                 "folder",
-                "no folder is read",
+                "this source reads no folder",
                 "set source = \"files\", or remove folder",
             ),
-            (!not_negative(self.min_residual_px), "min_residual_px", "must be finite and not negative", "0.5"),
-            (!not_negative(self.noise_multiple), "noise_multiple", "must be finite and not negative", "5.0"),
+            (
+                !not_negative(self.min_residual_px),
+                "min_residual_px",
+                "must be finite and not negative",
+                "the default is 0.5",
+            ),
+            (
+                !not_negative(self.noise_multiple),
+                "noise_multiple",
+                "must be finite and not negative",
+                "the default is 5.0",
+            ),
         ];
         let problem = |(_, key, message, hint): (bool, &str, &str, &str)| ParamProblem {
             key: key.into(),

@@ -1,28 +1,26 @@
-//! What moves is what flows otherwise than a world at rest would.
+//! Motion segmentation by residual flow: optical flow that camera motion does not explain.
 
 use depth_flow_import::FlowPrior;
-use depth_flow_import::flow::rigid;
-use scene::{Camera, DepthMap};
+use scene::{Camera, DepthMap, FlowMap, Mask, pixels};
 
 use crate::Params;
-use crate::mask::{Mask, neighbors};
 
-/// Noise is estimated from the quarter of the residuals that is smallest, so that up to three quarters of a view may
-/// move: the lower quartile of a Rayleigh distribution is this many standard deviations of one coordinate.
+/// The lower quartile of a Rayleigh distribution, in standard deviations of one coordinate. The noise is estimated from
+/// the lower quartile of the residuals, so that up to three quarters of a view may move.
 const RAYLEIGH_LOWER_QUARTILE: f64 = 0.7585;
-/// Neighbouring pixels whose depths differ by a smaller share show one surface.
+/// Largest relative depth difference of neighbouring pixels on one surface.
 const SAME_SURFACE: f32 = 0.05;
 
-/// The pixels of a view that move: their flow differs from that of a world at rest, seen from `camera` at `depth`, by more
-/// than the threshold. A pixel without flow (hidden at the next instant) goes with its nearest neighbours on the same
-/// surface, and rests if they are unknown too.
-pub fn moving(flow: &FlowPrior, depth: &DepthMap, camera: &Camera, params: &Params) -> Mask {
-    let at_rest = rigid(depth, camera, &flow.camera_to);
-    let residual = |(flow, rest): (&[f32; 2], &[f32; 2])| {
-        let length = (flow[0] - rest[0]).hypot(flow[1] - rest[1]);
+/// The moving pixels of a view: those whose flow differs by more than a threshold from the rigid flow of `camera` with
+/// `depth`. A pixel without flow (occluded at the target time) takes the label of its nearest neighbours on the same
+/// surface, and counts as static if these are unknown too.
+pub(crate) fn moving(flow: &FlowPrior, depth: &DepthMap, camera: &Camera, params: &Params) -> Mask {
+    let rigid = FlowMap::rigid(depth, camera, &flow.camera_to);
+    let residual = |(flow, rigid): (&[f32; 2], &[f32; 2])| {
+        let length = (flow[0] - rigid[0]).hypot(flow[1] - rigid[1]);
         length.is_finite().then_some(length)
     };
-    let residuals_px: Vec<Option<f32>> = flow.map.flow_px.iter().zip(&at_rest.flow_px).map(residual).collect();
+    let residuals_px: Vec<Option<f32>> = flow.map.flow_px.iter().zip(&rigid.flow_px).map(residual).collect();
     let threshold_px = threshold_px(&residuals_px, params) as f32;
     let known = residuals_px.iter().map(|residual| residual.map(|residual| residual > threshold_px)).collect();
     let inside = extended(known, depth).into_iter().map(|moves| moves == Some(true)).collect();
@@ -30,7 +28,7 @@ pub fn moving(flow: &FlowPrior, depth: &DepthMap, camera: &Camera, params: &Para
     mask.closed(params.closing_px).without_specks(params.min_area_px)
 }
 
-/// `max(min_residual_px, noise_multiple · σ)`, with the noise σ of this view's flow.
+/// `max(min_residual_px, noise_multiple · σ)`, where σ is the estimated noise of the flow in this view.
 fn threshold_px(residuals_px: &[Option<f32>], params: &Params) -> f64 {
     let mut known: Vec<f32> = residuals_px.iter().copied().flatten().collect();
     if known.is_empty() {
@@ -42,16 +40,16 @@ fn threshold_px(residuals_px: &[Option<f32>], params: &Params) -> f64 {
     params.min_residual_px.max(params.noise_multiple * noise_px)
 }
 
-/// Gives unknown pixels, ring by ring, what the neighbour of the most similar depth on the same surface has.
+/// Labels unknown pixels, ring by ring, like the neighbour of most similar depth on the same surface.
 fn extended(mut known: Vec<Option<bool>>, depth: &DepthMap) -> Vec<Option<bool>> {
-    let (width, height) = (depth.width as usize, depth.height as usize);
     let difference = |a: usize, b: usize| (depth.depth_view[a] / depth.depth_view[b]).ln().abs();
     let has_depth = |at: &usize| depth.depth_view[*at] > 0.0;
     let mut unknown: Vec<usize> = (0..known.len()).filter(|at| known[*at].is_none()).filter(has_depth).collect();
     loop {
         let best = |at: &usize| {
-            let candidates = neighbors(*at, width, height).filter(|other| known[*other].is_some() && has_depth(other));
-            let like = candidates.map(|other| (difference(*at, other), other)).filter(|like| like.0 <= SAME_SURFACE);
+            let labelled = pixels::neighbors(*at, depth.width, depth.height)
+                .filter(|other| known[*other].is_some() && has_depth(other));
+            let like = labelled.map(|other| (difference(*at, other), other)).filter(|like| like.0 <= SAME_SURFACE);
             let (_, from) = like.min_by(|a, b| a.0.total_cmp(&b.0))?;
             Some((*at, known[from]))
         };
@@ -64,8 +62,8 @@ fn extended(mut known: Vec<Option<bool>>, depth: &DepthMap) -> Vec<Option<bool>>
     }
 }
 
-/// Where the moving pixels of a view arrive in the view that its flow leads to.
-pub fn carried(moving: &Mask, flow: &FlowPrior) -> Mask {
+/// Forward-warps the mask of a view along its flow, into the view that the flow leads to.
+pub(crate) fn carried(moving: &Mask, flow: &FlowPrior) -> Mask {
     let (width, height) = (moving.width, moving.height);
     let mut arrived = Mask::empty(width, height);
     let places = (0..moving.inside.len()).filter(|at| moving.inside[*at]);
@@ -76,6 +74,6 @@ pub fn carried(moving: &Mask, flow: &FlowPrior) -> Mask {
             arrived.inside[y as usize * width as usize + x as usize] = true;
         }
     }
-    // Neighbours that move apart leave gaps of a pixel.
+    // Diverging neighbours leave gaps of one pixel.
     arrived.closed(1)
 }

@@ -1,26 +1,21 @@
-//! The stage: masks from what there is.
+//! The stage: one mask per view, from the best evidence available.
 
 use std::path::Path;
 
-use depth_flow_import::folder::ViewFolder;
-use depth_flow_import::formats::{self, Content};
-use depth_flow_import::{Priors, per_view, raster};
+use captures::{CaptureArtifact, match_required, open_folder, per_view};
+use depth_flow_import::Priors;
 use engine::{
     Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage,
 };
-use scene::{Capture, Split, facts};
+use scene::maps::formats::{self, Content};
+use scene::maps::{MatchedFiles, fit_to_view};
+use scene::{Capture, Mask, Split, facts};
 
-use crate::mask::Mask;
 use crate::params::{LayerSource, Polarity};
 use crate::{Layers, Params, residual};
 
-/// The name under which the engine hands over the folder of masks.
+/// Name of the source folder of masks.
 const FOLDER: &str = "folder";
-
-engine::artifact! {
-    /// The capture whose views are split.
-    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
-}
 
 /// The stage `layer-split`.
 pub struct LayerSplit;
@@ -30,7 +25,8 @@ impl Stage for LayerSplit {
     type Output = Layers;
 
     const ID: &'static str = "layer-split";
-    const ABOUT: &'static str = "says which pixels of every view move: by masks, exact velocity, or residual flow";
+    const ABOUT: &'static str =
+        "masks the moving pixels of every view, from given masks, exact velocity or residual flow";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<CaptureArtifact>("capture"), Port::optional::<Priors>("priors")]
@@ -47,17 +43,17 @@ impl Stage for LayerSplit {
         params.problems()
     }
 
-    /// Whether anything moves is known from the capture.
+    /// Passes on whether anything moves in the capture.
     fn facts(_params: &Params, context: &PlanContext<'_>) -> Facts {
         let moving = context.facts("capture").and_then(|capture| capture.flag(facts::MOVING));
         moving.map_or_else(Facts::default, |moving| Facts::default().with(facts::MOVING, moving))
     }
 
-    /// Priors are read where nothing simpler decides.
+    /// Priors are not read if the capture or the masks decide without them.
     fn resolve(params: Params, context: &PlanContext<'_>) -> Result<Resolution<Params>, Vec<ParamProblem>> {
-        let tells = |fact| context.facts("capture").and_then(|capture| capture.flag(fact)) == Some(true);
+        let has = |fact| context.facts("capture").and_then(|capture| capture.flag(fact)) == Some(true);
         let decided = match params.source {
-            LayerSource::Auto => tells(facts::VELOCITY) || tells(facts::MASKS),
+            LayerSource::Auto => has(facts::VELOCITY) || has(facts::MASKS),
             LayerSource::Files => true,
             LayerSource::ResidualFlow => false,
         };
@@ -90,7 +86,7 @@ impl Stage for LayerSplit {
     }
 }
 
-/// One mask per view, where something is known of it, and what decided.
+/// Computes the masks of all views, `None` for views without evidence, and names the source that decided.
 fn masks(
     context: &JobContext,
     capture: &Capture,
@@ -106,24 +102,25 @@ fn masks(
     let known = |index: usize| known_motion(capture, priors, index, params.polarity);
     match (params.source, has_velocity, has_masks, priors.filter(|_| has_flow)) {
         (LayerSource::Files, ..) => Ok(("files", from_files(context, capture, params)?)),
-        (LayerSource::Auto, true, true, _) => Ok(("velocity+masks", per_view::map(context, count, known)?)),
-        (LayerSource::Auto, true, false, _) => Ok(("velocity", per_view::map(context, count, known)?)),
-        (LayerSource::Auto, false, true, _) => Ok(("masks", per_view::map(context, count, known)?)),
+        (LayerSource::Auto, true, true, _) => Ok(("velocity+masks", per_view(context, count, known)?)),
+        (LayerSource::Auto, true, false, _) => Ok(("velocity", per_view(context, count, known)?)),
+        (LayerSource::Auto, false, true, _) => Ok(("masks", per_view(context, count, known)?)),
         (_, _, _, Some(priors)) => Ok(("residual-flow", from_flow(context, capture, priors, params)?)),
-        (_, _, _, None) => Err(nothing_known(params.source, capture).into()),
+        (_, _, _, None) => Err(no_evidence(params.source, capture).into()),
     }
 }
 
-fn nothing_known(source: LayerSource, capture: &Capture) -> Failure {
+/// The failure of a capture without any usable source.
+fn no_evidence(source: LayerSource, capture: &Capture) -> Failure {
     let message = match source {
         LayerSource::ResidualFlow => "residual flow needs depth and flow",
-        _ => "nothing says what moves: the capture has no masks, and there is no velocity and no flow with depth",
+        _ => "nothing determines what moves: no masks in the capture, no velocity, and no flow with depth",
     };
     let hint = "wire a depth-flow-import with depth and flow to the port priors, or set source = \"files\"";
     Failure::new(FailureKind::BadInput, message).hint(hint).at(&capture.dir)
 }
 
-/// What moves by exact velocity or by the capture's own mask.
+/// What moves according to exact velocity or to the mask of the capture, or to either if both exist.
 fn known_motion(
     capture: &Capture,
     priors: Option<&Priors>,
@@ -152,30 +149,30 @@ fn known_motion(
     })
 }
 
-/// Masks in a folder; every training view must have one.
+/// Reads masks from the source folder; every training view must have one.
 fn from_files(context: &JobContext, capture: &Capture, params: &Params) -> anyhow::Result<Vec<Option<Mask>>> {
     let dir = context.source(FOLDER)?;
-    let missing = || Failure::new(FailureKind::MissingData, "no such folder of masks").at(dir);
-    let folder = ViewFolder::open(dir, &formats::EXTENSIONS)?.ok_or_else(missing)?;
-    let (files, unused) = folder.of_views(capture, |view| view.split == Split::Train)?;
+    let folder = open_folder(dir, &formats::EXTENSIONS, "masks")?;
+    let MatchedFiles { files, unused } = match_required(&folder, capture, |view| view.split == Split::Train)?;
     context.measure("files_without_a_view", unused)?;
     let read = |path: &Path, index: usize| -> anyhow::Result<Mask> {
         let values = formats::read(path, Content::Mask)?;
-        let (values, _) = raster::fitted(values, &capture.views[index].camera.intrinsics, path)?;
+        let (values, _) = fit_to_view(values, &capture.views[index].camera.intrinsics, path)?;
         let is_set = |value: &f32| *value > f32::from(params.threshold);
         let moves = |value: &f32| is_set(value) == (params.polarity == Polarity::SetMoves);
         Ok(Mask { width: values.width, height: values.height, inside: values.values.iter().map(moves).collect() })
     };
-    let masks = per_view::map(context, files.len(), |index| files[index].map(|path| read(path, index)).transpose())?;
+    let masks = per_view(context, files.len(), |index| files[index].map(|path| read(path, index)).transpose())?;
     let known = || masks.iter().flatten();
     if known().all(|mask| mask.count() == mask.inside.len()) {
-        let hint = "is the polarity right, and is the threshold below the level of what is set?";
+        let hint = "check polarity; threshold must be at least the grey level of pixels that are not set";
         return Err(Failure::new(FailureKind::BadInput, "every pixel of every mask moves").hint(hint).at(dir).into());
     }
     Ok(masks)
 }
 
-/// Residual flow of every view that has flow and depth. A view without flow takes what the view before it sends.
+/// Segments residual flow in every view that has flow and depth. A view without a mask of its own takes the mask that
+/// flow carries into it from another view.
 fn from_flow(
     context: &JobContext,
     capture: &Capture,
@@ -185,10 +182,10 @@ fn from_flow(
     let split = |index: usize| {
         let Some((flow, depth)) = priors.load_flow(index)?.zip(priors.load_depth(index)?) else { return Ok(None) };
         let mask = residual::moving(&flow, &depth, &capture.views[index].camera, params);
-        let sent = flow.view_to.map(|to| (to, residual::carried(&mask, &flow)));
-        Ok(Some((mask, sent)))
+        let carried = flow.view_to.map(|to| (to, residual::carried(&mask, &flow)));
+        Ok(Some((mask, carried)))
     };
-    let found = per_view::map(context, capture.views.len(), split)?;
+    let found = per_view(context, capture.views.len(), split)?;
     let mut masks: Vec<Option<Mask>> = found.iter().map(|found| Some(found.as_ref()?.0.clone())).collect();
     for (to, mask) in found.into_iter().flatten().filter_map(|found| found.1) {
         masks[to].get_or_insert(mask);

@@ -1,4 +1,4 @@
-//! Splits of synthetic captures against the truth.
+//! The whole stage on synthetic captures with known labels.
 
 use std::path::Path;
 
@@ -6,13 +6,14 @@ use depth_flow_import::Priors;
 use engine::{Artifact as _, Coordinates, Facts, InputRecord, JobContext, PlanContext, Stage as _};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use scene::{Capture, LabelMap, Split, facts};
+use scene::{Capture, LabelMap, Mask, Split, facts};
 use scene_synthesis::{CameraPath, Params as Scene, SceneKind, Truth};
 use tempfile::TempDir;
 
 use crate::params::{LayerSource, Polarity};
-use crate::{LayerSplit, Layers, Mask, Params};
+use crate::{LayerSplit, Layers, Params};
 
+/// Renders a small capture with the given maps into `dir`.
 fn capture(dir: &Path, scene: SceneKind, camera: CameraPath, truths: &[Truth]) -> Capture {
     let params = Scene {
         scene,
@@ -30,6 +31,7 @@ fn capture(dir: &Path, scene: SceneKind, camera: CameraPath, truths: &[Truth]) -
     scene_synthesis::synthesize(&params, dir, 1, |_, _| Ok(())).unwrap()
 }
 
+/// One producer whose artifact is in `dir`.
 fn input(dir: &Path) -> Vec<InputRecord> {
     vec![InputRecord {
         producer: "test".into(),
@@ -40,7 +42,7 @@ fn input(dir: &Path) -> Vec<InputRecord> {
     }]
 }
 
-/// Runs the stage; `priors` and `folder` are folders.
+/// Runs the stage with the given artifact folder of priors and source folder of masks.
 fn run(capture: &Capture, priors: Option<&Path>, folder: &Path, params: &Params) -> anyhow::Result<(TempDir, Layers)> {
     let root = tempfile::tempdir()?;
     let mut context = JobContext::detached(root.path())?;
@@ -54,8 +56,8 @@ fn run(capture: &Capture, priors: Option<&Path>, folder: &Path, params: &Params)
     Ok((root, layers))
 }
 
-/// Exact depth and flow of a capture, with noise of `sigma_px` on the flow, and nothing else that would give the answer
-/// away.
+/// Priors with exact depth and flow, with noise of `sigma_px` on the flow, and without velocity, which would reveal the
+/// answer.
 fn priors(capture: &Capture, sigma_px: f32) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(5);
@@ -82,7 +84,7 @@ fn priors(capture: &Capture, sigma_px: f32) -> TempDir {
     dir
 }
 
-/// Intersection over union with the true labels, over all views that have a mask.
+/// Intersection over union of masks and true labels, over all views that have a mask.
 fn agreement(capture: &Capture, layers: &Layers) -> f64 {
     let (mut both, mut either) = (0, 0);
     for (index, view) in capture.views.iter().enumerate() {
@@ -104,7 +106,7 @@ fn residual_flow() -> Params {
 }
 
 #[test]
-fn residual_flow_finds_what_moves() {
+fn residual_flow_segments_moving_instances() {
     for (scene, camera) in [
         (SceneKind::BouncingSpheres, CameraPath::Arc),
         (SceneKind::BouncingSpheres, CameraPath::Rig),
@@ -112,7 +114,7 @@ fn residual_flow_finds_what_moves() {
     ] {
         let dir = tempfile::tempdir().unwrap();
         let capture = capture(dir.path(), scene, camera, &FLOW_AND_LABELS);
-        // Motion below five standard deviations of the noise cannot be told from it: near its axis the arm is slow.
+        // Motion below five standard deviations of the noise is not detected, e.g. the arm near its axis.
         for sigma_px in [0.0, 0.04] {
             let priors = priors(&capture, sigma_px);
             let params = Params { min_residual_px: 0.2, ..residual_flow() };
@@ -121,7 +123,7 @@ fn residual_flow_finds_what_moves() {
             eprintln!("{scene:?} {camera:?}, noise {sigma_px} px: IoU {agreement:.3}");
             assert!(agreement > 0.9, "{scene:?} {camera:?} {sigma_px}: {agreement}");
             assert_eq!(layers.source, "residual-flow");
-            // The last frame of a moving camera has no flow and nothing that leads to it; that of a rig has.
+            // The last frame has no flow. In a rig, flow leads to it; for a moving camera, none does.
             let unknown = layers.views.iter().filter(|view| view.moving.is_none()).count();
             assert_eq!(unknown, usize::from(camera == CameraPath::Arc));
         }
@@ -129,8 +131,8 @@ fn residual_flow_finds_what_moves() {
 }
 
 #[test]
-fn flow_of_another_capture_is_noticed() {
-    // Planted fault: the same scene's flow with the depth of a camera elsewhere.
+fn flow_of_another_capture_is_rejected() {
+    // Planted fault: priors of the same scene with other cameras.
     let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let arc = capture(dir.path(), SceneKind::BouncingSpheres, CameraPath::Arc, &FLOW_AND_LABELS);
     let rig = capture(other.path(), SceneKind::BouncingSpheres, CameraPath::Rig, &FLOW_AND_LABELS);
@@ -139,7 +141,7 @@ fn flow_of_another_capture_is_noticed() {
 }
 
 #[test]
-fn nothing_moves_in_a_scene_at_rest_whatever_the_noise() {
+fn nothing_moves_in_a_static_scene_despite_noise() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc, &FLOW_AND_LABELS);
     for sigma_px in [0.0, 0.1, 0.7] {
@@ -150,11 +152,11 @@ fn nothing_moves_in_a_scene_at_rest_whatever_the_noise() {
     let priors = priors(&capture, 0.7);
     let sensitive = Params { noise_multiple: 0.0, ..residual_flow() };
     let (_root, layers) = run(&capture, Some(priors.path()), Path::new(""), &sensitive).unwrap();
-    assert!(layers.moving_share() > 0.3, "the noise would not matter: {}", layers.moving_share());
+    assert!(layers.moving_share() > 0.3, "the test is blind to noise: {}", layers.moving_share());
 }
 
 #[test]
-fn exact_velocity_and_labels_are_used_where_they_are() {
+fn exact_velocity_and_labels_take_precedence() {
     let dir = tempfile::tempdir().unwrap();
     let labelled = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Masks]);
     let (_root, layers) = run(&labelled, None, Path::new(""), &Params::default()).unwrap();
@@ -177,24 +179,24 @@ fn exact_velocity_and_labels_are_used_where_they_are() {
 }
 
 #[test]
-fn where_nothing_is_known_it_is_said() {
+fn a_capture_without_evidence_is_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let bare = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Depth]);
     let refusal = |params: &Params| format!("{:#}", run(&bare, None, Path::new(""), params).err().unwrap());
     let error = refusal(&Params::default());
-    assert!(error.contains("nothing says what moves") && error.contains("port priors"), "{error}");
+    assert!(error.contains("nothing determines what moves") && error.contains("port priors"), "{error}");
     let error = refusal(&residual_flow());
     assert!(error.contains("residual flow needs depth and flow"), "{error}");
 }
 
 #[test]
-fn masks_of_a_folder_follow_the_declared_polarity() {
+fn masks_in_files_follow_polarity_and_threshold() {
     let (dir, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let capture = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Arc, &[Truth::Masks]);
     let files = Params { source: LayerSource::Files, folder: "mask".into(), ..Params::default() };
     let error = run(&capture, None, &folder.path().join("none"), &files).err().unwrap();
     assert!(format!("{error:#}").contains("no such folder of masks"), "{error:#}");
-    // A matte that is soft everywhere outside: 255 inside, 20 outside; one file at twice the size, by frame number.
+    // A soft matte: 255 inside, 20 outside. One file has twice the size and the number of its frame as its name.
     for (index, view) in capture.views_of(Split::Train) {
         let truth = Mask::from(&capture.load_mask(view).unwrap().unwrap());
         let grey = |inside: bool| if inside { 255 } else { 20 };
@@ -216,7 +218,7 @@ fn masks_of_a_folder_follow_the_declared_polarity() {
 }
 
 #[test]
-fn priors_are_read_only_where_they_decide() {
+fn priors_are_read_only_if_they_decide() {
     let unread = |source: LayerSource, capture: Facts| {
         let context = PlanContext { data_root: Path::new(""), inputs: [("capture".to_owned(), vec![capture])].into() };
         let params = Params { source, ..Params::default() };
@@ -227,7 +229,7 @@ fn priors_are_read_only_where_they_decide() {
     let masked = || Facts::default().with(facts::MASKS, true);
     assert!(unread(LayerSource::Auto, masked()));
     assert!(unread(LayerSource::Files, Facts::default()));
-    assert!(!unread(LayerSource::Auto, Facts::default()), "what is not known may be needed");
+    assert!(!unread(LayerSource::Auto, Facts::default()), "an unknown fact may be false");
     assert!(!unread(LayerSource::Auto, Facts::default().with(facts::VELOCITY, false)));
     assert!(!unread(LayerSource::ResidualFlow, masked()));
 }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use captures::CaptureArtifact;
 use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
 use rayon::prelude::*;
 use rendering::Renders;
@@ -23,11 +24,6 @@ const FRAME_FEATURES: &str = "frame_features";
 /// The stage `metric-evaluation`.
 pub struct MetricEvaluation;
 
-engine::artifact! {
-    /// The capture whose images are the truth.
-    pub struct TrueImages(scene::Capture) = "capture" @ scene::capture::SCHEMA;
-}
-
 impl Stage for MetricEvaluation {
     type Params = MetricEvaluationParams;
     type Output = Metrics;
@@ -36,7 +32,7 @@ impl Stage for MetricEvaluation {
     const ABOUT: &'static str = "judges rendered views against the capture's images (PSNR, SSIM, MS-SSIM, LPIPS), exact maps (velocity, flow, depth) and labels (prompts)";
 
     fn ports() -> Vec<Port> {
-        vec![Port::one::<Renders>("renders"), Port::one::<TrueImages>("capture")]
+        vec![Port::one::<Renders>("renders"), Port::one::<CaptureArtifact>("capture")]
     }
 
     fn sources(params: &Self::Params) -> Vec<Source> {
@@ -59,7 +55,7 @@ impl Stage for MetricEvaluation {
 
     fn run(context: &JobContext, params: &Self::Params) -> anyhow::Result<Metrics> {
         let renders: Renders = context.input("renders")?;
-        let capture: TrueImages = context.input("capture")?;
+        let capture: CaptureArtifact = context.input("capture")?;
         let set = TestSet::new(&renders, &capture)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let watch = Watch { stop: &context.stop, on_progress: &*context.on_progress, folders: &context.sources };

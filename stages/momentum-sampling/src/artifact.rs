@@ -8,54 +8,54 @@ use scene::index_file;
 use scene::ply::{Ply, PlyFormat, Property, write_ply};
 use serde::{Deserialize, Serialize};
 
-/// The file that describes the particles.
+/// Name of the index file.
 const INDEX_FILE: &str = "particles.json";
-/// What the index describes, for errors.
+/// What the index describes, for error messages.
 const WHAT: &str = "particles";
-/// The particles' file name.
+/// Name of the file of particles.
 const CLOUD: &str = "particles.ply";
-/// The property of a particle beside position and colour.
+/// Name of the PLY property with the energy of a particle.
 const ENERGY: &str = "energy";
 
-/// Particles drawn where things move: `particles.json` (this structure) and `particles.ply`, a point cloud whose vertices
-/// have an `energy` beside position and colour.
+/// Particles sampled on moving surfaces: the index `particles.json` (this structure) and `particles.ply`, a point cloud
+/// whose vertices have an `energy` beside position and colour.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Particles {
-    /// The folder; not stored.
+    /// The folder of the artifact; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// How many there are.
+    /// Number of particles.
     pub count: usize,
-    /// When the particles lie where they are: the first instant of the training views.
+    /// The time of the particle positions, in seconds: the first instant of the training views.
     pub canonical_time_secs: f64,
-    /// The views that they were drawn from, all at that time.
+    /// The views that they were sampled from, all at the canonical time.
     pub canonical_views: Vec<CanonicalView>,
-    /// Strides in frames for which there was flow.
+    /// Strides in frames for which flow was available.
     pub strides: Vec<usize>,
 }
 
-/// A view that particles were drawn from.
+/// A view that particles were sampled from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CanonicalView {
-    /// Within the capture's views.
+    /// Index within the views of the capture.
     pub index: usize,
-    /// Its name there.
+    /// Name of the view.
     pub name: String,
-    /// Particles drawn from it.
+    /// Number of particles sampled from the view.
     pub particles: usize,
 }
 
 impl Particles {
-    /// World positions and colours, and each particle's share of the momentum energy of all pixels, in the order in which
-    /// they were drawn.
+    /// Reads world positions and colours, and the share of each particle in the momentum energy of all pixels, in the
+    /// order in which the particles were drawn.
     pub fn load(&self) -> anyhow::Result<(PointCloud, Vec<f32>)> {
         let path = self.dir.join(CLOUD);
         Ok((PointCloud::read_ply(&path)?, Ply::open(&path)?.vertices(&[ENERGY])?))
     }
 
-    /// Writes header and particles.
+    /// Writes the particles, then the index.
     pub(crate) fn save(&self, points: &PointCloud, energies: &[f32]) -> anyhow::Result<()> {
         let names = ["x", "y", "z"].map(Property::float).into_iter();
         let names = names.chain(["red", "green", "blue"].map(Property::byte)).chain([Property::float(ENERGY)]);
@@ -77,19 +77,25 @@ impl engine::Artifact for Particles {
         Ok(Self { dir: dir.into(), ..index_file::read(&dir.join(INDEX_FILE), WHAT)? })
     }
 
-    /// At least one particle, all at finite places, with energies that are shares of one whole.
+    /// Checks for at least one particle, finite positions, consistent counts, and energies that are shares of one
+    /// total.
     fn check(&self) -> anyhow::Result<()> {
         let path = self.dir.join(CLOUD);
         let (points, energies) = self.load()?;
         ensure!(points.len() == self.count, "{} particles instead of {}: {}", points.len(), self.count, path.display());
         ensure!(self.count > 0, "no particles: {}", path.display());
         let drawn: usize = self.canonical_views.iter().map(|view| view.particles).sum();
-        ensure!(drawn == self.count, "{drawn} particles by view instead of {}: {}", self.count, self.dir.display());
-        ensure!(self.canonical_time_secs.is_finite(), "canonical time is {}", self.canonical_time_secs);
+        ensure!(
+            drawn == self.count,
+            "the views have {drawn} particles instead of {}: {}",
+            self.count,
+            self.dir.display()
+        );
+        ensure!(self.canonical_time_secs.is_finite(), "the canonical time is {}", self.canonical_time_secs);
         let share = energies.iter().all(|energy| (0.0..=1.0).contains(energy));
         let sum: f64 = energies.iter().map(|energy| f64::from(*energy)).sum();
-        // Shares are rounded to f32 one by one.
-        ensure!(share && sum <= 1.0 + 1e-4, "energies are not shares of one whole (sum {sum}): {}", path.display());
+        // Each share is rounded to f32.
+        ensure!(share && sum <= 1.0 + 1e-4, "energies are not shares of one total (sum {sum}): {}", path.display());
         Ok(())
     }
 }

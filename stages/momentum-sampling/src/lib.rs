@@ -1,4 +1,5 @@
-//! Draws particles where things move: momentum, energy and unprojection of KineticGS (equations 3 to 5).
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
 mod artifact;
 mod maps;

@@ -1,26 +1,26 @@
-//! The momentum field: confidence times what of the optical flow the camera's motion does not explain (equation 3).
+//! The momentum field: confidence times the optical flow that camera motion does not explain (KineticGS, equation 3).
 //!
-//! For the pixel u with depth d, seen by camera t, and flow f that leads to camera t + s,
+//! For the pixel u of camera t with depth d and flow f to camera t + s,
 //! `f_geom(u) = π_{t+s}(π_t⁻¹(u, d)) - u` and `p(u) = m(u) (f(u) - f_geom(u)) / s`, in pixels per frame.
 
 use depth_flow_import::FlowPrior;
 use glam::{DVec2, DVec3};
-use scene::Camera;
+use scene::{Camera, pixels};
 
 use crate::Params;
-use crate::maps::{MotionView, pixel_at, pixel_centre};
+use crate::maps::MotionView;
 
-/// Momentum of one view against later instants.
-pub struct Momentum {
-    /// [H, W]: squared norms summed over the strides, in (pixels per frame)²; `None` where the pixel has no depth and so
+/// The momentum of one view relative to later instants.
+pub(crate) struct Momentum {
+    /// [H, W] squared norms, summed over the strides, in (pixels per frame)²; `None` where the pixel has no depth and
     /// cannot become a particle.
-    pub squared_norm: Vec<Option<f64>>,
-    /// The strides for which any pixel had flow.
-    pub strides: Vec<usize>,
+    pub(crate) squared_norm: Vec<Option<f64>>,
+    /// The strides for which any pixel has flow.
+    pub(crate) strides: Vec<usize>,
 }
 
-/// The momentum of view `start` over all strides; `load` gives the views that the flow leads through.
-pub fn momentum(
+/// Computes the momentum of the view `start` over all strides; `load` loads the views that the flow passes through.
+pub(crate) fn momentum(
     start: &MotionView,
     params: &Params,
     load: &dyn Fn(usize) -> anyhow::Result<MotionView>,
@@ -30,7 +30,7 @@ pub fn momentum(
     let slopes = slope_confidence(start, params.depth_slope);
     let mut strides = Vec::new();
     let mut tracks = Tracks::start(start);
-    // Flow is chained from view to view; each pixel of the start keeps the position that it has reached.
+    // Flow is chained from view to view; every pixel of the start view carries its current position.
     let mut current: Option<MotionView> = None;
     for stride in 1..=params.strides.last().copied().unwrap_or(0) {
         let Some(flow) = current.as_ref().unwrap_or(start).flow.as_ref() else { break };
@@ -41,9 +41,9 @@ pub fn momentum(
             strides.push(stride);
             for (pixel, sum) in squared_norm.iter_mut().enumerate() {
                 let (Some(sum), Some(moved)) = (sum, tracks.positions[pixel]) else { continue };
-                let Some(rest) = at_rest(start, pixel, &camera_to) else { continue };
-                let confidence = slopes[pixel] * arrival_confidence(moved, rest, next.as_ref(), params.depth_error);
-                *sum += (confidence * (moved - rest.position) / stride as f64).length_squared();
+                let Some(expected) = static_point(start, pixel, &camera_to) else { continue };
+                let confidence = slopes[pixel] * arrival_confidence(moved, expected, next.as_ref(), params.depth_error);
+                *sum += (confidence * (moved - expected.position) / stride as f64).length_squared();
             }
         }
         let Some(next) = next else { break };
@@ -52,27 +52,29 @@ pub fn momentum(
     Ok(Momentum { squared_norm, strides })
 }
 
-/// Where the pixels of the first view have come to.
+/// Positions of the pixels of the first view, advected along the flow.
 struct Tracks {
+    /// Current position of every pixel; `None` once its flow is unknown.
     positions: Vec<Option<DVec2>>,
+    /// Width and height.
     size: (u32, u32),
 }
 
 impl Tracks {
-    /// Every pixel at its centre.
+    /// Starts every pixel at its centre.
     fn start(view: &MotionView) -> Self {
         let size = (view.depth.width, view.depth.height);
-        let positions = (0..view.depth.depth_view.len()).map(|pixel| Some(pixel_centre(pixel, size.0))).collect();
+        let positions = (0..view.depth.depth_view.len()).map(|pixel| Some(pixels::center(pixel, size.0))).collect();
         Self { positions, size }
     }
 
-    /// One step along `flow`. Flow is looked up at the nearest pixel: interpolation would mix what moves with what does
-    /// not along every outline.
+    /// Advances one step along `flow`, which is read at the nearest pixel: interpolation would mix moving and static
+    /// pixels along every outline.
     fn follow(&mut self, flow: &FlowPrior) {
         let (width, height) = self.size;
         for position in &mut self.positions {
             *position = position.and_then(|from| {
-                let [right, down] = flow.map.flow_px[pixel_at(from, width, height)?];
+                let [right, down] = flow.map.flow_px[pixels::index_at(from, width, height)?];
                 let moved = from + DVec2::new(f64::from(right), f64::from(down));
                 moved.is_finite().then_some(moved)
             });
@@ -80,30 +82,33 @@ impl Tracks {
     }
 }
 
-/// Where a camera would see the surface of a pixel if it did not move.
+/// Where a camera would see the surface point of a pixel if the point were static.
 #[derive(Clone, Copy)]
-struct AtRest {
+struct StaticPoint {
     position: DVec2,
     depth_view: f64,
 }
 
-fn at_rest(start: &MotionView, pixel: usize, camera_to: &Camera) -> Option<AtRest> {
+/// Projects the surface point of a pixel into another camera.
+fn static_point(start: &MotionView, pixel: usize, camera_to: &Camera) -> Option<StaticPoint> {
     let (position, depth_view) = camera_to.project(surface_point(start, pixel)?)?;
-    Some(AtRest { position, depth_view })
+    Some(StaticPoint { position, depth_view })
 }
 
-/// The world position of the surface that a pixel's centre sees (equation 5).
-pub fn surface_point(view: &MotionView, pixel: usize) -> Option<DVec3> {
+/// The world position of the surface point at the centre of a pixel (equation 5); `None` without depth.
+pub(crate) fn surface_point(view: &MotionView, pixel: usize) -> Option<DVec3> {
     let depth = view.depth.depth_view[pixel];
-    let ray = view.camera.ray_view(pixel_centre(pixel, view.depth.width));
+    let ray = view.camera.ray_view(pixels::center(pixel, view.depth.width));
     has_depth(depth).then(|| view.camera.camera_from_world.inverse().apply(f64::from(depth) * ray))
 }
 
+/// Whether a depth is known.
 fn has_depth(depth: f32) -> bool {
     depth > 0.0 && depth.is_finite()
 }
 
-/// `exp(-‖∇d‖₁ / (slope · d))` per pixel: low where depth is steep and so unreliable, 0 beside pixels without depth.
+/// Confidence `exp(-‖∇d‖₁ / (slope · d))` per pixel: low where depth is steep and thus unreliable, 0 next to pixels
+/// without depth.
 fn slope_confidence(view: &MotionView, slope: f64) -> Vec<f64> {
     let (width, height) = (view.depth.width as usize, view.depth.height as usize);
     let depth = |pixel: usize| view.depth.depth_view[pixel];
@@ -121,12 +126,12 @@ fn slope_confidence(view: &MotionView, slope: f64) -> Vec<f64> {
     (0..width * height).map(confidence).collect()
 }
 
-/// `exp(-r / error)` with r the difference between the depth that the next view has where the flow arrives and the depth
-/// that the surface would have at rest, relative to the latter; 1 where the next view's depth is not known.
-fn arrival_confidence(moved: DVec2, rest: AtRest, next: Option<&MotionView>, error: f64) -> f64 {
+/// Confidence `exp(-r / error)`, where r is the difference between the depth of the next view at the target of the flow
+/// and the depth of the static point, relative to the latter; 1 if the depth of the next view is unknown.
+fn arrival_confidence(moved: DVec2, expected: StaticPoint, next: Option<&MotionView>, error: f64) -> f64 {
     let arrived = next.and_then(|next| {
-        let depth = next.depth.depth_view[pixel_at(moved, next.depth.width, next.depth.height)?];
+        let depth = next.depth.depth_view[pixels::index_at(moved, next.depth.width, next.depth.height)?];
         has_depth(depth).then_some(f64::from(depth))
     });
-    arrived.map_or(1.0, |depth| (-(depth - rest.depth_view).abs() / rest.depth_view / error).exp())
+    arrived.map_or(1.0, |depth| (-(depth - expected.depth_view).abs() / expected.depth_view / error).exp())
 }

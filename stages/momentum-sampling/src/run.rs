@@ -1,8 +1,9 @@
-//! The stage: particles of a capture.
+//! The stage: samples particles from the first instant of a capture.
 
 use std::path::Path;
 
 use anyhow::Context as _;
+use captures::CaptureArtifact;
 use depth_flow_import::Priors;
 use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Stage};
 use glam::DVec3;
@@ -15,11 +16,6 @@ use crate::maps::MotionView;
 use crate::momentum::{momentum, surface_point};
 use crate::{Params, Particles, sampling};
 
-engine::artifact! {
-    /// The capture that particles are drawn from.
-    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
-}
-
 /// The stage `momentum-sampling`.
 pub struct MomentumSampling;
 
@@ -28,7 +24,7 @@ impl Stage for MomentumSampling {
     type Output = Particles;
 
     const ID: &'static str = "momentum-sampling";
-    const ABOUT: &'static str = "draws particles where optical flow differs from what the camera's motion explains";
+    const ABOUT: &'static str = "samples particles where optical flow differs from the flow of a static scene";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<CaptureArtifact>("capture"), Port::one::<Priors>("priors")]
@@ -54,26 +50,26 @@ impl Stage for MomentumSampling {
     }
 }
 
-/// Particles, and how well they were drawn.
+/// Sampled particles, and how well they cover what moves.
 pub struct Sampled {
     /// The artifact.
     pub particles: Particles,
-    /// Where the capture knows what moves.
+    /// Shares of moving pixels, if the capture has velocity or instance labels.
     pub moving: Option<MovingShares>,
 }
 
-/// How much of what could be drawn moves, and how much of what was drawn does.
+/// Share of moving pixels among the candidates and among the particles, both in [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MovingShares {
-    /// Of the canonical views' pixels with depth.
+    /// Share of the pixels with depth in the canonical views.
     pub of_area: f64,
-    /// Of the particles.
+    /// Share of the particles.
     pub of_particles: f64,
 }
 
 /// A pixel that may become a particle.
 struct Candidate {
-    /// Position within the canonical views.
+    /// Index within the canonical views.
     view: usize,
     position_world: DVec3,
     color: [u8; 3],
@@ -81,7 +77,8 @@ struct Candidate {
     moves: Option<bool>,
 }
 
-/// Draws particles from the first training views of `capture`, whose depth and flow are in `priors`, into the folder `dir`.
+/// Samples particles from the training views of the first instant, with the depth and flow of `priors`, and writes them
+/// into the folder `dir`.
 pub fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
     priors.check_against(capture)?;
     let (start_secs, canonical) = canonical_views(capture)?;
@@ -97,12 +94,12 @@ pub fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -
         let names: Vec<_> = canonical.iter().map(|index| capture.views[*index].name.as_str()).collect();
         let message = format!("no pixel of {} has both depth and flow", names.join(", "));
         return Err(Failure::new(FailureKind::BadInput, message)
-            .hint("momentum needs both at the first instant of training")
+            .hint("momentum sampling requires both at the first instant of the training views")
             .into());
     }
     let energies = sampling::energies(&candidates.iter().map(|it| it.squared_norm).collect::<Vec<_>>());
     if energies.iter().all(|energy| *energy == 0.0) {
-        tracing::warn!("nothing moves at the first instant: particles are drawn uniformly");
+        tracing::warn!("nothing moves at the first instant; sampling particles uniformly");
     }
     let order = sampling::draw_order(&energies, params.energy_weight, params.seed);
     let count = params.count.min((params.pixel_share * candidates.len() as f64).round().max(1.0) as usize);
@@ -132,13 +129,13 @@ pub fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -
 fn canonical_views(capture: &Capture) -> anyhow::Result<(f64, Vec<usize>)> {
     let mut training = capture.views_of(Split::Train);
     let (_, first) = training.next().context("the capture has no training view")?;
-    // Views are ordered by time within their split.
+    // Views are ordered by time within a split.
     let same = |(_, view): &(usize, &scene::View)| view.time_secs == first.time_secs;
     let views = capture.views_of(Split::Train).take_while(same).map(|(index, _)| index).collect();
     Ok((first.time_secs, views))
 }
 
-/// The pixels of one view that can become particles, and the strides that their momentum was computed for.
+/// The candidate pixels of one view, and the strides of their momentum.
 fn candidates(
     capture: &Capture,
     priors: &Priors,
@@ -163,7 +160,7 @@ fn candidates(
     Ok((momentum.squared_norm.iter().enumerate().filter_map(candidate).collect(), momentum.strides))
 }
 
-/// Per pixel whether it shows something that moves, where the capture knows: by velocity, else by instance label.
+/// Whether each pixel of a view moves, from velocity or otherwise from instance labels; `None` if the view has neither.
 fn moving_pixels(capture: &Capture, index: usize) -> anyhow::Result<Option<Vec<bool>>> {
     let view = &capture.views[index];
     if let Some(velocity) = capture.load_velocity(view)? {
@@ -173,6 +170,7 @@ fn moving_pixels(capture: &Capture, index: usize) -> anyhow::Result<Option<Vec<b
     Ok(mask.map(|mask| mask.labels.iter().map(|label| *label != 0).collect()))
 }
 
+/// Shares of moving pixels; `None` unless motion is known for every candidate.
 fn moving_shares(candidates: &[Candidate], drawn: &[usize]) -> Option<MovingShares> {
     let all = candidates.iter().map(|candidate| candidate.moves).collect::<Option<Vec<_>>>()?;
     let share = |moving: usize, total: usize| moving as f64 / total as f64;

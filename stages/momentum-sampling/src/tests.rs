@@ -1,4 +1,4 @@
-//! Momentum against closed forms, the draw against its distribution, the whole on synthetic captures.
+//! Momentum against closed forms, sampling against its distribution, and the stage on synthetic captures.
 
 use depth_flow_import::{FlowPrior, PriorView, Priors, ViewMaps};
 use engine::Artifact as _;
@@ -15,7 +15,7 @@ const HEIGHT: u32 = 12;
 const FOCAL: f64 = 25.0;
 const DEPTH: f32 = 3.0;
 
-/// A camera at `x` on the x axis that looks along z.
+/// A camera at `x` on the x axis that looks along +z.
 fn camera(x: f64) -> Camera {
     let intrinsics = Intrinsics {
         width: WIDTH,
@@ -29,8 +29,8 @@ fn camera(x: f64) -> Camera {
     Camera { intrinsics, camera_from_world: RigidTransform { rotation: DMat3::IDENTITY, translation } }
 }
 
-/// View number `index` of a camera that moves by `step` along x per frame before a wall at `DEPTH`; the pixels of the
-/// left half belong to something on the wall that moves by `own_px` per frame.
+/// View number `index` of a camera that moves by `step` along x per frame in front of a wall at `DEPTH`. The left half
+/// of the wall moves by `own_px` per frame.
 fn wall(index: usize, step: f64, own_px: f32) -> MotionView {
     let pixels = (WIDTH * HEIGHT) as usize;
     let camera_px = (-FOCAL * step / f64::from(DEPTH)) as f32;
@@ -51,14 +51,14 @@ fn wall(index: usize, step: f64, own_px: f32) -> MotionView {
 }
 
 #[test]
-fn the_cameras_motion_has_no_momentum_and_a_surfaces_own_motion_has_all_of_its_own() {
-    let (step, own_px) = (0.06, 0.25); // half a pixel per frame from the camera
+fn only_object_motion_has_momentum() {
+    let (step, own_px) = (0.06, 0.25); // the camera contributes half a pixel per frame
     let params = Params { strides: vec![1, 2], ..Params::default() };
     let found = momentum(&wall(0, step, own_px), &params, &|index| Ok(wall(index, step, own_px))).unwrap();
     assert_eq!(found.strides, [1, 2]);
     for (pixel, squared_norm) in found.squared_norm.iter().enumerate() {
         let column = pixel % WIDTH as usize;
-        // Left of the first columns, the second step leaves the image or the moving half.
+        // In the other columns, the second step leaves the image or crosses the border of the moving half.
         let expected = match column {
             2..=8 => 2.0 * f64::from(own_px).powi(2),
             10.. => 0.0,
@@ -70,7 +70,7 @@ fn the_cameras_motion_has_no_momentum_and_a_surfaces_own_motion_has_all_of_its_o
 }
 
 #[test]
-fn a_wrong_pose_is_no_camera_motion() {
+fn a_wrong_pose_causes_momentum() {
     let mut view = wall(0, 0.06, 0.0);
     let params = Params { strides: vec![1], ..Params::default() };
     let largest = |view: &MotionView| {
@@ -83,7 +83,7 @@ fn a_wrong_pose_is_no_camera_motion() {
 }
 
 #[test]
-fn confidence_falls_at_steep_depth_and_where_the_arrival_disagrees() {
+fn confidence_falls_with_slope_and_depth_error() {
     let params = Params { strides: vec![1], ..Params::default() };
     let squared_norm = |start: &MotionView, next_depth: f32| {
         let next = |index: usize| {
@@ -95,12 +95,12 @@ fn confidence_falls_at_steep_depth_and_where_the_arrival_disagrees() {
     };
     let (mut start, pixel) = (wall(0, 0.0, 0.5), 5 * WIDTH as usize + 4);
     assert!((squared_norm(&start, DEPTH)[pixel].unwrap() - 0.25).abs() <= 1e-9);
-    // A depth that is off by 5 % has a confidence of 1/e.
+    // A depth error of 5 % gives a confidence of 1/e.
     let expected = 0.25 * (-2.0_f64).exp();
     assert!((squared_norm(&start, 1.05 * DEPTH)[pixel].unwrap() - expected).abs() <= 1e-6);
     start.depth.depth_view[pixel + 1] = 1.05 * DEPTH;
     assert!((squared_norm(&start, DEPTH)[pixel].unwrap() - expected).abs() <= 1e-6);
-    // No depth: no particle; beside it: no confidence.
+    // A pixel without depth is no candidate, and its neighbour has confidence 0.
     start.depth.depth_view[pixel + 1] = 0.0;
     let found = squared_norm(&start, DEPTH);
     assert_eq!((found[pixel], found[pixel + 1]), (Some(0.0), None));
@@ -109,17 +109,17 @@ fn confidence_falls_at_steep_depth_and_where_the_arrival_disagrees() {
 }
 
 #[test]
-fn a_pixel_is_unprojected_to_where_its_camera_sees_it() {
+fn unprojection_inverts_projection() {
     let view = wall(3, 0.2, 0.0);
     for pixel in [0, 37, (WIDTH * HEIGHT) as usize - 1] {
         let (position, depth) = view.camera.project(surface_point(&view, pixel).unwrap()).unwrap();
-        let expected = crate::maps::pixel_centre(pixel, WIDTH);
+        let expected = scene::pixels::center(pixel, WIDTH);
         assert!(position.distance(expected) <= 1e-9 && (depth - f64::from(DEPTH)).abs() <= 1e-9);
     }
 }
 
 #[test]
-fn first_draws_follow_the_distribution_and_nothing_is_drawn_twice() {
+fn draws_follow_the_distribution_without_replacement() {
     let energies = [0.7, 0.2, 0.1, 0.0];
     let draws = 4000;
     let mut first = [0.0; 4];
@@ -131,11 +131,11 @@ fn first_draws_follow_the_distribution_and_nothing_is_drawn_twice() {
     }
     for (share, energy) in first.iter().zip(energies) {
         let expected: f64 = 0.9 * energy + 0.1 / 4.0;
-        // Four standard deviations of a share among so many draws.
+        // Four standard deviations of a share in this many draws.
         let tolerance = 4.0 * (expected * (1.0 - expected) / draws as f64).sqrt();
         assert!((share - expected).abs() <= tolerance, "{share} instead of {expected}");
     }
-    // Without any energy, or with a weight that leaves nothing for a candidate, the draw is still one.
+    // Zero energies, and zero weight for one candidate, still give a complete order.
     assert_eq!(sampling::draw_order(&[0.0; 5], 1.0, 1).len(), 5);
     assert_eq!(sampling::draw_order(&[0.5, 0.0, 0.5], 1.0, 1)[2], 1);
     assert_eq!(sampling::energies(&[0.0, 0.0]), [0.0, 0.0]);
@@ -143,7 +143,7 @@ fn first_draws_follow_the_distribution_and_nothing_is_drawn_twice() {
 }
 
 #[test]
-fn a_voxel_holds_the_first_that_was_drawn_from_it() {
+fn a_voxel_keeps_its_first_candidate() {
     let positions = [0.01, 0.09, 0.11, -0.01, 0.35].map(|x| DVec3::new(x, 0.0, 0.0));
     let order = [1, 0, 2, 3, 4];
     let kept = |size, count| sampling::one_per_voxel(&order, |at| positions[at], size, count);
@@ -152,7 +152,7 @@ fn a_voxel_holds_the_first_that_was_drawn_from_it() {
     assert_eq!(kept(0.0, 9), order);
 }
 
-/// A small capture with everything that momentum needs, and the truth about what moves.
+/// Renders a small capture with depth, flow and true velocity.
 fn capture(dir: &std::path::Path, scene: SceneKind, camera: CameraPath) -> Capture {
     let params = SceneParams {
         scene,
@@ -170,7 +170,7 @@ fn capture(dir: &std::path::Path, scene: SceneKind, camera: CameraPath) -> Captu
     scene_synthesis::synthesize(&params, dir, 1, |_, _| Ok(())).unwrap()
 }
 
-/// The maps that the capture carries: its flow leads to what the same camera pose sees a frame later.
+/// Priors with the maps of the capture; its flow leads to what the same camera pose sees one frame later.
 fn priors(capture: &Capture, dir: &std::path::Path) -> Priors {
     let view_priors = |view: &scene::View| -> PriorView {
         let next = |other: &scene::View| other.camera == view.camera && other.frame_index == view.frame_index + 1;
@@ -193,7 +193,7 @@ fn priors(capture: &Capture, dir: &std::path::Path) -> Priors {
 }
 
 #[test]
-fn particles_lie_on_what_moves() {
+fn particles_concentrate_on_moving_surfaces() {
     for scene in [SceneKind::BouncingSpheres, SceneKind::SwingingArm, SceneKind::WavingCloth, SceneKind::Occluder] {
         for (path, strides, views) in [(CameraPath::Rig, &[1, 2, 4, 8][..], 2), (CameraPath::Arc, &[1], 1)] {
             let dir = tempfile::tempdir().unwrap();
@@ -215,7 +215,7 @@ fn particles_lie_on_what_moves() {
 }
 
 #[test]
-fn a_scene_at_rest_gives_an_even_spread_and_equal_parameters_equal_bytes() {
+fn a_static_scene_is_sampled_reproducibly() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(&dir.path().join("capture"), SceneKind::StaticBlocks, CameraPath::Rig);
     let priors = priors(&capture, &dir.path().join("priors"));
@@ -233,14 +233,14 @@ fn a_scene_at_rest_gives_an_even_spread_and_equal_parameters_equal_bytes() {
 }
 
 #[test]
-fn priors_that_lack_depth_or_flow_or_are_anothers_are_refused() {
+fn incomplete_or_foreign_priors_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(&dir.path().join("capture"), SceneKind::Occluder, CameraPath::Arc);
     let complete = priors(&capture, &dir.path().join("priors"));
     let refusal = |change: fn(&mut Priors)| {
         let mut priors = complete.clone();
         change(&mut priors);
-        let Err(error) = sample(&capture, &priors, &Params::default(), dir.path()) else { panic!("was accepted") };
+        let Err(error) = sample(&capture, &priors, &Params::default(), dir.path()) else { panic!("accepted") };
         format!("{error:#}")
     };
     for change in
@@ -254,7 +254,7 @@ fn priors_that_lack_depth_or_flow_or_are_anothers_are_refused() {
 }
 
 #[test]
-fn parameters_that_cannot_work_are_refused() {
+fn invalid_parameters_are_reported() {
     assert!(Params::default().problems().is_empty());
     let keys = |params: Params| params.problems().into_iter().map(|problem| problem.key).collect::<Vec<_>>();
     assert_eq!(keys(Params { strides: vec![2, 1], ..Params::default() }), ["strides"]);

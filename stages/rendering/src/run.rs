@@ -2,14 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use captures::CaptureArtifact;
 use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
 use image::RgbImage;
 use scene::{Capture, View, image_file};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor};
+use training::Model;
 use training::device::compute_on;
 use training::player::Player;
-use training::{CaptureArtifact, Model};
 
 use crate::artifact::{RenderedView, Renders};
 use crate::frame_rate::{self, FrameRate, FrameTimes};

@@ -1,6 +1,6 @@
-//! Draws all scenes into one PNG: `cargo run --release -p scene-synthesis --example contact_sheet -- sheet.png`.
+//! Renders all scenes into one PNG: `cargo run --release -p scene-synthesis --example contact_sheet -- sheet.png`.
 //!
-//! One row per scene: five test views in the order of time, then depth, flow and labels of a training view.
+//! One row per scene: five test views in order of time, then depth, flow and labels of a training view.
 
 use anyhow::Context as _;
 use scene::image_file::{RgbImage, write_rgb};
@@ -40,7 +40,7 @@ fn main() -> anyhow::Result<()> {
     Ok(write_rgb(path.as_ref(), &sheet)?)
 }
 
-/// Depth from 2 (white) to 6 units (black), flow as red and green about grey, labels as greys.
+/// Depth from 2 (white) to 6 units (black), flow as red and green around grey, labels as grey levels.
 fn maps(capture: &Capture, view: &View) -> anyhow::Result<[RgbImage; 3]> {
     let depth = capture.load_depth(view)?.context("no depth")?;
     let flow = capture.load_flow(view)?.context("no flow")?;

@@ -1,7 +1,6 @@
-//! Analytic dynamic scenes: ray-cast images of bodies in closed-form motion, with exact depth, optical flow, instance
-//! labels and 3D velocity. The embedded default of the pipeline and the oracle of its tests.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
-mod artifact;
 mod params;
 mod placement;
 mod render;
@@ -16,6 +15,5 @@ mod world;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::CaptureArtifact;
 pub use params::{Background, CameraPath, Params, SceneKind, Truth};
 pub use run::{SceneSynthesis, synthesize};

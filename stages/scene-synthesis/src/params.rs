@@ -1,121 +1,122 @@
-//! What to synthesise.
+//! Parameters of the stage.
 
 use std::collections::BTreeSet;
 
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-/// Most images that one capture may have; more is a typing error.
+/// Maximum number of views of one capture; a larger number is most likely a typing error.
 const MAX_VIEWS: usize = 100_000;
 
-/// Farthest origin of a scene: there, single precision has 6 cm steps.
+/// Largest coordinate of the scene origin: at this distance, single precision has steps of 0.06 units.
 const MAX_ORIGIN: f64 = 1e6;
 
-/// Parameters of the stage; the defaults are a small capture like those of D-NeRF (Pumarola et al. 2021).
+/// Parameters of the stage `scene-synthesis`. The defaults give a small capture like those of D-NeRF (Pumarola et al.
+/// 2021).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// What moves.
+    /// The scene to render.
     pub scene: SceneKind,
-    /// How training cameras move.
+    /// The motion of the training cameras.
     pub camera: CameraPath,
-    /// Pixels per row.
+    /// Image width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Image height in pixels.
     pub height: u32,
     /// Horizontal field of view in degrees.
     pub field_of_view_degrees: f64,
-    /// Instants of the training video, evenly from the first to the last second.
+    /// Number of frames of the training video.
     pub frames: usize,
-    /// Frames per second.
+    /// Frames per second of the training video.
     pub fps: f64,
-    /// Fixed training cameras of a `rig`, each of which sees every frame (unused otherwise).
+    /// For `rig`: number of fixed training cameras, each of which takes every frame.
     pub rig_cameras: usize,
-    /// Views to watch training with: other cameras, other times.
+    /// Number of validation views, with other cameras and times than training views.
     pub val_views: usize,
-    /// Views to measure with: other cameras, other times.
+    /// Number of test views, with other cameras and times than training views.
     pub test_views: usize,
-    /// Rays per pixel on a regular grid: a square number.
+    /// Number of rays per pixel, on a regular grid; a square number.
     pub samples_per_pixel: u32,
-    /// What lies behind the bodies.
+    /// The background behind the bodies.
     pub background: Background,
-    /// Mirror-like part of the reflection (Blinn-Phong, 0 to 1): colours then depend on the view.
+    /// Weight of specular highlights (Blinn–Phong), 0 to 1; above 0, colours depend on the view.
     pub specular: f64,
     /// Whether bodies cast hard shadows.
     pub shadows: bool,
-    /// Phases of motion and directions of random cameras follow from it.
+    /// Seed of the phases of motion and of random cameras.
     pub seed: u64,
-    /// Which exact maps to write beside the images.
+    /// The exact maps to write beside the images.
     pub truths: BTreeSet<Truth>,
-    /// Surface points in the point cloud, if it is written.
+    /// Number of surface points in the point cloud, if `truths` includes it.
     pub points: usize,
-    /// Where the scene's centre lies; far from zero, single precision has few digits left for the scene.
+    /// World position of the scene origin; far from zero, single precision resolves the scene poorly.
     pub origin_world: [f64; 3],
-    /// Share of the pixels of depth and flow maps that know nothing, 0 to 1, drawn by the seed.
+    /// Share of random pixels without depth and flow, 0 to 1.
     pub holes: f64,
 }
 
-/// The scenes.
+/// The available scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SceneKind {
-    /// Four spinning textured balls that hop over a floor.
+    /// Four spinning textured balls that bounce on a floor.
     BouncingSpheres,
     /// Three links on a turning pedestal, with sinusoidal joint angles.
     SwingingArm,
-    /// A sheet that hangs on a rod and waves.
+    /// A waving sheet, held by a rod along one edge.
     WavingCloth,
-    /// A ball that rolls through a tunnel and returns.
+    /// A ball that rolls through a tunnel and back.
     Occluder,
-    /// Textured blocks that stand still.
+    /// Static textured blocks.
     StaticBlocks,
-    /// Hard: a ball flies through the cameras' near plane.
+    /// Hard: a ball that flies through the near plane of the cameras.
     NearFlyby,
     /// Hard: bodies far thinner than a pixel.
     Needles,
-    /// Hard: a ball that is suddenly elsewhere.
+    /// Hard: a ball that jumps from place to place.
     Teleport,
-    /// Hard: the occluder with a tunnel that hides the ball two thirds of the time.
+    /// Hard: the occluder scene with a tunnel that hides the ball two thirds of the time.
     LongOcclusion,
-    /// Hard: a body of one pixel.
+    /// Hard: a body of the size of one pixel.
     Speck,
     /// Hard: everything is black.
     Black,
-    /// Hard: what moves is never seen, so that every mask is empty.
+    /// Hard: motion that no camera sees, so that every mask is empty.
     UnseenMotion,
 }
 
-/// How training cameras move; all look at the centre of the scene.
+/// The motion of the training cameras, which all look at the centre of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CameraPath {
-    /// One camera per frame, anywhere on the upper hemisphere (as D-NeRF).
+    /// One random camera on the upper hemisphere per frame (like D-NeRF).
     Hemisphere,
-    /// One camera that goes round the scene once.
+    /// One camera that circles the scene once.
     Orbit,
-    /// One camera that swings 30° to either side: what a hand-held video shows.
+    /// One camera that swings 30° to either side, like a hand-held video.
     Arc,
     /// Fixed synchronised cameras on a half circle.
     Rig,
 }
 
-/// What lies behind the bodies.
+/// The background behind the bodies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Background {
-    /// Transparent pixels are composited on white.
+    /// White behind transparent pixels.
     White,
-    /// Transparent pixels are composited on black.
+    /// Black behind transparent pixels.
     Black,
-    /// Nothing is transparent: a textured dome surrounds cameras and bodies.
+    /// No transparent pixels: a textured dome surrounds cameras and bodies.
     None,
 }
 
-/// A map, exact at pixel centres.
+/// An exact map, sampled at pixel centres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Truth {
-    /// Coverage (anti-aliased like the image).
+    /// Coverage, anti-aliased like the image.
     Alpha,
     /// View-space z.
     Depth,
@@ -123,9 +124,9 @@ pub enum Truth {
     Flow,
     /// Instance labels.
     Masks,
-    /// 3D velocity of the seen surface.
+    /// 3D velocity of the visible surface.
     Velocity,
-    /// A point cloud of surfaces seen at the first instant.
+    /// A point cloud of surfaces that are visible at the first instant.
     Points,
 }
 
@@ -156,22 +157,22 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Rays along one side of a pixel.
+    /// Number of rays along one side of a pixel.
     pub(crate) fn samples_per_side(&self) -> u32 {
         self.samples_per_pixel.isqrt()
     }
 
-    /// Seconds from the first frame to the last.
+    /// Time from the first to the last frame in seconds.
     pub(crate) fn duration_secs(&self) -> f64 {
         (self.frames - 1) as f64 / self.fps
     }
 
-    /// Whether a map is asked for.
+    /// Whether a map is requested.
     pub(crate) fn wants(&self, truth: Truth) -> bool {
         self.truths.contains(&truth)
     }
 
-    /// Everything that the types do not exclude, all at once.
+    /// Every problem that the types do not rule out.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let cameras = if self.camera == CameraPath::Rig { self.rig_cameras } else { 1 };
         let views = self.frames.saturating_mul(cameras).saturating_add(self.val_views).saturating_add(self.test_views);
@@ -182,7 +183,7 @@ impl Params {
             ("height", (1..=16384).contains(&self.height), "must be between 1 and 16384 pixels"),
             ("field_of_view_degrees", (1.0..=150.0).contains(&fov), "must be between 1 and 150 degrees"),
             ("frames", self.frames >= 1, "must be at least 1"),
-            ("frames", views <= MAX_VIEWS, "together with the cameras gives more than 100000 views"),
+            ("frames", views <= MAX_VIEWS, "and the cameras give more than 100000 views"),
             ("fps", self.fps > 0.0 && self.fps.is_finite(), "must be a positive number"),
             ("rig_cameras", cameras >= 1, "must be at least 1"),
             ("samples_per_pixel", samples && self.samples_per_pixel >= 1, "must be a square number up to 1024"),

@@ -1,42 +1,42 @@
-//! Images and exact maps of one shot.
+//! Rendering of one shot: the image and its exact maps.
 
 use glam::{DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::float_image::to_byte;
 use scene::image_file::{GrayImage, RgbImage};
-use scene::{Camera, DepthMap, FlowMap, Frame, LabelMap, PointCloud, VelocityMap};
+use scene::{Camera, DepthMap, FlowMap, Frame, LabelMap, PointCloud, VelocityMap, pixels};
 
 use crate::params::{Background, Params, Truth};
 use crate::shape::Ray;
 use crate::shots::Shot;
 use crate::world::{Hit, Instant, Shading, World};
 
-/// A moved point is hidden if something lies in front of it by more than this share of its depth.
+/// Depth difference, relative to the depth of a point, above which a nearer surface occludes the point.
 const OCCLUSION_TOLERANCE: f64 = 1e-6;
-/// Rays that may miss for each wanted surface point before the cloud stays smaller.
+/// Maximum number of rays per requested surface point; if most of them miss, the cloud stays smaller.
 const MAX_MISSES_PER_POINT: usize = 50;
-/// Separates the random surface points from the other random numbers of the same seed.
+/// Random stream of the surface points.
 const POINT_STREAM: u64 = 2;
-/// The same for holes: the first of as many streams as there are views.
+/// First of the random streams of holes, one per view.
 const HOLE_STREAM: u64 = 16;
 
-/// Everything that the parameters ask for of one shot; maps that they do not ask for are not computed.
-pub fn render(world: &World, shot: &Shot, params: &Params) -> Frame {
+/// Renders the image and the requested maps of one shot.
+pub(crate) fn render(world: &World, shot: &Shot, params: &Params) -> Frame {
     let instant = world.at(shot.time_secs);
     let (image, alpha) = antialiased(&instant, &shot.camera, params);
     let (width, height) = (params.width, params.height);
     let maps = [Truth::Depth, Truth::Flow, Truth::Masks, Truth::Velocity];
-    let hits = if maps.iter().any(|map| params.wants(*map)) { centre_hits(&instant, &shot.camera) } else { Vec::new() };
+    let hits = if maps.iter().any(|map| params.wants(*map)) { center_hits(&instant, &shot.camera) } else { Vec::new() };
     let depth = |hit: &Option<Hit>| hit.map_or(0.0, |hit| hit.distance as f32);
-    // What depth and flow know of: the other maps have no holes.
+    // Only depth and flow have holes.
     let known = with_holes(&hits, shot, params);
     let label = |hit: &Option<Hit>| hit.map_or(0, |hit| instant.label(&hit));
     let velocity = |hit: &Option<Hit>| {
         hit.map_or([0.0; 3], |hit| instant.velocity_world(hit.body, hit.material).as_vec3().to_array())
     };
     let next_secs = shot.time_secs + 1.0 / params.fps;
-    // The flow of the last frame would lead out of the capture.
+    // The flow of the last frame would lead beyond the capture.
     let has_next = next_secs <= params.duration_secs() * (1.0 + 1e-9);
     Frame {
         name: shot.name.clone(),
@@ -66,7 +66,7 @@ pub fn render(world: &World, shot: &Shot, params: &Params) -> Frame {
     }
 }
 
-/// The hits without a share of them, drawn per view.
+/// Removes a random share of the hits, drawn per view.
 fn with_holes(hits: &[Option<Hit>], shot: &Shot, params: &Params) -> Vec<Option<Hit>> {
     let mut random = ChaCha8Rng::seed_from_u64(params.seed);
     let of_view = u64::from(shot.camera_index) << 32 | u64::from(shot.frame_index);
@@ -75,8 +75,8 @@ fn with_holes(hits: &[Option<Hit>], shot: &Shot, params: &Params) -> Vec<Option<
     if params.holes > 0.0 { hits.iter().map(&mut keep).collect() } else { hits.to_vec() }
 }
 
-/// Points on what random training pixels see at the first instant, with the colour that they see.
-pub fn surface_points(world: &World, shots: &[Shot], params: &Params) -> PointCloud {
+/// Samples coloured surface points at the first instant, through random pixels of the training cameras.
+pub(crate) fn surface_points(world: &World, shots: &[Shot], params: &Params) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(params.seed);
     random.set_stream(POINT_STREAM);
     let instant = world.at(0.0);
@@ -96,13 +96,13 @@ pub fn surface_points(world: &World, shots: &[Shot], params: &Params) -> PointCl
     cloud
 }
 
-/// The ray through a pixel position; its direction has view-space z = 1, so that distances along it are depths.
-pub fn ray_world(camera: &Camera, pixel: DVec2) -> Ray {
+/// The ray through a pixel position. Its direction has view-space z = 1, so that distances along it are depths.
+pub(crate) fn ray_world(camera: &Camera, pixel: DVec2) -> Ray {
     let world_from_camera = camera.camera_from_world.inverse();
     Ray { origin: world_from_camera.translation, direction: world_from_camera.rotation * camera.ray_view(pixel) }
 }
 
-/// Colour over the background and coverage, each the mean over a regular grid of rays within the pixel.
+/// Renders colour over the background, and coverage; each is the mean over a regular grid of rays per pixel.
 fn antialiased(instant: &Instant, camera: &Camera, params: &Params) -> (RgbImage, GrayImage) {
     let (width, height, side) = (params.width, params.height, params.samples_per_side());
     let mut image = RgbImage::new(width, height);
@@ -130,37 +130,37 @@ fn antialiased(instant: &Instant, camera: &Camera, params: &Params) -> (RgbImage
     (image, alpha)
 }
 
-/// What the centre of each pixel sees, row by row.
-pub fn centre_hits(instant: &Instant, camera: &Camera) -> Vec<Option<Hit>> {
+/// The first hit of the ray through each pixel centre, row by row.
+pub(crate) fn center_hits(instant: &Instant, camera: &Camera) -> Vec<Option<Hit>> {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let centres = (0..height).flat_map(|y| (0..width).map(move |x| DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)));
-    centres.map(|centre| instant.hit(&ray_world(camera, centre))).collect()
+    pixels::centers(width, height).map(|center| instant.hit(&ray_world(camera, center))).collect()
 }
 
-/// Displacement of each seen material point to where the same camera sees it at the next instant.
+/// Displacement of each visible material point in the image of the same camera until the next instant; NaN where the
+/// point is then hidden or outside the image.
 fn flow_px(next: &Instant, camera: &Camera, hits: &[Option<Hit>]) -> Vec<[f32; 2]> {
     let width = camera.intrinsics.width;
     let (width_px, height_px) = (f64::from(width), f64::from(camera.intrinsics.height));
     let flow = |(index, hit): (usize, &Option<Hit>)| {
         let hit = (*hit)?;
-        let centre = DVec2::new((index as u32 % width) as f64 + 0.5, (index as u32 / width) as f64 + 0.5);
         let (moved, depth_view) = camera.project(next.position_world(hit.body, hit.material))?;
         let inside = moved.x >= 0.0 && moved.y >= 0.0 && moved.x <= width_px && moved.y <= height_px;
         let in_front = next.hit(&ray_world(camera, moved));
         let hidden = in_front.is_some_and(|other| other.distance < depth_view * (1.0 - OCCLUSION_TOLERANCE));
-        (inside && !hidden).then(|| (moved - centre).as_vec2().to_array())
+        (inside && !hidden).then(|| (moved - pixels::center(index, width)).as_vec2().to_array())
     };
     hits.iter().enumerate().map(|pixel| flow(pixel).unwrap_or([f32::NAN; 2])).collect()
 }
 
 impl Params {
+    /// The options of shading.
     fn shading(&self) -> Shading {
         Shading { specular: self.specular, shadows: self.shadows }
     }
 }
 
 impl Background {
-    /// Grey level behind transparent pixels (with a dome there are none).
+    /// Grey level in [0, 1] behind transparent pixels (which do not exist with a dome).
     pub(crate) fn intensity(self) -> f64 {
         match self {
             Self::White => 1.0,

@@ -2,21 +2,21 @@
 
 use std::path::Path;
 
+use captures::CaptureArtifact;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Stage};
 use rayon::prelude::*;
 use scene::{Capture, CaptureInfo, CaptureWriter, Protocol, TimeMap, facts};
 
-use crate::artifact::CaptureArtifact;
 use crate::params::{Background, CameraPath, Params, SceneKind, Truth};
 use crate::render::{render, surface_points};
 use crate::scenes;
 use crate::shots::{Shot, shots};
 use crate::world::World;
 
-/// Views between two reports of progress, per thread.
+/// Number of views per thread between two progress reports.
 const VIEWS_PER_REPORT: usize = 4;
 
-/// Makes captures of analytic scenes.
+/// The stage `scene-synthesis`.
 pub struct SceneSynthesis;
 
 impl Stage for SceneSynthesis {
@@ -34,7 +34,7 @@ impl Stage for SceneSynthesis {
         params.problems()
     }
 
-    /// Everything: the world is a function of the parameters.
+    /// Every fact is known, because the world is a function of the parameters.
     fn facts(params: &Params, _context: &PlanContext<'_>) -> Facts {
         let moves = scenes::build(params).bodies.iter().any(|body| body.label != 0);
         Facts::default()
@@ -63,8 +63,10 @@ impl Stage for SceneSynthesis {
     }
 }
 
-/// Renders the capture into `dir` with `threads` threads (0: all); the bytes do not depend on their number.
-/// `report` is told how many views of how many are written, and stops the work by an error.
+/// Renders a capture into `dir` with `threads` threads (0 uses all cores). The bytes do not depend on the number of
+/// threads.
+///
+/// `report(done, total)` is called with the number of written views and all views; its error stops the rendering.
 pub fn synthesize(
     params: &Params,
     dir: &Path,
@@ -93,7 +95,7 @@ pub fn synthesize(
     Ok(writer.finish()?)
 }
 
-/// What is known of the capture besides its views.
+/// The description of the capture without its views.
 fn info(params: &Params, world: &World) -> CaptureInfo {
     let background = match params.background {
         Background::White => "white",
@@ -127,13 +129,14 @@ fn info(params: &Params, world: &World) -> CaptureInfo {
 }
 
 impl Params {
-    /// Images that training may see.
+    /// Number of training views.
     fn training_views(&self) -> usize {
         self.frames * if self.camera == CameraPath::Rig { self.rig_cameras } else { 1 }
     }
 }
 
 impl SceneKind {
+    /// Name of the scene, as in recipes.
     fn name(self) -> &'static str {
         match self {
             Self::BouncingSpheres => "bouncing-spheres",

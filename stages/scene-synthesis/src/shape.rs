@@ -1,39 +1,39 @@
-//! Solids and their first intersection with a ray, in object coordinates.
+//! Shapes and their first intersection with a ray, in object coordinates.
 
 use glam::DVec3;
 
 use crate::wave::Wave;
 
-/// Hits nearer than this (in units of the ray's direction) are the surface that the ray starts on.
-pub const MIN_DISTANCE: f64 = 1e-7;
+/// Minimum distance of a hit, in units of the ray direction; a nearer hit is the surface on which the ray starts.
+pub(crate) const MIN_DISTANCE: f64 = 1e-7;
 
-/// `origin + s · direction`; the direction need not have length 1.
+/// A ray `origin + s · direction`; the direction need not be a unit vector.
 #[derive(Clone, Copy, Debug)]
-pub struct Ray {
-    /// Where s = 0.
-    pub origin: DVec3,
-    /// Where s = 1, relative to the origin.
-    pub direction: DVec3,
+pub(crate) struct Ray {
+    /// The point at s = 0.
+    pub(crate) origin: DVec3,
+    /// The offset from s = 0 to s = 1.
+    pub(crate) direction: DVec3,
 }
 
 /// The surface of a body.
 #[derive(Clone, Debug)]
-pub enum Shape {
-    /// About the origin; seen from inside as well.
+pub(crate) enum Shape {
+    /// A sphere around the origin, visible from inside too.
     Sphere {
-        /// In scene units.
+        /// Radius in scene units.
         radius: f64,
     },
-    /// Axis-aligned about the origin.
+    /// An axis-aligned box around the origin.
     Block {
-        /// Half the edges.
+        /// Half the edge lengths.
         half: DVec3,
     },
-    /// Points within `radius` of the segment from the origin to (0, 0, length).
+    /// All points within `radius` of the segment from the origin to (0, 0, length).
     Capsule {
-        /// Of the segment.
+        /// Length of the segment.
         length: f64,
-        /// In scene units.
+        /// Radius in scene units.
         radius: f64,
     },
     /// A sheet z = h(x, y, time).
@@ -42,14 +42,14 @@ pub enum Shape {
 
 impl Ray {
     /// The point at `s`.
-    pub fn at(&self, s: f64) -> DVec3 {
+    pub(crate) fn at(&self, s: f64) -> DVec3 {
         self.origin + s * self.direction
     }
 }
 
 impl Shape {
-    /// Smallest s > 0 on the surface, and the unit normal there (outwards, or either side of a sheet).
-    pub fn hit(&self, ray: &Ray, time_secs: f64) -> Option<(f64, DVec3)> {
+    /// The first hit: s > 0 and the unit normal, which points outwards, or to either side of a sheet.
+    pub(crate) fn hit(&self, ray: &Ray, time_secs: f64) -> Option<(f64, DVec3)> {
         match self {
             Self::Sphere { radius } => {
                 let s = sphere(ray, DVec3::ZERO, *radius)?;
@@ -61,24 +61,24 @@ impl Shape {
         }
     }
 
-    /// Where the material point that was hit at `material` is at another time.
-    pub fn position(&self, material: DVec3, time_secs: f64) -> DVec3 {
+    /// The position of a material point at a time, in object coordinates.
+    pub(crate) fn position(&self, material: DVec3, time_secs: f64) -> DVec3 {
         match self {
             Self::Cloth(wave) => material.with_z(wave.height(material.x, material.y, time_secs).value),
             _ => material,
         }
     }
 
-    /// The velocity of a material point within the object's frame.
-    pub fn velocity(&self, material: DVec3, time_secs: f64) -> DVec3 {
+    /// The velocity of a material point relative to the object's frame.
+    pub(crate) fn velocity(&self, material: DVec3, time_secs: f64) -> DVec3 {
         match self {
             Self::Cloth(wave) => DVec3::Z * wave.height(material.x, material.y, time_secs).rate,
             _ => DVec3::ZERO,
         }
     }
 
-    /// Centre and radius of a sphere around the shape at all times.
-    pub fn bounding_sphere(&self) -> (DVec3, f64) {
+    /// Centre and radius of a sphere that contains the shape at all times.
+    pub(crate) fn bounding_sphere(&self) -> (DVec3, f64) {
         match self {
             Self::Sphere { radius } => (DVec3::ZERO, *radius),
             Self::Block { half } => (DVec3::ZERO, half.length()),
@@ -88,8 +88,8 @@ impl Shape {
     }
 }
 
-/// First positive root of `|origin + s · direction - center| = radius`.
-pub fn sphere(ray: &Ray, center: DVec3, radius: f64) -> Option<f64> {
+/// The first positive root of `|origin + s · direction - center| = radius`.
+pub(crate) fn sphere(ray: &Ray, center: DVec3, radius: f64) -> Option<f64> {
     let offset = ray.origin - center;
     let a = ray.direction.length_squared();
     let half_b = offset.dot(ray.direction);
@@ -101,18 +101,19 @@ pub fn sphere(ray: &Ray, center: DVec3, radius: f64) -> Option<f64> {
     [(-half_b - root) / a, (-half_b + root) / a].into_iter().find(|s| *s > MIN_DISTANCE)
 }
 
-/// Entry and exit of a ray through the box of half edges `half`.
-pub fn slab(ray: &Ray, half: DVec3) -> Option<(f64, f64)> {
+/// Where a ray enters and leaves the box with half edge lengths `half`.
+pub(crate) fn slab(ray: &Ray, half: DVec3) -> Option<(f64, f64)> {
     let inverse = ray.direction.recip();
     let (a, b) = ((-half - ray.origin) * inverse, (half - ray.origin) * inverse);
     let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
     (enter <= leave && leave > MIN_DISTANCE).then_some((enter, leave))
 }
 
+/// The first hit of a box.
 fn block(ray: &Ray, half: DVec3) -> Option<(f64, DVec3)> {
     let (enter, leave) = slab(ray, half)?;
     let s = if enter > MIN_DISTANCE { enter } else { leave };
-    // The face that was hit is the one whose coordinate is relatively largest.
+    // The hit face belongs to the coordinate that is largest relative to its half edge.
     let relative = ray.at(s) / half;
     let size = relative.abs();
     let axis = if size.x >= size.y && size.x >= size.z {
@@ -125,7 +126,7 @@ fn block(ray: &Ray, half: DVec3) -> Option<(f64, DVec3)> {
     Some((s, axis * relative.dot(axis).signum()))
 }
 
-/// The nearest of the two caps and the cylinder between them (for rays from outside).
+/// The first hit of a capsule from outside: the nearest of its two caps and the cylinder between them.
 fn capsule(ray: &Ray, length: f64, radius: f64) -> Option<(f64, DVec3)> {
     let caps = [sphere(ray, DVec3::ZERO, radius), sphere(ray, length * DVec3::Z, radius)];
     let s = caps.into_iter().chain([cylinder(ray, length, radius)]).flatten().reduce(f64::min)?;
@@ -134,13 +135,13 @@ fn capsule(ray: &Ray, length: f64, radius: f64) -> Option<(f64, DVec3)> {
     Some((s, (point - nearest).normalize()))
 }
 
-/// First intersection with the side of a cylinder about z, between z = 0 and z = length.
+/// The first intersection with the side of a cylinder around the z axis, between z = 0 and z = length.
 fn cylinder(ray: &Ray, length: f64, radius: f64) -> Option<f64> {
     let (origin, direction) = (ray.origin.truncate(), ray.direction.truncate());
     let a = direction.length_squared();
     let half_b = origin.dot(direction);
     let discriminant = half_b * half_b - a * (origin.length_squared() - radius * radius);
-    // A ray along the axis has a = 0 and meets the caps only: its s is not finite.
+    // A ray along the axis has a = 0 and thus no finite s; it meets the caps only.
     let s = (-half_b - discriminant.sqrt()) / a;
     (s > MIN_DISTANCE && (0.0..=length).contains(&ray.at(s).z)).then_some(s)
 }

@@ -1,4 +1,4 @@
-//! Which camera looks when: the capture protocol.
+//! The shots of a capture: cameras and times of all views.
 
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
 
@@ -9,42 +9,42 @@ use scene::{Camera, Intrinsics, Split};
 
 use crate::params::{CameraPath, Params};
 
-/// Of all cameras from the centre, scene units (as D-NeRF).
+/// Distance of all cameras from the centre, in scene units (like D-NeRF).
 const DISTANCE: f64 = 4.0;
-/// Steepest random camera: above it, `up` loses its meaning.
+/// Sine of the highest elevation of a random camera; near the zenith, `up` is undefined.
 const MAX_SINE_ELEVATION: f64 = 0.9;
-/// Lowest random camera: just above the floor, so that it does not hide everything.
+/// Sine of the lowest elevation of a random camera: just above the floor, so that the floor does not hide the scene.
 const MIN_SINE_ELEVATION: f64 = 0.1;
-/// Elevation of cameras that go round.
+/// Mean elevation of all other cameras, in radians.
 const ELEVATION: f64 = FRAC_PI_6;
-/// How far an arc swings to either side.
+/// Swing of an arc to either side, in radians.
 const ARC_HALF: f64 = FRAC_PI_6;
-/// Separates the random cameras from the random phases of the same seed.
+/// Random stream of the cameras, separate from that of the phases of motion.
 const CAMERA_STREAM: u64 = 1;
 
-/// One image to take.
+/// One view to render.
 #[derive(Clone, Debug)]
-pub struct Shot {
-    /// The view's name.
-    pub name: String,
-    /// What it may be used for.
-    pub split: Split,
-    /// Pinhole and pose.
-    pub camera: Camera,
-    /// Which camera of a rig; held-out cameras come after the training cameras.
-    pub camera_index: u32,
-    /// The nearest frame at or before the time.
-    pub frame_index: u32,
-    /// When.
-    pub time_secs: f64,
+pub(crate) struct Shot {
+    /// Name of the view.
+    pub(crate) name: String,
+    /// Purpose of the view.
+    pub(crate) split: Split,
+    /// Intrinsics and pose.
+    pub(crate) camera: Camera,
+    /// Number of the camera; held-out cameras come after the training cameras.
+    pub(crate) camera_index: u32,
+    /// The last frame at or before the time.
+    pub(crate) frame_index: u32,
+    /// Time in seconds.
+    pub(crate) time_secs: f64,
 }
 
-/// All images of the capture, with cameras about the point `center_world`.
-pub fn shots(params: &Params, center_world: DVec3) -> Vec<Shot> {
+/// All shots of a capture, with cameras around the point `center_world`.
+pub(crate) fn shots(params: &Params, center_world: DVec3) -> Vec<Shot> {
     let mut shots = training_shots(params);
     shots.extend(held_out_shots(params, Split::Val, params.val_views));
     shots.extend(held_out_shots(params, Split::Test, params.test_views));
-    shots.iter_mut().for_each(|shot| shot.camera = centred(shot.camera, center_world));
+    shots.iter_mut().for_each(|shot| shot.camera = centered(shot.camera, center_world));
     shots
 }
 
@@ -62,7 +62,7 @@ fn training_shots(params: &Params) -> Vec<Shot> {
     };
     let mut shots = Vec::new();
     for frame in 0..params.frames {
-        // Share of the way; a closed orbit does not see its first position twice.
+        // Shares of an open path and of a closed orbit, which does not repeat its first position.
         let share = frame as f64 / (params.frames - 1).max(1) as f64;
         let turn = TAU * frame as f64 / params.frames as f64;
         let name = format!("train_{frame:04}");
@@ -79,7 +79,7 @@ fn training_shots(params: &Params) -> Vec<Shot> {
     shots
 }
 
-/// Cameras that training does not have, near those that it has, at times between its frames (at frames for a rig).
+/// Shots with held-out cameras near the training cameras, at times between training frames (at frames for a rig).
 fn held_out_shots(params: &Params, split: Split, count: usize) -> impl Iterator<Item = Shot> {
     let held_out_index = match (params.camera, split) {
         (CameraPath::Rig, Split::Test) => params.rig_cameras + 1,
@@ -91,7 +91,7 @@ fn held_out_shots(params: &Params, split: Split, count: usize) -> impl Iterator<
     (0..count).map(move |index| {
         let share = (index as f64 + 0.5) / count as f64;
         let between_secs = share * params.duration_secs();
-        // Val and test walk in opposite directions, so that they share no camera.
+        // Val and test cameras move in opposite directions, so that they share no pose.
         let way = if split == Split::Test { share } else { 1.0 - share + 0.31 / count as f64 };
         let (azimuth, elevation) = match params.camera {
             CameraPath::Hemisphere | CameraPath::Orbit => (TAU * way, ELEVATION),
@@ -113,24 +113,25 @@ fn held_out_shots(params: &Params, split: Split, count: usize) -> impl Iterator<
     })
 }
 
-/// Uniform over the sphere between the lowest and the highest elevation.
+/// A random azimuth and elevation, uniform on the sphere between the lowest and the highest elevation.
 fn random_direction(random: &mut ChaCha8Rng) -> (f64, f64) {
     let azimuth = random.random_range(0.0..TAU);
     (azimuth, random.random_range(MIN_SINE_ELEVATION..MAX_SINE_ELEVATION).asin())
 }
 
-/// A swing to the right and back to the left, in front of the scene.
+/// Azimuth and elevation at a share of the way of an arc: a swing to the right and to the left, in front of the scene.
 fn arc(share: f64) -> (f64, f64) {
     (-0.5 * PI + ARC_HALF * (TAU * share).sin(), ELEVATION + 0.1 * (2.0 * TAU * share).cos())
 }
 
-/// Camera `position` (which may lie between two) of a half circle in front of the scene, alternating in height.
+/// Azimuth and elevation of a camera in a rig: a half circle in front of the scene, alternating in height. A fractional
+/// `position` lies between two cameras.
 fn rig(params: &Params, position: f64) -> (f64, f64) {
     let share = (position + 0.5) / params.rig_cameras as f64;
     (-PI + PI * share, ELEVATION + 0.15 * (PI * position).cos())
 }
 
-/// A camera in the given direction from the origin, looking at it.
+/// A camera that looks at the origin from the given direction.
 fn camera(params: &Params, azimuth: f64, elevation: f64) -> Camera {
     let (width, height) = (f64::from(params.width), f64::from(params.height));
     let focal = 0.5 * width / (0.5 * params.field_of_view_degrees.to_radians()).tan();
@@ -147,8 +148,8 @@ fn camera(params: &Params, azimuth: f64, elevation: f64) -> Camera {
     Camera::look_at(intrinsics, DISTANCE * direction, DVec3::ZERO, DVec3::Z)
 }
 
-/// The camera, moved with the origin that it looks at to `center_world`.
-fn centred(mut camera: Camera, center_world: DVec3) -> Camera {
+/// Translates a camera that looks at the origin so that it looks at `center_world`.
+fn centered(mut camera: Camera, center_world: DVec3) -> Camera {
     let pose = &mut camera.camera_from_world;
     pose.translation -= pose.rotation * center_world;
     camera

@@ -1,12 +1,14 @@
+//! Maps against closed forms and definitions, determinism, and the properties of every scene.
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use engine::{JobContext, PlanContext, Stage};
 use glam::{DVec2, DVec3};
-use scene::{Camera, Capture, Frame, Split, View, facts};
+use scene::{Camera, Capture, Frame, Split, View, facts, pixels};
 
 use crate::params::*;
-use crate::render::{centre_hits, ray_world, render};
+use crate::render::{center_hits, ray_world, render};
 use crate::run::{SceneSynthesis, synthesize};
 use crate::scenes;
 use crate::shape::{Ray, Shape};
@@ -32,6 +34,7 @@ const HARD: [SceneKind; 7] = [
 ];
 const TRUTHS: [Truth; 6] = [Truth::Alpha, Truth::Depth, Truth::Flow, Truth::Masks, Truth::Velocity, Truth::Points];
 
+/// A small capture with all maps.
 fn small(scene: SceneKind) -> Params {
     Params {
         scene,
@@ -47,26 +50,21 @@ fn small(scene: SceneKind) -> Params {
     }
 }
 
+/// The world and the shots of a capture.
 fn scene_and_shots(params: &Params) -> (World, Vec<Shot>) {
     let world = scenes::build(params);
     let shots = shots(params, world.center_world);
     (world, shots)
 }
 
-/// The world point that a pixel's centre sees, from its depth alone.
+/// The world point at the centre of a pixel, from its depth alone.
 fn unprojected(camera: &Camera, index: usize, depth_view: f32) -> DVec3 {
-    let width = camera.intrinsics.width as usize;
-    let centre = DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
-    camera.camera_from_world.inverse().apply(camera.ray_view(centre) * f64::from(depth_view))
+    let center = pixels::center(index, camera.intrinsics.width);
+    camera.camera_from_world.inverse().apply(camera.ray_view(center) * f64::from(depth_view))
 }
 
-fn centre_of(camera: &Camera, index: usize) -> DVec2 {
-    let width = camera.intrinsics.width as usize;
-    DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5)
-}
-
-/// Largest distance in pixels between the flow and where depth and velocity say that the pixel goes, over pixels with
-/// flow; the number of those that move by more than a hundredth of a pixel.
+/// Largest distance in pixels between the flow and the displacement that follows from depth and velocity, over pixels
+/// with flow, and the number of pixels that move by more than a hundredth of a pixel.
 fn flow_error_px(frame: &Frame, frame_secs: f64) -> (f64, usize) {
     let (depth, flow) = (frame.depth.as_ref().unwrap(), frame.flow.as_ref().unwrap());
     let velocity = &frame.velocity.as_ref().unwrap().velocity_world;
@@ -74,7 +72,7 @@ fn flow_error_px(frame: &Frame, frame_secs: f64) -> (f64, usize) {
     for (index, flow) in flow.flow_px.iter().enumerate().filter(|(_, flow)| !flow[0].is_nan()) {
         let [x, y, z] = velocity[index].map(f64::from);
         let moved = unprojected(&frame.camera, index, depth.depth_view[index]) + DVec3::new(x, y, z) * frame_secs;
-        let expected = frame.camera.project(moved).unwrap().0 - centre_of(&frame.camera, index);
+        let expected = frame.camera.project(moved).unwrap().0 - pixels::center(index, frame.camera.intrinsics.width);
         let flow = DVec2::new(f64::from(flow[0]), f64::from(flow[1]));
         worst = worst.max(flow.distance(expected));
         moving += usize::from(flow.length() > 0.01);
@@ -83,9 +81,9 @@ fn flow_error_px(frame: &Frame, frame_secs: f64) -> (f64, usize) {
 }
 
 #[test]
-fn flow_is_where_depth_and_velocity_lead() {
+fn flow_agrees_with_depth_and_velocity() {
     for scene in SCENES {
-        // A short time step, in which every motion is nearly straight; three tenths of a second into the scene.
+        // Every motion is nearly straight during this short time step, 0.3 seconds into the scene.
         let fps = 2000.0;
         let params = Params { fps, frames: 700, width: 80, height: 64, ..small(scene) };
         let (world, shots) = scene_and_shots(&params);
@@ -93,7 +91,7 @@ fn flow_is_where_depth_and_velocity_lead() {
         let (worst, moving) = flow_error_px(&frame, 1.0 / fps);
         assert!(worst <= 2e-3, "{scene:?}: {worst} px");
         assert!((moving > 20) == (scene != SceneKind::StaticBlocks), "{scene:?}: {moving} pixels move");
-        // Planted fault: the comparison must notice one velocity that points elsewhere.
+        // Planted fault: the comparison must notice one wrong velocity.
         let flow = &frame.flow.as_ref().unwrap().flow_px;
         let seen = flow.iter().position(|flow| !flow[0].is_nan()).unwrap();
         frame.velocity.as_mut().unwrap().velocity_world[seen] = [9.0, -9.0, 9.0];
@@ -110,7 +108,7 @@ fn velocity_is_the_derivative_of_position() {
         for shot in &shots {
             let (now, step) = (world.at(shot.time_secs), 1e-5);
             let (before, after) = (world.at(shot.time_secs - step), world.at(shot.time_secs + step));
-            for hit in centre_hits(&now, &shot.camera).into_iter().flatten() {
+            for hit in center_hits(&now, &shot.camera).into_iter().flatten() {
                 let [a, b] = [&before, &after].map(|instant| instant.position_world(hit.body, hit.material));
                 let velocity = now.velocity_world(hit.body, hit.material);
                 let error = velocity.distance((b - a) / (2.0 * step));
@@ -123,18 +121,18 @@ fn velocity_is_the_derivative_of_position() {
 }
 
 #[test]
-fn hits_lie_on_their_surface_and_nothing_lies_before_them() {
+fn hits_lie_on_their_surface_and_face_the_camera() {
     for scene in SCENES {
         let params = small(scene);
         let (world, shots) = scene_and_shots(&params);
         for shot in &shots[..3] {
             let instant = world.at(shot.time_secs);
-            for (index, hit) in centre_hits(&instant, &shot.camera).into_iter().enumerate() {
+            for (index, hit) in center_hits(&instant, &shot.camera).into_iter().enumerate() {
                 let Some(hit) = hit else { continue };
-                let ray = ray_world(&shot.camera, centre_of(&shot.camera, index));
+                let ray = ray_world(&shot.camera, pixels::center(index, shot.camera.intrinsics.width));
                 let (pixel, depth_view) = shot.camera.project(ray.at(hit.distance)).unwrap();
                 assert!((depth_view - hit.distance).abs() <= 1e-12, "distances along rays are depths");
-                assert!(pixel.distance(centre_of(&shot.camera, index)) <= 1e-9);
+                assert!(pixel.distance(pixels::center(index, shot.camera.intrinsics.width)) <= 1e-9);
                 let surface = instant.position_world(hit.body, hit.material);
                 assert!(surface.distance(ray.at(hit.distance)) <= 1e-9, "{scene:?}");
                 assert!((hit.normal_world.length() - 1.0).abs() <= 1e-9);
@@ -145,20 +143,20 @@ fn hits_lie_on_their_surface_and_nothing_lies_before_them() {
 }
 
 #[test]
-fn depth_of_a_sphere_is_that_of_geometry() {
+fn sphere_hits_agree_with_geometry() {
     let sphere = Shape::Sphere { radius: 0.5 };
     let through_centre = Ray { origin: DVec3::new(0.0, 0.0, -3.0), direction: DVec3::Z };
     assert_eq!(sphere.hit(&through_centre, 0.0).unwrap(), (2.5, -DVec3::Z));
-    // At the height h above the axis the surface is sqrt(r² - h²) before the centre.
+    // At height h above the axis, the surface is sqrt(r² - h²) in front of the centre.
     let beside = Ray { origin: DVec3::new(0.0, 0.3, -3.0), direction: 2.0 * DVec3::Z };
     assert!((sphere.hit(&beside, 0.0).unwrap().0 - 0.5 * (3.0 - 0.4)).abs() <= 1e-15);
     assert!(sphere.hit(&Ray { origin: DVec3::new(0.0, 0.51, -3.0), direction: DVec3::Z }, 0.0).is_none());
     assert!(sphere.hit(&Ray { origin: DVec3::new(0.0, 0.0, 3.0), direction: DVec3::Z }, 0.0).is_none(), "behind");
     let inside = Ray { origin: DVec3::ZERO, direction: DVec3::X };
-    assert_eq!(sphere.hit(&inside, 0.0).unwrap().0, 0.5, "domes are seen from inside");
+    assert_eq!(sphere.hit(&inside, 0.0).unwrap().0, 0.5, "a dome is visible from inside");
 }
 
-/// Distance of a point from a shape's surface, by its definition and not by the intersection formulas.
+/// Signed distance (or its sign) of a point from a shape, by definition and not by the intersection formulas.
 fn distance_from(shape: &Shape, point: DVec3) -> f64 {
     match shape {
         Shape::Sphere { radius } => point.length() - radius,
@@ -169,7 +167,7 @@ fn distance_from(shape: &Shape, point: DVec3) -> f64 {
 }
 
 #[test]
-fn no_shape_is_passed_through() {
+fn rays_pass_through_no_shape() {
     let shapes = [
         Shape::Sphere { radius: 0.7 },
         Shape::Block { half: DVec3::new(0.3, 0.8, 0.5) },
@@ -192,7 +190,7 @@ fn no_shape_is_passed_through() {
                 }
                 None => 6.0,
             };
-            // Marching along the ray meets no earlier change of sides within the shape's bounds.
+            // Within the bounds of the shape, the side of the surface does not change before the hit.
             let (center, radius) = shape.bounding_sphere();
             let within = |point: DVec3| match &shape {
                 Shape::Cloth(wave) => point.abs().cmple(wave.half_box()).all(),
@@ -208,7 +206,7 @@ fn no_shape_is_passed_through() {
 }
 
 #[test]
-fn masks_name_what_is_seen() {
+fn labels_identify_the_visible_ball() {
     let params = small(SceneKind::BouncingSpheres);
     let (world, shots) = scene_and_shots(&params);
     let frame = render(&world, &shots[0], &params);
@@ -224,7 +222,7 @@ fn masks_name_what_is_seen() {
 }
 
 #[test]
-fn what_stands_still_has_no_flow_and_no_velocity() {
+fn static_scenes_have_no_flow_and_no_velocity() {
     let params = small(SceneKind::StaticBlocks);
     let (world, shots) = scene_and_shots(&params);
     let frame = render(&world, &shots[1], &params);
@@ -236,8 +234,8 @@ fn what_stands_still_has_no_flow_and_no_velocity() {
 }
 
 #[test]
-fn the_tunnel_hides_the_ball_and_lets_it_out_again() {
-    // Half a second is a quarter of the ball's way: from the end to the middle of the tunnel.
+fn the_tunnel_hides_the_ball_temporarily() {
+    // Half a second is a quarter of the period: from the turning point to the middle of the tunnel.
     let params = Params { camera: CameraPath::Rig, rig_cameras: 3, fps: 2.0, frames: 3, ..small(SceneKind::Occluder) };
     let (world, shots) = scene_and_shots(&params);
     let front = |frame: u32| {
@@ -253,7 +251,7 @@ fn the_tunnel_hides_the_ball_and_lets_it_out_again() {
     assert!(end.flow.is_none(), "the last frame has no next one");
 }
 
-/// Every file below a folder.
+/// The bytes of every file below a folder.
 fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let (mut files, mut folders) = (BTreeMap::new(), vec![dir.to_path_buf()]);
     while let Some(folder) = folders.pop() {
@@ -269,6 +267,7 @@ fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
+/// The bytes of every file of a capture.
 fn capture_files(params: &Params, threads: usize) -> BTreeMap<PathBuf, Vec<u8>> {
     let dir = tempfile::tempdir().unwrap();
     synthesize(params, dir.path(), threads, |_, _| Ok(())).unwrap();
@@ -314,13 +313,13 @@ fn the_stage_writes_a_valid_capture() {
 }
 
 #[test]
-fn truths_that_are_off_write_nothing() {
+fn maps_that_are_off_are_not_written() {
     let params = Params { truths: Default::default(), ..small(SceneKind::SwingingArm) };
     let dir = tempfile::tempdir().unwrap();
     synthesize(&params, dir.path(), 1, |_, _| Ok(())).unwrap();
     let files = files(dir.path());
     assert_eq!(files.len(), 11, "ten images and their description: {:?}", files.keys());
-    // What is off has no influence on what is on.
+    // Other maps do not change the images.
     let with = tempfile::tempdir().unwrap();
     synthesize(&small(SceneKind::SwingingArm), with.path(), 1, |_, _| Ok(())).unwrap();
     let image = |dir: &Path| std::fs::read(dir.join("images/train_0003.png")).unwrap();
@@ -328,7 +327,7 @@ fn truths_that_are_off_write_nothing() {
 }
 
 #[test]
-fn backgrounds_are_what_they_are_called() {
+fn backgrounds_have_their_colour_and_coverage() {
     let corner = |background| {
         let params = Params { background, ..small(SceneKind::SwingingArm) };
         let (world, shots) = scene_and_shots(&params);
@@ -355,7 +354,7 @@ fn shadows_darken_and_highlights_brighten() {
 }
 
 #[test]
-fn parameters_out_of_range_are_all_named() {
+fn all_parameters_out_of_range_are_reported() {
     assert!(Params::default().problems().is_empty());
     let wrong =
         Params { width: 0, fps: f64::NAN, samples_per_pixel: 5, specular: -1.0, frames: 0, ..Params::default() };
@@ -378,7 +377,7 @@ fn a_stopped_job_ends_early() {
 }
 
 #[test]
-fn what_is_known_before_rendering_holds_of_the_capture() {
+fn facts_hold_for_the_rendered_capture() {
     for scene in SCENES {
         for specular in [0.0, 0.5] {
             let params = Params { specular, truths: [Truth::Masks, Truth::Depth].into(), ..small(scene) };
@@ -393,15 +392,15 @@ fn what_is_known_before_rendering_holds_of_the_capture() {
             assert_eq!(known.flag(facts::MOVING), Some(moves), "{scene:?}");
             assert_eq!(known.flag(facts::VIEW_DEPENDENT), Some(specular > 0.0));
             assert_eq!(known.flag(facts::POINTS), Some(capture.has_points));
-            let told = [facts::DEPTH, facts::FLOW, facts::VELOCITY, facts::MASKS].map(|map| known.flag(map));
-            assert_eq!(told, [Some(true), Some(false), Some(false), Some(true)]);
+            let maps = [facts::DEPTH, facts::FLOW, facts::VELOCITY, facts::MASKS].map(|map| known.flag(map));
+            assert_eq!(maps, [Some(true), Some(false), Some(false), Some(true)]);
             assert!(views().all(|view| view.depth.is_some() && view.flow.is_none() && view.velocity.is_none()));
         }
     }
 }
 
 #[test]
-fn hard_scenes_are_what_they_are_called() {
+fn hard_scenes_have_the_property_in_their_name() {
     let frames = |scene: SceneKind, change: &dyn Fn(&mut Params)| {
         let mut params = Params { width: 64, height: 64, frames: 24, camera: CameraPath::Arc, ..small(scene) };
         change(&mut params);
@@ -417,7 +416,7 @@ fn hard_scenes_are_what_they_are_called() {
         assert_eq!(seen.len(), 24);
         assert!(seen.iter().flat_map(&depth).all(|depth| depth >= 0.0 && depth.is_finite()), "{scene:?}");
     }
-    // Nearer than 0.2, which is where rasterisers cut.
+    // Nearer than 0.2, the near plane of rasterisers.
     let near = plain(SceneKind::NearFlyby);
     assert!(near.iter().any(|frame| depth(frame).iter().any(|&depth| depth > 0.0 && depth < 0.2)));
     assert!(near.iter().any(|frame| moving(frame) > 0) && near.iter().any(|frame| moving(frame) == 0));
@@ -437,7 +436,7 @@ fn hard_scenes_are_what_they_are_called() {
     let jumps = plain(SceneKind::Teleport);
     let flows = jumps.iter().filter_map(|frame| frame.flow.as_ref());
     let longest = flows.flat_map(|flow| &flow.flow_px).map(|flow| flow[0].hypot(flow[1]));
-    assert!(longest.filter(|length| !length.is_nan()).fold(0.0, f32::max) > 5.0, "no jump is seen");
+    assert!(longest.filter(|length| !length.is_nan()).fold(0.0, f32::max) > 5.0, "no jump is visible");
     assert!(jumps.iter().flat_map(|frame| &frame.velocity.as_ref().unwrap().velocity_world).all(|v| *v == [0.0; 3]));
 
     let far = frames(SceneKind::SwingingArm, &|params| params.origin_world = [1e4, -1e4, 1e4]);
@@ -445,11 +444,11 @@ fn hard_scenes_are_what_they_are_called() {
     let difference = |a: &Frame, b: &Frame| {
         a.image.as_raw().iter().zip(b.image.as_raw()).filter(|(a, b)| a.abs_diff(**b) > 2).count()
     };
-    assert!(far.iter().zip(&here).all(|(far, here)| difference(far, here) < 10), "moved, a scene looks the same");
+    assert!(far.iter().zip(&here).all(|(far, here)| difference(far, here) < 10), "a translated scene looks the same");
     let holes = frames(SceneKind::SwingingArm, &|params| params.holes = 0.7);
     let known = |frames: &[Frame]| frames.iter().flat_map(&depth).filter(|depth| *depth > 0.0).count() as f64;
     let share = known(&holes) / known(&here);
-    assert!((share - 0.3).abs() < 0.03, "{share} of the depth is left");
+    assert!((share - 0.3).abs() < 0.03, "{share} of the depth remains");
     assert_ne!(
         depth(&holes[0]).iter().map(|d| *d > 0.0).collect::<Vec<_>>(),
         depth(&holes[1]).iter().map(|d| *d > 0.0).collect::<Vec<_>>()

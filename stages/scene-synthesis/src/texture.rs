@@ -1,42 +1,42 @@
-//! Solid textures: a colour per material point, so that patterns move with the body.
+//! Solid textures: one colour per material point, so that patterns move with the body.
 
 use glam::{DVec3, IVec3};
 
-/// Keeps the borders of cells off the faces of blocks, where rounding would decide the colour.
+/// Keeps cell borders away from the faces of blocks, where rounding would decide the colour.
 const CELL_OFFSET: f64 = 0.137;
 
-/// How two colours alternate.
+/// The arrangement of two colours.
 #[derive(Clone, Copy, Debug)]
-pub enum Pattern {
+pub(crate) enum Pattern {
     /// Cubes of alternating colour.
     Checker,
-    /// Layers across the direction (1, 1, 1), with smooth borders.
+    /// Layers perpendicular to the direction (1, 1, 1), with smooth borders.
     Stripes,
-    /// Smooth random values between the colours.
+    /// Smooth random blends of the colours (value noise).
     Noise,
 }
 
-/// Two colours and their arrangement.
+/// A texture of two colours.
 #[derive(Clone, Copy, Debug)]
-pub struct Texture {
-    /// How they alternate.
-    pub pattern: Pattern,
-    /// Cells per scene unit.
-    pub frequency: f64,
-    /// sRGB-encoded colours.
-    pub colors: [DVec3; 2],
+pub(crate) struct Texture {
+    /// The arrangement of the colours.
+    pub(crate) pattern: Pattern,
+    /// Number of cells per scene unit.
+    pub(crate) frequency: f64,
+    /// The two sRGB-encoded colours.
+    pub(crate) colors: [DVec3; 2],
 }
 
 impl Texture {
-    /// A texture of two colours given as 0xRRGGBB.
-    pub fn new(pattern: Pattern, frequency: f64, colors: [u32; 2]) -> Self {
+    /// A texture of two colours in the form 0xRRGGBB.
+    pub(crate) fn new(pattern: Pattern, frequency: f64, colors: [u32; 2]) -> Self {
         let channel = |color: u32, shift: u32| f64::from(color >> shift & 0xff) / 255.0;
         let color = |color| DVec3::new(channel(color, 16), channel(color, 8), channel(color, 0));
         Self { pattern, frequency, colors: colors.map(color) }
     }
 
-    /// The colour of a material point (object coordinates).
-    pub fn color(&self, material: DVec3) -> DVec3 {
+    /// The colour of a material point in object coordinates.
+    pub(crate) fn color(&self, material: DVec3) -> DVec3 {
         let cell = material * self.frequency + CELL_OFFSET;
         let share = match self.pattern {
             Pattern::Checker => f64::from((cell.floor().as_ivec3().element_sum() & 1) as u8),
@@ -47,7 +47,7 @@ impl Texture {
     }
 }
 
-/// Random values at integer points, smoothly interpolated (value noise), in [0, 1].
+/// Value noise in [0, 1]: random values at integer points, smoothly interpolated.
 fn smooth_noise(point: DVec3) -> f64 {
     let base = point.floor();
     let fraction = point - base;
@@ -59,7 +59,7 @@ fn smooth_noise(point: DVec3) -> f64 {
     mix(face(0), face(1), blend.z)
 }
 
-/// A hash of a lattice point as a number in [0, 1] (the finaliser of splitmix64, Steele et al. 2014).
+/// Hash of a lattice point to [0, 1], by the finaliser of splitmix64 (Steele et al. 2014).
 fn lattice_value(point: IVec3) -> f64 {
     let [x, y, z] = point.to_array().map(|value| u64::from(value as u32));
     let mut bits = x ^ y << 21 ^ z << 42;

@@ -1,4 +1,4 @@
-//! A sheet that waves: z = h(x, y, time) over a rectangle, still along the edge x = -half.x.
+//! A waving sheet: z = h(x, y, time) over a rectangle, fixed along the edge x = -half.x.
 
 use std::f64::consts::TAU;
 
@@ -6,12 +6,12 @@ use glam::{DVec2, DVec3};
 
 use crate::shape::{MIN_DISTANCE, Ray, slab};
 
-/// Height below which the search for the surface changes from safe steps to Newton's, in scene units: small against
-/// the wavelengths, so that Newton's steps stay in the basin of the nearest root.
+/// Height above the sheet, in scene units, below which the search changes from safe steps to Newton's method. It is
+/// small relative to the wavelengths, so that Newton's method converges to the nearest root.
 const NEWTON_HEIGHT: f64 = 5e-3;
-/// Residual height of a found point, scene units.
+/// Largest residual height of a hit, in scene units.
 const TOLERANCE: f64 = 1e-13;
-/// Safe steps before a grazing ray counts as missing the sheet.
+/// Maximum number of safe steps, after which a grazing ray counts as a miss.
 const MAX_STEPS: usize = 400;
 
 /// One travelling sine wave.
@@ -23,27 +23,27 @@ struct Component {
     phase: f64,
 }
 
-/// The sum of travelling waves, growing linearly from the fixed edge.
+/// A sum of travelling waves whose amplitude grows linearly from the fixed edge.
 #[derive(Clone, Debug)]
-pub struct Wave {
+pub(crate) struct Wave {
     half: DVec2,
     components: Vec<Component>,
 }
 
-/// Height of the sheet with its derivatives.
+/// Height of the sheet at a point, with its derivatives.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Height {
-    /// z.
-    pub value: f64,
-    /// By x and y.
-    pub slope: DVec2,
-    /// By time.
-    pub rate: f64,
+pub(crate) struct Height {
+    /// Height z.
+    pub(crate) value: f64,
+    /// Derivatives with respect to x and y.
+    pub(crate) slope: DVec2,
+    /// Derivative with respect to time, per second.
+    pub(crate) rate: f64,
 }
 
 impl Wave {
-    /// A sheet over [-half, half] with two waves; `phase` shifts both.
-    pub fn new(half: DVec2, amplitude: f64, phase: f64) -> Self {
+    /// A sheet over [-half, half] with two waves, both shifted by `phase`.
+    pub(crate) fn new(half: DVec2, amplitude: f64, phase: f64) -> Self {
         let component = |amplitude: f64, wavelengths: DVec2, period_secs: f64, phase: f64| Component {
             amplitude,
             wave_vector: TAU / wavelengths,
@@ -57,14 +57,14 @@ impl Wave {
         Self { half, components }
     }
 
-    /// Half the edges of a box that holds the sheet at all times.
-    pub fn half_box(&self) -> DVec3 {
+    /// Half the edge lengths of a box that contains the sheet at all times.
+    pub(crate) fn half_box(&self) -> DVec3 {
         let highest: f64 = self.components.iter().map(|component| component.amplitude).sum();
         self.half.extend(highest)
     }
 
-    /// Height at (x, y).
-    pub fn height(&self, x: f64, y: f64, time_secs: f64) -> Height {
+    /// Height and derivatives at (x, y).
+    pub(crate) fn height(&self, x: f64, y: f64, time_secs: f64) -> Height {
         let mut waves = Height::default();
         for Component { amplitude, wave_vector, pulsation, phase } in &self.components {
             let (sin, cos) = (wave_vector.x * x + wave_vector.y * y - pulsation * time_secs + phase).sin_cos();
@@ -78,8 +78,8 @@ impl Wave {
         Height { value: waves.value * envelope, slope, rate: waves.rate * envelope }
     }
 
-    /// First point of the sheet on the ray, and the normal there.
-    pub fn hit(&self, ray: &Ray, time_secs: f64) -> Option<(f64, DVec3)> {
+    /// The first hit of a ray: its distance and the unit normal.
+    pub(crate) fn hit(&self, ray: &Ray, time_secs: f64) -> Option<(f64, DVec3)> {
         let (enter, leave) = slab(ray, self.half_box())?;
         let above = |s: f64| {
             let point = ray.at(s);
@@ -87,7 +87,7 @@ impl Wave {
             let along = ray.direction.z - height.slope.dot(ray.direction.truncate());
             (point.z - height.value, along, height.slope)
         };
-        // Steps of height / (greatest rate of change of the height) never pass the surface.
+        // A step of height / (upper bound of the rate of change of the height) never passes the surface.
         let greatest_rate = ray.direction.z.abs() + self.steepest_along(ray.direction.truncate());
         let mut s = enter.max(MIN_DISTANCE);
         for _ in 0..MAX_STEPS {
@@ -106,7 +106,7 @@ impl Wave {
         None
     }
 
-    /// A bound on the change of height per step of a direction in the plane.
+    /// Upper bound on the change of height per step along a direction in the plane.
     fn steepest_along(&self, direction: DVec2) -> f64 {
         let envelope = 0.5 / self.half.x * direction.x.abs();
         let slope = |wave: &Component| wave.amplitude * (wave.wave_vector.dot(direction).abs() + envelope);
@@ -114,7 +114,7 @@ impl Wave {
     }
 }
 
-/// Newton's iteration from `start`; a root behind it, or much farther than the first step reaches, is none.
+/// Newton's method from `start`; rejects a root that lies before it or much farther than the first step.
 fn newton(above: &impl Fn(f64) -> (f64, f64, DVec2), start: f64) -> Option<f64> {
     let (mut s, mut reach) = (start, None);
     for _ in 0..8 {

@@ -1,4 +1,4 @@
-//! Bodies in motion, and what a ray meets at one instant.
+//! Moving bodies, and ray casting and shading at one instant.
 
 use glam::DVec3;
 use scene::RigidTransform;
@@ -7,55 +7,56 @@ use crate::placement::Placement;
 use crate::shape::{Ray, Shape};
 use crate::texture::Texture;
 
-/// Direction to the light: from above, a little to one side, so that all sides of a body differ.
+/// Unit direction to the light: oblique from above, so that all sides of a body are lit differently.
 const TO_LIGHT: DVec3 = DVec3::new(0.36, -0.48, 0.8);
-/// Share of the light that comes from everywhere.
+/// Share of ambient light.
 const AMBIENT: f64 = 0.35;
 /// Sharpness of highlights (Blinn 1977).
 const SHININESS: f64 = 40.0;
 
-/// Placement of a body as a function of seconds.
-pub type Motion = Box<dyn Fn(f64) -> Placement + Send + Sync>;
+/// Placement of a body as a function of time in seconds.
+pub(crate) type Motion = Box<dyn Fn(f64) -> Placement + Send + Sync>;
 
 /// A textured surface in motion.
-pub struct Body {
-    /// 0 for what never moves, else the position of its name in [`World::class_names`] plus 1.
-    pub label: u8,
-    /// In object coordinates.
-    pub shape: Shape,
-    /// Of material points.
-    pub texture: Texture,
-    /// World from object.
-    pub motion: Motion,
+pub(crate) struct Body {
+    /// Instance label: 0 for static bodies, otherwise the index of the name in [`World::class_names`] plus 1.
+    pub(crate) label: u8,
+    /// Surface in object coordinates.
+    pub(crate) shape: Shape,
+    /// Colours of material points.
+    pub(crate) texture: Texture,
+    /// Placement over time.
+    pub(crate) motion: Motion,
 }
 
-/// A scene.
-pub struct World {
-    /// Everything that can be seen.
-    pub bodies: Vec<Body>,
-    /// Names of the moving instances.
-    pub class_names: Vec<String>,
-    /// What cameras look at.
-    pub center_world: DVec3,
-    /// Min and max corner of what the bodies reach.
-    pub bounds_world: [[f64; 3]; 2],
+/// A scene of moving bodies.
+pub(crate) struct World {
+    /// All bodies.
+    pub(crate) bodies: Vec<Body>,
+    /// Names of the moving instances, for the labels 1, 2, …
+    pub(crate) class_names: Vec<String>,
+    /// The point that all cameras look at.
+    pub(crate) center_world: DVec3,
+    /// Bounding box of all bodies at all times (min, max corner).
+    pub(crate) bounds_world: [[f64; 3]; 2],
 }
 
-/// How surfaces answer the light.
+/// Options of shading.
 #[derive(Clone, Copy, Debug)]
-pub struct Shading {
-    /// Weight of highlights.
-    pub specular: f64,
-    /// Whether bodies darken each other.
-    pub shadows: bool,
+pub(crate) struct Shading {
+    /// Weight of specular highlights.
+    pub(crate) specular: f64,
+    /// Whether bodies cast shadows.
+    pub(crate) shadows: bool,
 }
 
-/// The world at one time.
-pub struct Instant<'a> {
+/// The world at one instant.
+pub(crate) struct Instant<'a> {
     time_secs: f64,
     bodies: Vec<Posed<'a>>,
 }
 
+/// A body in its pose at one instant.
 struct Posed<'a> {
     body: &'a Body,
     placement: Placement,
@@ -64,37 +65,37 @@ struct Posed<'a> {
     bounding_radius: f64,
 }
 
-/// What a ray meets first.
+/// The first hit of a ray.
 #[derive(Clone, Copy, Debug)]
-pub struct Hit {
-    /// Position in [`World::bodies`].
-    pub body: usize,
-    /// Along the ray, in units of its direction.
-    pub distance: f64,
-    /// The material point: object coordinates at the time of the hit.
-    pub material: DVec3,
-    /// Unit, towards where the ray comes from.
-    pub normal_world: DVec3,
+pub(crate) struct Hit {
+    /// Index in [`World::bodies`].
+    pub(crate) body: usize,
+    /// Distance along the ray, in units of its direction.
+    pub(crate) distance: f64,
+    /// The material point, in object coordinates at the time of the hit.
+    pub(crate) material: DVec3,
+    /// Unit normal, facing the origin of the ray.
+    pub(crate) normal_world: DVec3,
 }
 
 impl Body {
-    /// A body that never moves.
-    pub fn resting(shape: Shape, texture: Texture, position: DVec3) -> Self {
+    /// A static body with label 0.
+    pub(crate) fn resting(shape: Shape, texture: Texture, position: DVec3) -> Self {
         Self { label: 0, shape, texture, motion: Box::new(move |_| Placement::resting(position)) }
     }
 }
 
 impl World {
-    /// All bodies where they are at `time_secs`.
-    pub fn at(&self, time_secs: f64) -> Instant<'_> {
+    /// The world at a time.
+    pub(crate) fn at(&self, time_secs: f64) -> Instant<'_> {
         let posed = |body| Posed::new(body, time_secs);
         Instant { time_secs, bodies: self.bodies.iter().map(posed).collect() }
     }
 }
 
 impl Instant<'_> {
-    /// The nearest surface on the ray.
-    pub fn hit(&self, ray: &Ray) -> Option<Hit> {
+    /// The first hit of a ray, if any.
+    pub(crate) fn hit(&self, ray: &Ray) -> Option<Hit> {
         let mut nearest: Option<Hit> = None;
         for (index, posed) in self.bodies.iter().enumerate() {
             if !posed.may_hit(ray) {
@@ -112,27 +113,28 @@ impl Instant<'_> {
         nearest
     }
 
-    /// Where a material point is now.
-    pub fn position_world(&self, body: usize, material: DVec3) -> DVec3 {
+    /// World position of a material point at this instant.
+    pub(crate) fn position_world(&self, body: usize, material: DVec3) -> DVec3 {
         let posed = &self.bodies[body];
         posed.placement.world_from_object.apply(posed.body.shape.position(material, self.time_secs))
     }
 
-    /// How fast a material point moves now: the motion of its frame plus its own motion in it.
-    pub fn velocity_world(&self, body: usize, material: DVec3) -> DVec3 {
+    /// World velocity of a material point at this instant: the motion of the body's frame plus the motion within it.
+    pub(crate) fn velocity_world(&self, body: usize, material: DVec3) -> DVec3 {
         let posed = &self.bodies[body];
         let own = posed.body.shape.velocity(material, self.time_secs);
         let frame = posed.placement.velocity(self.position_world(body, material));
         frame + posed.placement.world_from_object.rotation * own
     }
 
-    /// The instance label of a body.
-    pub fn label(&self, hit: &Hit) -> u8 {
+    /// The instance label of the body that was hit.
+    pub(crate) fn label(&self, hit: &Hit) -> u8 {
         self.bodies[hit.body].body.label
     }
 
-    /// The sRGB-encoded colour of a hit: Lambert with ambient light, plus a highlight and a shadow where wanted.
-    pub fn color(&self, ray: &Ray, hit: &Hit, shading: Shading) -> DVec3 {
+    /// The sRGB-encoded colour of a hit: Lambertian reflection with ambient light, and optionally a highlight and a
+    /// shadow.
+    pub(crate) fn color(&self, ray: &Ray, hit: &Hit, shading: Shading) -> DVec3 {
         let albedo = self.bodies[hit.body].body.texture.color(hit.material);
         let shaded = || {
             let origin = ray.at(hit.distance) + 1e-6 * hit.normal_world;
@@ -148,13 +150,14 @@ impl Instant<'_> {
         diffuse + DVec3::splat(shading.specular * hit.normal_world.dot(halfway).max(0.0).powf(SHININESS))
     }
 
-    /// A dome around the light's way is no obstacle.
+    /// Whether a hit body blocks the light; the background dome does not.
     fn casts_shadow(&self, hit: &Hit) -> bool {
         !matches!(self.bodies[hit.body].body.shape, Shape::Sphere { radius } if radius >= crate::scenes::DOME_RADIUS)
     }
 }
 
 impl<'a> Posed<'a> {
+    /// Evaluates the motion of a body.
     fn new(body: &'a Body, time_secs: f64) -> Self {
         let placement = (body.motion)(time_secs);
         let (center, bounding_radius) = body.shape.bounding_sphere();
@@ -167,7 +170,7 @@ impl<'a> Posed<'a> {
         }
     }
 
-    /// Whether the ray comes near enough to be worth an exact test.
+    /// Whether the line of the ray meets the bounding sphere.
     fn may_hit(&self, ray: &Ray) -> bool {
         let offset = self.bounding_center - ray.origin;
         let along = offset.dot(ray.direction) / ray.direction.length_squared();

@@ -6,7 +6,6 @@
 //! frames, without touching a pixel. [`source::SourceCapture::problems`] lists everything that is wrong with it; [`run`] refuses it or
 //! converts the pixels, and [`inspect`] tells a person.
 
-mod artifact;
 pub mod blender;
 pub mod colmap;
 mod facts;
@@ -23,6 +22,5 @@ mod split;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::CaptureArtifact;
 pub use params::Params;
 pub use run::{SfmImport, import};

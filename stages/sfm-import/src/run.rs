@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use captures::CaptureArtifact;
 use engine::{
     Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resources, Source, Stage,
 };
@@ -14,7 +15,7 @@ use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 use crate::params::Resize;
 use crate::pixels::{self, Labels};
 use crate::source::{self, Frame, Result, SourceCapture, bad};
-use crate::{CaptureArtifact, Params, facts};
+use crate::{Params, facts};
 
 /// The name under which the engine hands over the capture's folder.
 const SOURCE: &str = "source";

@@ -1,11 +1,12 @@
 //! The stage: collects the runs of a recipe and writes their report.
 
+use captures::CaptureArtifact;
 use engine::{JobContext, ParamProblem, Port, Stage};
 use metric_evaluation::Metrics;
 use rendering::Renders;
 use training::Model;
 
-use crate::collect::{Inputs, TrueImages};
+use crate::collect::Inputs;
 use crate::{Report, ReportFolder, TableGenerationParams, built_in_claims, pictures};
 
 /// The stage `table-generation`.
@@ -23,7 +24,7 @@ impl Stage for TableGeneration {
             Port::many::<Model>("model").with_measurements(),
             Port::many::<Renders>("renders").with_measurements(),
             Port::many::<Metrics>("metrics"),
-            Port::many::<TrueImages>("capture"),
+            Port::many::<CaptureArtifact>("capture"),
         ]
     }
 

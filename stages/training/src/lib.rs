@@ -34,4 +34,4 @@ mod view_constants;
 
 pub use artifact::{LargestGradient, Model, ModelHeader, NamedTensor};
 pub use params::TrainingParams;
-pub use run::{CaptureArtifact, Training};
+pub use run::Training;

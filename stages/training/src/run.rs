@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use captures::CaptureArtifact;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage};
 use scene::Capture;
 use serde::Deserialize as _;
@@ -29,11 +30,6 @@ use crate::trainer::{Earlier, Report, Trainer};
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
 /// How often whoever watches is told.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);
-
-engine::artifact! {
-    /// The capture that a model is trained on.
-    pub struct CaptureArtifact(Capture) = "capture" @ scene::capture::SCHEMA;
-}
 
 /// The stage that trains.
 pub struct Training;

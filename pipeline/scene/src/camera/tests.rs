@@ -8,7 +8,7 @@ fn camera() -> Camera {
 }
 
 #[test]
-fn rays_and_projection_are_inverse() {
+fn projection_inverts_rays() {
     let camera = camera();
     for pixel in [DVec2::new(0.5, 0.5), DVec2::new(63.2, 7.0), DVec2::new(33.0, 23.0)] {
         let depth_view = 2.75;
@@ -19,7 +19,7 @@ fn rays_and_projection_are_inverse() {
 }
 
 #[test]
-fn look_at_puts_the_target_in_the_centre_and_up_upwards() {
+fn look_at_centers_the_target_with_up_upwards() {
     let camera = camera();
     let (target, _) = camera.project(DVec3::new(0.0, 0.5, 0.0)).unwrap();
     assert!(target.distance(DVec2::new(33.0, 23.0)) <= 1e-11);
@@ -39,7 +39,7 @@ fn resizing_keeps_the_field_of_view() {
 }
 
 #[test]
-fn damaged_cameras_are_refused() {
+fn invalid_cameras_are_rejected() {
     camera().check().unwrap();
     let damage: [fn(&mut Camera); 6] = [
         |camera| camera.intrinsics.width = 0,

@@ -1,4 +1,4 @@
-//! Opening a capture, checking it, and loading what its views name.
+//! Opening and checking a capture, and loading the files of its views.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -12,32 +12,33 @@ use crate::index_file::{self, ViewFiles};
 use crate::maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
 use crate::{Error, Result};
 
-/// The file that describes the capture.
+/// Name of the index file.
 pub(super) const INDEX_FILE: &str = "capture.json";
-/// The point cloud, where there is one.
+/// Name of the file of the point cloud.
 pub(super) const POINTS_FILE: &str = "points.ply";
 
-/// Why maps may not fit.
-const OTHER_CAPTURE: &str = "were they made for another capture?";
+/// Hint for maps that do not match the views.
+const OTHER_CAPTURE: &str = "they may belong to another capture";
 
-/// Margin around the cameras (Kerbl et al. 2023, `getNerfppNorm`).
+/// Factor on the radius of the camera positions (Kerbl et al. 2023, `getNerfppNorm`).
 const EXTENT_MARGIN: f64 = 1.1;
-/// Relative to the size of the coordinates: closer cameras stand in one place and tell nothing about scale.
+/// Smallest radius of the camera positions, relative to the size of the coordinates, that defines a scale.
 const SAME_PLACE: f64 = 1e-6;
-/// Coarsest f32 step of the coordinates that a scene can be modelled with, relative to its extent.
+/// Coarsest usable f32 step of the coordinates, relative to the extent of the scene.
 const MAX_COORDINATE_STEP: f64 = 1e-2;
-/// Rounding of time values, relative to the duration of the capture.
+/// Tolerance for rounded times, relative to the duration of the capture.
 const TIME_TOLERANCE: f64 = 1e-6;
 
 impl Capture {
-    /// Reads `capture.json` in `dir`; see [`Capture::check`] for what must hold beyond its syntax.
+    /// Reads `capture.json` in `dir` without further checks; see [`Capture::check`].
     pub fn open(dir: &Path) -> Result<Self> {
         let path = dir.join(INDEX_FILE);
         Ok(Self { dir: dir.into(), ..index_file::read(&path, "a capture")? })
     }
 
-    /// Everything that readers rely on: unique names in order, valid cameras, times within the time map, at least one
-    /// training view, one resolution, and files with the right size and channels (only headers are read).
+    /// Checks everything that readers rely on: unique names in order, valid cameras, times within the time map, at
+    /// least one training view, one resolution, and files of the right size with the right channels. Reads only headers
+    /// of files.
     pub fn check(&self) -> Result<()> {
         self.check_index().map_err(|error| error.at(self.dir.join(INDEX_FILE)))?;
         for view in &self.views {
@@ -49,68 +50,72 @@ impl Capture {
         Ok(())
     }
 
-    /// The views of one split with their positions in [`Capture::views`].
+    /// The views of one split with their indices in [`Capture::views`].
     pub fn views_of(&self, split: Split) -> impl Iterator<Item = (usize, &View)> {
         self.views.iter().enumerate().filter(move |(_, view)| view.split == split)
     }
 
-    /// 8-bit colours, composited on the background.
+    /// Reads the image of a view: 8-bit colours, composited on the background.
     pub fn load_image(&self, view: &View) -> Result<RgbImage> {
         let image = image_file::read_rgb(&self.dir.join(&view.image))?;
         self.files(view).check_size(&view.image, (image.width(), image.height()))?;
         Ok(image)
     }
 
-    /// [H, W, 3] colours in [0, 1], sRGB-encoded.
+    /// Reads the image of a view as [H, W, 3] sRGB-encoded colours in [0, 1].
     pub fn load_image_f32(&self, view: &View) -> Result<Vec<f32>> {
         Ok(self.load_image(view)?.as_raw().iter().map(|value| f32::from(*value) / 255.0).collect())
     }
 
-    /// Coverage before compositing, where the view has it.
+    /// Reads the coverage of a view before compositing, if it has any.
     pub fn load_alpha(&self, view: &View) -> Result<Option<GrayImage>> {
         self.files(view).load(view.alpha.as_deref(), image_file::read_grey, GrayImage::dimensions)
     }
 
-    /// View-space depth, where the view has it.
+    /// Reads the view-space depth of a view, if it has any.
     pub fn load_depth(&self, view: &View) -> Result<Option<DepthMap>> {
         self.files(view).load(view.depth.as_deref(), DepthMap::read, |map| (map.width, map.height))
     }
 
-    /// Forward optical flow, where the view has it.
+    /// Reads the forward optical flow of a view, if it has any.
     pub fn load_flow(&self, view: &View) -> Result<Option<FlowMap>> {
         self.files(view).load(view.flow.as_deref(), FlowMap::read, |map| (map.width, map.height))
     }
 
-    /// Velocity of the seen surface, where the view has it.
+    /// Reads the velocity of the visible surface of a view, if it has any.
     pub fn load_velocity(&self, view: &View) -> Result<Option<VelocityMap>> {
         self.files(view).load(view.velocity.as_deref(), VelocityMap::read, |map| (map.width, map.height))
     }
 
-    /// Instance labels, where the view has them; a label without a class name is an error.
+    /// Reads the instance labels of a view, if it has any. A label without a class name is an error.
     pub fn load_mask(&self, view: &View) -> Result<Option<LabelMap>> {
         let mask = self.files(view).load(view.mask.as_deref(), LabelMap::read, |map| (map.width, map.height))?;
         let highest = mask.iter().flat_map(|mask| &mask.labels).max().copied().unwrap_or(0);
         if usize::from(highest) > self.class_names.len() {
-            let message =
-                format!("label {highest} in the mask of {}, but {} classes", view.name, self.class_names.len());
+            let message = format!(
+                "label {highest} in the mask of {}, but only {} class names",
+                view.name,
+                self.class_names.len()
+            );
             return Err(Error::new(message).at(self.dir.join(INDEX_FILE)));
         }
         Ok(mask)
     }
 
-    /// What the labels 0, 1, … of masks are called.
+    /// Names of the mask labels 0, 1, …
     pub fn label_names(&self) -> impl Iterator<Item = &str> {
         std::iter::once(BACKGROUND).chain(self.class_names.iter().map(String::as_str))
     }
 
-    /// The point cloud, where the capture has one.
+    /// Reads the point cloud, if the capture has one.
     pub fn load_points(&self) -> Result<Option<PointCloud>> {
         self.has_points.then(|| PointCloud::read_ply(&self.dir.join(POINTS_FILE))).transpose()
     }
 
-    /// The size of the scene: 1.1 × the largest distance of a training camera from their mean (Kerbl et al. 2023).
+    /// The size of the scene: 1.1 times the largest distance of a training camera from the mean of all training cameras
+    /// (Kerbl et al. 2023).
     ///
-    /// Where all training cameras stand in one place, half the diagonal of the bounds, and without bounds 1.
+    /// If all training cameras share one position, it is half the diagonal of the bounds, or 1 without bounds.
     pub fn scene_extent(&self) -> f64 {
         let centers: Vec<DVec3> = self.views_of(Split::Train).map(|(_, view)| view.camera.position_world()).collect();
         let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
@@ -122,21 +127,23 @@ impl Capture {
         self.bounds_world.map_or(1.0, half_diagonal)
     }
 
-    /// Maps of other makers belong to this capture: one entry per view, with the views' names in their order.
+    /// Checks that maps belong to this capture: one name per view, in the order of the views.
     pub fn check_names<'a>(&self, names: impl ExactSizeIterator<Item = &'a str>) -> Result<()> {
         let (count, expected) = (names.len(), self.views.len());
         if count != expected {
-            return Err(Error::new(format!("maps of {count} views for a capture of {expected}")).hint(OTHER_CAPTURE));
+            return Err(
+                Error::new(format!("maps of {count} views for a capture of {expected} views")).hint(OTHER_CAPTURE)
+            );
         }
         match self.views.iter().zip(names).find(|(view, name)| view.name != *name) {
             None => Ok(()),
             Some((view, name)) => {
-                Err(Error::new(format!("maps of view {name} where {} is expected", view.name)).hint(OTHER_CAPTURE))
+                Err(Error::new(format!("maps of view {name} instead of {}", view.name)).hint(OTHER_CAPTURE))
             }
         }
     }
 
-    /// What can be said without looking at any other file.
+    /// Checks the index alone.
     fn check_index(&self) -> Result<()> {
         self.time_map.check()?;
         let mut names = BTreeSet::new();
@@ -144,12 +151,12 @@ impl Capture {
             let blame = |error: Error| Error { message: format!("view {}: {}", view.name, error.message), ..error };
             self.check_view(view).map_err(blame)?;
             if !names.insert(view.name.as_str()) {
-                return Err(Error::new(format!("two views are called {}", view.name)));
+                return Err(Error::new(format!("two views have the name {}", view.name)));
             }
         }
         if let Some(pair) = self.views.windows(2).find(|pair| view_order(&pair[0], &pair[1]).is_gt()) {
             let message = format!("view {} comes after {}", pair[1].name, pair[0].name);
-            return Err(Error::new(message).hint("views are ordered by split, time and camera"));
+            return Err(Error::new(message).hint("order views by split, time and camera"));
         }
         if self.views_of(Split::Train).next().is_none() {
             return Err(Error::new(format!("none of the {} views is a training view", self.views.len())));
@@ -161,36 +168,39 @@ impl Capture {
         self.check_coordinates()
     }
 
-    /// One view on its own: name, camera, size, time.
+    /// Checks the name, camera, size and time of one view.
     fn check_view(&self, view: &View) -> Result<()> {
         check_name(&view.name)?;
         view.camera.check()?;
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         if size != (self.protocol.width, self.protocol.height) {
             let (width, height) = (self.protocol.width, self.protocol.height);
-            return Err(Error::new(format!("{}×{} pixels where the protocol says {width}×{height}", size.0, size.1)));
+            return Err(Error::new(format!("{}×{} pixels, but the protocol has {width}×{height}", size.0, size.1)));
         }
         let slack_secs = TIME_TOLERANCE * (self.time_map.end_secs - self.time_map.start_secs).max(1.0);
         let (start_secs, end_secs) = (self.time_map.start_secs - slack_secs, self.time_map.end_secs + slack_secs);
         if !(view.time_secs >= start_secs && view.time_secs <= end_secs) {
             let map = &self.time_map;
-            let message = format!("time {} s is outside of {} to {} s", view.time_secs, map.start_secs, map.end_secs);
+            let message =
+                format!("time {} s is outside the range {} to {} s", view.time_secs, map.start_secs, map.end_secs);
             return Err(Error::new(message));
         }
         Ok(())
     }
 
+    /// Checks that the bounds are ordered and finite.
     fn check_bounds(&self) -> Result<()> {
         let Some([low, high]) = self.bounds_world else { return Ok(()) };
         let ordered = low.iter().zip(&high).all(|(low, high)| low <= high && low.is_finite() && high.is_finite());
         if ordered {
             Ok(())
         } else {
-            Err(Error::new(format!("bounds are not ordered and finite: {low:?} to {high:?}")))
+            Err(Error::new(format!("the bounds are not ordered and finite: {low:?} to {high:?}")))
         }
     }
 
-    /// Models keep positions as f32: coordinates far from the origin leave too few digits for the scene.
+    /// Checks that f32 positions, which models use, resolve the scene: coordinates far from the origin leave too few
+    /// digits.
     fn check_coordinates(&self) -> Result<()> {
         let centers = self.views.iter().map(|view| view.camera.position_world().abs().max_element());
         let largest = centers.fold(0.0_f64, f64::max);
@@ -199,11 +209,12 @@ impl Capture {
         if step <= MAX_COORDINATE_STEP * extent {
             return Ok(());
         }
-        let message = format!("coordinates up to {largest:.1e} for a scene of extent {extent:.1e} are beyond f32");
+        let message =
+            format!("coordinates up to {largest:.1e} for a scene of extent {extent:.1e} exceed the precision of f32");
         Err(Error::new(message).hint("subtract the offset of the coordinate system from all poses and points"))
     }
 
-    /// Files exist below the folder, with the view's size and the channels of their kind.
+    /// Checks that the files of a view lie below the folder, with the right size and channels.
     fn check_files(&self, view: &View) -> Result<()> {
         let files = self.files(view);
         for file in [Some(&view.image), view.alpha.as_ref(), view.mask.as_ref()].into_iter().flatten() {
@@ -220,12 +231,13 @@ impl Capture {
         present.try_for_each(|(file, channels)| files.check_floats(file, channels))
     }
 
+    /// Access to the files of a view.
     fn files(&self, view: &View) -> ViewFiles<'_> {
         ViewFiles::of(&self.dir, &view.camera.intrinsics)
     }
 }
 
-/// Split, then time, then camera; the frame and the name make the order total.
+/// The order of views: split, time, camera; the frame and the name make it total.
 pub(super) fn view_order(a: &View, b: &View) -> std::cmp::Ordering {
     let rest = |view: &View| (view.camera_index, view.frame_index);
     let by_split = a.split.cmp(&b.split);
@@ -233,7 +245,7 @@ pub(super) fn view_order(a: &View, b: &View) -> std::cmp::Ordering {
     by_time.then(rest(a).cmp(&rest(b))).then_with(|| a.name.cmp(&b.name))
 }
 
-/// View names become file names.
+/// Checks that a view name is safe as a file name.
 pub(super) fn check_name(name: &str) -> Result<()> {
     let safe = |symbol: char| symbol.is_ascii_alphanumeric() || "_-.".contains(symbol);
     if !name.is_empty() && !name.starts_with('.') && name.chars().all(safe) {

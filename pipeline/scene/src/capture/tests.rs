@@ -32,7 +32,7 @@ fn info() -> CaptureInfo {
     }
 }
 
-/// Camera `index` stands at distance 2 from the origin.
+/// A small view with all maps, whose camera is at distance 2 from the origin, at an angle given by its index.
 fn frame(name: &str, split: Split, index: u32, time_secs: f64) -> Frame {
     let (width, height) = SIZE;
     let intrinsics = Intrinsics { width, height, focal_x: 6.0, focal_y: 6.0, center_x: 3.0, center_y: 2.0 };
@@ -59,7 +59,7 @@ fn frame(name: &str, split: Split, index: u32, time_secs: f64) -> Frame {
     }
 }
 
-/// Moves a camera in the world.
+/// Translates a camera in the world.
 fn moved(camera: &mut Camera, by_world: DVec3) {
     let pose = &mut camera.camera_from_world;
     pose.translation -= pose.rotation * by_world;
@@ -98,7 +98,7 @@ fn all_bytes(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
-fn what_is_written_is_read_back() {
+fn a_written_capture_is_read_back() {
     let dir = tempfile::tempdir().unwrap();
     write(dir.path(), &frames()).unwrap();
     let capture = Capture::open(dir.path()).unwrap();
@@ -120,7 +120,7 @@ fn what_is_written_is_read_back() {
 }
 
 #[test]
-fn the_order_of_writing_does_not_change_a_byte() {
+fn the_order_of_writing_changes_no_byte() {
     let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut frames = frames();
     write(a.path(), &frames).unwrap();
@@ -133,7 +133,7 @@ fn the_order_of_writing_does_not_change_a_byte() {
 }
 
 #[test]
-fn maps_that_are_absent_leave_no_files() {
+fn absent_maps_have_no_files() {
     let dir = tempfile::tempdir().unwrap();
     let bare =
         Frame { alpha: None, depth: None, flow: None, mask: None, velocity: None, ..frame("a", Split::Train, 0, 0.0) };
@@ -146,18 +146,18 @@ fn maps_that_are_absent_leave_no_files() {
 }
 
 #[test]
-fn every_damage_is_named_with_its_file() {
+fn every_damage_is_reported_with_its_file() {
     type Damage = fn(&mut Capture);
     let cases: [(Damage, &str, &str); 17] = [
-        (|capture| capture.views[1].name = "train_0".into(), "two views are called train_0", "capture.json"),
+        (|capture| capture.views[1].name = "train_0".into(), "two views have the name train_0", "capture.json"),
         (|capture| capture.views[1].name = "../up".into(), "not safe as a file name", "capture.json"),
         (|capture| capture.views.swap(0, 1), "train_0 comes after train_1", "capture.json"),
         (|capture| capture.views.retain(|view| view.split != Split::Train), "none of the 2 views", "capture.json"),
         (|capture| capture.views[0].time_secs = f64::NAN, "view train_0: time NaN s", "capture.json"),
-        (|capture| capture.views[1].time_secs = 2.1, "time 2.1 s is outside of 0 to 2 s", "capture.json"),
+        (|capture| capture.views[1].time_secs = 2.1, "time 2.1 s is outside the range 0 to 2 s", "capture.json"),
         (|capture| capture.views[2].camera.intrinsics.focal_x = -1.0, "focal lengths", "capture.json"),
         (|capture| capture.views[2].camera.camera_from_world.rotation *= 1.1, "not orthonormal", "capture.json"),
-        (|capture| capture.protocol.width = 7, "6×4 pixels where the protocol says 7×4", "capture.json"),
+        (|capture| capture.protocol.width = 7, "6×4 pixels, but the protocol has 7×4", "capture.json"),
         (|capture| capture.time_map.frame_secs = 0.0, "time map", "capture.json"),
         (|capture| capture.background[1] = f32::NAN, "not a colour", "capture.json"),
         (|capture| capture.bounds_world = Some([[1.0; 3], [0.0; 3]]), "bounds are not ordered", "capture.json"),
@@ -167,11 +167,11 @@ fn every_damage_is_named_with_its_file() {
             "capture.json",
         ),
         (|capture| capture.views[0].image = "images/none.png".into(), "cannot read the image", "none.png"),
-        (|capture| capture.views[0].image = "../outside.png".into(), "leads out of", "outside.png"),
+        (|capture| capture.views[0].image = "../outside.png".into(), "leads outside", "outside.png"),
         (|capture| capture.views[0].mask = Some("depth/train_0.exr".into()), "not a readable PNG", "depth/train_0.exr"),
         (
             |capture| capture.views[0].velocity = Some("depth/train_0.exr".into()),
-            "where X is needed",
+            "but X is required",
             "depth/train_0.exr",
         ),
     ];
@@ -187,19 +187,19 @@ fn every_damage_is_named_with_its_file() {
 }
 
 #[test]
-fn labels_without_a_class_and_sizes_that_differ_are_refused() {
+fn unnamed_labels_and_wrong_sizes_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let mut capture = write(dir.path(), &frames()).unwrap();
     capture.class_names.clear();
     let error = capture.load_mask(&capture.views[0]).unwrap_err().to_string();
-    assert!(error.contains("label 1 in the mask of train_0, but 0 classes"), "{error}");
+    assert!(error.contains("label 1 in the mask of train_0, but only 0 class names"), "{error}");
     let wrong = Frame { image: RgbImage::new(5, 4), ..frame("a", Split::Train, 0, 0.0) };
     let error = write(dir.path(), &[wrong]).unwrap_err().to_string();
-    assert!(error.contains("5×4 pixels where the camera has 6×4") && error.ends_with("images/a.png"), "{error}");
+    assert!(error.contains("5×4 pixels, but the camera has 6×4") && error.ends_with("images/a.png"), "{error}");
 }
 
 #[test]
-fn the_extent_is_that_of_the_training_cameras() {
+fn the_extent_follows_the_training_cameras() {
     let dir = tempfile::tempdir().unwrap();
     let capture = write(dir.path(), &frames()).unwrap();
     // Two training cameras at distance 2 from the origin, 0.7 rad apart: half their chord.
@@ -213,14 +213,14 @@ fn the_extent_is_that_of_the_training_cameras() {
 }
 
 #[test]
-fn maps_of_another_capture_are_noticed() {
+fn maps_of_another_capture_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let capture = write(dir.path(), &frames()).unwrap();
     let mut names: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
     capture.check_names(names.iter().copied()).unwrap();
     names.swap(0, 1);
     let error = capture.check_names(names.iter().copied()).unwrap_err().to_string();
-    assert!(error.contains("maps of view train_1 where train_0 is expected"), "{error}");
+    assert!(error.contains("maps of view train_1 instead of train_0"), "{error}");
     let error = capture.check_names(names[1..].iter().copied()).unwrap_err().to_string();
     assert!(error.contains("for a capture of") && error.contains("another capture"), "{error}");
 }

@@ -1,4 +1,4 @@
-//! Writing a capture: equal content gives equal bytes, in whatever order views arrive.
+//! Writing a capture: equal content gives equal bytes, in any order of views.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -12,51 +12,51 @@ use crate::maps::{DepthMap, FlowMap, LabelMap, VelocityMap};
 use crate::ply::PlyFormat;
 use crate::{Camera, Protocol, Result, TimeMap};
 
-/// What is known of a capture besides its views; fields as in [`Capture`].
+/// The description of a capture without its views; see [`Capture`].
 #[derive(Clone, Debug)]
 pub struct CaptureInfo {
-    /// The scene's name.
+    /// Name of the scene.
     pub name: String,
-    /// Where the poses come from.
+    /// Origin of the poses, e.g. `colmap`.
     pub pose_source: String,
-    /// How the images came to be what they are.
+    /// How the images were made.
     pub protocol: Protocol,
-    /// The colour that images were composited on.
+    /// The background colour of the images, sRGB-encoded in [0, 1].
     pub background: [f32; 3],
-    /// Seconds to [0, 1].
+    /// Normalisation of time.
     pub time_map: TimeMap,
-    /// Names of the instances in the masks.
+    /// Names of the instances in the masks, for the labels 1, 2, …
     pub class_names: Vec<String>,
-    /// The box that holds the scene.
+    /// Bounding box of the scene (min, max corner, world), if known.
     pub bounds_world: Option<[[f64; 3]; 2]>,
 }
 
-/// A view with its pixels in memory; fields as in [`View`].
+/// A view with its pixels in memory; see [`View`].
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Unique within the capture, safe as a file name.
+    /// Name, unique within the capture and safe as a file name.
     pub name: String,
-    /// What the view may be used for.
+    /// The purpose of the view.
     pub split: Split,
-    /// Pinhole and pose.
+    /// Intrinsics and pose.
     pub camera: Camera,
-    /// Which camera of a rig.
+    /// Number of the camera in a rig; 0 for a monocular capture.
     pub camera_index: u32,
-    /// Frame number within that camera's video.
+    /// Frame number within the video of that camera.
     pub frame_index: u32,
-    /// When the image was taken.
+    /// Time of the image in seconds.
     pub time_secs: f64,
-    /// Composited on the capture's background.
+    /// Colours, composited on the background of the capture.
     pub image: RgbImage,
-    /// Coverage before compositing.
+    /// Coverage before compositing, if known.
     pub alpha: Option<GrayImage>,
-    /// View-space z.
+    /// View-space depth, if known.
     pub depth: Option<DepthMap>,
-    /// Forward optical flow.
+    /// Forward optical flow, if known.
     pub flow: Option<FlowMap>,
-    /// Instance labels.
+    /// Instance labels, if known.
     pub mask: Option<LabelMap>,
-    /// 3D velocity.
+    /// 3D velocity of the visible surface, if known.
     pub velocity: Option<VelocityMap>,
 }
 
@@ -69,13 +69,13 @@ pub struct CaptureWriter {
 }
 
 impl CaptureWriter {
-    /// Starts a capture in the folder `dir`, which is created if need be.
+    /// Starts a capture in the folder `dir` and creates the folder if it is missing.
     pub fn create(dir: &Path, info: CaptureInfo) -> Result<Self> {
         index_file::create_dir(dir)?;
         Ok(Self { dir: dir.into(), info, has_points: false, views: Mutex::default() })
     }
 
-    /// Writes the files of one view; maps that are `None` leave no file behind.
+    /// Writes the files of one view; a map that is `None` has no file.
     pub fn write_view(&self, frame: &Frame) -> Result<()> {
         let Frame { name, split, camera, camera_index, frame_index, time_secs, .. } = frame;
         check_name(name)?;
@@ -110,7 +110,7 @@ impl CaptureWriter {
         Ok(())
     }
 
-    /// Sorts the views, checks everything, and writes `capture.json` last.
+    /// Sorts the views, checks the capture, and writes `capture.json` last.
     pub fn finish(self) -> Result<Capture> {
         let CaptureInfo { name, pose_source, protocol, background, time_map, class_names, bounds_world } = self.info;
         let mut views = self.views.into_inner().expect("no thread panics while it holds the lock");
@@ -134,7 +134,7 @@ impl CaptureWriter {
         Ok(capture)
     }
 
-    /// Writes `kind/file` in the capture's folder and returns that relative path.
+    /// Writes `kind/file` below the folder of the capture and returns this relative path.
     fn write_as(&self, kind: &str, file: &str, write: &dyn Fn(&Path) -> Result<()>) -> Result<PathBuf> {
         index_file::create_dir(&self.dir.join(kind))?;
         let relative = Path::new(kind).join(file);

@@ -5,7 +5,7 @@ fn grey(width: u32, height: u32, values: &[f32]) -> FloatImage {
 }
 
 #[test]
-fn area_is_the_mean_of_what_a_pixel_covers() {
+fn area_filter_averages_the_covered_pixels() {
     let image = grey(3, 1, &[0.0, 0.6, 0.9]);
     let half = image.resized(2, 1, ResizeFilter::Area);
     // Each new pixel covers one and a half old ones.
@@ -16,7 +16,7 @@ fn area_is_the_mean_of_what_a_pixel_covers() {
 }
 
 #[test]
-fn area_keeps_the_mean_of_an_image() {
+fn area_filter_keeps_the_mean_of_an_image() {
     let image = grey(7, 5, &(0..35).map(|index| (index * 37 % 100) as f32 / 100.0).collect::<Vec<_>>());
     let small = image.resized(3, 2, ResizeFilter::Area);
     let mean = |image: &FloatImage| image.values.iter().sum::<f32>() / image.values.len() as f32;
@@ -24,21 +24,21 @@ fn area_keeps_the_mean_of_an_image() {
 }
 
 #[test]
-fn lanczos_keeps_constants_and_nearly_keeps_smooth_waves() {
+fn lanczos_keeps_constants_and_smooth_waves() {
     let constant = grey(9, 4, &[0.3; 36]).resized(5, 7, ResizeFilter::Lanczos3);
     assert!(constant.values.iter().all(|value| (value - 0.3).abs() <= 1e-6));
     let wave = |count: u32| {
         (0..count).map(move |at| 0.5 + 0.4 * ((f64::from(at) + 0.5) / f64::from(count) * 6.0).sin() as f32)
     };
     let small = grey(120, 1, &wave(120).collect::<Vec<_>>()).resized(30, 1, ResizeFilter::Lanczos3);
-    // Borders are cut off and differ; the inside follows the wave.
+    // The filter is truncated at the borders; the interior follows the wave.
     let inside = small.values.iter().zip(wave(30)).skip(4).take(22);
     let worst = inside.fold(0.0_f32, |worst, (value, expected)| worst.max((value - expected).abs()));
     assert!(worst <= 2e-3, "{worst}");
 }
 
 #[test]
-fn both_directions_are_resized_alike() {
+fn resizing_commutes_with_transposition() {
     let image = grey(6, 6, &(0..36).map(|index| (index * index % 17) as f32 / 17.0).collect::<Vec<_>>());
     for filter in [ResizeFilter::Area, ResizeFilter::Lanczos3] {
         let a = image.transposed().resized(4, 3, filter);

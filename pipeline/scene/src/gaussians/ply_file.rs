@@ -1,4 +1,4 @@
-//! Gaussians in PLY files with the attribute names of Kerbl et al. 2023, which common viewers open.
+//! PLY files of Gaussians with the property names of Kerbl et al. 2023, which common viewers support.
 
 use std::path::Path;
 
@@ -6,12 +6,12 @@ use super::Gaussians;
 use crate::ply::{Ply, PlyFormat, Property, write_ply};
 use crate::{Error, Result};
 
-/// Highest degree of spherical harmonics that the format is used with.
+/// Highest degree of spherical harmonics in use.
 const MAX_SH_DEGREE: usize = 3;
 
 impl Gaussians {
-    /// Writes x, y, z, nx, ny, nz (zero), f_dc_*, f_rest_* (channel-major), opacity, scale_* and rot_* as f32: the
-    /// parameters before activation. Read back they are equal, bit by bit.
+    /// Writes the parameters before activation as f32: x, y, z, nx, ny, nz (zero), f_dc_*, f_rest_* (channel-major),
+    /// opacity, scale_* and rot_*. [`Gaussians::read_ply`] returns them bit by bit.
     pub fn write_ply(&self, path: &Path) -> Result<()> {
         self.check().map_err(|error| error.at(path))?;
         let properties: Vec<_> = property_names(self.sh_count()).into_iter().map(Property::float).collect();
@@ -19,13 +19,15 @@ impl Gaussians {
         write_ply(path, PlyFormat::BinaryLittleEndian, &properties, self.len(), rows)
     }
 
-    /// Reads what [`Gaussians::write_ply`] or any 3DGS implementation wrote; other properties are skipped.
+    /// Reads a file of [`Gaussians::write_ply`] or of another 3DGS implementation; other properties are skipped.
     pub fn read_ply(path: &Path) -> Result<Self> {
         let ply = Ply::open(path)?;
         let rest_count = (0..).take_while(|index| ply.property(&format!("f_rest_{index}")).is_some()).count();
         let degree = (0..=MAX_SH_DEGREE).find(|degree| 3 * ((degree + 1).pow(2) - 1) == rest_count);
         let sh_degree = degree.ok_or_else(|| {
-            let message = format!("{rest_count} properties f_rest_* fit no degree of spherical harmonics up to 3");
+            let message = format!(
+                "{rest_count} properties f_rest_* match no degree of spherical harmonics up to {MAX_SH_DEGREE}"
+            );
             Error::new(message).at(path)
         })?;
         let mut gaussians = Self { sh_degree, ..Self::default() };
@@ -38,7 +40,7 @@ impl Gaussians {
         Ok(gaussians)
     }
 
-    /// One vertex, in the order of [`property_names`].
+    /// The values of one vertex, in the order of [`property_names`].
     fn row(&self, index: usize) -> Vec<f32> {
         let count = self.sh_count();
         let sh = &self.sh[index * 3 * count..][..3 * count];
@@ -52,7 +54,7 @@ impl Gaussians {
         row
     }
 
-    /// The inverse of [`Gaussians::row`] without the normals.
+    /// Appends a Gaussian from the values of one vertex without normals; the inverse of [`Gaussians::row`].
     fn push_row(&mut self, row: &[f32]) {
         let count = self.sh_count();
         let (position, row) = row.split_at(3);
@@ -68,7 +70,8 @@ impl Gaussians {
     }
 }
 
-/// The vertex properties for `sh_count` coefficients per channel, in the order of the reference implementation.
+/// Names of the vertex properties for `sh_count` coefficients per channel, in the order of the reference
+/// implementation.
 fn property_names(sh_count: usize) -> Vec<String> {
     let numbered = |name: &'static str, count: usize| (0..count).map(move |index| format!("{name}_{index}"));
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).to_vec();

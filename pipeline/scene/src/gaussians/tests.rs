@@ -14,7 +14,7 @@ fn some(count: usize, sh_degree: usize) -> Gaussians {
 }
 
 #[test]
-fn every_degree_is_read_back_equal() {
+fn every_degree_round_trips() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("gaussians.ply");
     for sh_degree in 0..=3 {
@@ -27,14 +27,15 @@ fn every_degree_is_read_back_equal() {
 }
 
 #[test]
-fn higher_coefficients_are_stored_channel_by_channel() {
+fn higher_coefficients_are_stored_channel_major() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("gaussians.ply");
     let gaussians = some(2, 2);
     gaussians.write_ply(&path).unwrap();
     let ply = Ply::open(&path).unwrap();
     let second = |name: &str| ply.vertices(&[name]).unwrap()[1];
-    // Second Gaussian, nine coefficients: coefficient 3 of channel 1 is number (9 - 1) · 1 + 3 - 1.
+    // The second of two Gaussians with nine coefficients: coefficient 3 of channel 1 has the number (9 - 1) · 1 + 3 -
+    // 1.
     assert_eq!(second("f_rest_10"), gaussians.sh[27 + 3 * 3 + 1]);
     assert_eq!(second("f_dc_2"), gaussians.sh[27 + 2]);
     assert_eq!((second("nx"), second("opacity")), (0.0, gaussians.opacity_logits[1]));
@@ -42,12 +43,12 @@ fn higher_coefficients_are_stored_channel_by_channel() {
 }
 
 #[test]
-fn files_with_a_missing_attribute_or_a_nan_are_refused() {
+fn missing_properties_and_nan_values_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("gaussians.ply");
     some(3, 1).write_ply(&path).unwrap();
     let bytes = std::fs::read(&path).unwrap();
-    for (name, reason) in [("f_rest_4", "fit no degree"), ("opacity", "no property opacity")] {
+    for (name, reason) in [("f_rest_4", "match no degree"), ("opacity", "no property opacity")] {
         let at = bytes.windows(name.len()).position(|window| window == name.as_bytes()).unwrap();
         let mut changed = bytes.clone();
         changed[at] = b'q';

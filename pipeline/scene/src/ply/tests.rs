@@ -11,7 +11,7 @@ fn file(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
 }
 
 #[test]
-fn clouds_survive_every_format() {
+fn clouds_round_trip_in_every_format() {
     let cloud = PointCloud {
         positions: vec![[0.1, -2.5e-7, 3.0e8], [f32::MIN_POSITIVE, 0.333_333_34, -0.0]],
         colors: vec![[0, 127, 255], [1, 2, 3]],
@@ -48,20 +48,20 @@ fn binary_doubles_and_float_colours_are_converted() {
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn malformed_files_are_rejected_with_the_reason() {
     let header = |body: &str| format!("ply\nformat ascii 1.0\n{body}end_header\n");
     let xyz = "property float x\nproperty float y\nproperty float z\n";
     let cases = [
-        ("plain text\n".to_owned(), "does not begin"),
-        ("ply\nformat ascii 1.0\n".to_owned(), "no end"),
+        ("plain text\n".to_owned(), "no `ply` at the start"),
+        ("ply\nformat ascii 1.0\n".to_owned(), "does not end"),
         ("ply\nend_header\n".to_owned(), "no format"),
         (header("property float x\n"), "before any element"),
         (header("element vertex 99999999999\n"), "no properties"),
         (header("element vertex many\n"), "not a count"),
-        (header(&format!("element vertex 999999999999\n{xyz}")), "cut off"),
+        (header(&format!("element vertex 999999999999\n{xyz}")), "truncated"),
         (header("element vertex 0\nproperty float x\n"), "no property y"),
         (header(&format!("element face 0\n{xyz}")), "no element vertex"),
-        (header(&format!("element vertex 1\n{xyz}")) + "1 nan 2\n", "lies at"),
+        (header(&format!("element vertex 1\n{xyz}")) + "1 nan 2\n", "has the position"),
     ];
     for (text, reason) in cases {
         let (_dir, path) = file(text.as_bytes());

@@ -1,13 +1,13 @@
-//! Protocols that results are quoted under, by name, and the sets of scenes that their means are over.
+//! Named protocols under which papers publish results, and the sets of scenes over which they average.
 
 use super::Protocol;
 
-/// A protocol with a name.
+/// A named protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Preset {
-    /// As recipes and tables have it.
+    /// Name in recipes and tables.
     pub name: &'static str,
-    /// Who publishes numbers under it, and what they leave open.
+    /// The papers that publish results under it, and what they leave open.
     pub about: &'static str,
     dataset: &'static str,
     split: &'static str,
@@ -17,7 +17,7 @@ pub struct Preset {
     time: &'static str,
 }
 
-/// Every preset; where importers offer no filter of a source's own, the nearest that they offer.
+/// All presets. Where the importers lack the resize filter of a paper, the preset has the most similar one.
 pub const PRESETS: &[Preset] = &[
     dnerf(
         "dnerf-800-white",
@@ -41,7 +41,7 @@ pub const PRESETS: &[Preset] = &[
         800,
         "none",
         "white",
-        "Lego on its validation views, whose shovel stands as in training",
+        "Lego on its validation views, which show the shovel in its training pose",
     ),
     dnerf_val("dnerf-800-black-val", 800, "none", "black", "Lego on its validation views: Deformable 3DGS, nearly"),
     dnerf_val("dnerf-400-white-val", 400, "area", "white", "Lego on its validation views"),
@@ -76,7 +76,7 @@ pub const PRESETS: &[Preset] = &[
     ),
     Preset {
         name: "dycheck-360",
-        about: "DyCheck's iPhone scenes under its masks of co-visibility, on which the metrics depend: KineticGS, Phys4DGS",
+        about: "DyCheck's iPhone scenes with its co-visibility masks, on which metrics depend: KineticGS, Phys4DGS",
         dataset: "dycheck",
         split: "DyCheck, images at 1/2",
         size: [360, 480],
@@ -86,6 +86,7 @@ pub const PRESETS: &[Preset] = &[
     },
 ];
 
+/// A preset of D-NeRF with square images, tested on the official test views.
 const fn dnerf(
     name: &'static str,
     side: u32,
@@ -97,6 +98,7 @@ const fn dnerf(
     Preset { name, about, dataset: "dnerf", split: "official", size: [side, side], resize, background, time }
 }
 
+/// A preset of D-NeRF with square images, tested on the validation views.
 const fn dnerf_val(
     name: &'static str,
     side: u32,
@@ -107,18 +109,19 @@ const fn dnerf_val(
     Preset { split: "official, tested on val", ..dnerf(name, side, resize, background, about) }
 }
 
+/// A preset of HyperNeRF, with images of `size` (width, height).
 const fn hypernerf(name: &'static str, split: &'static str, size: [u32; 2], about: &'static str) -> Preset {
     let (dataset, time) = ("nerfies", "time id / last time id");
     Preset { name, about, dataset, split, size, resize: "none", background: "none", time }
 }
 
 impl Preset {
-    /// The preset of a name.
+    /// Finds a preset by its name.
     pub fn named(name: &str) -> Option<&'static Self> {
         PRESETS.iter().find(|preset| preset.name == name)
     }
 
-    /// The protocol itself.
+    /// The protocol of the preset.
     pub fn protocol(&self) -> Protocol {
         Protocol {
             dataset: self.dataset.into(),
@@ -132,34 +135,34 @@ impl Preset {
     }
 }
 
-/// Names of scenes, in the order of the data set's table.
+/// Names of scenes, in the order of the published table.
 type Scenes = &'static [&'static str];
 
 const DNERF: &[Scenes] = &[
     &["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex"],
-    // Lego's test views show another state than its training views: the literature drops it more often than not.
+    // Without Lego, whose test views show another state than its training views: most papers omit it.
     &["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "mutant", "standup", "trex"],
 ];
 const N3V: &[Scenes] = &[
     &["coffee_martini", "cook_spinach", "cut_roasted_beef", "flame_salmon", "flame_steak", "sear_steak"],
-    // HexPlane leaves out the scene with a camera that is badly synchronised.
+    // HexPlane omits the scene with a badly synchronised camera.
     &["cook_spinach", "cut_roasted_beef", "flame_salmon", "flame_steak", "sear_steak"],
 ];
 const HYPERNERF: &[Scenes] = &[
-    // Two cameras, tested on the other one.
+    // Two cameras, tested on the held-out one.
     &["vrig-3dprinter", "broom2", "vrig-chicken", "vrig-peel-banana"],
-    // One camera, tested between frames.
+    // One camera, tested between training frames.
     &["aleks-teapot", "chickchicken", "cut-lemon1", "hand1-dense-v2", "slice-banana", "torchocolate"],
 ];
 const DYCHECK: &[Scenes] = &[
     &["apple", "block", "paper-windmill", "space-out", "spin", "teddy", "wheel"],
-    // Shape of Motion leaves out two.
+    // Shape of Motion omits two scenes.
     &["apple", "block", "paper-windmill", "spin", "teddy"],
 ];
 
 impl Protocol {
-    /// The sets of scenes whose means are quoted of this data set, at whatever size; side by side where there are
-    /// several, since they differ by more than most methods do.
+    /// The sets of scenes over which papers average on this data set, for images of any size. If there are several,
+    /// reports show them side by side, because they differ by more than most methods do.
     pub fn quoted_means(&self) -> &'static [Scenes] {
         match self.dataset.as_str() {
             "dnerf" => DNERF,

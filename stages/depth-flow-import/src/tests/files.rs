@@ -1,18 +1,18 @@
-//! Maps of estimators, made from the truth of synthetic captures.
+//! Imports of files whose content is derived from the ground truth of synthetic captures.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use scene::{DepthMap, FlowMap, Split};
+use scene::maps::DepthKind;
+use scene::{DepthMap, FlowMap, Split, pixels};
 
 use super::*;
-use crate::flow::rigid;
-use crate::params::{Alignment, Axes, DepthKind, DepthParams, FlowParams, MapKind, MapSource, NormalParams};
+use crate::params::{Alignment, Axes, DepthParams, FlowParams, MapKind, MapSource, NormalParams};
 
 fn params() -> Params {
     Params { source: MapSource::Files, folder: "maps".into(), ..Params::default() }
 }
 
-/// Writes one array per view that `value` makes of the view's depth.
+/// Writes one depth file per view; `value` maps the true depth of a pixel to the stored value.
 fn write_depth(folder: &Path, capture: &Capture, mut value: impl FnMut(f32) -> f32) {
     std::fs::create_dir_all(folder.join("depth")).unwrap();
     for view in &capture.views {
@@ -23,7 +23,7 @@ fn write_depth(folder: &Path, capture: &Capture, mut value: impl FnMut(f32) -> f
     }
 }
 
-/// The largest relative error over all known pixels, and the share of true pixels that are known.
+/// Largest relative error over all known pixels, and the share of pixels with true depth that are known.
 fn depth_error(capture: &Capture, priors: &Priors) -> (f64, f64) {
     let (mut worst, mut known, mut all) = (0.0_f64, 0, 0);
     for (index, view) in capture.views.iter().enumerate() {
@@ -38,10 +38,10 @@ fn depth_error(capture: &Capture, priors: &Priors) -> (f64, f64) {
 }
 
 #[test]
-fn inverse_depth_gets_the_scale_of_the_points() {
+fn inverse_depth_is_aligned_to_the_points() {
     let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
-    // A relative estimator's values, each view in its own gauge, with three pixels of ten wrong.
+    // Values of a relative estimator with an arbitrary scale and shift; 30 % of the pixels are outliers.
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut wrong = Vec::new();
     write_depth(maps.path(), &capture, |z| {
@@ -57,7 +57,7 @@ fn inverse_depth_gets_the_scale_of_the_points() {
     let params = Params { depth: inverse, ..params() };
     let (_root, priors, measured) = run(&capture, maps.path(), &params).unwrap();
     assert!((measured["alignment_scale_median"].as_f64().unwrap() - 0.05).abs() <= 1e-3, "{measured}");
-    // The error of the right pixels.
+    // The error of the inliers.
     let mut wrong = wrong.into_iter();
     for (index, view) in capture.views.iter().enumerate() {
         let (found, truth) = (priors.load_depth(index).unwrap().unwrap(), capture.load_depth(view).unwrap().unwrap());
@@ -70,19 +70,14 @@ fn inverse_depth_gets_the_scale_of_the_points() {
 }
 
 #[test]
-fn maps_that_fit_no_point_are_refused() {
+fn maps_that_contradict_the_points_are_rejected() {
     let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
     let depth = DepthParams { kind: DepthKind::InverseDepth, ..DepthParams::default() };
     let params = Params { depth, ..params() };
-    // Depth where inverse depth was declared: near and far are exchanged.
+    // Planted fault: depth that is declared as inverse depth, which swaps near and far.
     write_depth(maps.path(), &capture, |z| z);
-    assert_refused(
-        &capture,
-        maps.path(),
-        &params,
-        &["no scale and shift fits", "is the kind of depth right", "depth/"],
-    );
+    assert_refused(&capture, maps.path(), &params, &["no scale and shift fits", "is depth.kind right", "depth/"]);
     let mut random = ChaCha8Rng::seed_from_u64(1);
     write_depth(maps.path(), &capture, |_| random.random::<f32>());
     assert_refused(&capture, maps.path(), &params, &["no scale and shift fits"]);
@@ -93,13 +88,13 @@ fn maps_that_fit_no_point_are_refused() {
 }
 
 #[test]
-fn distances_along_rays_become_depth() {
+fn ray_distances_become_depth() {
     let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
     std::fs::create_dir_all(maps.path().join("depth")).unwrap();
     for view in &capture.views {
         let depth = capture.load_depth(view).unwrap().unwrap();
-        let centers = crate::raster::pixel_centers(depth.width, depth.height);
+        let centers = pixels::centers(depth.width, depth.height);
         let length = |(center, z): (_, &f32)| (1000.0 * f64::from(*z) * view.camera.ray_view(center).length()) as u16;
         let values: Vec<u16> = centers.zip(&depth.depth_view).map(length).collect();
         let image = image::ImageBuffer::<image::Luma<u16>, _>::from_vec(depth.width, depth.height, values).unwrap();
@@ -116,27 +111,27 @@ fn distances_along_rays_become_depth() {
     let (_root, priors, _) = run(&capture, maps.path(), &millimetres).unwrap();
     let (error, known) = depth_error(&capture, &priors);
     assert!(error <= 1e-3 && known == 1.0, "{error} {known}");
-    // Another unit is found by alignment.
+    // Alignment recovers an unknown unit.
     let unknown = Params { depth: depth(Some(0.07), Some(Alignment::Scale)), ..params() };
     let (_root, priors, _) = run(&capture, maps.path(), &unknown).unwrap();
     let (error, known) = depth_error(&capture, &priors);
-    // Points lie anywhere in their pixels, depth is that of the centres.
+    // Points lie anywhere in their pixels; the depth is that of the pixel centres.
     assert!(error <= 1e-2 && known == 1.0, "{error} {known}");
 }
 
 #[test]
-fn what_is_missing_negative_empty_or_of_another_shape_is_named() {
+fn missing_negative_empty_or_misshapen_maps_are_rejected() {
     let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
     assert_refused(&capture, &maps.path().join("absent"), &params(), &["no such folder of maps", "absent"]);
-    assert_refused(&capture, maps.path(), &params(), &["no maps here", "flow_fwd"]);
+    assert_refused(&capture, maps.path(), &params(), &["no maps in this folder", "flow_fwd"]);
     write_depth(maps.path(), &capture, |z| -z);
     assert_refused(&capture, maps.path(), &params(), &["is not a distance", ".exr"]);
     write_depth(maps.path(), &capture, |_| 0.0);
-    assert_refused(&capture, maps.path(), &params(), &["without any value", ".exr"]);
+    assert_refused(&capture, maps.path(), &params(), &["the depth map has no value", ".exr"]);
     write_depth(maps.path(), &capture, |z| z);
     let flow = Params { maps: [MapKind::Flow].into(), ..params() };
-    assert_refused(&capture, maps.path(), &flow, &["no map of a kind", "flow_fwd"]);
+    assert_refused(&capture, maps.path(), &flow, &["no maps of a kind", "flow_fwd"]);
     let first = capture.views_of(Split::Train).next().unwrap().1;
     let file = maps.path().join("depth").join(format!("{}.exr", first.name));
     scene::exr_file::write(&file, 20, 30, &[("Z", vec![1.0; 600])]).unwrap();
@@ -151,7 +146,7 @@ fn what_is_missing_negative_empty_or_of_another_shape_is_named() {
     assert_refused(&capture, maps.path(), &params(), &["two files for one view"]);
 }
 
-/// Forward and backward flow of a scene at rest, between successive training views, in Middlebury files.
+/// Writes forward and backward flow of a static scene between successive training views as Middlebury files.
 fn write_rigid_flow(folder: &Path, capture: &Capture) {
     let views: Vec<_> = capture.views_of(Split::Train).map(|(_, view)| view).collect();
     let depths: Vec<DepthMap> = views.iter().map(|view| capture.load_depth(view).unwrap().unwrap()).collect();
@@ -164,13 +159,13 @@ fn write_rigid_flow(folder: &Path, capture: &Capture) {
     };
     for at in 1..views.len() {
         let (before, after) = (&views[at - 1], &views[at]);
-        write("flow_fwd", &before.name, &rigid(&depths[at - 1], &before.camera, &after.camera));
-        write("flow_bwd", &after.name, &rigid(&depths[at], &after.camera, &before.camera));
+        write("flow_fwd", &before.name, &FlowMap::rigid(&depths[at - 1], &before.camera, &after.camera));
+        write("flow_bwd", &after.name, &FlowMap::rigid(&depths[at], &after.camera, &before.camera));
     }
 }
 
 #[test]
-fn flow_leads_to_the_next_frame_and_back_or_is_dropped() {
+fn inconsistent_flow_between_frames_is_dropped() {
     let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
     write_rigid_flow(maps.path(), &capture);
@@ -181,12 +176,10 @@ fn flow_leads_to_the_next_frame_and_back_or_is_dropped() {
         let flow = priors.load_flow(pair[0]).unwrap().unwrap();
         let (from, to) = (&capture.views[pair[0]], &capture.views[pair[1]]);
         assert_eq!((flow.view_to, flow.camera_to, flow.time_to_secs), (Some(pair[1]), to.camera, to.time_secs));
-        // What is kept is seen by both views: the depth that arrives is the depth that is there.
+        // Kept flow ends where the depth of the target view is that of the moved point: both views see it.
         let (depth, depth_to) = (capture.load_depth(from).unwrap().unwrap(), capture.load_depth(to).unwrap().unwrap());
         let world_from_camera = from.camera.camera_from_world.inverse();
-        for (center, (flow, z)) in
-            crate::raster::pixel_centers(48, 32).zip(flow.map.flow_px.iter().zip(&depth.depth_view))
-        {
+        for (center, (flow, z)) in pixels::centers(48, 32).zip(flow.map.flow_px.iter().zip(&depth.depth_view)) {
             if *z == 0.0 {
                 assert!(flow[0].is_nan());
                 continue;
@@ -202,10 +195,10 @@ fn flow_leads_to_the_next_frame_and_back_or_is_dropped() {
             }
         }
     }
-    assert!(kept > 1000 && hidden > 10, "{kept} kept, {hidden} hidden: the test would not notice");
+    assert!(kept > 1000 && hidden > 10, "{kept} kept, {hidden} hidden: the test would be blind");
     assert!(priors.load_flow(*train.last().unwrap()).unwrap().is_none());
     assert!(measured["flow_kept_share_median"].as_f64().unwrap() > 0.3, "{measured}");
-    // Backward flow of something else: little returns.
+    // Planted fault: backward flow of another motion.
     for path in std::fs::read_dir(maps.path().join("flow_bwd")).unwrap() {
         let path = path.unwrap().path();
         let mut bytes = std::fs::read(&path).unwrap();
@@ -219,17 +212,17 @@ fn flow_leads_to_the_next_frame_and_back_or_is_dropped() {
 }
 
 #[test]
-fn normals_must_look_at_the_camera() {
+fn normals_must_face_the_camera() {
     let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let capture = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
     std::fs::create_dir_all(maps.path().join("normal")).unwrap();
     for view in &capture.views {
-        // Marigold's convention: x right, y up, z towards the viewer.
+        // Marigold's convention: x right, y up, z towards the camera.
         let [x, y, z] = [0.0, 0.6, 0.8].map(|value| vec![value; 48 * 32]);
         let path = maps.path().join("normal").join(format!("{}.exr", view.name));
         scene::exr_file::write(&path, 48, 32, &[("X", x), ("Y", y), ("Z", z)]).unwrap();
     }
-    assert_refused(&capture, maps.path(), &params(), &["look away from the camera", "normals.axes"]);
+    assert_refused(&capture, maps.path(), &params(), &["point away from the camera", "normals.axes"]);
     let opengl = Params { normals: NormalParams { axes: Axes::Opengl }, ..params() };
     let (_root, priors, _) = run(&capture, maps.path(), &opengl).unwrap();
     let normal = priors.load_normals(0).unwrap().unwrap().normals_view[7];

@@ -1,3 +1,5 @@
+//! The whole stage on synthetic captures and benchmark files.
+
 mod files;
 mod real;
 mod synthetic;
@@ -11,7 +13,7 @@ use tempfile::TempDir;
 
 use crate::{DepthFlowImport, Params, Priors};
 
-/// A small synthetic capture in `dir`.
+/// Renders a small synthetic capture into `dir`.
 fn capture(dir: &Path, scene: SceneKind, camera: CameraPath) -> Capture {
     let params = Scene {
         scene,
@@ -29,7 +31,7 @@ fn capture(dir: &Path, scene: SceneKind, camera: CameraPath) -> Capture {
     scene_synthesis::synthesize(&params, dir, 1, |_, _| Ok(())).unwrap()
 }
 
-/// Runs the stage on a capture, with `folder` as its folder of maps.
+/// Runs the stage on a capture, with `folder` as its source folder of maps.
 fn run(capture: &Capture, folder: &Path, params: &Params) -> anyhow::Result<(TempDir, Priors, serde_json::Value)> {
     let root = tempfile::tempdir()?;
     let mut context = JobContext::detached(root.path())?;
@@ -51,7 +53,7 @@ fn run(capture: &Capture, folder: &Path, params: &Params) -> anyhow::Result<(Tem
     Ok((root, priors, measurements))
 }
 
-/// Asserts that the stage refuses with a message that contains all `parts`.
+/// Asserts that the stage fails with a message that contains all `parts`.
 fn assert_refused(capture: &Capture, folder: &Path, params: &Params, parts: &[&str]) {
     match run(capture, folder, params) {
         Ok(_) => panic!("accepted, instead of {parts:?}"),

@@ -1,18 +1,19 @@
-//! Files of benchmarks, where `PIPELINE_DATA` names a folder that holds them.
+//! Imports of benchmark files, if the folder named by `PIPELINE_DATA` has them.
 
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use scene::{Camera, Intrinsics, RigidTransform};
+use scene::maps::alignment::median;
+use scene::maps::formats::{Content, read};
+use scene::{Camera, FlowMap, Intrinsics, RigidTransform, pixels};
 
 use crate::depth::depth_view;
-use crate::flow::{believed, flow_map, known_share, rigid};
-use crate::formats::{Content, read};
+use crate::flow::{consistent, flow_map, known_share};
 use crate::params::{DepthParams, FlowParams};
 use needs::data;
 
 #[test]
-fn ground_truth_flow_of_middlebury_and_kitti() {
+fn middlebury_and_kitti_flow_is_decoded() {
     let Some(dir) = data("flow_gt_kitti_middlebury/data/example") else { return };
     let rubber_whale = read(&dir.join("Middlebury/flow_gt.flo"), Content::Flow).unwrap();
     assert_eq!((rubber_whale.width, rubber_whale.height), (584, 388));
@@ -29,26 +30,26 @@ fn ground_truth_flow_of_middlebury_and_kitti() {
     let known = lengths(&kitti.values);
     let largest = known.iter().copied().fold(0.0, f32::max);
     eprintln!("KITTI: {} of {} pixels known, at most {largest} px", known.len(), 1242 * 375);
-    // Laser points cover a part of the image, and the car drives.
+    // Laser points cover only a part of the image, and the car moves.
     assert!((0.1..0.9).contains(&(known.len() as f32 / (1242.0 * 375.0))) && (5.0..300.0).contains(&largest));
 }
 
 #[test]
-fn forward_and_backward_flow_of_flying_chairs_agree_where_nothing_is_hidden() {
+fn flow_of_flying_chairs_is_consistent_where_visible() {
     let Some(dir) = data("mmflow_tests/tests/data") else { return };
     let map = |name: &str| flow_map(&read(&dir.join(name), Content::Flow).unwrap(), [1.0; 2]);
     let (forward, backward) = (map("0000000-flow_01.flo"), map("0000000-flow_10.flo"));
-    let believed_share = |backward| known_share(&believed(&forward, Some(backward), &FlowParams::default()));
+    let consistent_share = |backward| known_share(&consistent(&forward, Some(backward), &FlowParams::default()));
     let unrelated = map("00001_flow.flo");
-    let (right, wrong) = (believed_share(&backward), believed_share(&unrelated));
-    eprintln!("{}×{}: {right:.3} returns, {wrong:.3} by another pair's flow", forward.width, forward.height);
+    let (right, wrong) = (consistent_share(&backward), consistent_share(&unrelated));
+    eprintln!("{}×{}: {right:.3} consistent, {wrong:.3} with the flow of another pair", forward.width, forward.height);
     assert!(right > 2.0 * wrong && right > 0.3, "{right} {wrong}");
     let weights = read(&dir.join("0000000-occ_weights_01.pfm"), Content::Depth).unwrap();
     assert_eq!((weights.width, weights.height), (forward.width, forward.height));
     assert!(weights.values.iter().all(|value| value.is_finite()));
 }
 
-/// Camera-to-world poses of a `.log` file.
+/// Camera-to-world poses of an Open3D `.log` file.
 fn trajectory(path: &Path) -> Vec<RigidTransform> {
     let text = std::fs::read_to_string(path).unwrap();
     let numbers: Vec<f64> = text.split_whitespace().map(|word| word.parse().unwrap()).collect();
@@ -61,7 +62,7 @@ fn trajectory(path: &Path) -> Vec<RigidTransform> {
 }
 
 #[test]
-fn depth_of_a_sensor_reprojects_into_the_next_frame() {
+fn sensor_depth_reprojects_into_a_later_frame() {
     let Some(dir) = data("rgbd_open3d/examples/TestData/RGBD") else { return };
     let intrinsics =
         Intrinsics { width: 640, height: 480, focal_x: 525.0, focal_y: 525.0, center_x: 320.0, center_y: 240.0 };
@@ -75,26 +76,26 @@ fn depth_of_a_sensor_reprojects_into_the_next_frame() {
         depth_view(&read(&path, Content::Depth).unwrap(), &cameras[at], &millimetres, None, &path).unwrap().0
     };
     let (first, next) = (depth(0), depth(4));
-    // Medians of the relative difference between the depth that arrives and the depth that is there, with the right and
-    // with exchanged poses.
+    // Median relative difference between the reprojected depth and the measured one, for the right and for swapped
+    // poses.
     let error = |from: &Camera, to: &Camera| {
-        let flow = rigid(&first, from, to);
+        let flow = FlowMap::rigid(&first, from, to);
         let mut errors = Vec::new();
-        for ((center, flow), z) in crate::raster::pixel_centers(640, 480).zip(&flow.flow_px).zip(&first.depth_view) {
+        for ((center, flow), z) in pixels::centers(640, 480).zip(&flow.flow_px).zip(&first.depth_view) {
             let arrival = center + glam::DVec2::new(flow[0].into(), flow[1].into());
             if !(arrival.x >= 0.0 && arrival.y >= 0.0 && arrival.x < 640.0 && arrival.y < 480.0) {
                 continue;
             }
-            let there = next.depth_view[arrival.y as usize * 640 + arrival.x as usize];
+            let measured = next.depth_view[arrival.y as usize * 640 + arrival.x as usize];
             let point = from.camera_from_world.inverse().apply(from.ray_view(center) * f64::from(*z));
-            let arrives = to.project(point).unwrap().1;
-            if there > 0.0 {
-                errors.push((f64::from(there) / arrives - 1.0).abs());
+            let reprojected = to.project(point).unwrap().1;
+            if measured > 0.0 {
+                errors.push((f64::from(measured) / reprojected - 1.0).abs());
             }
         }
-        crate::alignment::median(errors.into_iter()).unwrap()
+        median(errors.into_iter()).unwrap()
     };
     let (right, wrong) = (error(&cameras[0], &cameras[4]), error(&cameras[4], &cameras[0]));
-    eprintln!("median depth error after reprojection {right:.4}, with exchanged poses {wrong:.4}");
+    eprintln!("median depth error after reprojection {right:.4}, with swapped poses {wrong:.4}");
     assert!(right <= 0.02 && right < 0.5 * wrong, "{right} {wrong}");
 }

@@ -1,10 +1,10 @@
-//! Maps that the capture carries.
+//! Imports of the maps of synthetic captures.
 
 use super::*;
 use crate::params::MapKind;
 
 #[test]
-fn the_maps_of_a_capture_are_taken_as_they_are() {
+fn maps_of_a_capture_are_copied_unchanged() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(dir.path(), SceneKind::BouncingSpheres, CameraPath::Arc);
     let (_root, priors, _) = run(&capture, Path::new(""), &Params::default()).unwrap();
@@ -25,7 +25,7 @@ fn the_maps_of_a_capture_are_taken_as_they_are() {
                 .zip(expected.flow_px.iter().flatten())
                 .all(|(a, b)| a.to_bits() == b.to_bits())
         );
-        assert_eq!((flow.camera_to, flow.view_to), (view.camera, None), "a moving camera is somewhere else by then");
+        assert_eq!((flow.camera_to, flow.view_to), (view.camera, None), "no view shares the camera pose at that time");
         assert!((flow.time_to_secs - view.time_secs - 1.0 / 30.0).abs() <= 1e-12);
     }
     let depth = Params { maps: [MapKind::Depth].into(), ..Params::default() };
@@ -50,7 +50,7 @@ fn flow_of_a_rig_leads_to_the_next_view_of_the_same_camera() {
 }
 
 #[test]
-fn a_capture_without_maps_gives_no_priors() {
+fn a_capture_without_maps_is_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let mut bare = capture(dir.path(), SceneKind::StaticBlocks, CameraPath::Arc);
     for view in &mut bare.views {

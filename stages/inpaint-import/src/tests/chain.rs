@@ -1,12 +1,13 @@
-//! From a capture to its background, through priors and layers: what is found behind the balls is the floor.
+//! The chain of stages from a capture to its background: the floor appears behind the balls.
 
 use depth_flow_import::DepthFlowImport;
 use engine::Stage;
 use layer_split::LayerSplit;
+use scene::{DepthMap, pixels};
 
 use super::*;
 
-/// Runs a stage on the artifacts in these folders; its own lies in `output` of the folder.
+/// Runs a stage on the artifacts in the given folders; its own artifact is in `output` below the returned folder.
 fn run_stage<S: Stage>(inputs: &[(&str, &Path)], params: &S::Params) -> TempDir {
     let root = tempfile::tempdir().unwrap();
     let mut context = JobContext::detached(root.path()).unwrap();
@@ -16,7 +17,7 @@ fn run_stage<S: Stage>(inputs: &[(&str, &Path)], params: &S::Params) -> TempDir 
 }
 
 #[test]
-fn behind_bouncing_balls_lies_the_floor() {
+fn the_floor_is_filled_in_behind_bouncing_balls() {
     let dir = tempfile::tempdir().unwrap();
     let params = Scene {
         scene: SceneKind::BouncingSpheres,
@@ -42,17 +43,17 @@ fn behind_bouncing_balls_lies_the_floor() {
     let background = Background::open(&background.path().join("output")).unwrap();
     let layers = Layers::open(&layers).unwrap();
     assert_eq!(layers.source, "residual-flow");
-    // Heights of what rests in the first view: all of it is the floor.
-    let heights = |view: &View, depth: &scene::DepthMap, inside: &dyn Fn(usize) -> bool| -> Vec<f64> {
+    // World heights of pixels; everything static in the first view is the floor.
+    let heights = |view: &View, depth: &DepthMap, inside: &dyn Fn(usize) -> bool| -> Vec<f64> {
         let world_from_camera = view.camera.camera_from_world.inverse();
-        let centers = depth_flow_import::raster::pixel_centers(SIZE, SIZE).zip(&depth.depth_view).enumerate();
+        let centers = pixels::centers(SIZE, SIZE).zip(&depth.depth_view).enumerate();
         let seen = centers.filter(|(at, (_, z))| **z > 0.0 && inside(*at));
         seen.map(|(_, (center, z))| world_from_camera.apply(view.camera.ray_view(center) * f64::from(*z)).z).collect()
     };
     let moving = |index: usize| Mask::from(&layers.load_moving(index).unwrap().unwrap()).dilated(2);
     let first = &capture.views[0];
-    let still = moving(0);
-    let mut floor = heights(first, &capture.load_depth(first).unwrap().unwrap(), &|at| !still.inside[at]);
+    let first_moving = moving(0);
+    let mut floor = heights(first, &capture.load_depth(first).unwrap().unwrap(), &|at| !first_moving.inside[at]);
     floor.sort_by(f64::total_cmp);
     let floor = floor[floor.len() / 2];
     let (mut on_floor, mut all) = (0, 0);

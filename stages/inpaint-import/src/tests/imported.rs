@@ -1,13 +1,13 @@
-//! Frames as an inpainter would give them.
+//! Filling from the frames of an inpainter.
 
-use depth_flow_import::params::DepthKind;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use scene::maps::DepthKind;
 use scene::{FloatImage, ResizeFilter};
 
 use super::*;
 
-/// Writes the original images as an inpainter would: at another size, and nowhere exact.
+/// Writes the original images like an inpainter: at another size, so that no pixel is exact.
 fn write_frames(painted: &Painted, dir: &Path) {
     for (_, view) in painted.original.views_of(Split::Train) {
         let image = FloatImage::from_rgb(&painted.original.load_image(view).unwrap());
@@ -17,7 +17,7 @@ fn write_frames(painted: &Painted, dir: &Path) {
 }
 
 #[test]
-fn inpainted_frames_are_pasted_only_where_something_moves() {
+fn inpainted_frames_replace_moving_pixels_only() {
     let painted = Painted::new(CameraPath::Arc, Behind::None, false, crossing);
     let frames = tempfile::tempdir().unwrap();
     let refused = painted.run(None, [frames.path(), Path::new("")], &files()).err().unwrap();
@@ -35,7 +35,7 @@ fn inpainted_frames_are_pasted_only_where_something_moves() {
 }
 
 #[test]
-fn inpainted_depth_continues_that_of_the_view() {
+fn inpainted_depth_is_aligned_to_the_view() {
     let painted = Painted::new(CameraPath::Arc, Behind::None, true, crossing);
     let (frames, depths) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     write_frames(&painted, frames.path());
@@ -46,7 +46,7 @@ fn inpainted_depth_continues_that_of_the_view() {
             let layers = Layers::open(&painted.layers).unwrap();
             let index = painted.capture.views.iter().position(|other| other.name == view.name).unwrap();
             let mask = Mask::from(&layers.load_moving(index).unwrap().unwrap()).dilated(2);
-            // Wrong values on the ring only: inside nothing could tell.
+            // Outliers lie on the ring only: inside the mask, no reference exists.
             let mut pixel = |(at, z): (usize, &f32)| {
                 let is_wrong = !mask.inside[at] && random.random::<f32>() < wrong_share;
                 if is_wrong { 5.0 * random.random::<f32>() } else { value(*z) }
@@ -64,5 +64,5 @@ fn inpainted_depth_continues_that_of_the_view() {
     // Planted fault: depth that was declared inverse depth.
     write(&|z| z, 0.0);
     let refused = painted.run(None, [frames.path(), depths.path()], &params).err().unwrap();
-    assert!(format!("{refused:#}").contains("does not continue that of the view"), "{refused:#}");
+    assert!(format!("{refused:#}").contains("does not continue the depth of the view"), "{refused:#}");
 }

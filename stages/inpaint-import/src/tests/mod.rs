@@ -1,4 +1,4 @@
-//! A square flies in front of a scene at rest; behind it lies what the capture showed before the square was painted in.
+//! The stage on captures of a static scene with a moving square painted over it. The original images are the truth.
 
 mod chain;
 mod imported;
@@ -7,9 +7,9 @@ mod propagated;
 use std::path::Path;
 
 use engine::{Artifact as _, Coordinates, Facts, InputRecord, JobContext, PlanContext, Stage as _};
-use layer_split::{Layers, Mask};
+use layer_split::Layers;
 use scene::image_file::{self, Rgb};
-use scene::{Capture, CaptureInfo, CaptureWriter, Frame, Split, View, facts};
+use scene::{Capture, CaptureInfo, CaptureWriter, Frame, Mask, Split, View, facts};
 use scene_synthesis::{Background as Behind, CameraPath, Params as Scene, SceneKind, Truth};
 use tempfile::TempDir;
 
@@ -17,11 +17,11 @@ use crate::params::FillSource;
 use crate::{Background, FilledView, InpaintImport, Params};
 
 const SIZE: u32 = 96;
-/// Side of the square.
+/// Side length of the square in pixels.
 const SIDE: usize = 18;
 const SQUARE_COLOR: [u8; 3] = [255, 0, 255];
 
-/// A capture at rest, the same with a square in front, and the square's masks.
+/// A static capture, a copy with a square painted over it, and the layers with the masks of the square.
 struct Painted {
     _dir: TempDir,
     original: Capture,
@@ -30,7 +30,7 @@ struct Painted {
 }
 
 impl Painted {
-    /// `corner` gives the column and row of the square in each frame.
+    /// `corner` maps a frame number to the column and row of the upper left corner of the square.
     fn new(camera: CameraPath, behind: Behind, depth: bool, corner: impl Fn(usize) -> (usize, usize)) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let mut truths = vec![Truth::Alpha];
@@ -69,6 +69,7 @@ impl Painted {
         Self { capture: writer.finish().unwrap(), original, layers, _dir: dir }
     }
 
+    /// Runs the stage with two threads on optional priors and the source folders of frames and depth.
     fn run(
         &self,
         priors: Option<&Path>,
@@ -102,7 +103,7 @@ impl Painted {
         Ok((root, background))
     }
 
-    /// Every training view with its filled version and the mask of its square.
+    /// Every training view with its filled version and the mask of the square.
     fn filled<'a>(&'a self, background: &'a Background) -> impl Iterator<Item = (&'a View, FilledView, Mask)> {
         let layers = Layers::open(&self.layers).unwrap();
         self.original.views_of(Split::Train).map(move |(index, view)| {
@@ -111,8 +112,8 @@ impl Painted {
         })
     }
 
-    /// Root mean square error of the filled pixels in grey levels, their largest relative depth error, and the share of
-    /// the square's pixels that are not filled.
+    /// Root mean square error of the filled pixels in grey levels, the 95th percentile of their relative depth errors,
+    /// and the unfilled share of the pixels of the square.
     fn errors(&self, background: &Background) -> (f64, f64, f64) {
         let (mut squares, mut count, mut unfilled, mut depth_errors) = (0.0, 0.0, 0.0, Vec::new());
         for (view, filled, mask) in self.filled(background) {
@@ -120,7 +121,7 @@ impl Painted {
             let truth_depth = self.original.load_depth(view).unwrap();
             for (at, (found, truth)) in filled.image.pixels().zip(truth.pixels()).enumerate() {
                 if filled.unfilled.labels[at] != 0 {
-                    assert!(mask.dilated(9).inside[at], "only what moves can be unfilled");
+                    assert!(mask.dilated(9).inside[at], "only moving pixels can be unfilled");
                     unfilled += f64::from(u8::from(mask.inside[at]));
                     continue;
                 }
@@ -138,11 +139,12 @@ impl Painted {
             }
         }
         depth_errors.sort_by(f64::total_cmp);
-        let worst_but_few = depth_errors.get(depth_errors.len() * 95 / 100).copied().unwrap_or(0.0);
-        ((squares / count).sqrt(), worst_but_few, unfilled / (unfilled + count))
+        let percentile_95 = depth_errors.get(depth_errors.len() * 95 / 100).copied().unwrap_or(0.0);
+        ((squares / count).sqrt(), percentile_95, unfilled / (unfilled + count))
     }
 }
 
+/// The description of a capture without its views.
 fn info(capture: &Capture) -> CaptureInfo {
     CaptureInfo {
         name: capture.name.clone(),
@@ -155,6 +157,7 @@ fn info(capture: &Capture) -> CaptureInfo {
     }
 }
 
+/// A view with its pixels, without flow, mask and velocity.
 fn frame(capture: &Capture, view: &View) -> Frame {
     Frame {
         name: view.name.clone(),
@@ -172,6 +175,7 @@ fn frame(capture: &Capture, view: &View) -> Frame {
     }
 }
 
+/// The mask of a square with this upper left corner (column, row).
 fn square((left, top): (usize, usize)) -> Mask {
     let mut mask = Mask::empty(SIZE, SIZE);
     for (y, x) in (top..top + SIDE).flat_map(|y| (left..left + SIDE).map(move |x| (y, x))) {
@@ -180,6 +184,7 @@ fn square((left, top): (usize, usize)) -> Mask {
     mask
 }
 
+/// One producer whose artifact is in `dir`.
 fn input(dir: &Path) -> Vec<InputRecord> {
     vec![InputRecord {
         producer: "test".into(),
@@ -194,7 +199,7 @@ fn no_folders() -> [&'static Path; 2] {
     ["", ""].map(Path::new)
 }
 
-/// The square crosses the image.
+/// A square that crosses the image.
 fn crossing(frame: usize) -> (usize, usize) {
     (6 + 8 * frame, 40)
 }
@@ -204,8 +209,8 @@ fn files() -> Params {
 }
 
 #[test]
-fn depth_is_told_and_priors_are_read_where_depth_is_used() {
-    let told = |params: &Params, wired: bool| {
+fn priors_are_read_only_if_depth_is_used() {
+    let planned = |params: &Params, wired: bool| {
         let depth = |has: bool| vec![Facts::default().with(facts::DEPTH, has)];
         let mut inputs: std::collections::BTreeMap<_, _> = [("capture".to_owned(), depth(false))].into();
         if wired {
@@ -215,9 +220,9 @@ fn depth_is_told_and_priors_are_read_where_depth_is_used() {
         let resolution = InpaintImport::resolve(params.clone(), &context).unwrap();
         (InpaintImport::facts(params, &context).flag(facts::DEPTH), resolution.unread.contains("priors"))
     };
-    assert_eq!(told(&Params::default(), true), (Some(true), false));
-    assert_eq!(told(&Params::default(), false), (Some(false), false));
-    assert_eq!(told(&files(), true), (Some(false), true));
+    assert_eq!(planned(&Params::default(), true), (Some(true), false));
+    assert_eq!(planned(&Params::default(), false), (Some(false), false));
+    assert_eq!(planned(&files(), true), (Some(false), true));
     let with_depth = Params { depth_folder: Some("depth".into()), ..files() };
-    assert_eq!(told(&with_depth, true), (Some(true), false));
+    assert_eq!(planned(&with_depth, true), (Some(true), false));
 }

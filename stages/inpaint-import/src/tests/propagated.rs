@@ -1,21 +1,21 @@
-//! What other views see behind the square.
+//! Filling from other views, which see behind the square.
 
 use depth_flow_import::Priors;
 
 use super::*;
 
 #[test]
-fn a_camera_at_rest_sees_everything_sooner_or_later() {
+fn a_static_camera_recovers_every_pixel_exactly() {
     let painted = Painted::new(CameraPath::Rig, Behind::White, false, crossing);
     let (_root, background) = painted.run(None, no_folders(), &Params::default()).unwrap();
-    assert_eq!(painted.errors(&background), (0.0, 0.0, 0.0), "no resampling, no guess");
+    assert_eq!(painted.errors(&background), (0.0, 0.0, 0.0), "a static camera needs no resampling");
     assert_eq!(background.source, "propagate");
     let held_out: Vec<_> = painted.capture.views_of(Split::Test).map(|(index, _)| index).collect();
     assert!(held_out.iter().all(|index| background.load_view(*index).unwrap().is_none()));
 }
 
 #[test]
-fn what_is_never_seen_stays_unfilled_and_is_counted() {
+fn pixels_hidden_in_every_view_stay_unfilled() {
     let painted = Painted::new(CameraPath::Rig, Behind::White, false, |_| (30, 40));
     let params = Params { margin_px: 0, ..Params::default() };
     let (_root, background) = painted.run(None, no_folders(), &params).unwrap();
@@ -24,21 +24,21 @@ fn what_is_never_seen_stays_unfilled_and_is_counted() {
     for (_, filled, mask) in painted.filled(&background) {
         assert_eq!(Mask::from(&filled.unfilled), mask);
         let inside = filled.image.pixels().zip(&mask.inside).filter(|(_, inside)| **inside);
-        assert!(inside.into_iter().all(|(pixel, _)| pixel.0 == [255; 3]), "nothing of what moves is left");
+        assert!(inside.into_iter().all(|(pixel, _)| pixel.0 == [255; 3]), "no moving pixel is left");
     }
 }
 
 #[test]
-fn a_moving_camera_sees_behind_what_moves() {
+fn a_moving_camera_sees_behind_the_square() {
     for behind in [Behind::White, Behind::None] {
         let painted = Painted::new(CameraPath::Arc, behind, true, crossing);
         let (_root, background) = painted.run(None, no_folders(), &Params::default()).unwrap();
         let (error, depth_error, unfilled) = painted.errors(&background);
         eprintln!("{behind:?}: {error:.2} grey levels, depth {depth_error:.4}, unfilled {unfilled:.4}");
-        // Errors lie at the edges of textures and bodies, which no two views sample alike.
+        // Errors concentrate at edges of textures and bodies, which no two views sample alike.
         assert!(error <= 15.0, "{behind:?}: {error}");
         assert!(depth_error <= 0.02, "{behind:?}: {depth_error}");
-        // What the square hides in every frame that could show it.
+        // The square hides some pixels in every frame that could show them.
         assert!(unfilled <= 0.25, "{behind:?}: {unfilled}");
     }
 }
@@ -54,12 +54,12 @@ fn the_number_of_threads_changes_no_pixel() {
 }
 
 #[test]
-fn wrong_depth_does_not_pass() {
+fn inconsistent_depth_is_noticed_by_the_comparison() {
     let painted = Painted::new(CameraPath::Arc, Behind::None, true, crossing);
     let dir = tempfile::tempdir().unwrap();
     let wrong = |(at, view): (usize, &View)| {
         let mut depth = painted.capture.load_depth(view).unwrap();
-        // Each view in another scale.
+        // Planted fault: the depth of every other view has another scale.
         let factor = if at.is_multiple_of(2) { 0.8 } else { 1.2 };
         depth.iter_mut().flat_map(|map| &mut map.depth_view).for_each(|z| *z *= factor);
         let maps = depth_flow_import::ViewMaps { depth, ..Default::default() };
@@ -70,5 +70,5 @@ fn wrong_depth_does_not_pass() {
     let (_root, background) = painted.run(Some(dir.path()), no_folders(), &Params::default()).unwrap();
     let (error, depth_error, unfilled) = painted.errors(&background);
     eprintln!("inconsistent depth: {error:.2} grey levels, depth {depth_error:.4}, unfilled {unfilled:.4}");
-    assert!(depth_error > 0.1 || unfilled > 0.5, "the oracle would accept {depth_error} {unfilled}");
+    assert!(depth_error > 0.1 || unfilled > 0.5, "the comparison is blind to {depth_error} {unfilled}");
 }

@@ -1,4 +1,4 @@
-//! Four balls, each hopping between two spots of a floor without losing energy.
+//! Four balls, each bouncing between two spots of a floor without losing energy.
 
 use glam::{DVec2, DVec3};
 use rand::RngExt;
@@ -10,22 +10,23 @@ use crate::shape::Shape;
 use crate::texture::{Pattern, Texture};
 use crate::world::{Body, World};
 
-/// Scene units per second²: a hop of 0.8 units takes one second.
+/// Gravity in scene units per second²: a bounce of height 0.8 takes one second.
 const GRAVITY: f64 = 6.4;
 const FLOOR_TOP: f64 = -0.75;
 
-/// A ball's way.
+/// The trajectory of a ball.
 #[derive(Clone, Copy)]
 struct Hops {
     spots: [DVec2; 2],
     radius: f64,
     height: f64,
-    /// Hops done at time 0.
+    /// Number of bounces, with a fraction, at time 0.
     phase: f64,
     spin: f64,
 }
 
-pub fn build(random: &mut ChaCha8Rng) -> World {
+/// Builds the scene; the seed draws phases and spins.
+pub(crate) fn build(random: &mut ChaCha8Rng) -> World {
     let balls = [
         ("red ball", [[-0.60, -0.65], [-0.60, -0.20]], 0.26, 1.00, Pattern::Checker, 4.5, [0xb3202a, 0xf4d9c6]),
         ("blue ball", [[0.55, -0.55], [0.10, -0.55]], 0.22, 0.70, Pattern::Stripes, 3.0, [0x1f4fa3, 0xe9eef7]),
@@ -55,7 +56,7 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
 }
 
 impl Hops {
-    /// Free fall between bounces; the horizontal velocity turns round at each bounce.
+    /// Placement at a time: free fall between bounces; the horizontal velocity is reversed at each bounce.
     fn at(&self, time_secs: f64) -> Placement {
         let start_speed = (2.0 * GRAVITY * self.height).sqrt();
         let hop_secs = 2.0 * start_speed / GRAVITY;

@@ -1,4 +1,4 @@
-//! Scenes built to break methods: each has one property that arithmetic, sampling or a motion model does not like.
+//! Scenes built to break methods: each has one property that challenges arithmetic, sampling or motion models.
 
 use glam::DVec3;
 use rand::RngExt;
@@ -11,26 +11,29 @@ use crate::texture::{Pattern, Texture};
 use crate::world::{Body, World};
 
 const FLOOR_TOP: f64 = -0.6;
-/// Seconds between two jumps of the ball that teleports.
+/// Time in seconds between two jumps of the teleporting ball.
 const JUMP_SECS: f64 = 0.2;
-/// Half the thickness of a needle: a hundredth of a pixel of a 64-pixel image.
+/// Radius of a thin needle: about a hundredth of a pixel in an image of 64 pixels.
 const NEEDLE_RADIUS: f64 = 0.0002;
-/// Less than half a pixel of a 64-pixel image, from where cameras stand.
+/// Radius of the speck: less than half a pixel in an image of 64 pixels.
 const SPECK_RADIUS: f64 = 0.02;
 
+/// A checker texture.
 fn checker(frequency: f64, colors: [u32; 2]) -> Texture {
     Texture::new(Pattern::Checker, frequency, colors)
 }
 
+/// A moving ball with label 1.
 fn ball(radius: f64, texture: Texture, motion: impl Fn(f64) -> Placement + Send + Sync + 'static) -> Body {
     Body { label: 1, shape: Shape::Sphere { radius }, texture, motion: Box::new(motion) }
 }
 
+/// The floor.
 fn plate() -> Body {
     floor(0.95, FLOOR_TOP, checker(2.5, [0x8f8a80, 0xd9d3c7]))
 }
 
-/// A world about the origin with one moving instance.
+/// A world around the origin with one moving instance.
 fn world(bodies: Vec<Body>, name: &str, reach: f64) -> World {
     World {
         bodies,
@@ -40,9 +43,8 @@ fn world(bodies: Vec<Body>, name: &str, reach: f64) -> World {
     }
 }
 
-/// A ball that flies out of the scene through the place where the camera of an arc begins: before, through and behind
-/// its near plane.
-pub fn near_flyby(random: &mut ChaCha8Rng) -> World {
+/// A ball that flies through the start position of an arc camera: in front of, through and behind its near plane.
+pub(crate) fn near_flyby(random: &mut ChaCha8Rng) -> World {
     let towards_camera = DVec3::new(0.0, -0.83, 0.55).normalize();
     let phase = random.random_range(0.0..0.1);
     let flying = ball(0.25, checker(4.0, [0xc4262e, 0xf7e7a9]), move |time_secs| {
@@ -52,14 +54,14 @@ pub fn near_flyby(random: &mut ChaCha8Rng) -> World {
     world(vec![plate(), flying], "ball", 1.3)
 }
 
-/// Needles that turn: far thinner than a pixel, longer than half of the image.
-pub fn needles(random: &mut ChaCha8Rng) -> World {
+/// Swinging needles, far thinner than a pixel and longer than half the image.
+pub(crate) fn needles(random: &mut ChaCha8Rng) -> World {
     let mut bodies = vec![plate()];
     for index in 0..7 {
         let color = [0xb5412b, 0x23527c, 0x2e6b34, 0x6b2a7a][index % 4];
         let position = DVec3::new(0.25 * index as f64 - 0.75, 0.2 * (index % 3) as f64 - 0.2, -0.55);
         let (phase, rate) = (random.random_range(0.0..3.0), 0.5 + 0.4 * index as f64);
-        // Some stand on the floor as wide as a hair, so that anything is seen at all.
+        // Every other needle is thicker, so that some of them are visible.
         let radius = if index % 2 == 0 { 60.0 * NEEDLE_RADIUS } else { NEEDLE_RADIUS };
         bodies.push(Body {
             label: 1,
@@ -74,11 +76,11 @@ pub fn needles(random: &mut ChaCha8Rng) -> World {
     world(bodies, "needles", 1.0)
 }
 
-/// A ball that stands still, and is elsewhere every fifth of a second: motion without velocity.
-pub fn teleport(random: &mut ChaCha8Rng) -> World {
+/// A ball that rests and jumps every fifth of a second: motion without velocity.
+pub(crate) fn teleport(random: &mut ChaCha8Rng) -> World {
     let turn = random.random_range(0.0..1.0);
     let jumping = ball(0.28, checker(4.0, [0x1f4fa3, 0xe9eef7]), move |time_secs| {
-        // Later than the frame that falls on the jump, whatever its time is rounded to.
+        // The offset puts a frame at the time of a jump after the jump, for any rounding of its time.
         let jumps = ((time_secs + 1e-9) / JUMP_SECS).floor();
         let angle = turn + 2.4 * jumps;
         Placement::resting(DVec3::new(0.6 * angle.cos(), 0.6 * angle.sin(), 0.3 * (jumps % 3.0) - 0.3))
@@ -86,8 +88,8 @@ pub fn teleport(random: &mut ChaCha8Rng) -> World {
     world(vec![plate(), jumping], "ball", 1.0)
 }
 
-/// A ball so small that most images show it in one pixel, and some in none.
-pub fn speck(random: &mut ChaCha8Rng) -> World {
+/// A ball so small that it covers one pixel of most images, and none of some.
+pub(crate) fn speck(random: &mut ChaCha8Rng) -> World {
     let phase = random.random_range(0.0..1.0);
     let flying = ball(SPECK_RADIUS, checker(1.0, [0x202020, 0x303030]), move |time_secs| {
         let along = Angle::swinging(0.0, 0.7, 1.5, phase, time_secs);
@@ -96,8 +98,8 @@ pub fn speck(random: &mut ChaCha8Rng) -> World {
     world(vec![flying], "speck", 0.8)
 }
 
-/// A black ball above a black floor: on a black background, nothing is there to learn from.
-pub fn black(random: &mut ChaCha8Rng) -> World {
+/// A black ball above a black floor: on a black background, images have no signal.
+pub(crate) fn black(random: &mut ChaCha8Rng) -> World {
     let black = || checker(1.0, [0x000000, 0x000000]);
     let phase = random.random_range(0.0..1.0);
     let moving = ball(0.3, black(), move |time_secs| {
@@ -107,8 +109,8 @@ pub fn black(random: &mut ChaCha8Rng) -> World {
     world(vec![floor(0.95, FLOOR_TOP, black()), moving], "ball", 1.0)
 }
 
-/// A ball that moves below the floor, where no camera sees it: something moves, and every mask is empty.
-pub fn unseen_motion(random: &mut ChaCha8Rng) -> World {
+/// A ball that moves below the floor, where no camera sees it, so that every mask is empty.
+pub(crate) fn unseen_motion(random: &mut ChaCha8Rng) -> World {
     let phase = random.random_range(0.0..1.0);
     let hidden = ball(0.1, checker(4.0, [0x0e6b3a, 0xd8e86a]), move |time_secs| {
         let along = Angle::swinging(0.0, 0.3, 1.0, phase, time_secs);

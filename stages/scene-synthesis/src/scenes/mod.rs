@@ -1,4 +1,4 @@
-//! The scenes: each file builds one world, about 2.6 units wide and centred at the origin, z upwards.
+//! The scenes: each function builds one world, about 2.6 units wide and centred at the origin, with z upwards.
 
 mod bouncing_spheres;
 mod hard;
@@ -17,11 +17,11 @@ use crate::shape::Shape;
 use crate::texture::{Pattern, Texture};
 use crate::world::{Body, World};
 
-/// Of the dome that stands behind everything where there is no background colour: one and a half times the cameras' distance.
-pub const DOME_RADIUS: f64 = 6.0;
+/// Radius of the background dome: 1.5 times the distance of the cameras.
+pub(crate) const DOME_RADIUS: f64 = 6.0;
 
-/// The world that the parameters ask for.
-pub fn build(params: &Params) -> World {
+/// Builds the world of the given parameters.
+pub(crate) fn build(params: &Params) -> World {
     let mut random = ChaCha8Rng::seed_from_u64(params.seed);
     let mut world = match params.scene {
         SceneKind::BouncingSpheres => bouncing_spheres::build(&mut random),
@@ -45,7 +45,7 @@ pub fn build(params: &Params) -> World {
     moved(world, DVec3::from(params.origin_world))
 }
 
-/// The world with its origin elsewhere.
+/// Translates a world.
 fn moved(mut world: World, origin: DVec3) -> World {
     for body in &mut world.bodies {
         let motion = std::mem::replace(&mut body.motion, Box::new(|_| Placement::resting(DVec3::ZERO)));
@@ -56,7 +56,7 @@ fn moved(mut world: World, origin: DVec3) -> World {
     world
 }
 
-/// A square plate whose upper side lies at `top`.
+/// A square plate whose upper face is at height `top`.
 fn floor(half_width: f64, top: f64, texture: Texture) -> Body {
     let half = DVec3::new(half_width, half_width, 0.03);
     Body::resting(Shape::Block { half }, texture, DVec3::new(0.0, 0.0, top - half.z))

@@ -1,4 +1,4 @@
-//! A ball that rolls along a floor, disappears in a tunnel, comes out at the other end and returns.
+//! A ball that rolls along a floor, through a tunnel that hides it, and back.
 
 use glam::DVec3;
 use rand::RngExt;
@@ -12,26 +12,28 @@ use crate::world::{Body, World};
 
 const FLOOR_TOP: f64 = -0.45;
 const RADIUS: f64 = 0.24;
-/// The ball's centre swings between x = -reach and x = reach.
+/// The centre of the ball swings between x = -reach and x = reach.
 const REACH: f64 = 0.95;
-/// Time to the other side and back.
+/// Time in seconds of one round trip.
 const PERIOD_SECS: f64 = 2.0;
-/// Half the length of the tunnel: longer than the ball, so that it hides it.
+/// Half the length of the tunnel, which is long enough to hide the ball.
 const TUNNEL_HALF: f64 = 0.42;
 
-/// The tunnel that hides the ball for two thirds of the time.
+/// Half the length of the tunnel that hides the ball for two thirds of the time.
 const LONG_TUNNEL_HALF: f64 = 0.85;
 const LONG_REACH: f64 = 1.15;
 
-pub fn build(random: &mut ChaCha8Rng) -> World {
+/// The scene with the short tunnel.
+pub(crate) fn build(random: &mut ChaCha8Rng) -> World {
     with_tunnel(random, TUNNEL_HALF, REACH)
 }
 
-/// The same with a tunnel that hides the ball most of the time.
-pub fn build_long(random: &mut ChaCha8Rng) -> World {
+/// The scene with a tunnel that hides the ball most of the time.
+pub(crate) fn build_long(random: &mut ChaCha8Rng) -> World {
     with_tunnel(random, LONG_TUNNEL_HALF, LONG_REACH)
 }
 
+/// The scene with a tunnel of the given half length, and a ball with the given reach.
 fn with_tunnel(random: &mut ChaCha8Rng, tunnel_half: f64, reach: f64) -> World {
     let ball = Body {
         label: 1,
@@ -49,7 +51,7 @@ fn with_tunnel(random: &mut ChaCha8Rng, tunnel_half: f64, reach: f64) -> World {
     let roof_half = DVec3::new(tunnel_half, inner + wall, 0.5 * roof);
     let roof_position = DVec3::new(0.0, 0.0, FLOOR_TOP + 2.0 * inner + 0.5 * roof);
     let roof_body = Body::resting(Shape::Block { half: roof_half }, stone(0x3d6b57), roof_position);
-    // A landmark that is not symmetric, drawn by the seed.
+    // A landmark at a random position, which breaks the symmetry.
     let mark = DVec3::new(random.random_range(-0.8..-0.5), 0.46, FLOOR_TOP + 0.16);
     let mark_texture = Texture::new(Pattern::Checker, 5.0, [0x22577a, 0xdce9f0]);
     let mark_body = Body::resting(Shape::Block { half: DVec3::new(0.11, 0.11, 0.16) }, mark_texture, mark);
@@ -65,7 +67,7 @@ fn with_tunnel(random: &mut ChaCha8Rng, tunnel_half: f64, reach: f64) -> World {
     }
 }
 
-/// Rolls without slipping along x.
+/// Rolling along x without slipping.
 fn rolling(reach: f64, time_secs: f64) -> Placement {
     let along = Angle::swinging(0.0, reach, PERIOD_SECS, std::f64::consts::FRAC_PI_2, time_secs);
     let position = DVec3::new(along.value, 0.0, FLOOR_TOP + RADIUS);

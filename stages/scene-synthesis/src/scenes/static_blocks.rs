@@ -1,4 +1,4 @@
-//! Blocks, a ball and a column on a floor; nothing moves.
+//! Static blocks, a ball and a column on a floor.
 
 use glam::DVec3;
 use rand::RngExt;
@@ -11,7 +11,8 @@ use crate::world::{Body, World};
 
 const FLOOR_TOP: f64 = -0.6;
 
-pub fn build(random: &mut ChaCha8Rng) -> World {
+/// Builds the scene; the seed shifts the blocks.
+pub(crate) fn build(random: &mut ChaCha8Rng) -> World {
     let mut bodies = vec![floor(0.95, FLOOR_TOP, Texture::new(Pattern::Checker, 2.5, [0x8f8a80, 0xd9d3c7]))];
     let blocks = [
         ([-0.5, -0.45], [0.25, 0.22, 0.30], Pattern::Checker, 5.0, [0xb5412b, 0xf2d5a0]),

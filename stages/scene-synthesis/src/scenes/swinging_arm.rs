@@ -1,4 +1,4 @@
-//! An arm of three links on a pedestal; every joint swings sinusoidally.
+//! An arm of three links on a turning pedestal, with sinusoidal joint angles.
 
 use std::f64::consts::TAU;
 
@@ -14,7 +14,7 @@ use crate::world::{Body, World};
 
 const SHOULDER: DVec3 = DVec3::new(0.0, 0.0, -0.42);
 
-/// A capsule that turns about an axis at the end of the one before.
+/// One joint with its link: a rotation about an axis at the end of the previous link.
 #[derive(Clone, Copy)]
 struct Link {
     length: f64,
@@ -25,7 +25,8 @@ struct Link {
     phase: f64,
 }
 
-pub fn build(random: &mut ChaCha8Rng) -> World {
+/// Builds the scene; the seed draws the phases.
+pub(crate) fn build(random: &mut ChaCha8Rng) -> World {
     let mut link = |length, axis, mean, amplitude, period_secs| {
         let phase = random.random_range(0.0..TAU);
         Link { length, axis, mean, amplitude, period_secs, phase }
@@ -63,7 +64,7 @@ pub fn build(random: &mut ChaCha8Rng) -> World {
     }
 }
 
-/// The last link of a chain, joint by joint.
+/// Placement of the last link of a chain.
 fn placement(chain: &[Link], time_secs: f64) -> Placement {
     let mut placement = Placement::resting(SHOULDER);
     let mut offset = DVec3::ZERO;

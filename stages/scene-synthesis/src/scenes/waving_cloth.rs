@@ -1,4 +1,4 @@
-//! A sheet between two posts: one edge is held by a rod, the rest waves.
+//! A waving sheet, held along one edge by a rod between two posts.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -14,13 +14,14 @@ use crate::texture::{Pattern, Texture};
 use crate::wave::Wave;
 use crate::world::{Body, World};
 
-/// Inclination of the sheet, falling away from the rod, in radians.
+/// Downward inclination of the sheet, away from the rod, in radians.
 const SLOPE: f64 = 0.45;
 
-pub fn build(random: &mut ChaCha8Rng) -> World {
+/// Builds the scene; the seed draws the phase.
+pub(crate) fn build(random: &mut ChaCha8Rng) -> World {
     let half = DVec2::new(0.85, 0.75);
     let wave = Wave::new(half, 0.24, random.random_range(0.0..TAU));
-    // The sheet's x axis points away from the rod and downwards.
+    // The x axis of the sheet points away from the rod and downwards.
     let rotation = DMat3::from_rotation_y(SLOPE);
     let center = DVec3::new(0.1, 0.0, 0.05);
     let world_from_sheet = RigidTransform { rotation, translation: center };

@@ -6,6 +6,7 @@ mod run;
 
 use std::path::Path;
 
+use captures::CaptureArtifact;
 use engine::{Artifact, Coordinates, Input, InputRecord, JobContext};
 use metric_evaluation::{Metric, Metrics, Score};
 use rendering::Renders;
@@ -44,17 +45,12 @@ impl Artifact for ModelSummary {
     }
 }
 
-engine::artifact! {
-    /// The capture whose images are the truth.
-    pub struct TrueImages(scene::Capture) = "capture" @ scene::capture::SCHEMA;
-}
-
 /// What a job reads, opened and checked; a producer that failed is an outcome.
 pub struct Inputs {
     models: Vec<Input<ModelSummary>>,
     renders: Vec<Input<Renders>>,
     metrics: Vec<Input<Metrics>>,
-    captures: Vec<Input<TrueImages>>,
+    captures: Vec<Input<CaptureArtifact>>,
 }
 
 impl Inputs {
@@ -110,7 +106,7 @@ impl Inputs {
     }
 
     /// The renders of a run and the capture that they show, where both are there.
-    pub fn images_of(&self, run: &Run) -> Option<(&Renders, &TrueImages)> {
+    pub fn images_of(&self, run: &Run) -> Option<(&Renders, &CaptureArtifact)> {
         let job = run.jobs.get("renders")?;
         let rendered = self.renders.iter().find(|input| input.record.producer == job.name)?;
         let capture = self.captures.iter().find(|input| {

@@ -1,18 +1,17 @@
-//! PNG files: 8- or 16-bit integers as they are, and the flow encoding of KITTI (Geiger et al. 2013).
+//! PNG files of 8- or 16-bit integers, and the flow encoding of KITTI (Geiger et al. 2013).
 
 use std::path::Path;
 
-use image::DynamicImage;
-use scene::{Error, FloatImage, Result, image_file};
-
 use super::{Content, checked_size, damaged};
+use crate::{Error, FloatImage, Result, image_file};
+use image::DynamicImage;
 
-/// KITTI stores `64 · flow + 2^15` as red and green, and validity as blue.
+/// Factor of KITTI's flow code: red and green store `64 · flow + 2^15`, blue is 1 where the flow is valid.
 const KITTI_SCALE: f32 = 64.0;
-/// See [`KITTI_SCALE`].
+/// Offset of KITTI's flow code.
 const KITTI_OFFSET: f32 = 32768.0;
 
-/// Decodes a file: depth as integers of 16 bits, masks as grey levels of 8, flow in pixels, normals as shares of the largest value in [0, 1].
+/// Decodes a file: depth as 16-bit integers, masks as 8-bit grey levels, flow in pixels, normals scaled to [0, 1].
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     let image = image_file::decode(path).map_err(|error| damaged("PNG file", error, path))?;
     let (width, height) = checked_size(image.width().into(), image.height().into(), path)?;
@@ -21,12 +20,14 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
         (Content::Flow, DynamicImage::ImageRgb16(image)) => image.pixels().flat_map(|pixel| kitti(pixel.0)).collect(),
         (Content::Mask, image) => image.into_luma8().iter().map(|value| f32::from(*value)).collect(),
         (Content::Normals, DynamicImage::ImageRgb16(image)) => {
-            image.iter().map(|value| share(*value, 65535.0)).collect()
+            image.iter().map(|value| f32::from(*value) / 65535.0).collect()
         }
-        (Content::Normals, DynamicImage::ImageRgb8(image)) => image.iter().map(|value| share(*value, 255.0)).collect(),
+        (Content::Normals, DynamicImage::ImageRgb8(image)) => {
+            image.iter().map(|value| f32::from(*value) / 255.0).collect()
+        }
         (_, image) => {
             let expected = match content {
-                Content::Depth => "16-bit grey (8-bit previews have lost the scale)",
+                Content::Depth => "16-bit grey (8-bit previews lose the scale)",
                 Content::Flow => "16-bit RGB (red and green 64 · flow + 32768, blue 1 where valid)",
                 Content::Normals | Content::Mask => "8- or 16-bit RGB",
             };
@@ -36,11 +37,8 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     Ok(FloatImage { width, height, channels: content.channels(), values })
 }
 
+/// Decodes the flow of one KITTI pixel; NaN where it is not valid.
 fn kitti([red, green, valid]: [u16; 3]) -> [f32; 2] {
     let flow = |code: u16| if valid == 0 { f32::NAN } else { (f32::from(code) - KITTI_OFFSET) / KITTI_SCALE };
     [flow(red), flow(green)]
-}
-
-fn share(value: impl Into<f32>, largest: f32) -> f32 {
-    value.into() / largest
 }

@@ -1,5 +1,5 @@
-//! Files of per-pixel values, as estimators of depth, flow and normals write them: EXR, NumPy, PFM, Middlebury flow and
-//! PNG. A reader decodes; what the values mean is said elsewhere.
+//! Decoders for the map files that estimators of depth, optical flow and normals write: EXR, NumPy, PFM, Middlebury
+//! flow and PNG. A decoder returns the stored values; units and axes are up to the caller.
 
 mod middlebury;
 mod numpy;
@@ -10,15 +10,16 @@ mod tests;
 
 use std::path::Path;
 
-use scene::{DepthMap, Error, FloatImage, FlowMap, NormalMap, Result, exr_file};
+use super::{DepthMap, FlowMap, NormalMap};
+use crate::{Error, FloatImage, Result, exr_file};
 
-/// Endings of the files that [`read`] understands.
+/// File extensions that [`read`] supports.
 pub const EXTENSIONS: [&str; 6] = ["exr", "npy", "npz", "pfm", "flo", "png"];
 
-/// More pixels than any camera has; a larger header is damage and must not become an allocation.
+/// Upper limit of pixels per file: a damaged header must not cause a huge allocation.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// What a file holds.
+/// The kind of map that a file stores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
     /// One value per pixel.
@@ -27,13 +28,13 @@ pub enum Content {
     Flow,
     /// Three values per pixel.
     Normals,
-    /// One value per pixel, which is compared with a threshold.
+    /// One value per pixel, to be compared with a threshold.
     Mask,
 }
 
 impl Content {
-    /// Values per pixel.
-    pub fn channels(self) -> usize {
+    /// Number of values per pixel.
+    pub(crate) fn channels(self) -> usize {
         match self {
             Self::Depth | Self::Mask => 1,
             Self::Flow => 2,
@@ -41,7 +42,7 @@ impl Content {
         }
     }
 
-    /// Names of the channels in an EXR file, for each channel those that occur in the wild.
+    /// Accepted names of each EXR channel.
     fn exr_channels(self) -> Vec<Vec<&'static str>> {
         match self {
             Self::Depth | Self::Mask => vec![DepthMap::CHANNELS.to_vec()],
@@ -51,8 +52,8 @@ impl Content {
     }
 }
 
-/// Decodes a file by its ending: the values as they stand in the file, of PNG files the integers. Where a format marks
-/// missing values (flow), they are NaN.
+/// Decodes a file by its extension. The values are those in the file; for PNG depth and masks they are the integers.
+/// Flow that its format marks as invalid becomes NaN.
 pub fn read(path: &Path, content: Content) -> Result<FloatImage> {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase();
     match extension.as_str() {
@@ -62,16 +63,17 @@ pub fn read(path: &Path, content: Content) -> Result<FloatImage> {
         "flo" if content == Content::Flow => middlebury::read(path),
         "png" => png::read(path, content),
         _ => {
-            let message = format!("no reader of {content:?} files that end in .{extension}").to_lowercase();
-            Err(Error::new(message).hint(format!("supported are {}", EXTENSIONS.join(", "))).at(path))
+            let message = format!("no decoder for {content:?} files with the extension .{extension}").to_lowercase();
+            Err(Error::new(message).hint(format!("supported extensions: {}", EXTENSIONS.join(", "))).at(path))
         }
     }
 }
 
+/// Interleaves the channels of an EXR file.
 fn read_exr(path: &Path, content: Content) -> Result<FloatImage> {
     let image = exr_file::read(path)?;
     let channel = |names: &Vec<&str>| {
-        let missing = || Error::new(format!("EXR image has no channel called {}", names.join(" or "))).at(path);
+        let missing = || Error::new(format!("the EXR image has no channel {}", names.join(" or "))).at(path);
         image.channel(names).ok_or_else(missing)
     };
     let channels = content.exr_channels().iter().map(channel).collect::<Result<Vec<_>>>()?;
@@ -80,7 +82,7 @@ fn read_exr(path: &Path, content: Content) -> Result<FloatImage> {
     Ok(FloatImage { width: image.width, height: image.height, channels: channels.len(), values })
 }
 
-/// Width and height of an image of a sane size.
+/// Width and height, if the image is neither empty nor larger than [`MAX_PIXELS`].
 fn checked_size(width: u64, height: u64, path: &Path) -> Result<(u32, u32)> {
     let pixels = width.checked_mul(height).filter(|pixels| (1..=MAX_PIXELS).contains(pixels));
     match (u32::try_from(width), u32::try_from(height), pixels) {
@@ -89,15 +91,12 @@ fn checked_size(width: u64, height: u64, path: &Path) -> Result<(u32, u32)> {
     }
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|error| Error::new(format!("cannot read the file ({error})")).at(path))
-}
-
+/// The error for a file that does not follow its format.
 fn damaged(what: &str, reason: impl std::fmt::Display, path: &Path) -> Error {
     Error::new(format!("not a readable {what} ({reason})")).hint("the file may be damaged").at(path)
 }
 
-/// Little-endian f32 values.
+/// Decodes little-endian f32 values.
 fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> {
     bytes.chunks_exact(4).map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
 }

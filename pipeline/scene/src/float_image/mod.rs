@@ -1,43 +1,43 @@
-//! Images as f32: compositing and resizing happen here, in float, and are rounded to 8 bits once.
+//! Float images: compositing and resizing are computed in f32 and rounded to 8 bits once.
 
 use crate::image_file::{GrayImage, RgbImage, RgbaImage};
 use crate::{Error, Result};
 
-/// [H, W, C] values, row-major; colours are sRGB-encoded in [0, 1].
+/// An image of shape [H, W, C], row-major. Colours are sRGB-encoded in [0, 1].
 #[derive(Clone, Debug, PartialEq)]
 pub struct FloatImage {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// C.
+    /// Number of channels C.
     pub channels: usize,
-    /// [H, W, C].
+    /// [H, W, C] values.
     pub values: Vec<f32>,
 }
 
-/// How pixels of another size are made.
+/// Reconstruction filter of a resize.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResizeFilter {
-    /// Mean over the area that a new pixel covers, partly covered pixels in proportion (a box the size of a pixel).
+    /// Box filter: the mean over the area of a new pixel, with partly covered pixels weighted by their share.
     Area,
-    /// Windowed sinc of three lobes, widened by the scale where the image shrinks (as Pillow's LANCZOS).
+    /// Windowed sinc with three lobes, widened by the scale if the image shrinks (like LANCZOS in Pillow).
     Lanczos3,
 }
 
-/// The 8-bit value of an encoded intensity: clamped to [0, 1] and rounded half up; NaN becomes 0.
+/// Converts an sRGB-encoded intensity to 8 bits: clamped to [0, 1] and rounded half up. NaN becomes 0.
 pub fn to_byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
 impl FloatImage {
-    /// Colours of an opaque image.
+    /// Converts an opaque 8-bit image to [H, W, 3] values in [0, 1].
     pub fn from_rgb(image: &RgbImage) -> Self {
         let values = image.as_raw().iter().map(|value| f32::from(*value) / 255.0).collect();
         Self { width: image.width(), height: image.height(), channels: 3, values }
     }
 
-    /// Straight alpha over a background colour, in encoded values: `rgb · a + background · (1 - a)`.
+    /// Composites straight alpha over a background colour, in encoded values: `rgb · a + background · (1 - a)`.
     pub fn composited(image: &RgbaImage, background: [f32; 3]) -> Self {
         let mut values = Vec::with_capacity(3 * image.width() as usize * image.height() as usize);
         for pixel in image.pixels() {
@@ -47,13 +47,13 @@ impl FloatImage {
         Self { width: image.width(), height: image.height(), channels: 3, values }
     }
 
-    /// The alpha channel alone.
+    /// The alpha channel as an [H, W, 1] image.
     pub fn alpha_of(image: &RgbaImage) -> Self {
         let values = image.pixels().map(|pixel| f32::from(pixel[3]) / 255.0).collect();
         Self { width: image.width(), height: image.height(), channels: 1, values }
     }
 
-    /// The image with `width` × `height` pixels; unchanged if it has them already. Lanczos may overshoot [0, 1].
+    /// Resizes to `width` × `height` pixels; a copy if the size is unchanged. Lanczos may overshoot [0, 1].
     pub fn resized(&self, width: u32, height: u32, filter: ResizeFilter) -> Self {
         if (width, height) == (self.width, self.height) {
             return self.clone();
@@ -61,21 +61,21 @@ impl FloatImage {
         self.resized_rows(height, filter).transposed().resized_rows(width, filter).transposed()
     }
 
-    /// 8-bit colours, rounded half up.
+    /// Converts a three-channel image to 8 bits, rounded half up.
     pub fn to_rgb8(&self) -> Result<RgbImage> {
         let bytes = self.values.iter().map(|value| to_byte(*value)).collect();
         let image = (self.channels == 3).then(|| RgbImage::from_raw(self.width, self.height, bytes)).flatten();
         image.ok_or_else(|| self.wrong_shape(3))
     }
 
-    /// 8-bit values of a one-channel image, rounded half up.
+    /// Converts a one-channel image to 8 bits, rounded half up.
     pub fn to_grey8(&self) -> Result<GrayImage> {
         let bytes = self.values.iter().map(|value| to_byte(*value)).collect();
         let image = (self.channels == 1).then(|| GrayImage::from_raw(self.width, self.height, bytes)).flatten();
         image.ok_or_else(|| self.wrong_shape(1))
     }
 
-    /// Resamples the rows to `height` of them: each new row is a weighted sum of old ones, in f64.
+    /// Resamples to `height` rows: every new row is a weighted sum of old rows, accumulated in f64.
     fn resized_rows(&self, height: u32, filter: ResizeFilter) -> Self {
         let stride = self.width as usize * self.channels;
         let mut values = Vec::with_capacity(height as usize * stride);
@@ -92,6 +92,7 @@ impl FloatImage {
         Self { height, values, ..*self }
     }
 
+    /// Swaps rows and columns.
     fn transposed(&self) -> Self {
         let (width, height, channels) = (self.width as usize, self.height as usize, self.channels);
         let mut values = Vec::with_capacity(self.values.len());
@@ -110,7 +111,7 @@ impl FloatImage {
 }
 
 impl ResizeFilter {
-    /// First old sample and the weights (summing to 1) that make new sample `target` of `new` out of `old` samples.
+    /// The first source sample and the weights (with sum 1) of sample `target` when `old` samples become `new` samples.
     fn weights(self, target: u32, new: u32, old: u32) -> (usize, Vec<f64>) {
         let scale = f64::from(old) / f64::from(new);
         let center = (f64::from(target) + 0.5) * scale;

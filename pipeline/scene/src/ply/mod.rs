@@ -1,34 +1,35 @@
-//! Stanford PLY files: the `vertex` element as rows of f32, any scalar types, ascii or binary.
+//! Stanford PLY files: reads the `vertex` element as rows of f32, from any scalar type, ASCII or binary.
 //!
-//! Ours because the published crates build a map of boxed values per vertex, which a million Gaussians with 62
-//! properties cannot afford.
+//! The published crates allocate a map of boxed values per vertex, which is too slow for a million Gaussians with 62
+//! properties each.
 
 use std::path::{Path, PathBuf};
 
 use crate::image_file::{read_file, write_file};
 use crate::{Error, Result};
 
-/// How values are stored.
+/// The encoding of values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlyFormat {
-    /// One line per vertex.
+    /// Text, one line per vertex.
     Ascii,
     /// Packed, little endian.
     BinaryLittleEndian,
-    /// Packed, big endian (read only in the wild, but written as easily).
+    /// Packed, big endian.
     BinaryBigEndian,
 }
 
-/// A named value of an element.
+/// A named property of an element.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Property {
-    /// As in the header.
+    /// Name in the header.
     pub name: String,
     value: Scalar,
-    /// For lists: the type of the length.
+    /// Type of the length, for list properties.
     list_length: Option<Scalar>,
 }
 
+/// The scalar types of the format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Scalar {
     I8,
@@ -41,13 +42,14 @@ enum Scalar {
     F64,
 }
 
+/// An element that the header announces.
 struct Element {
     name: String,
     count: usize,
     properties: Vec<Property>,
 }
 
-/// An opened file: parsed header, undecoded body.
+/// An open PLY file: the parsed header and the undecoded body.
 pub struct Ply {
     path: PathBuf,
     format: PlyFormat,
@@ -57,24 +59,24 @@ pub struct Ply {
 }
 
 impl Property {
-    /// A 32-bit float.
+    /// A property of type `float` (32 bits).
     pub fn float(name: impl Into<String>) -> Self {
         Self { name: name.into(), value: Scalar::F32, list_length: None }
     }
 
-    /// An 8-bit unsigned integer.
+    /// A property of type `uchar` (8 bits, unsigned).
     pub fn byte(name: impl Into<String>) -> Self {
         Self { name: name.into(), value: Scalar::U8, list_length: None }
     }
 
-    /// Whether the values are floating-point numbers.
+    /// Whether the values have a floating-point type.
     pub fn is_float(&self) -> bool {
         matches!(self.value, Scalar::F32 | Scalar::F64)
     }
 }
 
 impl Ply {
-    /// Reads the file and parses its header.
+    /// Reads a file and parses its header.
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = read_file(path)?;
         let blame = |reason: String| Error::new(format!("not a readable PLY file ({reason})")).at(path);
@@ -82,17 +84,17 @@ impl Ply {
         Ok(Self { path: path.into(), format, elements, bytes, body_at })
     }
 
-    /// Number of vertices that the header announces.
+    /// The number of vertices according to the header.
     pub fn vertex_count(&self) -> usize {
         self.vertex_element().map_or(0, |element| element.count)
     }
 
-    /// The vertex property of this name.
+    /// The vertex property with a name, if the file has it.
     pub fn property(&self, name: &str) -> Option<&Property> {
         self.vertex_element()?.properties.iter().find(|property| property.name == name)
     }
 
-    /// [vertices, names] values, converted to f32.
+    /// Decodes the named vertex properties to [vertices, names] values, converted to f32.
     pub fn vertices(&self, names: &[&str]) -> Result<Vec<f32>> {
         let blame = |reason: String| Error::new(format!("not a usable PLY file ({reason})")).at(&self.path);
         let element = self.vertex_element().ok_or_else(|| blame("no element vertex".into()))?;
@@ -104,7 +106,7 @@ impl Ply {
         let body = &self.bytes[self.body_at..];
         match self.format {
             PlyFormat::Ascii => {
-                let text = std::str::from_utf8(body).map_err(|_| blame("the ascii body is not text".into()))?;
+                let text = std::str::from_utf8(body).map_err(|_| blame("the ASCII body is not UTF-8".into()))?;
                 self.read_rows(&wanted, AsciiValues(text.split_ascii_whitespace())).map_err(blame)
             }
             PlyFormat::BinaryLittleEndian | PlyFormat::BinaryBigEndian => {
@@ -118,9 +120,9 @@ impl Ply {
         self.elements.iter().find(|element| element.name == "vertex")
     }
 
-    /// Walks the body up to the last vertex and keeps the wanted properties.
+    /// Decodes the body up to the last vertex and keeps the wanted properties.
     fn read_rows(&self, wanted: &[usize], mut values: impl Values) -> std::result::Result<Vec<f32>, String> {
-        // The header may lie about the count: never reserve more than the bytes could hold.
+        // The count in the header may be wrong: reserve no more than the body can hold.
         let mut rows = Vec::with_capacity(self.vertex_count().min(self.bytes.len()) * wanted.len());
         let mut row = Vec::new();
         for element in &self.elements {
@@ -129,7 +131,7 @@ impl Ply {
                 for property in &element.properties {
                     let value = values.property(property);
                     row.push(value.ok_or_else(|| {
-                        format!("{} {index} of {} is cut off or not a number", element.name, element.count)
+                        format!("{} {index} of {} is truncated or not a number", element.name, element.count)
                     })?);
                 }
                 if element.name == "vertex" {
@@ -144,7 +146,7 @@ impl Ply {
     }
 }
 
-/// Writes one element `vertex`; `values` yields its rows, one value per property.
+/// Writes a file with the one element `vertex`; `values` yields its rows, one value per property.
 pub fn write_ply(
     path: &Path,
     format: PlyFormat,
@@ -168,6 +170,7 @@ pub fn write_ply(
     write_file(path, &bytes)
 }
 
+/// The header for `count` vertices.
 fn header_text(format: PlyFormat, properties: &[Property], count: usize) -> String {
     let format = match format {
         PlyFormat::Ascii => "ascii",
@@ -182,18 +185,18 @@ fn header_text(format: PlyFormat, properties: &[Property], count: usize) -> Stri
     text + "end_header\n"
 }
 
-/// Format, elements and the offset of the body.
+/// Parses the header: the format, the elements and the offset of the body.
 fn parse_header(bytes: &[u8]) -> std::result::Result<(PlyFormat, Vec<Element>, usize), String> {
     let (mut format, mut elements, mut at) = (None, Vec::<Element>::new(), 0);
     loop {
-        let length = bytes[at..].iter().position(|byte| *byte == b'\n').ok_or("the header has no end")?;
+        let length = bytes[at..].iter().position(|byte| *byte == b'\n').ok_or("the header does not end")?;
         let line = std::str::from_utf8(&bytes[at..at + length]).map_err(|_| "the header is not text")?;
         let words: Vec<_> = line.split_ascii_whitespace().collect();
         let first = at == 0;
         at += length + 1;
         match words.as_slice() {
             ["ply"] if first => {}
-            _ if first => return Err("it does not begin with `ply`".into()),
+            _ if first => return Err("no `ply` at the start".into()),
             ["format", name, _] => format = Some(parse_format(name)?),
             ["element", name, count] => {
                 let count = count.parse().map_err(|_| format!("{count} is not a count"))?;
@@ -208,7 +211,7 @@ fn parse_header(bytes: &[u8]) -> std::result::Result<(PlyFormat, Vec<Element>, u
             _ => return Err(format!("cannot parse `{line}`")),
         }
     }
-    // An element without properties has no bytes, so that its announced count could be anything.
+    // An element without properties has no bytes, so the body does not bound its count.
     if let Some(element) = elements.iter().find(|element| element.properties.is_empty()) {
         return Err(format!("element {} has no properties", element.name));
     }
@@ -252,11 +255,12 @@ impl Scalar {
     }
 }
 
-/// A stream of values; `None` when it ends early or holds something else.
+/// A decoder of consecutive values; `None` if the body ends early or a value does not parse.
 trait Values {
+    /// The next scalar.
     fn scalar(&mut self, kind: Scalar) -> Option<f64>;
 
-    /// One property as f32; a list is skipped and counts as its length.
+    /// The next property as f32. A list is skipped and yields its length.
     fn property(&mut self, property: &Property) -> Option<f32> {
         let Some(length_kind) = property.list_length else {
             return self.scalar(property.value).map(|value| value as f32);
@@ -269,6 +273,7 @@ trait Values {
     }
 }
 
+/// Decoder of ASCII bodies.
 struct AsciiValues<'a>(std::str::SplitAsciiWhitespace<'a>);
 
 impl Values for AsciiValues<'_> {
@@ -277,12 +282,14 @@ impl Values for AsciiValues<'_> {
     }
 }
 
+/// Decoder of binary bodies.
 struct BinaryValues<'a> {
     bytes: &'a [u8],
     big_endian: bool,
 }
 
 impl BinaryValues<'_> {
+    /// The next N bytes in little-endian order.
     fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
         let (head, tail) = self.bytes.split_first_chunk::<N>()?;
         self.bytes = tail;

@@ -2,21 +2,22 @@
 
 use std::path::Path;
 
-use scene::{FloatImage, Result};
+use super::{checked_size, damaged, floats};
+use crate::image_file::read_file;
+use crate::{FloatImage, Result};
 
-use super::{checked_size, damaged, floats, read_bytes};
-
-/// The f32 202021.25, which checks the byte order.
+/// The f32 value 202021.25 in little-endian byte order.
 const TAG: &[u8; 4] = b"PIEH";
-/// Components of this size and more mean that the flow is unknown.
+/// Components of at least this magnitude mark unknown flow.
 const UNKNOWN: f32 = 1e9;
 
+/// Decodes a file to [H, W, 2] flow; unknown flow becomes NaN.
 pub(super) fn read(path: &Path) -> Result<FloatImage> {
-    let bytes = read_bytes(path)?;
+    let bytes = read_file(path)?;
     let bad = |reason: &str| damaged("Middlebury flow file", reason, path);
-    let Some((header, body)) = bytes.split_at_checked(12) else { return Err(bad("it ends in the header")) };
+    let Some((header, body)) = bytes.split_at_checked(12) else { return Err(bad("truncated header")) };
     if &header[..4] != TAG {
-        return Err(bad("it does not begin with PIEH"));
+        return Err(bad("no PIEH tag at the start"));
     }
     let side = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let (width, height) = checked_size(side(4).into(), side(8).into(), path)?;

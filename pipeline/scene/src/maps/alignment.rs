@@ -1,59 +1,61 @@
-//! Robust fit of a scale and a shift.
+//! Robust fit of a scale and a shift, e.g. of relative depth to known points.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Random pairs that are tried: with half of the samples wrong, all fail with a probability of 10⁻¹⁸.
+/// Number of random minimal samples. If half of the samples are wrong, all trials fail with probability 10⁻¹⁸.
 const TRIALS: usize = 150;
-/// A sample supports a fit if it is off by less than this share of its own value …
-const INLIER_SHARE: f64 = 0.05;
-/// … for the first fit, and by this multiple of the robust spread for the final one.
-const SPREAD_MULTIPLE: f64 = 2.5;
-/// Fewer samples say nothing about two numbers.
+/// Largest error of an inlier, relative to its target.
+const INLIER_TOLERANCE: f64 = 0.05;
+/// Largest error of an inlier during refinement, in robust standard deviations (and within [`INLIER_TOLERANCE`]).
+const MAX_DEVIATIONS: f64 = 2.5;
+/// Minimum number of samples for a fit: fewer do not constrain two unknowns robustly.
 pub const MIN_SAMPLES: usize = 8;
-/// Fits that fewer samples support are refused.
+/// Minimum share of inliers among the samples; fits below it are rejected.
 pub const MIN_INLIER_SHARE: f64 = 0.3;
-/// Rounds of least squares on the samples that support the last fit.
+/// Rounds of least squares on the inliers of the previous fit.
 const REFINEMENTS: usize = 10;
-/// The median absolute deviation of normal noise is this much smaller than its standard deviation.
+/// Ratio of the median absolute deviation of normal noise to its standard deviation.
 const MAD_OF_NORMAL: f64 = 0.6745;
 
-/// `target ≈ scale · value + shift`.
+/// The model `target ≈ scale · value + shift`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
-    /// Factor.
+    /// Positive factor.
     pub scale: f64,
-    /// Offset.
+    /// Offset, in units of the target; 0 for a fit without a shift.
     pub shift: f64,
-    /// Share of the samples that agree.
+    /// Share of inliers among all samples, in [0, 1].
     pub inlier_share: f64,
 }
 
 impl Fit {
-    /// The aligned value.
+    /// Maps a value to the scale of the targets.
     pub fn apply(&self, value: f64) -> f64 {
         self.scale * value + self.shift
     }
 }
 
-/// Fits `target ≈ scale · value + shift` (positive targets) to pairs of (value, target) of which a part may be wrong:
-/// random sampling for a first fit (Fischler and Bolles 1981), least squares on those that agree for the final one.
+/// Fits `target ≈ scale · value + shift` to pairs (value, positive target) with outliers: RANSAC (Fischler and Bolles
+/// 1981), then least squares on the inliers.
 ///
-/// `None` where there are too few samples, where too few agree, or where no positive scale fits.
+/// `None` if there are fewer than [`MIN_SAMPLES`] samples, fewer inliers than [`MIN_INLIER_SHARE`], or no positive scale
+/// that fits.
 pub fn fit_scale_shift(samples: &[(f64, f64)]) -> Option<Fit> {
     fit(samples, true)
 }
 
-/// As [`fit_scale_shift`], without a shift.
+/// Fits `target ≈ scale · value` to pairs (value, positive target) with outliers; otherwise like [`fit_scale_shift`].
 pub fn fit_scale(samples: &[(f64, f64)]) -> Option<Fit> {
     fit(samples, false)
 }
 
+/// RANSAC and refinement for both models.
 fn fit(samples: &[(f64, f64)], with_shift: bool) -> Option<Fit> {
     if samples.len() < MIN_SAMPLES {
         return None;
     }
-    // A fixed seed: equal samples give equal fits.
+    // The seed depends on the samples alone, so that equal samples give equal fits.
     let mut random = ChaCha8Rng::seed_from_u64(samples.len() as u64);
     let mut candidate = || {
         let first = random.random_range(0..samples.len());
@@ -61,10 +63,10 @@ fn fit(samples: &[(f64, f64)], with_shift: bool) -> Option<Fit> {
         let pair = if with_shift { vec![samples[first], samples[second]] } else { vec![samples[first]] };
         least_squares(&pair, with_shift)
     };
-    let tolerance = |target: f64| INLIER_SHARE * target.abs();
+    let tolerance = |target: f64| INLIER_TOLERANCE * target.abs();
     let agreeing = |fit: &Fit| samples.iter().filter(|(x, y)| (fit.apply(*x) - y).abs() <= tolerance(*y)).count();
     let candidates = (0..TRIALS).filter_map(|_| candidate()).map(|fit| (agreeing(&fit), fit));
-    // The first of the best.
+    // On a tie, the first candidate wins.
     let best = candidates.reduce(|best, next| if next.0 > best.0 { next } else { best });
     let mut fit = best?.1;
     let mut inliers: Vec<_> =
@@ -74,8 +76,8 @@ fn fit(samples: &[(f64, f64)], with_shift: bool) -> Option<Fit> {
         let spread = median(inliers.iter().map(|(x, y)| (fit.apply(*x) - y).abs()))? / MAD_OF_NORMAL;
         let agrees = |(x, y): &(f64, f64)| {
             let error = (fit.apply(*x) - y).abs();
-            // Samples without noise have no spread; rounding must not throw them out.
-            error <= tolerance(*y) && error <= SPREAD_MULTIPLE * spread + 1e-9 * y.abs()
+            // Without noise the spread is 0: the slack keeps samples that are off by rounding.
+            error <= tolerance(*y) && error <= MAX_DEVIATIONS * spread + 1e-9 * y.abs()
         };
         inliers = samples.iter().copied().filter(agrees).collect();
     }
@@ -84,7 +86,7 @@ fn fit(samples: &[(f64, f64)], with_shift: bool) -> Option<Fit> {
     (fit.inlier_share >= MIN_INLIER_SHARE).then_some(fit)
 }
 
-/// The least-squares line (through the origin without a shift); `None` where the values do not determine one with a
+/// The least-squares line, through the origin unless `with_shift`; `None` if the values determine no line with a
 /// positive slope.
 fn least_squares(samples: &[(f64, f64)], with_shift: bool) -> Option<Fit> {
     let count = samples.len() as f64;
@@ -100,7 +102,7 @@ fn least_squares(samples: &[(f64, f64)], with_shift: bool) -> Option<Fit> {
     (scale > 0.0 && scale.is_finite()).then_some(Fit { scale, shift: mean_y - scale * mean_x, inlier_share: 0.0 })
 }
 
-/// The middle value; `None` of nothing.
+/// The upper median; `None` for an empty sequence.
 pub fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     let middle = values.len() / 2;
@@ -111,7 +113,7 @@ pub fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Noise-free samples of `0.5 · value + 0.01` with a share of wrong ones.
+    /// Noise-free samples of `0.5 · value + 0.01` with a share of outliers.
     fn samples(count: usize, wrong_share: f64) -> Vec<(f64, f64)> {
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let mut sample = || {
@@ -123,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_planted_scale_and_shift_survive_wrong_samples() {
+    fn scale_and_shift_are_recovered_despite_outliers() {
         for wrong_share in [0.0, 0.3, 0.5] {
             let fit = fit_scale_shift(&samples(400, wrong_share)).unwrap();
             let error = (fit.scale - 0.5).abs().max((fit.shift - 0.01).abs());
@@ -131,11 +133,11 @@ mod tests {
             assert!((fit.inlier_share - (1.0 - wrong_share)).abs() <= 0.12, "{wrong_share}: {fit:?}");
         }
         let wrong = least_squares(&samples(400, 0.3), true).unwrap();
-        assert!((wrong.scale - 0.5).abs() > 0.05, "plain least squares would pass this test too: {wrong:?}");
+        assert!((wrong.scale - 0.5).abs() > 0.05, "the test would pass without robustness: {wrong:?}");
     }
 
     #[test]
-    fn nine_samples_with_two_outliers_are_enough() {
+    fn nine_samples_with_two_outliers_suffice() {
         let mono = [0.9, 0.5, 0.7, 0.2, 0.4, 0.8, 0.3, 0.6, 0.1];
         let target = [0.46, 0.26, 0.36, 0.11, 0.21, 0.02, 0.16, 0.31, 0.9];
         let fit = fit_scale_shift(&mono.into_iter().zip(target).collect::<Vec<_>>()).unwrap();
@@ -143,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_averaged() {
+    fn refinement_averages_noise() {
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let mut noisy = |(value, target): (f64, f64)| (value, target * (1.0 + 0.02 * (random.random::<f64>() - 0.5)));
         let noisy: Vec<_> = samples(500, 0.3).into_iter().map(&mut noisy).collect();
@@ -152,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scale_alone_is_fitted_through_the_origin() {
+    fn a_fit_of_scale_alone_passes_through_the_origin() {
         let samples: Vec<_> =
             (1..40).map(|at| (f64::from(at), if at % 3 == 0 { 9.0 } else { 0.25 * f64::from(at) })).collect();
         let fit = fit_scale(&samples).unwrap();
@@ -160,12 +162,12 @@ mod tests {
     }
 
     #[test]
-    fn what_says_nothing_is_refused() {
+    fn underdetermined_or_contradictory_samples_are_rejected() {
         assert_eq!(fit_scale_shift(&samples(MIN_SAMPLES - 1, 0.0)), None);
         let constant = vec![(1.0, 2.0); 20];
         assert_eq!(fit_scale_shift(&constant), None);
         let falling: Vec<_> = (1..30).map(|at| (f64::from(at), 40.0 - f64::from(at))).collect();
-        assert_eq!(fit_scale_shift(&falling), None, "near and far are exchanged");
+        assert_eq!(fit_scale_shift(&falling), None, "a negative slope swaps near and far");
         let noise = samples(400, 1.0);
         assert_eq!(fit_scale_shift(&noise), None);
         assert_eq!(fit_scale_shift(&vec![(f64::NAN, 1.0); 20]), None);

@@ -1,21 +1,22 @@
-//! Binary images and their morphology.
+//! Binary masks and their morphology.
 
-use scene::LabelMap;
+use crate::{LabelMap, pixels};
 
-/// What a mask's pixels are in files, where they are inside.
+/// Grey level of set pixels in files.
 const INSIDE: u8 = 255;
 
-/// A binary image.
+/// A binary image of set pixels, e.g. of what moves in a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mask {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// [H, W].
+    /// [H, W]: whether a pixel is set.
     pub inside: Vec<bool>,
 }
 
+/// Every label but 0 is set.
 impl From<&LabelMap> for Mask {
     fn from(map: &LabelMap) -> Self {
         Self { width: map.width, height: map.height, inside: map.labels.iter().map(|label| *label != 0).collect() }
@@ -23,33 +24,33 @@ impl From<&LabelMap> for Mask {
 }
 
 impl Mask {
-    /// A mask without any pixel.
+    /// A mask of the given size with no pixel set.
     pub fn empty(width: u32, height: u32) -> Self {
         Self { width, height, inside: vec![false; width as usize * height as usize] }
     }
 
-    /// The mask as it is written: 255 inside, 0 outside.
+    /// The mask as stored in files: 255 where set, 0 elsewhere.
     pub fn to_labels(&self) -> LabelMap {
         let labels = self.inside.iter().map(|inside| if *inside { INSIDE } else { 0 }).collect();
         LabelMap { width: self.width, height: self.height, labels }
     }
 
-    /// Pixels inside.
+    /// Number of set pixels.
     pub fn count(&self) -> usize {
         self.inside.iter().filter(|inside| **inside).count()
     }
 
-    /// Inside of either.
+    /// Union with a mask of the same size.
     pub fn or(&self, other: &Self) -> Self {
         self.combined(other, |a, b| a || b)
     }
 
-    /// Inside of this one and not of the other.
+    /// Difference: the pixels that are set here and not in `other`, a mask of the same size.
     pub fn without(&self, other: &Self) -> Self {
         self.combined(other, |a, b| a && !b)
     }
 
-    /// Everything within a square of `2 · radius_px + 1` pixels around a pixel inside.
+    /// Dilation by a square with a side of `2 · radius_px + 1` pixels.
     pub fn dilated(&self, radius_px: u32) -> Self {
         let (width, height, radius) = (self.width as usize, self.height as usize, radius_px as usize);
         let rows = spread(&self.inside, [height, width], [width, 1], radius);
@@ -57,18 +58,18 @@ impl Mask {
         Self { inside, ..*self }
     }
 
-    /// The pixels whose square lies inside; what lies beyond the border counts as inside.
+    /// Erosion by a square with a side of `2 · radius_px + 1` pixels; pixels outside the image count as set.
     pub fn eroded(&self, radius_px: u32) -> Self {
         self.complement().dilated(radius_px).complement()
     }
 
-    /// Without gaps that a square of `2 · radius_px + 1` pixels does not fit in; beyond the border nothing is inside.
+    /// Closing by a square with a side of `2 · radius_px + 1` pixels; pixels outside the image count as not set.
     pub fn closed(&self, radius_px: u32) -> Self {
-        // With room for the dilation, which would otherwise stick to the border.
+        // The padding keeps the dilation from sticking to the image border.
         self.padded(radius_px).dilated(radius_px).eroded(radius_px).cropped(radius_px)
     }
 
-    /// With `margin_px` pixels outside on every side.
+    /// Adds `margin_px` pixels, not set, on every side.
     fn padded(&self, margin_px: u32) -> Self {
         let mut larger = Self::empty(self.width + 2 * margin_px, self.height + 2 * margin_px);
         for (row, values) in self.inside.chunks_exact(self.width as usize).enumerate() {
@@ -78,7 +79,7 @@ impl Mask {
         larger
     }
 
-    /// Without `margin_px` pixels on every side.
+    /// Removes `margin_px` pixels on every side.
     fn cropped(&self, margin_px: u32) -> Self {
         let (width, height, margin) = (self.width - 2 * margin_px, self.height - 2 * margin_px, margin_px as usize);
         let rows = self.inside.chunks_exact(self.width as usize).skip(margin).take(height as usize);
@@ -86,47 +87,49 @@ impl Mask {
         Self { width, height, inside }
     }
 
-    /// Without connected parts and without holes of fewer than `min_area_px` pixels (area opening and closing, Vincent
-    /// 1993), which thin parts of large things survive.
+    /// Removes connected components and fills holes of fewer than `min_area_px` pixels: area opening and closing
+    /// (Vincent 1993), which keep thin parts of large components.
     pub fn without_specks(&self, min_area_px: usize) -> Self {
         let without_small = |mask: &Self| {
             let mut kept = mask.clone();
-            for part in mask.parts().iter().filter(|part| part.len() < min_area_px) {
-                part.iter().for_each(|at| kept.inside[*at] = false);
+            for component in mask.components().iter().filter(|component| component.len() < min_area_px) {
+                component.iter().for_each(|at| kept.inside[*at] = false);
             }
             kept
         };
         without_small(&without_small(self).complement()).complement()
     }
 
-    /// The pixels of every part that is connected by sides and corners.
-    fn parts(&self) -> Vec<Vec<usize>> {
+    /// Pixel indices of every 8-connected component.
+    fn components(&self) -> Vec<Vec<usize>> {
         let mut seen = vec![false; self.inside.len()];
-        let mut parts = Vec::new();
+        let mut components = Vec::new();
         for start in 0..self.inside.len() {
             if seen[start] || !self.inside[start] {
                 continue;
             }
-            let (mut part, mut next) = (vec![start], 0);
+            let (mut component, mut next) = (vec![start], 0);
             seen[start] = true;
-            while let Some(at) = part.get(next).copied() {
+            while let Some(at) = component.get(next).copied() {
                 next += 1;
-                for neighbor in neighbors(at, self.width as usize, self.height as usize) {
+                for neighbor in pixels::neighbors(at, self.width, self.height) {
                     if self.inside[neighbor] && !seen[neighbor] {
                         seen[neighbor] = true;
-                        part.push(neighbor);
+                        component.push(neighbor);
                     }
                 }
             }
-            parts.push(part);
+            components.push(component);
         }
-        parts
+        components
     }
 
+    /// Inverts every pixel.
     fn complement(&self) -> Self {
         Self { inside: self.inside.iter().map(|inside| !inside).collect(), ..*self }
     }
 
+    /// Combines two masks of one size pixel by pixel.
     fn combined(&self, other: &Self, combine: impl Fn(bool, bool) -> bool) -> Self {
         assert_eq!((self.width, self.height), (other.width, other.height), "masks of one view have one size");
         let pairs = self.inside.iter().zip(&other.inside);
@@ -134,21 +137,13 @@ impl Mask {
     }
 }
 
-/// Indices of the up to eight pixels around the pixel `at`.
-pub fn neighbors(at: usize, width: usize, height: usize) -> impl Iterator<Item = usize> {
-    let (x, y) = (at % width, at / width);
-    let columns = x.saturating_sub(1)..(x + 2).min(width);
-    let rows = y.saturating_sub(1)..(y + 2).min(height);
-    rows.flat_map(move |row| columns.clone().map(move |column| row * width + column)).filter(move |other| *other != at)
-}
-
-/// Each pixel of `lines` lines of `length` pixels is set if one within `radius` on its line is; `strides` lead to the
-/// next line and to the next pixel.
+/// One-dimensional dilation: sets every pixel that has a set pixel within `radius` on its line. The image has `lines`
+/// lines of `length` pixels; `strides` are the index steps to the next line and to the next pixel.
 fn spread(inside: &[bool], [lines, length]: [usize; 2], strides: [usize; 2], radius: usize) -> Vec<bool> {
     let mut result = vec![false; inside.len()];
     for line in 0..lines {
         let at = |place: usize| line * strides[0] + place * strides[1];
-        // How many places ago, and in how many places, the nearest pixel inside lies.
+        // Distance to the nearest set pixel before and after.
         let mut since = usize::MAX;
         for place in 0..length {
             since = if inside[at(place)] { 0 } else { since.saturating_add(1) };
@@ -173,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn dilation_grows_squares_and_erosion_takes_them_back() {
+    fn erosion_reverts_the_dilation_of_a_dot() {
         let dot = mask(&[".......", ".......", "...#...", ".......", "......."]);
         assert_eq!(dot.dilated(1), mask(&[".......", "..###..", "..###..", "..###..", "......."]));
         assert_eq!(dot.dilated(1).eroded(1), dot);
@@ -190,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn specks_go_and_thin_lines_stay() {
+    fn specks_are_removed_and_thin_lines_stay() {
         let noisy = mask(&["#......", ".......", "..#####", "......#", "......#"]);
         assert_eq!(noisy.without_specks(4), mask(&[".......", ".......", "..#####", "......#", "......#"]));
         let holed = mask(&["#####", "##.##", "#####"]);

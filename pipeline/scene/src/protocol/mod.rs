@@ -1,4 +1,4 @@
-//! How images came to be what they are: numbers share a column only if their protocols are equal.
+//! Evaluation protocols: how the evaluated images were made. Numbers are comparable only under equal protocols.
 
 mod presets;
 
@@ -7,48 +7,48 @@ use sha2::{Digest as _, Sha256};
 
 pub use presets::{PRESETS, Preset};
 
-/// The part of the evaluation protocol that the data fixes.
+/// The part of the evaluation protocol that the data determines.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Protocol {
-    /// The benchmark or source, as `dnerf` or `synthetic`.
+    /// The benchmark or source, e.g. `dnerf` or `synthetic`.
     pub dataset: String,
-    /// Which files became which split, as `official` or `every 8th`.
+    /// The assignment of images to splits, e.g. `official` or `every 8th`.
     pub split: String,
-    /// Pixels per row of the evaluated images.
+    /// Width of the evaluated images in pixels.
     pub width: u32,
-    /// Rows of the evaluated images.
+    /// Height of the evaluated images in pixels.
     pub height: u32,
-    /// How images got that size: `none`, `area`, `lanczos3`, `analytic`.
+    /// The filter that gave images that size: `none`, `area`, `lanczos3` or `analytic`.
     pub resize: String,
-    /// What transparent pixels were composited on, once: `white`, `black` or `none` (opaque).
+    /// The colour behind transparent pixels: `white`, `black` or `none` (opaque images).
     pub background: String,
-    /// How time values became [0, 1], as `file time / max` or `index / (count - 1)`.
+    /// The normalisation of time to [0, 1], e.g. `file time / max` or `index / (count - 1)`.
     pub time: String,
 }
 
-/// Hexadecimal digits of a protocol's hash: a million protocols would rarely share one.
+/// Number of hexadecimal digits of a hash: enough for the protocols in use to differ.
 const HASH_DIGITS: usize = 8;
 
 impl Protocol {
-    /// One line with the preset's name, if it is one, the hash and every field; two protocols are equal exactly when their
-    /// lines are.
+    /// One line with the name of the preset, if it is one, the hash and every field. Lines are equal exactly if
+    /// protocols are.
     pub fn line(&self) -> String {
         let name = self.preset().map(|preset| format!("{} ", preset.name)).unwrap_or_default();
         format!("{name}[{}] {}", self.hash(), self.fields())
     }
 
-    /// The first eight digits of the SHA-256 of all fields: what numbers of one protocol have in common, on any machine.
+    /// The first eight hexadecimal digits of the SHA-256 of all fields; the same on every machine.
     pub fn hash(&self) -> String {
         let digest = Sha256::digest(self.fields());
         digest.iter().map(|byte| format!("{byte:02x}")).take(HASH_DIGITS / 2).collect()
     }
 
-    /// The preset that this is, to the last field.
+    /// The preset that equals this protocol in every field.
     pub fn preset(&self) -> Option<&'static Preset> {
         PRESETS.iter().find(|preset| preset.protocol() == *self)
     }
 
-    /// Every field in which this protocol is not `other`, as `background black instead of white`.
+    /// Every difference from `other`, e.g. `background black instead of white`.
     pub fn differences(&self, other: &Self) -> Vec<String> {
         let pairs = self.named().into_iter().zip(other.named());
         let differs = |((name, ours), (_, theirs)): (&(&str, String), &(&str, String))| {
@@ -57,6 +57,7 @@ impl Protocol {
         pairs.filter_map(|(ours, theirs)| differs((&ours, &theirs))).collect()
     }
 
+    /// The fields with their names; width and height are one field.
     fn named(&self) -> [(&'static str, String); 6] {
         let Self { dataset, split, width, height, resize, background, time } = self;
         [
@@ -69,6 +70,7 @@ impl Protocol {
         ]
     }
 
+    /// All fields as one text.
     fn fields(&self) -> String {
         let Self { dataset, split, width, height, resize, background, time } = self;
         format!(
@@ -88,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn presets_are_found_by_name_and_by_their_fields() {
+    fn presets_are_found_by_name_and_by_fields() {
         let names: BTreeSet<_> = PRESETS.iter().map(|preset| preset.name).collect();
         assert_eq!(names.len(), PRESETS.len());
         for preset in PRESETS {
@@ -98,9 +100,9 @@ mod tests {
         assert!(Preset::named("dnerf-801-white").is_none());
     }
 
-    /// The hash is printed beside numbers: it must not change with the version of this program.
+    /// The hash is published beside numbers, so it must not change between versions.
     #[test]
-    fn hashes_are_golden_and_every_field_changes_them() {
+    fn hashes_are_stable_and_depend_on_every_field() {
         assert_eq!(white().hash(), "d1704790");
         let changes: [fn(&mut Protocol); 7] = [
             |p| p.dataset = "dnerf2".into(),
@@ -129,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn means_are_over_sets_of_scenes_at_any_size() {
+    fn quoted_means_apply_at_any_size() {
         let own = Protocol { width: 200, height: 200, ..white() };
         let [eight, seven] = own.quoted_means() else { panic!("D-NeRF has two means") };
         assert_eq!((eight.len(), seven.len()), (8, 7));

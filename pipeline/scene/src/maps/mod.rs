@@ -1,78 +1,93 @@
-//! Per-pixel quantities beside colour: depth, optical flow, velocity, normals and instance labels.
+//! Per-pixel maps beside colour: depth, optical flow, velocity, normals and instance labels.
+//!
+//! The map types read and write the formats of artifacts (EXR and PNG). [`formats`] decodes the files of estimators,
+//! [`ViewFolder`] finds the file of each view, [`DepthKind`] and [`alignment`] bring depth to the scale of the scene.
+
+pub mod alignment;
+mod depth_kind;
+mod folder;
+pub mod formats;
+mod resampling;
+mod rigid_flow;
+
+pub use depth_kind::DepthKind;
+pub use folder::{MatchedFiles, ViewFolder};
+pub use resampling::fit_to_view;
 
 use std::path::Path;
 
 use crate::image_file::{self, GrayImage};
 use crate::{Error, Result, exr_file};
 
-/// View-space z per pixel.
+/// View-space depth per pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DepthMap {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// [H, W], scene units; 0 where there is none.
+    /// [H, W] view-space z in scene units; 0 where unknown.
     pub depth_view: Vec<f32>,
 }
 
-/// Pixel displacement to another frame.
+/// Optical flow: the displacement of every pixel to another frame.
 #[derive(Clone, Debug, Default)]
 pub struct FlowMap {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// [H, W] of (right, down) in pixels; NaN where the pixel has no counterpart.
+    /// [H, W] displacements (right, down) in pixels; NaN where unknown or without a counterpart.
     pub flow_px: Vec<[f32; 2]>,
 }
 
-/// 3D velocity of the surface point that each pixel sees.
+/// 3D velocity of the surface point that each pixel shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VelocityMap {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// [H, W] of (x, y, z), world, scene units per second; 0 where nothing is seen.
+    /// [H, W] velocities (x, y, z), world, in scene units per second; 0 where the pixel shows no surface.
     pub velocity_world: Vec<[f32; 3]>,
 }
 
-/// The normal of the surface point that each pixel sees.
+/// Normal of the surface point that each pixel shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NormalMap {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// [H, W] of unit vectors (right, down, forward) in the camera's frame, towards the camera; 0 where nothing is seen.
+    /// [H, W] unit vectors (right, down, forward) in the camera's frame, facing the camera; 0 where unknown.
     pub normals_view: Vec<[f32; 3]>,
 }
 
-/// An instance label per pixel; 0 is the static background.
+/// Instance label per pixel; 0 is the static background.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LabelMap {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// [H, W].
+    /// [H, W] labels.
     pub labels: Vec<u8>,
 }
 
-/// Names of the channels of vectors.
+/// Channel names of vector maps.
 const VECTOR_CHANNELS: [&str; 3] = ["X", "Y", "Z"];
 
 impl DepthMap {
-    /// Names that depth channels have in the wild, most specific first.
+    /// Accepted names of the depth channel, most specific first.
     pub const CHANNELS: [&str; 4] = ["Z", "depth.Z", "Y", "R"];
 
-    /// Reads an EXR file; values must be finite and not negative.
+    /// Reads an EXR file. Values that are negative or not finite are an error.
     pub fn read(path: &Path) -> Result<Self> {
         let image = exr_file::read(path)?;
         let depth_view = image.channel(&Self::CHANNELS).ok_or_else(|| no_channel(&Self::CHANNELS, path))?.to_vec();
         if let Some(value) = depth_view.iter().find(|value| !(**value >= 0.0 && value.is_finite())) {
-            let error = Error::new(format!("depth {value} is not a distance")).hint("write 0 where there is none");
+            let error =
+                Error::new(format!("depth {value} is not a distance")).hint("store 0 where the depth is unknown");
             return Err(error.at(path));
         }
         Ok(Self { width: image.width, height: image.height, depth_view })
@@ -85,16 +100,16 @@ impl DepthMap {
 }
 
 impl FlowMap {
-    /// Names that flow channels have in the wild.
+    /// Accepted names of the x and y channels.
     pub const CHANNELS: [[&str; 4]; 2] = [["X", "u", "R", "forward.u"], ["Y", "v", "G", "forward.v"]];
 
-    /// Reads an EXR file; infinite values are refused, NaN means no counterpart.
+    /// Reads an EXR file. NaN marks unknown flow; infinite values are an error.
     pub fn read(path: &Path) -> Result<Self> {
         let image = exr_file::read(path)?;
         let [x, y] = Self::CHANNELS.map(|names| image.channel(&names).ok_or_else(|| no_channel(&names, path)));
         let flow_px: Vec<_> = x?.iter().zip(y?).map(|(x, y)| [*x, *y]).collect();
         if flow_px.iter().flatten().any(|value| value.is_infinite()) {
-            return Err(Error::new("infinite flow").hint("write NaN where there is none").at(path));
+            return Err(Error::new("the flow is infinite").hint("store NaN where the flow is unknown").at(path));
         }
         Ok(Self { width: image.width, height: image.height, flow_px })
     }
@@ -107,10 +122,10 @@ impl FlowMap {
 }
 
 impl VelocityMap {
-    /// Names of the channels.
+    /// Channel names.
     pub const CHANNELS: [&str; 3] = VECTOR_CHANNELS;
 
-    /// Reads an EXR file; values must be finite.
+    /// Reads an EXR file with the channels X, Y and Z. Values that are not finite are an error.
     pub fn read(path: &Path) -> Result<Self> {
         let (width, height, velocity_world) = read_vectors(path, "velocity")?;
         Ok(Self { width, height, velocity_world })
@@ -123,10 +138,10 @@ impl VelocityMap {
 }
 
 impl NormalMap {
-    /// Names of the channels.
+    /// Channel names.
     pub const CHANNELS: [&str; 3] = VECTOR_CHANNELS;
 
-    /// Reads an EXR file with the channels X, Y and Z; values must be finite.
+    /// Reads an EXR file with the channels X, Y and Z. Values that are not finite are an error.
     pub fn read(path: &Path) -> Result<Self> {
         let (width, height, normals_view) = read_vectors(path, "normal")?;
         Ok(Self { width, height, normals_view })
@@ -138,17 +153,18 @@ impl NormalMap {
     }
 }
 
-/// Width, height and finite vectors of an EXR file with the channels X, Y and Z.
+/// Reads width, height and finite vectors of an EXR file with the channels X, Y and Z.
 fn read_vectors(path: &Path, what: &str) -> Result<(u32, u32, Vec<[f32; 3]>)> {
     let image = exr_file::read(path)?;
     let [x, y, z] = VECTOR_CHANNELS.map(|name| image.channel(&[name]).ok_or_else(|| no_channel(&[name], path)));
     let vectors: Vec<_> = x?.iter().zip(y?).zip(z?).map(|((x, y), z)| [*x, *y, *z]).collect();
     if !vectors.iter().flatten().all(|value| value.is_finite()) {
-        return Err(Error::new(format!("{what} that is not finite")).at(path));
+        return Err(Error::new(format!("the {what} is not finite")).at(path));
     }
     Ok((image.width, image.height, vectors))
 }
 
+/// Writes an EXR file with the channels X, Y and Z.
 fn write_vectors(path: &Path, width: u32, height: u32, vectors: &[[f32; 3]]) -> Result<()> {
     let channel = |axis: usize| vectors.iter().map(|vector| vector[axis]).collect();
     let channels = [0, 1, 2].map(|axis| (VECTOR_CHANNELS[axis], channel(axis)));
@@ -170,6 +186,7 @@ impl LabelMap {
     }
 }
 
+/// The error for an EXR file without any of the accepted channel names.
 fn no_channel(names: &[&str], path: &Path) -> Error {
-    Error::new(format!("EXR image has no channel called {}", names.join(" or "))).at(path)
+    Error::new(format!("the EXR image has no channel {}", names.join(" or "))).at(path)
 }

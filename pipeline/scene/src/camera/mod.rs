@@ -5,46 +5,47 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// How far a rotation may be from orthonormal: above the rounding of poses printed with six digits, below real skew.
+/// Largest deviation of a rotation from orthonormality: above the rounding error of six printed digits, below real
+/// skew.
 const ORTHONORMAL_TOLERANCE: f64 = 1e-4;
 
-/// A pinhole camera in the world.
+/// A pinhole camera with its pose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Image size, focal lengths and principal point.
     pub intrinsics: Intrinsics,
-    /// World to view coordinates (x right, y down, z forward).
+    /// Transform from world to view coordinates (x right, y down, z forward).
     pub camera_from_world: RigidTransform,
 }
 
-/// A pinhole projection without distortion (images are undistorted on import).
+/// Intrinsic parameters of a pinhole camera without lens distortion (images are undistorted on import).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
-    /// Pixels per row.
+    /// Image width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Image height in pixels.
     pub height: u32,
     /// Horizontal focal length in pixels.
     pub focal_x: f64,
     /// Vertical focal length in pixels.
     pub focal_y: f64,
-    /// Horizontal principal point in pixels (image centre = width / 2).
+    /// Horizontal position of the principal point in pixels (image centre: width / 2).
     pub center_x: f64,
-    /// Vertical principal point in pixels (image centre = height / 2).
+    /// Vertical position of the principal point in pixels (image centre: height / 2).
     pub center_y: f64,
 }
 
-/// `y = rotation · x + translation`.
+/// A rotation followed by a translation: `y = rotation · x + translation`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RigidTransform {
-    /// Orthonormal, determinant +1.
+    /// Orthonormal matrix with determinant +1.
     pub rotation: DMat3,
-    /// In scene units.
+    /// Translation in scene units.
     pub translation: DVec3,
 }
 
 impl Camera {
-    /// A camera at `position_world` that looks at `target_world` with `up_world` upwards in the image.
+    /// A camera at `position_world` that looks at `target_world`; `up_world` points upwards in the image.
     pub fn look_at(intrinsics: Intrinsics, position_world: DVec3, target_world: DVec3, up_world: DVec3) -> Self {
         let forward = (target_world - position_world).normalize();
         let right = forward.cross(up_world).normalize();
@@ -54,12 +55,12 @@ impl Camera {
         Self { intrinsics, camera_from_world }
     }
 
-    /// The camera's centre in the world.
+    /// The camera centre in world coordinates.
     pub fn position_world(&self) -> DVec3 {
         self.camera_from_world.inverse().translation
     }
 
-    /// Pixel position and view depth of a world point; `None` where it is not in front of the camera.
+    /// Pixel position and view-space depth of a world point; `None` if the point is not in front of the camera.
     pub fn project(&self, point_world: DVec3) -> Option<(DVec2, f64)> {
         let view = self.camera_from_world.apply(point_world);
         let Intrinsics { focal_x, focal_y, center_x, center_y, .. } = self.intrinsics;
@@ -73,7 +74,7 @@ impl Camera {
         DVec3::new((pixel.x - center_x) / focal_x, (pixel.y - center_y) / focal_y, 1.0)
     }
 
-    /// The same camera with an image of `width` × `height` pixels over the same field of view.
+    /// A camera with this pose and field of view, and an image of `width` × `height` pixels.
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let old = self.intrinsics;
         let (sx, sy) = (f64::from(width) / f64::from(old.width), f64::from(height) / f64::from(old.height));
@@ -88,54 +89,55 @@ impl Camera {
         Self { intrinsics, ..*self }
     }
 
-    /// Finite numbers, a non-empty image, positive focal lengths, an orthonormal right-handed rotation.
+    /// Checks for a non-empty image, positive focal lengths, finite values and an orthonormal right-handed rotation.
     pub fn check(&self) -> Result<()> {
         let Intrinsics { width, height, focal_x, focal_y, center_x, center_y } = self.intrinsics;
         if width == 0 || height == 0 {
-            return Err(Error::new(format!("camera with an empty image ({width}×{height})")));
+            return Err(Error::new(format!("the camera has an empty image ({width}×{height})")));
         }
         if !(focal_x > 0.0 && focal_y > 0.0 && focal_x.is_finite() && focal_y.is_finite()) {
             return Err(Error::new(format!("focal lengths must be positive and finite, not {focal_x} and {focal_y}")));
         }
         if !(center_x.is_finite() && center_y.is_finite()) {
-            return Err(Error::new(format!("principal point is not finite ({center_x}, {center_y})")));
+            return Err(Error::new(format!("the principal point is not finite ({center_x}, {center_y})")));
         }
         self.camera_from_world.check()
     }
 }
 
 impl RigidTransform {
-    /// No rotation, no translation.
+    /// The identity transform.
     pub const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
 
-    /// Maps a point.
+    /// Transforms a point.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.rotation * point + self.translation
     }
 
-    /// The inverse map.
+    /// The inverse transform.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// From a homogeneous matrix whose last row is (0, 0, 0, 1); unchecked, see [`RigidTransform::check`].
+    /// Converts a homogeneous matrix with the last row (0, 0, 0, 1). The result is unchecked; see
+    /// [`RigidTransform::check`].
     pub fn from_matrix(matrix: DMat4) -> Self {
         Self { rotation: DMat3::from_mat4(matrix), translation: matrix.w_axis.truncate() }
     }
 
-    /// Finite, orthonormal and right-handed.
+    /// Checks that the transform is finite, orthonormal and right-handed.
     pub fn check(&self) -> Result<()> {
         if !(self.rotation.is_finite() && self.translation.is_finite()) {
-            return Err(Error::new("pose has a value that is not finite"));
+            return Err(Error::new("the pose is not finite"));
         }
         let residual = self.rotation * self.rotation.transpose() - DMat3::IDENTITY;
         let error = residual.to_cols_array().iter().fold(0.0_f64, |worst, value| worst.max(value.abs()));
         if !(error <= ORTHONORMAL_TOLERANCE) {
-            return Err(Error::new(format!("pose rotation is not orthonormal (off by {error:.2e})")));
+            return Err(Error::new(format!("the rotation of the pose is not orthonormal (deviation {error:.2e})")));
         }
         if !(self.rotation.determinant() > 0.0) {
-            return Err(Error::new("pose rotation is a reflection (determinant -1)"));
+            return Err(Error::new("the rotation of the pose is a reflection (determinant -1)"));
         }
         Ok(())
     }

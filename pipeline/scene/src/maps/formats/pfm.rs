@@ -1,28 +1,28 @@
-//! Portable float maps: `Pf` (one channel) or `PF` (three), width, height, scale (negative: little endian), then rows
-//! from the bottom to the top.
+//! Portable float maps: `Pf` (one channel) or `PF` (three), width, height, scale (negative: little endian), then the
+//! rows from bottom to top.
 
 use std::path::Path;
 
-use scene::{FloatImage, Result};
+use super::{Content, checked_size, damaged};
+use crate::image_file::read_file;
+use crate::{FloatImage, Result};
 
-use super::{Content, checked_size, damaged, read_bytes};
-
-/// Decodes a file; flow lies in the first two of three channels.
+/// Decodes a file; flow is the first two of three channels.
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
-    let bytes = read_bytes(path)?;
+    let bytes = read_file(path)?;
     let bad = |reason: String| damaged("PFM file", reason, path);
-    let (words, body) = header(&bytes).ok_or_else(|| bad("it ends in the header".into()))?;
+    let (words, body) = header(&bytes).ok_or_else(|| bad("truncated header".into()))?;
     let stored = match words[0] {
         "Pf" => 1,
         "PF" => 3,
-        other => return Err(bad(format!("it begins with {other:?}"))),
+        other => return Err(bad(format!("unknown type {other:?}"))),
     };
-    let number = |word: &str| word.parse::<u64>().map_err(|_| bad(format!("{word:?} is no number of pixels")));
+    let number = |word: &str| word.parse::<u64>().map_err(|_| bad(format!("{word:?} is not a number of pixels")));
     let (width, height) = checked_size(number(words[1])?, number(words[2])?, path)?;
-    let scale: f32 = words[3].parse().map_err(|_| bad(format!("{:?} is no scale", words[3])))?;
+    let scale: f32 = words[3].parse().map_err(|_| bad(format!("{:?} is not a scale", words[3])))?;
     let kept = content.channels();
     if kept > stored {
-        return Err(bad(format!("{stored} channel where {kept} are needed")));
+        return Err(bad(format!("{stored} channels where {kept} are needed")));
     }
     let row_bytes = 4 * stored * width as usize;
     let expected = row_bytes * height as usize;
@@ -36,7 +36,7 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     Ok(FloatImage { width, height, channels: kept, values })
 }
 
-/// The four words of the header, and what follows the one white space after them.
+/// Splits a file into the four words of its header and the body, which starts after one whitespace byte.
 fn header(bytes: &[u8]) -> Option<([&str; 4], &[u8])> {
     let mut words = [""; 4];
     let mut rest = bytes;

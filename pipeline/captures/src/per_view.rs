@@ -1,17 +1,18 @@
-//! Work on every view of a capture, in parallel.
+//! Parallel work on the views of a capture.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use engine::{Failure, FailureKind, JobContext, Progress};
 use rayon::prelude::*;
 
-/// Does `work` for the indices below `count` with the job's threads, tells how far it is, and stops when the job is told
-/// to. The results are in order, whatever the number of threads.
-pub fn map<T: Send>(
+/// Calls `work` for every view index below `count` on the job's threads, reports progress, and fails as interrupted
+/// when the job is asked to stop. The results are in index order, for any number of threads.
+pub fn per_view<T: Send>(
     context: &JobContext,
     count: usize,
     work: impl Fn(usize) -> anyhow::Result<T> + Sync,
 ) -> anyhow::Result<Vec<T>> {
+    // The context itself cannot be shared between threads.
     let (on_progress, stop) = (&context.on_progress, &context.stop);
     let done = AtomicUsize::new(0);
     let step = |index: usize| {

@@ -1,4 +1,4 @@
-//! 3D Gaussians as every splatting method stores them.
+//! 3D Gaussians in the parametrisation that splatting methods share.
 
 mod ply_file;
 #[cfg(test)]
@@ -8,43 +8,43 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// The constant spherical harmonic: colour = `SH_C0` · coefficient + 0.5.
+/// The spherical harmonic of degree 0: colour = `SH_C0` · coefficient + 0.5.
 pub const SH_C0: f32 = 0.282_094_8;
 
-/// N Gaussians, row-major, in the parametrisation of Kerbl et al. 2023 before activation.
+/// N Gaussians in the parametrisation of Kerbl et al. 2023, before activation. Tensors are row-major.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gaussians {
-    /// [N, 3] world, scene units.
+    /// [N, 3] world positions in scene units.
     pub positions: Vec<f32>,
-    /// [N, 3] natural logarithm of the standard deviations, scene units.
+    /// [N, 3] natural logarithm of the standard deviations in scene units.
     pub log_scales: Vec<f32>,
-    /// [N, 4] quaternions (w, x, y, z), not necessarily normalised.
+    /// [N, 4] quaternions (w, x, y, z), not necessarily of unit length.
     pub rotations: Vec<f32>,
-    /// [N] opacity before the logistic function.
+    /// [N] opacities before the logistic function.
     pub opacity_logits: Vec<f32>,
-    /// [N, (sh_degree + 1)², 3] spherical harmonics, coefficient-major.
+    /// [N, (sh_degree + 1)², 3] coefficients of spherical harmonics.
     pub sh: Vec<f32>,
-    /// 0 to 3.
+    /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: usize,
 }
 
 impl Gaussians {
-    /// N.
+    /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.opacity_logits.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.opacity_logits.is_empty()
     }
 
-    /// Coefficients per colour channel.
+    /// Number of coefficients per colour channel.
     pub fn sh_count(&self) -> usize {
         (self.sh_degree + 1).pow(2)
     }
 
-    /// Consistent lengths and finite values.
+    /// Checks for consistent lengths and finite values.
     pub fn check(&self) -> Result<()> {
         let n = self.len();
         let tensors = [

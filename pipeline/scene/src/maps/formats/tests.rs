@@ -1,12 +1,13 @@
-//! Every format against bytes that others wrote, and damaged files.
+//! Every format against files of other programs, and damaged files.
 
 use std::path::PathBuf;
 
 use tempfile::TempDir;
 
 use super::*;
+use crate::npy_file::tests::npy_bytes;
 
-/// A file with these bytes.
+/// Writes bytes to a temporary file.
 fn file(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join(name);
@@ -18,24 +19,12 @@ fn hex(text: &str) -> Vec<u8> {
     (0..text.len() / 2).map(|at| u8::from_str_radix(&text[2 * at..2 * at + 2], 16).unwrap()).collect()
 }
 
-/// A version 1 array of f32 in C order.
-pub(crate) fn npy(kind: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
-    let order = if fortran { "True" } else { "False" };
-    let mut header = format!("{{'descr': '{kind}', 'fortran_order': {order}, 'shape': ({shape}), }}");
-    while (header.len() + 11) % 64 != 0 {
-        header.push(' ');
-    }
-    header.push('\n');
-    let length = (header.len() as u16).to_le_bytes();
-    [b"\x93NUMPY\x01\x00".as_slice(), &length, header.as_bytes(), data].concat()
-}
-
 fn bytes_of(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
 #[test]
-fn middlebury_flow_with_unknown_pixels() {
+fn middlebury_flow_marks_unknown_pixels() {
     let bytes = hex("5049454802000000020000000000c03f000000c0000000000000803e286b6e4e286b6e4e000070c000000041");
     let (_dir, path) = file("a.flo", &bytes);
     let image = read(&path, Content::Flow).unwrap();
@@ -50,7 +39,7 @@ fn middlebury_flow_with_unknown_pixels() {
 }
 
 #[test]
-fn pfm_rows_go_from_the_bottom_to_the_top() {
+fn pfm_rows_run_from_bottom_to_top() {
     let (_dir, path) = file("a.pfm", &hex("50660a3320320a2d312e300a000080400000a0400000c0400000803f0000004000004040"));
     let image = read(&path, Content::Depth).unwrap();
     assert_eq!((image.width, image.height), (3, 2));
@@ -65,20 +54,20 @@ fn pfm_rows_go_from_the_bottom_to_the_top() {
 }
 
 #[test]
-fn numpy_arrays_in_every_layout_are_one_image() {
+fn every_numpy_layout_decodes_to_the_same_image() {
     // Rows (1, 2, 3) and (4, 5, 6) in u; v is negative.
     let interleaved = [1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 4.0, -4.0, 5.0, -5.0, 6.0, -6.0];
     let planes = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -1.0, -2.0, -3.0, -4.0, -5.0, -6.0];
     let columns = [1.0, 4.0, 2.0, 5.0, 3.0, 6.0, -1.0, -4.0, -2.0, -5.0, -3.0, -6.0];
     let doubles: Vec<u8> = interleaved.iter().flat_map(|value| f64::from(*value).to_be_bytes()).collect();
     let arrays = [
-        npy("<f4", false, "2, 3, 2", &bytes_of(&interleaved)),
-        npy("<f4", false, "2, 2, 3", &bytes_of(&planes)),
-        npy("<f4", true, "2, 3, 2", &bytes_of(&columns)),
-        npy(">f8", false, "2, 3, 2", &doubles),
+        npy_bytes("<f4", false, "(2, 3, 2)", &bytes_of(&interleaved)),
+        npy_bytes("<f4", false, "(2, 2, 3)", &bytes_of(&planes)),
+        npy_bytes("<f4", true, "(2, 3, 2)", &bytes_of(&columns)),
+        npy_bytes(">f8", false, "(2, 3, 2)", &doubles),
     ];
     for (at, array) in arrays.iter().enumerate() {
-        // [2, 2, 3] ends in 3, so that its first axis must be the channels.
+        // In the shape [2, 2, 3], the channels can only be the first axis.
         let (_dir, path) = file("a.npy", array);
         let image = read(&path, Content::Flow).unwrap();
         assert_eq!((image.width, image.height), (3, 2), "array {at}");
@@ -87,26 +76,26 @@ fn numpy_arrays_in_every_layout_are_one_image() {
 }
 
 #[test]
-fn numpy_depth_of_several_types() {
+fn numpy_depth_of_several_types_is_decoded() {
     let golden = "934e554d5059010076007b276465736372273a20273c6634272c2027666f727472616e5f6f72646572273a2046616c73652c20277368617065273a2028322c2032292c207d202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020200a0000003f0000a0bf0000404000000000";
     let (_dir, path) = file("a.npy", &hex(golden));
     assert_eq!(read(&path, Content::Depth).unwrap().values, [0.5, -1.25, 3.0, 0.0]);
     let halves: Vec<u8> = [0x3c00_u16, 0x4100].iter().flat_map(|bits| bits.to_le_bytes()).collect();
-    let (_dir, path) = file("a.npy", &npy("<f2", false, "1, 2, 1", &halves));
+    let (_dir, path) = file("a.npy", &npy_bytes("<f2", false, "(1, 2, 1)", &halves));
     assert_eq!(read(&path, Content::Depth).unwrap().values, [1.0, 2.5]);
-    let (_dir, path) = file("a.npy", &npy("<u2", false, "1, 1, 2", &[1, 0, 0, 1]));
+    let (_dir, path) = file("a.npy", &npy_bytes("<u2", false, "(1, 1, 2)", &[1, 0, 0, 1]));
     assert_eq!(read(&path, Content::Depth).unwrap().values, [1.0, 256.0], "one channel in front");
 }
 
 #[test]
 fn damaged_and_foreign_arrays_are_refused() {
-    let whole = npy("<f4", false, "2, 2", &bytes_of(&[1.0; 4]));
+    let whole = npy_bytes("<f4", false, "(2, 2)", &bytes_of(&[1.0; 4]));
     let cases: [(Vec<u8>, &str); 5] = [
         (whole[..whole.len() - 1].to_vec(), "not a readable NumPy array"),
-        (npy("<f4", false, "100000, 100000", &[]), "not a readable NumPy array"),
-        (npy("<f4", false, "0, 9", &[]), "an image of 9×0 pixels"),
-        (npy("<i8", false, "1, 1", &[0; 8]), "type i8"),
-        (npy("<f4", false, "2, 2, 5", &[0; 80]), "[2, 2, 5]"),
+        (npy_bytes("<f4", false, "(100000, 100000)", &[]), "not a readable NumPy array"),
+        (npy_bytes("<f4", false, "(0, 9)", &[]), "an image of 9×0 pixels"),
+        (npy_bytes("<i8", false, "(1, 1)", &[0; 8]), "type i8"),
+        (npy_bytes("<f4", false, "(2, 2, 5)", &[0; 80]), "[2, 2, 5]"),
     ];
     for (bytes, reason) in cases {
         let (_dir, path) = file("a.npy", &bytes);
@@ -120,13 +109,13 @@ fn damaged_and_foreign_arrays_are_refused() {
 }
 
 #[test]
-fn archives_hold_arrays_by_name() {
+fn archives_are_searched_by_array_name() {
     let write = |names: &[&str]| {
         let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
         for (at, name) in names.iter().enumerate() {
             let options = zip::write::SimpleFileOptions::default();
             archive.start_file(format!("{name}.npy"), options).unwrap();
-            let array = npy("<f4", false, "1, 1", &bytes_of(&[at as f32 + 1.0]));
+            let array = npy_bytes("<f4", false, "(1, 1)", &bytes_of(&[at as f32 + 1.0]));
             std::io::Write::write_all(&mut archive, &array).unwrap();
         }
         archive.finish().unwrap().into_inner()
@@ -142,7 +131,7 @@ fn archives_hold_arrays_by_name() {
 }
 
 #[test]
-fn png_codes_of_kitti_flow_and_of_depth() {
+fn png_decodes_kitti_flow_and_depth() {
     let codes: [[u16; 3]; 4] = [[32768, 32768, 1], [32864, 32624, 1], [1, 65535, 1], [32768, 32768, 0]];
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("flow.png");
@@ -161,23 +150,23 @@ fn png_codes_of_kitti_flow_and_of_depth() {
 }
 
 #[test]
-fn exr_files_by_the_names_of_their_channels() {
+fn exr_channels_are_found_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("flow.exr");
     exr_file::write(&path, 2, 1, &[("u", vec![1.0, 2.0]), ("v", vec![3.0, 4.0])]).unwrap();
     assert_eq!(read(&path, Content::Flow).unwrap().values, [1.0, 3.0, 2.0, 4.0]);
     let error = read(&path, Content::Normals).unwrap_err().to_string();
-    assert!(error.contains("no channel called X or R"), "{error}");
+    assert!(error.contains("no channel X or R"), "{error}");
     let other = dir.path().join("depth.tiff");
     std::fs::write(&other, b"II").unwrap();
     let error = read(&other, Content::Depth).unwrap_err().to_string();
-    assert!(error.contains("no reader of depth files that end in .tiff") && error.contains("npz"), "{error}");
+    assert!(error.contains("no decoder for depth files with the extension .tiff") && error.contains("npz"), "{error}");
 }
 
 #[test]
 fn damaged_files_of_every_format_never_panic() {
     let values: Vec<f32> = (0..24).map(|at| at as f32 - 3.0).collect();
-    let array = npy("<f4", false, "3, 4, 2", &bytes_of(&values));
+    let array = npy_bytes("<f4", false, "(3, 4, 2)", &bytes_of(&values));
     let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     archive.start_file("flow.npy", zip::write::SimpleFileOptions::default()).unwrap();
     std::io::Write::write_all(&mut archive, &array).unwrap();
@@ -196,7 +185,7 @@ fn damaged_files_of_every_format_never_panic() {
     for (name, at_least) in
         [("a.npy", 60), ("a.npz", 100), ("a.flo", 60), ("a.pfm", 60), ("a.png", 150), ("a.exr", 100)]
     {
-        let refused = scene::mangle::refused(&path(name), 300, |path| read(path, Content::Flow).map(drop));
+        let refused = crate::mangle::refused(&path(name), 300, |path| read(path, Content::Flow).map(drop));
         assert!(refused >= at_least, "only {refused} of 300 damaged versions of {name} were refused");
     }
 }

@@ -1,4 +1,4 @@
-//! Damaged files of every format are refused or read as something valid, and never panic.
+//! Readers of damaged files: every format is rejected or read as valid data, without a panic.
 
 use std::path::Path;
 
@@ -10,11 +10,11 @@ use crate::npy_file::tests::npy_bytes;
 use crate::ply::PlyFormat;
 use crate::{Capture, Gaussians, Result, exr_file, image_file, npy_file};
 
-/// A reader that says whether it accepted the file.
+/// Reads a file and drops its content.
 type Reader = fn(&Path) -> Result<()>;
 
 #[test]
-fn no_reader_panics_and_most_damage_is_noticed() {
+fn readers_reject_most_damage_and_never_panic() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
     let cloud = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 7, 3);
@@ -55,7 +55,7 @@ fn no_reader_panics_and_most_damage_is_noticed() {
 }
 
 #[test]
-fn a_damaged_description_of_a_capture_is_refused() {
+fn a_damaged_capture_index_is_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let json = r#"{"name":"a","pose_source":"b","protocol":{"dataset":"d","split":"s","width":1,"height":1,
         "resize":"none","background":"white","time":"t"},"background":[0,0,0],"time_map":{"start_secs":0,"end_secs":1,
@@ -65,5 +65,5 @@ fn a_damaged_description_of_a_capture_is_refused() {
     let reader: Reader = |path| Capture::open(path.parent().unwrap()).map(drop);
     assert!(refused(&path, 300, reader) >= 200);
     let error = Capture::open(&dir.path().join("absent")).unwrap_err().to_string();
-    assert!(error.ends_with("absent/capture.json") && error.contains("is this the folder of a capture?"), "{error}");
+    assert!(error.ends_with("absent/capture.json") && error.contains("is this a folder with a capture?"), "{error}");
 }

@@ -1,0 +1,16 @@
+//! What the stages that write or read a capture share: its artifact type, parallel work on its views, and the files
+//! that its views need.
+//!
+//! `engine` does not know scenes, and `scene` does not know the engine. This crate joins the two.
+#![warn(missing_docs, unreachable_pub)]
+
+mod per_view;
+mod view_files;
+
+pub use per_view::per_view;
+pub use view_files::{match_required, open_folder};
+
+engine::artifact! {
+    /// A capture as an artifact: written by `scene-synthesis` and `sfm-import`, read by most other stages.
+    pub struct CaptureArtifact(scene::Capture) = "capture" @ scene::capture::SCHEMA;
+}

@@ -1,0 +1,31 @@
+//! The files of a data folder that the views of a capture need.
+
+use std::path::Path;
+
+use engine::{Failure, FailureKind};
+use scene::maps::{MatchedFiles, ViewFolder};
+use scene::{Capture, Videos, View};
+
+/// Opens a folder with one file per view; [`FailureKind::MissingData`] if it does not exist. `what` names its content.
+pub fn open_folder(dir: &Path, extensions: &[&str], what: &str) -> anyhow::Result<ViewFolder> {
+    let missing = || Failure::new(FailureKind::MissingData, format!("no such folder of {what}")).at(dir);
+    Ok(ViewFolder::open(dir, extensions)?.ok_or_else(missing)?)
+}
+
+/// Matches the files of a folder with the views of a capture. A view that `needs` a file and has none is
+/// [`FailureKind::MissingData`].
+pub fn match_required<'a>(
+    folder: &'a ViewFolder,
+    capture: &Capture,
+    needs: impl Fn(&View) -> bool,
+) -> Result<MatchedFiles<'a>, Failure> {
+    let matched = folder.match_views(capture);
+    let views = capture.views.iter().zip(&matched.files);
+    let missing: Vec<&str> =
+        views.filter(|(view, file)| file.is_none() && needs(view)).map(|(view, _)| view.name.as_str()).collect();
+    let Some(first) = missing.first() else { return Ok(matched) };
+    let message = format!("{} views have no file here, the first is {first}", missing.len());
+    let number = Videos::of(capture).number(&capture.views[0]).map_or("", |_| " or the number of its frame");
+    let hint = format!("a file has the name of its view in the capture{number}");
+    Err(Failure::new(FailureKind::MissingData, message).hint(hint).at(folder.dir()))
+}
