@@ -3,26 +3,31 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use cargo_metadata::{DependencyKind, MetadataCommand};
+use walkdir::WalkDir;
 
-/// For each crate, the workspace crates that it may depend on: the stages whose artifacts it reads, the engine, and
-/// the vocabulary.
-const ALLOWED: [(&str, &[&str]); 17] = [
+use crate::product::root;
+
+/// For each crate, the workspace crates that it may depend on: the stages whose artifacts it reads, the engine, the
+/// vocabulary, and the crate that joins the two.
+const ALLOWED: [(&str, &[&str]); 18] = [
     ("engine", &[]),
     ("scene", &[]),
+    ("captures", &["engine", "scene"]),
     ("needs", &[]),
     ("shaders", &["scene", "needs"]),
-    ("scene-synthesis", &["engine", "scene"]),
-    ("sfm-import", &["engine", "scene", "needs"]),
-    ("depth-flow-import", &["engine", "scene", "scene-synthesis", "needs"]),
-    ("layer-split", &["engine", "scene", "scene-synthesis", "depth-flow-import"]),
-    ("inpaint-import", &["engine", "scene", "scene-synthesis", "depth-flow-import", "layer-split"]),
-    ("feature-import", &["engine", "scene", "scene-synthesis"]),
-    ("momentum-sampling", &["engine", "scene", "scene-synthesis", "depth-flow-import"]),
+    ("scene-synthesis", &["engine", "scene", "captures"]),
+    ("sfm-import", &["engine", "scene", "captures", "needs"]),
+    ("depth-flow-import", &["engine", "scene", "captures", "scene-synthesis", "needs"]),
+    ("layer-split", &["engine", "scene", "captures", "scene-synthesis", "depth-flow-import"]),
+    ("inpaint-import", &["engine", "scene", "captures", "scene-synthesis", "depth-flow-import", "layer-split"]),
+    ("feature-import", &["engine", "scene", "captures", "scene-synthesis"]),
+    ("momentum-sampling", &["engine", "scene", "captures", "scene-synthesis", "depth-flow-import"]),
     (
         "training",
         &[
             "engine",
             "scene",
+            "captures",
             "shaders",
             "scene-synthesis",
             "sfm-import",
@@ -33,9 +38,9 @@ const ALLOWED: [(&str, &[&str]); 17] = [
             "momentum-sampling",
         ],
     ),
-    ("rendering", &["engine", "scene", "shaders", "training", "scene-synthesis", "sfm-import"]),
-    ("metric-evaluation", &["engine", "scene", "rendering", "scene-synthesis", "sfm-import", "needs"]),
-    ("table-generation", &["engine", "scene", "training", "rendering", "metric-evaluation"]),
+    ("rendering", &["engine", "scene", "captures", "shaders", "training", "scene-synthesis", "sfm-import"]),
+    ("metric-evaluation", &["engine", "scene", "captures", "rendering", "scene-synthesis", "sfm-import", "needs"]),
+    ("table-generation", &["engine", "scene", "captures", "training", "rendering", "metric-evaluation"]),
     (
         "cli",
         &[
@@ -58,6 +63,19 @@ const ALLOWED: [(&str, &[&str]); 17] = [
     ("tests", &["cli", "engine", "scene", "scene-synthesis", "training", "needs"]),
 ];
 
+/// For each stage, the items that the product code of other stages may use: types of its artifact. `rendering` must
+/// also evaluate a trained model, so it uses the player, the devices and the error measure of `training`.
+const SHARED_ITEMS: [(&str, &[&str]); 8] = [
+    ("depth-flow-import", &["Priors", "FlowPrior"]),
+    ("layer-split", &["Layers"]),
+    ("inpaint-import", &["Background", "FilledView"]),
+    ("feature-import", &["Features"]),
+    ("momentum-sampling", &["Particles"]),
+    ("training", &["Model", "ModelHeader", "LargestGradient", "player", "device", "curve"]),
+    ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),
+    ("metric-evaluation", &["Metrics", "Metric", "Score"]),
+];
+
 /// Every dependency between workspace crates (tests and benchmarks included), by crate.
 fn workspace_dependencies() -> BTreeMap<String, BTreeSet<String>> {
     let metadata = MetadataCommand::new().no_deps().exec().expect("cargo metadata runs");
@@ -78,6 +96,54 @@ fn forbidden(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     refused.map(|(from, to)| format!("{from} → {to}")).collect()
 }
 
+/// Product code of every stage: its sources without tests, by name of the stage.
+fn stage_sources() -> Vec<(String, String)> {
+    let stages = std::fs::read_dir(root().join("stages")).expect("the stages are listed");
+    let source = |stage: std::io::Result<std::fs::DirEntry>| {
+        let stage = stage.expect("the stage is readable").path();
+        let is_test = |path: &str| path == "tests" || path == "tests.rs" || path.ends_with("_tests.rs");
+        let files = WalkDir::new(stage.join("src"))
+            .into_iter()
+            .filter_entry(|it| !it.file_name().to_str().is_some_and(is_test));
+        let rust = files.filter_map(Result::ok).filter(|it| it.path().extension().is_some_and(|ending| ending == "rs"));
+        let text = |file: walkdir::DirEntry| {
+            let text = std::fs::read_to_string(file.path()).expect("the source is readable");
+            text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default().to_owned()
+        };
+        (stage.file_name().expect("a name").to_string_lossy().into_owned(), rust.map(text).collect())
+    };
+    stages.map(source).collect()
+}
+
+/// The first path segments after `name::` in a text, e.g. `a` and `b` for `name::{a, b::c}`.
+fn items_of<'a>(name: &str, text: &'a str) -> Vec<&'a str> {
+    let is_word = |symbol: char| symbol.is_alphanumeric() || symbol == '_';
+    let prefix = format!("{name}::");
+    let places = text.match_indices(&prefix).filter(|(at, _)| !text[..*at].ends_with(|it| is_word(it) || it == ':'));
+    let items = places.flat_map(|(at, _)| {
+        let rest = &text[at + prefix.len()..];
+        let list = rest.strip_prefix('{').map_or(rest, |list| list.split('}').next().unwrap_or_default());
+        let count = if rest.starts_with('{') { usize::MAX } else { 1 };
+        list.split(',').take(count).map(str::trim_start)
+    });
+    items.map(|item| item.split(|it| !is_word(it)).next().unwrap_or_default()).filter(|item| !item.is_empty()).collect()
+}
+
+/// The uses of items of other stages that `SHARED_ITEMS` does not list.
+fn forbidden_items(sources: &[(String, String)]) -> Vec<String> {
+    let stages: Vec<&str> = sources.iter().map(|(stage, _)| stage.as_str()).collect();
+    let mut found = BTreeSet::new();
+    for (user, text) in sources {
+        for stage in stages.iter().filter(|stage| *stage != user) {
+            let shared = SHARED_ITEMS.iter().find(|(name, _)| name == stage).map_or(&[][..], |(_, items)| items);
+            let items = items_of(&stage.replace('-', "_"), text);
+            let refused = items.into_iter().filter(|item| !shared.contains(item));
+            found.extend(refused.map(|item| format!("{user} uses {item} of {stage}")));
+        }
+    }
+    found.into_iter().collect()
+}
+
 #[test]
 fn crates_depend_only_along_the_data_flow() {
     let graph = workspace_dependencies();
@@ -91,4 +157,26 @@ fn a_forbidden_dependency_is_noticed() {
     let mut graph = workspace_dependencies();
     graph.get_mut("engine").expect("engine exists").insert("scene".into());
     assert_eq!(forbidden(&graph), ["engine → scene"]);
+}
+
+#[test]
+fn stages_share_only_types_of_their_artifacts() {
+    let sources = stage_sources();
+    assert_eq!(forbidden_items(&sources), Vec::<String>::new(), "items that are not part of an artifact");
+    let uses = |stage: &str, item: &&str| {
+        let name = stage.replace('-', "_");
+        sources.iter().any(|(user, text)| user != stage && items_of(&name, text).contains(item))
+    };
+    for (stage, items) in SHARED_ITEMS {
+        let unused: Vec<_> = items.iter().filter(|item| !uses(stage, item)).collect();
+        assert!(unused.is_empty(), "no stage uses {unused:?} of {stage}");
+    }
+}
+
+#[test]
+fn a_forbidden_item_is_noticed() {
+    let mut sources = stage_sources();
+    let user = sources.iter_mut().find(|(stage, _)| stage == "layer-split").expect("layer-split exists");
+    user.1 += "use depth_flow_import::{Priors, flow::consistent};";
+    assert_eq!(forbidden_items(&sources), ["layer-split uses flow of depth-flow-import"]);
 }
