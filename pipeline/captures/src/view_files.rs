@@ -23,8 +23,11 @@ pub fn match_required<'a>(
     let views = capture.views.iter().zip(&matched.files);
     let missing: Vec<&str> =
         views.filter(|(view, file)| file.is_none() && needs(view)).map(|(view, _)| view.name.as_str()).collect();
-    let Some(first) = missing.first() else { return Ok(matched) };
-    let message = format!("{} views have no file here, the first is {first}", missing.len());
+    let message = match missing.as_slice() {
+        [] => return Ok(matched),
+        [view] => format!("view {view} has no file in this folder"),
+        [first, ..] => format!("{} views have no file in this folder, e.g. {first}", missing.len()),
+    };
     let number = Videos::of(capture).number(&capture.views[0]).map_or("", |_| " or the number of its frame");
     let hint = format!("a file has the name of its view in the capture{number}");
     Err(Failure::new(FailureKind::MissingData, message).hint(hint).at(folder.dir()))

@@ -137,7 +137,7 @@ fn missing_negative_empty_or_misshapen_maps_are_rejected() {
     scene::exr_file::write(&file, 20, 30, &[("Z", vec![1.0; 600])]).unwrap();
     assert_refused(&capture, maps.path(), &params(), &["20×30 pixels for a view of 48×32", "uncropped"]);
     std::fs::remove_file(&file).unwrap();
-    assert_refused(&capture, maps.path(), &params(), &["1 views have no file", &first.name]);
+    assert_refused(&capture, maps.path(), &params(), &[&format!("view {} has no file in this folder", first.name)]);
     let (_root, priors, _) = run(&capture, maps.path(), &Params { allow_missing: true, ..params() }).unwrap();
     assert_eq!(priors.load_depth(0).unwrap(), None);
     std::fs::write(&file, b"no image").unwrap();

@@ -21,7 +21,7 @@ fn inpainted_frames_replace_moving_pixels_only() {
     let painted = Painted::new(CameraPath::Arc, Behind::None, false, crossing);
     let frames = tempfile::tempdir().unwrap();
     let refused = painted.run(None, [frames.path(), Path::new("")], &files()).err().unwrap();
-    assert!(format!("{refused:#}").contains("9 views have no file here"), "{refused:#}");
+    assert!(format!("{refused:#}").contains("9 views have no file in this folder"), "{refused:#}");
     write_frames(&painted, frames.path());
     let (_root, background) = painted.run(None, [frames.path(), Path::new("")], &files()).unwrap();
     let (error, _, unfilled) = painted.errors(&background);
