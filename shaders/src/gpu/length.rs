@@ -1,8 +1,8 @@
-//! Numbers of elements that only the GPU knows, and dispatches over so many: nobody waits to learn them.
+//! Array lengths that only the GPU knows, and dispatches over that many elements without a readback.
 
 use super::{Gpu, GpuArray};
 
-/// How many elements of an array with room for more are used.
+/// The number of elements in use of an array with a larger capacity.
 #[derive(Debug)]
 pub struct Length {
     /// Used, wanted, and the two dispatches.
@@ -12,7 +12,7 @@ pub struct Length {
 /// Workgroups of a launch.
 #[derive(Clone, Copy)]
 pub enum Groups<'a> {
-    /// So many.
+    /// This many.
     Count(usize),
     /// As a kernel wrote them: three numbers from this element of the array on.
     Indirect(&'a GpuArray, usize),
@@ -29,7 +29,7 @@ impl Length {
     pub const GROUP: usize = 256;
     pub const BLOCK: usize = 1024;
 
-    /// What a kernel that declares the array `length` calls: `write_length(wanted, room)`.
+    /// What a kernel that declares the array `length` calls: `write_length(wanted, capacity)`.
     pub const WGSL: &'static str = include_str!("length_write.wgsl");
 
     /// For a kernel to write.
@@ -60,35 +60,35 @@ pub(crate) mod tests {
     use crate::gpu::{Binding, Kernel, uniforms};
 
     uniforms! {
-        struct WantedBlock as "Wanted" { count: u32, room: u32 }
+        struct WantedBlock as "Wanted" { count: u32, capacity: u32 }
     }
 
     const WRITE: Kernel = Kernel {
         name: "test of lengths",
         text: &[
             Length::WGSL,
-            "struct Wanted { count: u32, room: u32 }
+            "struct Wanted { count: u32, capacity: u32 }
              @group(0) @binding(0) var<uniform> wanted: Wanted;
              @group(0) @binding(1) var<storage, read_write> length: array<u32>;
-             @compute @workgroup_size(1) fn main() { write_length(wanted.count, wanted.room); }",
+             @compute @workgroup_size(1) fn main() { write_length(wanted.count, wanted.capacity); }",
         ],
     };
 
-    /// A length that a GPU knows.
-    pub fn length_of(gpu: Gpu, count: usize, room: usize) -> Length {
+    /// A length written on a GPU.
+    pub fn length_of(gpu: Gpu, count: usize, capacity: usize) -> Length {
         let length = Length::new(gpu);
-        let constants = WantedBlock { count: count as u32, room: room as u32 };
+        let constants = WantedBlock { count: count as u32, capacity: capacity as u32 };
         WRITE.launch(gpu, &[], &constants, &[Binding::Write(length.array())], 1);
         length
     }
 
     #[test]
-    fn lengths_stop_where_there_is_no_room_and_dispatches_are_folded() {
+    fn lengths_stop_at_the_capacity_and_dispatches_fold() {
         crate::gpu::layout_tests::assert_valid::<WantedBlock>(&WRITE, &[]);
         let Some(gpu) = test_gpu() else { return };
-        let read = |count, room| {
+        let read = |count, capacity| {
             let mut out = [0_u32; 8];
-            length_of(gpu, count, room).array.read_into(&mut out);
+            length_of(gpu, count, capacity).array.read_into(&mut out);
             out
         };
         assert_eq!(read(0, 10), [0, 0, 1, 1, 1, 1, 1, 1]);

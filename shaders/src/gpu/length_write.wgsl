@@ -12,9 +12,9 @@ fn write_groups(at: u32, count: u32, per_group: u32) {
     length[at + 2u] = 1u;
 }
 
-fn write_length(wanted: u32, room: u32) {
-    length[0] = min(wanted, room);
+fn write_length(wanted: u32, capacity: u32) {
+    length[0] = min(wanted, capacity);
     length[1] = wanted;
-    write_groups(2u, min(wanted, room), 256u);
-    write_groups(5u, min(wanted, room), 1024u);
+    write_groups(2u, min(wanted, capacity), 256u);
+    write_groups(5u, min(wanted, capacity), 1024u);
 }

@@ -118,7 +118,7 @@ fn many_launches_between_two_readbacks_all_run() {
     let before = gpu.counts();
     let mut tape = Tape::<f32>::new(Device::Gpu(gpu));
     let mut x = tape.constant(Tensor::from_vec([2], vec![0.0, 1.0]));
-    // More launches than the constants of one submission have room for, each with a constant of its own.
+    // More launches than the constants of one submission hold, each with a constant of its own.
     for step in 0..5000 {
         x = pointwise::shift(&mut tape, x, f64::from(step % 5));
     }

@@ -6,9 +6,9 @@
 
 mod backward;
 pub mod chunks;
-mod later;
 mod pair_sums;
 mod profile;
+mod readback;
 mod real;
 pub(crate) mod simd;
 mod tensor;
@@ -22,10 +22,10 @@ use std::time::Instant;
 use crate::gpu::Gpu;
 pub use backward::Gradients;
 use backward::Node;
-pub(crate) use later::Later;
-pub use later::{Figures, Found};
 pub(crate) use pair_sums::sums_on_gpu;
 pub use profile::{Cost, OpCost, Profile};
+pub(crate) use readback::DeferredCount;
+pub use readback::{PendingReadback, Readback};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
 use totals::add_all;
@@ -119,12 +119,13 @@ pub struct Tape<T: Real> {
     values: Vec<Value<T>>,
     nodes: Vec<Node<T>>,
     profile: Profile,
-    /// What a GPU counted and nobody has asked for.
-    later: Vec<Later>,
-    room: Option<usize>,
-    /// What was cut off so far.
+    /// Counts on a GPU that have not been read back.
+    deferred: Vec<DeferredCount>,
+    /// Intersections that the buffers of a render on a GPU hold; `None`: each render reads back its number first.
+    capacity: Option<usize>,
+    /// The values detached so far.
     detached: Vec<Tensor<T>>,
-    /// What an earlier tape cut off, to be used instead.
+    /// The values that an earlier tape detached, which replace those of this tape.
     replayed: Option<Vec<Tensor<T>>>,
 }
 
@@ -133,47 +134,56 @@ impl<T: Real> Tape<T> {
     pub fn new(device: Device) -> Self {
         assert!(device == Device::Cpu || T::NAME == "f32", "a GPU computes in f32, not in {}", T::NAME);
         let (values, nodes, profile) = (Vec::new(), Vec::new(), Profile::default());
-        Self { device, values, nodes, profile, later: Vec::new(), room: None, detached: Vec::new(), replayed: None }
+        Self {
+            device,
+            values,
+            nodes,
+            profile,
+            deferred: Vec::new(),
+            capacity: None,
+            detached: Vec::new(),
+            replayed: None,
+        }
     }
 
-    /// The same tape, whose renders on a GPU make room for so many intersections and wait for nothing. Where there are more,
-    /// what they computed is worth nothing: [`Figures`] tell.
-    pub fn with_room(self, intersections: usize) -> Self {
-        Self { room: Some(intersections), ..self }
+    /// The same tape with a fixed capacity: its renders on a GPU allocate buffers for this many intersections and never wait
+    /// for their number. A render with more of them is invalid, which [`Readback::overflowed`] reports.
+    pub fn with_capacity(self, intersections: usize) -> Self {
+        Self { capacity: Some(intersections), ..self }
     }
 
-    /// An empty tape on the same device, whose renders have the same room: for what takes no part in differentiation, and
-    /// need not be kept until the backward pass.
-    pub fn aside(&self) -> Self {
-        Self { room: self.room, ..Self::new(self.device) }
+    /// An empty tape on the same device and with the same capacity, for computations outside differentiation whose values
+    /// need not live until the backward pass.
+    pub fn child(&self) -> Self {
+        Self { capacity: self.capacity, ..Self::new(self.device) }
     }
 
-    /// Tells of itself what a tape aside has to tell, now and later: whether its renders had room, above all.
-    pub fn heed(&mut self, aside: Self) {
-        aside.profile.events.iter().for_each(|(what, times)| self.profile.count(what, *times));
-        self.later.extend(aside.later);
+    /// Takes over the events and the deferred counts of a child tape, e.g. an overflow of its renders.
+    pub fn absorb(&mut self, child: Self) {
+        child.profile.events.iter().for_each(|(what, times)| self.profile.count(what, *times));
+        self.deferred.extend(child.deferred);
     }
 
-    /// Renders to come wait for the number of their intersections.
-    pub fn wait_for_room(&mut self) {
-        self.room = None;
+    /// Later renders on a GPU read back the number of their intersections before they allocate.
+    pub fn clear_capacity(&mut self) {
+        self.capacity = None;
     }
 
-    pub(crate) fn room(&self) -> Option<usize> {
-        self.room
+    pub(crate) fn capacity(&self) -> Option<usize> {
+        self.capacity
     }
 
-    /// Notes what a GPU counts, to be looked at when somebody asks.
-    pub(crate) fn say_later(&mut self, what: Later) {
-        self.later.push(what);
+    /// Keeps a count on the GPU until a readback.
+    pub(crate) fn defer(&mut self, count: DeferredCount) {
+        self.deferred.push(count);
     }
 
-    /// Waits for what a GPU counted so far, adds it to the events and returns it.
-    pub fn settle(&mut self) -> Found {
-        let figures = Figures::of(self, Vec::new());
-        let found = Figures::read([&figures]).remove(0);
-        found.events.iter().for_each(|(what, count)| self.profile.count(what, *count));
-        found
+    /// Reads back the deferred counts so far, adds them to the profile's events and returns them.
+    pub fn read_back(&mut self) -> Readback {
+        let pending = PendingReadback::of(self, Vec::new());
+        let readback = PendingReadback::read([&pending]).remove(0);
+        readback.events.iter().for_each(|(what, count)| self.profile.count(what, *count));
+        readback
     }
 
     /// A tape for central differences of what an earlier tape computed: wherever that one cut a value off, this one goes
@@ -231,7 +241,7 @@ impl<T: Real> Tape<T> {
         self.values[var.0].needs_gradient
     }
 
-    /// Seconds and calls per operation name so far, and events: those that a GPU counts after [`Tape::settle`].
+    /// Seconds and calls per operation name so far, and events: those that a GPU counts after [`Tape::read_back`].
     pub fn profile(&self) -> &Profile {
         &self.profile
     }

@@ -28,7 +28,7 @@ pub struct Player {
     sh_degree: usize,
     /// The most intersections of a render so far: those to come have room for as many, and are made again if that is
     /// not enough.
-    room: AtomicUsize,
+    capacity: AtomicUsize,
 }
 
 /// Gaussians' positions at one time, and how to find the same Gaussian at another.
@@ -81,8 +81,8 @@ impl Player {
         let state = ModelState::from_named(&model.tensors);
         let prompt_names = header.prompts.clone();
         let (device, phase) = (Device::Cpu, phase.clone());
-        let (sh_degree, room) = (header.sh_degree, AtomicUsize::new(0));
-        Ok(Self { method, state, prompt_names, scene, device, phase, sh_degree, room })
+        let (sh_degree, capacity) = (header.sh_degree, AtomicUsize::new(0));
+        Ok(Self { method, state, prompt_names, scene, device, phase, sh_degree, capacity })
     }
 
     /// The same player, which computes on a device.
@@ -93,9 +93,9 @@ impl Player {
     /// An empty tape on the player's device.
     pub fn tape(&self) -> Tape<f32> {
         let tape = Tape::new(self.device);
-        match self.room.load(Ordering::Relaxed) {
+        match self.capacity.load(Ordering::Relaxed) {
             0 => tape,
-            most => tape.with_room(most),
+            most => tape.with_capacity(most),
         }
     }
 
@@ -143,13 +143,13 @@ impl Player {
         settings: &RasterSettings,
     ) -> anyhow::Result<Rendered> {
         let mut rendered = rasteriser::render(tape, splats, features, camera, settings).map_err(too_large)?;
-        let mut found = tape.settle();
-        if !found.fits {
-            tape.wait_for_room();
+        let mut found = tape.read_back();
+        if found.overflowed {
+            tape.clear_capacity();
             rendered = rasteriser::render(tape, splats, features, camera, settings).map_err(too_large)?;
-            found = tape.settle();
+            found = tape.read_back();
         }
-        self.room.fetch_max(found.intersections, Ordering::Relaxed);
+        self.capacity.fetch_max(found.intersections, Ordering::Relaxed);
         match found.events.get(rasteriser::NOT_FINITE) {
             Some(count) => {
                 let message = format!("a value of {count} splats is not finite");

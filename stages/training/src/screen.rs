@@ -2,7 +2,7 @@
 
 use std::cell::OnceCell;
 
-use shaders::rasteriser::screen::{self, Look};
+use shaders::rasteriser::screen::{self, PopulationRender};
 use shaders::tape::{Gradients, Tape, Tensor};
 
 use crate::step::{OwnerVars, WatchedRender};
@@ -92,13 +92,13 @@ impl<'a> Screen<'a> {
     /// none did.
     pub fn observe_on_gpu(&self, statistics: &Tensor<f32>) -> Option<Tensor<f32>> {
         let (tape, gradients) = self.step?;
-        let look = |render: &&'a WatchedRender| Look {
+        let of_render = |render: &&'a WatchedRender| PopulationRender {
             rendered: &render.rendered,
             size_px: render.size_px,
             row_of_splat: render.row_of_splat(),
         };
-        let looks: Vec<Look> = self.renders.iter().map(look).collect();
-        screen::observe(tape, gradients, &looks, statistics)
+        let renders: Vec<PopulationRender> = self.renders.iter().map(of_render).collect();
+        screen::observe(tape, gradients, &renders, statistics)
     }
 
     /// The number of Gaussians.

@@ -1,7 +1,7 @@
 // What the kernels of a sort share: one pass moves keys by a digit of eight bits.
 
 struct Sort {
-    // Keys that there is room for, and the blocks of 1024 of them.
+    // The capacity in keys, and the blocks of 1024 of them.
     len: u32,
     blocks: u32,
     // Where the digit lies in the key, and where that of the next pass.

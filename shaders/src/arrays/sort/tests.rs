@@ -92,12 +92,12 @@ fn sorts_of_any_length_are_stable() {
 #[test]
 fn as_many_keys_are_sorted_as_there_are() {
     let Some(gpu) = test_gpu() else { return };
-    for (room, count) in [(0, 0), (1, 0), (3000, 1), (3000, 2047), (3000, 3000), (70_000, 66_000)] {
-        let keys = scrambled(room);
-        let length = length_of(gpu, count, room);
+    for (capacity, count) in [(0, 0), (1, 0), (3000, 1), (3000, 2047), (3000, 3000), (70_000, 66_000)] {
+        let keys = scrambled(capacity);
+        let length = length_of(gpu, count, capacity);
         let (sorted, places) = sort_first(gpu, &GpuArray::upload(gpu, &keys), Some(&length), 32);
         let (sorted, places) = (read(&sorted), read(&places));
-        assert!(is_stably_sorted(&keys[..count], (&sorted[..count], &places[..count])), "{count} of {room}");
+        assert!(is_stably_sorted(&keys[..count], (&sorted[..count], &places[..count])), "{count} of {capacity}");
     }
 }
 

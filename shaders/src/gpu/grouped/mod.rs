@@ -127,16 +127,16 @@ impl Grouped {
         TEXT.to_owned() + &padded + &declared.chain(functions).collect::<String>()
     }
 
-    /// Items that one launch has room for, if a kernel sees their arrays whole.
-    pub fn room(&self, gpu: Gpu) -> usize {
-        room(gpu, self.shared, self.arrays.len())
+    /// Items per launch if the kernel sees their arrays whole.
+    pub fn capacity(&self, gpu: Gpu) -> usize {
+        capacity(gpu, self.shared, self.arrays.len())
     }
 
-    /// Items that one launch has room for, of these.
-    pub fn room_for<C>(&self, gpu: Gpu, shared: &[Binding], items: &[Item<C>]) -> usize {
+    /// Items per launch, given how many parts the arrays of these items need.
+    pub fn capacity_for<C>(&self, gpu: Gpu, shared: &[Binding], items: &[Item<C>]) -> usize {
         let parts = |arrays: &[Binding]| arrays.iter().map(|array| parts::count(gpu, array.len())).sum();
         let most = items.iter().map(|item| parts(&item.arrays)).max();
-        room(gpu, parts(shared), most.unwrap_or(self.arrays.len()))
+        capacity(gpu, parts(shared), most.unwrap_or(self.arrays.len()))
     }
 
     /// Records one run over all items, in as few launches as the adapter allows; items without workgroups are left out.
@@ -147,10 +147,10 @@ impl Grouped {
         shared: &[Binding],
         items: &[Item<C>],
     ) {
-        let room = self.room_for(gpu, shared, items);
+        let capacity = self.capacity_for(gpu, shared, items);
         let items: Vec<&Item<C>> = items.iter().filter(|item| item.groups > 0).collect();
         // Of equal sizes, which share a pipeline.
-        let launches = items.len().div_ceil(room).max(1);
+        let launches = items.len().div_ceil(capacity).max(1);
         for items in items.chunks(items.len().div_ceil(launches).max(1)) {
             let mut groups = 0;
             let mut first_groups = Vec::new();
@@ -162,7 +162,7 @@ impl Grouped {
         }
     }
 
-    /// Records one launch of workgroups that have all items in common, no more than there is room for.
+    /// Records one launch of workgroups that have all items in common, at most [`Grouped::capacity`] of them.
     pub fn launch_together<C: bytemuck::NoUninit>(
         &self,
         gpu: Gpu,
@@ -171,7 +171,7 @@ impl Grouped {
         items: &[Item<C>],
         groups: usize,
     ) {
-        assert!(items.len() <= self.room(gpu), "{}: {} items in one launch", self.kernel.name, items.len());
+        assert!(items.len() <= self.capacity(gpu), "{}: {} items in one launch", self.kernel.name, items.len());
         let items: Vec<&Item<C>> = items.iter().collect();
         self.record(gpu, specialisation, shared, &items, (vec![0; items.len()], groups));
     }
@@ -200,8 +200,8 @@ impl Grouped {
     }
 }
 
-/// Items of so many arrays that a launch has room for beside shared ones; one at least.
-fn room(gpu: Gpu, shared: usize, arrays: usize) -> usize {
+/// Items per launch of `arrays` arrays each, besides `shared` arrays; at least one.
+fn capacity(gpu: Gpu, shared: usize, arrays: usize) -> usize {
     let left = gpu.arrays_per_kernel().saturating_sub(shared);
     left.checked_div(arrays).unwrap_or(MOST_ITEMS).clamp(1, MOST_ITEMS)
 }

@@ -44,7 +44,7 @@ impl<'a> Parts<'a> {
     pub fn of(gpu: Gpu, kernel: &str, arrays: &[Binding<'a>]) -> Option<Self> {
         let len = visible_len(gpu);
         #[cfg(test)]
-        let len = tests::len_that_fits(gpu, arrays, len);
+        let len = tests::bindable_len(gpu, arrays, len);
         let counts: Vec<usize> = arrays.iter().map(|array| count_of(array.len(), len)).collect();
         if counts.iter().all(|&count| count == 1) {
             return None;
@@ -60,8 +60,8 @@ impl<'a> Parts<'a> {
         let allowed = gpu.arrays_per_kernel();
         if bindings.len() > allowed {
             let (name, bytes, kernel, needed) = (gpu.name(), 4 * len, kernel, bindings.len());
-            let room = format!("adapter {name:?} allows {allowed} arrays of {bytes} bytes in kernel {kernel:?}");
-            GpuFailure::OutOfMemory(format!("{room}, and {needed} are needed")).raise();
+            let limit = format!("adapter {name:?} allows {allowed} arrays of {bytes} bytes in kernel {kernel:?}");
+            GpuFailure::OutOfMemory(format!("{limit}, and {needed} are needed")).raise();
         }
         Some(Self { counts, len, bindings })
     }

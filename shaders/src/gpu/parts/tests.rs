@@ -22,7 +22,7 @@ pub fn changed_len() -> Option<usize> {
 }
 
 /// The numbers of a part for these arrays; where a test wants the smallest, so many that a kernel sees all parts.
-pub fn len_that_fits(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
+pub fn bindable_len(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
     let parts = |len| arrays.iter().map(|array| count_of(array.len(), len)).sum::<usize>();
     let fits = |&len: &usize| !SMALLEST.get() || parts(len) <= gpu.arrays_per_kernel();
     let len = (len..).step_by(ALIGNMENT).find(fits).expect("whole arrays fit");

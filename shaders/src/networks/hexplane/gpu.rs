@@ -159,7 +159,7 @@ fn scales_per_launch<T: Real>(gpu: Gpu, scales: &[ScaleItem], planes: &[&Tensor<
             of_planes + of_backward.max(of_texels) <= gpu.arrays_per_kernel()
         })
     };
-    let most = BACKWARD.room(gpu).min(TEXELS.room(gpu));
+    let most = BACKWARD.capacity(gpu).min(TEXELS.capacity(gpu));
     (1..=most).rev().find(fits).unwrap_or(1)
 }
 

@@ -147,8 +147,8 @@ pub fn sum(
 ) {
     let mut items: Vec<Item<ProductItem>> = products.iter().map(|product| product.item(adds)).collect();
     let specialisation = specialised(specialisation, true);
-    let room = kernel.room_for(gpu, &[y], &items);
-    for (launch, items) in items.chunks_mut(room).enumerate() {
+    let capacity = kernel.capacity_for(gpu, &[y], &items);
+    for (launch, items) in items.chunks_mut(capacity).enumerate() {
         items.iter_mut().for_each(|item| item.constants.adds |= u32::from(launch > 0));
         kernel.launch_together(gpu, &specialisation, &[y], items, products[0].tiles());
     }

@@ -1,5 +1,5 @@
 // The tiles of every rank, tiles ascending, each with the rank. Should this pass find fewer than were counted, the rest
-// belong to no tile; more are not written, nor what there is no room for.
+// belong to no tile; more are not written, nor what there is no capacity for.
 
 @group(0) @binding(4) var<storage, read> order: array<u32>;
 @group(0) @binding(5) var<storage, read> hit_starts: array<u32>;
@@ -15,13 +15,13 @@ fn main(
 ) {
     let rank = flat_group(group, groups) * 256u + local;
     if (rank == 0u) {
-        write_length(hit_starts[grid.count], grid.room);
+        write_length(hit_starts[grid.count], grid.capacity);
     }
     if (rank >= grid.count) {
         return;
     }
     var hit = hit_starts[rank];
-    let end = min(hit_starts[rank + 1u], grid.room);
+    let end = min(hit_starts[rank + 1u], grid.capacity);
     if (hit >= end) {
         return;
     }

@@ -31,8 +31,8 @@ fn ellipse_around(center: vec2<f32>, conic: vec3<f32>, cutoff: f32) -> Ellipse {
 
 // Half the width at a height relative to the centre.
 fn half_width(ellipse: Ellipse, offset_y: f32) -> f32 {
-    let room = max(ellipse.squared_radius - ellipse.conic.z * offset_y * offset_y, 0.0);
-    return sqrt(room / ellipse.conic.x);
+    let capacity = max(ellipse.squared_radius - ellipse.conic.z * offset_y * offset_y, 0.0);
+    return sqrt(capacity / ellipse.conic.x);
 }
 
 // The shadow on the x axis of the part between two heights; its end lies before its start where there is none. The part is

@@ -25,7 +25,7 @@ uniforms! {
         rows: u32,
         tiles: u32,
         count: u32,
-        room: u32,
+        capacity: u32,
     }
 }
 
@@ -41,17 +41,17 @@ pub struct GpuLists {
     pub grid: Grid,
     /// [1]: splats that some tile holds.
     pub visible: GpuArray,
-    /// How many entries and hits there are; whoever wants to know later need not keep the lists.
+    /// The number of entries, which is also that of hits; shared, so that a deferred readback need not keep the lists.
     pub entries: Arc<Length>,
     /// [N]: splats by rank; those that no tile holds come last.
     pub order: GpuArray,
     /// [N].
     pub rank_of_splat: GpuArray,
-    /// [entries], with room for more.
+    /// [entries], with spare capacity.
     pub ranks: GpuArray,
     /// [tiles + 1].
     pub tile_starts: GpuArray,
-    /// [hits], with room for more; `NO_RANK` for a hit that was counted and not found.
+    /// [hits], with spare capacity; `NO_RANK` for a hit that was counted and not found.
     pub entry_of_hit: GpuArray,
     /// [N + 1]: where the hits of a rank begin; ranks that no tile holds have none.
     pub hit_starts: GpuArray,
@@ -81,19 +81,19 @@ impl GpuLists {
 }
 
 impl GridBlock {
-    fn new(grid: Grid, count: usize, room: usize) -> Self {
-        let sizes = [grid.width, grid.height, grid.columns(), grid.rows(), grid.tiles(), count, room];
-        let [width, height, columns, rows, tiles, count, room] = sizes.map(|size| size as u32);
-        Self { width, height, columns, rows, tiles, count, room }
+    fn new(grid: Grid, count: usize, capacity: usize) -> Self {
+        let sizes = [grid.width, grid.height, grid.columns(), grid.rows(), grid.tiles(), count, capacity];
+        let [width, height, columns, rows, tiles, count, capacity] = sizes.map(|size| size as u32);
+        Self { width, height, columns, rows, tiles, count, capacity }
     }
 }
 
 /// Means, conics, depths and cutoffs of the splats.
 type Inputs<'a, T> = [&'a Tensor<T>; 4];
 
-/// The lists with room for so many intersections. Where no number is given, their number is read back first; `None` if
-/// there are too many then.
-pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, room: Option<usize>) -> Option<GpuLists> {
+/// The lists, in buffers with a capacity of this many intersections. Without a capacity, their number is read back first;
+/// `None` if it exceeds [`MAX_INTERSECTIONS`].
+pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, capacity: Option<usize>) -> Option<GpuLists> {
     let [means2d, conics, depths, cutoffs] = inputs.map(|input| input.on_gpu(gpu));
     let ellipses = [means2d, conics, cutoffs].map(Binding::Read);
     let count = depths.len();
@@ -110,29 +110,29 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, room: Option
     let arrays = [&read[..], &[&rank_of_splat, &visible].map(Binding::Write)].concat();
     let hit_starts = sums_of(gpu, &RANK, &arrays, count + 1);
 
-    let room = room.unwrap_or_else(|| hit_starts.read_one(count) as usize);
-    if room as u64 > MAX_INTERSECTIONS {
+    let capacity = capacity.unwrap_or_else(|| hit_starts.read_one(count) as usize);
+    if capacity as u64 > MAX_INTERSECTIONS {
         return None;
     }
     let entries = Arc::new(Length::new(gpu));
-    let [hit_tiles, hit_ranks] = hits(gpu, &ellipses, grid, room, [&order, &hit_starts, entries.array()]);
+    let [hit_tiles, hit_ranks] = hits(gpu, &ellipses, grid, capacity, [&order, &hit_starts, entries.array()]);
     let [ranks, tile_starts, entry_of_hit] = by_tile(gpu, grid, &entries, [&hit_tiles, &hit_ranks]);
     Some(GpuLists { grid, visible, entries, order, rank_of_splat, ranks, tile_starts, entry_of_hit, hit_starts })
 }
 
-/// Tile and rank of every hit, as many as there is room for; writes their number.
+/// Tile and rank of every hit, up to the capacity; writes their number.
 fn hits(
     gpu: Gpu,
     ellipses: &[Binding],
     grid: Grid,
-    room: usize,
+    capacity: usize,
     [order, hit_starts, length]: [&GpuArray; 3],
 ) -> [GpuArray; 2] {
-    let found = [(); 2].map(|()| GpuArray::new(gpu, room));
+    let found = [(); 2].map(|()| GpuArray::new(gpu, capacity));
     let written = [&found[0], &found[1], length].map(Binding::Write);
     let arrays = [ellipses, &[order, hit_starts].map(Binding::Read), &written].concat();
     let count = order.len();
-    HITS.launch(gpu, &[], &GridBlock::new(grid, count, room), &arrays, count.div_ceil(GROUP).max(1));
+    HITS.launch(gpu, &[], &GridBlock::new(grid, count, capacity), &arrays, count.div_ceil(GROUP).max(1));
     found
 }
 

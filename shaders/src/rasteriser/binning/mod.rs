@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use crate::gpu::Gpu;
 use crate::rasteriser::projection::ProjectedVars;
-use crate::tape::{Later, Op, Real, Tape, Tensor, chunks};
+use crate::tape::{DeferredCount, Op, Real, Tape, Tensor, chunks};
 use ellipse::Ellipse;
 pub use gpu::GpuLists;
 
@@ -170,12 +170,12 @@ pub fn bin<T: Real>(
 ) -> Result<Arc<Lists>, TooManyIntersections> {
     let result = Arc::new(OnceLock::new());
     let inputs = [projected.means2d, projected.conics, projected.depths, projected.cutoffs];
-    let room = tape.room();
-    tape.apply(Binning { grid, room, result: result.clone() }, &inputs);
+    let capacity = tape.capacity();
+    tape.apply(Binning { grid, capacity, result: result.clone() }, &inputs);
     let lists = result.get().expect("binning has run").clone()?;
     if let Lists::Gpu(on_gpu) = &*lists {
         let length = on_gpu.entries.clone();
-        tape.say_later(Later::Intersections { length, room: room.unwrap_or(usize::MAX) });
+        tape.defer(DeferredCount::Intersections { length, capacity: capacity.unwrap_or(usize::MAX) });
     }
     Ok(lists)
 }
@@ -183,13 +183,13 @@ pub fn bin<T: Real>(
 /// Computes no values: an operation so that its time is listed among the others.
 struct Binning {
     grid: Grid,
-    /// What a GPU makes room for, where nobody is to wait for the number of intersections.
-    room: Option<usize>,
+    /// Intersections that buffers on a GPU hold; `None`: their number is read back first.
+    capacity: Option<usize>,
     result: Arc<OnceLock<Result<Arc<Lists>, TooManyIntersections>>>,
 }
 
 impl Binning {
-    fn tell(&self, lists: Result<Lists, TooManyIntersections>) {
+    fn publish(&self, lists: Result<Lists, TooManyIntersections>) {
         assert!(self.result.set(lists.map(Arc::new)).is_ok(), "an operation runs forward once");
     }
 }
@@ -207,7 +207,7 @@ impl<T: Real> Op<T> for Binning {
             depths: depths.as_slice(),
             cutoffs: cutoffs.as_slice(),
         };
-        self.tell(tile_lists(&splats, self.grid).map(Lists::Host));
+        self.publish(tile_lists(&splats, self.grid).map(Lists::Host));
         Vec::new()
     }
 
@@ -224,8 +224,8 @@ impl<T: Real> Op<T> for Binning {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         let &[means2d, conics, depths, cutoffs] = inputs else { unreachable!("four inputs") };
         // Where there are too many, the CPU counts them for the message.
-        let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid, self.room)?;
-        self.tell(Ok(Lists::Gpu(Box::new(lists))));
+        let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid, self.capacity)?;
+        self.publish(Ok(Lists::Gpu(Box::new(lists))));
         Some(Vec::new())
     }
 }

@@ -9,8 +9,8 @@ struct Grid {
     tiles: u32,
     // Splats.
     count: u32,
-    // Hits that there is room for, where hits are written.
-    room: u32,
+    // Hits that there is capacity for, where hits are written.
+    capacity: u32,
 }
 
 @group(0) @binding(0) var<uniform> grid: Grid;

@@ -122,7 +122,7 @@ mod tests {
         let mut tape = Tape::new(device);
         let vars = splats.constants(&mut tape);
         project(&mut tape, &vars, &camera, &RasterSettings { sh_degree: 0, ..RasterSettings::default() });
-        tape.settle();
+        tape.read_back();
         EVENTS.map(|event| tape.profile().events.get(event).copied().unwrap_or(0))
     }
 

@@ -26,7 +26,7 @@ use crate::geometry::camera::PinholeCamera;
 use crate::gpu::{Gpu, GpuArray};
 use crate::rasteriser::settings::RasterSettings;
 use crate::rasteriser::splats::{ShapeVars, SplatVars};
-use crate::tape::{Later, Op, Real, Tape, Tensor, Var};
+use crate::tape::{DeferredCount, Op, Real, Tape, Tensor, Var};
 use reference::{Projected, Splat, SplatGradient, View};
 use shape::Shape;
 
@@ -83,7 +83,7 @@ pub fn project<T: Real>(
     let [means2d, conics, depths, opacities, colors, cutoffs] = outputs[..] else { unreachable!("six outputs") };
     let projected = ProjectedVars { means2d, conics, depths, opacities, colors, cutoffs };
     match events {
-        Some(counts) => tape.say_later(Later::Events { names: guards::EVENTS.to_vec(), counts }),
+        Some(counts) => tape.defer(DeferredCount::Events { names: guards::EVENTS.to_vec(), counts }),
         None => guards::count(tape, &projected, camera, settings),
     }
     projected

@@ -146,7 +146,7 @@ fn a_render_in_parts_gives_equal_bytes() {
             let events = RefCell::new(BTreeMap::new());
             let results = run(Device::Gpu(gpu), &inputs, |tape, vars| {
                 let images = f(tape, vars);
-                tape.settle();
+                tape.read_back();
                 events.replace(tape.profile().events.clone());
                 images
             });
@@ -223,58 +223,58 @@ fn a_gpu_lists_the_splats_of_every_tile_in_the_same_order() {
 }
 
 #[test]
-fn a_render_with_room_equals_one_that_waits_and_tells_where_it_was_too_little() {
+fn capacity_changes_no_render_and_overflow_is_reported() {
     let Some(gpu) = test_gpu() else { return };
     let scene = cast::<f32>(&splats(400, -2.0, 21));
-    let run = |room: Option<usize>| {
+    let run = |capacity: Option<usize>| {
         let mut tape = Tape::new(Device::Gpu(gpu));
-        if let Some(room) = room {
-            tape = tape.with_room(room);
+        if let Some(capacity) = capacity {
+            tape = tape.with_capacity(capacity);
         }
         let leaves = scene.leaves(&mut tape);
         let rendered = render(&mut tape, &leaves, None, &camera(60, 44), &default_with(false)).unwrap();
         let seed = Tensor::full([44, 60, 3], 1.0);
         let gradient = tape.backward(&[(rendered.color, seed)]).take(leaves.positions).unwrap();
-        let found = tape.settle();
+        let found = tape.read_back();
         (tape.value(rendered.color).clone(), gradient, found)
     };
     let (image, gradient, exact) = run(None);
-    assert!(exact.fits && exact.intersections > 1000, "{exact:?}");
-    for room in [exact.intersections, 3 * exact.intersections] {
-        let (with_room, gradient_with_room, found) = run(Some(room));
-        assert!(with_room == image && gradient_with_room == gradient && found == exact, "{found:?}");
+    assert!(!exact.overflowed && exact.intersections > 1000, "{exact:?}");
+    for capacity in [exact.intersections, 3 * exact.intersections] {
+        let (bounded, bounded_gradient, found) = run(Some(capacity));
+        assert!(bounded == image && bounded_gradient == gradient && found == exact, "{found:?}");
     }
     let (.., found) = run(Some(exact.intersections - 1));
-    assert_eq!((found.fits, found.intersections), (false, exact.intersections));
-    assert!(!run(Some(0)).2.fits);
+    assert_eq!((found.overflowed, found.intersections), (true, exact.intersections));
+    assert!(run(Some(0)).2.overflowed);
 }
 
 #[test]
-fn too_little_room_aside_is_told_by_the_tape_that_heeds_it() {
+fn overflow_on_a_child_tape_is_reported_by_its_parent() {
     let Some(gpu) = test_gpu() else { return };
     let scene = cast::<f32>(&splats(400, -2.0, 21));
-    let found_with = |room: usize, is_heeded: bool| {
-        let mut tape = Tape::new(Device::Gpu(gpu)).with_room(room);
-        let mut aside = tape.aside();
-        let splats = scene.constants(&mut aside);
-        render(&mut aside, &splats, None, &camera(60, 44), &default_with(false)).unwrap();
-        if is_heeded {
-            tape.heed(aside);
+    let found_with = |capacity: usize, is_absorbed: bool| {
+        let mut tape = Tape::new(Device::Gpu(gpu)).with_capacity(capacity);
+        let mut child = tape.child();
+        let splats = scene.constants(&mut child);
+        render(&mut child, &splats, None, &camera(60, 44), &default_with(false)).unwrap();
+        if is_absorbed {
+            tape.absorb(child);
         }
-        tape.settle()
+        tape.read_back()
     };
     let wanted = found_with(1 << 20, true);
-    assert!(wanted.fits && wanted.intersections > 1000, "{wanted:?}");
-    assert!(!found_with(wanted.intersections - 1, true).fits);
-    assert!(found_with(wanted.intersections - 1, false).fits, "nobody heeds it");
+    assert!(!wanted.overflowed && wanted.intersections > 1000, "{wanted:?}");
+    assert!(found_with(wanted.intersections - 1, true).overflowed);
+    assert!(!found_with(wanted.intersections - 1, false).overflowed, "not absorbed");
 }
 
 #[test]
-fn nothing_to_list_leaves_empty_tiles_where_there_is_room() {
+fn an_empty_render_leaves_spare_capacity_unused() {
     let Some(gpu) = test_gpu() else { return };
     let mut scene = cast::<f32>(&splats(10, -2.0, 11));
     scene.positions.make_mut().chunks_exact_mut(3).for_each(|position| position[2] = -50.0);
-    let mut tape = Tape::new(Device::Gpu(gpu)).with_room(1000);
+    let mut tape = Tape::new(Device::Gpu(gpu)).with_capacity(1000);
     let vars = scene.constants(&mut tape);
     let rendered = render(&mut tape, &vars, None, &camera(33, 17), &default_with(false)).unwrap();
     assert!(tape.value(rendered.color).as_slice().chunks_exact(3).all(|pixel| pixel == [0.3, 0.1, 0.6]));

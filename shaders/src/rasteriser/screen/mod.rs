@@ -1,5 +1,5 @@
-//! What the renders of a training say about their splats without leaving the GPU: which of them a mask covers, and what is
-//! added up for density control (Kerbl et al. 2023, section 5.2).
+//! Statistics of the splats of a training's renders, computed on the GPU that rendered: which splats a mask covers, and the
+//! sums that density control needs (Kerbl et al. 2023, section 5.2).
 
 mod covered;
 #[cfg(test)]
@@ -19,7 +19,7 @@ const GROUP: usize = 256;
 pub const COLUMNS: usize = 3;
 
 uniforms! {
-    struct LookBlock as "Look" {
+    struct ViewBlock as "View" {
         count: u32,
         half_width: f32,
         half_height: f32,
@@ -27,18 +27,18 @@ uniforms! {
     }
 }
 
-/// A render of a population.
-pub struct Look<'a> {
+/// A render and the rows of a population that its splats are.
+pub struct PopulationRender<'a> {
     pub rendered: &'a Rendered,
     /// Width and height.
     pub size_px: [f64; 2],
-    /// The rows that the first splats are, each at most once; further splats are of no row. `None`: the first splats are
-    /// all rows in order.
+    /// The population row of each of the first splats, every row at most once; further splats belong to no row. `None`:
+    /// splat i is row i.
     pub row_of_splat: Option<&'a [u32]>,
 }
 
-impl Look<'_> {
-    /// The splat that each of so many rows is, on a GPU.
+impl PopulationRender<'_> {
+    /// The splat of each of `count` rows, on a GPU; `u32::MAX` where a row has none.
     fn splat_of_row(&self, gpu: Gpu, count: usize) -> Option<GpuArray> {
         let rows = self.row_of_splat?;
         let mut splats = vec![u32::MAX; count];
@@ -53,23 +53,23 @@ impl Look<'_> {
 pub fn observe(
     tape: &Tape<f32>,
     gradients: &Gradients<f32>,
-    looks: &[Look],
+    renders: &[PopulationRender],
     statistics: &Tensor<f32>,
 ) -> Option<Tensor<f32>> {
     let gpu = tape.device().gpu()?;
-    let (count, last) = (statistics.rows(), looks.len().checked_sub(1)?);
+    let (count, last) = (statistics.rows(), renders.len().checked_sub(1)?);
     let (sums, observed) = (GpuArray::new(gpu, 4 * count * last.min(1)), GpuArray::new(gpu, COLUMNS * count));
-    for (index, look) in looks.iter().enumerate() {
-        let Look { rendered, size_px, row_of_splat } = look;
+    for (index, render) in renders.iter().enumerate() {
+        let PopulationRender { rendered, size_px, row_of_splat } = render;
         let Lists::Gpu(lists) = rendered.lists() else { return None };
         let splats = lists.rank_of_splat.len();
         assert!(row_of_splat.map_or(count, |rows| rows.len()) <= splats, "a splat for every row of statistics");
-        let splat_of_row = look.splat_of_row(gpu, count);
+        let splat_of_row = render.splat_of_row(gpu, count);
         let conics = tape.value(rendered.conics).on_gpu(gpu);
         let gradient = gradients.get(rendered.means2d).map(|gradient| gradient.on_gpu(gpu));
         let [half_width, half_height] = size_px.map(|size| (0.5 * size) as f32);
         let has_gradient = u32::from(gradient.is_some());
-        let constants = LookBlock { count: count as u32, half_width, half_height, has_gradient };
+        let constants = ViewBlock { count: count as u32, half_width, half_height, has_gradient };
         let read =
             [gradient.unwrap_or(conics), conics, &lists.rank_of_splat, statistics.on_gpu(gpu)].map(Binding::Read);
         let splats = Binding::Read(splat_of_row.as_ref().unwrap_or(&lists.rank_of_splat));

@@ -1,8 +1,8 @@
-// What a render says about every splat, for density control: its gradient by the mean in normalised device coordinates, whether
-// it was seen, and its radius in pixels. FIRST begins a step, LAST ends it and adds it to the statistics; the sums of a
+// What density control needs to know of every splat of a render: its gradient by the mean in normalised device
+// coordinates, whether it is visible, and its radius in pixels. FIRST begins a step, LAST ends it and adds it to the statistics; the sums of a
 // step with several renders pass from one launch to the next. Where ROWS is 1, the splats are some of the rows.
 
-struct Look {
+struct View {
     count: u32,
     // Half the size of the image in pixels.
     half_width: f32,
@@ -10,7 +10,7 @@ struct Look {
     has_gradient: u32,
 }
 
-@group(0) @binding(0) var<uniform> look: Look;
+@group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> gradients_px: array<f32>;
 @group(0) @binding(2) var<storage, read> conics: array<f32>;
 @group(0) @binding(3) var<storage, read> rank_of_splat: array<u32>;
@@ -40,7 +40,7 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let row = flat_group(group, groups) * 256u + local;
-    if (row >= look.count) {
+    if (row >= view.count) {
         return;
     }
     var sum = vec4<f32>(0.0);
@@ -52,9 +52,9 @@ fn main(
         splat = splat_of_row[row];
     }
     if (splat != NOWHERE && rank_of_splat[splat] != NOWHERE) {
-        if (look.has_gradient == 1u) {
-            sum.x += gradients_px[2u * splat] * look.half_width;
-            sum.y += gradients_px[2u * splat + 1u] * look.half_height;
+        if (view.has_gradient == 1u) {
+            sum.x += gradients_px[2u * splat] * view.half_width;
+            sum.y += gradients_px[2u * splat + 1u] * view.half_height;
         }
         sum.z = 1.0;
         sum.w = max(sum.w, radius_px(splat));

@@ -9,8 +9,8 @@ use crate::rasteriser::render::scene_tests::{camera, cast, splats};
 use crate::rasteriser::settings::RasterSettings;
 use crate::tape::Device;
 
-/// Renders of 300 splats from so many sides on a device, and their gradients.
-fn looked_at(device: Device, renders: usize) -> (Tape<f32>, Vec<Rendered>, Gradients<f32>) {
+/// Renders of 300 splats at several sizes on a device, and their gradients.
+fn rendered_on(device: Device, renders: usize) -> (Tape<f32>, Vec<Rendered>, Gradients<f32>) {
     let mut tape = Tape::new(device);
     let leaves = cast::<f32>(&splats(300, -2.0, 3)).leaves(&mut tape);
     let render = |index: usize, tape: &mut Tape<f32>| {
@@ -27,14 +27,14 @@ fn looked_at(device: Device, renders: usize) -> (Tape<f32>, Vec<Rendered>, Gradi
     (tape, rendered, gradients)
 }
 
-/// Rows of a population of 400 that the splats are; the last ones are of none.
+/// The row of each splat in a population of 400; the last splats belong to none.
 fn some_rows() -> Vec<u32> {
     (0..290).map(|splat| splat * 7 % 397).collect()
 }
 
 /// The definition, on the host.
 fn expected(renders: usize, rows: Option<&[u32]>, statistics: &Tensor<f32>) -> Tensor<f32> {
-    let (tape, rendered, gradients) = looked_at(Device::Cpu, renders);
+    let (tape, rendered, gradients) = rendered_on(Device::Cpu, renders);
     let mut values: Vec<f32> = statistics.as_slice().to_vec();
     let seen: Vec<_> = rendered.iter().map(|render| (render.visible(), render.radii_px(&tape))).collect();
     for (at, row) in values.as_chunks_mut::<3>().0.iter_mut().enumerate() {
@@ -59,15 +59,16 @@ fn compare(renders: usize, rows: Option<&[u32]>) -> Result<usize, Disagreement> 
     compare_rows(renders, rows, if rows.is_some() { 400 } else { 300 })
 }
 
-/// The statistics of so many rows.
+/// The statistics of `count` rows.
 fn compare_rows(renders: usize, rows: Option<&[u32]>, count: usize) -> Result<usize, Disagreement> {
     let Some(gpu) = test_gpu() else { return Ok(0) };
     let values = noise(3 * count, 9).into_iter().map(|value| (1.0 + value) as f32).collect();
     let before = Tensor::from_vec([count, 3], values);
-    let (tape, rendered, gradients) = looked_at(Device::Gpu(gpu), renders);
-    let look = |(index, rendered)| Look { rendered, size_px: [(40 + 8 * index) as f64, 30.0], row_of_splat: rows };
-    let looks: Vec<Look> = rendered.iter().enumerate().map(look).collect();
-    let found = observe(&tape, &gradients, &looks, &before).expect("on a GPU");
+    let (tape, rendered, gradients) = rendered_on(Device::Gpu(gpu), renders);
+    let render =
+        |(index, rendered)| PopulationRender { rendered, size_px: [(40 + 8 * index) as f64, 30.0], row_of_splat: rows };
+    let of_population: Vec<PopulationRender> = rendered.iter().enumerate().map(render).collect();
+    let found = observe(&tape, &gradients, &of_population, &before).expect("on a GPU");
     let what = format!("the statistics of {renders} renders");
     agree(&found, &expected(renders, rows, &before), 2e-3)
         .map(|()| 1)
@@ -77,16 +78,16 @@ fn compare_rows(renders: usize, rows: Option<&[u32]>, count: usize) -> Result<us
 #[test]
 fn the_kernel_is_valid() {
     for (first, last, rows) in [(0, 0, 0), (0, 1, 1), (1, 0, 0), (1, 1, 1)] {
-        assert_valid::<LookBlock>(&SCREEN, &[("FIRST", first), ("LAST", last), ("ROWS", rows)]);
+        assert_valid::<ViewBlock>(&SCREEN, &[("FIRST", first), ("LAST", last), ("ROWS", rows)]);
     }
 }
 
 #[test]
-fn statistics_on_a_gpu_are_those_of_the_host() {
+fn gpu_statistics_equal_the_hosts() {
     for renders in [1, 2, 3] {
         compare(renders, None).unwrap_or_else(|error| panic!("{error}"));
         compare(renders, Some(&some_rows())).unwrap_or_else(|error| panic!("{error}"));
-        // Splats behind the rows are of none.
+        // Splats past the last row are ignored.
         compare_rows(renders, None, 260).unwrap_or_else(|error| panic!("{error}"));
     }
 }
@@ -97,14 +98,14 @@ fn faults_are_noticed() {
         return;
     }
     let wrong =
-        [("sum.z = 1.0", "sum.z += 1.0"), ("* look.half_width", ""), ("k * k / m", "k / m"), ("FIRST == 0u", "true")];
+        [("sum.z = 1.0", "sum.z += 1.0"), ("* view.half_width", ""), ("k * k / m", "k / m"), ("FIRST == 0u", "true")];
     assert_noticed(&wrong.map(|(right, wrong)| (SCREEN.name, right, wrong)), || compare(2, None));
     assert_noticed(&[(SCREEN.name, "splat_of_row[row]", "row")], || compare(1, Some(&some_rows())));
 }
 
 #[test]
-fn renders_of_the_host_are_left_to_it() {
-    let (tape, rendered, gradients) = looked_at(Device::Cpu, 1);
-    let look = Look { rendered: &rendered[0], size_px: [40.0, 30.0], row_of_splat: None };
-    assert!(observe(&tape, &gradients, &[look], &Tensor::zeros([300, 3])).is_none());
+fn renders_on_the_host_yield_none() {
+    let (tape, rendered, gradients) = rendered_on(Device::Cpu, 1);
+    let render = PopulationRender { rendered: &rendered[0], size_px: [40.0, 30.0], row_of_splat: None };
+    assert!(observe(&tape, &gradients, &[render], &Tensor::zeros([300, 3])).is_none());
 }

@@ -7,7 +7,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use shaders::rasteriser::NOT_FINITE;
-use shaders::tape::{Figures, Found, Profile};
+use shaders::tape::{PendingReadback, Profile, Readback};
 
 use super::Trainer;
 use crate::method::PopulationControl;
@@ -37,7 +37,7 @@ pub struct LaterStep {
     /// Tensors that were updated.
     pub gradients: Vec<String>,
     /// The value of every loss; how much of that work was done; then the largest magnitude of each gradient and of the tensor after the step.
-    pub figures: Figures,
+    pub figures: PendingReadback,
 }
 
 /// Everything that steps change, before the first of them.
@@ -54,9 +54,9 @@ struct Moment {
 }
 
 /// Whether nothing of a step is left to ask.
-fn is_good(found: &Found) -> bool {
+fn is_good(found: &Readback) -> bool {
     let is_finite = found.values.iter().flatten().all(|value| value.is_finite());
-    is_finite && found.fits && !found.events.contains_key(NOT_FINITE)
+    is_finite && !found.overflowed && !found.events.contains_key(NOT_FINITE)
 }
 
 impl Trainer<'_> {
@@ -111,7 +111,7 @@ impl Trainer<'_> {
     fn look(&mut self) -> anyhow::Result<bool> {
         let Some(Ahead { before, steps }) = self.ahead.take() else { return Ok(true) };
         self.clock.enter("waiting for the device");
-        let found = Figures::read(steps.iter().map(|step| &step.figures));
+        let found = PendingReadback::read(steps.iter().map(|step| &step.figures));
         if !found.iter().all(is_good) {
             self.make_again(before)?;
             return Ok(false);

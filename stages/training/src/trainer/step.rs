@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use shaders::gpu::Gpu;
-use shaders::tape::{Figures, Tape, Tensor};
+use shaders::tape::{PendingReadback, Tape, Tensor};
 
 use super::Trainer;
 use super::ahead::LaterStep;
@@ -26,7 +26,7 @@ impl Trainer<'_> {
     pub(super) fn watched_step(&mut self) -> anyhow::Result<()> {
         let mut tape = Tape::new(self.device);
         let (mut outcome, model) = self.differentiate(&mut tape)?;
-        self.make_room(tape.settle().intersections);
+        self.make_room(tape.read_back().intersections);
         let (losses, skipped) = outcome.look();
         self.keep_counts(&tape, &skipped);
         self.check_losses(&losses, &tape)?;
@@ -45,13 +45,13 @@ impl Trainer<'_> {
     /// The next step, whose figures stay on the GPU for now.
     fn step_ahead(&mut self, gpu: Gpu) -> anyhow::Result<()> {
         self.remember();
-        let mut tape = Tape::new(self.device).with_room(self.room);
+        let mut tape = Tape::new(self.device).with_capacity(self.room);
         let (mut outcome, model) = self.differentiate(&mut tape)?;
         self.keep_counts(&tape, &outcome.skipped);
         self.observe(&tape, &outcome);
         let gradients = take_gradients(&mut outcome, &model);
         let values = outcome.values.iter().map(|(.., value)| value).chain(outcome.kept.iter().map(|(_, kept, _)| kept));
-        let mut figures = Figures::of(&mut tape, values.cloned().collect());
+        let mut figures = PendingReadback::of(&mut tape, values.cloned().collect());
         let losses = outcome.values.iter().map(|(name, weight, _)| (*name, *weight)).collect();
         let kept = outcome.kept.iter().map(|(what, _, of)| (*what, *of)).collect();
         drop((tape, outcome));

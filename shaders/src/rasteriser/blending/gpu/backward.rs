@@ -90,7 +90,7 @@ impl<T: Real> Blend<T> {
         let lens = [2 * count, 3 * count, count, 3 * count, depth_len, features_len];
         let gradients = lens.map(|len| GpuArray::new(gpu, len));
 
-        // The lists may have room for more entries than there are; rows behind the last are neither written nor read.
+        // The capacity of the lists may exceed the number of entries; rows past the last entry are neither written nor read.
         let rows = GpuArray::new(gpu, lists.ranks.len() * self.row_len());
         self.write_rows(gpu, (outputs, output_grads), lists, &rows);
         self.add_rows(gpu, inputs, lists, &rows, &gradients);

@@ -63,11 +63,11 @@ pub struct Observed<T: Real> {
 
 /// Expected depth Σwz / Σw [H, W] of a render with depth; NaN where it covers no more than `min_coverage`.
 pub fn surface_depth<T: Real>(tape: &Tape<T>, rendered: &Rendered, min_coverage: f64) -> Tensor<T> {
-    let mut aside = tape.aside();
+    let mut child = tape.child();
     let sums = [rendered.depth.expect("rendered with depth"), rendered.alpha];
-    let [depth, alpha] = sums.map(|var| aside.constant(tape.value(var).clone()));
-    let expected = expected_depth(&mut aside, depth, alpha, min_coverage, f64::NAN);
-    aside.value(expected).clone()
+    let [depth, alpha] = sums.map(|var| child.constant(tape.value(var).clone()));
+    let expected = expected_depth(&mut child, depth, alpha, min_coverage, f64::NAN);
+    child.value(expected).clone()
 }
 
 impl<T: Real> Sight<T> {
@@ -204,15 +204,15 @@ impl PhysicalGaussians {
         time: f64,
         flow: &FlowPrior,
     ) -> anyhow::Result<Tensor<T>> {
-        let mut aside = step.tape.aside();
-        let constant = |(name, var): (&str, _)| (name.to_string(), aside.constant(step.tape.value(var).clone()));
+        let mut child = step.tape.child();
+        let constant = |(name, var): (&str, _)| (name.to_string(), child.constant(step.tape.value(var).clone()));
         let model = Variables::new(step.model.iter().map(constant).collect());
         let camera = PinholeCamera::from(&flow.camera_to);
         let moment = Moment { scene: step.scene, phase: step.phase, time, camera: &camera, sh_degree: step.sh_degree };
-        let splats = self.base.splats(&mut aside, &model, &moment);
-        let rendered = rasteriser::render(&mut aside, &splats, None, &camera, &step.raster).map_err(too_large)?;
-        let surface = surface_depth(&aside, &rendered, self.settings.min_coverage);
-        step.tape.heed(aside);
+        let splats = self.base.splats(&mut child, &model, &moment);
+        let rendered = rasteriser::render(&mut child, &splats, None, &camera, &step.raster).map_err(too_large)?;
+        let surface = surface_depth(&child, &rendered, self.settings.min_coverage);
+        step.tape.absorb(child);
         Ok(surface)
     }
 }

@@ -140,20 +140,20 @@ pub fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: Option<&
 /// The weights [M] of rows that are at least `threshold` away from where they start at one of the later instants, zeros for
 /// those that stand still; and the number [1] of rows that do not.
 fn moving<T: Real>(tape: &Tape<T>, points: &[MovedPoints], weights: &Tensor<T>, threshold: f64) -> [Tensor<T>; 2] {
-    let mut aside = tape.aside();
-    let weights = aside.constant(weights.clone());
-    let positions: Vec<Var> = points.iter().map(|at| aside.constant(tape.value(at.positions).clone())).collect();
-    let rows = aside.value(weights).len();
+    let mut child = tape.child();
+    let weights = child.constant(weights.clone());
+    let positions: Vec<Var> = points.iter().map(|at| child.constant(tape.value(at.positions).clone())).collect();
+    let rows = child.value(weights).len();
     let mut still = weights;
     for &later in &positions[1..] {
-        let way = sub(&mut aside, later, positions[0]);
-        let squared = squared_norm(&mut aside, way);
-        let squared = reshape(&mut aside, squared, [rows]);
-        still = where_below(&mut aside, squared, still, threshold * threshold);
+        let way = sub(&mut child, later, positions[0]);
+        let squared = squared_norm(&mut child, way);
+        let squared = reshape(&mut child, squared, [rows]);
+        still = where_below(&mut child, squared, still, threshold * threshold);
     }
-    let moving = sub(&mut aside, weights, still);
-    let still = total(&mut aside, still);
-    let others = scale(&mut aside, still, -1.0);
-    let others = shift(&mut aside, others, rows as f64);
-    [moving, others].map(|var| aside.value(var).clone())
+    let moving = sub(&mut child, weights, still);
+    let still = total(&mut child, still);
+    let others = scale(&mut child, still, -1.0);
+    let others = shift(&mut child, others, rows as f64);
+    [moving, others].map(|var| child.value(var).clone())
 }

@@ -1,0 +1,95 @@
+//! Readback of what a step left on a GPU, deferred so that the step itself never waits for the GPU.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::{Real, Tape, Tensor};
+use crate::gpu::{GpuArray, Length};
+
+/// A count in a GPU's memory that has not been read back yet.
+pub(crate) enum DeferredCount {
+    /// How often each of these events happened.
+    Events { names: Vec<&'static str>, counts: Arc<GpuArray> },
+    /// The number of intersections of one render, and the capacity of its buffers.
+    Intersections { length: Arc<Length>, capacity: usize },
+}
+
+impl DeferredCount {
+    fn array(&self) -> &GpuArray {
+        match self {
+            Self::Events { counts, .. } => counts,
+            Self::Intersections { length, .. } => length.array(),
+        }
+    }
+
+    /// Adds the numbers of its array to a readback.
+    fn add_to(&self, readback: &mut Readback, numbers: &[u32]) {
+        match self {
+            Self::Events { names, .. } => {
+                let happened = names.iter().zip(numbers).filter(|(_, count)| **count > 0);
+                happened.for_each(|(name, count)| *readback.events.entry(name).or_default() += u64::from(*count));
+            }
+            Self::Intersections { capacity, .. } => {
+                let wanted = numbers[1] as usize;
+                readback.intersections = readback.intersections.max(wanted);
+                readback.overflowed |= wanted > *capacity;
+            }
+        }
+    }
+}
+
+/// The deferred counts of one step and the tensors that its report needs, on the host or on a GPU.
+pub struct PendingReadback {
+    counts: Vec<DeferredCount>,
+    tensors: Vec<Tensor<f32>>,
+}
+
+/// The values of a [`PendingReadback`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Readback {
+    /// How often each event happened.
+    pub events: BTreeMap<&'static str, u64>,
+    /// The largest number of intersections of any render.
+    pub intersections: usize,
+    /// Whether a render had more intersections than its capacity. If so, every result of the step is invalid.
+    pub overflowed: bool,
+    /// The elements of each tensor.
+    pub values: Vec<Vec<f32>>,
+}
+
+impl PendingReadback {
+    /// The deferred counts of a tape, which the tape forgets, and some tensors.
+    pub fn of<T: Real>(tape: &mut Tape<T>, tensors: Vec<Tensor<f32>>) -> Self {
+        Self { counts: std::mem::take(&mut tape.deferred), tensors }
+    }
+
+    /// Adds a tensor.
+    pub fn push(&mut self, tensor: Tensor<f32>) {
+        self.tensors.push(tensor);
+    }
+
+    /// The values of several steps. Everything on a GPU comes with one readback.
+    pub fn read<'p>(pending: impl IntoIterator<Item = &'p Self>) -> Vec<Readback> {
+        let pending: Vec<&Self> = pending.into_iter().collect();
+        let arrays: Vec<&GpuArray> = pending.iter().flat_map(|pending| pending.arrays()).collect();
+        let mut read = GpuArray::read_all(&arrays).into_iter();
+        pending.iter().map(|pending| pending.readback(&mut read)).collect()
+    }
+
+    /// Its arrays on a GPU, in the order in which [`PendingReadback::readback`] takes them.
+    fn arrays(&self) -> impl Iterator<Item = &GpuArray> {
+        self.counts.iter().map(DeferredCount::array).chain(self.tensors.iter().filter_map(Tensor::only_on_gpu))
+    }
+
+    fn readback(&self, read: &mut impl Iterator<Item = Vec<u32>>) -> Readback {
+        let mut next = || read.next().expect("one vector per array");
+        let mut readback = Readback::default();
+        self.counts.iter().for_each(|count| count.add_to(&mut readback, &next()));
+        let values = |tensor: &Tensor<f32>| match tensor.only_on_gpu() {
+            Some(_) => next().into_iter().map(f32::from_bits).collect(),
+            None => tensor.as_slice().to_vec(),
+        };
+        readback.values = self.tensors.iter().map(values).collect();
+        readback
+    }
+}
