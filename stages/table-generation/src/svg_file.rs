@@ -1,21 +1,21 @@
-//! A figure as a file of its own.
+//! Typesets a figure as a standalone SVG file.
 
 use maud::{PreEscaped, html};
 
-use super::{Panel, SAMPLE};
 use crate::document::{Figure, Key};
+use crate::svg::{Panel, SAMPLE};
 
-/// Panels and legend entries side by side.
+/// Number of panels and of legend entries per line.
 const COLUMNS: usize = 3;
-/// Height of a line of the legend, px.
+/// Height of a legend line, px.
 const LINE: f64 = 20.0;
 
-/// How neutral parts look in a file; pages bring their own.
+/// Style of texts, grids and axes; the HTML page has its own style sheet.
 const STYLE: &str = "text{font:12px Helvetica,Arial,sans-serif;fill:#222}.title{font-weight:bold}.grid{stroke:#ddd;fill:none}\
 .axis{stroke:#555;fill:none}";
 
-/// The figure as an SVG file: panels in rows, and the legend below them.
-pub fn file(figure: &Figure) -> String {
+/// The figure as an SVG file: panels in rows, the legend below them.
+pub(crate) fn file(figure: &Figure) -> String {
     let columns = figure.panels.len().clamp(1, COLUMNS);
     let cell = |measure: fn(&Panel) -> f64| figure.panels.iter().map(measure).fold(0.0, f64::max);
     let (panel_width, panel_height) = (cell(|panel| panel.width), cell(|panel| panel.height));

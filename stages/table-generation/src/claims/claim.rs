@@ -1,46 +1,28 @@
-//! Published values: what a source prints, under which protocol, and whether our measurement reproduces it.
-
-mod beside;
-pub mod curves;
-mod protocol;
-#[cfg(test)]
-mod tests;
-mod verdict;
+//! Claims: the values that one table of one source prints about one method.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use serde::{Deserialize, Serialize};
 
-pub use beside::{ClaimColumn, ClaimTable};
-pub use protocol::ClaimProtocol;
-pub use verdict::Verdict;
+use super::protocol::ClaimProtocol;
 
-use crate::papers;
-
-/// The claim files, by name.
-const FILES: [(&str, &str); 3] = [
-    ("dnerf_baselines.toml", include_str!("../../claims/dnerf_baselines.toml")),
-    ("dnerf_independent.toml", include_str!("../../claims/dnerf_independent.toml")),
-    ("other_data_sets.toml", include_str!("../../claims/other_data_sets.toml")),
-];
-
-/// What one table of one source prints about one method.
+/// The values that one table of one source prints about one method.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Claim {
-    /// The method's id here.
+pub(crate) struct Claim {
+    /// The method's id in this project.
     pub method: String,
-    /// What the source calls it.
+    /// The source's name for the method.
     pub label: String,
-    /// Who measured.
+    /// Who measured the values.
     pub kind: Kind,
-    /// The table, as `Table 6 of Phys4DGS`.
+    /// The table, e.g. `Table 6 of Phys4DGS`.
     pub source: String,
-    /// What a reader should know: hardware, disputes, printing errors.
+    /// Remarks: hardware, disputes, printing errors.
     #[serde(default)]
     pub notes: Vec<String>,
-    /// How the numbers came to be, as far as the source states it.
+    /// The protocol, as far as the source states it.
     pub protocol: ClaimProtocol,
     /// The printed mean.
     pub mean: Option<PublishedMean>,
@@ -52,23 +34,23 @@ pub struct Claim {
 /// Who measured a published value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// Printed by the method's authors, or copied by others without saying that they measured it.
+pub(crate) enum Kind {
+    /// Printed by the method's authors, or copied by others who do not claim to have measured it.
     #[default]
     Quoted,
-    /// Measured anew by somebody else than the method's authors.
+    /// Measured again by a group other than the method's authors.
     ReMeasured,
 }
 
-/// Printed figures; the variants of SSIM and LPIPS are as unknown as the source leaves them.
+/// Printed values. The variants of SSIM and LPIPS are those of the source, which often does not state them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Published {
-    /// Mean over images, dB.
+pub(crate) struct Published {
+    /// PSNR in dB, mean over images.
     pub psnr: Option<f64>,
-    /// Of any variant.
+    /// SSIM of any variant.
     pub ssim: Option<f64>,
-    /// Of any network and input range.
+    /// LPIPS of any network and input range.
     pub lpips: Option<f64>,
     /// Minutes of training.
     pub train_min: Option<f64>,
@@ -78,30 +60,18 @@ pub struct Published {
     pub gaussians_k: Option<f64>,
 }
 
-/// A printed mean and the scenes that it is over.
+/// A printed mean with the scenes that it covers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PublishedMean {
+pub(crate) struct PublishedMean {
     /// The scenes.
     pub scenes: BTreeSet<String>,
-    /// The means.
+    /// The mean values.
     pub values: Published,
 }
 
-/// Every claim that is compiled in: those of claim files, and what the papers' tables say about methods of this project.
-pub fn built_in_claims() -> anyhow::Result<Vec<Claim>> {
-    let mut claims = Vec::new();
-    for (name, text) in FILES {
-        claims.extend(parse(text).with_context(|| format!("claim file {name}"))?);
-    }
-    for paper in papers::built_in()? {
-        claims.extend(paper.claims());
-    }
-    Ok(claims)
-}
-
-/// Reads and checks one claim file.
-fn parse(text: &str) -> anyhow::Result<Vec<Claim>> {
+/// Parses and checks one file of claims.
+pub(crate) fn parse(text: &str) -> anyhow::Result<Vec<Claim>> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
     struct File {
@@ -119,18 +89,18 @@ fn parse(text: &str) -> anyhow::Result<Vec<Claim>> {
 }
 
 impl Claim {
-    /// Whether the claim is about this method on any of these scenes of a data set.
-    pub fn is_about(&self, method: &str, dataset: &str, scenes: &[String]) -> bool {
+    /// Whether the claim is about this method on at least one of these scenes of a data set.
+    pub(crate) fn is_about(&self, method: &str, dataset: &str, scenes: &[String]) -> bool {
         let printed = self.scenes.keys().chain(self.mean.iter().flat_map(|mean| &mean.scenes));
         self.method == method && self.protocol.is_of(dataset) && printed.into_iter().any(|scene| scenes.contains(scene))
     }
 }
 
 impl Published {
-    /// The printed figures by name, with the unit that tables show.
-    pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> {
+    /// The printed values with the names that tables show.
+    pub(crate) fn named(&self) -> impl Iterator<Item = (&'static str, f64)> {
         let Self { psnr, ssim, lpips, train_min, fps, gaussians_k } = *self;
-        let figures = [
+        let values = [
             ("PSNR", psnr),
             ("SSIM", ssim),
             ("LPIPS", lpips),
@@ -138,6 +108,6 @@ impl Published {
             ("FPS", fps),
             ("thousand Gaussians", gaussians_k),
         ];
-        figures.into_iter().filter_map(|(name, value)| Some((name, value?)))
+        values.into_iter().filter_map(|(name, value)| Some((name, value?)))
     }
 }

@@ -1,21 +1,21 @@
-//! What printed cells mean.
+//! The quantities that printed cells measure.
 
 use metric_evaluation::Metric;
 use serde::Deserialize;
 
-use crate::Column;
+use crate::column::Column;
 
-/// What a printed cell measures, in the unit in which its value is compared.
+/// The quantity that a printed cell measures, in the unit of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Figure {
+pub(crate) enum Quantity {
     /// PSNR, dB.
     Psnr,
-    /// SSIM of a variant that is not stated.
+    /// SSIM of an unstated variant.
     Ssim,
     /// Multi-scale SSIM.
     MsSsim,
-    /// LPIPS of a network and input range that are not stated.
+    /// LPIPS of an unstated network and input range.
     Lpips,
     /// PSNR over the pixels of a mask, dB.
     MaskedPsnr,
@@ -29,21 +29,21 @@ pub enum Figure {
     Fps,
     /// Thousands of Gaussians.
     GaussiansK,
-    /// Megabytes of the model.
+    /// Size of the model, MB.
     SizeMb,
-    /// A score of VBench, which judges videos by networks.
+    /// A VBench score: networks judge videos.
     Vbench,
 }
 
-/// Printed where there is no number: nothing, a bound, or a unit without one.
-pub fn says_no_number(text: &str) -> bool {
+/// Whether a cell holds no number: it is empty, a bound, or a unit alone.
+pub(crate) fn is_blank(text: &str) -> bool {
     matches!(text, "" | "-" | "N/A" | "~h") || text.starts_with('<')
 }
 
-impl Figure {
-    /// The number that is printed; none where the cell holds none, or a bound.
-    pub fn value(self, text: &str) -> Option<f64> {
-        if says_no_number(text) {
+impl Quantity {
+    /// The printed number; none for a blank cell and for a text that is no number.
+    pub(crate) fn value(self, text: &str) -> Option<f64> {
+        if is_blank(text) {
             return None;
         }
         match self {
@@ -53,8 +53,9 @@ impl Figure {
         }
     }
 
-    /// Our figure, and what it is divided by to get to the paper's unit; none where we have no such figure.
-    pub fn measured_as(self) -> Option<(Column, f64)> {
+    /// The matching column, and the divisor that converts its values to the paper's unit; none if this project does
+    /// not measure the quantity.
+    pub(crate) fn measured_as(self) -> Option<(Column, f64)> {
         let metric = |keys: &[&str]| {
             let known = keys.iter().find_map(|key| Metric::ALL.into_iter().find(|metric| metric.key() == *key))?;
             Some((Column::Metric(known), 1.0))
@@ -75,8 +76,8 @@ impl Figure {
         }
     }
 
-    /// Decimals of our figure beside the printed one.
-    pub fn decimals(self) -> usize {
+    /// Decimals of the measured value beside the printed one.
+    pub(crate) fn decimals(self) -> usize {
         match self {
             Self::Psnr | Self::MaskedPsnr | Self::TrainMin | Self::GaussiansK | Self::SizeMb => 2,
             Self::Fps => 1,
@@ -84,14 +85,14 @@ impl Figure {
         }
     }
 
-    /// Whether a difference in dB decides about reproduction. Variants of SSIM and LPIPS are not stated, and seconds
-    /// and frame rates belong to a machine: those stand side by side without a verdict.
-    pub fn has_verdict(self) -> bool {
+    /// Whether a difference in dB decides about reproduction. The other quantities have no verdict: papers do not state
+    /// their variants of SSIM and LPIPS, and seconds and frame rates depend on the machine.
+    pub(crate) fn has_verdict(self) -> bool {
         matches!(self, Self::Psnr | Self::MaskedPsnr)
     }
 }
 
-/// `79 min`, `30 mins`, `1344 h`, `1.27 hour`, `15:19` (minutes and seconds), or hours where there is no unit.
+/// Parses `79 min`, `30 mins`, `1344 h`, `1.27 hour` or `15:19` (minutes and seconds) as minutes.
 fn minutes(text: &str) -> Option<f64> {
     if let Some((minutes, seconds)) = text.split_once(':') {
         return Some(minutes.parse::<f64>().ok()? + seconds.parse::<f64>().ok()? / 60.0);
@@ -110,13 +111,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn printed_cells_are_read_with_their_units() {
-        let minutes = |text| Figure::TrainMin.value(text);
+    fn printed_cells_are_parsed_with_units() {
+        let minutes = |text| Quantity::TrainMin.value(text);
         assert_eq!(["79 min", "30 mins", "5.5 hours", "1.5 h"].map(minutes), [79.0, 30.0, 330.0, 90.0].map(Some));
         assert!(minutes("15:19").is_some_and(|value| (value - 15.3167).abs() <= 1e-3));
         assert_eq!([minutes("-"), minutes("~h"), minutes("soon")], [None; 3]);
-        assert_eq!(Figure::GaussiansK.value("81.30k"), Some(81.3));
-        assert_eq!((Figure::Lpips.value(".474"), Figure::Fps.value("<1.20")), (Some(0.474), None));
-        assert!(says_no_number("<1.20") && !says_no_number("soon"));
+        assert_eq!(Quantity::GaussiansK.value("81.30k"), Some(81.3));
+        assert_eq!((Quantity::Lpips.value(".474"), Quantity::Fps.value("<1.20")), (Some(0.474), None));
+        assert!(is_blank("<1.20") && !is_blank("soon"));
     }
 }

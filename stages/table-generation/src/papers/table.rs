@@ -1,119 +1,112 @@
-//! The tables of the papers under study, cell by cell as printed: `claims/papers/*.toml`.
-
-mod claims;
-mod compared;
-mod printed;
-#[cfg(test)]
-mod tests;
+//! A paper's tables as data, with the meaning of every cell.
 
 use anyhow::{Context as _, ensure};
 use serde::Deserialize;
 
-pub use compared::{ComparedCell, Measured};
-pub use printed::Figure;
-
+use super::quantity::{Quantity, is_blank};
 use crate::claims::{ClaimProtocol, Kind};
-
-/// The papers, by the name that recipes know them by.
-const FILES: [(&str, &str); 5] = [
-    ("l4dgs", include_str!("../../claims/papers/l4dgs.toml")),
-    ("phys4dgs", include_str!("../../claims/papers/phys4dgs.toml")),
-    ("kineticgs", include_str!("../../claims/papers/kineticgs.toml")),
-    ("mcgs", include_str!("../../claims/papers/mcgs.toml")),
-    ("vcgs", include_str!("../../claims/papers/vcgs.toml")),
-];
 
 /// A paper.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Paper {
-    /// What tables call it.
+pub(crate) struct Paper {
+    /// Short name, used in tables.
     pub name: String,
-    /// Its title.
+    /// Title.
     pub title: String,
+    /// Authors; none where the available copy does not name them.
+    pub authors: Option<String>,
+    /// Where it was published; none where the available copy does not state it.
+    pub venue: Option<String>,
     /// The tables in the order of the paper.
     #[serde(rename = "table")]
     pub tables: Vec<PaperTable>,
 }
 
-/// One table of a paper, in its own shape.
+/// One table of a paper, in its printed shape.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PaperTable {
-    /// As `Table 2` or `Figure 6a`.
+pub(crate) struct PaperTable {
+    /// Number in the paper, e.g. `Table 2` or `Figure 6a`.
     pub number: String,
-    /// What it shows.
+    /// Subject of the table.
     pub caption: String,
-    /// How the numbers came to be, as far as the paper states it.
+    /// The protocol, as far as the paper states it.
     pub protocol: ClaimProtocol,
-    /// The scenes that means are over; empty where the paper does not name them.
+    /// The scenes that means cover; empty where the paper does not name them.
     #[serde(default)]
     pub scenes: Vec<String>,
-    /// What is wrong or odd about the table.
+    /// Errors and inconsistencies of the table.
     #[serde(default)]
     pub notes: Vec<String>,
-    /// From left to right.
+    /// Columns, from left to right.
     pub columns: Vec<Heading>,
-    /// From top to bottom.
+    /// Rows, from top to bottom.
     pub rows: Vec<Heading>,
 }
 
-/// A row or a column: what it is called, and what its cells have in common. What neither the row nor the column of a
-/// cell says holds for the whole table.
+/// A row or a column: its label, and the properties that its cells share. A property that neither the row nor the
+/// column of a cell sets is that of the table.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Heading {
-    /// As printed.
+pub(crate) struct Heading {
+    /// Label as printed.
     pub label: String,
-    /// A heading that it shares with its neighbours.
+    /// Heading shared with the neighbours.
     pub group: Option<String>,
-    /// What is measured.
-    pub figure: Option<Figure>,
-    /// The method's id, where it is one of this project.
+    /// The quantity that the cells measure.
+    pub quantity: Option<Quantity>,
+    /// The method's id, if the method is part of this project.
     pub method: Option<String>,
-    /// The value of a recipe's axis `ablation`.
+    /// Value of a recipe's axis `ablation`.
     pub variant: Option<String>,
     /// Whether the variant is the whole method.
     pub full: bool,
     /// The scene; without one, cells are means.
     pub scene: Option<String>,
-    /// The scenes that means are over, where they are not those of the table.
+    /// The scenes that means cover, where they differ from those of the table.
     pub scenes: Option<Vec<String>>,
-    /// The protocol, where it is not that of the table.
+    /// The protocol, where it differs from that of the table.
     pub protocol: Option<ClaimProtocol>,
-    /// Who measured.
+    /// Who measured the values.
     pub kind: Kind,
-    /// What is odd about it.
+    /// Remarks on the row or column.
     pub notes: Vec<String>,
-    /// Rows: the printed cells, separated by `|`.
+    /// Rows only: the printed cells, separated by `|`.
     pub values: String,
 }
 
-/// Every paper that is compiled in, checked.
-pub fn built_in() -> anyhow::Result<Vec<Paper>> {
-    FILES.iter().map(|(name, text)| parse(text).with_context(|| format!("tables of the paper {name}"))).collect()
+/// Everything that row and column say about the cell where they meet.
+pub(super) struct Place<'a> {
+    pub(super) quantity: Option<Quantity>,
+    pub(super) method: Option<&'a str>,
+    pub(super) variant: Option<&'a str>,
+    pub(super) full: bool,
+    pub(super) scenes: &'a [String],
+    pub(super) is_mean: bool,
+    pub(super) protocol: &'a ClaimProtocol,
 }
 
-/// The paper that recipes call `name`.
-pub fn find(name: &str) -> anyhow::Result<Paper> {
-    let (_, text) =
-        FILES.iter().find(|(known, _)| *known == name).with_context(|| format!("no paper called {name}"))?;
-    parse(text)
-}
-
-/// What recipes may call papers.
-pub fn names() -> impl Iterator<Item = &'static str> {
-    FILES.iter().map(|(name, _)| *name)
-}
-
-/// Reads and checks one file.
-fn parse(text: &str) -> anyhow::Result<Paper> {
-    let paper: Paper = toml::from_str(text)?;
-    ensure!(!paper.tables.is_empty(), "no table");
-    for table in &paper.tables {
-        table.check().with_context(|| table.number.clone())?;
+impl Paper {
+    /// Parses and checks one file.
+    pub(crate) fn parse(text: &str) -> anyhow::Result<Self> {
+        let paper: Self = toml::from_str(text)?;
+        ensure!(!paper.tables.is_empty(), "no table");
+        for table in &paper.tables {
+            table.check().with_context(|| table.number.clone())?;
+        }
+        Ok(paper)
     }
-    Ok(paper)
+
+    /// Name, title, authors and venue in one line.
+    pub(crate) fn reference(&self) -> String {
+        let title = match self.title.starts_with(&self.name) {
+            true => self.title.clone(),
+            false => format!("{}: {}", self.name, self.title),
+        };
+        let details: Vec<&str> = [&self.authors, &self.venue].into_iter().flatten().map(String::as_str).collect();
+        if details.is_empty() { title } else { format!("{title} ({})", details.join("; ")) }
+    }
 }
 
 impl PaperTable {
@@ -128,22 +121,22 @@ impl PaperTable {
                 self.columns.len()
             );
             for (column, text) in self.columns.iter().zip(printed) {
-                let Some(figure) = self.place(row, column).figure else { continue };
-                let is_number = figure.value(text).is_none_or(|value| value.is_finite() && value > 0.0);
-                let is_known = figure.value(text).is_some() || printed::says_no_number(text);
+                let Some(quantity) = self.place(row, column).quantity else { continue };
+                let is_number = quantity.value(text).is_none_or(|value| value.is_finite() && value > 0.0);
+                let is_known = quantity.value(text).is_some() || is_blank(text);
                 ensure!(is_number && is_known, "{} of {} is {text:?}", column.label, row.label);
             }
         }
         Ok(())
     }
 
-    /// Everything that row and column say of the cell where they meet; columns say it first.
-    fn place<'a>(&'a self, row: &'a Heading, column: &'a Heading) -> Place<'a> {
+    /// The properties of the cell where `row` and `column` meet; those of the column take precedence.
+    pub(super) fn place<'a>(&'a self, row: &'a Heading, column: &'a Heading) -> Place<'a> {
         let variant = column.variant.as_ref().or(row.variant.as_ref());
         let scene = column.scene.as_ref().or(row.scene.as_ref());
         let mean_of = column.scenes.as_ref().or(row.scenes.as_ref()).unwrap_or(&self.scenes);
         Place {
-            figure: column.figure.or(row.figure),
+            quantity: column.quantity.or(row.quantity),
             method: column.method.as_deref().or(row.method.as_deref()),
             variant: variant.map(String::as_str),
             full: column.full || row.full,
@@ -154,20 +147,9 @@ impl PaperTable {
     }
 }
 
-/// What a cell is about.
-struct Place<'a> {
-    figure: Option<Figure>,
-    method: Option<&'a str>,
-    variant: Option<&'a str>,
-    full: bool,
-    scenes: &'a [String],
-    is_mean: bool,
-    protocol: &'a ClaimProtocol,
-}
-
 impl Heading {
     /// A row's cells as printed.
-    pub fn cells(&self) -> Vec<&str> {
+    pub(crate) fn cells(&self) -> Vec<&str> {
         self.values.split('|').map(str::trim).collect()
     }
 }
