@@ -49,8 +49,8 @@ fn reference() -> String {
          ## Structure of a recipe\n\n{}\n\n\
          ## Parameters\n\n\
          Keys of `nodes.NODE.params`, with `.` for nested tables. Defaults are TOML values; `unset` means that the key has\n\
-         no value by default. Bounds hold while all other keys have their defaults; keys without bounds accept every value\n\
-         of their type.\n",
+         no value by default. The last column has the bounds of numbers, which hold while all other keys have their\n\
+         defaults, and the values of choices. Keys without an entry accept every value of their type.\n",
         docs.module("pipeline/engine/src/recipe.rs"),
     );
     for stage in registry.stages() {
@@ -103,7 +103,7 @@ fn changed_defaults(prefix: &str, base: &Value, own: &Value, except: &[&str]) ->
 impl Listing<'_> {
     /// The table of all keys below `prefix`; `first` are rows of keys that `fields` lack.
     fn table(&self, first: &str, prefix: &str, fields: &[Field], defaults: &Value) -> String {
-        let mut text = format!("\n| key | default | meaning | bounds |\n|---|---|---|---|\n{first}");
+        let mut text = format!("\n| key | default | meaning | values |\n|---|---|---|---|\n{first}");
         self.rows(&mut text, prefix, fields, defaults);
         text
     }
