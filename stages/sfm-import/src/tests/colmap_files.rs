@@ -1,21 +1,20 @@
-//! Writers for tests: every reader is checked against files made field by field.
+//! Writers of COLMAP models, field by field, to check the readers against.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::colmap::Model;
-use crate::colmap::model::CAMERA_MODELS;
+use crate::colmap::model::{CAMERA_MODELS, Model};
 
-/// A camera as COLMAP states it.
-pub struct StatedCamera {
-    pub id: u32,
-    pub model: &'static str,
-    pub size: (u64, u64),
-    pub params: Vec<f64>,
+/// A camera in a COLMAP model.
+pub(crate) struct StatedCamera {
+    pub(crate) id: u32,
+    pub(crate) model: &'static str,
+    pub(crate) size: (u64, u64),
+    pub(crate) params: Vec<f64>,
 }
 
 /// Writes `cameras.bin`, `images.bin` and `points3D.bin`.
-pub fn binary(dir: &Path, cameras: &[StatedCamera], model: &Model) {
+pub(crate) fn write_binary(dir: &Path, cameras: &[StatedCamera], model: &Model) {
     std::fs::create_dir_all(dir).unwrap();
     let mut bytes = (cameras.len() as u64).to_le_bytes().to_vec();
     for camera in cameras {
@@ -52,7 +51,7 @@ pub fn binary(dir: &Path, cameras: &[StatedCamera], model: &Model) {
 }
 
 /// Writes `cameras.txt`, `images.txt` and `points3D.txt`.
-pub fn text(dir: &Path, cameras: &[StatedCamera], model: &Model) {
+pub(crate) fn write_text(dir: &Path, cameras: &[StatedCamera], model: &Model) {
     std::fs::create_dir_all(dir).unwrap();
     let join = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
     let mut out = String::from("# Camera list with one line of data per camera:\n");
