@@ -1,4 +1,7 @@
-//! A few training steps on a tiny capture, rendered and exported.
+//! Tests on tiny captures and models of a few training steps.
+
+mod export;
+mod film;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -15,14 +18,15 @@ use training::run::{Watch, train};
 use training::supplements::{FeatureTokens, NOTHING, Supplements};
 use training::{Model, TrainingParams};
 
-use crate::export::ply_sequence;
-use crate::film::{Film, film};
-use crate::run::{render, to_image};
-use crate::{FrameRate, Maps, Rendering, RenderingParams, Renders};
+use crate::film::{Film, film_to_folder};
+use crate::frame_rate::FrameRate;
+use crate::quantize::to_image;
+use crate::run::render;
+use crate::{Maps, Rendering, RenderingParams, Renders};
 
 const SIZE: u32 = 20;
 
-/// Six training and two test views of a coloured gradient.
+/// Writes a capture of a coloured gradient with six training views and two test views.
 fn write_capture(dir: &Path) -> Capture {
     let protocol = Protocol {
         dataset: "test".into(),
@@ -73,7 +77,7 @@ fn frame(split: Split, name: String, at: u32) -> Frame {
     }
 }
 
-/// A folder with `capture` and `model`.
+/// Trains a method for a few steps; the folder holds `capture` and `model`.
 fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
     let iterations = match method {
         "static3dgs" | "realtime4dgs" => json!({ "train": 30 }),
@@ -82,7 +86,7 @@ fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
     trained_with(json!({ "method": method, "iterations": iterations }), &NOTHING)
 }
 
-/// The same, with parameters beside those that make any training small.
+/// Trains with these parameters beside those that keep every model small; the folder holds `capture` and `model`.
 fn trained_with(params: Value, supplements: &Supplements) -> (tempfile::TempDir, Model, Capture) {
     let dir = tempfile::tempdir().unwrap();
     let [capture_dir, model_dir, checkpoints] = ["capture", "model", "checkpoints"].map(|name| dir.path().join(name));
@@ -105,7 +109,7 @@ fn trained_with(params: Value, supplements: &Supplements) -> (tempfile::TempDir,
 }
 
 #[test]
-fn images_are_the_players_images_in_the_captures_order() {
+fn images_equal_the_players_in_the_captures_order() {
     let (dir, model, capture) = trained("deformable4dgs");
     let out = dir.path().join("renders");
     let params = RenderingParams { maps: Maps::All, ..RenderingParams::default() };
@@ -126,24 +130,24 @@ fn images_are_the_players_images_in_the_captures_order() {
 }
 
 #[test]
-fn gaussians_that_are_not_there_are_not_exported_and_views_without_them_have_surfaces() {
+fn absent_gaussians_are_left_out_of_exports_and_surfaces() {
     let (dir, mut model, capture) = trained("realtime4dgs");
     let durations = &mut model.tensors.get_mut("gaussians.log_scales_time").unwrap().values;
     durations.fill(0.1_f32.ln());
     let player = Player::new(&model).unwrap();
     let view = capture.views_of(Split::Test).next().unwrap().1;
     let camera = PinholeCamera::from(&view.camera);
-    let there = player.gaussians(view.time_secs, &camera).unwrap().positions.len() / 3;
+    let present = player.gaussians(view.time_secs, &camera).unwrap().positions.len() / 3;
     let positions = player.positions(view.time_secs, &camera).unwrap();
     let found = (0..60).filter(|&row| positions.of_row(row).is_some()).count();
-    assert!(found == there && (1..60).contains(&there), "{there} of 60, {found} by row");
+    assert!(found == present && (1..60).contains(&present), "{present} of 60, {found} by row");
     let params = RenderingParams { maps: Maps::All, ..RenderingParams::default() };
     render(&model, &capture, &params, Device::Cpu, &dir.path().join("renders")).unwrap();
 }
 
 #[test]
-fn a_model_with_words_says_where_they_are() {
-    // The upper half of every training view is what "sky" means, the lower half what "ground" means.
+fn prompts_select_pixels_in_maps_and_films() {
+    // In every training view, "sky" describes the upper half and "ground" the lower half.
     let tokens = Tensor::from_vec([2, 1, 2], vec![1.0, 0.0, 0.0, 1.0]);
     let features = FeatureTokens {
         visual: (0..8).map(|view| (view < 6).then(|| tokens.clone())).collect(),
@@ -178,10 +182,16 @@ fn a_model_with_words_says_where_they_are() {
             assert!((0..width).all(|c| maps.features[c][at] == features.as_slice()[width * at + c]));
         }
     }
-    // A film of a prompt dims what is something else; a prompt that the model does not know is refused by those it knows.
+    // A film with a prompt dims irrelevant pixels. The error about an unknown prompt lists the known ones.
     let shot = |prompt, name: &str| {
         let shot = Film { times: &[0.4], views: &[], prompt };
-        film(&dir.path().join("model"), &dir.path().join("capture"), &shot, Device::Cpu, &dir.path().join(name))
+        film_to_folder(
+            &dir.path().join("model"),
+            &dir.path().join("capture"),
+            &shot,
+            Device::Cpu,
+            &dir.path().join(name),
+        )
     };
     for (prompt, name) in [(None, "plain"), (Some("sky"), "sky"), (Some("ground"), "ground")] {
         shot(prompt, name).unwrap();
@@ -193,14 +203,14 @@ fn a_model_with_words_says_where_they_are() {
     assert!(sum("sky") < sum("plain") && sum("ground") < sum("plain") && sum("sky") != sum("ground"));
     let unknown = format!("{:?}", shot(Some("cat"), "cat").unwrap_err());
     assert!(unknown.contains("\"cat\"") && unknown.contains("sky, ground"), "{unknown}");
-    // No labels, no truth to compare with: by default nothing is written; a model without words never has any.
-    let unasked =
-        render(&model, &capture, &RenderingParams::default(), Device::Cpu, &dir.path().join("unasked")).unwrap().0;
-    assert!(unasked.views.iter().all(|view| view.semantics.is_none()));
+    // By default, views without labels get no semantic maps.
+    let default =
+        render(&model, &capture, &RenderingParams::default(), Device::Cpu, &dir.path().join("default")).unwrap().0;
+    assert!(default.views.iter().all(|view| view.semantics.is_none()));
 }
 
 #[test]
-fn the_stage_renders_from_the_reloaded_model_and_measures_three_rates() {
+fn the_stage_renders_a_reloaded_model_and_measures_three_rates() {
     let (dir, ..) = trained("static3dgs");
     let mut context = JobContext::detached(&dir.path().join("job")).unwrap();
     for port in ["model", "capture"] {
@@ -219,80 +229,8 @@ fn the_stage_renders_from_the_reloaded_model_and_measures_three_rates() {
     let median = |name: &str| measured[name]["median"].as_f64().unwrap();
     assert!(median("fps_raster") >= median("fps_model") && median("fps_model") >= median("fps_delivered"));
     assert!(median("fps_delivered") > 0.0);
-    // A split without views is an error that says so.
+    // A split without views is an error.
     let error =
         Rendering::run(&context, &RenderingParams { split: Split::Val, ..RenderingParams::default() }).unwrap_err();
     assert!(error.to_string().contains("no val views"), "{error}");
-}
-
-#[test]
-fn exported_gaussians_render_as_the_model_does() {
-    let (dir, ..) = trained("deformable4dgs");
-    let [capture, model, out] = ["capture", "model", "ply"].map(|name| dir.path().join(name));
-    let report = ply_sequence(&model, &capture, &[0.0, 0.7, 2.0], &out).unwrap();
-    assert_eq!(report.lines().count(), 3);
-    for (index, line) in report.lines().enumerate() {
-        assert!(out.join(format!("frame_{index:04}.ply")).is_file());
-        let (_, agreement) = line.split_once("render: ").unwrap();
-        let psnr = agreement.split_whitespace().next().and_then(|figure| figure.parse::<f64>().ok());
-        assert!(agreement.starts_with("equal") || psnr.is_some_and(|psnr| psnr >= 60.0), "{line}");
-    }
-    // The planted fault: another time's file must not pass for this one.
-    let read = |index: usize| std::fs::read(out.join(format!("frame_{index:04}.ply"))).unwrap();
-    assert_ne!(read(0), read(2));
-    // A range typed by hand may be longer than the capture by its rounding.
-    let report = ply_sequence(&model, &capture, &[0.0, 2.00005], &dir.path().join("rounded")).unwrap();
-    assert!(report.lines().last().unwrap().starts_with("2.0000 s"), "{report}");
-    let file = out.join("frame_0000.ply");
-    assert!(ply_sequence(&model, &capture, &[0.0], &file).unwrap_err().to_string().contains("no folder"));
-}
-
-#[test]
-fn a_film_is_what_the_player_renders_along_the_way() {
-    let (dir, model, capture) = trained("deformable4dgs");
-    let [capture_dir, model_dir] = ["capture", "model"].map(|name| dir.path().join(name));
-    let shot = |times: &[f64], views: &[&str], name: &str| {
-        let views: Vec<String> = views.iter().map(|view| (*view).to_owned()).collect();
-        let shot = Film { times, views: &views, prompt: None };
-        film(&model_dir, &capture_dir, &shot, Device::Cpu, &dir.path().join(name))
-    };
-    let frame = |name: &str, index: usize| {
-        image_file::read_rgb(&dir.path().join(name).join(format!("frame_{index:04}.png"))).unwrap()
-    };
-    let player = Player::new(&model).unwrap();
-    let rendered = |name: &str, time_secs: f64| {
-        let view = capture.views.iter().find(|view| view.name == name).unwrap();
-        to_image(&player.render(time_secs, &PinholeCamera::from(&view.camera)).unwrap())
-    };
-    // Without views the camera stands at the first test view.
-    let told = shot(&[0.0, 1.0, 2.0], &[], "standing").unwrap();
-    assert!(told.starts_with("3 frames of 20 × 20 px"), "{told}");
-    for (index, time_secs) in [0.0, 1.0, 2.0].into_iter().enumerate() {
-        assert_eq!(frame("standing", index), rendered("test_0", time_secs));
-    }
-    // Time stands still, and the camera ends where the last view was taken.
-    shot(&[1.0; 3], &["train_0", "train_1"], "moving").unwrap();
-    assert_eq!(frame("moving", 2), rendered("train_1", 1.0));
-    assert!(frame("moving", 1) != frame("moving", 0) && frame("moving", 1) != frame("moving", 2));
-
-    let refused = |shot: anyhow::Result<String>, reason: &str| {
-        let error = format!("{:?}", shot.unwrap_err());
-        assert!(error.contains(reason), "{error}");
-    };
-    refused(shot(&[1.0], &[], "moving"), "the folder is not empty");
-    refused(shot(&[1.0], &["train_9"], "other"), "no view \"train_9\"");
-    refused(shot(&[3.0], &[], "other"), "outside of the capture");
-    let of_prompt = Film { times: &[1.0], views: &[], prompt: Some("ball") };
-    let out = dir.path().join("other");
-    refused(film(&model_dir, &capture_dir, &of_prompt, Device::Cpu, &out), "answers none");
-    assert!(!out.exists(), "nothing was written");
-}
-
-#[test]
-fn nonsense_times_are_refused() {
-    let (dir, ..) = trained("static3dgs");
-    let [capture, model, out] = ["capture", "model", "ply"].map(|name| dir.path().join(name));
-    for times in [&[][..], &[f64::NAN], &[-1.0], &[2.5], &[1.0, 1.0], &[1.0, 0.5], &[f64::INFINITY]] {
-        assert!(ply_sequence(&model, &capture, times, &out).is_err(), "{times:?} was accepted");
-    }
 }
