@@ -1,15 +1,20 @@
-//! Adds LPIPS, where its weights are at hand.
+//! Adds LPIPS, if its weights are available.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use engine::Failure;
 
+use crate::artifact::ImageMetrics;
+use crate::image_file::{Background, Image};
 use crate::lpips::weights::Weights;
 use crate::lpips::{Backbone, InputRange, Lpips};
-use crate::{Background, Image, ImageMetrics, Metric, MetricEvaluationParams, Pair, Score};
+use crate::metrics::metric::Metric;
+use crate::metrics::score::Score;
+use crate::pairs::Pair;
+use crate::params::MetricEvaluationParams;
 
-/// Every variant: the classifier, and what colours become.
+/// All variants with their classifier and input range.
 const VARIANTS: [(Metric, Backbone, InputRange); 5] = [
     (Metric::LpipsAlex, Backbone::Alex, InputRange::Signed),
     (Metric::LpipsVgg, Backbone::Vgg, InputRange::Signed),
@@ -17,18 +22,18 @@ const VARIANTS: [(Metric, Backbone, InputRange); 5] = [
     (Metric::LpipsAlexLegacy, Backbone::Alex, InputRange::Unsigned),
     (Metric::LpipsVggLegacy, Backbone::Vgg, InputRange::Unsigned),
 ];
-/// Why there is no LPIPS where nobody named a folder.
-const NO_WEIGHTS: &str = "no weights of LPIPS were given";
+/// Reason for an undefined LPIPS without a folder of weights.
+const NO_WEIGHTS: &str = "no LPIPS weights were given";
 
 /// The classifiers that the wanted metrics need.
-pub struct Networks(BTreeMap<Backbone, Weights>);
+pub(crate) struct Networks(BTreeMap<Backbone, Weights>);
 
 impl Networks {
-    /// Reads the weights in `folder`, as far as `wanted` needs them.
+    /// Reads the weights in `folder` that the wanted metrics need.
     ///
     /// # Errors
-    /// A file of the right name that is not the published one.
-    pub fn open(folder: Option<&Path>, wanted: &BTreeSet<Metric>) -> Result<Self, Failure> {
+    /// A file with a published name and another content.
+    pub(crate) fn open(folder: Option<&Path>, wanted: &BTreeSet<Metric>) -> Result<Self, Failure> {
         let variants = VARIANTS.into_iter().filter(|(metric, ..)| wanted.contains(metric));
         let mut needed: BTreeSet<Backbone> = variants.map(|(_, backbone, _)| backbone).collect();
         needed.extend(wanted.contains(&Metric::MaskedLpips).then_some(Backbone::Alex));
@@ -42,8 +47,8 @@ impl Networks {
         needed.into_iter().map(open).collect::<Result<_, _>>().map(Self)
     }
 
-    /// What `measure` says with a classifier, or why it says nothing.
-    pub fn score(&self, backbone: Backbone, measure: impl FnOnce(&Lpips) -> Option<f64>) -> Score {
+    /// The value of `measure` with a classifier, or the reason why it is undefined.
+    pub(crate) fn score(&self, backbone: Backbone, measure: impl FnOnce(&Lpips) -> Option<f64>) -> Score {
         match self.0.get(&backbone) {
             Some(Weights::Ready(lpips)) => {
                 measure(lpips).map_or_else(|| Score::undefined("image too small for the network"), Score::Value)
@@ -58,9 +63,9 @@ impl Networks {
     }
 }
 
-/// Adds every wanted variant to one image. Sets go through one image at a time: a network uses every thread by itself,
-/// and its features take a hundred times the memory of an image.
-pub fn add(
+/// Adds all wanted variants to one image. Images are processed one by one, because a network uses all threads itself and
+/// its features take a hundred times the memory of an image.
+pub(crate) fn add(
     image: &mut ImageMetrics,
     pair: &Pair,
     networks: &Networks,

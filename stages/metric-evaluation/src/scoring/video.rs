@@ -1,4 +1,4 @@
-//! Adds the figures of images of one camera in the order of time.
+//! Adds metrics of the image sequence of each camera.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,20 +7,23 @@ use engine::{Digest, Failure, FailureKind};
 use rayon::prelude::*;
 use scene::npy_file;
 
-use crate::metrics::{consistencies, flow_difference, residual_change};
+use crate::artifact::ImageMetrics;
+use crate::metrics::metric::Metric;
+use crate::metrics::score::Score;
+use crate::metrics::video::{consistencies, flow_difference, residual_change};
+use crate::params::MetricEvaluationParams;
 use crate::test_set::TestSet;
-use crate::{ImageMetrics, Metric, MetricEvaluationParams, Score};
 
-/// The file that says which images the features were computed from, as `sha256sum` writes it.
+/// File with the hashes of the images that the features were computed from, in the format of `sha256sum`.
 const HASHES: &str = "images.sha256";
-/// Folders of optical flow from the image before, px, [H, W, 2]: of the renders and of the true images.
+/// Folders of optical flow [H, W, 2] in pixels from the previous image: of the renders and of the ground truth.
 const FLOWS: [&str; 2] = ["flow_of_renders", "flow_of_truth"];
-/// Folders of feature vectors.
+/// Folders of feature vectors, by metric.
 const FEATURES: [(Metric, &str); 2] =
     [(Metric::SubjectConsistency, "subject"), (Metric::BackgroundConsistency, "background")];
 
-/// Adds flicker, and where `features` is a folder of what networks say of the renders, consistency and tOF.
-pub fn add(
+/// Adds flicker, and consistency and tOF if `features` names a folder of network outputs for the renders.
+pub(crate) fn add(
     images: &mut [ImageMetrics],
     set: &TestSet<'_>,
     features: Option<&Path>,
@@ -49,27 +52,27 @@ pub fn add(
     Ok(())
 }
 
-/// Positions of a set's images by camera, in the order of time.
+/// The indices of a set's images per camera, in the order of time.
 fn videos(set: &TestSet<'_>) -> impl Iterator<Item = Vec<usize>> {
     let mut videos = BTreeMap::<u32, Vec<usize>>::new();
     for (index, (_, view)) in set.views.iter().enumerate() {
         videos.entry(view.camera_index).or_default().push(index);
     }
-    // The capture's order within a split is that of time.
+    // Views of a split are sorted by time.
     videos.into_values()
 }
 
-/// The change of the error from each image to the next of a camera that stands still; a camera that moves has no flicker,
-/// because the same pixel shows something else.
+/// Adds the change of the error between consecutive images of a fixed camera. Flicker is undefined for a moving camera,
+/// where a pixel shows different surfaces over time.
 fn add_flicker(images: &mut [ImageMetrics], set: &TestSet<'_>, params: &MetricEvaluationParams) -> anyhow::Result<()> {
     let neighbours: Vec<[usize; 2]> =
         videos(set).flat_map(|video| video.array_windows().copied().collect::<Vec<_>>()).collect();
-    let is_at_rest = |[before, after]: &[usize; 2]| set.views[*before].1.camera == set.views[*after].1.camera;
+    let is_fixed = |[before, after]: &[usize; 2]| set.views[*before].1.camera == set.views[*after].1.camera;
     let flicker = |[before, after]: [usize; 2]| -> anyhow::Result<(usize, f64)> {
         let ([r0, t0], [r1, t1]) = (set.images(before, params)?, set.images(after, params)?);
         Ok((after, residual_change([&r0, &t0], [&r1, &t1])))
     };
-    let found: Vec<_> = neighbours.into_par_iter().filter(is_at_rest).map(flicker).collect::<Result<_, _>>()?;
+    let found: Vec<_> = neighbours.into_par_iter().filter(is_fixed).map(flicker).collect::<Result<_, _>>()?;
     for (index, value) in found {
         images[index].values.insert(Metric::Flicker, Score::Value(value));
     }
@@ -86,7 +89,8 @@ fn add_consistency(
         let features =
             video.iter().map(|&index| read(folder, &set.views[index].1.name)).collect::<Result<Vec<_>, _>>()?;
         if let Some(odd) = features.iter().position(|feature| feature.len() != features[0].len()) {
-            let message = format!("{} values where {} are expected", features[odd].len(), features[0].len());
+            let message =
+                format!("the feature vector has {} values instead of {}", features[odd].len(), features[0].len());
             let path = folder.join(format!("{}.npy", set.views[video[odd]].1.name));
             return Err(Failure::new(FailureKind::BadInput, message).at(path));
         }
@@ -97,7 +101,7 @@ fn add_consistency(
     Ok(())
 }
 
-/// tOF of every image after the first of its camera.
+/// Adds tOF to every image after the first one of its camera.
 fn add_flow_difference(images: &mut [ImageMetrics], set: &TestSet<'_>, folders: &[PathBuf; 2]) -> Result<(), Failure> {
     let later: Vec<usize> = videos(set).flat_map(|video| video[1..].to_vec()).collect();
     let difference = |&index: &usize| {
@@ -108,7 +112,7 @@ fn add_flow_difference(images: &mut [ImageMetrics], set: &TestSet<'_>, folders: 
             if array.shape == [height, width, 2] {
                 return Ok(array.values);
             }
-            let message = format!("flow of shape {:?} where [{height}, {width}, 2] is expected", array.shape);
+            let message = format!("the flow has shape {:?} instead of [{height}, {width}, 2]", array.shape);
             Err(Failure::new(FailureKind::BadInput, message).at(path))
         };
         Ok((index, flow_difference(&flow(&folders[0])?, &flow(&folders[1])?)))
@@ -119,12 +123,12 @@ fn add_flow_difference(images: &mut [ImageMetrics], set: &TestSet<'_>, folders: 
     Ok(())
 }
 
-/// One finite feature vector.
+/// Reads one finite feature vector.
 fn read(folder: &Path, name: &str) -> Result<Vec<f64>, Failure> {
     Ok(read_array(folder, name, "feature vector")?.1.values)
 }
 
-/// A finite array that belongs to a view, and its file.
+/// Reads the finite array of a view; returns its file, too.
 fn read_array(folder: &Path, name: &str, what: &str) -> Result<(PathBuf, npy_file::NpyArray), Failure> {
     let path = folder.join(format!("{name}.npy"));
     if !path.is_file() {
@@ -138,14 +142,14 @@ fn read_array(folder: &Path, name: &str, what: &str) -> Result<(PathBuf, npy_fil
     }
 }
 
-/// Features of other renders than these say nothing about these.
+/// Refuses features that were computed from other renders.
 fn check_hashes(set: &TestSet<'_>, folder: &Path) -> anyhow::Result<()> {
     let path = folder.join(HASHES);
     let hint =
-        "in the folder of the renders: sha256sum *.png > images.sha256, then compute the features of these images";
+        "run in the folder of the renders: sha256sum *.png > images.sha256, then compute the features of these images";
     let failure = |kind, message: String| Failure::new(kind, message).hint(hint).at(&path);
     let text = std::fs::read_to_string(&path).map_err(|error| {
-        failure(FailureKind::MissingData, format!("cannot read which images have features: {error}"))
+        failure(FailureKind::MissingData, format!("cannot read the hashes of the images with features: {error}"))
     })?;
     let hashes: BTreeMap<&str, &str> = text
         .lines()
@@ -156,8 +160,8 @@ fn check_hashes(set: &TestSet<'_>, folder: &Path) -> anyhow::Result<()> {
         let found = Digest::of_file(&set.renders.image_path(rendered))?.to_string();
         let message = match hashes.get(view.name.as_str()) {
             Some(hash) if *hash == found => continue,
-            Some(_) => format!("features of another render of {}", view.name),
-            None => format!("no features of {}", view.name),
+            Some(_) => format!("the features belong to another render of {}", view.name),
+            None => format!("there are no features of {}", view.name),
         };
         return Err(failure(FailureKind::BadInput, message).into());
     }

@@ -1,18 +1,25 @@
-//! Folders, artifacts and the planted faults that they must refuse.
+//! Evaluation of folders, checks of the artifact, and helpers for other tests.
+
+pub(crate) mod images;
+pub(crate) mod stage;
 
 use std::path::Path;
 
 use engine::{Artifact, Failure};
 
-use super::*;
+use crate::artifact::Metrics;
+use crate::folders::evaluate_folders;
+use crate::image_file::{Background, Image, Quantise};
+use crate::metrics::metric::Metric;
+use crate::metrics::score::Score;
 
-/// Writes an RGB image whose colours depend on the position and on `shift`.
+/// Writes an RGB image with colours that depend on the position and on `shift`.
 fn write_image(path: &Path, size: [u32; 2], shift: u32) {
     let colour = |x: u32, y: u32| image::Rgb([(3 * x + shift) as u8, (5 * y) as u8, (x * y + 2 * shift) as u8]);
     image::RgbImage::from_fn(size[0], size[1], colour).save(path).expect("image written");
 }
 
-/// Two folders of `names`, renders shifted by `shift`.
+/// Two folders with images of these names; the renders are shifted by `shift`.
 fn folders(names: &[&str], shift: u32) -> (tempfile::TempDir, [std::path::PathBuf; 2]) {
     let root = tempfile::tempdir().expect("temporary folder");
     let [renders, truth] = ["renders", "truth"].map(|name| root.path().join(name));
@@ -30,9 +37,9 @@ fn error_of(renders: &Path, truth: &Path) -> String {
 }
 
 #[test]
-fn folders_are_judged_and_survive_a_round_trip() {
+fn metrics_of_folders_read_back_equal() {
     let (root, [renders, truth]) = folders(&["b.png", "a.png"], 9);
-    let metrics = evaluate_folders(&renders, &truth).expect("judged");
+    let metrics = evaluate_folders(&renders, &truth).expect("evaluated");
     assert_eq!(metrics.images.iter().map(|image| image.name.as_str()).collect::<Vec<_>>(), ["a", "b"]);
     assert!(metrics.means[&Metric::Psnr].value().is_some_and(|psnr| psnr > 10.0 && psnr < 40.0));
     assert_eq!(metrics.means[&Metric::MsSsim], Score::undefined("image smaller than 161 px"));
@@ -43,39 +50,41 @@ fn folders_are_judged_and_survive_a_round_trip() {
 }
 
 #[test]
-fn summary_names_worst_image_reasons_and_remarks() {
+fn the_summary_lists_worst_images_reasons_and_caveats() {
     let (_root, [renders, truth]) = folders(&["a.png", "b.png"], 0);
     write_image(&renders.join("b.png"), [24, 16], 40);
-    let text = evaluate_folders(&renders, &truth).expect("judged").summary();
-    let psnr_line = text.lines().find(|line| line.starts_with("PSNR ")).expect("a line for PSNR");
-    assert!(psnr_line.ends_with(" b"), "{text}");
-    assert!(text.contains("MS-SSIM is undefined: image smaller than 161 px"), "{text}");
-    assert!(text.contains("note: 1 of 2 images equal to the truth (PSNR capped at 100 dB), first a"), "{text}");
+    insta::assert_snapshot!(evaluate_folders(&renders, &truth).expect("evaluated").summary());
 }
 
 #[test]
-fn mismatched_folders_are_explained() {
+fn mismatched_folders_are_refused() {
     let (root, [renders, truth]) = folders(&["a.png", "b.png"], 1);
+    let mut errors = String::new();
+    let mut add = |renders: &Path, truth: &Path| {
+        errors += &error_of(renders, truth).replace(&*root.path().to_string_lossy(), "DIR");
+        errors.push('\n');
+    };
     std::fs::rename(renders.join("b.png"), renders.join("c.png")).expect("renamed");
-    assert!(error_of(&renders, &truth).contains("1 renders have no true image of the same name: c"));
+    add(&renders, &truth);
     std::fs::remove_file(renders.join("c.png")).expect("removed");
-    assert!(error_of(&renders, &truth).contains("1 true images have no render of the same name: b"));
+    add(&renders, &truth);
     write_image(&renders.join("b.png"), [12, 16], 1);
-    assert!(error_of(&renders, &truth).contains("render is 12×16 px, its true image 24×16"));
+    add(&renders, &truth);
     write_image(&truth.join("b.png"), [12, 16], 1);
-    assert!(error_of(&renders, &truth).contains("a protocol has one size"));
+    add(&renders, &truth);
     write_image(&truth.join("b.jpg"), [12, 16], 1);
-    assert!(error_of(&renders, &truth).contains("two images have the stem b"));
+    add(&renders, &truth);
     let empty = root.path().join("empty");
     std::fs::create_dir(&empty).expect("folder made");
-    assert!(error_of(&empty, &truth).contains("has no images to judge"));
-    assert!(error_of(&root.path().join("absent"), &truth).contains("cannot list folder"));
+    add(&empty, &truth);
+    add(&root.path().join("absent"), &truth);
     std::fs::write(empty.join("a.png"), "not an image").expect("written");
-    assert!(error_of(&empty, &empty).contains("cannot read image"));
+    add(&empty, &empty);
+    insta::assert_snapshot!(errors);
 }
 
 #[test]
-fn a_jpeg_that_was_cut_short_is_not_judged() {
+fn truncated_jpegs_are_refused() {
     let (_root, [renders, truth]) = folders(&["a.jpg"], 1);
     assert!(evaluate_folders(&renders, &truth).is_ok());
     let path = renders.join("a.jpg");
@@ -89,7 +98,7 @@ fn transparent_images_need_a_background() {
     let (_root, [renders, truth]) = folders(&["a.png"], 0);
     let path = truth.join("a.png");
     image::RgbaImage::from_pixel(24, 16, image::Rgba([200, 100, 50, 128])).save(&path).expect("image written");
-    assert!(error_of(&renders, &truth).contains("image is transparent"));
+    assert!(error_of(&renders, &truth).contains("the image is transparent"));
     let read = |quantise, background| {
         let image = Image::read(&path, quantise, Some(background)).expect("read");
         image.planes.map(|plane| (plane[0] * 255.0).round() as u8)
@@ -104,7 +113,7 @@ fn transparent_images_need_a_background() {
 }
 
 #[test]
-fn quantising_leaves_whole_levels_alone() {
+fn quantisation_keeps_whole_levels() {
     for level in 0..=255_u8 {
         let colour = f64::from(level) / 255.0;
         for quantise in [Quantise::Round8, Quantise::Trunc8, Quantise::None] {
@@ -116,9 +125,9 @@ fn quantising_leaves_whole_levels_alone() {
 }
 
 #[test]
-fn planted_faults_are_rejected() {
+fn invalid_metrics_are_refused() {
     let (_root, [renders, truth]) = folders(&["a.png", "b.png"], 5);
-    let good = evaluate_folders(&renders, &truth).expect("judged");
+    let good = evaluate_folders(&renders, &truth).expect("evaluated");
     good.check().expect("valid");
     let refused = |plant: fn(&mut Metrics)| {
         let mut bad = good.clone();
@@ -134,14 +143,14 @@ fn planted_faults_are_rejected() {
     refused(|bad| bad.images[1].name = bad.images[0].name.clone());
 }
 
-/// Real pairs: renders of 4DGaussians by somebody else, judged by an independent implementation.
+/// Renders of 4DGaussians from another source, with values of an independent implementation.
 #[test]
 fn real_renders_match_independent_values() {
     let Some(folder) = needs::data("dnerf_bouncingballs_4dgs_renders") else { return };
     let golden = std::fs::read_to_string(folder.join("golden_metrics.json")).expect("golden values");
     let golden: serde_json::Value = serde_json::from_str(&golden).expect("JSON");
     let started = std::time::Instant::now();
-    let metrics = evaluate_folders(&folder.join("renders"), &folder.join("gt")).expect("judged");
+    let metrics = evaluate_folders(&folder.join("renders"), &folder.join("gt")).expect("evaluated");
     println!("{:.2} s for {} pairs\n{}", started.elapsed().as_secs_f64(), metrics.n_images, metrics.summary());
     let names = [(Metric::Psnr, "psnr"), (Metric::Ssim, "ssim_3dgs_zeropad"), (Metric::SsimValid, "ssim_gauss_valid")];
     for (metric, name) in names {

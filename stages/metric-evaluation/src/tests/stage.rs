@@ -1,4 +1,4 @@
-//! The stage on a small capture and renders of it.
+//! The stage on a small capture and its renders.
 
 use std::path::Path;
 
@@ -9,9 +9,14 @@ use scene::capture::{CaptureInfo, CaptureWriter, Frame};
 use scene::{Camera, Capture, Intrinsics, LabelMap, Protocol, Split, TimeMap};
 use serde_json::Value;
 
-use super::*;
+use crate::artifact::Metrics;
+use crate::metrics::metric::Metric;
+use crate::metrics::score::Score;
+use crate::params::MetricEvaluationParams;
+use crate::run::MetricEvaluation;
 
-pub const SIZE: [u32; 2] = [24, 16];
+/// Width and height of all images.
+pub(crate) const SIZE: [u32; 2] = [24, 16];
 
 fn protocol() -> Protocol {
     Protocol {
@@ -25,23 +30,24 @@ fn protocol() -> Protocol {
     }
 }
 
-pub fn picture(shift: u8) -> image::RgbImage {
+/// A colour ramp, shifted by `shift`.
+pub(crate) fn picture(shift: u8) -> image::RgbImage {
     image::RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| image::Rgb([3 * x as u8 + shift, 5 * y as u8, shift]))
 }
 
-/// A ball on the right half of every image.
+/// Labels with a ball on the right half of the image.
 fn labels() -> LabelMap {
     let labels = (0..SIZE[0] * SIZE[1]).map(|at| u8::from(at % SIZE[0] >= SIZE[0] / 2)).collect();
     LabelMap { width: SIZE[0], height: SIZE[1], labels }
 }
 
-/// A capture with one training view and two test views, from a camera that moves.
-pub fn write_capture(dir: &Path) -> Capture {
+/// Writes a capture with one training view and two test views from a moving camera.
+pub(crate) fn write_capture(dir: &Path) -> Capture {
     write_capture_along(dir, |time_secs| DVec3::new(0.0, time_secs, -3.0))
 }
 
-/// The same, from a camera that is at `position` at each time.
-pub fn write_capture_along(dir: &Path, position: fn(f64) -> DVec3) -> Capture {
+/// Writes a capture with one training view and two test views from a camera at `position(time)`.
+pub(crate) fn write_capture_along(dir: &Path, position: fn(f64) -> DVec3) -> Capture {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.5 };
     let info = CaptureInfo {
         name: "tiny".into(),
@@ -77,8 +83,8 @@ pub fn write_capture_along(dir: &Path, position: fn(f64) -> DVec3) -> Capture {
     writer.finish().expect("a valid capture")
 }
 
-/// Renders of the capture's test views, each a little off.
-pub fn write_renders(dir: &Path, capture: &Capture) -> Renders {
+/// Writes renders of the capture's test views with a small error.
+pub(crate) fn write_renders(dir: &Path, capture: &Capture) -> Renders {
     std::fs::create_dir_all(dir.join("images")).expect("folder made");
     let rendered = |view: &scene::View| {
         let image = Path::new("images").join(format!("{}.png", view.name));
@@ -111,8 +117,12 @@ fn run(root: &Path) -> anyhow::Result<Metrics> {
     run_with(root, &MetricEvaluationParams::default(), &[])
 }
 
-/// Runs the stage on `root/capture` and `root/renders`, with folders under the names that the engine gives them.
-pub fn run_with(root: &Path, params: &MetricEvaluationParams, folders: &[(&str, &Path)]) -> anyhow::Result<Metrics> {
+/// Runs the stage on `root/capture` and `root/renders`, with input folders by name.
+pub(crate) fn run_with(
+    root: &Path,
+    params: &MetricEvaluationParams,
+    folders: &[(&str, &Path)],
+) -> anyhow::Result<Metrics> {
     let mut context = JobContext::detached(root)?;
     for port in ["capture", "renders"] {
         let record = InputRecord {
@@ -131,11 +141,11 @@ pub fn run_with(root: &Path, params: &MetricEvaluationParams, folders: &[(&str, 
 }
 
 #[test]
-fn the_stage_judges_the_split_in_the_order_of_the_capture() {
+fn the_stage_evaluates_the_split_in_capture_order() {
     let root = tempfile::tempdir().expect("temporary folder");
     let capture = write_capture(&root.path().join("capture"));
     write_renders(&root.path().join("renders"), &capture);
-    let metrics = run(root.path()).expect("judged");
+    let metrics = run(root.path()).expect("evaluated");
     metrics.check().expect("valid");
     assert_eq!(Metrics::open(&root.path().join("output")).expect("opened"), metrics);
     assert_eq!(metrics.images.iter().map(|image| image.name.as_str()).collect::<Vec<_>>(), ["test_0", "test_1"]);
@@ -145,7 +155,7 @@ fn the_stage_judges_the_split_in_the_order_of_the_capture() {
     assert!((psnr - expected).abs() <= 1e-9, "{psnr} dB, expected {expected}");
 }
 
-/// Maps that select the ball with the first of two prompts and have features of length 2.
+/// Maps with two features per pixel; the first of two prompts selects the ball.
 fn semantic_maps(features: [f32; 2]) -> SemanticMaps {
     let is_ball = labels().labels.iter().map(|label| f32::from(*label)).collect();
     let nowhere = vec![0.0; labels().labels.len()];
@@ -158,7 +168,7 @@ fn semantic_maps(features: [f32; 2]) -> SemanticMaps {
     }
 }
 
-/// Renders that say what `features` says of both test views, to the prompts ball and unicorn.
+/// Writes renders with these features for both test views, and with the prompts ball and unicorn.
 fn write_semantics(dir: &Path, capture: &Capture, features: [[f32; 2]; 2]) {
     let mut renders = write_renders(dir, capture);
     renders.prompts = ["ball", "unicorn"].map(String::from).to_vec();
@@ -175,18 +185,18 @@ fn prompts_and_features_are_compared_with_labels() {
     let root = tempfile::tempdir().expect("temporary folder");
     let capture = write_capture(&root.path().join("capture"));
     let renders_dir = root.path().join("renders");
-    let judged = |features| {
+    let evaluated = |features| {
         write_semantics(&renders_dir, &capture, features);
-        let metrics = run(root.path()).expect("judged");
+        let metrics = run(root.path()).expect("evaluated");
         metrics.check().expect("valid");
         metrics
     };
-    let steady = judged([[1.0, 0.0], [2.0, 0.0]]);
+    let steady = evaluated([[1.0, 0.0], [2.0, 0.0]]);
     assert_eq!(steady.means[&Metric::PromptIou], Score::Value(1.0));
     assert_eq!(steady.means[&Metric::FeatureDrift], Score::Value(0.0));
     assert_eq!(steady.prompts["ball"], Score::Value(1.0));
     assert_eq!(steady.prompts["unicorn"], Score::undefined("no class of this name"));
-    let flipping = judged([[1.0, 0.0], [-1.0, 0.0]]);
+    let flipping = evaluated([[1.0, 0.0], [-1.0, 0.0]]);
     assert_eq!(flipping.means[&Metric::FeatureDrift], Score::Value(1.0));
 
     let mut forged = steady.clone();
@@ -195,27 +205,27 @@ fn prompts_and_features_are_compared_with_labels() {
 }
 
 #[test]
-fn a_model_without_words_has_no_figures_of_language() {
+fn models_without_prompts_have_no_prompt_overlap() {
     let root = tempfile::tempdir().expect("temporary folder");
     let capture = write_capture(&root.path().join("capture"));
     let renders_dir = root.path().join("renders");
     write_renders(&renders_dir, &capture);
-    let metrics = run(root.path()).expect("judged");
+    let metrics = run(root.path()).expect("evaluated");
     assert!(!metrics.means.contains_key(&Metric::PromptIou) && !metrics.means.contains_key(&Metric::FeatureDrift));
-    // Features without words: they may drift, but no prompt can be asked.
+    // Features without prompts have a drift, but no overlap.
     write_semantics(&renders_dir, &capture, [[1.0, 0.0]; 2]);
     for name in ["test_0", "test_1"] {
-        let mute = SemanticMaps { relevancy: Vec::new(), ..semantic_maps([1.0, 0.0]) };
-        mute.write(&renders_dir.join(format!("images/{name}.exr"))).expect("written");
+        let without_prompts = SemanticMaps { relevancy: Vec::new(), ..semantic_maps([1.0, 0.0]) };
+        without_prompts.write(&renders_dir.join(format!("images/{name}.exr"))).expect("written");
     }
-    let metrics = run(root.path()).expect("judged");
+    let metrics = run(root.path()).expect("evaluated");
     assert_eq!(metrics.means[&Metric::FeatureDrift], Score::Value(0.0));
     assert!(metrics.means[&Metric::PromptIou].value().is_none());
     assert_eq!(metrics.prompts["unicorn"], Score::undefined("no class of this name"));
 }
 
 #[test]
-fn incomplete_foreign_and_empty_renders_are_refused() {
+fn incomplete_and_foreign_renders_are_refused() {
     let root = tempfile::tempdir().expect("temporary folder");
     let (capture_dir, renders_dir) = (root.path().join("capture"), root.path().join("renders"));
     let capture = write_capture(&capture_dir);
@@ -227,15 +237,15 @@ fn incomplete_foreign_and_empty_renders_are_refused() {
         assert!(error.downcast_ref::<Failure>().is_some(), "not a typed failure: {error:#}");
         assert!(error.to_string().contains(message), "{error:#}");
     };
-    refused(&|renders| drop(renders.views.pop()), "view test_1 of the capture was not rendered");
-    refused(&|renders| renders.views[1].name = "test_9".into(), "view test_1 of the capture was not rendered");
-    refused(&|renders| renders.split = Split::Train, "view train_0 of the capture was not rendered");
-    refused(&|renders| renders.split = Split::Val, "split has no images to judge");
-    refused(&|renders| renders.protocol.background = "white".into(), "renders belong to another capture");
+    refused(&|renders| drop(renders.views.pop()), "view test_1 of the capture has no render");
+    refused(&|renders| renders.views[1].name = "test_9".into(), "view test_1 of the capture has no render");
+    refused(&|renders| renders.split = Split::Train, "view train_0 of the capture has no render");
+    refused(&|renders| renders.split = Split::Val, "the split has no images");
+    refused(&|renders| renders.protocol.background = "white".into(), "the renders belong to another capture");
 }
 
 #[test]
-fn parameters_are_checked_and_unknown_keys_refused() {
+fn wrong_parameters_and_unknown_keys_are_refused() {
     let none = MetricEvaluationParams { metrics: Default::default(), ..Default::default() };
     assert_eq!(MetricEvaluation::check_params(&none).len(), 1);
     assert!(MetricEvaluation::check_params(&Default::default()).is_empty());

@@ -1,20 +1,26 @@
-//! Adds the figures of surfaces, as far as the capture knows them exactly.
+//! Adds metrics of surfaces, if the capture has exact maps.
 
 use rayon::prelude::*;
 
-use crate::metrics::{Family, Truths, judge_surfaces, psnr_of_moving};
+use crate::artifact::ImageMetrics;
+use crate::metrics::metric::{Family, Metric};
+use crate::metrics::surfaces::{Truths, psnr_of_moving, surface_scores};
+use crate::params::MetricEvaluationParams;
 use crate::test_set::TestSet;
-use crate::{ImageMetrics, Metric, MetricEvaluationParams};
 
-/// Judges the surfaces of every image of the set.
-pub fn add(images: &mut [ImageMetrics], set: &TestSet<'_>, params: &MetricEvaluationParams) -> anyhow::Result<()> {
+/// Adds surface metrics to all images of the set.
+pub(crate) fn add(
+    images: &mut [ImageMetrics],
+    set: &TestSet<'_>,
+    params: &MetricEvaluationParams,
+) -> anyhow::Result<()> {
     if !params.metrics.iter().any(|metric| metric.family() == Family::Surfaces) {
         return Ok(());
     }
-    images.par_iter_mut().enumerate().try_for_each(|(index, image)| judge(image, index, set, params))
+    images.par_iter_mut().enumerate().try_for_each(|(index, image)| add_to_image(image, index, set, params))
 }
 
-fn judge(
+fn add_to_image(
     image: &mut ImageMetrics,
     index: usize,
     set: &TestSet<'_>,
@@ -36,7 +42,7 @@ fn judge(
     }
     if let Some(maps) = set.renders.load_maps(rendered)? {
         set.check_size(view, (maps.width, maps.height))?;
-        image.values.extend(judge_surfaces(&maps, &truths, &params.metrics));
+        image.values.extend(surface_scores(&maps, &truths, &params.metrics));
     }
     Ok(())
 }

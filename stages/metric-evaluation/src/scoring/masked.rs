@@ -1,4 +1,4 @@
-//! Adds the figures of the part of each image that a mask keeps.
+//! Adds metrics of the masked part of each image.
 
 use std::path::{Path, PathBuf};
 
@@ -6,19 +6,22 @@ use engine::{Failure, FailureKind};
 use scene::{LabelMap, View};
 
 use super::perceptual::Networks;
+use crate::artifact::ImageMetrics;
+use crate::image_file::Image;
 use crate::lpips::{Backbone, InputRange};
-use crate::metrics::{Family, masked_mean, masked_psnr, masked_ssim};
-use crate::params::{Keep, MaskSource};
+use crate::metrics::masked::{masked_mean, masked_psnr, masked_ssim};
+use crate::metrics::metric::{Family, Metric};
+use crate::metrics::score::Score;
+use crate::params::{Keep, MaskSource, MetricEvaluationParams};
 use crate::test_set::TestSet;
-use crate::{Image, ImageMetrics, Metric, MetricEvaluationParams, Score};
 
-/// Whether there is anything to do.
-pub fn is_wanted(params: &MetricEvaluationParams) -> bool {
+/// Whether any masked metric is wanted.
+pub(crate) fn is_wanted(params: &MetricEvaluationParams) -> bool {
     params.mask != MaskSource::None && params.metrics.iter().any(|metric| metric.family() == Family::Masked)
 }
 
-/// Judges the image at `index` of the set within its mask; `folder` has the masks, where they are files.
-pub fn add(
+/// Adds masked metrics of the image at `index`; `folder` contains the masks if they are files.
+pub(crate) fn add(
     image: &mut ImageMetrics,
     index: usize,
     set: &TestSet<'_>,
@@ -41,7 +44,7 @@ pub fn add(
     Ok(())
 }
 
-/// Images that are black outside of the mask, compared by pixel, mean over the mask.
+/// LPIPS by pixel of images that are black outside of the mask, averaged over the mask.
 fn masked_lpips(mut images: [Image; 2], mask: &[bool], networks: &Networks) -> Score {
     for plane in images.iter_mut().flat_map(|image| &mut image.planes) {
         plane.iter_mut().zip(mask).filter(|(_, kept)| !**kept).for_each(|(value, _)| *value = 0.0);
@@ -57,7 +60,7 @@ fn masked_lpips(mut images: [Image; 2], mask: &[bool], networks: &Networks) -> S
     mean.unwrap_or(score)
 }
 
-/// Which pixels count; none where a view has no mask.
+/// The mask of a view; `None` if it has no mask.
 fn mask(
     set: &TestSet<'_>,
     view: &View,
@@ -73,13 +76,13 @@ fn mask(
     Ok(map.map(|map| map.labels.into_iter().map(keeps).collect()))
 }
 
-/// The mask of a view: `NAME.png`, or `NAME.png.png` as one benchmark names them, of the view's size.
+/// Reads the mask file of a view, which must have the view's size: `NAME.png`, or `NAME.png.png` as in one benchmark.
 fn read(folder: &Path, view: &View) -> Result<LabelMap, Failure> {
     let files = ["png", "png.png"].map(|extension| folder.join(format!("{}.{extension}", view.name)));
     let [path, _] = &files;
     let found: Option<&PathBuf> = files.iter().find(|path| path.is_file());
     let missing = || {
-        let hint = "masks are called as the capture's views, with the extension png";
+        let hint = "name the mask files like the capture's views, with the extension png";
         Failure::new(FailureKind::MissingData, format!("view {} has no mask", view.name)).hint(hint).at(path)
     };
     let path = found.ok_or_else(missing)?;
@@ -89,6 +92,6 @@ fn read(folder: &Path, view: &View) -> Result<LabelMap, Failure> {
     if (map.width, map.height) == (width, height) {
         return Ok(map);
     }
-    Err(bad(format!("mask is {}×{} px instead of {width}×{height}", map.width, map.height))
-        .hint("masks are not resized: their edges would decide the figures"))
+    Err(bad(format!("the mask is {}×{} px instead of {width}×{height}", map.width, map.height))
+        .hint("provide masks of this size: resizing would move their edges"))
 }
