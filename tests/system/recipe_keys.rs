@@ -54,7 +54,7 @@ fn reference() -> String {
         docs.module("pipeline/engine/src/recipe.rs"),
     );
     for stage in registry.stages() {
-        write!(text, "\n### `{}`\n\nThis stage {}.\n", stage.id(), stage.about()).expect("text");
+        writeln!(text, "\n### `{}`\n\nThis stage {}.", stage.id(), stage.about()).expect("text");
         if stage.id() == "training" {
             training(&docs, &registry, &mut text);
             continue;
@@ -77,7 +77,7 @@ fn training(docs: &Docs, registry: &Registry, text: &mut String) {
     for method in docs.folders("stages/training/src/methods") {
         let Ok(defaults) = stage.canonical_params(&json!({ "method": method })) else { continue };
         let settings = docs.associated_type(&format!("stages/training/src/methods/{method}/"), "Settings");
-        write!(text, "\n#### `{method}`\n").expect("text");
+        writeln!(text, "\n#### `{method}`").expect("text");
         let listing = Listing { docs, registry, stage: "training", defaults: defaults.clone() };
         if defaults[&method].as_object().is_some_and(|table| !table.is_empty()) {
             *text += &listing.table("", &method, &settings, &defaults[&method]);
@@ -86,7 +86,7 @@ fn training(docs: &Docs, registry: &Registry, text: &mut String) {
         }
         let changed = changed_defaults("", &base, &defaults, &["method", "static3dgs", &method]);
         if !changed.is_empty() {
-            write!(text, "\nDefaults of shared keys that differ: {}.\n", changed.join(", ")).expect("text");
+            writeln!(text, "\nDefaults of shared keys that differ: {}.", changed.join(", ")).expect("text");
         }
     }
 }
@@ -135,7 +135,7 @@ impl Listing<'_> {
         }
     }
 
-    /// Every key that the stage writes is a field that was found in the sources.
+    /// Fails unless every key of the defaults is a field that was found in the sources.
     fn check_all_documented(&self, prefix: &str, fields: &[Field], table: &Map<String, Value>) {
         let is_method =
             |key: &str| prefix.is_empty() && self.stage == "training" && (key == "method" || table["method"] == key);
@@ -153,7 +153,7 @@ impl Listing<'_> {
         let stage = self.registry.get(self.stage).expect("registered");
         match stage.canonical_params(&params) {
             Ok(_) => true,
-            // A required key without a default is no reason against this one.
+            // The stage may require a key that has no default, whatever this key's value is.
             Err(problems) => !problems.iter().any(|problem| concerns(&problem.key, key)) && !self.is_valid_by_default(),
         }
     }
