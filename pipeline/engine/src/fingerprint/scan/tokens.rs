@@ -1,9 +1,9 @@
-//! What remains of a source file when everything that cannot change its meaning is taken away.
+//! Source files as tokens, without everything that cannot change their meaning.
 
 use proc_macro2::{Delimiter, Spacing, TokenStream, TokenTree};
 
-/// The tokens of a Rust file, one after the other, without comments, docs and items under `#[cfg(test)]`.
-pub fn rust_tokens(source: &str) -> Result<String, proc_macro2::LexError> {
+/// The tokens of a Rust file without comments, docs and items under `#[cfg(test)]`.
+pub(crate) fn rust_tokens(source: &str) -> Result<String, proc_macro2::LexError> {
     let mut text = String::new();
     append_tokens(&mut text, source.parse()?);
     Ok(text)
@@ -41,10 +41,10 @@ fn append_tokens(text: &mut String, stream: TokenStream) {
     }
 }
 
-/// Where the docs or the test item that starts at `at` ends, if one does.
-fn end_of_ignored(tokens: &[TokenTree], at: usize) -> Option<usize> {
+/// The end of the doc attribute or the test item at `at`, if there is one.
+pub(super) fn end_of_ignored(tokens: &[TokenTree], at: usize) -> Option<usize> {
     let (end, attribute) = attribute(tokens, at)?;
-    let compact = attribute.to_string().replace(char::is_whitespace, "");
+    let compact = compact(attribute);
     let is_inner = is_punct(tokens.get(at + 1), '!');
     if compact.starts_with("doc=") {
         return Some(end);
@@ -52,8 +52,13 @@ fn end_of_ignored(tokens: &[TokenTree], at: usize) -> Option<usize> {
     (compact == "cfg(test)" && !is_inner).then(|| end_of_item(tokens, end)).flatten()
 }
 
-/// The end and the inside of the attribute (`#[…]` or `#![…]`) at `at`.
-fn attribute(tokens: &[TokenTree], at: usize) -> Option<(usize, TokenStream)> {
+/// An attribute's content without white space, e.g. `cfg(test)`.
+pub(super) fn compact(attribute: TokenStream) -> String {
+    attribute.to_string().replace(char::is_whitespace, "")
+}
+
+/// The end and the content of the attribute (`#[…]` or `#![…]`) at `at`.
+pub(super) fn attribute(tokens: &[TokenTree], at: usize) -> Option<(usize, TokenStream)> {
     if !is_punct(tokens.get(at), '#') {
         return None;
     }
@@ -64,7 +69,7 @@ fn attribute(tokens: &[TokenTree], at: usize) -> Option<(usize, TokenStream)> {
     }
 }
 
-/// The end of the item at `at`; nothing for fields, arms and statements, which then count.
+/// The end of the item at `at`; none for fields, match arms and statements, which therefore count.
 fn end_of_item(tokens: &[TokenTree], mut at: usize) -> Option<usize> {
     while let Some((end, _)) = attribute(tokens, at) {
         at = end;
@@ -88,16 +93,16 @@ fn end_of_item(tokens: &[TokenTree], mut at: usize) -> Option<usize> {
     tokens[at..].iter().position(ends).map(|length| at + length + 1)
 }
 
-fn is_punct(token: Option<&TokenTree>, wanted: char) -> bool {
+pub(super) fn is_punct(token: Option<&TokenTree>, wanted: char) -> bool {
     matches!(token, Some(TokenTree::Punct(punct)) if punct.as_char() == wanted)
 }
 
-fn is_ident(token: Option<&TokenTree>, wanted: &[&str]) -> bool {
+pub(super) fn is_ident(token: Option<&TokenTree>, wanted: &[&str]) -> bool {
     matches!(token, Some(TokenTree::Ident(ident)) if wanted.iter().any(|word| ident == word))
 }
 
-/// WGSL without comments, with every run of white space as one blank.
-pub fn wgsl_tokens(source: &str) -> String {
+/// WGSL without comments, with every run of white space replaced by one space.
+pub(crate) fn wgsl_tokens(source: &str) -> String {
     let mut code = String::new();
     let (mut rest, mut depth) = (source, 0);
     while let Some(c) = rest.chars().next() {
@@ -114,7 +119,7 @@ pub fn wgsl_tokens(source: &str) -> String {
             code.push(if depth == 0 { c } else { ' ' });
             c.len_utf8()
         };
-        // A comment separates words like a blank does.
+        // A comment separates words like a space.
         code.push_str(if skip > 1 && c == '/' { " " } else { "" });
         rest = &rest[skip..];
     }
