@@ -135,22 +135,20 @@ fn plain(path: &Path) -> PathBuf {
 /// The files among `paths` that only tests contain. `references` holds what each Rust file refers to.
 pub(super) fn test_only<'a>(
     references: &BTreeMap<String, References>,
-    paths: impl Iterator<Item = &'a String> + Clone,
+    paths: impl Iterator<Item = &'a String>,
 ) -> BTreeSet<String> {
     let test_modules: BTreeSet<&PathBuf> = references.values().flat_map(|file| &file.test_modules).collect();
     let is_of_tests =
         |path: &&String| Path::new(path.as_str()).ancestors().any(|at| test_modules.contains(&at.to_owned()));
-    let candidates: BTreeSet<&String> = paths.filter(is_of_tests).collect();
-    let mut left_out = BTreeSet::new();
+    let mut left_out: BTreeSet<String> = paths.filter(is_of_tests).cloned().collect();
     loop {
         // A file that is left out keeps no other file.
         let counted = references.iter().filter(|(path, _)| !left_out.contains(*path)).map(|(_, file)| file);
         let used: BTreeSet<&PathBuf> = counted.flat_map(|file| &file.used).collect();
-        let is_unused = |path: &&&String| !used.contains(&PathBuf::from(path.as_str()));
-        let next: BTreeSet<String> = candidates.iter().filter(is_unused).map(|path| (*path).clone()).collect();
-        if next == left_out {
+        let n_before = left_out.len();
+        left_out.retain(|path| !used.contains(&PathBuf::from(path.as_str())));
+        if left_out.len() == n_before {
             return left_out;
         }
-        left_out = next;
     }
 }
