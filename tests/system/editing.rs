@@ -1,13 +1,12 @@
 //! An edit reruns what it can influence, and nothing else.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use engine::{CodeTable, Plan};
-use walkdir::WalkDir;
 
 use crate::product::root;
-use crate::sources::{ScannedCrate, Sources, read};
+use crate::sources::{Sources, read};
 
 /// The quickstart with this code and these overrides.
 fn quickstart(code: CodeTable, overrides: &[&str]) -> Plan {
@@ -59,53 +58,6 @@ fn a_comment_reruns_nothing() {
     assert_eq!(rerun(&before, &quickstart(sources.code(), &[])), BTreeSet::new());
 }
 
-/// The Rust files below the crates' `src` folders that the code table leaves out.
-fn test_files(sources: &Sources) -> Vec<PathBuf> {
-    let left_out = |scanned: ScannedCrate| {
-        let files =
-            WalkDir::new(scanned.root.join("src")).into_iter().map(|entry| entry.expect("readable").into_path());
-        let relative =
-            move |path: &Path| path.strip_prefix(&scanned.root).expect("below the root").to_str().map(str::to_owned);
-        let counts = move |path: &PathBuf| relative(path).is_some_and(|name| scanned.files.contains_key(&name));
-        files.filter(move |path| path.extension().is_some_and(|it| it == "rs") && !counts(path))
-    };
-    sources.scan().into_values().flat_map(left_out).collect()
-}
-
-/// The names of modules that a file declares for its tests only, read line by line.
-fn test_modules(text: &str) -> impl Iterator<Item = &str> {
-    let declared = text.lines().zip(text.lines().skip(1)).filter(|(above, _)| *above == "#[cfg(test)]");
-    declared.filter_map(|(_, line)| line.rsplit_once("mod ").and_then(|(_, name)| name.strip_suffix(';')))
-}
-
-#[test]
-fn edits_of_test_files_rerun_nothing() {
-    let sources = Sources::copy();
-    let before = sources.scan();
-    let edited = test_files(&sources);
-    assert!(edited.len() > 100, "{} files", edited.len());
-    for file in &edited {
-        std::fs::write(file, more_code(&read(file))).unwrap();
-    }
-    assert_eq!(sources.scan(), before);
-
-    // Every module that is declared for tests only was among them, whatever its name.
-    let counted = before.values().flat_map(|scanned| scanned.files.keys().map(|file| scanned.root.join(file)));
-    for file in counted.filter(|file| file.extension().is_some_and(|it| it == "rs")) {
-        for name in test_modules(&read(&file)) {
-            let is_module = |path: &&PathBuf| {
-                let stem = if path.ends_with("mod.rs") { path.parent() } else { Some(path.as_path()) };
-                stem.and_then(Path::file_stem).is_some_and(|stem| stem == name)
-            };
-            assert!(edited.iter().any(|path| is_module(&path)), "{name} of {} is hashed", file.display());
-        }
-    }
-    // The planted fault: an edit of a file that is not a test's is seen.
-    let trainer = sources.path("stages/training/src/lib.rs");
-    std::fs::write(&trainer, more_code(&read(&trainer))).unwrap();
-    assert_ne!(sources.scan(), before);
-}
-
 #[test]
 fn an_edit_reruns_what_it_can_influence() {
     let sources = Sources::copy();
@@ -121,7 +73,7 @@ fn an_edit_reruns_what_it_can_influence() {
     assert_eq!(after("pipeline/cli/src/lib.rs"), BTreeSet::new());
 
     let loss = |text: &str| text.replace("lambda_dssim: 0.2", "lambda_dssim: 0.3");
-    let edited = quickstart(sources.code_with("stages/training/src/params.rs", loss), &[]);
+    let edited = quickstart(sources.code_with("stages/training/src/shared/rendering.rs", loss), &[]);
     assert_eq!(rerun(&before, &edited), jobs(&before, |name| !name.starts_with("capture")));
 }
 
@@ -132,7 +84,7 @@ fn an_edit_changes_the_code_of_those_stages_only_that_run_it() {
     let before = quickstart(sources.code(), &[]);
     let after = |file: &str| recoded(&before, &quickstart(sources.code_with(file, more_code), &[]));
     let stages = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<BTreeSet<_>>();
-    assert_eq!(after("stages/training/src/trainer.rs"), stages(&["training", "rendering"]));
+    assert_eq!(after("stages/training/src/trainer/mod.rs"), stages(&["training", "rendering"]));
     assert_eq!(after("stages/training/src/artifact.rs"), stages(&["training", "rendering", "table-generation"]));
     assert_eq!(after("stages/rendering/src/run.rs"), stages(&["rendering"]));
     assert_eq!(after("stages/scene-synthesis/src/artifact.rs"), stages(&["scene-synthesis"]));

@@ -11,7 +11,6 @@ mod evidence;
 mod numerics;
 mod product;
 mod readings;
-mod recipe_keys;
 mod recipes;
 mod repetition;
 mod sources;

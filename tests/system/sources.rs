@@ -9,12 +9,14 @@ use walkdir::WalkDir;
 
 use crate::product::root;
 
-// Only the build script uses the part that writes Rust.
+// The part that writes Rust is only for the build script.
 #[allow(dead_code)]
-#[path = "../../pipeline/engine/src/fingerprint/scan/mod.rs"]
+#[path = "../../pipeline/engine/src/fingerprint/scan.rs"]
 mod scan;
+#[path = "../../pipeline/engine/src/fingerprint/tokens.rs"]
+pub mod tokens;
 
-pub(crate) use scan::{ScannedCrate, tokens};
+pub use scan::ScannedCrate;
 
 /// What the product is built from, in a folder of its own.
 pub struct Sources {
@@ -52,7 +54,7 @@ impl Sources {
     }
 
     /// All crates of the product, hashed.
-    pub(crate) fn scan(&self) -> BTreeMap<String, ScannedCrate> {
+    pub fn scan(&self) -> BTreeMap<String, ScannedCrate> {
         scan::scan_workspace(self.dir.path(), &self.path("pipeline/cli")).expect("the sources are sound")
     }
 

@@ -1,4 +1,4 @@
-//! The artifact of rendering: images of the views of one split, rendered from one model.
+//! The artifact of rendering: images of one split, by whatever model.
 
 mod semantic_maps;
 mod surface_maps;
@@ -20,23 +20,23 @@ const HEADER: &str = "renders.json";
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Renders {
-    /// The artifact's folder; not stored.
+    /// The folder; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// The method that trained the model.
+    /// The method that made the model.
     pub method: String,
     /// The protocol of the capture that the views belong to.
     pub protocol: Protocol,
-    /// The split whose views were rendered.
+    /// Which of the capture's views were rendered.
     pub split: Split,
-    /// The prompts that the model was trained with, in the order of [`SemanticMaps::relevancy`]; empty if the method
-    /// uses no prompts.
+    /// The prompts that the model was trained with, in the order of [`SemanticMaps::relevancy`]; none where it reads no
+    /// words.
     pub prompts: Vec<String>,
-    /// The rendered views, in the capture's order.
+    /// In the capture's order.
     pub views: Vec<RenderedView>,
-    /// Number of Gaussians in the model.
+    /// Gaussians in the model.
     pub n_gaussians: u64,
-    /// Size of the model's tensors in bytes.
+    /// Bytes of the model's tensors.
     pub model_size_bytes: u64,
 }
 
@@ -46,23 +46,22 @@ pub struct Renders {
 pub struct RenderedView {
     /// The name of the capture's view.
     pub name: String,
-    /// Index of the camera in a rig.
+    /// Which camera of a rig.
     pub camera_index: u32,
     /// Frame number within that camera's video.
     pub frame_index: u32,
-    /// Time of the view, in seconds of the capture.
+    /// When the view was taken.
     pub time_secs: f64,
-    /// Path of the 8-bit RGB PNG, relative to the folder.
+    /// 8-bit RGB PNG, relative to the folder.
     pub image: PathBuf,
-    /// Path of the rendered surfaces ([`SurfaceMaps`]), relative to the folder; present if requested.
+    /// The surfaces that the render shows ([`SurfaceMaps`]), relative to the folder; where they were asked for.
     pub maps: Option<PathBuf>,
-    /// Path of the rendered semantics ([`SemanticMaps`]), relative to the folder; present if requested and the model
-    /// has semantic features.
+    /// What the render means ([`SemanticMaps`]), relative to the folder; where it was asked for and the model knows.
     pub semantics: Option<PathBuf>,
 }
 
 impl Renders {
-    /// Writes `renders.json`; the images must already be in `dir`.
+    /// Writes `renders.json`; the images must already lie in `dir`.
     pub fn save(&self, dir: &Path) -> anyhow::Result<()> {
         let path = dir.join(HEADER);
         let text = serde_json::to_string_pretty(self)? + "\n";
@@ -74,17 +73,21 @@ impl Renders {
         self.dir.join(&view.image)
     }
 
-    /// Loads the surfaces of a view, if they were rendered.
+    /// The surfaces that a view's render shows, where they were rendered.
     pub fn load_maps(&self, view: &RenderedView) -> anyhow::Result<Option<SurfaceMaps>> {
         view.maps.as_ref().map(|maps| SurfaceMaps::read(&self.dir.join(maps))).transpose()
     }
 
-    /// Loads the semantics of a view, if they were rendered. There is one relevancy plane per prompt, or none at all.
+    /// What a view's render means, where that was rendered; there is one relevancy per prompt, or none.
     pub fn load_semantics(&self, view: &RenderedView) -> anyhow::Result<Option<SemanticMaps>> {
         let Some(path) = view.semantics.as_ref().map(|file| self.dir.join(file)) else { return Ok(None) };
         let maps = SemanticMaps::read(&path)?;
         let (found, prompts) = (maps.relevancy.len(), self.prompts.len());
-        ensure!(found == prompts || found == 0, "{found} relevancy planes for {prompts} prompts: {}", path.display());
+        ensure!(
+            found == prompts || found == 0,
+            "relevancies of {found} prompts instead of {prompts}: {}",
+            path.display()
+        );
         Ok(Some(maps))
     }
 }
@@ -170,12 +173,12 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sizes_missing_images_and_duplicate_names_are_refused() {
+    fn wrong_sizes_missing_images_and_doubled_names_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let renders = write_renders(dir.path());
-        let mut duplicate = renders.clone();
-        duplicate.views.push(duplicate.views[0].clone());
-        assert!(duplicate.check().unwrap_err().to_string().contains("twice"));
+        let mut doubled = renders.clone();
+        doubled.views.push(doubled.views[0].clone());
+        assert!(doubled.check().unwrap_err().to_string().contains("twice"));
         let mut resized = renders.clone();
         resized.protocol.width = 7;
         assert!(resized.check().is_err());

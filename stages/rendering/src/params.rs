@@ -1,29 +1,29 @@
-//! The parameters of the stage.
+//! What a recipe may say about rendering.
 
 use scene::Split;
 use serde::{Deserialize, Serialize};
 
-/// The parameters of a rendering job.
+/// The parameters of one rendering.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderingParams {
-    /// The split whose views are rendered.
+    /// Which of the capture's views are rendered.
     pub split: Split,
-    /// When to write surfaces (coverage, depth, velocity and flow) and semantics (features and the relevancy of prompts,
-    /// if the model has them).
+    /// Whether coverage, depth, velocity and flow of the surfaces are written too, and semantic features and the relevancy
+    /// of prompts where the model has them.
     pub maps: Maps,
 }
 
-/// The views whose surfaces and semantics are rendered beside their colours.
+/// When surfaces and semantics are rendered beside colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Maps {
-    /// Views with ground truth to measure against: exact maps for surfaces, labels for semantics.
+    /// For views of which the capture knows what they can be measured by: surfaces by exact maps, semantics by labels.
     #[default]
     Known,
-    /// Every view.
+    /// For every view.
     All,
-    /// No view.
+    /// For none.
     None,
 }
 

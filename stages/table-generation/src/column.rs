@@ -1,17 +1,17 @@
-//! The columns of tables: name, unit, direction and decimals of every measured value.
+//! The figures that tables are made of: name, unit, direction and decimals of each, once.
 
 use metric_evaluation::Metric;
 use serde::{Deserialize, Serialize};
 
-/// A measured value of a run.
+/// One figure of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Column {
-    /// Seconds of training, evaluation excluded.
+    /// Seconds of training without evaluation.
     TrainingSecs,
-    /// Number of Gaussians in the model.
+    /// Gaussians in the model.
     Gaussians,
-    /// Size of the model's tensors, 10⁶ bytes.
+    /// Bytes of the model's tensors / 10⁶.
     SizeMb,
     /// Frames per second of the rasteriser alone (median).
     FpsRaster,
@@ -22,46 +22,46 @@ pub enum Column {
     /// Seconds of training until the PSNR of the curve (in dB) first reached 90 % of its last value.
     #[serde(rename = "secs_to_90")]
     SecsTo90,
-    /// Seconds of training until the PSNR of the curve (in dB) first reached 95 % of its last value.
+    /// The same for 95 %.
     #[serde(rename = "secs_to_95")]
     SecsTo95,
-    /// Seconds of training until the PSNR of the curve (in dB) first reached 99 % of its last value.
+    /// The same for 99 %.
     #[serde(rename = "secs_to_99")]
     SecsTo99,
     /// Seconds of training until the PSNR of the curve first reached 25 dB.
     #[serde(rename = "secs_to_25_db")]
     SecsTo25Db,
-    /// Seconds of training until the PSNR of the curve first reached 30 dB.
+    /// The same for 30 dB.
     #[serde(rename = "secs_to_30_db")]
     SecsTo30Db,
-    /// Seconds of training until the PSNR of the curve first reached 35 dB.
+    /// The same for 35 dB.
     #[serde(rename = "secs_to_35_db")]
     SecsTo35Db,
-    /// PSNR of the last evaluation within 10 seconds of training.
+    /// PSNR of the curve after 10 seconds of training: what a deadline would have got.
     #[serde(rename = "psnr_at_10s")]
     PsnrAt10s,
-    /// PSNR of the last evaluation within one minute of training.
+    /// The same after a minute.
     #[serde(rename = "psnr_at_60s")]
     PsnrAt60s,
-    /// PSNR of the last evaluation within five minutes of training.
+    /// The same after five minutes.
     #[serde(rename = "psnr_at_300s")]
     PsnrAt300s,
-    /// PSNR of the last evaluation of the curve.
+    /// PSNR of the curve at its end.
     PsnrAtEnd,
     /// Milliseconds per training iteration.
     MsPerIteration,
-    /// Peak resident memory of the training process, 10⁶ bytes.
+    /// Largest resident memory of the training process / 10⁶ bytes.
     PeakMemoryMb,
-    /// A metric of the stage `metric-evaluation`.
+    /// What metric-evaluation measured.
     #[serde(untagged)]
     Metric(Metric),
 }
 
 impl Column {
-    /// PSNR: the value that ranks methods and that papers print.
+    /// The figure that ranks methods and that papers print.
     pub const PSNR: Self = Self::Metric(Metric::Psnr);
 
-    /// All columns other than metrics, in the order of the CSV file.
+    /// What a run is measured by beside metrics, in the order of the CSV file.
     const COSTS: [Self; 18] = [
         Self::TrainingSecs,
         Self::Gaussians,
@@ -84,7 +84,7 @@ impl Column {
     ];
 
     /// The columns of the headline table.
-    pub(crate) const HEADLINE: [Self; 10] = [
+    pub const HEADLINE: [Self; 10] = [
         Self::PSNR,
         Self::Metric(Metric::Ssim),
         Self::Metric(Metric::MsSsim),
@@ -97,22 +97,22 @@ impl Column {
         Self::FpsDelivered,
     ];
 
-    /// Seconds to a share of the run's last PSNR.
-    pub(crate) const TIME_TO_SHARE: [Self; 3] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99];
+    /// Seconds to a share of the run's own last PSNR.
+    pub const TIME_TO_SHARE: [Self; 3] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99];
 
     /// Seconds to a fixed PSNR.
-    pub(crate) const TIME_TO_DB: [Self; 3] = [Self::SecsTo25Db, Self::SecsTo30Db, Self::SecsTo35Db];
+    pub const TIME_TO_DB: [Self; 3] = [Self::SecsTo25Db, Self::SecsTo30Db, Self::SecsTo35Db];
 
-    /// PSNR within a deadline, and without one.
-    pub(crate) const BUDGETS: [Self; 4] = [Self::PsnrAt10s, Self::PsnrAt60s, Self::PsnrAt300s, Self::PsnrAtEnd];
+    /// PSNR under a deadline, and without one.
+    pub const BUDGETS: [Self; 4] = [Self::PsnrAt10s, Self::PsnrAt60s, Self::PsnrAt300s, Self::PsnrAtEnd];
 
-    /// All columns, in the order of the CSV file.
+    /// Every column, in the order of the CSV file.
     pub fn all() -> impl Iterator<Item = Self> {
         Metric::ALL.into_iter().map(Self::Metric).chain(Self::COSTS)
     }
 
-    /// Metrics that need more than images (exact maps, labels, masks, a static camera), which few captures provide.
-    pub(crate) fn conditional() -> impl Iterator<Item = Self> {
+    /// Figures that need more than images (exact maps, labels, masks, a camera at rest), which few captures have.
+    pub fn conditional() -> impl Iterator<Item = Self> {
         Metric::ALL.into_iter().filter(|metric| metric.is_conditional()).map(Self::Metric)
     }
 
@@ -123,7 +123,7 @@ impl Column {
         }
     }
 
-    /// The column's name in files, e.g. `training_secs`.
+    /// The name in files.
     pub fn key(self) -> &'static str {
         match self {
             Self::TrainingSecs => "training_secs",
@@ -148,7 +148,7 @@ impl Column {
         }
     }
 
-    /// The column's name and unit in tables, e.g. `training (s)`.
+    /// The name and unit in tables.
     pub fn heading(self) -> String {
         let (name, unit) = match self {
             Self::TrainingSecs => ("training", "s"),
@@ -166,7 +166,7 @@ impl Column {
             Self::PsnrAt10s => ("at 10 s", "dB"),
             Self::PsnrAt60s => ("at 1 min", "dB"),
             Self::PsnrAt300s => ("at 5 min", "dB"),
-            Self::PsnrAtEnd => ("at the end", "dB"),
+            Self::PsnrAtEnd => ("full", "dB"),
             Self::MsPerIteration => ("iteration", "ms"),
             Self::PeakMemoryMb => ("peak memory", "MB"),
             Self::Metric(metric) => (metric.heading(), metric.unit()),
@@ -174,7 +174,7 @@ impl Column {
         if unit.is_empty() { name.into() } else { format!("{name} ({unit})") }
     }
 
-    /// Number of decimals in tables; ranks compare values rounded to them.
+    /// Decimals in tables; ranks are decided on values rounded to them.
     pub fn decimals(self) -> usize {
         match self {
             Self::Gaussians => 0,
@@ -185,13 +185,13 @@ impl Column {
         }
     }
 
-    /// Whether a higher value is better.
+    /// Whether more is better.
     pub fn higher_is_better(self) -> bool {
         let is_rate = matches!(self, Self::FpsRaster | Self::FpsModel | Self::FpsDelivered);
         self.metric().map_or(is_rate || Self::BUDGETS.contains(&self), Metric::higher_is_better)
     }
 
-    /// Whether the value depends on the machine; such values are ranked only if one machine measured all of them.
+    /// Whether the value depends on the machine, so that ranks need one machine.
     pub fn is_timing(self) -> bool {
         self.metric().is_none() && !matches!(self, Self::Gaussians | Self::SizeMb | Self::PsnrAtEnd)
     }

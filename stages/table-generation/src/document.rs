@@ -1,30 +1,30 @@
-//! A document as sections of blocks: the common source of Markdown, LaTeX and HTML.
+//! A document as sections of blocks, so that Markdown, LaTeX and HTML say the same.
 
 use crate::pictures::Sheet;
 use crate::svg::Panel;
 
 /// A document.
-pub(crate) struct Document {
+pub struct Document {
     /// The title.
     pub title: String,
-    /// The sections, from top to bottom.
+    /// The content, top to bottom.
     pub sections: Vec<Section>,
 }
 
 /// A part of a document with a heading.
-pub(crate) struct Section {
-    /// Id for links.
+pub struct Section {
+    /// What links lead to it by.
     pub id: &'static str,
     /// The heading.
     pub heading: &'static str,
-    /// Whether only the HTML page contains the section, because it is too long for a terminal or a paper.
+    /// Whether it is details that the page alone has: what is too long for a terminal or a paper.
     pub page_only: bool,
-    /// The blocks, from top to bottom.
+    /// The content.
     pub blocks: Vec<Block>,
 }
 
 /// A part of a section.
-pub(crate) enum Block {
+pub enum Block {
     /// A heading below the section's.
     Heading(String),
     /// Running text.
@@ -33,123 +33,122 @@ pub(crate) enum Block {
     Table(Table),
     /// A figure.
     Figure(Figure),
-    /// Renders beside ground truth; HTML only.
+    /// Renders beside true images; on the page alone.
     Pictures(Vec<Sheet>),
 }
 
-/// Panels with a common legend: a separate SVG file, and inline in the HTML page.
-pub(crate) struct Figure {
-    /// Name of the SVG file.
+/// Panels with a common legend, in a file of their own and on the page.
+pub struct Figure {
+    /// The SVG file's name.
     pub file: String,
-    /// The caption.
+    /// What it shows.
     pub caption: String,
-    /// The legend of lines, markers and areas.
+    /// What lines, points and areas stand for.
     pub legend: Vec<Key>,
     /// The panels.
     pub panels: Vec<Panel>,
 }
 
 /// An entry of a legend.
-pub(crate) struct Key {
-    /// A sample of the style, drawn in a box of [`crate::svg::SAMPLE`] pixels.
+pub struct Key {
+    /// A sample, drawn in a box of [`crate::svg::SAMPLE`] pixels.
     pub sample: maud::Markup,
-    /// The number that identifies the entry inside panels.
+    /// The number that stands for it where there is no room for the sample.
     pub number: Option<usize>,
-    /// The label.
+    /// What it stands for.
     pub label: String,
 }
 
-/// A table. The first `n_text` columns are left-aligned text, and the first of them names the row. All other columns
-/// are right-aligned numbers.
-pub(crate) struct Table {
-    /// The caption.
+/// A table: its first columns are text and left-aligned, the first of them names the row; the others are right-aligned.
+pub struct Table {
+    /// What it shows.
     pub caption: String,
-    /// Headings over several columns: text and number of columns; empty without such headings.
+    /// Headings over several columns, as text and number of columns; empty where there are none.
     pub groups: Vec<(String, usize)>,
-    /// Column headings.
+    /// One per column.
     pub header: Vec<String>,
-    /// Number of text columns.
+    /// How many columns are text.
     pub n_text: usize,
-    /// The rows: as many cells as the header has, or a single cell that is a heading over the rows below it.
+    /// As many cells per row as the header has; a single cell is a heading over the rows below it.
     pub rows: Vec<Vec<Text>>,
-    /// Footnotes that cells refer to.
+    /// Footnotes, which cells refer to.
     pub notes: Vec<String>,
-    /// Remarks about the whole table.
+    /// What is to be said about the table as a whole.
     pub remarks: Vec<String>,
 }
 
 /// The text of a cell.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Text {
-    /// The text without markup.
+pub struct Text {
+    /// Plain text.
     pub text: String,
-    /// Rank in the column, 1 for the best; ranks 1 to 3 are emphasised, 0 means no rank.
+    /// 1 for the best value of the column, then 2 and 3; 0 for no emphasis.
     pub rank: usize,
-    /// Link to the source of the value on the page.
+    /// The place on the page that shows where the text comes from.
     pub link: Option<Link>,
-    /// Id of the cell, a target of links.
+    /// The place on the page that this cell is.
     pub id: Option<String>,
-    /// Whether the text is code, e.g. a command.
+    /// Whether it is something to type.
     pub is_code: bool,
 }
 
-/// A link to a place on the page.
+/// A place on the page.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Link {
-    /// Id of the place.
+pub struct Link {
+    /// Its id.
     pub to: String,
-    /// Tooltip of the link.
+    /// What a pointer resting on the link is told.
     pub hint: String,
 }
 
 impl Text {
     /// Text without emphasis.
-    pub(crate) fn plain(text: impl Into<String>) -> Self {
+    pub fn plain(text: impl Into<String>) -> Self {
         Self { text: text.into(), ..Self::default() }
     }
 
-    /// Code, e.g. a command or a key.
-    pub(crate) fn code(text: impl Into<String>) -> Self {
+    /// Something to type.
+    pub fn code(text: impl Into<String>) -> Self {
         Self { is_code: true, ..Self::plain(text) }
     }
 
-    /// Adds a link to the text.
-    pub(crate) fn linked(self, link: Option<Link>) -> Self {
+    /// The same text, leading to a place.
+    pub fn linked(self, link: Option<Link>) -> Self {
         Self { link, ..self }
     }
 }
 
 impl Key {
-    /// Number and label of the entry.
-    pub(crate) fn text(&self) -> String {
+    /// The legend as text.
+    pub fn text(&self) -> String {
         self.number.map(|number| format!("{number} ")).unwrap_or_default() + &self.label
     }
 }
 
 impl Table {
     /// A table without rows and notes.
-    pub(crate) fn new(caption: impl Into<String>, header: Vec<String>) -> Self {
+    pub fn new(caption: impl Into<String>, header: Vec<String>) -> Self {
         let (groups, rows, notes, remarks) = Default::default();
         Self { caption: caption.into(), groups, header, n_text: 1, rows, notes, remarks }
     }
 
-    /// Makes the first `count` columns text columns.
-    pub(crate) fn with_text_columns(self, count: usize) -> Self {
+    /// The same table, whose first `count` columns are text.
+    pub fn with_text_columns(self, count: usize) -> Self {
         Self { n_text: count, ..self }
     }
 
-    /// The lines below the table: footnotes with their marks, then the remarks.
-    pub(crate) fn lines_below(&self) -> impl Iterator<Item = String> {
+    /// Footnotes with their marks, and then the remarks.
+    pub fn lines_below(&self) -> impl Iterator<Item = String> {
         let marked = |(index, note): (usize, &String)| match note.starts_with('[') {
-            // Footnotes about sources already contain their mark, e.g. `[1]`.
+            // Sources bring their own marks.
             true => note.clone(),
             false => format!("({}) {note}", note_mark(index)),
         };
         self.notes.iter().enumerate().map(marked).chain(self.remarks.iter().cloned())
     }
 
-    /// Adds a footnote and returns its mark, e.g. `a`; equal footnotes share a mark.
-    pub(crate) fn note(&mut self, note: String) -> String {
+    /// The mark of a footnote, as `a`; equal notes share a mark.
+    pub fn note(&mut self, note: String) -> String {
         let index = self.notes.iter().position(|other| *other == note).unwrap_or_else(|| {
             self.notes.push(note);
             self.notes.len() - 1
@@ -157,8 +156,8 @@ impl Table {
         note_mark(index)
     }
 
-    /// The column headings with the headings above them, for formats without headings over several columns.
-    pub(crate) fn flat_header(&self) -> Vec<String> {
+    /// The headings with those above them, for formats without headings over several columns.
+    pub fn flat_header(&self) -> Vec<String> {
         let above = self.groups.iter().flat_map(|(text, columns)| std::iter::repeat_n(text.as_str(), *columns));
         let both = |(above, own): (&str, &String)| match (above, own.as_str()) {
             ("", own) => own.to_owned(),
@@ -169,8 +168,8 @@ impl Table {
     }
 }
 
-/// The mark of the footnote with this index: `a` to `z`, then `a1`, `b1`, …
-pub(crate) fn note_mark(index: usize) -> String {
+/// `a` to `z`, then `a1`, `b1`, …
+pub fn note_mark(index: usize) -> String {
     let letter = char::from(b'a' + (index % 26) as u8);
     if index < 26 { letter.into() } else { format!("{letter}{}", index / 26) }
 }

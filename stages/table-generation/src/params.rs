@@ -3,34 +3,33 @@
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use crate::library::paper_names;
+use crate::papers;
 
-/// Content and layout of the report, and the criterion for reproduction.
+/// How the report looks and when a published value counts as reproduced.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TableGenerationParams {
-    /// Title of the report.
+    /// The report's title.
     pub title: String,
-    /// Path of the recipe, e.g. `recipes/dnerf.toml`; the report prints it in its commands.
+    /// The recipe's file, as `recipes/dnerf.toml`, for the commands that the report names.
     pub recipe: String,
-    /// Arguments of `pipeline run` that change the recipe; the report prints them in its commands. Set by the command
-    /// line, not by recipes.
+    /// What the command line changes in the recipe, as the arguments of `pipeline run`, for the same commands; the command
+    /// line sets it itself.
     pub arguments: Vec<String>,
-    /// Papers whose tables the report compares with its own numbers: file stems of `claims/papers`, e.g. `mcgs`.
+    /// Papers whose tables are set beside our figures: `l4dgs`, `phys4dgs`, `kineticgs`, `mcgs`, `vcgs`.
     pub papers: Vec<String>,
-    /// Whether the time axis of the curves is logarithmic.
+    /// Whether the seconds of the curves are on a logarithmic axis.
     pub log_time: bool,
-    /// Largest difference in dB at which a published PSNR counts as reproduced. The default is the agreement of
-    /// independent groups: those that re-ran the 4DGaussians code on D-NeRF came within 0.3 dB of its paper on every
-    /// scene.
+    /// Largest difference in dB at which a published PSNR counts as reproduced; independent groups that re-ran the
+    /// 4DGaussians code on D-NeRF came within 0.3 dB of its paper on every scene.
     pub reproduced_within_db: f64,
-    /// Method with which every other method is compared, scene by scene.
+    /// The method that every other one is compared with, scene by scene.
     pub baseline: String,
-    /// Whether the report lists the outcome of every run; it does so in any case if a run diverged.
+    /// Whether there is a table of what became of every run; it is there in any case where one diverged.
     pub hard_cases: bool,
-    /// Number of worst views per scene that the page shows beside the median view; 0 shows no images.
+    /// Per scene, how many of the worst views are shown beside the median one; 0 shows none.
     pub shown_views: usize,
-    /// Largest width of the images in the page, px.
+    /// Pixels per row of the images in the page, at most.
     pub image_width: u32,
 }
 
@@ -46,31 +45,31 @@ impl Default for TableGenerationParams {
             baseline: "static3dgs".into(),
             hard_cases: false,
             shown_views: 2,
-            image_width: 200, // a render and its error fit side by side on a phone; about 10 kB per pair
+            image_width: 200, // a render and its error side by side on a phone; some 10 kB a pair
         }
     }
 }
 
 impl TableGenerationParams {
-    /// Problems that the types do not rule out.
-    pub(crate) fn problems(&self) -> Vec<ParamProblem> {
+    /// Every problem that the types cannot see.
+    pub fn problems(&self) -> Vec<ParamProblem> {
         let tolerance_db = self.reproduced_within_db;
         let no_tolerance = !(tolerance_db.is_finite() && tolerance_db > 0.0);
         let tolerance = no_tolerance.then(|| ParamProblem {
             key: "reproduced_within_db".into(),
-            message: format!("{tolerance_db} dB is not a tolerance"),
-            hint: Some("use a positive number, e.g. 0.3".into()),
+            message: format!("a tolerance of {tolerance_db} dB"),
+            hint: Some("use a positive number, as 0.3".into()),
         });
         let no_width = (self.image_width == 0).then(|| ParamProblem {
             key: "image_width".into(),
-            message: "images need a width of at least one pixel".into(),
+            message: "an image needs at least one pixel per row".into(),
             hint: Some("set shown_views = 0 to show no images".into()),
         });
-        let is_unknown = |name: &&String| !paper_names().any(|known| known == name.as_str());
+        let is_unknown = |name: &&String| !papers::names().any(|known| known == name.as_str());
         let unknown = self.papers.iter().filter(is_unknown).map(|name| ParamProblem {
             key: "papers".into(),
             message: format!("no paper called `{name}`"),
-            hint: Some(format!("known papers: {}", paper_names().collect::<Vec<_>>().join(", "))),
+            hint: Some(format!("papers: {}", papers::names().collect::<Vec<_>>().join(", "))),
         });
         tolerance.into_iter().chain(no_width).chain(unknown).collect()
     }

@@ -8,10 +8,7 @@ use glam::DVec3;
 use image::RgbImage;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Protocol, Split, TimeMap};
 use serde_json::json;
-use training::TrainingParams;
-use training::dataset::Dataset;
-use training::supplements::NOTHING;
-use training::trainer::Trainer;
+use training::{Dataset, NOTHING, Trainer, TrainingParams};
 
 /// As the program has it: the system's allocator hands tens of megabytes per step back to the kernel.
 #[global_allocator]
@@ -57,7 +54,7 @@ fn print_table(method: &str, trainer: &mut Trainer<'_>) {
     for (name, secs) in spent {
         println!("  {name:12} {:7.2}", 1e3 * secs / TABLE_ITERATIONS as f64);
     }
-    for (name, [forward, backward]) in &after.kernels {
+    for (name, [forward, backward]) in &after.kernels_ms {
         println!("    {name:24} {forward:7.2} forward {backward:7.2} backward");
     }
 }

@@ -1,4 +1,4 @@
-//! Trains on a capture folder without any engine: `train_folder CAPTURE OUT [key=value …]`, keys as in a recipe's
+//! Trains on a capture folder without the engine: `train_folder CAPTURE OUT [key=value …]`, keys as in a recipe's
 //! `params` (`method=static3dgs schedule_scale=0.1 density.until=500`). Prints the curve and where the time went.
 
 use std::path::Path;
@@ -10,13 +10,7 @@ use scene::{Capture, Split, image_file};
 use serde_json::{Map, Value};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Device;
-use training::TrainingParams;
-use training::curve::{psnr, to_bytes};
-use training::dataset::Dataset;
-use training::planning::resolve_for;
-use training::player::Player;
-use training::run::{Watch, train};
-use training::supplements::NOTHING;
+use training::{Dataset, NOTHING, Player, Trained, TrainingParams, Watch, psnr, resolve_for, to_bytes, train};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -32,7 +26,8 @@ fn main() -> anyhow::Result<()> {
     std::fs::create_dir_all(&checkpoints)?;
     let (stop, on_progress) = (&AtomicBool::new(false), &|_| ());
     let watch = Watch { stop, on_progress, checkpoint_dir: &checkpoints, device: Device::Cpu };
-    let (model, report) = train(capture.clone(), &NOTHING, &params, None, &watch)?.context("nobody asked to stop")?;
+    let trained = train(capture.clone(), &NOTHING, &params, None, &watch)?;
+    let Trained { model, report, .. } = trained.context("the stop flag is never set")?;
     model.save(Path::new(out))?;
 
     for point in &report.curve {
@@ -43,7 +38,7 @@ fn main() -> anyhow::Result<()> {
     for (name, secs) in &report.phases {
         println!("  {name:12} {:7.2} ms per iteration", 1e3 * secs / model_steps(&model));
     }
-    for (name, [forward, backward]) in &report.kernels {
+    for (name, [forward, backward]) in &report.kernels_ms {
         println!("  {name:24} {forward:7.3} ms forward {backward:7.3} ms backward");
     }
     test_views(&model, capture, Path::new(out))
@@ -73,7 +68,7 @@ fn test_views(model: &training::Model, mut capture: Capture, out: &Path) -> anyh
     Ok(())
 }
 
-/// `a.b=value` pairs as nested tables; values are JSON, or strings where they are not.
+/// `a.b=value` pairs as nested tables. A value that is not JSON is a string.
 fn parse(overrides: &[String]) -> anyhow::Result<TrainingParams> {
     let mut table = Map::new();
     for item in overrides {
@@ -87,5 +82,5 @@ fn parse(overrides: &[String]) -> anyhow::Result<TrainingParams> {
         }
         at.insert(last.into(), value);
     }
-    TrainingParams::from_table(table).map_err(anyhow::Error::msg)
+    Ok(serde_json::from_value(Value::Object(table))?)
 }

@@ -1,57 +1,57 @@
-//! Where the time of a training goes.
+//! The time of a training by phase and activity.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-/// The phase before the first one: the data is read, the first values are made.
-pub const PREPARATION: &str = "preparation";
+/// Name of the time before the first phase, in which data is read and tensors are initialised.
+pub(crate) const PREPARATION: &str = "preparation";
 
 /// Seconds spent per training phase and named activity; exactly one activity runs at any time.
 #[derive(Debug)]
-pub struct PhaseClock {
+pub(crate) struct PhaseClock {
     phase: String,
     current: &'static str,
     since: Instant,
     reading: ClockReading,
 }
 
-/// What a checkpoint keeps of a clock.
+/// Seconds by training phase and activity, as checkpoints and reports store them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ClockReading {
-    /// Seconds by training phase and activity.
+    /// Seconds by training phase, then by activity.
     pub secs: BTreeMap<String, BTreeMap<String, f64>>,
 }
 
 impl PhaseClock {
     /// Starts in an activity, before the first phase, with the seconds of an earlier reading.
-    pub fn start(current: &'static str, earlier: ClockReading) -> Self {
+    pub(crate) fn start(current: &'static str, earlier: ClockReading) -> Self {
         Self { phase: PREPARATION.into(), current, since: Instant::now(), reading: earlier }
     }
 
     /// Ends the running activity and starts another one.
-    pub fn enter(&mut self, next: &'static str) {
+    pub(crate) fn enter(&mut self, next: &'static str) {
         let now = Instant::now();
         self.reading.add(&self.phase, self.current, (now - self.since).as_secs_f64());
         (self.current, self.since) = (next, now);
     }
 
-    /// What follows belongs to this phase of the training.
-    pub fn enter_phase(&mut self, phase: &str) {
+    /// Counts all further time towards this phase of the training.
+    pub(crate) fn enter_phase(&mut self, phase: &str) {
         self.enter(self.current);
         self.phase = phase.into();
     }
 
     /// Moves measured seconds from one activity to another (a render is split into its kernels afterwards).
-    pub fn reassign(&mut self, from: &str, to: &str, secs: f64) {
+    pub(crate) fn reassign(&mut self, from: &str, to: &str, secs: f64) {
         self.reading.add(&self.phase, from, -secs);
         self.reading.add(&self.phase, to, secs);
     }
 
-    /// Everything so far.
-    pub fn reading(&mut self) -> ClockReading {
+    /// The seconds so far, including the running activity.
+    pub(crate) fn reading(&mut self) -> ClockReading {
         self.enter(self.current);
         self.reading.clone()
     }
@@ -68,13 +68,13 @@ impl ClockReading {
         }
     }
 
-    /// Seconds of everything but the given activities.
-    pub fn total_except(&self, left_out: &[&str]) -> f64 {
+    /// Total seconds without the given activities.
+    pub(crate) fn total_except(&self, left_out: &[&str]) -> f64 {
         self.by_activity().iter().filter(|(name, _)| !left_out.contains(&name.as_str())).map(|(_, secs)| secs).sum()
     }
 
     /// Seconds by activity, over all phases.
-    pub fn by_activity(&self) -> BTreeMap<String, f64> {
+    pub(crate) fn by_activity(&self) -> BTreeMap<String, f64> {
         let mut sums = BTreeMap::new();
         for (activity, secs) in self.secs.values().flatten() {
             *sums.entry(activity.clone()).or_default() += secs;
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seconds_belong_to_the_phase_and_the_activity_in_which_they_passed() {
+    fn seconds_count_towards_the_running_phase_and_activity() {
         let earlier = ClockReading { secs: [("coarse".into(), [("render".into(), 2.0)].into())].into() };
         let mut clock = PhaseClock::start("load", earlier);
         clock.enter_phase("coarse");

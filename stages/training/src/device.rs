@@ -1,4 +1,4 @@
-//! The device that a job computes on, and what becomes of the job when it fails.
+//! The device of a job, its failures, and the meter of its use.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -8,7 +8,7 @@ use serde::Serialize;
 use shaders::gpu::{Gpu, GpuFailure, KernelCost, Usage};
 use shaders::tape::Device;
 
-/// Opens the device that a job was given and computes on it; a GPU that fails meanwhile is a failure of the job by kind.
+/// Opens a device by its id and runs `compute` on it. A GPU that fails meanwhile becomes a typed failure of the job.
 pub fn compute_on<R>(id: &str, compute: impl FnOnce(Device) -> anyhow::Result<R>) -> anyhow::Result<R> {
     let device = Device::open(id).map_err(|error| Failure::new(FailureKind::World, error.to_string()))?;
     catch_unwind(AssertUnwindSafe(|| compute(device))).unwrap_or_else(|payload| {
@@ -29,23 +29,23 @@ fn of_gpu(failure: &GpuFailure) -> Failure {
     Failure::new(kind, failure.to_string()).hint(hint)
 }
 
-/// What the steps of a training ask of a GPU, and nothing else that it does there.
-pub struct Meter {
+/// Measures how much the steps of a training use a GPU, excluding other work on it.
+pub(crate) struct Meter {
     gpu: Gpu,
-    /// What is not to be counted: what was before, and what other work was done meanwhile.
+    /// Use to subtract: everything before the start, and other work since then.
     left_out: Usage,
-    /// Steps that were made before.
+    /// Steps completed before the start.
     steps_before: u64,
 }
 
 impl Meter {
-    /// Counts from now on, after so many steps.
-    pub fn start(gpu: Gpu, steps_before: u64) -> Self {
+    /// Starts counting, after `steps_before` completed steps.
+    pub(crate) fn start(gpu: Gpu, steps_before: u64) -> Self {
         Self { gpu, left_out: gpu.usage(), steps_before }
     }
 
-    /// Does something that is not counted.
-    pub fn pause<R>(meter: &mut Option<Self>, work: impl FnOnce() -> R) -> R {
+    /// Runs `work` without counting it.
+    pub(crate) fn pause<R>(meter: &mut Option<Self>, work: impl FnOnce() -> R) -> R {
         let Some(meter) = meter else { return work() };
         let counted = meter.gpu.usage().since(&meter.left_out);
         let result = work();
@@ -53,8 +53,8 @@ impl Meter {
         result
     }
 
-    /// What it comes to per step, of so many in all.
-    pub fn per_iteration(&self, steps: u64) -> GpuUse {
+    /// The mean use per step, given the total number of completed steps.
+    pub(crate) fn per_iteration(&self, steps: u64) -> GpuUse {
         let Usage { counts, kernels } = self.gpu.usage().since(&self.left_out);
         let steps = steps - self.steps_before;
         let per_iteration = |count: u64| count as f64 / steps.max(1) as f64;
@@ -74,25 +74,31 @@ impl Meter {
     }
 }
 
-/// What the mean step of a training asked of a GPU.
+/// Mean use of a GPU per training step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GpuUse {
+    /// Kernel launches.
     pub launches: f64,
     /// Batches of launches.
     pub submissions: f64,
     /// Times that the host waited for an array.
     pub readbacks: f64,
+    /// Bytes read back by the host.
     pub bytes_read: f64,
+    /// Arrays sent to the GPU.
     pub uploads: f64,
+    /// Bytes sent to the GPU.
     pub bytes_uploaded: f64,
+    /// Use by kernel name.
     pub kernels: BTreeMap<String, KernelUse>,
 }
 
-/// What a kernel cost in the mean step.
+/// Mean use of one kernel per training step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct KernelUse {
+    /// Launches of the kernel.
     pub launches: f64,
-    /// On the GPU's clock, where a profile was asked for and the adapter has timestamps.
+    /// Milliseconds per launch on the GPU's clock, with a profile on an adapter that has timestamps.
     pub ms_per_launch: Option<f64>,
 }
 
@@ -101,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_gpu_that_fails_is_a_failure_by_kind_and_a_bug_stays_one() {
+    fn gpu_failures_are_typed_and_bugs_still_panic() {
         let kind_of = |failure: GpuFailure| {
             let result = compute_on::<()>("cpu", |_| std::panic::panic_any(failure));
             result.unwrap_err().downcast::<Failure>().unwrap().kind

@@ -1,37 +1,43 @@
 //! Training: a capture becomes a [`Model`], by any of the registered methods.
+//!
+//! | layer | modules |
+//! |---|---|
+//! | the job | `stage` (runs a training, fits a budget), `planning` (chooses effects and shared phases) |
+//! | the loop | `trainer` (steps, speculation, checkpoints, telemetry), `player` (a trained model in use) |
+//! | the methods | `params` (the parameters of one training), `methods` (one folder each), `bases` (what they build on) |
+//! | the contract | `method` (what a method is and what a step offers it) |
+//! | the ground | `data` (views and optional inputs), `artifact` (models on disk), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `clock`, `device` |
+//!
+//! Modules depend only on layers below and never in a circle.
 
-pub mod artifact;
-pub mod bases;
-pub mod budget;
-pub mod checkpoint;
-pub mod clock;
-pub mod coarse;
-pub mod curve;
-pub mod dataset;
-pub mod device;
-pub mod effects;
-mod inputs;
-pub mod language;
-pub mod method;
-pub mod methods;
-pub mod optimizer;
-pub mod params;
-pub mod planning;
-pub mod player;
-pub mod run;
-pub mod sampler;
-pub mod schedule;
-pub mod screen;
-pub mod state;
-pub mod step;
-pub mod supplements;
+#![warn(missing_docs, unreachable_pub)]
+
+mod artifact;
+mod bases;
+mod clock;
+mod data;
+mod device;
+mod effects;
+mod method;
+mod methods;
+mod model;
+mod params;
+mod planning;
+mod player;
 #[cfg(test)]
-mod test_scene;
+mod scene_tests;
+mod schedule;
+mod shared;
 #[cfg(test)]
-mod test_training;
-pub mod trainer;
-mod view_constants;
+mod short_training_tests;
+mod stage;
+mod trainer;
 
 pub use artifact::{LargestGradient, Model, ModelHeader, NamedTensor};
+pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
+pub use device::compute_on;
 pub use params::TrainingParams;
-pub use run::Training;
+pub use planning::resolve_for;
+pub use player::{Player, Positions, SemanticImage};
+pub use stage::{Trained, Training, Watch, train};
+pub use trainer::{Report, Trainer, psnr, to_bytes};

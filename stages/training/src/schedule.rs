@@ -1,27 +1,36 @@
-//! Learning-rate laws.
+//! Schedules: phases and learning rates.
 
 use serde::{Deserialize, Serialize};
 
-/// A rate that falls from `start` to `end` on a straight line in the logarithm, and stays there.
+/// One phase of a training: it begins with a fresh optimizer and ends with a model state.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Phase {
+    /// The name, a key of [`Shared::iterations`](crate::shared::Shared::iterations), e.g. `coarse`.
+    pub name: &'static str,
+    /// Optimizer steps.
+    pub iterations: u64,
+}
+
+/// A rate that decays log-linearly from `start` to `end` and stays there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct LogLinear {
-    /// At step 0.
+pub(crate) struct LogLinear {
+    /// The rate at step 0.
     pub start: f64,
-    /// From step `steps` on.
+    /// The rate from step `steps` on.
     pub end: f64,
-    /// Length of the fall.
+    /// Length of the decay.
     pub steps: u64,
 }
 
 impl LogLinear {
-    /// The same rate at every step.
-    pub fn constant(rate: f64) -> Self {
+    /// A constant rate.
+    pub(crate) fn constant(rate: f64) -> Self {
         Self { start: rate, end: rate, steps: 1 }
     }
 
     /// exp((1 − u)·ln start + u·ln end) with u = min(step / steps, 1).
-    pub fn at(&self, step: u64) -> f64 {
+    pub(crate) fn at(&self, step: u64) -> f64 {
         if self.start == self.end {
             return self.start;
         }
@@ -30,37 +39,37 @@ impl LogLinear {
     }
 
     /// The same law with both ends multiplied by `factor`.
-    pub fn scaled(&self, factor: f64) -> Self {
+    pub(crate) fn scaled(&self, factor: f64) -> Self {
         Self { start: self.start * factor, end: self.end * factor, ..*self }
     }
 
     /// The same law over `factor` times as many steps.
-    pub fn stretched(&self, factor: f64) -> Self {
+    pub(crate) fn stretched(&self, factor: f64) -> Self {
         Self { steps: stretch(self.steps, factor), ..*self }
     }
 
-    /// What is left of the law after so many steps.
-    pub fn after(&self, steps: u64) -> Self {
+    /// The rest of the law after this many steps.
+    pub(crate) fn after(&self, steps: u64) -> Self {
         Self { start: self.at(steps), end: self.end, steps: self.steps.saturating_sub(steps).max(1) }
     }
 
     /// Positive and finite at both ends, over at least one step.
-    pub fn is_valid(&self) -> bool {
+    pub(crate) fn is_valid(&self) -> bool {
         let good = |rate: f64| rate > 0.0 && rate.is_finite();
         good(self.start) && good(self.end) && self.steps > 0
     }
 }
 
-/// Adam moves a value by about its rate at every step; one that moves by more than this can settle nowhere.
-pub const MOST_RATE: f64 = 10.0;
+/// Maximum learning rate. Adam moves a value by about its rate per step; with larger steps it cannot converge.
+pub(crate) const MOST_RATE: f64 = 10.0;
 
-/// Whether this can be a learning rate.
-pub fn is_rate(rate: f64) -> bool {
+/// Whether a value is a valid learning rate.
+pub(crate) fn is_rate(rate: f64) -> bool {
     rate > 0.0 && rate <= MOST_RATE
 }
 
-/// `steps` times `factor`, rounded, at least 1 where `steps` is.
-pub fn stretch(steps: u64, factor: f64) -> u64 {
+/// `steps` times `factor`, rounded; at least 1 unless `steps` is 0.
+pub(crate) fn stretch(steps: u64, factor: f64) -> u64 {
     ((steps as f64 * factor).round() as u64).max(steps.min(1))
 }
 
@@ -69,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ends_middle_and_beyond() {
+    fn a_law_has_the_rates_of_its_ends_and_middle() {
         let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
         for (step, expected) in [(0, 1e-2), (50, 1e-3), (100, 1e-4), (1000, 1e-4)] {
             assert!((law.at(step) / expected - 1.0).abs() <= 1e-12, "step {step}: {}", law.at(step));
@@ -79,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rest_of_a_law_goes_on_where_it_was_left() {
+    fn the_rest_of_a_law_continues_it() {
         let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
         for (left_at, step) in [(30, 20), (30, 70), (30, 500), (0, 50), (100, 3), (200, 3)] {
             let (rest, whole) = (law.after(left_at).at(step), law.at(left_at + step));
@@ -88,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn stretching_keeps_zero_and_never_makes_it() {
+    fn stretching_never_rounds_to_zero() {
         assert_eq!(stretch(0, 0.5), 0);
         assert_eq!(stretch(1, 0.01), 1);
         assert_eq!(stretch(1000, 0.35), 350);

@@ -1,40 +1,40 @@
-//! The file of rendered semantics: semantic features and the relevancy of prompts, per pixel.
+//! The file of what a render means: semantic features and the relevancy of prompts, per pixel.
 
 use std::path::Path;
 
 use anyhow::{Context as _, ensure};
 use scene::exr_file::{self, ExrImage};
 
-/// The semantics of one render. Everything but `alpha` is 0 where no Gaussian covers the pixel.
+/// What a render means; everything but `alpha` is 0 where nothing is in sight.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SemanticMaps {
-    /// Image width in pixels.
+    /// Pixels per row.
     pub width: u32,
-    /// Image height in pixels.
+    /// Rows.
     pub height: u32,
     /// [H, W] coverage in [0, 1].
     pub alpha: Vec<f32>,
-    /// C planes [H, W]: mean semantic features of the visible Gaussians, with the blending weights of the colours.
+    /// C planes [H, W]: the mean semantic features of the Gaussians in sight, weighted as their colours are.
     pub features: Vec<Vec<f32>>,
-    /// P planes [H, W] in [0, 1]: relevancy of each prompt relative to the other prompts; above one half for at most one
-    /// prompt. Empty if the model cannot decode its features into prompts.
+    /// P planes [H, W] in [0, 1]: how much a pixel is what a prompt means rather than what another one means; above one
+    /// half for at most one prompt. None where the model does not know what its features mean in words.
     pub relevancy: Vec<Vec<f32>>,
 }
 
-/// Channel of the coverage.
+/// The channel of the coverage.
 const ALPHA: &str = "A";
-/// Prefix of feature channels; a three-digit index follows.
+/// What the channels of features begin with; a number follows.
 const FEATURE: &str = "feature.";
-/// Prefix of relevancy channels; a three-digit index follows.
+/// The same of relevancies.
 const PROMPT: &str = "prompt.";
 
 impl SemanticMaps {
-    /// Minimum coverage of a pixel whose semantics are meaningful.
+    /// Coverage from which on a pixel shows something that can mean something.
     pub const COVERED: f32 = 0.5;
-    /// Relevancy above which a prompt selects a pixel; it then exceeds that of every other prompt.
+    /// Relevancy above which a prompt selects a pixel: more than any other prompt.
     pub const RELEVANT: f32 = 0.5;
 
-    /// Reads a file of [`SemanticMaps::write`]. A missing channel or a non-finite value is an error.
+    /// Reads what [`SemanticMaps::write`] wrote; values must be finite.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let image = exr_file::read(path)?;
         let alpha =
@@ -43,11 +43,11 @@ impl SemanticMaps {
         ensure!(!features.is_empty(), "no semantic features: {}", path.display());
         let finite = |plane: &Vec<f32>| plane.iter().all(|value| value.is_finite());
         let all_finite = finite(&alpha) && features.iter().chain(&relevancy).all(finite);
-        ensure!(all_finite, "semantic features are not finite: {}", path.display());
+        ensure!(all_finite, "semantic features that are not finite: {}", path.display());
         Ok(Self { width: image.width, height: image.height, alpha, features, relevancy })
     }
 
-    /// Writes an EXR file with the channels `A`, `feature.000`, `feature.001`, …, `prompt.000`, `prompt.001`, …
+    /// Writes an EXR file with the channels A, feature.000 and so on, and prompt.000 and so on.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         let named = |prefix: &str, planes: &[Vec<f32>]| -> Vec<(String, Vec<f32>)> {
             planes.iter().enumerate().map(|(at, plane)| (channel(prefix, at), plane.clone())).collect()
@@ -61,7 +61,7 @@ impl SemanticMaps {
     }
 }
 
-/// The planes whose channels have this prefix, in the order of their indices.
+/// The planes whose channels begin so, in the order of their numbers.
 fn numbered(image: &ExrImage, prefix: &str) -> Vec<Vec<f32>> {
     (0..).map_while(|at| image.channel(&[&channel(prefix, at)]).map(<[f32]>::to_vec)).collect()
 }
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn written_maps_read_back_equal_and_non_finite_values_are_refused() {
+    fn written_maps_read_back_equal_and_poisoned_ones_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("maps.exr");
         let plane = |seed: usize| (0..6).map(|at| (seed + at) as f32 / 8.0).collect::<Vec<f32>>();
@@ -88,9 +88,9 @@ mod tests {
         };
         maps.write(&path).unwrap();
         assert_eq!(SemanticMaps::read(&path).unwrap(), maps);
-        let without_prompts = SemanticMaps { relevancy: Vec::new(), ..maps.clone() };
-        without_prompts.write(&path).unwrap();
-        assert_eq!(SemanticMaps::read(&path).unwrap(), without_prompts);
+        let mute = SemanticMaps { relevancy: Vec::new(), ..maps.clone() };
+        mute.write(&path).unwrap();
+        assert_eq!(SemanticMaps::read(&path).unwrap(), mute);
         let mut poisoned = maps;
         poisoned.features[11][5] = f32::NAN;
         poisoned.write(&path).unwrap();

@@ -1,9 +1,8 @@
-//! Tests on small generated captures, and on real captures where `PIPELINE_DATA` names their folder.
+//! Tests over small generated captures, and over real ones where `PIPELINE_DATA` names them.
 
 mod blender;
 mod blender_lens;
 mod colmap;
-mod colmap_files;
 mod fuzz;
 mod inspect;
 mod lens;
@@ -12,4 +11,4 @@ mod n3v_faults;
 mod nerfies;
 mod pixels;
 mod real;
-pub(crate) mod support;
+pub mod support;

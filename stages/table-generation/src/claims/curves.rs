@@ -1,48 +1,54 @@
-//! Published curves of quality over training time.
+//! Quality over seconds as others measured it.
 
 use anyhow::ensure;
 use serde::Deserialize;
 
-use super::protocol::ClaimProtocol;
+use super::ClaimProtocol;
+
+const FILE: &str = include_str!("../../claims/third_party_curves.toml");
 
 /// The curves of one source.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct PublishedCurves {
-    /// Author and version of the data.
+pub struct PublishedCurves {
+    /// Who measured, with the version of the data.
     pub source: String,
-    /// Address of the data.
+    /// Where it lies.
     pub url: String,
-    /// Day on which the values were copied.
+    /// The day on which the figures were taken from there.
     pub taken: String,
-    /// Hardware of the measurements.
+    /// What it ran on.
     pub hardware: String,
-    /// Remarks.
+    /// What a reader should know.
     pub notes: Vec<String>,
-    /// The protocol.
+    /// Under which protocol.
     pub protocol: ClaimProtocol,
-    /// One curve per method and scene.
+    /// One per method and scene.
     pub curve: Vec<PublishedCurve>,
 }
 
-/// The curve of one method on one scene.
+/// One method on one scene.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct PublishedCurve {
-    /// The method's id in this project.
+pub struct PublishedCurve {
+    /// The method's id here.
     pub method: String,
-    /// The source's name for the method.
+    /// What the source calls it.
     pub label: String,
-    /// The scene's name.
+    /// The scene.
     pub scene: String,
-    /// Seconds of training at every evaluation, ascending.
+    /// Seconds of training of every evaluation, ascending.
     pub seconds: Vec<f64>,
-    /// PSNR on the test views at every evaluation, dB.
+    /// PSNR on the test views, dB.
     pub psnr: Vec<f64>,
 }
 
-/// Parses and checks a file of curves.
-pub(crate) fn parse_curves(text: &str) -> anyhow::Result<PublishedCurves> {
+/// The curves that are compiled in.
+pub fn built_in() -> anyhow::Result<PublishedCurves> {
+    parse(FILE)
+}
+
+fn parse(text: &str) -> anyhow::Result<PublishedCurves> {
     let curves: PublishedCurves = toml::from_str(text)?;
     for curve in &curves.curve {
         let name = format!("curve of {} on {}", curve.label, curve.scene);
@@ -56,14 +62,13 @@ pub(crate) fn parse_curves(text: &str) -> anyhow::Result<PublishedCurves> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::library;
 
     #[test]
-    fn curves_end_at_the_claims_of_their_source() {
-        let curves = library::curves().expect("valid curves");
+    fn the_curves_agree_with_the_claims_of_the_same_source() {
+        let curves = built_in().expect("valid curves");
         assert_eq!(curves.curve.len(), 23, "three methods on eight scenes, one of which has no curve");
         let mut n_checked = 0;
-        for claim in library::claims().expect("valid claims") {
+        for claim in crate::built_in_claims().expect("valid claims") {
             let same = |scene: &String| {
                 curves.curve.iter().find(|curve| curve.method == claim.method && curve.scene == *scene)
             };
@@ -80,14 +85,13 @@ mod tests {
     }
 
     #[test]
-    fn faulty_curves_are_rejected() {
+    fn faulty_curves_are_refused() {
         for (from, to) in [
             ("seconds = [44.5,", "seconds = [nan,"),
             ("seconds = [44.5,", "seconds = ["),
             ("psnr = [7.64,", "psnr = [-1,"),
         ] {
-            let file = library::CURVES;
-            assert!(file.contains(from) && parse_curves(&file.replacen(from, to, 1)).is_err(), "{to} was accepted");
+            assert!(FILE.contains(from) && parse(&FILE.replacen(from, to, 1)).is_err(), "{to} was accepted");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! One run: a method on a scene with a seed.
+//! What is known of one run.
 
 use std::collections::BTreeMap;
 
@@ -9,76 +9,76 @@ use serde::{Deserialize, Serialize};
 use training::LargestGradient;
 
 use super::costs::Costs;
-use crate::column::Column;
+use crate::Column;
 
-/// One method on one scene with one seed, with its measurements or its failure.
+/// One method on one scene with one seed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Run {
     /// The scene's name.
     pub scene: String,
     /// The table row: the method, and the values of any axis besides scene and seed.
     pub row: String,
-    /// The method's id, by which published values are looked up.
+    /// The method's id, which published values are found by.
     pub method: String,
-    /// The value of the axis `ablation`, if the recipe has that axis.
+    /// The value of the axis [`super::VARIANTS`], where the recipe has it.
     pub variant: Option<String>,
-    /// The value of the axis `seed`.
+    /// The seed's axis value.
     pub seed: String,
-    /// Origin and format of the images; none if the run failed before it had any.
+    /// How the images came to be, as far as the run came to have any.
     pub protocol: Option<Protocol>,
-    /// The judged images and the metric definitions (see [`metric_evaluation::Metrics::judged_by`]).
+    /// Who judged what (see [`metric_evaluation::Metrics::judged_by`]).
     pub judged_by: Option<String>,
-    /// Measured values by column; an undefined one carries the reason.
+    /// The figures; an undefined one says why.
     pub figures: BTreeMap<Column, Score>,
-    /// Quality over training time, one point per evaluation.
+    /// Quality over training time.
     pub curve: Vec<CurvePoint>,
     /// The split whose views the curve was measured on.
     pub curve_split: Option<Split>,
     /// Quality of every judged image, in the order of the capture.
     pub frames: Vec<FrameScore>,
-    /// Seconds of training by activity.
+    /// Seconds per phase of training.
     pub phases: BTreeMap<String, f64>,
-    /// Costs by phase, by loss and by skipped work.
+    /// The same by phase, loss and what was left out.
     pub costs: Costs,
     /// The largest gradient of the training.
     #[serde(default)]
     pub largest_gradient: Option<TensorGradient>,
-    /// How often the rasteriser clamped a value, by guard.
+    /// How often the rasteriser kept a number in range, by what was out of it.
     #[serde(default)]
     pub guards: BTreeMap<String, u64>,
-    /// Scale of the method's own schedule; 1 is the whole schedule.
+    /// The factor that the method's own schedule was stretched by; 1 is the whole schedule.
     pub schedule_scale: Option<f64>,
-    /// The budget in seconds to which the schedule was scaled, if any.
+    /// The seconds that the training was cut to, if it was.
     #[serde(default)]
     pub budget_secs: Option<f64>,
-    /// Machines of the measurements, by work (`training`, `rendering`, `judging`).
+    /// What was measured on which machine, by work (`training`, `rendering`).
     pub machines: BTreeMap<String, Machine>,
-    /// The first failure, if any.
+    /// What went wrong first, if anything did.
     pub failure: Option<RunFailure>,
-    /// The jobs by port, to trace a number to its job.
+    /// The jobs by port, for tracing a number to its job.
     pub jobs: BTreeMap<String, Job>,
 }
 
-/// Quality at one evaluation during training.
+/// Quality at one moment of training.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CurvePoint {
-    /// Seconds of training so far, evaluation excluded.
+    /// Seconds of training, evaluation excluded.
     pub seconds: f64,
     /// Optimiser steps so far.
     pub iteration: u64,
-    /// Number of Gaussians at the evaluation.
+    /// Gaussians at that moment.
     #[serde(default)]
     pub n_gaussians: u64,
     /// PSNR in dB on a few views of the run's `curve_split`.
     pub psnr_val: Option<f64>,
 }
 
-/// The largest gradient of a training, over all tensors.
+/// The largest gradient that any tensor had during a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TensorGradient {
-    /// The tensor's name.
+    /// The tensor.
     pub tensor: String,
-    /// Magnitude, phase and iteration of the gradient.
+    /// How large, and when.
     #[serde(flatten)]
     pub largest: LargestGradient,
 }
@@ -88,7 +88,7 @@ pub struct TensorGradient {
 pub struct FrameScore {
     /// The view's name.
     pub name: String,
-    /// Capture time of the image, if known.
+    /// When the image was taken, where that is known.
     pub time_secs: Option<f64>,
     /// PSNR in dB.
     pub psnr: f64,
@@ -97,53 +97,53 @@ pub struct FrameScore {
 /// One job of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Job {
-    /// The job's name, e.g. `train/lego/mcgs/0`.
+    /// The job's name, as `train/lego/mcgs/0`.
     pub name: String,
-    /// The first digits of the job's action key; empty without one.
+    /// The first digits of its action key; empty where it has none.
     pub key: String,
-    /// Wall time in seconds, if known.
+    /// How long it took, where that is known.
     pub wall_secs: Option<f64>,
 }
 
-/// The machine that ran a job; unknown properties are absent.
+/// What a job ran on; what is not known is absent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Machine {
-    /// The compute device, e.g. `cpu`.
+    /// The device that computed, as `cpu`.
     pub device: String,
-    /// Number of worker threads of the job.
+    /// Worker threads that the job had.
     pub threads: Option<u64>,
-    /// The processor's name.
+    /// The processor.
     pub cpu: Option<String>,
-    /// Number of physical cores.
+    /// Its physical cores.
     pub cores: Option<u64>,
-    /// Number of hardware threads.
+    /// Its threads.
     pub hardware_threads: Option<u64>,
-    /// Size of the main memory, bytes.
+    /// Main memory, bytes.
     pub memory_bytes: Option<f64>,
-    /// Operating system, release and architecture.
+    /// System, release and architecture.
     pub system: Option<String>,
     /// Name and version of the program.
     pub program: Option<String>,
     /// Digest of the sources that the program was built from.
     pub sources: Option<String>,
-    /// The compiler that built the program.
+    /// The compiler that built it.
     pub built_with: Option<String>,
 }
 
-/// A failure of a run.
+/// Why a run has no numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunFailure {
-    /// The job that failed, e.g. `train/lego/mcgs/0`.
+    /// The job that failed, as `train/lego/mcgs/0`.
     pub producer: String,
-    /// The kind of failure.
+    /// The kind of thing that went wrong.
     pub kind: FailureKind,
-    /// Message and hint, without paths, because paths differ between machines.
+    /// What went wrong, and what to do about it; without paths, which differ between machines.
     pub message: String,
 }
 
 impl Run {
-    /// Whether `other` has the same scene, row and jobs. Such a run is no replicate: it says nothing about noise.
+    /// Whether `other` has its numbers from the same jobs, so that they say nothing about noise.
     pub(super) fn repeats(&self, other: &Self) -> bool {
         let keys = |run: &Self| run.jobs.iter().map(|(port, job)| (port.clone(), job.key.clone())).collect::<Vec<_>>();
         let is_known = !self.jobs.is_empty() && self.jobs.values().all(|job| !job.key.is_empty());
@@ -152,7 +152,7 @@ impl Run {
 }
 
 impl Machine {
-    /// The machine in one line, e.g. `cpu (Ryzen 7), 2 threads`. Equal lines mean machines of one kind.
+    /// `cpu (Ryzen 7), 2 threads`: times with equal lines were measured on machines of one kind.
     pub fn line(&self) -> String {
         let cpu = self.cpu.as_ref().map(|cpu| format!(" ({cpu})")).unwrap_or_default();
         let threads = self.threads.map(|threads| format!(", {threads} threads")).unwrap_or_default();

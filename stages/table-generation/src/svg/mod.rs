@@ -1,38 +1,41 @@
-//! Charts as SVG. No distinction depends on colour alone: lines and points differ in dashes and markers and carry the
-//! number of their legend entry, areas carry that number, and colour scales increase in lightness.
+//! Charts as SVG. Nothing depends on colour alone: lines and points have dashes, shapes and the number of their legend
+//! entry, areas have that number, and colour scales rise in lightness.
 
-pub(crate) mod bars;
-pub(crate) mod lines;
+pub mod bars;
+mod file;
+pub mod lines;
 mod plot;
-pub(crate) mod scatter;
-pub(crate) mod strips;
+pub mod scatter;
+pub mod strips;
 #[cfg(test)]
 mod tests;
 
 use maud::{Markup, html};
 
+pub use file::file;
+
 use crate::format::number;
 
 /// A chart.
-pub(crate) struct Panel {
-    /// Title; also drawn.
+pub struct Panel {
+    /// What it shows; also drawn.
     pub title: String,
-    /// Width in pixels.
+    /// Pixels from left to right.
     pub width: f64,
-    /// Height in pixels.
+    /// Pixels from top to bottom.
     pub height: f64,
-    /// The SVG elements, inside a box of `width` × `height`.
+    /// The elements, in this box.
     pub drawing: Markup,
 }
 
-/// Width and height of a sample in the legend, px.
-pub(crate) const SAMPLE: [f64; 2] = [30.0, 14.0];
+/// The box of a legend's sample, px.
+pub const SAMPLE: [f64; 2] = [30.0, 14.0];
 
-/// Width of every panel, px; fits the screen of a phone.
+/// The width of every panel: what fits a phone.
 const WIDTH: f64 = 340.0;
 
-/// The palette of Okabe and Ito, which colour-blind readers can distinguish, with grey instead of yellow and black:
-/// yellow is invisible on white, black on a dark background.
+/// Okabe and Ito's palette, which stays distinct for colour-blind readers; without yellow and black, which vanish on
+/// white and on dark paper.
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f7f7f", "#e69f00", "#56b4e9"];
 const DASHES: [&str; 5] = ["none", "7 3", "2 3", "9 3 2 3", "4 2"];
 
@@ -44,7 +47,7 @@ fn dash(style: usize) -> &'static str {
     DASHES[style % DASHES.len()]
 }
 
-/// A marker at a point: circle, square, triangle, diamond or cross, filled or hollow.
+/// A circle, square, triangle, diamond or cross around a point, filled or hollow.
 fn marker(style: usize, [x, y]: [f64; 2], filled: bool) -> Markup {
     let shape = match style % 5 {
         0 => "M-3.5 0a3.5 3.5 0 1 0 7 0a3.5 3.5 0 1 0 -7 0Z",
@@ -58,8 +61,8 @@ fn marker(style: usize, [x, y]: [f64; 2], filled: bool) -> Markup {
     html! { path transform=(place) d=(shape) class=(class) fill=(fill) stroke=(colour(style)) stroke-width="1.6" {} }
 }
 
-/// Legend sample of a line with markers.
-pub(crate) fn line_sample(style: usize) -> Markup {
+/// The sample of a line with markers.
+pub fn line_sample(style: usize) -> Markup {
     let [width, height] = SAMPLE;
     let line = format!("M0 {0}H{width}", height / 2.0);
     html! {
@@ -68,14 +71,14 @@ pub(crate) fn line_sample(style: usize) -> Markup {
     }
 }
 
-/// Legend sample of an area.
-pub(crate) fn area_sample(style: usize) -> Markup {
+/// The sample of an area.
+pub fn area_sample(style: usize) -> Markup {
     let [width, height] = SAMPLE;
     html! { rect width=(width) height=(height) fill=(colour(style)) {} }
 }
 
-/// Legend sample of a colour scale, from low to high.
-pub(crate) fn scale_sample(scale: colorous::Gradient) -> Markup {
+/// The sample of a colour scale, from low to high.
+pub fn scale_sample(scale: colorous::Gradient) -> Markup {
     const STEPS: usize = 10;
     let [width, height] = SAMPLE;
     let step = width / STEPS as f64;
@@ -87,12 +90,12 @@ pub(crate) fn scale_sample(scale: colorous::Gradient) -> Markup {
     }
 }
 
-/// The colour of a scale at `share` in [0, 1], as a hexadecimal code.
+/// The colour at `share` in [0, 1] of a scale.
 fn hex(scale: colorous::Gradient, share: f64) -> String {
     format!("#{:x}", scale.eval_continuous(share.clamp(0.0, 1.0)))
 }
 
-/// A text element at a position in pixels; `anchor` is `start`, `middle` or `end`.
+/// `text` at a place; `anchor` is `start`, `middle` or `end`.
 fn text([x, y]: [f64; 2], anchor: &str, text: &str) -> Markup {
     html! { text x=(number(x, 1)) y=(number(y, 1)) text-anchor=(anchor) { (text) } }
 }

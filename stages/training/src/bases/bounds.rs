@@ -4,7 +4,7 @@
 use shaders::arrays::rows::in_unit_box;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use crate::state::{ModelState, Variables};
+use crate::model::{ModelState, Variables};
 
 /// The thinnest box, as a share of its longest side, so that a planar cloud does not divide by zero.
 const MIN_SIDE: f64 = 1e-3;
@@ -13,7 +13,7 @@ const HALF_SIDE_IN_DEVIATIONS: f64 = 2.0;
 
 /// Smallest and largest corner (world).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bounds {
+pub(crate) struct Bounds {
     /// Smallest corner.
     pub low: [f64; 3],
     /// Largest corner.
@@ -22,7 +22,7 @@ pub struct Bounds {
 
 impl Bounds {
     /// The smallest box around positions (one at least), with some thickness along every axis.
-    pub fn enclosing(positions: &[[f32; 3]]) -> Self {
+    pub(crate) fn enclosing(positions: &[[f32; 3]]) -> Self {
         let low = along(positions, |values| values.into_iter().fold(f64::INFINITY, f64::min));
         let high = along(positions, |values| values.into_iter().fold(f64::NEG_INFINITY, f64::max));
         let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
@@ -36,7 +36,7 @@ impl Bounds {
 
     /// The cube that evenly distributed positions (one at least) fill; a few that lie far off do not widen it, as they
     /// do the clouds of structure from motion.
-    pub fn typical_cube(positions: &[[f32; 3]]) -> Self {
+    pub(crate) fn typical_cube(positions: &[[f32; 3]]) -> Self {
         let center = along(positions, median);
         let deviations: Vec<[f32; 3]> = positions
             .iter()
@@ -53,19 +53,19 @@ impl Bounds {
     }
 
     /// Adds the box to the model as `{name}.bounds` ([2, 3]; it never learns).
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, name: &str) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, name: &str) {
         let values = [self.low, self.high].concat().into_iter().map(T::from_f64).collect();
         state.insert(tensor_name(name), Tensor::from_vec([2, 3], values));
     }
 }
 
 /// What a box that was inserted under that name is called in the model.
-pub fn tensor_name(name: &str) -> String {
+pub(crate) fn tensor_name(name: &str) -> String {
     format!("{name}.bounds")
 }
 
 /// Positions [N, 3] (world) in the box of that name, as [−1, 1].
-pub fn inside<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, positions: Var) -> Var {
+pub(crate) fn inside<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, positions: Var) -> Var {
     let bounds = tape.value(model.get(&tensor_name(name)));
     let side = |side: usize| bounds.as_slice().as_chunks::<3>().0[side];
     let [low, high] = [side(0), side(1)];
@@ -73,7 +73,7 @@ pub fn inside<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, positi
 }
 
 /// Half the first side of the box of that name: what a unit of [`inside`] is in the world, where the box is a cube.
-pub fn half_side<T: Real>(tape: &Tape<T>, model: &Variables, name: &str) -> f64 {
+pub(crate) fn half_side<T: Real>(tape: &Tape<T>, model: &Variables, name: &str) -> f64 {
     let bounds = tape.value(model.get(&tensor_name(name)));
     0.5 * (bounds.row(1)[0].to_f64() - bounds.row(0)[0].to_f64())
 }

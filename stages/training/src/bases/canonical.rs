@@ -4,21 +4,23 @@
 //! Two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: step sizes and density control go on where
 //! the warm-up left them; only the optimiser's moments start afresh.
 
+use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::pointwise;
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::method::{Phase, PopulationControl, SceneFacts};
-use crate::params::Shared;
-use crate::schedule::{LogLinear, stretch};
-use crate::state::ModelState;
+use crate::data::SceneFacts;
+use crate::method::{Base, Moment, Start, StepHook};
+use crate::model::{ModelState, Variables};
+use crate::schedule::{LogLinear, Phase, stretch};
+use crate::shared::Shared;
 
 /// The Gaussians learn as if nothing moved.
-pub const WARM_UP: &str = "warm-up";
+pub(crate) const WARM_UP: &str = "warm-up";
 /// Everything learns.
-pub const ALL: &str = "all";
+pub(crate) const ALL: &str = "all";
 
 /// The published code multiplies the step sizes of positions by this instead of by the scene's extent.
 const POSITION_RATE_FACTOR: f64 = 5.0;
@@ -45,52 +47,24 @@ pointwise! {
 }
 
 /// The canonical Gaussians of a method.
-pub struct CanonicalGaussians {
+pub(crate) struct CanonicalGaussians {
     shared: Shared,
 }
 
 impl CanonicalGaussians {
     /// With what all methods understand.
-    pub fn new(shared: &Shared) -> Self {
+    pub(crate) fn new(shared: &Shared) -> Self {
         Self { shared: shared.clone() }
     }
 
     /// The steps of a phase, before stretching.
-    pub fn iterations(&self, phase: &str) -> u64 {
-        self.shared.iterations.get(phase).copied().unwrap_or(0)
+    pub(crate) fn iterations(&self, phase: &str) -> u64 {
+        self.shared.iterations_of(phase)
     }
 
     /// A phase at its stretched length.
-    pub fn phase(&self, name: &'static str) -> Phase {
-        Phase { name, iterations: stretch(self.iterations(name), self.shared.schedule_scale) }
-    }
-
-    /// Adds the Gaussians on the points.
-    pub fn insert<T: Real>(
-        &self,
-        state: &mut ModelState<T>,
-        scene: &SceneFacts,
-        points: &PointCloud,
-    ) -> anyhow::Result<()> {
-        let lone_scale = gaussians::LONE_SCALE * scene.extent;
-        gaussians::insert_gaussians(state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)
-    }
-
-    /// The step sizes of the Gaussians' tensors in [`WARM_UP`] and [`ALL`].
-    pub fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        if tensor == "gaussians.positions" {
-            let law = self.shared.learning_rates.position.scaled(POSITION_RATE_FACTOR);
-            return Some(law.after(self.steps_before(phase)));
-        }
-        gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
-    }
-
-    /// Density control in [`WARM_UP`] and [`ALL`].
-    pub fn population_control(&self, phase: &str, scene: &SceneFacts) -> Box<dyn PopulationControl> {
-        let Shared { density, schedule_scale, .. } = &self.shared;
-        let white = scene.background == [1.0; 3];
-        let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);
-        Box::new(control.after(stretch(self.steps_before(phase), *schedule_scale)))
+    pub(crate) fn phase(&self, name: &'static str) -> Phase {
+        self.shared.phase(name)
     }
 
     /// The Gaussians' steps before a phase, before stretching.
@@ -99,8 +73,44 @@ impl CanonicalGaussians {
     }
 }
 
+impl<T: Real> Base<T> for CanonicalGaussians {
+    /// [`WARM_UP`] and [`ALL`].
+    fn phases(&self) -> Vec<Phase> {
+        [WARM_UP, ALL].map(|name| self.shared.phase(name)).to_vec()
+    }
+
+    /// Gaussians on the points.
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: &mut ChaCha8Rng) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
+        Ok(state)
+    }
+
+    /// The learning rates of the Gaussians. That of the positions does not restart in [`ALL`].
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        if tensor == "gaussians.positions" {
+            let law = self.shared.learning_rates.position.scaled(POSITION_RATE_FACTOR);
+            return Some(law.after(self.steps_before(phase)));
+        }
+        gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
+    }
+
+    /// The canonical Gaussians, without motion.
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree))
+    }
+
+    /// Density control, whose schedule counts the steps of both phases.
+    fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+        let Shared { density, schedule_scale, .. } = &self.shared;
+        let white = scene.background == [1.0; 3];
+        let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);
+        vec![Box::new(control.after(stretch(self.steps_before(phase), *schedule_scale)))]
+    }
+}
+
 /// Where canonical Gaussians are at one moment; their scales change after activation.
-pub struct Moved {
+pub(crate) struct Moved {
     /// [N, 3], scene units.
     pub positions: Var,
     /// [N, 4] quaternions, normalised by the rasteriser.
@@ -110,7 +120,7 @@ pub struct Moved {
 }
 
 /// Canonical Gaussians at one moment.
-pub fn moved<T: Real>(tape: &mut Tape<T>, canonical: SplatVars, moved: Moved) -> SplatVars {
+pub(crate) fn moved<T: Real>(tape: &mut Tape<T>, canonical: SplatVars, moved: Moved) -> SplatVars {
     let Moved { positions, rotations, scale_changes } = moved;
     let (canonical_scales, _) = scales_and_rotations(&canonical);
     let log_scales = match scale_changes {
@@ -121,7 +131,7 @@ pub fn moved<T: Real>(tape: &mut Tape<T>, canonical: SplatVars, moved: Moved) ->
 }
 
 /// Logarithmic scales [N, 3] and raw quaternions [N, 4] of canonical Gaussians.
-pub fn scales_and_rotations(canonical: &SplatVars) -> (Var, Var) {
+pub(crate) fn scales_and_rotations(canonical: &SplatVars) -> (Var, Var) {
     canonical.shape.scales_and_rotations().expect("canonical Gaussians have scales and rotations")
 }
 

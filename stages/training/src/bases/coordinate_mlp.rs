@@ -16,8 +16,8 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::bounds::{self, Bounds};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
+use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables, belongs};
 
 /// Coordinates of a position.
 const AXES: usize = 3;
@@ -25,7 +25,7 @@ const AXES: usize = 3;
 /// Sizes, encodings and step sizes of the network; by default the published ones for synthetic scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct CoordinateMlpSettings {
+pub(crate) struct CoordinateMlpSettings {
     /// Hidden layers.
     pub depth: usize,
     /// Width of the hidden layers.
@@ -78,7 +78,7 @@ impl CoordinateMlpSettings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             ((1..=64).contains(&self.depth), "depth must be 1 to 64"),
             ((1..=MOST_CHANNELS).contains(&self.width), "width must be 1 to 4096"),
@@ -93,7 +93,7 @@ impl CoordinateMlpSettings {
 
 /// A linear map of the last hidden layer.
 #[derive(Clone, Copy, Debug)]
-pub struct Head {
+pub(crate) struct Head {
     /// As `position`; its tensors are `{network}.{name}.…`.
     pub name: &'static str,
     /// Columns.
@@ -104,7 +104,7 @@ pub struct Head {
 
 /// A network with its heads; its tensors are called `{name}.…`.
 #[derive(Clone, Debug)]
-pub struct CoordinateMlp {
+pub(crate) struct CoordinateMlp {
     name: &'static str,
     settings: CoordinateMlpSettings,
     first: FirstWeights,
@@ -113,12 +113,17 @@ pub struct CoordinateMlp {
 
 impl CoordinateMlp {
     /// A network whose hidden layers start as `first` says.
-    pub fn new(name: &'static str, settings: &CoordinateMlpSettings, first: FirstWeights, heads: &[Head]) -> Self {
+    pub(crate) fn new(
+        name: &'static str,
+        settings: &CoordinateMlpSettings,
+        first: FirstWeights,
+        heads: &[Head],
+    ) -> Self {
         Self { name, settings: settings.clone(), first, heads: heads.to_vec() }
     }
 
     /// Adds the box in which the network sees the points, and all layers.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
         Bounds::typical_cube(&points.positions).insert(state, self.name);
         let CoordinateMlpSettings { depth, width, time_features, .. } = self.settings;
         if time_features > 0 {
@@ -137,14 +142,14 @@ impl CoordinateMlp {
     }
 
     /// The step sizes of this network's tensors.
-    pub fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
+    pub(crate) fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
         (belongs(tensor, self.name) && tensor != bounds::tensor_name(self.name)).then_some(self.settings.rate)
     }
 
     /// The last hidden layer at every position [N, 3] (world) and time in [0, 1]: [T·N, width], time by time.
     ///
     /// Positions enter without gradient, as published: a Gaussian does not move to where the motion suits it better.
-    pub fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
+    pub(crate) fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
         let input = self.input(tape, model, positions, times);
         let mut hidden = None;
         for layer in 0..self.settings.depth {
@@ -159,14 +164,14 @@ impl CoordinateMlp {
     }
 
     /// The output of a head that speaks of lengths, for hidden rows: scene units.
-    pub fn lengths<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+    pub(crate) fn lengths<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         let inside = self.head(tape, model, head, hidden);
         let half_side = bounds::half_side(tape, model, self.name);
         scale(tape, inside, half_side)
     }
 
     /// The output of a head for hidden rows.
-    pub fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+    pub(crate) fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         apply_layer(tape, model, &self.tensor(head), hidden, Activation::Identity)
     }
 
@@ -228,7 +233,7 @@ mod tests {
     use shaders::tape::Device;
 
     use super::*;
-    use crate::sampler::{Stream, generator};
+    use crate::data::{Stream, generator};
 
     fn network(settings: &CoordinateMlpSettings) -> (CoordinateMlp, ModelState<f64>) {
         let heads = [Head { name: "position", outputs: 3, first: FirstWeights::FanIn }];

@@ -16,7 +16,7 @@ pointwise! {
 
 /// 1 where x > `threshold`, else 0, with the gradient of x itself: the straight-through estimator (Bengio, Léonard and
 /// Courville 2013). Any shape.
-pub fn straight_through<T: Real>(tape: &mut Tape<T>, x: Var, threshold: f64) -> Var {
+pub(crate) fn straight_through<T: Real>(tape: &mut Tape<T>, x: Var, threshold: f64) -> Var {
     let to_step = to_step(tape, x, threshold);
     let to_step = tape.detach(to_step);
     add(tape, x, to_step)

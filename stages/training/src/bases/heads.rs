@@ -6,11 +6,11 @@ use shaders::networks::linear::Activation;
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::layers::{FirstWeights, apply_layer, apply_layers, insert_layer};
-use crate::state::{ModelState, Variables};
+use crate::model::{ModelState, Variables};
 
 /// Sizes of a network, and the names of its tensors: `{name}.trunk`, `{name}.{head}.0` and `{name}.{head}.1`.
 #[derive(Clone, Debug)]
-pub struct HeadedNetwork {
+pub(crate) struct HeadedNetwork {
     name: &'static str,
     features: usize,
     width: usize,
@@ -20,17 +20,17 @@ pub struct HeadedNetwork {
 
 impl HeadedNetwork {
     /// `features` → `width` → the outputs of each head.
-    pub fn new(name: &'static str, features: usize, width: usize, heads: Vec<(&'static str, usize)>) -> Self {
+    pub(crate) fn new(name: &'static str, features: usize, width: usize, heads: Vec<(&'static str, usize)>) -> Self {
         Self { name, features, width, heads, silent_heads: Vec::new() }
     }
 
     /// Further heads, which always start at 0. They are drawn last: all other tensors are those of the network without.
-    pub fn with_silent_heads(self, silent_heads: Vec<(&'static str, usize)>) -> Self {
+    pub(crate) fn with_silent_heads(self, silent_heads: Vec<(&'static str, usize)>) -> Self {
         Self { silent_heads, ..self }
     }
 
     /// Adds trunk and heads; `zero_heads` lets every head start at 0.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
         let last = if zero_heads { FirstWeights::Zero } else { FirstWeights::Xavier };
         insert_layer(state, &format!("{}.trunk", self.name), self.features, self.width, FirstWeights::Xavier, random);
         let heads = self.heads.iter().map(|head| (head, last));
@@ -42,12 +42,18 @@ impl HeadedNetwork {
     }
 
     /// What every head begins with: the trunk of features [N, F], and the ReLU that is applied once for all heads.
-    pub fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Var {
+    pub(crate) fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Var {
         apply_layer(tape, model, &format!("{}.trunk", self.name), features, Activation::Relu)
     }
 
     /// The outputs [N, outputs] of heads.
-    pub fn heads<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, heads: &[&str], hidden: Var) -> Vec<Var> {
+    pub(crate) fn heads<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        heads: &[&str],
+        hidden: Var,
+    ) -> Vec<Var> {
         let layers: Vec<[String; 2]> = heads.iter().map(|head| self.layers(head)).collect();
         let inner: Vec<_> = layers.iter().map(|[inner, _]| (inner.clone(), hidden)).collect();
         let inner = apply_layers(tape, model, &inner, Activation::Relu);
@@ -56,7 +62,7 @@ impl HeadedNetwork {
     }
 
     /// The output [N, outputs] of a head.
-    pub fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+    pub(crate) fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         self.heads(tape, model, &[head], hidden)[0]
     }
 

@@ -6,11 +6,11 @@ use rand_distr::{Distribution as _, StandardNormal};
 use shaders::networks::linear::{Activation, Layer, linear, linears};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use crate::state::{ModelState, Variables};
+use crate::model::{ModelState, Variables};
 
 /// How the first weights and biases are drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum FirstWeights {
+pub(crate) enum FirstWeights {
     /// Uniform in ±√(6 / (inputs + outputs)) (Glorot and Bengio 2010); biases in ±1/√inputs.
     Xavier,
     /// Weights and biases uniform in ±1/√inputs, where PyTorch starts unless told otherwise.
@@ -24,7 +24,7 @@ pub enum FirstWeights {
 }
 
 /// Adds `{name}.weight` [outputs, inputs] and `{name}.bias` [outputs].
-pub fn insert_layer<T: Real>(
+pub(crate) fn insert_layer<T: Real>(
     state: &mut ModelState<T>,
     name: &str,
     inputs: usize,
@@ -51,13 +51,19 @@ pub fn insert_layer<T: Real>(
 }
 
 /// f(x·Wᵀ + b) with the tensors of [`insert_layer`].
-pub fn apply_layer<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var, activation: Activation) -> Var {
+pub(crate) fn apply_layer<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    name: &str,
+    x: Var,
+    activation: Activation,
+) -> Var {
     let (weight, bias) = (model.get(&format!("{name}.weight")), model.get(&format!("{name}.bias")));
     linear(tape, x, weight, bias, activation)
 }
 
 /// As [`apply_layer`] for several layers at once, each a name and an x.
-pub fn apply_layers<T: Real>(
+pub(crate) fn apply_layers<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
     layers: &[(String, Var)],
@@ -69,7 +75,7 @@ pub fn apply_layers<T: Real>(
 }
 
 /// Adds `{name}.weight` [outputs, inputs] of a layer without bias.
-pub fn insert_matrix<T: Real>(
+pub(crate) fn insert_matrix<T: Real>(
     state: &mut ModelState<T>,
     name: &str,
     inputs: usize,
@@ -81,7 +87,7 @@ pub fn insert_matrix<T: Real>(
 }
 
 /// x·Wᵀ with the tensor of [`insert_matrix`].
-pub fn apply_matrix<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var) -> Var {
+pub(crate) fn apply_matrix<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var) -> Var {
     let weight = model.get(&format!("{name}.weight"));
     let no_bias = Tensor::zeros([tape.value(weight).rows()]);
     let no_bias = tape.constant(no_bias);
@@ -89,13 +95,13 @@ pub fn apply_matrix<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, 
 }
 
 /// A tensor of uniform draws, the same in every precision.
-pub fn uniform<T: Real>(shape: &[usize], low: f64, high: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
+pub(crate) fn uniform<T: Real>(shape: &[usize], low: f64, high: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
     let draw = |_| T::from_f64(low + (high - low) * random.random::<f64>());
     Tensor::from_vec(shape, (0..shape.iter().product()).map(draw).collect())
 }
 
 /// A tensor of normal draws around 0, the same in every precision.
-pub fn normal<T: Real>(shape: &[usize], deviation: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
+pub(crate) fn normal<T: Real>(shape: &[usize], deviation: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
     let draw = |_| {
         let standard: f64 = StandardNormal.sample(random);
         T::from_f64(deviation * standard)

@@ -1,4 +1,4 @@
-//! From what a recipe says to a list of effects, each with the reason for it.
+//! The choice of effects, with a reason for each.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,25 +7,26 @@ use engine::{Decision, Facts, ParamProblem};
 use super::evidence::{CAPTURE, Evidence, SUPPLEMENTS};
 use super::{Effect, Effects, Need};
 
-/// What is known of the artifacts on the ports, by port; a port that is not in here is not wired.
-pub type KnownInputs<'a> = BTreeMap<&'a str, &'a Facts>;
+/// Static facts of the artifacts by port; missing ports are not wired.
+pub(crate) type KnownInputs<'a> = BTreeMap<&'a str, &'a Facts>;
 
-/// The effects that a training simulates, and why.
+/// The effects that a training simulates, with reasons.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Choice {
-    /// The names of those that are on.
+pub(crate) struct Choice {
+    /// Names of the effects that are on.
     pub on: BTreeSet<String>,
-    /// One per effect of the method, in its order.
+    /// One decision per effect of the method, in its order.
     pub decisions: Vec<Decision>,
-    /// Optional ports that none of them needs.
+    /// Optional ports that no active effect needs.
     pub unread: BTreeSet<&'static str>,
 }
 
 impl Effects {
-    /// Names that a method does not have, and lists that are neither names nor changes.
-    pub fn problems(&self, effects: &[Effect]) -> Vec<ParamProblem> {
+    /// Problems of the list: unknown names, and lists that mix names with changes.
+    pub(crate) fn problems(&self, effects: &[Effect]) -> Vec<ParamProblem> {
         let Self::Named(names) = self else { return Vec::new() };
-        let known = effects.iter().map(|effect| effect.name).collect::<Vec<_>>().join(", ");
+        let described = |effect: &Effect| format!("{} ({})", effect.name, effect.about);
+        let known = effects.iter().map(described).collect::<Vec<_>>().join(", ");
         let problem = |message: String, hint: String| ParamProblem { key: "effects".into(), message, hint: Some(hint) };
         let mut problems = Vec::new();
         let changes = names.iter().filter(|name| change(name).is_some()).count();
@@ -50,9 +51,9 @@ impl Effects {
         problems
     }
 
-    /// The effects to simulate, given what is known of the inputs. An effect that is asked for by name is simulated
-    /// even where the scene does not call for it, but what it reads must be there: else it is a problem.
-    pub fn choose(&self, effects: &[Effect], known: &KnownInputs<'_>) -> Result<Choice, Vec<ParamProblem>> {
+    /// The effects to simulate, given the facts of the inputs. An effect that the recipe names is simulated even if the
+    /// scene does not justify it; a missing input is then a problem.
+    pub(crate) fn choose(&self, effects: &[Effect], known: &KnownInputs<'_>) -> Result<Choice, Vec<ParamProblem>> {
         let (mut on, mut decisions, mut problems) = (BTreeSet::new(), Vec::new(), Vec::new());
         for effect in effects {
             let asked = self.asks_for(effect);
@@ -71,7 +72,7 @@ impl Effects {
         if problems.is_empty() { Ok(Choice { on, decisions, unread }) } else { Err(problems) }
     }
 
-    /// Whether the recipe itself switches an effect on or off.
+    /// Whether the recipe explicitly enables or disables an effect; `None` if it does neither.
     fn asks_for(&self, effect: &Effect) -> Option<bool> {
         let Self::Named(names) = self else { return None };
         if names.iter().all(|name| change(name).is_none()) {
@@ -81,7 +82,7 @@ impl Effects {
     }
 }
 
-/// `+x` switches on, `-x` off, `x` is a name.
+/// `+x` enables, `-x` disables; `None` for a plain name.
 fn change(name: &str) -> Option<bool> {
     match name.as_bytes().first() {
         Some(b'+') => Some(true),
@@ -94,7 +95,7 @@ fn bare(name: &str) -> &str {
     if change(name).is_some() { &name[1..] } else { name }
 }
 
-/// Whether an effect is on, given what the recipe asks for, what is known, and the effects before it that are on.
+/// Decides one effect, given the recipe's choice, the facts, and the preceding effects that are on.
 fn decide(
     effect: &Effect,
     asked: Option<bool>,
@@ -134,7 +135,7 @@ fn evidence(need: Need, known: &KnownInputs<'_>, on: &BTreeSet<String>) -> Evide
     }
 }
 
-/// Why an effect whose needs are met is on.
+/// The reasons for an effect whose needs are met.
 fn reasons(evidence: &[Evidence]) -> String {
     let said = evidence.iter().map(|found| match found {
         Evidence::Met(reason) | Evidence::Unknown(reason) | Evidence::Idle(reason) | Evidence::Missing(reason) => {
@@ -145,9 +146,9 @@ fn reasons(evidence: &[Evidence]) -> String {
     if said.is_empty() { "needs nothing".into() } else { said.join(", ") }
 }
 
-/// What a resolved list comes to once the data is there, in words that depend on the list and the data alone: equal
-/// trainings write equal models, whoever chose their effects and why.
-pub fn outcomes(on: &Effects, effects: &[Effect], known: &KnownInputs<'_>) -> Vec<Decision> {
+/// The outcome of a resolved list for the loaded data. The reasons depend only on the list and the data, so equal
+/// trainings write equal models, no matter how their effects were chosen.
+pub(crate) fn outcomes(on: &Effects, effects: &[Effect], known: &KnownInputs<'_>) -> Vec<Decision> {
     let names: BTreeSet<String> =
         effects.iter().filter(|effect| on.has(effect.name)).map(|effect| effect.name.to_owned()).collect();
     let outcome = |effect: &Effect| {
@@ -170,8 +171,8 @@ pub fn outcomes(on: &Effects, effects: &[Effect], known: &KnownInputs<'_>) -> Ve
     effects.iter().map(outcome).collect()
 }
 
-/// The facts of `context` by port, of ports with one producer that is known.
-pub fn known_inputs<'a>(context: &'a engine::PlanContext<'_>) -> KnownInputs<'a> {
+/// The facts of `context` by port, for ports with a single known producer.
+pub(crate) fn known_inputs<'a>(context: &'a engine::PlanContext<'_>) -> KnownInputs<'a> {
     let ports = [CAPTURE].into_iter().chain(SUPPLEMENTS);
     ports.filter_map(|port| Some((port, context.facts(port)?))).collect()
 }

@@ -1,4 +1,4 @@
-//! What is known of a scene, held against what an effect needs.
+//! Evidence for the needs of effects, from the static facts of a scene.
 
 use engine::Facts;
 use scene::facts;
@@ -6,40 +6,40 @@ use scene::facts;
 use super::Need;
 
 /// The port of the capture.
-pub const CAPTURE: &str = "capture";
+pub(crate) const CAPTURE: &str = "capture";
 /// The port of depth, flow, normals and velocity.
-pub const PRIORS: &str = "priors";
+pub(crate) const PRIORS: &str = "priors";
 /// The port of tokens and embeddings.
-pub const FEATURES: &str = "features";
+pub(crate) const FEATURES: &str = "features";
 /// The port of particles.
-pub const PARTICLES: &str = "particles";
+pub(crate) const PARTICLES: &str = "particles";
 /// The port of moving parts.
-pub const LAYERS: &str = "layers";
+pub(crate) const LAYERS: &str = "layers";
 /// The port of the static video.
-pub const BACKGROUND: &str = "background";
+pub(crate) const BACKGROUND: &str = "background";
 
 /// The optional inputs that effects read.
-pub const SUPPLEMENTS: [&str; 5] = [PRIORS, FEATURES, PARTICLES, LAYERS, BACKGROUND];
+pub(crate) const SUPPLEMENTS: [&str; 5] = [PRIORS, FEATURES, PARTICLES, LAYERS, BACKGROUND];
 
-/// Whether a need is met, with the reason in words.
+/// Whether a need is met, with the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Evidence {
-    /// It is met.
+pub(crate) enum Evidence {
+    /// The need is met.
     Met(String),
-    /// Nobody can tell before the data is read; counts as met.
+    /// Unknown until the data is read; counts as met.
     Unknown(String),
-    /// The scene does not call for the effect, which could be simulated all the same.
+    /// The scene does not justify the effect, which could still be simulated.
     Idle(String),
-    /// What the effect reads does not exist.
+    /// An input of the effect is missing.
     Missing(String),
 }
 
 impl Need {
-    /// The port that shows whether the need is met; none where another effect does.
-    pub fn port(self) -> Option<&'static str> {
+    /// The port whose facts decide the need; `None` for a need of another effect.
+    pub(crate) fn port(self) -> Option<&'static str> {
         match self {
             Self::Times(_) | Self::Motion | Self::ViewDependence => Some(CAPTURE),
-            Self::Depth | Self::Flow | Self::Normals | Self::Velocity => Some(PRIORS),
+            Self::Depth | Self::Flow | Self::Velocity => Some(PRIORS),
             Self::Features => Some(FEATURES),
             Self::Particles => Some(PARTICLES),
             Self::Layers => Some(LAYERS),
@@ -48,8 +48,8 @@ impl Need {
         }
     }
 
-    /// What `facts_on` (the facts of the artifact on a port; none where nothing is wired) say about the need. Another
-    /// effect as need is not looked at here.
+    /// The evidence for the need in `facts_on`, the facts of the artifact on a port (`None` for a port that is not wired).
+    /// A need of another effect counts as met here.
     pub(super) fn evidence<'a>(self, facts_on: impl Fn(&str) -> Option<&'a Facts>) -> Evidence {
         let port = self.port().unwrap_or(CAPTURE);
         let known = facts_on(port);
@@ -66,7 +66,6 @@ impl Need {
             _ if known.is_none() => Evidence::Missing(format!("nothing is wired to `{port}`")),
             Self::Depth => input_has(flag(facts::DEPTH), port, "depth"),
             Self::Flow => input_has(flag(facts::FLOW), port, "flow"),
-            Self::Normals => input_has(flag(facts::NORMALS), port, "normals"),
             Self::Velocity => input_has(flag(facts::VELOCITY), port, "velocity"),
             Self::Features | Self::Particles | Self::Layers | Self::Background => {
                 Evidence::Met(format!("`{port}` are given"))

@@ -3,14 +3,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use engine::Facts;
 use scene::facts;
 
+use super::choice::KnownInputs;
 use super::*;
 
 const EFFECTS: [Effect; 5] = [
-    Effect { name: "motion", about: "", needs: &[Need::Times(2), Need::Motion], by_default: true },
-    Effect { name: "jerk", about: "", needs: &[Need::Times(4), Need::Effect("motion")], by_default: true },
-    Effect { name: "flow", about: "", needs: &[Need::Flow, Need::Depth], by_default: true },
-    Effect { name: "layers", about: "", needs: &[Need::Layers], by_default: true },
-    Effect { name: "focus", about: "", needs: &[], by_default: false },
+    Effect { name: "motion", about: "described", needs: &[Need::Times(2), Need::Motion], by_default: true },
+    Effect { name: "jerk", about: "described", needs: &[Need::Times(4), Need::Effect("motion")], by_default: true },
+    Effect { name: "flow", about: "described", needs: &[Need::Flow, Need::Depth], by_default: true },
+    Effect { name: "layers", about: "described", needs: &[Need::Layers], by_default: true },
+    Effect { name: "focus", about: "described", needs: &[], by_default: false },
 ];
 
 fn named(names: &[&str]) -> Effects {
@@ -43,7 +44,7 @@ fn messages(problems: &[engine::ParamProblem]) -> Vec<String> {
 }
 
 #[test]
-fn auto_is_every_effect_whose_needs_are_met() {
+fn auto_enables_effects_whose_needs_are_met() {
     let (scene, maps) = (capture(3, true), priors(true, false));
     let expected = [
         "motion on: 3 times, something moves",
@@ -62,7 +63,7 @@ fn auto_is_every_effect_whose_needs_are_met() {
 }
 
 #[test]
-fn what_nobody_knows_counts_as_met() {
+fn unknown_needs_count_as_met() {
     let unknown = Facts::default();
     let found = choose(&Effects::Auto, &[(CAPTURE, &unknown), (PRIORS, &unknown)]).unwrap();
     assert_eq!(found[0], "motion on: number of times not known before import, motion not known before import");
@@ -73,7 +74,7 @@ fn what_nobody_knows_counts_as_met() {
 }
 
 #[test]
-fn lists_are_exact_and_changes_change_the_automatic_choice() {
+fn lists_are_exact_and_changes_modify_auto() {
     let (scene, maps) = (capture(9, false), priors(true, true));
     let known = [(CAPTURE, &scene), (PRIORS, &maps)];
     let list = choose(&named(&["motion", "focus"]), &known).unwrap();
@@ -89,7 +90,7 @@ fn lists_are_exact_and_changes_change_the_automatic_choice() {
 }
 
 #[test]
-fn what_is_chosen_is_chosen_again_when_it_is_named() {
+fn auto_effects_equal_the_same_effects_named() {
     let (scene, maps) = (capture(9, true), priors(true, true));
     let known: KnownInputs<'_> = BTreeMap::from([(CAPTURE, &scene), (PRIORS, &maps)]);
     let auto = Effects::Auto.choose(&EFFECTS, &known).unwrap();
@@ -112,19 +113,22 @@ fn a_named_effect_without_its_input_is_a_problem() {
 }
 
 #[test]
-fn names_that_no_effect_has_and_mixed_lists_are_problems() {
+fn unknown_names_and_mixed_lists_are_problems() {
     let problems = |names: &[&str]| messages(&named(names).problems(&EFFECTS));
     assert_eq!(problems(&["motion", "flwo"]), ["the method has no effect `flwo`"]);
     assert_eq!(problems(&["motion", "-flow"]), ["a list of names cannot also change the automatic choice"]);
     assert_eq!(problems(&["+flow", "-flow"]), ["`flow` is both added and removed"]);
     assert!(problems(&["+flow", "-motion"]).is_empty() && Effects::Auto.problems(&EFFECTS).is_empty());
     let hint = named(&["flwo"]).problems(&EFFECTS)[0].hint.clone().unwrap();
-    assert_eq!(hint, "it has: motion, jerk, flow, layers, focus");
+    assert_eq!(
+        hint,
+        "it has: motion (described), jerk (described), flow (described), layers (described), focus (described)"
+    );
     assert_eq!(named(&["flow"]).problems(&[])[0].hint.as_deref(), Some("this method has no effects"));
 }
 
 #[test]
-fn outcomes_depend_on_the_list_and_the_data_alone() {
+fn outcomes_depend_only_on_the_list_and_the_data() {
     let scene = Facts::default().with(facts::TIMES, 9);
     let known: KnownInputs<'_> = BTreeMap::from([(CAPTURE, &scene)]);
     let outcome = |effects: &Effects| {

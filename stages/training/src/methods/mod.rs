@@ -14,20 +14,21 @@ mod static3dgs;
 mod tests;
 mod vcgs;
 
+use std::sync::LazyLock;
+
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use shaders::tape::Real;
 
-use crate::coarse::CoarseSharing;
 use crate::effects::{Effect, VIEW_DEPENDENT_COLOR};
-use crate::method::Method;
-use crate::params::{Shared, TrainingParams};
+use crate::method::{CoarseSharing, Method};
+use crate::shared::Shared;
 
 /// Every method, in the order of the tables.
-pub fn registry() -> Vec<Registration> {
+static METHODS: LazyLock<Vec<Registration>> = LazyLock::new(|| {
     vec![
-        Registration::of::<static3dgs::Static3dgs>(), //
+        Registration::of::<static3dgs::Static3dgs>(),
         Registration::of::<deformable3dgs::Deformable3dgs>(),
         Registration::of::<deformable4dgs::Deformable4dgs>(),
         Registration::of::<l4dgs::L4dgs>(),
@@ -39,59 +40,63 @@ pub fn registry() -> Vec<Registration> {
         Registration::of::<modecgs::Modecgs>(),
         Registration::of::<kineticgs::Kineticgs>(),
     ]
+});
+
+/// The names of all methods, in the same order.
+static NAMES: LazyLock<Vec<&'static str>> = LazyLock::new(|| METHODS.iter().map(|method| method.name).collect());
+
+/// Every registered method, in the order of the tables.
+pub(crate) fn registry() -> &'static [Registration] {
+    &METHODS
 }
 
-/// What a method's folder provides.
-pub trait MethodFolder: 'static {
+/// The entry of a method's folder.
+pub(crate) trait MethodFolder: 'static {
     /// The name in recipes and tables, equal to the folder's.
     const NAME: &'static str;
-    /// One line: what it is and whose.
-    const ABOUT: &'static str;
-    /// The table that only this method understands.
+    /// The method's own table of parameters.
     type Settings: Serialize + DeserializeOwned + Default;
 
-    /// The method's own defaults of what all methods understand.
+    /// The method's defaults for the tables of all methods.
     fn shared_defaults() -> Shared;
 
-    /// What the method can simulate or leave out, in the order of its README. View-dependent colour is added where the
-    /// method's defaults have spherical harmonics.
+    /// The method's effects, in the order of its README. View-dependent colour is added for methods with spherical
+    /// harmonics in their defaults.
     fn effects() -> Vec<Effect> {
         Vec::new()
     }
 
-    /// The first phase, if it is one that other methods begin with as well: then one job trains it for all of them.
+    /// The first phase, if other methods begin with it as well, so that one job can train it for all of them.
     fn coarse(_shared: &Shared, _settings: &Self::Settings) -> Option<CoarseSharing> {
         None
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error for settings that cannot work.
     fn check(_settings: &Self::Settings) -> Result<(), String> {
         Ok(())
     }
 
-    /// Settings so small that every gradient can be checked by differences.
+    /// Small settings, for checks of gradients by central differences.
     #[cfg(test)]
     fn tiny_settings() -> Self::Settings {
         Self::Settings::default()
     }
 
-    /// The method in one precision.
+    /// Builds the method in one precision.
     fn build<T: Real>(shared: &Shared, settings: Self::Settings) -> Box<dyn Method<T>>;
 }
 
-/// What a method shares of its first phase, from what all methods understand and its own table.
+/// The shared first phase of a method, from the tables of all methods and its own table.
 type Coarse = fn(&Shared, &Value) -> anyhow::Result<Option<CoarseSharing>>;
 
-/// Makes a method from what all methods understand and its own table.
+/// Builds a method from the tables of all methods and its own table.
 type Build<T> = fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<T>>>;
 
-/// One method, its types erased.
-pub struct Registration {
+/// A registered method with its types erased.
+pub(crate) struct Registration {
     /// The name in recipes and tables.
     pub name: &'static str,
-    /// One line: what it is and whose.
-    pub about: &'static str,
-    /// The method's own defaults of what all methods understand.
+    /// The method's defaults for the tables of all methods.
     pub shared_defaults: fn() -> Shared,
     own_effects: fn() -> Vec<Effect>,
     /// Checks the method's table and fills in its defaults.
@@ -100,6 +105,7 @@ pub struct Registration {
     #[cfg(test)]
     tiny_settings: fn() -> Value,
     build_f32: Build<f32>,
+    #[cfg(test)]
     build_f64: Build<f64>,
 }
 
@@ -107,7 +113,6 @@ impl Registration {
     fn of<M: MethodFolder>() -> Self {
         Self {
             name: M::NAME,
-            about: M::ABOUT,
             shared_defaults: M::shared_defaults,
             own_effects: M::effects,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
@@ -115,40 +120,42 @@ impl Registration {
             #[cfg(test)]
             tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),
             build_f32: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
+            #[cfg(test)]
             build_f64: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
         }
     }
 
-    /// What the method can simulate or leave out.
-    pub fn effects(&self) -> Vec<Effect> {
+    /// The method's effects.
+    pub(crate) fn effects(&self) -> Vec<Effect> {
         let shared = self.has_harmonics().then_some(VIEW_DEPENDENT_COLOR);
         (self.own_effects)().into_iter().chain(shared).collect()
     }
 
     /// The first phase, if other methods begin with it as well.
-    pub fn coarse(&self, params: &TrainingParams) -> anyhow::Result<Option<CoarseSharing>> {
-        (self.coarse)(&params.shared, &params.settings)
+    pub(crate) fn coarse(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Option<CoarseSharing>> {
+        (self.coarse)(shared, settings)
     }
 
     /// Whether the method's colours are spherical harmonics.
-    pub fn has_harmonics(&self) -> bool {
+    pub(crate) fn has_harmonics(&self) -> bool {
         (self.shared_defaults)().harmonics.degree > 0
     }
 
-    /// Settings so small that every gradient can be checked by differences.
+    /// Small settings, for checks of gradients by central differences.
     #[cfg(test)]
-    pub fn tiny(&self) -> Value {
+    pub(crate) fn tiny(&self) -> Value {
         (self.tiny_settings)()
     }
 
-    /// The method as it trains and renders.
-    pub fn build_f32(&self, params: &TrainingParams) -> anyhow::Result<Box<dyn Method<f32>>> {
-        (self.build_f32)(&params.shared, &params.settings)
+    /// Builds the method for training and rendering.
+    pub(crate) fn build_f32(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Box<dyn Method<f32>>> {
+        (self.build_f32)(shared, settings)
     }
 
-    /// The method as its gradients are checked.
-    pub fn build_f64(&self, params: &TrainingParams) -> anyhow::Result<Box<dyn Method<f64>>> {
-        (self.build_f64)(&params.shared, &params.settings)
+    /// Builds the method for checks of its gradients.
+    #[cfg(test)]
+    pub(crate) fn build_f64(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Box<dyn Method<f64>>> {
+        (self.build_f64)(shared, settings)
     }
 }
 
@@ -158,16 +165,23 @@ fn read_settings<M: MethodFolder>(given: &Value) -> anyhow::Result<M::Settings> 
     Ok(settings)
 }
 
-/// The method of that name; the error lists the registered ones, in serde's words for an unknown name, of which the error
-/// of a recipe makes a suggestion.
-pub fn find(name: &str) -> Result<Registration, String> {
-    let known = || registry().iter().map(|entry| format!("`{}`", entry.name)).collect::<Vec<_>>().join(", ");
-    registry().into_iter().find(|entry| entry.name == name).ok_or_else(|| {
-        format!("unknown variant `{name}`, expected one of {}", known()) //
-    })
+/// The name of a method that is not registered.
+#[derive(Debug, thiserror::Error)]
+#[error("unknown method `{got}`; known methods: {}", known.join(", "))]
+pub(crate) struct UnknownName {
+    /// The name.
+    pub got: String,
+    /// The registered names.
+    pub known: &'static [&'static str],
 }
 
-/// The folders of all other methods: an edit there cannot change what this one trains.
-pub fn unused_sources(name: &str) -> Vec<String> {
-    registry().iter().filter(|entry| entry.name != name).map(|entry| format!("src/methods/{}", entry.name)).collect()
+/// The method of that name.
+pub(crate) fn find(name: &str) -> Result<&'static Registration, UnknownName> {
+    let found = METHODS.iter().find(|method| method.name == name);
+    found.ok_or_else(|| UnknownName { got: name.into(), known: &NAMES })
+}
+
+/// The folders of all other methods: an edit there cannot change the result of this one.
+pub(crate) fn unused_sources(name: &str) -> Vec<String> {
+    NAMES.iter().filter(|other| **other != name).map(|other| format!("src/methods/{other}")).collect()
 }

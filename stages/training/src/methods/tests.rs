@@ -1,21 +1,19 @@
 //! Every registered method: its registration, and its gradients in f64 against central differences.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use shaders::check::noise;
 use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
-use crate::dataset::Dataset;
+use crate::data::{Dataset, Stream, Supplements, TrainingView, ViewConstants, generator};
 use crate::effects::{Effects, Need};
-use crate::method::{Moment, Start, TrainingView, raster_settings};
-use crate::sampler::{Stream, generator};
-use crate::state::ModelState;
-use crate::step::{SkippedWork, Step, StepOutcome, run_step};
-use crate::supplements::Supplements;
-use crate::test_scene::TestScene;
-use crate::view_constants::ViewConstants;
+use crate::method::{Moment, Recorded, Start, Step, StepOutcome, raster_settings, run_step};
+use crate::model::ModelState;
+use crate::params::TrainingParams;
+use crate::scene_tests::TestScene;
 
 /// Step of the central differences: truncation 1e-12 and rounding 1e-10 stay below [`TOLERANCE`].
 const STEP: f64 = 1e-6;
@@ -54,7 +52,7 @@ impl Case {
         params.shared.loss.lambda_dssim = 0.2;
         params.shared.initial_points.max_count = 8;
         change(&mut params.shared);
-        let method = entry.build_f64(&params).unwrap();
+        let method = entry.build_f64(&params.shared, &params.settings).unwrap();
         let points = dataset.initial_points(&params.shared.initial_points, 0).unwrap();
         let supplements = test_scene.supplements(&dataset);
         let start = Start { dataset: &dataset, supplements: &supplements };
@@ -110,10 +108,7 @@ impl Case {
             random: &mut generator(2, Stream::Method),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
-            losses: Vec::new(),
-            renders: Vec::new(),
-            skipped: SkippedWork::new(),
-            kept: Vec::new(),
+            recorded: Recorded::default(),
         };
         let mut outcome: StepOutcome<f64> = run_step(&*self.method, step).unwrap();
         let total = outcome.total();
@@ -170,7 +165,8 @@ impl Case {
 fn cases() -> Vec<(String, Case)> {
     let mut cases = Vec::new();
     for entry in registry() {
-        let phases = entry.build_f64(&TrainingParams::of(entry.name).unwrap()).unwrap().phases();
+        let params = TrainingParams::of(entry.name).unwrap();
+        let phases = entry.build_f64(&params.shared, &params.settings).unwrap().phases();
         for (index, phase) in phases.iter().enumerate() {
             cases.push((format!("{} in {}", entry.name, phase.name), Case::new(&entry, index)));
         }
@@ -210,12 +206,14 @@ fn every_learnt_tensor_receives_a_gradient() {
 }
 
 #[test]
-fn every_method_has_its_folder_with_a_readme_and_a_paper() {
+fn every_readme_states_its_equations_and_departures() {
     for entry in registry() {
-        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/methods").join(entry.name);
-        for file in ["README.md", "paper.toml", "mod.rs"] {
-            assert!(folder.join(file).is_file(), "{} lacks {file}", entry.name);
-        }
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/methods").join(entry.name).join("README.md");
+        let text = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let has = |heading: &str| text.lines().any(|line| line.strip_prefix("## ") == Some(heading));
+        let has_decisions = has("What the paper leaves open") || has("Departures");
+        assert!(text.starts_with(&format!("# {}\n", entry.name)), "{}: the title is not its name", entry.name);
+        assert!(has("Equations") && has_decisions, "{}: a section is missing", entry.name);
     }
 }
 
@@ -225,7 +223,7 @@ fn unused_sources_are_all_other_folders_and_exist() {
         let unused = unused_sources(entry.name);
         assert_eq!(unused.len(), registry().len() - 1);
         assert!(unused.iter().all(|path| !path.ends_with(entry.name)));
-        assert!(unused.iter().all(|path| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path).is_dir()));
+        assert!(unused.iter().all(|path| Path::new(env!("CARGO_MANIFEST_DIR")).join(path).is_dir()));
     }
 }
 
@@ -240,7 +238,7 @@ fn cost(entry: &Registration, on: &BTreeSet<String>) -> ([usize; 3], f64) {
     let mut params = TrainingParams::of(entry.name).unwrap();
     params.settings = (entry.tiny_settings)();
     change(&mut params.shared);
-    let phases = entry.build_f64(&params).unwrap().phases().len();
+    let phases = entry.build_f64(&params.shared, &params.settings).unwrap().phases().len();
     let needed = entry.effects().into_iter().filter(|effect| on.contains(effect.name));
     let ports: BTreeSet<&str> = needed.flat_map(|effect| effect.needs).filter_map(|need| need.port()).collect();
     let (mut cost, mut losses) = ([ports.len(), 0, 0], 0.0);
@@ -285,7 +283,9 @@ fn an_effect_that_is_off_costs_nothing() {
 
 #[test]
 fn an_unknown_method_is_refused_with_the_known_ones() {
-    assert!(find("nerf").err().unwrap().contains("deformable4dgs"));
+    let error = find("nerf").err().unwrap();
+    assert_eq!(error.got, "nerf");
+    assert!(error.known.contains(&"deformable4dgs") && error.to_string().contains("deformable4dgs"));
 }
 
 #[test]

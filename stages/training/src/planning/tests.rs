@@ -11,13 +11,13 @@ fn params(value: Value) -> TrainingParams {
     serde_json::from_value(value).unwrap()
 }
 
-/// What is known of a capture on the port `capture` and of models on the port `start`.
+/// Facts of a capture on the port `capture` and of models on the port `start`.
 fn context(capture: Facts, start: &[Facts]) -> PlanContext<'static> {
     let inputs = BTreeMap::from([("capture".to_string(), vec![capture]), (START.to_string(), start.to_vec())]);
     PlanContext { data_root: Path::new("unused"), inputs }
 }
 
-fn scene_at_rest() -> Facts {
+fn static_scene() -> Facts {
     Facts::default().with(facts::TIMES, 9).with(facts::MOVING, false).with(facts::VIEW_DEPENDENT, false)
 }
 
@@ -26,8 +26,8 @@ fn effects(resolution: &Resolution<TrainingParams>) -> Value {
 }
 
 #[test]
-fn colours_that_do_not_depend_on_the_view_have_no_harmonics() {
-    let resolved = resolve(params(json!({})), &context(scene_at_rest(), &[])).unwrap();
+fn colours_without_view_dependence_have_no_harmonics() {
+    let resolved = resolve(params(json!({})), &context(static_scene(), &[])).unwrap();
     assert_eq!((effects(&resolved), resolved.params.shared.harmonics.degree), (json!([]), 0));
     assert_eq!(resolved.decisions[0].reason, "colours do not depend on the view");
     let unknown = resolve(params(json!({})), &context(Facts::default(), &[])).unwrap();
@@ -38,7 +38,7 @@ fn colours_that_do_not_depend_on_the_view_have_no_harmonics() {
 
 #[test]
 fn automatic_and_named_effects_give_one_training() {
-    for capture in [scene_at_rest(), Facts::default()] {
+    for capture in [static_scene(), Facts::default()] {
         for method in methods::registry() {
             let auto = json!({ "method": method.name });
             let resolved = resolve(params(auto), &context(capture.clone(), &[])).unwrap();
@@ -55,7 +55,7 @@ fn automatic_and_named_effects_give_one_training() {
 }
 
 #[test]
-fn a_degree_of_zero_is_a_decision_and_contradicts_the_effects_name() {
+fn degree_zero_disables_the_colour_effect() {
     let zero = |effects: Value| {
         resolve(params(json!({ "harmonics": { "degree": 0 }, "effects": effects })), &context(Facts::default(), &[]))
     };
@@ -67,7 +67,7 @@ fn a_degree_of_zero_is_a_decision_and_contradicts_the_effects_name() {
 }
 
 #[test]
-fn a_start_is_chosen_where_it_is_exactly_what_the_training_begins_with() {
+fn a_start_is_chosen_only_if_it_matches_exactly() {
     let coarse = |change: Value| {
         let mut table = json!({ "method": "deformable4dgs", "stop_after": "coarse" });
         table.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
@@ -83,10 +83,10 @@ fn a_start_is_chosen_where_it_is_exactly_what_the_training_begins_with() {
     assert_eq!((chosen, decision.unwrap().0), (Some(2), true));
     let differences = "iterations 9 → 3000, seed 7 → 0".to_string();
     assert_eq!(start("deformable4dgs", &[other]), (None, Some((false, differences))));
-    // What comes after the phase does not matter.
+    // Parameters of later phases do not matter.
     assert_eq!(coarse(json!({ "iterations": { "fine": 5 }, "deformable4dgs": { "width": 8 } })), equal);
-    assert_eq!(coarse(json!({ "effects": ["+skip-still"] })), equal, "its inputs are not asked for either");
-    // Who has no such phase is not told about it, and a model that was trained to its end is none.
+    assert_eq!(coarse(json!({ "effects": ["+skip-still"] })), equal, "its inputs are not required either");
+    // Methods without a shared phase get no decision, and a completely trained model is not a start.
     assert_eq!(start("static3dgs", &[equal]), (None, None));
     assert_eq!(start("deformable4dgs", &[coarse(json!({ "stop_after": null }))]), (None, None));
 }

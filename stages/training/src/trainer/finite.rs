@@ -1,4 +1,4 @@
-//! What is not finite ends the training at the step where it arises, by name.
+//! Checks that end a training at the step where a value stops being finite, with the name of the value.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +8,10 @@ use shaders::tape::{Tape, Tensor};
 
 use super::Trainer;
 use crate::artifact::{LargestGradient, NamedTensor};
-use crate::optimizer::Optimizer;
+use crate::model::Optimizer;
 
 impl Trainer<'_> {
-    /// Every loss must be finite, and so must every splat that was rendered: the rasteriser leaves the others out.
+    /// Every loss must be finite, and so must every rendered splat: the rasteriser leaves out those that are not.
     pub(super) fn check_losses(&self, losses: &BTreeMap<&str, f64>, tape: &Tape<f32>) -> anyhow::Result<()> {
         if let Some(name) = losses.iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name) {
             return Err(self.not_finite(&format!("loss {name}"), Some(tape)));
@@ -22,7 +22,7 @@ impl Trainer<'_> {
         }
     }
 
-    /// Every gradient must be finite; how large it is is kept.
+    /// Every gradient must be finite; records the largest magnitudes.
     pub(super) fn check_gradients(
         &mut self,
         gradients: &BTreeMap<&str, Tensor<f32>>,
@@ -32,31 +32,20 @@ impl Trainer<'_> {
         if let Some(name) = largest.iter().find(|(_, magnitude)| !magnitude.is_finite()).map(|(name, _)| name) {
             return Err(self.not_finite(&format!("gradient of {name}"), Some(tape)));
         }
-        self.keep_gradients(self.iteration, largest.into_iter());
+        self.telemetry.record_gradients(self.phase_name(), self.state.iteration, largest);
         Ok(())
-    }
-
-    /// Keeps the largest magnitude that each gradient ever had.
-    pub(super) fn keep_gradients<'n>(&mut self, iteration: u64, largest: impl Iterator<Item = (&'n str, f32)>) {
-        let phase = self.phases[self.phase].name;
-        for (name, magnitude) in largest.map(|(name, magnitude)| (name, f64::from(magnitude))) {
-            if self.largest_gradients.get(name).is_none_or(|known| magnitude > known.magnitude) {
-                let largest = LargestGradient { magnitude, phase: phase.into(), iteration };
-                self.largest_gradients.insert(name.into(), largest);
-            }
-        }
     }
 
     /// Every tensor must be finite.
     pub(super) fn check_tensors(&self) -> anyhow::Result<()> {
-        match self.optimizer.first_bad_tensor() {
+        match self.state.optimizer.first_bad_tensor() {
             Some(name) => Err(self.not_finite(name, None)),
             None => Ok(()),
         }
     }
 
     /// Every value and moment of a checkpoint must be finite.
-    pub(super) fn check_values(&self, tensors: &BTreeMap<String, NamedTensor>) -> anyhow::Result<()> {
+    pub(super) fn check_checkpoint(&self, tensors: &BTreeMap<String, NamedTensor>) -> anyhow::Result<()> {
         let is_bad = |tensor: &NamedTensor| !tensor.values.iter().all(|value| value.is_finite());
         match tensors.iter().find(|(_, tensor)| is_bad(tensor)) {
             Some((name, _)) => Err(self.not_finite(&format!("{name} in the checkpoint"), None)),
@@ -64,21 +53,22 @@ impl Trainer<'_> {
         }
     }
 
-    /// The error that names what stopped being finite, when, and where it came from: a tensor of the model, an operation
-    /// or the step itself.
+    /// The error for a value that is not finite. It names the value, the step, and the origin: a tensor of the model, the
+    /// first operation with such an output, or the backward pass.
     fn not_finite(&self, what: &str, tape: Option<&Tape<f32>>) -> anyhow::Error {
-        let origin = match (self.optimizer.first_bad_tensor(), tape.map(Tape::first_non_finite_op)) {
+        let origin = match (self.state.optimizer.first_bad_tensor(), tape.map(Tape::first_non_finite_op)) {
             (Some(tensor), Some(_)) => format!("because {tensor} was not before the step"),
             (_, Some(Some(op))) => format!("first in the output of {op}"),
             (_, Some(None)) => "first in the backward pass".into(),
             (_, None) => "after a finite gradient".into(),
         };
-        let largest = self.largest_gradients.iter().max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude));
+        let largest =
+            self.telemetry.largest_gradients.iter().max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude));
         let before = largest.map(|(name, largest)| {
             let LargestGradient { magnitude, phase, iteration } = largest;
             format!("; the largest gradient before was {magnitude:.1e}, of {name} at iteration {iteration} of {phase}")
         });
-        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
+        let (phase, iteration) = (self.phase_name(), self.state.iteration);
         let message = format!(
             "{what} is not finite at iteration {iteration} of phase {phase} ({origin}{})",
             before.unwrap_or_default()
@@ -87,12 +77,12 @@ impl Trainer<'_> {
         Failure::new(FailureKind::Diverged, message).hint(hint).into()
     }
 
-    /// A model without Gaussians cannot go on.
+    /// A model must keep at least one Gaussian.
     pub(super) fn check_not_empty(&self) -> anyhow::Result<()> {
-        if self.optimizer.has_rows() {
+        if self.state.optimizer.has_rows() {
             return Ok(());
         }
-        let (phase, iteration) = (self.phases[self.phase].name, self.iteration);
+        let (phase, iteration) = (self.phase_name(), self.state.iteration);
         let message = format!("no Gaussians left after iteration {iteration} of phase {phase}");
         let hint = "lower density.min_opacity, or give more initial points inside the cameras' view";
         Err(Failure::new(FailureKind::Diverged, message).hint(hint).into())

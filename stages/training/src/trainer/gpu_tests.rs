@@ -1,21 +1,22 @@
-//! A training on a GPU is the training on the CPU, but for rounding.
+//! Training on a GPU against training on the CPU, and speculative against checked steps.
 
 use serde_json::json;
 use shaders::check::test_gpu;
 
-use super::poison::{Scene, all_effects};
+use super::poison_tests::{Scene, all_effects};
 use super::tests::{bits, dataset, params};
 use super::*;
-use crate::supplements::NOTHING;
-use crate::test_scene::TestScene;
+use crate::data::NOTHING;
+use crate::params::TrainingParams;
+use crate::scene_tests::TestScene;
 
-/// Largest difference of a step's loss from that of the other device, relative to the loss of the first step. Rounding
-/// errors grow from step to step: Adam divides by the size of gradients, so that the smallest ones count in full.
+/// Tolerance of a step's loss between devices, relative to the loss of the first step. Rounding errors grow from step to
+/// step: Adam divides gradients by their magnitude, so the smallest ones count in full.
 const LOSS: f64 = 0.01;
-/// Largest difference of the PSNR at the end, dB.
+/// Tolerance of the final PSNR between devices, dB.
 const PSNR: f64 = 0.1;
 
-/// What a training came to.
+/// The result of a training.
 struct Trained {
     losses: Vec<f64>,
     psnr: f64,
@@ -35,7 +36,7 @@ fn two_hundred_steps(rate: f64) -> TrainingParams {
     }))
 }
 
-/// The training on a device, with a change of the trainer before each step.
+/// Trains on a device and calls `change` before each step.
 fn train_with(device: Device, rate: f64, mut change: impl FnMut(&mut Trainer)) -> anyhow::Result<Trained> {
     let (_dir, dataset) = dataset(TestScene::default());
     let params = two_hundred_steps(rate);
@@ -45,14 +46,14 @@ fn train_with(device: Device, rate: f64, mut change: impl FnMut(&mut Trainer)) -
         trainer.advance()?;
     }
     let psnr = trainer.report().curve.last().unwrap().psnr_val;
-    Ok(Trained { losses: trainer.every_loss.clone(), psnr, model: trainer.finish()? })
+    Ok(Trained { losses: trainer.telemetry.losses.clone(), psnr, model: trainer.finish()? })
 }
 
 fn train(device: Device, rate: f64) -> Trained {
     train_with(device, rate, |_| ()).unwrap()
 }
 
-/// Why two trainings are not the same.
+/// How two trainings differ, if they do.
 fn difference(found: &Trained, expected: &Trained) -> Option<String> {
     let errors = found.losses.iter().zip(&expected.losses).map(|(found, expected)| (found - expected).abs());
     let (step, loss) = errors.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -62,58 +63,59 @@ fn difference(found: &Trained, expected: &Trained) -> Option<String> {
 }
 
 #[test]
-fn two_hundred_steps_agree_with_the_cpu_and_repeat_bit_by_bit() {
+fn two_hundred_gpu_steps_agree_with_the_cpu_and_repeat() {
     let Some(gpu) = test_gpu() else { return };
     let (on_cpu, on_gpu) = (train(Device::Cpu, 0.05), train(Device::Gpu(gpu), 0.05));
     assert_eq!(difference(&on_gpu, &on_cpu), None);
     assert_eq!(bits(&train(Device::Gpu(gpu), 0.05).model), bits(&on_gpu.model), "two runs on one adapter");
-    // A tenth more of one step size is noticed.
+    // A learning rate that is 10 % higher is detected.
     assert!(difference(&train(Device::Gpu(gpu), 0.055), &on_cpu).is_some());
 }
 
 #[test]
-fn a_gpu_that_goes_ahead_does_what_one_that_is_watched_does() {
+fn speculative_and_checked_steps_agree() {
     let Some(gpu) = test_gpu() else { return };
-    let watched = train_with(Device::Gpu(gpu), 0.05, |trainer| trainer.room = 0).unwrap();
-    // Now and then there is too little room, which is noticed, and the steps are made again.
-    let (mut most_ahead, mut narrow) = (0, 0);
-    let ahead = train_with(Device::Gpu(gpu), 0.05, |trainer| {
-        most_ahead = most_ahead.max(trainer.steps_ahead());
+    let checked = train_with(Device::Gpu(gpu), 0.05, |trainer| trainer.capacity = 0).unwrap();
+    // Two overflows, each of which rolls back and replays.
+    let (mut most_pending, mut overflows) = (0, 0);
+    let speculative = train_with(Device::Gpu(gpu), 0.05, |trainer| {
+        most_pending = most_pending.max(trainer.pending_steps());
         if trainer.steps().0 % 80 == 70 {
-            narrow += 1;
-            trainer.room = 30;
+            overflows += 1;
+            trainer.capacity = 30;
         }
     });
-    let ahead = ahead.unwrap();
-    assert!(most_ahead > 20 && narrow == 2, "{most_ahead} {narrow}");
-    assert_eq!(ahead.losses, watched.losses);
-    assert_eq!(bits(&ahead.model), bits(&watched.model));
+    let speculative = speculative.unwrap();
+    assert!(most_pending > 20 && overflows == 2, "{most_pending} {overflows}");
+    assert_eq!(speculative.losses, checked.losses);
+    assert_eq!(bits(&speculative.model), bits(&checked.model));
 }
 
 #[test]
-fn what_is_not_finite_ends_a_training_on_a_gpu_at_that_step_by_name() {
+fn a_speculative_step_reports_the_same_failure_as_a_checked_one() {
     let Some(gpu) = test_gpu() else { return };
     for (tensor, phase_step) in [("gaussians.positions", 27), ("network.trunk.bias", 5)] {
-        let poisoned = |is_watched: bool| {
+        let poisoned = |is_checked: bool| {
             let failure = train_with(Device::Gpu(gpu), 0.05, |trainer| {
-                if is_watched {
-                    trainer.room = 0;
+                if is_checked {
+                    trainer.capacity = 0;
                 }
-                let has_tensor = trainer.optimizer.tensor(tensor).is_ok();
-                if has_tensor && trainer.iteration == phase_step {
-                    trainer.settle().unwrap();
-                    trainer.optimizer.edit(tensor, |values| values[0] = f32::NAN).unwrap();
+                let has_tensor = trainer.state.optimizer.tensor(tensor).is_ok();
+                if has_tensor && trainer.state.iteration == phase_step {
+                    trainer.drain().unwrap();
+                    trainer.state.optimizer.edit(tensor, |values| values[0] = f32::NAN).unwrap();
                 }
             });
             format!("{:#}", failure.err().expect("a training that ends"))
         };
-        let (ahead, watched) = (poisoned(false), poisoned(true));
-        assert_eq!(ahead, watched);
-        assert!(ahead.contains(&format!("iteration {}", phase_step + 1)) && ahead.contains(tensor), "{ahead}");
+        let (speculative, checked) = (poisoned(false), poisoned(true));
+        assert_eq!(speculative, checked);
+        let iteration = format!("iteration {}", phase_step + 1);
+        assert!(speculative.contains(&iteration) && speculative.contains(tensor), "{speculative}");
     }
 }
 
-/// Thirty steps of anchors that come and go.
+/// Thirty steps with anchors that are added and removed.
 fn anchors_that_grow() -> TrainingParams {
     let mut params = all_effects("modecgs");
     params.shared.iterations = [("coarse", 12), ("fine", 18)].map(|(name, steps)| (name.to_owned(), steps)).into();
@@ -123,7 +125,7 @@ fn anchors_that_grow() -> TrainingParams {
     params
 }
 
-/// The losses of a training of anchors, and its end; a checkpoint is taken and gone on from after so many steps.
+/// The losses and the model of a training of anchors, which is saved and resumed after `interrupted_after` steps.
 fn train_anchors(scene: &Scene, device: Device, interrupted_after: Option<u64>) -> (Vec<f64>, Model) {
     let params = anchors_that_grow();
     let mut trainer = Trainer::new(&scene.dataset, &scene.supplements, &params).unwrap().on(device);
@@ -134,12 +136,12 @@ fn train_anchors(scene: &Scene, device: Device, interrupted_after: Option<u64>) 
             trainer = Trainer::resume(&scene.dataset, &scene.supplements, &params, checkpoint).unwrap().on(device);
         }
     }
-    trainer.settle().unwrap();
-    (trainer.every_loss.clone(), trainer.finish().unwrap())
+    trainer.drain().unwrap();
+    (trainer.telemetry.losses.clone(), trainer.finish().unwrap())
 }
 
 #[test]
-fn anchors_grow_on_a_gpu_and_a_training_of_them_repeats_and_resumes_bit_by_bit() {
+fn anchors_grow_repeat_and_resume_on_a_gpu() {
     let Some(gpu) = test_gpu() else { return };
     let scene = Scene::new();
     let (on_cpu, _) = train_anchors(&scene, Device::Cpu, None);

@@ -1,34 +1,33 @@
-//! What a training measures besides its model.
+//! The measurements of a training, as its job reports them.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use shaders::tape::Profile;
 
-use super::{EVALUATION, LargestGradient};
-use crate::budget::Choice;
+use super::curve::CurvePoint;
+use super::telemetry::Telemetry;
+use super::{EVALUATION, Trainer};
+use crate::artifact::LargestGradient;
 use crate::clock::ClockReading;
-use crate::curve::CurvePoint;
 use crate::device::GpuUse;
-use crate::method::Phase;
-use crate::step::SkippedWork;
+use crate::method::SkippedWork;
+use crate::schedule::Phase;
 
-/// What a training measures besides its model.
-#[derive(Clone, Debug)]
+/// The measurements of a training. Field names are the names of the measurements in the job's record.
+#[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// Seconds, evaluation excluded.
+    /// Seconds of training, evaluation excluded.
     pub training_secs: f64,
-    /// How the schedule was chosen, where there was a budget.
-    pub budget: Option<Choice>,
-    /// Seconds, evaluation included.
+    /// Seconds of training, evaluation included.
     pub total_secs: f64,
-    /// Training time per step.
+    /// Training time per step, milliseconds.
     pub ms_per_iteration: f64,
     /// Training time per step by phase and activity, milliseconds.
     pub ms_per_iteration_by_phase: BTreeMap<String, BTreeMap<String, f64>>,
-    /// Each loss's share of the value and of the time.
+    /// Each loss's share of the total value, and its time.
     pub loss_shares: BTreeMap<String, LossShare>,
-    /// Weighted values summed over steps, by loss.
+    /// Weighted loss values summed over steps, by loss.
     pub loss_sums: BTreeMap<String, f64>,
     /// Seconds per activity.
     pub phases: BTreeMap<String, f64>,
@@ -39,18 +38,18 @@ pub struct Report {
     /// The split that the curve was measured on.
     pub curve_split: scene::Split,
     /// Milliseconds per call of every kernel, forward and backward, since the last resumption.
-    pub kernels: BTreeMap<String, [f64; 2]>,
-    /// What a step asked of the GPU since the last resumption, if it computes on one.
+    pub kernels_ms: BTreeMap<String, [f64; 2]>,
+    /// GPU use per step since the last resumption; `None` on the CPU.
     pub gpu: Option<GpuUse>,
-    /// Work left out because nothing called for it, since the last resumption.
-    pub skipped: SkippedWork,
-    /// The largest gradient of every tensor, since the last resumption.
+    /// Work left out because it could not change the result, since the last resumption.
+    pub skipped_work: SkippedWork,
+    /// The largest gradient of every tensor since the last resumption.
     pub largest_gradients: BTreeMap<String, LargestGradient>,
-    /// How often the rasteriser kept a number in range, summed over renders since the last resumption.
+    /// How often the rasteriser clamped a number, summed over renders since the last resumption.
     pub guards: BTreeMap<&'static str, u64>,
 }
 
-/// What a training measured that another one goes on from.
+/// The measurements of the training whose model another training continues: a part of its [`Report`].
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct Earlier {
     /// Seconds by phase and activity.
@@ -58,22 +57,49 @@ pub struct Earlier {
     pub clock: ClockReading,
     /// Quality over seconds.
     pub curve: Vec<CurvePoint>,
-    /// Weighted values summed over steps, by loss.
-    #[serde(rename = "loss_sums")]
-    pub losses: BTreeMap<String, f64>,
+    /// Weighted loss values summed over steps, by loss.
+    pub loss_sums: BTreeMap<String, f64>,
 }
 
-/// What one loss contributes, and what it costs.
+/// The contribution of one loss, and its cost.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LossShare {
-    /// Of the sum of all weighted values over all steps.
+    /// Share of the sum of all weighted values over all steps.
     pub value_share: f64,
-    /// Seconds of its forward pass, where its method clocks it as `loss NAME`.
+    /// Seconds of its forward pass, if the method clocks it as the activity `loss NAME`.
     pub forward_secs: Option<f64>,
 }
 
-/// The share of every loss in the sum of all, and its seconds.
-pub(super) fn loss_shares(sums: &BTreeMap<String, f64>, clock: &ClockReading) -> BTreeMap<String, LossShare> {
+impl Trainer<'_> {
+    /// The measurements so far.
+    pub fn report(&mut self) -> Report {
+        let clock = self.clock.reading();
+        let (steps, _) = self.steps();
+        let training_secs = clock.total_except(&[EVALUATION]);
+        let phases = &self.setup.phases[..=self.state.phase];
+        let Telemetry { history, profile, skipped, largest_gradients, .. } = &self.telemetry;
+        Report {
+            training_secs,
+            total_secs: clock.total_except(&[]),
+            ms_per_iteration: 1e3 * training_secs / steps.max(1) as f64,
+            ms_per_iteration_by_phase: milliseconds_by_phase(&clock, phases, self.state.iteration),
+            loss_shares: loss_shares(&history.loss_sums, &clock),
+            loss_sums: history.loss_sums.clone(),
+            phases: clock.by_activity(),
+            seconds_by_phase: clock,
+            curve: history.curve.clone(),
+            curve_split: self.setup.start.dataset.curve_split,
+            kernels_ms: kernel_milliseconds(profile),
+            gpu: self.meter.as_ref().map(|meter| meter.per_iteration(steps)),
+            skipped_work: skipped.clone(),
+            largest_gradients: largest_gradients.clone(),
+            guards: profile.events.clone(),
+        }
+    }
+}
+
+/// Value and time shares of every loss.
+fn loss_shares(sums: &BTreeMap<String, f64>, clock: &ClockReading) -> BTreeMap<String, LossShare> {
     let total: f64 = sums.values().map(|sum| sum.abs()).sum();
     let activities = clock.by_activity();
     let share = |(name, sum): (&String, &f64)| {
@@ -84,8 +110,9 @@ pub(super) fn loss_shares(sums: &BTreeMap<String, f64>, clock: &ClockReading) ->
     sums.iter().map(share).collect()
 }
 
-/// Milliseconds per step of every activity in every phase that has begun; the last of `phases` has done `iteration` steps.
-pub(super) fn milliseconds_by_phase(
+/// Milliseconds per step of every activity in every phase that has begun; the last of `phases` has completed `iteration`
+/// steps.
+fn milliseconds_by_phase(
     clock: &ClockReading,
     phases: &[Phase],
     iteration: u64,
@@ -101,7 +128,7 @@ pub(super) fn milliseconds_by_phase(
 }
 
 /// Milliseconds per call of every kernel, forward and backward.
-pub(super) fn kernel_milliseconds(profile: &Profile) -> BTreeMap<String, [f64; 2]> {
+fn kernel_milliseconds(profile: &Profile) -> BTreeMap<String, [f64; 2]> {
     let mean = |cost: &shaders::tape::Cost| 1e3 * cost.secs / cost.calls.max(1) as f64;
     profile.ops.iter().map(|(name, cost)| (name.to_string(), [mean(&cost.forward), mean(&cost.backward)])).collect()
 }

@@ -1,11 +1,12 @@
+use std::collections::BTreeMap;
+
 use engine::{Failure, FailureKind};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::checkpoint::Checkpoint;
-use crate::sampler::generator;
-use crate::supplements::NOTHING;
-use crate::test_scene::TestScene;
+use crate::data::{Dataset, NOTHING, Stream, ViewSampler, generator};
+use crate::params::TrainingParams;
+use crate::scene_tests::TestScene;
 
 pub(super) fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
     let dir = tempfile::tempdir().unwrap();
@@ -69,17 +70,45 @@ fn a_training_resumed_anywhere_ends_in_the_same_bytes() {
 }
 
 #[test]
-fn a_checkpoint_that_lost_its_random_state_is_noticed() {
-    // The planted fault of the test above: the comparison must see a wrong cursor.
+fn a_wrong_random_state_in_a_checkpoint_is_detected() {
+    // A planted fault for the test above: its comparison must detect a wrong view order.
     let (_dir, dataset) = dataset(TestScene::default());
     let params = busy_params();
     let undisturbed = train_to_end(Trainer::new(&dataset, &NOTHING, &params).unwrap());
     let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
     (0..10).for_each(|_| trainer.advance().unwrap());
     let mut checkpoint = trainer.checkpoint().unwrap();
-    checkpoint.progress.sampler = ViewSampler::new(dataset.train.len(), generator(99, Stream::Views));
+    checkpoint.progress.state.sampler = ViewSampler::new(dataset.train.len(), generator(99, Stream::Views));
     let resumed = train_to_end(Trainer::resume(&dataset, &NOTHING, &params, checkpoint).unwrap());
     assert_ne!(bits(&resumed), bits(&undisturbed));
+}
+
+#[test]
+fn a_restored_state_saves_the_same_values() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = busy_params();
+    let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
+    (0..31).for_each(|_| trainer.advance().unwrap());
+    let (saved, tensors) = trainer.state.save();
+    assert!(saved.hooks.iter().any(|hook| !hook.is_null()) && saved.iteration == 13 && saved.phase == 1);
+    let restored = TrainState::restore(&trainer.setup, saved.clone(), &tensors).unwrap();
+    assert_eq!(restored.save(), (saved, tensors));
+}
+
+#[test]
+fn a_rollback_replays_the_steps_to_the_same_state() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = busy_params();
+    let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
+    (0..7).for_each(|_| trainer.advance().unwrap());
+    trainer.start_speculation();
+    // Density control acts and the harmonics grow in these steps.
+    (0..8).for_each(|_| trainer.step(speculation::Mode::Checked).unwrap());
+    let (state, history) = (trainer.state.save(), trainer.telemetry.history.clone());
+    let speculation = trainer.speculation.take().unwrap();
+    trainer.roll_back(speculation).unwrap();
+    assert_eq!(trainer.state.save(), state);
+    assert_eq!(trainer.telemetry.history, history);
 }
 
 #[test]
@@ -134,7 +163,7 @@ fn one_frame_is_overfitted() {
         let view = &dataset.train[0];
         let mut tape = Tape::new(Device::Cpu);
         let splats = trainer.splats(&mut tape, &trainer.moment(view.time, &view.camera)).unwrap();
-        let settings = raster_settings(&dataset.scene, trainer.sh_degree);
+        let settings = raster_settings(&dataset.scene, trainer.state.sh_degree);
         let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
         let psnr = curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
         assert!(psnr >= 30.0, "{method} reaches {psnr:.2} dB on its only frame");
@@ -142,8 +171,8 @@ fn one_frame_is_overfitted() {
 }
 
 #[test]
-fn motion_is_learnt_where_a_static_model_cannot() {
-    // Without validation views the curve is measured on training views: fitting is the question here.
+fn a_moving_model_beats_a_static_one_on_motion() {
+    // Without validation views the curve is measured on training views, because this test is about fitting.
     let (_dir, dataset) = dataset(TestScene { train_views: 12, val_views: 0, travel: 1.2, ..TestScene::default() });
     let last_psnr = |value: Value| {
         let params = params(value);
@@ -169,7 +198,7 @@ fn motion_is_learnt_where_a_static_model_cannot() {
 }
 
 #[test]
-fn a_value_that_is_not_finite_ends_the_training_where_it_arises() {
+fn a_non_finite_value_ends_the_training_at_its_step() {
     let (_dir, dataset) = dataset(TestScene::default());
     let failure = |value: Value| {
         let params = params(value);
@@ -190,7 +219,7 @@ fn a_value_that_is_not_finite_ends_the_training_where_it_arises() {
 }
 
 #[test]
-fn a_training_that_prunes_everything_says_so() {
+fn a_training_that_prunes_all_gaussians_fails() {
     let (_dir, dataset) = dataset(TestScene::default());
     let params = params(json!({
         "iterations": { "train": 50 },

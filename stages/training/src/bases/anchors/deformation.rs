@@ -13,10 +13,10 @@ use crate::bases::bounds::Bounds;
 use crate::bases::heads::HeadedNetwork;
 use crate::bases::hexplane::TimeAxis;
 use crate::bases::hexplane::field::{Field, PlaneWeights};
-use crate::method::SceneFacts;
+use crate::data::SceneFacts;
+use crate::method::Step;
+use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables, belongs};
-use crate::step::Step;
 
 const ANCHOR_FIELD: &str = "anchor_field";
 const ANCHOR_NETWORK: &str = "anchor_network";
@@ -28,7 +28,7 @@ const MOST_TEXELS: usize = 4096;
 /// The planes of one field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct FieldSettings {
+pub(crate) struct FieldSettings {
     /// Channels per plane.
     pub channels: usize,
     /// Texels along x, y and z at multiplier 1.
@@ -44,7 +44,7 @@ pub struct FieldSettings {
 /// The fields of anchors and of Gaussians, and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct DeformationSettings {
+pub(crate) struct DeformationSettings {
     /// Where anchors go, and how their features, offsets and scales change.
     pub anchors: FieldSettings,
     /// Where the Gaussians go that they spawn, and how their shapes change.
@@ -118,7 +118,7 @@ impl DeformationSettings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             (self.anchors.works() && self.gaussians.works(), "fields need 1 to 4096 texels and weights from 0 on"),
             ((1..=MOST_TEXELS).contains(&self.width), "the width of the networks must be 1 to 4096"),
@@ -128,7 +128,7 @@ impl DeformationSettings {
     }
 
     /// The step size of a tensor of either field; the boxes never learn.
-    pub fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+    pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().any(|field| Field::is_plane(field, tensor)) {
             return Some(self.plane_rate.scaled(scene.extent));
         }
@@ -139,7 +139,7 @@ impl DeformationSettings {
 
 /// What a field says about M anchors.
 #[derive(Clone, Copy, Debug)]
-pub struct AnchorChange {
+pub(crate) struct AnchorChange {
     /// [M, 3] scene units.
     pub positions: Var,
     /// [M, F].
@@ -151,7 +151,7 @@ pub struct AnchorChange {
 }
 
 /// The field that moves anchors.
-pub struct AnchorDeformation {
+pub(crate) struct AnchorDeformation {
     field: Field,
     network: HeadedNetwork,
     weights: PlaneWeights,
@@ -160,7 +160,7 @@ pub struct AnchorDeformation {
 
 impl AnchorDeformation {
     /// The field of anchors of these sizes.
-    pub fn new(settings: &DeformationSettings, anchors: &AnchorSettings) -> Self {
+    pub(crate) fn new(settings: &DeformationSettings, anchors: &AnchorSettings) -> Self {
         let field = settings.anchors.build(ANCHOR_FIELD, settings.time_axis);
         let heads = vec![("position", 3), ("feature", anchors.features), ("offset", 3 * anchors.offsets), ("scale", 6)];
         let network = HeadedNetwork::new(ANCHOR_NETWORK, field.features(), settings.width, heads);
@@ -168,7 +168,7 @@ impl AnchorDeformation {
     }
 
     /// Adds box, planes and network.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
         insert_box(state, ANCHOR_FIELD)?;
         self.field.insert_planes(state, random);
         self.network.insert(state, self.zero_heads, random);
@@ -176,25 +176,31 @@ impl AnchorDeformation {
     }
 
     /// The changes of anchors at canonical positions [M, 3] at a time in [0, 1].
-    pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> AnchorChange {
+    pub(crate) fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> AnchorChange {
         let hidden = self.hidden(tape, model, positions, time);
         let heads = self.network.heads(tape, model, &["position", "feature", "offset", "scale"], hidden);
         AnchorChange { positions: heads[0], features: heads[1], offsets: heads[2], log_scales: heads[3] }
     }
 
     /// Positions [M, 3] in the field's box, as [−1, 1].
-    pub fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
+    pub(crate) fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
         self.field.inside(tape, model, positions)
     }
 
     /// As [`AnchorDeformation::at`], the displacements [M, 3] alone.
-    pub fn displacements<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
+    pub(crate) fn displacements<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        positions: Var,
+        time: f64,
+    ) -> Var {
         let hidden = self.hidden(tape, model, positions, time);
         self.network.head(tape, model, "position", hidden)
     }
 
     /// Adds the regularisers of the planes.
-    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
+    pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
         self.field.regularize(step, &self.weights);
     }
 
@@ -205,7 +211,7 @@ impl AnchorDeformation {
 }
 
 /// The field that moves spawned Gaussians.
-pub struct GaussianDeformation {
+pub(crate) struct GaussianDeformation {
     field: Field,
     network: HeadedNetwork,
     weights: PlaneWeights,
@@ -214,7 +220,7 @@ pub struct GaussianDeformation {
 
 impl GaussianDeformation {
     /// The field.
-    pub fn new(settings: &DeformationSettings) -> Self {
+    pub(crate) fn new(settings: &DeformationSettings) -> Self {
         let field = settings.gaussians.build(GAUSSIAN_FIELD, settings.time_axis);
         let heads = vec![("position", 3), ("scale", 3), ("rotation", 4)];
         let network = HeadedNetwork::new(GAUSSIAN_NETWORK, field.features(), settings.width, heads);
@@ -222,7 +228,7 @@ impl GaussianDeformation {
     }
 
     /// Adds box, planes and network.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
         insert_box(state, GAUSSIAN_FIELD)?;
         self.field.insert_planes(state, random);
         self.network.insert(state, self.zero_heads, random);
@@ -230,7 +236,13 @@ impl GaussianDeformation {
     }
 
     /// Gaussians at a time in [0, 1]: positions, logarithmic scales and unit quaternions plus what the heads say.
-    pub fn deform<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, spawned: SplatVars, time: f64) -> SplatVars {
+    pub(crate) fn deform<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        spawned: SplatVars,
+        time: f64,
+    ) -> SplatVars {
         let features = self.field.at(tape, model, spawned.positions, time);
         let hidden = self.network.hidden(tape, model, features);
         let (log_scales, rotations) = spawned.shape.scales_and_rotations().expect("anchors spawn both");
@@ -244,7 +256,7 @@ impl GaussianDeformation {
     }
 
     /// Adds the regularisers of the planes.
-    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
+    pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
         self.field.regularize(step, &self.weights);
     }
 }

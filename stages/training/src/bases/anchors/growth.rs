@@ -15,11 +15,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::initial::{cell, center};
 use super::{ANCHORS, AnchorSettings, Growth};
-use crate::method::{PopulationControl, SceneFacts};
-use crate::optimizer::Optimizer;
-use crate::params::Density;
+use crate::method::{AfterStep, ScreenStats, StepHook};
+use crate::model::Optimizer;
 use crate::schedule::stretch;
-use crate::screen::Screen;
+use crate::shared::Density;
 use statistics::Statistics;
 
 /// Cells shrink by this factor from level to level, and the gradient that they ask for doubles.
@@ -29,7 +28,7 @@ const SEEN_SHARE: f64 = 0.5;
 
 /// Grows and prunes anchors.
 #[derive(Clone)]
-pub struct AnchorGrowth {
+pub(crate) struct AnchorGrowth {
     density: Density,
     growth: Growth,
     voxel_size: f64,
@@ -47,7 +46,7 @@ struct Candidate {
 
 impl AnchorGrowth {
     /// Control of [`ANCHORS`], its schedule stretched by `schedule_scale`.
-    pub fn new(density: &Density, settings: &AnchorSettings, schedule_scale: f64) -> Self {
+    pub(crate) fn new(density: &Density, settings: &AnchorSettings, schedule_scale: f64) -> Self {
         let density = Density {
             from: stretch(density.from, schedule_scale),
             until: stretch(density.until, schedule_scale),
@@ -112,11 +111,11 @@ impl AnchorGrowth {
             candidate.parents.push(slot / per_anchor);
             candidate.gradient = candidate.gradient.max(gradient);
         }
-        let room = (self.density.max_count / per_anchor).saturating_sub(anchors.len());
+        let capacity = (self.density.max_count / per_anchor).saturating_sub(anchors.len());
         let mut free: Vec<_> = free.into_iter().collect();
-        if free.len() > room {
+        if free.len() > capacity {
             free.sort_by(|(_, a), (_, b)| b.gradient.total_cmp(&a.gradient));
-            free.truncate(room);
+            free.truncate(capacity);
         }
         Ok(free)
     }
@@ -174,33 +173,27 @@ fn gaussian_positions(optimizer: &Optimizer) -> anyhow::Result<Vec<[f32; 3]>> {
     Ok((0..positions.rows()).flat_map(of_anchor).collect())
 }
 
-impl PopulationControl for AnchorGrowth {
-    fn watches(&self, iteration: u64) -> bool {
+impl StepHook for AnchorGrowth {
+    fn observes_at(&self, iteration: u64) -> bool {
         iteration > self.growth.statistics_from && iteration < self.density.until
     }
 
-    fn observe(&mut self, screen: &Screen<'_>) {
-        if screen.population == ANCHORS {
-            self.statistics.observe(screen, self.per_anchor);
+    fn observe(&mut self, stats: &ScreenStats<'_>) {
+        if stats.population == ANCHORS {
+            self.statistics.observe(stats, self.per_anchor);
         }
     }
 
-    fn judges(&self, iteration: u64) -> bool {
+    fn reads_rows_at(&self, iteration: u64) -> bool {
         let Density { interval, from, .. } = self.density;
-        self.watches(iteration) && iteration > from && iteration.is_multiple_of(interval)
+        self.observes_at(iteration) && iteration > from && iteration.is_multiple_of(interval)
     }
 
-    fn act(
-        &mut self,
-        iteration: u64,
-        optimizer: &mut Optimizer,
-        _scene: &SceneFacts,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<()> {
-        if !self.watches(iteration) {
+    fn after_step(&mut self, AfterStep { iteration, optimizer, random, .. }: AfterStep<'_>) -> anyhow::Result<()> {
+        if !self.observes_at(iteration) {
             self.statistics = Statistics::default();
         }
-        if self.judges(iteration) && !self.statistics.is_empty() {
+        if self.reads_rows_at(iteration) && !self.statistics.is_empty() {
             self.grow(optimizer, random)?;
             self.prune(optimizer)?;
         }

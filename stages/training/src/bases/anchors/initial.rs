@@ -7,7 +7,7 @@ use shaders::tape::{Real, Tensor};
 
 use super::{ANCHORS, AnchorSettings};
 use crate::bases::gaussians;
-use crate::state::ModelState;
+use crate::model::ModelState;
 
 /// The cell of a position in a grid of cells whose centres are the multiples of `size`.
 pub(super) fn cell(position: [f32; 3], size: f64) -> [i64; 3] {
@@ -20,7 +20,7 @@ pub(super) fn center(cell: [i64; 3], size: f64) -> [f32; 3] {
 }
 
 /// The centres of the voxels that hold points, in the order of their cells, and for each the first of its points.
-pub fn voxels(positions: &[[f32; 3]], size: f64) -> Vec<([f32; 3], usize)> {
+pub(crate) fn voxels(positions: &[[f32; 3]], size: f64) -> Vec<([f32; 3], usize)> {
     let mut first = BTreeMap::new();
     for (index, &position) in positions.iter().enumerate() {
         first.entry(cell(position, size)).or_insert(index);
@@ -30,7 +30,7 @@ pub fn voxels(positions: &[[f32; 3]], size: f64) -> Vec<([f32; 3], usize)> {
 
 /// Adds anchors at `positions`: features and offsets zero, scales the root of the mean squared distance to the three
 /// nearest anchors.
-pub fn insert_anchors<T: Real>(
+pub(crate) fn insert_anchors<T: Real>(
     state: &mut ModelState<T>,
     positions: Vec<[f32; 3]>,
     settings: &AnchorSettings,

@@ -16,36 +16,40 @@ mod initial;
 mod tests;
 mod views;
 
-pub use deformation::{AnchorChange, AnchorDeformation, DeformationSettings, FieldSettings, GaussianDeformation};
-pub use growth::AnchorGrowth;
-pub use initial::{insert_anchors, voxels};
-pub use views::{SpawnedGaussians, insert_view_networks, spawn};
+pub(crate) use deformation::{AnchorChange, AnchorDeformation, DeformationSettings, GaussianDeformation};
+pub(crate) use growth::AnchorGrowth;
+pub(crate) use initial::{insert_anchors, voxels};
+pub(crate) use views::{SpawnedGaussians, insert_view_networks, spawn};
 
 use std::collections::BTreeMap;
 
+use rand_chacha::ChaCha8Rng;
+use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
+use shaders::geometry::camera::PinholeCamera;
 use shaders::losses::l1::l1_dssim;
-use shaders::tape::{Real, Var};
+use shaders::rasteriser::SplatVars;
+use shaders::tape::{Real, Tape, Var};
 
-use crate::method::{Phase, SceneFacts, TrainingView};
-use crate::params::{Density, Harmonics, Loss, Shared};
-use crate::schedule::{LogLinear, stretch};
-use crate::state::Variables;
-use crate::step::Step;
+use crate::data::{SceneFacts, TrainingView};
+use crate::method::{Base, Moment, Start, Step, StepHook};
+use crate::model::{ModelState, Variables};
+use crate::schedule::{LogLinear, Phase};
+use crate::shared::{Density, Harmonics, Loss, Shared};
 
 /// The population of anchors.
-pub const ANCHORS: &str = "anchors";
+pub(crate) const ANCHORS: &str = "anchors";
 /// Warm-up without motion.
-pub const COARSE: &str = "coarse";
+pub(crate) const COARSE: &str = "coarse";
 /// Everything learns.
-pub const FINE: &str = "fine";
+pub(crate) const FINE: &str = "fine";
 /// 8192 values per anchor are far beyond any use: whoever asks for more mistyped.
 const MOST_VALUES: usize = 8192;
 
 /// Anchors, their networks and how they learn.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct AnchorSettings {
+pub(crate) struct AnchorSettings {
     /// Side of the voxels that hold at most one first anchor, scene units.
     pub voxel_size: f64,
     /// Values of an anchor's feature.
@@ -73,7 +77,7 @@ pub struct AnchorSettings {
 /// Where new anchors come from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Growth {
+pub(crate) struct Growth {
     /// Sizes of cells that are searched for room, each a quarter of the one before and at twice the gradient.
     pub levels: u32,
     /// Side of the largest cells, in voxels.
@@ -118,7 +122,7 @@ impl AnchorSettings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let few = |count: usize| (1..=MOST_VALUES).contains(&count);
         let rates = [self.offset_rate, self.opacity_network_rate, self.shape_network_rate, self.color_network_rate];
@@ -136,7 +140,7 @@ impl AnchorSettings {
     }
 
     /// The step size of a tensor of the anchors or their networks.
-    pub fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+    pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         let (owner, rest) = tensor.split_once('.')?;
         match (owner, rest.split('.').next()?) {
             (ANCHORS, "features") => Some(LogLinear::constant(self.feature_rate)),
@@ -151,7 +155,7 @@ impl AnchorSettings {
 }
 
 /// What all methods on anchors share of what all methods understand, as the published settings for DyCheck have it.
-pub fn shared_defaults() -> Shared {
+pub(crate) fn shared_defaults() -> Shared {
     let density = Density { from: 1500, until: 15_000, min_opacity: 0.01, ..Density::default() };
     let mut shared = Shared {
         iterations: BTreeMap::from([(COARSE.into(), 3000), (FINE.into(), 20_000)]),
@@ -170,7 +174,7 @@ pub fn shared_defaults() -> Shared {
 const PHOTOMETRIC_WEIGHT: f64 = 1.2;
 
 /// Compares a render, both times `mask` [H, W, 3] where there is one, with its view's image.
-pub fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &TrainingView<T>, mask: Option<Var>) {
+pub(crate) fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &TrainingView<T>, mask: Option<Var>) {
     let target = step.tape.constant(view.image.clone());
     let [color, target] = match mask {
         None => [color, target],
@@ -180,15 +184,84 @@ pub fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &TrainingV
     step.add_loss("photometric", PHOTOMETRIC_WEIGHT / step.views.len() as f64, value);
 }
 
-/// `coarse` and `fine`.
-pub fn phases(shared: &Shared) -> Vec<Phase> {
-    let length = |name: &str| stretch(shared.iterations.get(name).copied().unwrap_or(0), shared.schedule_scale);
-    [COARSE, FINE].map(|name| Phase { name, iterations: length(name) }).to_vec()
+/// Anchors that stand still, and their training.
+pub(crate) struct AnchoredGaussians {
+    shared: Shared,
+    settings: AnchorSettings,
+}
+
+impl AnchoredGaussians {
+    /// The base with these settings.
+    pub(crate) fn new(shared: &Shared, settings: &AnchorSettings) -> Self {
+        Self { shared: shared.clone(), settings: settings.clone() }
+    }
+
+    /// The stored anchors' Gaussians as a camera sees them.
+    pub(crate) fn spawn<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        camera: &PinholeCamera,
+    ) -> SpawnedGaussians {
+        spawn(tape, model, &Anchors::stored(model), camera)
+    }
+
+    /// The initial tensors with anchors at these positions.
+    pub(crate) fn insert<T: Real>(
+        &self,
+        state: &mut ModelState<T>,
+        positions: Vec<[f32; 3]>,
+        scene: &SceneFacts,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<()> {
+        insert_anchors(state, positions, &self.settings, scene.extent)?;
+        insert_view_networks(state, &self.settings, random);
+        Ok(())
+    }
+
+    /// One anchor in every voxel that holds a point.
+    pub(crate) fn positions(&self, points: &PointCloud) -> Vec<[f32; 3]> {
+        voxels(&points.positions, self.settings.voxel_size).into_iter().map(|(center, _)| center).collect()
+    }
+}
+
+impl<T: Real> Base<T> for AnchoredGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        [COARSE, FINE].map(|name| self.shared.phase(name)).to_vec()
+    }
+
+    fn initialize(
+        &self,
+        start: &Start<'_>,
+        points: &PointCloud,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        self.insert(&mut state, self.positions(points), start.scene(), random)?;
+        Ok(state)
+    }
+
+    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        self.settings.learning_rate(tensor, scene)
+    }
+
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        Ok(self.spawn(tape, model, moment.camera).splats)
+    }
+
+    fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
+        Ok(self.spawn(tape, model, moment.camera).slots.map(|slots| slots.to_vec()))
+    }
+
+    fn hooks(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+        let Shared { density, schedule_scale, .. } = &self.shared;
+        vec![Box::new(AnchorGrowth::new(density, &self.settings, *schedule_scale))]
+    }
 }
 
 /// N anchors at one moment.
 #[derive(Clone, Copy, Debug)]
-pub struct Anchors {
+pub(crate) struct Anchors {
     /// [N, 3] world, scene units.
     pub positions: Var,
     /// [N, F].
@@ -201,7 +274,7 @@ pub struct Anchors {
 
 impl Anchors {
     /// The anchors as they are stored.
-    pub fn stored(model: &Variables) -> Self {
+    pub(crate) fn stored(model: &Variables) -> Self {
         let var = |attribute: &str| model.get(&format!("{ANCHORS}.{attribute}"));
         Self {
             positions: var("positions"),

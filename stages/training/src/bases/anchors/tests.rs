@@ -6,12 +6,9 @@ use shaders::rasteriser::{RasterSettings, render};
 use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
-use crate::method::PopulationControl;
-use crate::optimizer::Optimizer;
-use crate::sampler::{Stream, generator};
-use crate::screen::{Owners, Screen, ScreenGradients};
-use crate::state::ModelState;
-use crate::step::WatchedRender;
+use crate::data::{Stream, generator};
+use crate::method::{AfterStep, Parents, RenderRecord, ScreenGradients, ScreenStats, StepHook};
+use crate::model::{ModelState, Optimizer};
 
 /// Two Gaussians per anchor, voxels of one unit.
 fn settings() -> AnchorSettings {
@@ -47,7 +44,7 @@ fn growth(change: impl FnOnce(&mut Density)) -> AnchorGrowth {
 #[derive(Clone)]
 struct Seen {
     gaussians: ScreenGradients,
-    anchors: Owners,
+    anchors: Parents,
 }
 
 impl Seen {
@@ -62,12 +59,12 @@ impl Seen {
         let shape = [of_anchors.len(), 1];
         Self {
             gaussians,
-            anchors: Owners { in_view: Tensor::full(shape, 1.0), opacity: Tensor::from_vec(shape, of_anchors) },
+            anchors: Parents { in_view: Tensor::full(shape, 1.0), opacity: Tensor::from_vec(shape, of_anchors) },
         }
     }
 
-    fn screen(&self) -> Screen<'static> {
-        Screen::of(ANCHORS, self.gaussians.clone()).owned_by(self.anchors.clone())
+    fn screen(&self) -> ScreenStats<'static> {
+        ScreenStats::of(ANCHORS, self.gaussians.clone()).with_parents(self.anchors.clone())
     }
 }
 
@@ -78,7 +75,8 @@ fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, seen: &See
     let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)));
     for iteration in 1..=10 {
         control.observe(&seen.screen());
-        control.act(iteration, &mut optimizer, &scene, &mut generator(3, Stream::Density)).unwrap();
+        let random = &mut generator(3, Stream::Density);
+        control.after_step(AfterStep { iteration, optimizer: &mut optimizer, scene: &scene, random }).unwrap();
     }
     optimizer.into_state()
 }
@@ -178,9 +176,9 @@ fn spawned_gaussians_know_their_slots_and_who_is_in_view() {
     let anchors = Anchors::stored(&model);
     let spawned = spawn(&mut tape, &model, &anchors, &camera());
     assert_eq!(**spawned.slots.as_ref().unwrap(), [1, 3, 5]);
-    let owners = spawned.rows().owners;
-    assert_eq!((spawned.rows().count, tape.value(owners.in_view).as_slice()), (6, &[1.0, 0.0, 0.0][..]));
-    check::agree(tape.value(owners.opacity), &Tensor::full([3, 1], 1.0_f64.tanh()), 1e-12).unwrap();
+    let parents = spawned.rows().parents;
+    assert_eq!((spawned.rows().count, tape.value(parents.in_view).as_slice()), (6, &[1.0, 0.0, 0.0][..]));
+    check::agree(tape.value(parents.opacity), &Tensor::full([3, 1], 1.0_f64.tanh()), 1e-12).unwrap();
     let logits = tape.value(spawned.splats.opacity_logits);
     // tanh 1 = (e − 1/e) / (e + 1/e), whose logit is ln((e² − 1) / 2).
     let expected = ((2.0_f64.exp() - 1.0) / 2.0).ln();
@@ -208,13 +206,14 @@ fn observed_on(device: Device) -> (serde_json::Value, u64) {
             let spawned = spawn(tape, &model, &Anchors::stored(&model), &camera);
             let rendered = render(tape, &spawned.splats, None, &camera, &settings).unwrap();
             let (population, rows) = (ANCHORS.into(), spawned.rows());
-            WatchedRender { population, rendered, size_px: [20.0; 2], count: rows.count, rows: Some(rows) }
+            RenderRecord { population, rendered, size_px: [20.0; 2], count: rows.count, rows: Some(rows) }
         };
-        let renders: Vec<WatchedRender> = (0..2).map(|view| look(view, &mut tape)).collect();
+        let renders: Vec<RenderRecord> = (0..2).map(|view| look(view, &mut tape)).collect();
         let weights = Tensor::from_vec([20, 20, 3], noise(1200, 4).iter().map(|&weight| weight as f32).collect());
         let gradients = tape.backward(&[0, 1].map(|view| (renders[view].rendered.color, weights.clone())));
         let before = readbacks_of_this_thread();
-        Screen::all(&renders, &tape, &gradients).iter().for_each(|screen| control.observe(screen));
+        let populations = ScreenStats::by_population(&renders, &tape, &gradients);
+        populations.iter().for_each(|stats| control.observe(stats));
         waits += readbacks_of_this_thread() - before;
     }
     (control.save(), waits)

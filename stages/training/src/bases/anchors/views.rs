@@ -15,8 +15,8 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::{ANCHORS, AnchorSettings, Anchors};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
-use crate::state::{ModelState, Variables};
-use crate::step::{OwnerVars, SplatRows};
+use crate::method::{ParentVars, SplatRows};
+use crate::model::{ModelState, Variables};
 
 /// The networks' tensors are called `views.…`.
 pub(super) const VIEWS: &str = "views";
@@ -24,7 +24,11 @@ pub(super) const VIEWS: &str = "views";
 const MIN_DISTANCE: f64 = 1e-8;
 
 /// Adds the three networks: F + 3 → width → outputs.
-pub fn insert_view_networks<T: Real>(state: &mut ModelState<T>, settings: &AnchorSettings, random: &mut ChaCha8Rng) {
+pub(crate) fn insert_view_networks<T: Real>(
+    state: &mut ModelState<T>,
+    settings: &AnchorSettings,
+    random: &mut ChaCha8Rng,
+) {
     let AnchorSettings { features, offsets, width, .. } = *settings;
     for (network, outputs) in [("opacity", offsets), ("shape", 7 * offsets), ("color", 3 * offsets)] {
         let [inner, outer] = layers(network);
@@ -35,7 +39,7 @@ pub fn insert_view_networks<T: Real>(state: &mut ModelState<T>, settings: &Ancho
 
 /// The Gaussians of one view, and which of the N·K they are.
 #[derive(Clone, Debug)]
-pub struct SpawnedGaussians {
+pub(crate) struct SpawnedGaussians {
     /// What is drawn.
     pub splats: SplatVars,
     /// [M]: anchor·K + k; `None`: all of them in order (see [`neural_gaussians`]).
@@ -43,19 +47,19 @@ pub struct SpawnedGaussians {
     /// N·K.
     count: usize,
     /// Of the N anchors.
-    owners: OwnerVars,
+    parents: ParentVars,
 }
 
 impl SpawnedGaussians {
-    /// For [`Step::render_rows`](crate::step::Step::render_rows).
-    pub fn rows(&self) -> SplatRows {
-        let (count, row_of_splat, owners) = (self.count, self.slots.clone(), self.owners);
-        SplatRows { population: ANCHORS, count, row_of_splat, owners }
+    /// The rows that the splats are, for [`Step::render`](crate::method::Step::render).
+    pub(crate) fn rows(&self) -> SplatRows {
+        let (count, row_of_splat, parents) = (self.count, self.slots.clone(), self.parents);
+        SplatRows { population: ANCHORS, count, row_of_splat, parents }
     }
 }
 
 /// The Gaussians of anchors as a camera sees them.
-pub fn spawn<T: Real>(
+pub(crate) fn spawn<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
     anchors: &Anchors,
@@ -74,20 +78,20 @@ pub fn spawn<T: Real>(
     let colors = network(tape, model, "color", seen);
     let colors = sigmoid(tape, colors);
     let Anchors { positions, log_scales, offsets, .. } = *anchors;
-    let owners = owners(tape, positions, opacities, camera);
+    let parents = parents(tape, positions, opacities, camera);
     let count = tape.value(opacities).len();
     let found = neural_gaussians(tape, &AnchorVars { positions, log_scales, offsets, opacities, shapes, colors });
     let NeuralGaussians { positions, log_scales, rotations, opacity_logits, sh, slots } = found;
     let shape = ShapeVars::ScaleRotation { log_scales, rotations };
     let splats = SplatVars { positions, shape, opacity_logits, sh };
-    SpawnedGaussians { splats, slots, count, owners }
+    SpawnedGaussians { splats, slots, count, parents }
 }
 
 /// What a camera says about anchors at `positions` [N, 3] whose networks give `opacities` [N, K].
-fn owners<T: Real>(tape: &mut Tape<T>, positions: Var, opacities: Var, camera: &PinholeCamera) -> OwnerVars {
+fn parents<T: Real>(tape: &mut Tape<T>, positions: Var, opacities: Var, camera: &PinholeCamera) -> ParentVars {
     // Gaussians at or below 0 are not there.
     let opacities = relu(tape, opacities);
-    OwnerVars { in_view: in_view(tape, positions, camera), opacity: row_sum(tape, opacities) }
+    ParentVars { in_view: in_view(tape, positions, camera), opacity: row_sum(tape, opacities) }
 }
 
 fn network<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var) -> Var {

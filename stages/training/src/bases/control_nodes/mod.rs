@@ -10,22 +10,22 @@ mod selection;
 #[cfg(test)]
 mod tests;
 
-pub use rigidity::{Rigidity, published_decay};
-pub use selection::{farthest_points, sides};
+pub(crate) use rigidity::{Rigidity, published_decay};
+pub(crate) use selection::{farthest_points, sides};
 
 use serde::{Deserialize, Serialize};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
+use crate::model::ModelState;
 use crate::schedule::LogLinear;
-use crate::state::ModelState;
 
 /// The population of nodes.
-pub const NODES: &str = "nodes";
+pub(crate) const NODES: &str = "nodes";
 
 /// How many nodes there are and whom they carry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct ControlNodeSettings {
+pub(crate) struct ControlNodeSettings {
     /// Nodes.
     pub count: usize,
     /// Nodes that each Gaussian follows.
@@ -61,7 +61,7 @@ impl ControlNodeSettings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         let few = |count: usize| (1..=MOST_NODES).contains(&count);
         let good = [
             (few(self.count) && few(self.per_gaussian), "nodes.count and nodes.per_gaussian must be 1 to 65536"),
@@ -74,20 +74,20 @@ impl ControlNodeSettings {
 }
 
 /// Adds nodes at these positions [M, 3] with one reach, scene units.
-pub fn insert_nodes<T: Real>(state: &mut ModelState<T>, positions: Tensor<T>, radius: f64) {
+pub(crate) fn insert_nodes<T: Real>(state: &mut ModelState<T>, positions: Tensor<T>, radius: f64) {
     let radii = Tensor::full([positions.rows(), 1], T::from_f64(radius.ln()));
     state.insert(format!("{NODES}.positions"), positions);
     state.insert(format!("{NODES}.log_radii"), radii);
 }
 
 /// The chosen rows of a tensor.
-pub fn rows_of<T: Real>(tensor: &Tensor<T>, chosen: &[usize]) -> Tensor<T> {
+pub(crate) fn rows_of<T: Real>(tensor: &Tensor<T>, chosen: &[usize]) -> Tensor<T> {
     let values = chosen.iter().flat_map(|&row| tensor.row(row)).copied().collect();
     Tensor::from_vec([chosen.len(), tensor.row_len()], values)
 }
 
 /// (1, 0, 0, 0) in every row: no rotation.
-pub fn identity_rotations<T: Real>(tape: &mut Tape<T>, rows: usize) -> Var {
+pub(crate) fn identity_rotations<T: Real>(tape: &mut Tape<T>, rows: usize) -> Var {
     let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO];
     tape.constant(Tensor::from_vec([rows, 4], identity.repeat(rows)))
 }

@@ -8,7 +8,7 @@ const POINTS_PER_CHUNK: usize = 4096;
 
 /// `count` rows of `points` [N, D] that lie far apart, all where there are fewer: the first point, then again and again the
 /// one farthest from those chosen (Gonzalez 1985). Of equally far ones the first.
-pub fn farthest_points<T: Real>(points: &Tensor<T>, count: usize) -> Vec<usize> {
+pub(crate) fn farthest_points<T: Real>(points: &Tensor<T>, count: usize) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(count.min(points.rows()));
     let mut distances = vec![T::from_f64(f64::INFINITY); points.rows()];
     let mut next = 0;
@@ -47,7 +47,7 @@ fn first_largest<T: Real>(first: usize, distances: &[T]) -> (usize, T) {
 }
 
 /// The sides of the smallest box around points [N, 3].
-pub fn sides<T: Real>(points: &Tensor<T>) -> [f64; 3] {
+pub(crate) fn sides<T: Real>(points: &Tensor<T>) -> [f64; 3] {
     [0, 1, 2].map(|axis| {
         let values = || (0..points.rows()).map(|row| points.row(row)[axis].to_f64());
         values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)

@@ -10,11 +10,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
-use crate::method::{PopulationControl, SceneFacts};
-use crate::optimizer::Optimizer;
-use crate::params::Density;
+use crate::method::{AfterStep, ScreenStats, StepHook};
+use crate::model::Optimizer;
 use crate::schedule::stretch;
-use crate::screen::Screen;
+use crate::shared::Density;
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
@@ -23,7 +22,7 @@ const SPLIT_SHRINK: f32 = 1.6;
 
 /// Clones, splits and prunes the rows of one population of Gaussians.
 #[derive(Clone)]
-pub struct AdaptiveDensity {
+pub(crate) struct AdaptiveDensity {
     population: String,
     params: Density,
     reset_at_start: bool,
@@ -54,7 +53,7 @@ struct Round {
 impl AdaptiveDensity {
     /// Control of `population`, its schedule stretched by `schedule_scale`; `reset_at_start` resets opacities once when
     /// rounds begin (the published code does so on a white background).
-    pub fn new(population: &str, params: &Density, schedule_scale: f64, reset_at_start: bool) -> Self {
+    pub(crate) fn new(population: &str, params: &Density, schedule_scale: f64, reset_at_start: bool) -> Self {
         let params = Density {
             from: stretch(params.from, schedule_scale),
             until: stretch(params.until, schedule_scale),
@@ -66,12 +65,12 @@ impl AdaptiveDensity {
     }
 
     /// The same schedule in a phase that goes on where earlier ones, of so many steps together, ended.
-    pub fn after(self, steps_before: u64) -> Self {
+    pub(crate) fn after(self, steps_before: u64) -> Self {
         Self { steps_before, ..self }
     }
 
     /// The same for Gaussians in space and time: their children are drawn in four dimensions.
-    pub fn in_space_time(self) -> Self {
+    pub(crate) fn in_space_time(self) -> Self {
         Self { dimensions: Dimensions::SpaceTime, ..self }
     }
 
@@ -118,10 +117,10 @@ impl AdaptiveDensity {
         let threshold = self.params.gradient_threshold as f32;
         let mut chosen: Vec<usize> = (0..rows.len()).filter(|&at| mean(at) >= threshold).collect();
         // Cloning and splitting both add one Gaussian.
-        let room = self.params.max_count.saturating_sub(count);
-        if chosen.len() > room {
+        let capacity = self.params.max_count.saturating_sub(count);
+        if chosen.len() > capacity {
             chosen.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
-            chosen.truncate(room);
+            chosen.truncate(capacity);
             chosen.sort_unstable();
         }
         chosen
@@ -219,29 +218,23 @@ impl AdaptiveDensity {
     }
 }
 
-impl PopulationControl for AdaptiveDensity {
-    fn watches(&self, iteration: u64) -> bool {
+impl StepHook for AdaptiveDensity {
+    fn observes_at(&self, iteration: u64) -> bool {
         self.steps_before + iteration < self.params.until
     }
 
-    fn observe(&mut self, screen: &Screen<'_>) {
-        if screen.population == self.population {
-            self.statistics.observe(screen);
+    fn observe(&mut self, stats: &ScreenStats<'_>) {
+        if stats.population == self.population {
+            self.statistics.observe(stats);
         }
     }
 
-    fn judges(&self, iteration: u64) -> bool {
+    fn reads_rows_at(&self, iteration: u64) -> bool {
         let Round { grows, shrinks, resets } = self.round(self.steps_before + iteration);
         grows || shrinks || resets
     }
 
-    fn act(
-        &mut self,
-        iteration: u64,
-        optimizer: &mut Optimizer,
-        scene: &SceneFacts,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<()> {
+    fn after_step(&mut self, AfterStep { iteration, optimizer, scene, random }: AfterStep<'_>) -> anyhow::Result<()> {
         let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
@@ -272,7 +265,7 @@ impl PopulationControl for AdaptiveDensity {
 }
 
 /// ln(p / (1 − p)).
-pub fn logit(share: f64) -> f64 {
+pub(crate) fn logit(share: f64) -> f64 {
     (share / (1.0 - share)).ln()
 }
 

@@ -4,7 +4,7 @@ use shaders::arrays::rows::{columns, concat_columns, reshape};
 use shaders::tape::{Real, Tape, Var};
 
 /// [N, 1, 3] and [N, R, 3] to [N, (degree + 1)², 3]: the constant coefficient followed by the first higher ones.
-pub fn active_harmonics<T: Real>(tape: &mut Tape<T>, sh_dc: Var, sh_rest: Var, degree: usize) -> Var {
+pub(crate) fn active_harmonics<T: Real>(tape: &mut Tape<T>, sh_dc: Var, sh_rest: Var, degree: usize) -> Var {
     let rest = (degree + 1).pow(2) - 1;
     let (count, stored) = (tape.value(sh_rest).rows(), tape.value(sh_rest).shape()[1]);
     assert!(rest <= stored, "degree {degree} needs {rest} higher harmonics, the model stores {stored}");
@@ -17,7 +17,7 @@ pub fn active_harmonics<T: Real>(tape: &mut Tape<T>, sh_dc: Var, sh_rest: Var, d
 }
 
 /// [N, 3·K] to [N, (degree + 1)², 3]: the first coefficients of rows that hold K of them.
-pub fn leading_harmonics<T: Real>(tape: &mut Tape<T>, rows: Var, degree: usize) -> Var {
+pub(crate) fn leading_harmonics<T: Real>(tape: &mut Tape<T>, rows: Var, degree: usize) -> Var {
     let (count, leading) = (tape.value(rows).rows(), (degree + 1).pow(2));
     let leading_columns = columns(tape, rows, 0..3 * leading);
     reshape(tape, leading_columns, [count, leading, 3])

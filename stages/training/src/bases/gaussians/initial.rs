@@ -8,7 +8,10 @@ use scene::gaussians::SH_C0;
 use shaders::tape::{Real, Tensor};
 
 use super::density::logit;
-use crate::state::ModelState;
+use super::{GAUSSIANS, LONE_SCALE};
+use crate::data::SceneFacts;
+use crate::model::ModelState;
+use crate::shared::Shared;
 
 /// The first opacity.
 const INITIAL_OPACITY: f64 = 0.1;
@@ -17,13 +20,23 @@ const NEIGHBORS: usize = 3;
 /// Smallest mean squared distance, so that doubled points do not make Gaussians of no size (published code).
 const MIN_SQUARED_DISTANCE: f64 = 1e-7;
 
+/// Adds the population [`GAUSSIANS`] on the points. A Gaussian without neighbours gets the size [`LONE_SCALE`].
+pub(crate) fn insert_initial<T: Real>(
+    state: &mut ModelState<T>,
+    shared: &Shared,
+    scene: &SceneFacts,
+    points: &PointCloud,
+) -> anyhow::Result<()> {
+    insert_gaussians(state, GAUSSIANS, points, shared.harmonics.degree, LONE_SCALE * scene.extent)
+}
+
 /// Adds `{population}.positions`, `.log_scales`, `.rotations`, `.opacity_logits`, `.sh_dc` and, above degree 0,
 /// `.sh_rest`.
 ///
 /// Scales are the root of the mean squared distance to the three nearest points, rotations the identity, opacity 0.1,
 /// colours the points' as the constant harmonic, higher harmonics zero. `lone_scale` is the size of a point without
 /// neighbours.
-pub fn insert_gaussians<T: Real>(
+pub(crate) fn insert_gaussians<T: Real>(
     state: &mut ModelState<T>,
     population: &str,
     points: &PointCloud,
@@ -53,7 +66,7 @@ pub fn insert_gaussians<T: Real>(
 
 /// The root of the mean squared distance of each point to its three nearest neighbours; `lone_scale` for a point without
 /// neighbours.
-pub fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Result<Vec<f64>> {
+pub(crate) fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Result<Vec<f64>> {
     let positions: Vec<[f64; 3]> = points.positions.iter().map(|point| point.map(f64::from)).collect();
     if positions.len() < 2 {
         return Ok(vec![lone_scale; positions.len()]);

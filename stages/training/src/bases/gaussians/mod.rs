@@ -16,32 +16,37 @@ mod statistics;
 #[cfg(test)]
 mod tests;
 
-pub use density::{AdaptiveDensity, logit};
-pub use harmonics::{active_harmonics, leading_harmonics};
-pub use initial::{insert_gaussians, nearest_scales};
-pub use statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
+pub(crate) use density::{AdaptiveDensity, logit};
+pub(crate) use harmonics::{active_harmonics, leading_harmonics};
+pub(crate) use initial::{insert_gaussians, insert_initial, nearest_scales};
+pub(crate) use statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 
 use principal_axes::principal_axes;
 use scene::Gaussians;
 use shaders::rasteriser::{HIDDEN_LOGIT, ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape};
 
-use crate::method::SceneFacts;
-use crate::params::LearningRates;
+use crate::data::SceneFacts;
+use crate::model::Variables;
 use crate::schedule::LogLinear;
-use crate::state::Variables;
+use crate::shared::LearningRates;
 
 /// The size of a Gaussian without neighbours, as a share of the scene's extent: the size above which density control
 /// splits.
-pub const LONE_SCALE: f64 = 0.01;
+pub(crate) const LONE_SCALE: f64 = 0.01;
 
 /// The population that most methods have.
-pub const GAUSSIANS: &str = "gaussians";
+pub(crate) const GAUSSIANS: &str = "gaussians";
 
 /// The step size of an attribute of a population of Gaussians; `None` for other tensors.
 ///
 /// Positions move in shares of the scene's extent.
-pub fn learning_rate(rates: &LearningRates, population: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+pub(crate) fn learning_rate(
+    rates: &LearningRates,
+    population: &str,
+    tensor: &str,
+    scene: &SceneFacts,
+) -> Option<LogLinear> {
     let attribute = tensor.strip_prefix(population)?.strip_prefix('.')?;
     match attribute {
         "positions" => Some(rates.position.scaled(scene.extent)),
@@ -55,7 +60,12 @@ pub fn learning_rate(rates: &LearningRates, population: &str, tensor: &str, scen
 }
 
 /// A population as it is stored, without motion.
-pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population: &str, sh_degree: usize) -> SplatVars {
+pub(crate) fn static_splats<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    population: &str,
+    sh_degree: usize,
+) -> SplatVars {
     let var = |attribute: &str| model.get(&format!("{population}.{attribute}"));
     SplatVars {
         positions: var("positions"),
@@ -69,7 +79,7 @@ pub fn static_splats<T: Real>(tape: &mut Tape<T>, model: &Variables, population:
 }
 
 /// The values of splats on a tape, for files.
-pub fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> Gaussians {
+pub(crate) fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> Gaussians {
     let there = present(tape, splats);
     let rows = |var| -> Vec<&[f32]> {
         let tensor = tape.value(var);
@@ -94,7 +104,7 @@ pub fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> Gaussian
 }
 
 /// Which of the splats are there ([`HIDDEN_LOGIT`]).
-pub fn present(tape: &Tape<f32>, splats: &SplatVars) -> Vec<u32> {
+pub(crate) fn present(tape: &Tape<f32>, splats: &SplatVars) -> Vec<u32> {
     let logits = tape.value(splats.opacity_logits).as_slice();
     let is_there = |row: &u32| logits[*row as usize] != HIDDEN_LOGIT as f32;
     (0..logits.len() as u32).filter(is_there).collect()

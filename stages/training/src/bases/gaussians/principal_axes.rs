@@ -13,7 +13,7 @@ const MIN_SCALE: f64 = 1e-9;
 ///
 /// One-sided Jacobi rotations (Hestenes 1958) turn F from the right until its columns are orthogonal: they are the axes,
 /// as long as the standard deviations. Small ones keep their digits, which FFᵀ would lose.
-pub fn principal_axes(factor: &[f32]) -> ([f32; 3], [f32; 4]) {
+pub(crate) fn principal_axes(factor: &[f32]) -> ([f32; 3], [f32; 4]) {
     let rows: [f64; 9] = std::array::from_fn(|at| f64::from(factor[at]));
     let mut columns = DMat3::from_cols_array(&rows).transpose().to_cols_array_2d().map(DVec3::from);
     for _ in 0..MAX_SWEEPS {

@@ -4,21 +4,21 @@ use serde::{Deserialize, Serialize};
 use shaders::rasteriser::screen::COLUMNS;
 use shaders::tape::Tensor;
 
-use crate::screen::{Screen, ScreenGradients};
+use crate::method::{ScreenGradients, ScreenStats};
 
 /// Per Gaussian, since the last round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Vec<f32>", into = "Vec<f32>")]
-pub struct Statistics {
+pub(crate) struct Statistics {
     /// [N, 3], as [`shaders::rasteriser::screen::observe`] adds them up: the sum of the gradients' norms, steps that saw the Gaussian,
     /// and its largest radius in pixels.
     rows: Tensor<f32>,
 }
 
 /// Columns of the statistics.
-pub const GRADIENT_SUM: usize = 0;
-pub const SEEN_COUNT: usize = 1;
-pub const RADIUS_PX: usize = 2;
+pub(crate) const GRADIENT_SUM: usize = 0;
+pub(crate) const SEEN_COUNT: usize = 1;
+pub(crate) const RADIUS_PX: usize = 2;
 
 impl Default for Statistics {
     fn default() -> Self {
@@ -40,26 +40,26 @@ impl From<Statistics> for Vec<f32> {
 
 impl Statistics {
     /// By Gaussian.
-    pub fn rows(&self) -> &[[f32; COLUMNS]] {
+    pub(crate) fn rows(&self) -> &[[f32; COLUMNS]] {
         self.rows.as_slice().as_chunks().0
     }
 
     /// [N, 3], wherever it is.
-    pub fn tensor(&self) -> &Tensor<f32> {
+    pub(crate) fn tensor(&self) -> &Tensor<f32> {
         &self.rows
     }
 
     /// Adds the renders of one step; on the GPU that rendered, if one did.
-    pub fn observe(&mut self, screen: &Screen<'_>) {
-        self.resize(screen.rows());
-        match screen.observe_on_gpu(&self.rows) {
+    pub(crate) fn observe(&mut self, stats: &ScreenStats<'_>) {
+        self.resize(stats.rows());
+        match stats.observe_on_gpu(&self.rows) {
             Some(rows) => self.rows = rows,
-            None => self.add(screen.on_host()),
+            None => self.add(stats.on_host()),
         }
     }
 
     /// Room for so many Gaussians; new ones were never seen.
-    pub fn resize(&mut self, count: usize) {
+    pub(crate) fn resize(&mut self, count: usize) {
         if self.rows.rows() != count {
             let mut values = std::mem::take(self).rows.into_vec();
             values.resize(COLUMNS * count, 0.0);
@@ -79,14 +79,14 @@ impl Statistics {
     }
 
     /// Drops the Gaussians whose flag is false.
-    pub fn keep(&mut self, keep: &[bool]) {
+    pub(crate) fn keep(&mut self, keep: &[bool]) {
         self.resize(keep.len());
         let kept = self.rows().iter().zip(keep).filter(|(_, keep)| **keep).flat_map(|(row, _)| row);
         *self = kept.copied().collect::<Vec<f32>>().into();
     }
 
     /// Starts anew with the gradients of the Gaussians that `were_judged`, by their rows; radii count until they were judged.
-    pub fn forget_gradients(&mut self, were_judged: impl Fn(&[f32; COLUMNS]) -> bool) {
+    pub(crate) fn forget_gradients(&mut self, were_judged: impl Fn(&[f32; COLUMNS]) -> bool) {
         let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
         for row in rows.iter_mut().filter(|row| were_judged(row)) {
             (row[GRADIENT_SUM], row[SEEN_COUNT]) = (0.0, 0.0);

@@ -6,12 +6,10 @@ use shaders::check;
 use shaders::tape::Tensor;
 
 use super::*;
-use crate::method::PopulationControl as _;
-use crate::optimizer::Optimizer;
-use crate::params::Density;
-use crate::sampler::{Stream, generator};
-use crate::screen::{Screen, ScreenGradients};
-use crate::state::ModelState;
+use crate::data::{Stream, generator};
+use crate::method::{AfterStep, ScreenGradients, ScreenStats, StepHook as _};
+use crate::model::{ModelState, Optimizer};
+use crate::shared::Density;
 
 fn scene() -> SceneFacts {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
@@ -32,24 +30,30 @@ fn optimizer(state: ModelState<f32>) -> Optimizer {
     Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)))
 }
 
-fn screen(gradients: &[f32]) -> Screen<'static> {
-    let figures = ScreenGradients {
+fn screen(gradients: &[f32]) -> ScreenStats<'static> {
+    let values = ScreenGradients {
         gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
         visible: gradients.iter().map(|&gradient| gradient > 0.0).collect(),
         radius_px: vec![3.0; gradients.len()],
     };
-    Screen::of(GAUSSIANS, figures)
+    ScreenStats::of(GAUSSIANS, values)
 }
 
 fn density() -> Density {
     Density { interval: 10, from: 0, until: 1000, prune_interval: 10, opacity_reset_interval: 0, ..Density::default() }
 }
 
+/// Runs density control after a step, with random numbers of a seed.
+fn after_step(control: &mut AdaptiveDensity, iteration: u64, optimizer: &mut Optimizer, seed: u64) {
+    let random = &mut generator(seed, Stream::Density);
+    control.after_step(AfterStep { iteration, optimizer, scene: &scene(), random }).unwrap();
+}
+
 fn act(params: &Density, state: ModelState<f32>, gradients: &[f32], iteration: u64) -> ModelState<f32> {
     let mut control = AdaptiveDensity::new(GAUSSIANS, params, 1.0, false);
     let mut optimizer = optimizer(state);
     control.observe(&screen(gradients));
-    control.act(iteration, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    after_step(&mut control, iteration, &mut optimizer, 0);
     optimizer.into_state()
 }
 
@@ -115,7 +119,7 @@ fn the_mean_runs_over_the_steps_that_saw_the_gaussian() {
     for gradients in [[3e-4, 3e-4, 0.0, 0.0], [0.0, 1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0, 0.0]] {
         control.observe(&screen(&gradients));
     }
-    control.act(10, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    after_step(&mut control, 10, &mut optimizer, 0);
     assert_eq!(
         positions(&optimizer.into_state()),
         [[0., 0., 0.], [1., 0., 0.], [2., 0., 0.], [3., 0., 0.], [0., 0., 0.]]
@@ -153,7 +157,7 @@ fn reset_lowers_opacity_and_forgets_its_moments() {
     let mut optimizer = optimizer(state);
     let gradient = Tensor::from_vec([4, 1], vec![0.5_f32; 4]);
     optimizer.step(&[("gaussians.opacity_logits", gradient)].into(), 1).unwrap();
-    control.act(5, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    after_step(&mut control, 5, &mut optimizer, 0);
     let ceiling = logit(0.01) as f32;
     let logits = optimizer.tensor("gaussians.opacity_logits").unwrap().as_slice().to_vec();
     assert_eq!(logits[1..], [ceiling; 3]);
@@ -171,7 +175,7 @@ fn statistics_survive_a_checkpoint() {
     copy.restore(control.save()).unwrap();
     let run = |control: &mut AdaptiveDensity| {
         let mut optimizer = optimizer(four_gaussians());
-        control.act(10, &mut optimizer, &scene(), &mut generator(7, Stream::Density)).unwrap();
+        after_step(control, 10, &mut optimizer, 7);
         optimizer.into_state()
     };
     assert_eq!(run(&mut control), run(&mut copy));
@@ -209,7 +213,7 @@ fn children_in_space_time_are_spread_along_their_parents_longest_axis() {
     let mut control = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false).in_space_time();
     let mut optimizer = optimizer(state);
     control.observe(&screen(&[1.0; 4]));
-    control.act(10, &mut optimizer, &scene(), &mut generator(0, Stream::Density)).unwrap();
+    after_step(&mut control, 10, &mut optimizer, 0);
     let state = optimizer.into_state();
     let times = state.get("gaussians.times").unwrap().as_slice();
     assert_eq!(times.len(), 8, "every Gaussian was split");

@@ -7,8 +7,8 @@ use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::bounds;
 use crate::bases::layers::uniform;
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::method::Step;
+use crate::model::{ModelState, Variables};
 
 /// First values of the spatial planes (published code); time planes start at 1, which means "no change".
 const SPATIAL_START: [f64; 2] = [0.1, 0.5];
@@ -18,7 +18,7 @@ const PLANE: &str = ".plane_";
 /// Where normalised time in [0, 1] falls on the time axis of the planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum TimeAxis {
+pub(crate) enum TimeAxis {
     /// On all of it, with half the texels: the same used capacity as the published code, nothing idle.
     Full,
     /// On the upper half only, as in the published code, whose lower half is never read.
@@ -28,7 +28,7 @@ pub enum TimeAxis {
 /// Weights of the regularisers of a field's planes; 0 leaves one out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct PlaneWeights {
+pub(crate) struct PlaneWeights {
     /// Of Σ over spatial planes of the mean squared second difference along the height axis.
     pub spatial_smoothness: f64,
     /// Of Σ over time planes of the mean squared second difference along time.
@@ -42,7 +42,7 @@ pub struct PlaneWeights {
 /// A field called `field` has the box `field.bounds` ([`crate::bases::bounds`]) and
 /// the planes `field.plane_{scale}_{pair}`.
 #[derive(Clone, Debug)]
-pub struct Field {
+pub(crate) struct Field {
     name: &'static str,
     shape: HexplaneShape,
     time_axis: TimeAxis,
@@ -50,7 +50,7 @@ pub struct Field {
 
 impl Field {
     /// A field whose time axis has `time_resolution` texels in the published code's counting (see [`TimeAxis`]).
-    pub fn new(
+    pub(crate) fn new(
         name: &'static str,
         channels: usize,
         spatial: [usize; 3],
@@ -68,17 +68,17 @@ impl Field {
     }
 
     /// Features per point.
-    pub fn features(&self) -> usize {
+    pub(crate) fn features(&self) -> usize {
         self.shape.features()
     }
 
     /// Whether a tensor is one of the planes of the field of that name.
-    pub fn is_plane(name: &str, tensor: &str) -> bool {
+    pub(crate) fn is_plane(name: &str, tensor: &str) -> bool {
         tensor.strip_prefix(name).is_some_and(|rest| rest.starts_with(PLANE))
     }
 
     /// Adds the planes.
-    pub fn insert_planes<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert_planes<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
         for (index, shape) in self.shape.plane_shapes().iter().enumerate() {
             let [low, high] = if is_time_plane(index) { [1.0, 1.0] } else { SPATIAL_START };
             state.insert(self.plane_name(index), uniform(shape, low, high, random));
@@ -86,7 +86,7 @@ impl Field {
     }
 
     /// Features [N, F] of positions [N, 3] (world) at a time in [0, 1].
-    pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
+    pub(crate) fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
         let inside = self.inside(tape, model, positions);
         let time = match self.time_axis {
             TimeAxis::Full => 2.0 * time - 1.0,
@@ -96,7 +96,7 @@ impl Field {
     }
 
     /// Positions [N, 3] (world) in the field's box, as [−1, 1].
-    pub fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
+    pub(crate) fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
         bounds::inside(tape, model, self.name, positions)
     }
 
@@ -104,7 +104,7 @@ impl Field {
     ///
     /// The two of the time planes are weighed so that they equal the published code's, whose means run over the idle
     /// lower half as well (see [`TimeAxis`]).
-    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>, weights: &PlaneWeights) {
+    pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>, weights: &PlaneWeights) {
         let time_factor = match self.time_axis {
             TimeAxis::Full => 0.5,
             TimeAxis::UpperHalf => 1.0,

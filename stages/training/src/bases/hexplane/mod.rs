@@ -4,7 +4,7 @@
 //! Two phases. `coarse` fits Gaussians to all frames as if nothing moved; it knows nothing of the field but its box, so
 //! methods can share it. `fine` adds the field and the network, and learns everything.
 
-pub mod field;
+pub(crate) mod field;
 mod network;
 #[cfg(test)]
 mod tests;
@@ -17,31 +17,30 @@ use serde::{Deserialize, Serialize};
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Var};
 
-pub use field::TimeAxis;
-pub use network::{FurtherHead, Heads, MovedPoints};
+pub(crate) use field::TimeAxis;
+pub(crate) use network::{FurtherHead, Heads, MovedPoints};
 
 use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::bases::stillness;
-use crate::coarse::CoarseSharing;
+use crate::bases::static_mask;
+use crate::data::SceneFacts;
 use crate::effects::{Effect, Need};
-use crate::method::{Moment, Phase, PopulationControl, SceneFacts, Start};
-use crate::params::{Density, LearningRates, Loss, Shared};
-use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables, belongs};
-use crate::step::Step;
+use crate::method::{Base, CoarseSharing, Moment, Start, Step, StepHook};
+use crate::model::{ModelState, Variables, belongs};
+use crate::schedule::{LogLinear, Phase};
+use crate::shared::{Density, LearningRates, Loss, Shared};
 use field::{Field, PlaneWeights};
 use network::Network;
 
 /// Static warm-up.
-pub const COARSE: &str = "coarse";
+pub(crate) const COARSE: &str = "coarse";
 /// Everything learns.
-pub const FINE: &str = "fine";
+pub(crate) const FINE: &str = "fine";
 /// The name of the field.
 const FIELD: &str = "field";
 
 /// Where it is off there is no field and no network: `fine` goes on as `coarse` did.
-pub const MOTION: Effect = Effect {
+pub(crate) const MOTION: Effect = Effect {
     name: "motion",
     about: "a hexplane field moves the Gaussians",
     needs: &[Need::Times(2), Need::Motion],
@@ -49,14 +48,14 @@ pub const MOTION: Effect = Effect {
 };
 
 /// `coarse` as other methods on this base can share it: it reads nothing of [`HexplaneSettings`].
-pub fn coarse_sharing() -> CoarseSharing {
+pub(crate) fn coarse_sharing() -> CoarseSharing {
     CoarseSharing { base: "hexplane", phase: COARSE, settings: serde_json::Value::Null }
 }
 
 /// The field, the network and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct HexplaneSettings {
+pub(crate) struct HexplaneSettings {
     /// Channels per plane.
     pub channels: usize,
     /// Texels along x, y and z at multiplier 1.
@@ -128,7 +127,7 @@ impl HexplaneSettings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         let sizes = [self.channels, self.spatial_resolution, self.width, self.time_resolution.unwrap_or(1)];
         let weights = [self.spatial_smoothness, self.temporal_smoothness, self.time_to_one];
         let few = |size: &usize| (1..=MOST_TEXELS).contains(size);
@@ -144,7 +143,7 @@ impl HexplaneSettings {
 
     /// What all methods understand, as the published D-NeRF settings have it: L1 alone, 2000 random points, pruning
     /// only beyond 200 000 Gaussians, no opacity reset.
-    pub fn shared_defaults() -> Shared {
+    pub(crate) fn shared_defaults() -> Shared {
         let density = Density {
             max_count: 360_000,
             prune_interval: 8000,
@@ -166,7 +165,7 @@ impl HexplaneSettings {
 }
 
 /// The base: every part of a method that builds on it.
-pub struct HexplaneGaussians {
+pub(crate) struct HexplaneGaussians {
     shared: Shared,
     settings: HexplaneSettings,
     further_heads: Vec<FurtherHead>,
@@ -174,84 +173,24 @@ pub struct HexplaneGaussians {
 
 impl HexplaneGaussians {
     /// The base with these settings.
-    pub fn new(shared: &Shared, settings: HexplaneSettings) -> Self {
+    pub(crate) fn new(shared: &Shared, settings: HexplaneSettings) -> Self {
         Self { shared: shared.clone(), settings, further_heads: Vec::new() }
     }
 
     /// The base with heads that move no attribute; only [`HexplaneGaussians::further_head`] evaluates them.
-    pub fn with_further_heads(self, further_heads: Vec<FurtherHead>) -> Self {
+    pub(crate) fn with_further_heads(self, further_heads: Vec<FurtherHead>) -> Self {
         Self { further_heads, ..self }
     }
 
     /// Whether anything moves in a phase. Without the effect `motion` there is neither field nor network, and `fine`
     /// goes on as `coarse` does.
-    pub fn moves(&self, phase: &str) -> bool {
+    pub(crate) fn moves(&self, phase: &str) -> bool {
         phase == FINE && self.shared.effects.has(MOTION.name)
     }
 
-    /// `coarse` and `fine`.
-    pub fn phases(&self) -> Vec<Phase> {
-        [COARSE, FINE].map(|name| self.phase(name)).to_vec()
-    }
-
-    /// A phase of that name with the iterations that the recipe gives it.
-    pub fn phase(&self, name: &'static str) -> Phase {
-        let iterations = self.shared.iterations.get(name).copied().unwrap_or(0);
-        Phase { name, iterations: stretch(iterations, self.shared.schedule_scale) }
-    }
-
-    /// Gaussians on the points, and the box that the field will have.
-    pub fn initialize<T: Real>(&self, scene: &SceneFacts, points: &PointCloud) -> anyhow::Result<ModelState<T>> {
-        let mut state = ModelState::new();
-        let lone_scale = gaussians::LONE_SCALE * scene.extent;
-        gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)?;
-        Bounds::enclosing(&points.positions).insert(&mut state, FIELD);
-        Ok(state)
-    }
-
-    /// Adds the field and the network where `fine` begins.
-    pub fn enter_phase<T: Real>(
-        &self,
-        phase: &str,
-        mut state: ModelState<T>,
-        start: &Start<'_>,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        if self.moves(phase) {
-            let scene = start.scene();
-            self.field(scene).insert_planes(&mut state, random);
-            self.network(scene).insert(&mut state, self.settings.zero_heads, random);
-            stillness::insert(&mut state, &self.shared.effects, start)?;
-        }
-        Ok(state)
-    }
-
-    /// The step size of a tensor; the box never learns, the field and the network only exist in `fine`.
-    pub fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        if Field::is_plane(FIELD, tensor) {
-            return Some(self.settings.plane_rate.scaled(scene.extent));
-        }
-        if belongs(tensor, network::NETWORK) {
-            return Some(self.settings.network_rate.scaled(scene.extent));
-        }
-        gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
-    }
-
-    /// The Gaussians at a moment: moved ones in `fine`, canonical ones before.
-    pub fn splats<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SplatVars {
-        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
-        if !self.moves(moment.phase) {
-            return canonical;
-        }
-        stillness::move_some(tape, model, canonical, |tape, some, _| {
-            let features = self.field(moment.scene).at(tape, model, some.positions, moment.time);
-            self.network(moment.scene).deform(tape, model, features, some, moment.sh_degree)
-        })
-    }
-
-    /// Where points [N, 3] of the canonical space are at a time in [0, 1]; as [`HexplaneGaussians::splats`] moves the
+    /// Where points [N, 3] of the canonical space are at a time in [0, 1]; as [`Base::splats`] moves the
     /// Gaussians, for any points and without the other attributes.
-    pub fn move_points<T: Real>(
+    pub(crate) fn move_points<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -264,7 +203,7 @@ impl HexplaneGaussians {
     }
 
     /// What a further head says of points that were moved.
-    pub fn further_head<T: Real>(
+    pub(crate) fn further_head<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -276,19 +215,13 @@ impl HexplaneGaussians {
     }
 
     /// The regularisers of the planes, in `fine`.
-    pub fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
+    pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
         if !self.moves(step.phase) {
             return;
         }
         let HexplaneSettings { spatial_smoothness, temporal_smoothness, time_to_one, .. } = self.settings;
         let weights = PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one };
         self.field(step.scene).regularize(step, &weights);
-    }
-
-    /// Density control of the Gaussians, the same in both phases.
-    pub fn population_controls(&self) -> Vec<Box<dyn PopulationControl>> {
-        let Shared { density, schedule_scale, .. } = &self.shared;
-        vec![Box::new(AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, false))]
     }
 
     fn field(&self, scene: &SceneFacts) -> Field {
@@ -302,5 +235,65 @@ impl HexplaneGaussians {
         let sh_count = (self.shared.harmonics.degree + 1).pow(2);
         let features = self.field(scene).features();
         Network::new(features, self.settings.width, self.settings.heads, sh_count, &self.further_heads)
+    }
+}
+
+impl<T: Real> Base<T> for HexplaneGaussians {
+    fn phases(&self) -> Vec<Phase> {
+        [COARSE, FINE].map(|name| self.shared.phase(name)).to_vec()
+    }
+
+    /// Gaussians on the points, and the box of the field.
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: &mut ChaCha8Rng) -> anyhow::Result<ModelState<T>> {
+        let mut state = ModelState::new();
+        gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
+        Bounds::enclosing(&points.positions).insert(&mut state, FIELD);
+        Ok(state)
+    }
+
+    /// Adds the field and the network at the start of `fine`.
+    fn enter_phase(
+        &self,
+        phase: &str,
+        mut state: ModelState<T>,
+        start: &Start<'_>,
+        random: &mut ChaCha8Rng,
+    ) -> anyhow::Result<ModelState<T>> {
+        if self.moves(phase) {
+            let scene = start.scene();
+            self.field(scene).insert_planes(&mut state, random);
+            self.network(scene).insert(&mut state, self.settings.zero_heads, random);
+            static_mask::insert(&mut state, &self.shared.effects, start)?;
+        }
+        Ok(state)
+    }
+
+    /// The box is never trained; the field and the network exist only in `fine`.
+    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        if Field::is_plane(FIELD, tensor) {
+            return Some(self.settings.plane_rate.scaled(scene.extent));
+        }
+        if belongs(tensor, network::NETWORK) {
+            return Some(self.settings.network_rate.scaled(scene.extent));
+        }
+        gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
+    }
+
+    /// Moved Gaussians in `fine`, canonical ones before.
+    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
+        if !self.moves(moment.phase) {
+            return Ok(canonical);
+        }
+        Ok(static_mask::move_some(tape, model, canonical, |tape, some, _| {
+            let features = self.field(moment.scene).at(tape, model, some.positions, moment.time);
+            self.network(moment.scene).deform(tape, model, features, some, moment.sh_degree)
+        }))
+    }
+
+    /// Density control, the same in both phases; it never resets opacities at the start.
+    fn hooks(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+        let Shared { density, schedule_scale, .. } = &self.shared;
+        vec![Box::new(AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, false))]
     }
 }

@@ -9,15 +9,15 @@ use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::leading_harmonics;
 use crate::bases::heads::HeadedNetwork;
-use crate::state::{ModelState, Variables};
+use crate::model::{ModelState, Variables};
 
 /// The name of the network: its tensors are called `network.…`.
-pub const NETWORK: &str = "network";
+pub(crate) const NETWORK: &str = "network";
 
 /// Which attributes the network moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Heads {
+pub(crate) struct Heads {
     /// Positions.
     pub position: bool,
     /// Logarithmic scales.
@@ -32,7 +32,8 @@ pub struct Heads {
 
 impl Heads {
     /// No head at all.
-    pub const NONE: Self = Self { position: false, scale: false, rotation: false, opacity: false, harmonics: false };
+    pub(crate) const NONE: Self =
+        Self { position: false, scale: false, rotation: false, opacity: false, harmonics: false };
 
     /// Name and number of outputs of the heads that are on, always in this order.
     fn outputs(self, sh_count: usize) -> Vec<(&'static str, usize)> {
@@ -54,28 +55,34 @@ impl Default for Heads {
 }
 
 /// Name and number of outputs of a head that a method adds; it starts at zero.
-pub type FurtherHead = (&'static str, usize);
+pub(crate) type FurtherHead = (&'static str, usize);
 
 /// The network and the attributes that it moves.
-pub struct Network {
+pub(crate) struct Network {
     layers: HeadedNetwork,
     heads: Heads,
 }
 
 impl Network {
     /// `features` → `width` → heads and further heads that move no attribute; `sh_count` harmonics per channel.
-    pub fn new(features: usize, width: usize, heads: Heads, sh_count: usize, further_heads: &[FurtherHead]) -> Self {
+    pub(crate) fn new(
+        features: usize,
+        width: usize,
+        heads: Heads,
+        sh_count: usize,
+        further_heads: &[FurtherHead],
+    ) -> Self {
         let layers = HeadedNetwork::new(NETWORK, features, width, heads.outputs(sh_count));
         Self { layers: layers.with_silent_heads(further_heads.to_vec()), heads }
     }
 
     /// Adds trunk and heads.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
         self.layers.insert(state, zero_heads, random);
     }
 
     /// Splats plus what the heads say at features [N, F].
-    pub fn deform<T: Real>(
+    pub(crate) fn deform<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -110,7 +117,7 @@ impl Network {
     }
 
     /// Positions [N, 3] plus what the head says at features [N, F], and what the other heads begin with.
-    pub fn move_points<T: Real>(
+    pub(crate) fn move_points<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -123,14 +130,14 @@ impl Network {
     }
 
     /// The output of a further head.
-    pub fn further_head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
+    pub(crate) fn further_head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         self.layers.head(tape, model, head, hidden)
     }
 }
 
 /// Points at a moment.
 #[derive(Clone, Copy, Debug)]
-pub struct MovedPoints {
+pub(crate) struct MovedPoints {
     /// [N, 3] world.
     pub positions: Var,
     /// [N, width]: what every head of the network reads.

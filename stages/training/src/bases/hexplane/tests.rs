@@ -6,11 +6,9 @@ use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor};
 
 use super::*;
-use crate::dataset::Dataset;
+use crate::data::{Dataset, NOTHING, Stream, generator};
 use crate::effects::Effects;
-use crate::sampler::{Stream, generator};
-use crate::supplements::NOTHING;
-use crate::test_scene::TestScene;
+use crate::scene_tests::TestScene;
 
 fn scene_facts() -> SceneFacts {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
@@ -29,7 +27,7 @@ fn fine_model(settings: &HexplaneSettings) -> (HexplaneGaussians, ModelState<f64
 fn fine_model_of(base: HexplaneGaussians) -> (HexplaneGaussians, ModelState<f64>) {
     let positions: Vec<[f32; 3]> = (0..6).map(|at| [at as f32, (at * at % 5) as f32, (at % 3) as f32 - 1.0]).collect();
     let points = PointCloud { colors: vec![[10, 200, 90]; positions.len()], positions };
-    let state = base.initialize(&scene_facts(), &points).unwrap();
+    let state = begin(&base, &points);
     let state = enter_fine(&base, state);
     (base, state)
 }
@@ -39,6 +37,13 @@ fn dataset() -> Dataset {
     let dir = tempfile::tempdir().unwrap();
     let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
     Dataset { scene: scene_facts(), ..dataset }
+}
+
+/// The state at the start of `coarse`.
+fn begin(base: &HexplaneGaussians, points: &PointCloud) -> ModelState<f64> {
+    let dataset = dataset();
+    let start = Start { dataset: &dataset, supplements: &NOTHING };
+    base.initialize(&start, points, &mut generator(3, Stream::Initial)).unwrap()
 }
 
 fn enter_fine(base: &HexplaneGaussians, coarse: ModelState<f64>) -> ModelState<f64> {
@@ -57,7 +62,7 @@ fn attributes(base: &HexplaneGaussians, state: &ModelState<f64>, phase: &str, ti
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
     let moment = Moment { scene: &scene, phase, time, camera: &camera, sh_degree: 2 };
-    let splats = base.splats(&mut tape, &model, &moment);
+    let splats = base.splats(&mut tape, &model, &moment).unwrap();
     let SplatVars { positions, shape, opacity_logits, sh } = splats;
     let (log_scales, rotations) = shape.scales_and_rotations().unwrap();
     [positions, log_scales, rotations, opacity_logits, sh].map(|var| tape.value(var).clone()).to_vec()
@@ -97,7 +102,7 @@ fn without_motion_there_is_no_field_and_fine_goes_on_as_coarse() {
     let shared = Shared { effects: Effects::Named(BTreeSet::new()), ..HexplaneSettings::shared_defaults() };
     let base = HexplaneGaussians::new(&shared, HexplaneSettings::tiny());
     let points = PointCloud { positions: vec![[0.0; 3], [1.0; 3]], colors: vec![[9; 3]; 2] };
-    let coarse: ModelState<f64> = base.initialize(&scene_facts(), &points).unwrap();
+    let coarse = begin(&base, &points);
     let fine = enter_fine(&base, coarse.clone());
     assert_eq!(fine, coarse);
     assert_eq!(attributes(&base, &fine, FINE, 0.7), attributes(&base, &fine, COARSE, 0.7));

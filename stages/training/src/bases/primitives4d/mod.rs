@@ -15,11 +15,11 @@ use shaders::rasteriser::slicing4d::{self, Gaussians4dVars, SlicedVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::uniform;
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::method::Step;
+use crate::model::{ModelState, Variables};
 
 /// Gaussians of which a smaller share of the opacity is left are not drawn (published code): 2.45 standard deviations.
-pub const LEAST_SHARE: f64 = 0.05;
+pub(crate) const LEAST_SHARE: f64 = 0.05;
 
 /// How far beyond the clip the first times are drawn, as a share of it (published code).
 const TIME_MARGIN: f64 = 0.1;
@@ -27,7 +27,7 @@ const TIME_MARGIN: f64 = 0.1;
 const INITIAL_VARIANCE_TIME: f64 = 0.2;
 
 /// The parameters of a population, with the logarithms of its spatial scales [N, 3].
-pub fn parameters(model: &Variables, population: &str, log_scales: Var) -> Gaussians4dVars {
+pub(crate) fn parameters(model: &Variables, population: &str, log_scales: Var) -> Gaussians4dVars {
     let var = |attribute: &str| model.get(&format!("{population}.{attribute}"));
     Gaussians4dVars {
         log_scales,
@@ -40,13 +40,13 @@ pub fn parameters(model: &Variables, population: &str, log_scales: Var) -> Gauss
 }
 
 /// Cuts a population at a time in [0, 1]; Gaussians with less than [`LEAST_SHARE`] of their opacity are not there.
-pub fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, time: f64) -> SlicedVars {
+pub(crate) fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, time: f64) -> SlicedVars {
     slicing4d::slice(tape, parameters, time, LEAST_SHARE)
 }
 
 /// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: spread
 /// over the clip, a fifth of it in variance, at rest.
-pub fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: usize, random: &mut ChaCha8Rng) {
+pub(crate) fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: usize, random: &mut ChaCha8Rng) {
     let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO].repeat(count);
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{population}.{attribute}"), tensor);
     insert("times", uniform(&[count, 1], -TIME_MARGIN, 1.0 + TIME_MARGIN, random));
@@ -56,8 +56,8 @@ pub fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: 
 }
 
 /// Counts the Gaussians that a slice leaves out, as the work of `what`.
-pub fn count_skipped<T: Real>(step: &mut Step<'_, T>, what: &'static str, sliced: &SlicedVars) {
+pub(crate) fn count_skipped<T: Real>(step: &mut Step<'_, T>, what: &'static str, sliced: &SlicedVars) {
     let count = step.tape.value(sliced.present).len();
     let present = total(step.tape, sliced.present);
-    step.count_skipped_later(what, present, count);
+    step.count_skipped_deferred(what, present, count);
 }

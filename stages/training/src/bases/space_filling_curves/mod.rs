@@ -13,7 +13,7 @@ const MOST_BITS: u32 = 16;
 
 /// Which curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Curve {
+pub(crate) enum Curve {
     /// Consecutive cells share a face.
     Hilbert,
     /// Interleaved bits.
@@ -22,7 +22,7 @@ pub enum Curve {
 
 impl Curve {
     /// The place on the curve of a cell whose coordinates are below 2^bits.
-    pub fn place(self, cell: [u32; 3], bits: u32) -> u64 {
+    pub(crate) fn place(self, cell: [u32; 3], bits: u32) -> u64 {
         assert!(bits <= MOST_BITS && cell.iter().all(|&axis| u64::from(axis) < 1 << bits), "a cell outside the cube");
         match self {
             Self::Hilbert => interleave(hilbert_transpose(cell, bits), bits),
@@ -32,7 +32,7 @@ impl Curve {
 
     /// The indices of positions in the order of the curve through cells of side `cell_size` (larger where there would be
     /// more than 2^16 of them along an axis). Positions of one cell keep their order.
-    pub fn order(self, positions: &[[f32; 3]], cell_size: f64) -> Vec<u32> {
+    pub(crate) fn order(self, positions: &[[f32; 3]], cell_size: f64) -> Vec<u32> {
         let low: [f64; 3] = std::array::from_fn(|axis| extreme(positions, axis, f64::min));
         let high: [f64; 3] = std::array::from_fn(|axis| extreme(positions, axis, f64::max));
         let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
@@ -52,14 +52,14 @@ impl Curve {
 
 /// Pairs (i, j) of positions that are at most `reach` apart along an order, without those that are far apart in space:
 /// more than `jump` times the median distance of a pair. A curve has such jumps where it leaves a region.
-pub fn neighbor_pairs(positions: &[[f32; 3]], order: &[u32], reach: usize, jump: f64) -> Vec<[u32; 2]> {
+pub(crate) fn neighbor_pairs(positions: &[[f32; 3]], order: &[u32], reach: usize, jump: f64) -> Vec<[u32; 2]> {
     let pairs_at = |steps: usize| order.iter().zip(order.iter().skip(steps)).map(|(&first, &second)| [first, second]);
     let pairs: Vec<[u32; 2]> = (1..=reach).flat_map(pairs_at).collect();
     without_jumps(positions, pairs, jump)
 }
 
 /// The pairs whose distance is at most `jump` times the median distance.
-pub fn without_jumps(positions: &[[f32; 3]], mut pairs: Vec<[u32; 2]>, jump: f64) -> Vec<[u32; 2]> {
+pub(crate) fn without_jumps(positions: &[[f32; 3]], mut pairs: Vec<[u32; 2]>, jump: f64) -> Vec<[u32; 2]> {
     let distance = |&[first, second]: &[u32; 2]| {
         glam::Vec3::from(positions[first as usize]).distance(glam::Vec3::from(positions[second as usize]))
     };

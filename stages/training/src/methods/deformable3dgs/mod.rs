@@ -7,7 +7,6 @@ use std::collections::BTreeMap;
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::geometry::quaternion;
 use shaders::pointwise::add;
@@ -17,28 +16,28 @@ use shaders::tape::{Real, Tape};
 use super::MethodFolder;
 use crate::bases::canonical::{ALL, CanonicalGaussians, Moved, WARM_UP, moved, scales_and_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, CoordinateMlpSettings, Head};
-use crate::bases::gaussians::{self, GAUSSIANS};
+use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
-use crate::bases::stillness::{self, SKIP_STILL};
+use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::data::{SceneFacts, TrainingView};
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, TrainingView};
-use crate::params::Shared;
+use crate::method::{Base, Method, Moment, Observed, Start, Step};
+use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::shared::Shared;
 
 /// What the network says: its heads start at random, as published.
 const POSITION: Head = Head { name: "position", outputs: 3, first: FirstWeights::FanIn };
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::FanIn };
 const SCALE: Head = Head { name: "scale", outputs: 3, first: FirstWeights::FanIn };
 
-/// The folder's entry.
-pub struct Deformable3dgs;
+/// Deformable 3D Gaussians: a coordinate network moves canonical Gaussians (Yang et al. 2024).
+pub(crate) struct Deformable3dgs;
 
 /// What only this method understands.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// The network.
     pub network: CoordinateMlpSettings,
     /// First standard deviation of the effect `time-noise`, in intervals between frames.
@@ -55,8 +54,6 @@ impl Default for Settings {
 
 impl MethodFolder for Deformable3dgs {
     const NAME: &'static str = "deformable3dgs";
-    const ABOUT: &'static str =
-        "Deformable 3D Gaussians: a coordinate network moves canonical Gaussians (Yang et al. 2024)";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -119,19 +116,8 @@ struct DeformedGaussians {
 }
 
 impl<T: Real> Method<T> for DeformedGaussians {
-    fn phases(&self) -> Vec<Phase> {
-        [WARM_UP, ALL].map(|name| self.canonical.phase(name)).to_vec()
-    }
-
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        let mut state = ModelState::new();
-        self.canonical.insert(&mut state, start.scene(), points)?;
-        Ok(state)
+    fn base(&self) -> &dyn Base<T> {
+        &self.canonical
     }
 
     fn enter_phase(
@@ -143,22 +129,22 @@ impl<T: Real> Method<T> for DeformedGaussians {
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
             self.network.insert(&mut state, &start.initial_points(&self.shared)?, random);
-            stillness::insert(&mut state, &self.shared.effects, start)?;
+            static_mask::insert(&mut state, &self.shared.effects, start)?;
         }
         Ok(state)
     }
 
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         let of_network = || Some(self.network.learning_rate(tensor)?.after(self.canonical.iterations(WARM_UP)));
-        self.canonical.learning_rate(phase, tensor, scene).or_else(of_network)
+        Method::<T>::base(self).learning_rate(phase, tensor, scene).or_else(of_network)
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
-        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
+        let canonical = self.canonical.splats(tape, model, moment)?;
         if !self.moves || moment.phase == WARM_UP {
             return Ok(canonical);
         }
-        Ok(stillness::move_some(tape, model, canonical, |tape, some, _| {
+        Ok(static_mask::move_some(tape, model, canonical, |tape, some, _| {
             let hidden = self.network.hidden(tape, model, some.positions, &[moment.time]);
             let [shift, growth] = [POSITION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
             let turn = self.network.head(tape, model, ROTATION.name, hidden);
@@ -171,20 +157,16 @@ impl<T: Real> Method<T> for DeformedGaussians {
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
-        stillness::count_skipped(step);
+        static_mask::count_skipped(step);
         for view in step.views {
             step.clock.enter("motion");
             let time = self.training_time(step, view);
             let moment = Moment { time, ..step.moment(view) };
             let splats = self.splats(step.tape, step.model, &moment)?;
-            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
+            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
         }
         Ok(())
-    }
-
-    fn population_controls(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        vec![self.canonical.population_control(phase, scene)]
     }
 }
 

@@ -1,7 +1,7 @@
 use serde_json::{Value, to_value};
 
 use super::*;
-use crate::test_training::ShortTraining;
+use crate::short_training_tests::ShortTraining;
 
 fn train(effects: &[&str]) -> ShortTraining {
     ShortTraining::run(Deformable3dgs::NAME, tiny(), effects)
@@ -35,7 +35,7 @@ fn noise_on_the_time_changes_the_result_and_adds_nothing() {
 fn both_phases_are_one_schedule() {
     let shared = Deformable3dgs::shared_defaults();
     let method = Deformable3dgs::build::<f32>(&shared, Settings::default());
-    let scene = crate::method::SceneFacts {
+    let scene = crate::data::SceneFacts {
         extent: 3.0,
         time_map: scene::TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
         background: [0.0; 3],

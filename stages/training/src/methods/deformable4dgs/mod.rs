@@ -1,27 +1,19 @@
 //! 4DGaussians (Wu et al. 2024): the hexplane base and nothing else.
 
-use rand_chacha::ChaCha8Rng;
-use scene::cloud::PointCloud;
-use shaders::rasteriser::SplatVars;
-use shaders::tape::{Real, Tape};
+use shaders::tape::Real;
 
 use super::MethodFolder;
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
-use crate::bases::stillness::{self, SKIP_STILL};
-use crate::coarse::CoarseSharing;
+use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::effects::Effect;
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, photometric_losses};
-use crate::params::Shared;
-use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::method::{Base, CoarseSharing, Method, Step, photometric_losses};
+use crate::shared::Shared;
 
-/// The folder's entry.
-pub struct Deformable4dgs;
+/// 4DGaussians: a hexplane field moves canonical Gaussians (Wu et al. 2024).
+pub(crate) struct Deformable4dgs;
 
 impl MethodFolder for Deformable4dgs {
     const NAME: &'static str = "deformable4dgs";
-    const ABOUT: &'static str = "4DGaussians: a hexplane field moves canonical Gaussians (Wu et al. 2024)";
     type Settings = HexplaneSettings;
 
     fn shared_defaults() -> Shared {
@@ -55,45 +47,15 @@ struct FourDGaussians {
 }
 
 impl<T: Real> Method<T> for FourDGaussians {
-    fn phases(&self) -> Vec<Phase> {
-        self.base.phases()
+    fn base(&self) -> &dyn Base<T> {
+        &self.base
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        self.base.initialize(start.scene(), points)
-    }
-
-    fn enter_phase(
-        &self,
-        phase: &str,
-        state: ModelState<T>,
-        start: &Start<'_>,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        self.base.enter_phase(phase, state, start, random)
-    }
-
-    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        self.base.learning_rate(tensor, scene)
-    }
-
-    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
-        Ok(self.base.splats(tape, model, moment))
-    }
-
+    /// The photometric loss and the regularisers of the planes.
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         photometric_losses(self, step)?;
         self.base.regularize(step);
-        stillness::count_skipped(step);
+        static_mask::count_skipped(step);
         Ok(())
-    }
-
-    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        self.base.population_controls()
     }
 }

@@ -8,10 +8,10 @@ use shaders::pointwise::{add, hyperbolic_tangent, mul, scale, shift, sigmoid, su
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer, uniform};
-use crate::state::{ModelState, Variables};
+use crate::model::{ModelState, Variables};
 
 /// The network's tensors are called `activation.…`.
-pub const ACTIVATION: &str = "activation";
+pub(crate) const ACTIVATION: &str = "activation";
 /// Six octaves of the position within the scene's box.
 const ENCODING: PositionalEncoding = PositionalEncoding { bands: 6, with_input: true };
 /// Width of the two hidden layers.
@@ -28,7 +28,7 @@ const FIRST_CENTERS: f64 = 0.3;
 const BINS: usize = 32;
 
 /// Adds the network 39 → 64 → 64 → (Δ^ct, Δ^cr).
-pub fn insert<T: Real>(state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
     insert_layer(state, "activation.0", ENCODING.columns(3), WIDTH, FirstWeights::Xavier, random);
     insert_layer(state, "activation.1", WIDTH, WIDTH, FirstWeights::Xavier, random);
     // A uniform distribution of standard deviation s reaches from −√3·s to √3·s; s is shared by the inputs.
@@ -41,7 +41,7 @@ pub fn insert<T: Real>(state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
 
 /// The windows of P particles, in shares of all time.
 #[derive(Clone, Copy, Debug)]
-pub struct Windows {
+pub(crate) struct Windows {
     /// [P, 1] Δ^ct in (−1, 1).
     pub center_deltas: Var,
     /// [P, 1] Δ^cr in (−1, 1).
@@ -57,7 +57,7 @@ pub struct Windows {
 impl Windows {
     /// The windows of particles at canonical positions [P, 3] in [−1, 1] coordinates: with all of time as 1, t^ct = ½ + ½Δ^ct
     /// and t^cr = ¼ + (¼ − ε)Δ^cr.
-    pub fn of<T: Real>(tape: &mut Tape<T>, model: &Variables, positions: Var) -> Self {
+    pub(crate) fn of<T: Real>(tape: &mut Tape<T>, model: &Variables, positions: Var) -> Self {
         let encoded = ENCODING.encode(tape, positions);
         let hidden = apply_layer(tape, model, "activation.0", encoded, Activation::Relu);
         let hidden = apply_layer(tape, model, "activation.1", hidden, Activation::Relu);
@@ -75,7 +75,7 @@ impl Windows {
     }
 
     /// [P, 1] w = σ((t − start) / τ)·σ((end − t) / τ) in (0, 1) at a time in [0, 1].
-    pub fn at<T: Real>(&self, tape: &mut Tape<T>, time: f64) -> Var {
+    pub(crate) fn at<T: Real>(&self, tape: &mut Tape<T>, time: f64) -> Var {
         let mut edge = |border: Var, sign: f64| {
             let distance = scale(tape, border, -sign / SHARPNESS);
             let distance = shift(tape, distance, sign * time / SHARPNESS);
@@ -86,7 +86,7 @@ impl Windows {
     }
 
     /// How far centres and half-widths are from being spread evenly, shape [1].
-    pub fn unevenness<T: Real>(&self, tape: &mut Tape<T>) -> Var {
+    pub(crate) fn unevenness<T: Real>(&self, tape: &mut Tape<T>) -> Var {
         let [centers, radii] = [self.center_deltas, self.radius_deltas].map(|deltas| {
             let shares = soft_histogram(tape, deltas, BINS, [-1.0, 1.0]);
             divergence_from_uniform(tape, shares)

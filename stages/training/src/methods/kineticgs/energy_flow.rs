@@ -14,16 +14,14 @@ use shaders::pointwise::{mul, sub};
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::particles::{Chosen, Moved, ParticleMotion, Particles};
-use crate::dataset::Dataset;
-use crate::state::Variables;
-use crate::supplements::{FlowPrior, Supplements, ViewPriors};
-use crate::view_constants::ViewConstants;
+use crate::data::{Dataset, FlowPrior, Supplements, ViewConstants, ViewPriors};
+use crate::model::Variables;
 
 /// Pixels whose flow differs by more from that of a static scene move; px.
 const RESIDUAL_FLOW_PX: f64 = 1.0;
 
 /// One view's depth and flow, and what is known of where the flow leads.
-pub struct FlowView<'a> {
+pub(crate) struct FlowView<'a> {
     view: usize,
     camera: Camera,
     depth: &'a DepthMap,
@@ -33,7 +31,7 @@ pub struct FlowView<'a> {
 }
 
 /// How well particles follow the flow of a view.
-pub struct Followed {
+pub(crate) struct Followed {
     /// The mean distance of those that the view sees to where the flow leads them, scene units; 0 where it sees none. [1].
     pub distance: Var,
     /// How many they are. [1].
@@ -42,7 +40,7 @@ pub struct Followed {
 
 impl<'a> FlowView<'a> {
     /// The view's priors; `None` where depth or flow are missing.
-    pub fn of(dataset: &Dataset, supplements: &'a Supplements, view: usize) -> Option<Self> {
+    pub(crate) fn of(dataset: &Dataset, supplements: &'a Supplements, view: usize) -> Option<Self> {
         let ViewPriors { depth, flow, .. } = supplements.view(view)?;
         let (depth, flow) = (depth.as_ref()?, flow.as_ref()?);
         let depth_of = |to: usize| Some((to, supplements.view(to)?.depth.as_ref()?));
@@ -51,12 +49,12 @@ impl<'a> FlowView<'a> {
     }
 
     /// When the flow arrives, in seconds.
-    pub fn time_to_secs(&self) -> f64 {
+    pub(crate) fn time_to_secs(&self) -> f64 {
         self.flow.time_to_secs
     }
 
     /// The maps on a device, which keeps them.
-    pub fn maps<T: Real>(&self, device: Device, constants: &ViewConstants<T>) -> FlowMaps<T> {
+    pub(crate) fn maps<T: Real>(&self, device: Device, constants: &ViewConstants<T>) -> FlowMaps<T> {
         let depth = |(view, map): (usize, &DepthMap)| {
             constants.get(device, "depth", view, || tensor(map.height, map.width, &[], &map.depth_view))
         };
@@ -72,7 +70,7 @@ impl<'a> FlowView<'a> {
     }
 
     /// [H, W, 3]: 1 where pixels move as the camera alone would move them, or nobody knows how; 0 where they move otherwise.
-    pub fn static_pixels<T: Real>(&self) -> Tensor<T> {
+    pub(crate) fn static_pixels<T: Real>(&self) -> Tensor<T> {
         let DepthMap { width, height, ref depth_view } = *self.depth;
         let stands = (0..depth_view.len()).flat_map(|index| [if self.moves(index) { T::ZERO } else { T::ONE }; 3]);
         Tensor::from_vec([height as usize, width as usize, 3], stands.collect())
@@ -100,7 +98,7 @@ impl<'a> FlowView<'a> {
 }
 
 /// How well particles follow the flow of a view that arrives at `time_to`; `None` where the host knows that none is seen.
-pub fn energy_flow<T: Real>(
+pub(crate) fn energy_flow<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
     motion: &ParticleMotion,

@@ -4,23 +4,23 @@ use shaders::arrays::totals::total;
 use shaders::pointwise::scale;
 use shaders::tape::{Real, Var};
 
-use super::coherence::{Pairs, displacement_incoherence, window_incoherence};
+use super::coherence::{displacement_incoherence, window_incoherence};
 use super::energy_flow::{FlowView, energy_flow};
+use super::neighbors::Pairs;
 use super::particles::{Moved, Particles};
 use super::weights::Weights;
 use super::{COHERENCE, ENERGY_FLOW, KineticGaussians, MOMENTUM_INIT};
 use crate::bases::anchors;
-use crate::method::TrainingView;
-use crate::step::Step;
+use crate::data::TrainingView;
+use crate::method::{Observed, Step};
 
 impl<T: Real> KineticGaussians<T> {
     /// The losses of `coarse`: anchors as if nothing moved, on the pixels that do not.
     pub(super) fn coarse_losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         for view in step.views {
             step.clock.enter("motion");
-            let canonical = anchors::Anchors::stored(step.model);
-            let spawned = anchors::spawn(step.tape, step.model, &canonical, &view.camera);
-            let rendered = step.render_rows(&spawned.splats, view, spawned.rows())?;
+            let spawned = self.base.spawn(step.tape, step.model, &view.camera);
+            let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
             let mask = self.static_pixels(step, view);
             anchors::photometric(step, rendered.color, view, mask);
         }
@@ -39,7 +39,7 @@ impl<T: Real> KineticGaussians<T> {
         let mask = step.tape.constant(mask);
         let kept = total(step.tape, mask);
         let kept = scale(step.tape, kept, 1.0 / 3.0);
-        step.count_skipped_later("moving pixels in coarse", kept, pixels);
+        step.count_skipped_deferred("moving pixels in coarse", kept, pixels);
         Some(mask)
     }
 
@@ -55,7 +55,7 @@ impl<T: Real> KineticGaussians<T> {
             let moved = self.motion.at(step.tape, step.model, &particles, view.time);
             self.count_skipped(step, &particles, &moved);
             let spawned = self.gaussians(step.tape, step.model, &moved, &moment);
-            let rendered = step.render_rows(&spawned.splats, view, spawned.rows())?;
+            let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
             anchors::photometric(step, rendered.color, view, None);
             self.flow_loss(step, &particles, &moved, view, &weights);
             self.displacement_loss(step, &moved, pairs, &weights);
@@ -73,7 +73,7 @@ impl<T: Real> KineticGaussians<T> {
         }
         if let Some(active) = moved.active {
             let kept = total(step.tape, active);
-            step.count_skipped_later("motion outside activation windows", kept, of_them);
+            step.count_skipped_deferred("motion outside activation windows", kept, of_them);
         }
     }
 
@@ -110,7 +110,7 @@ impl<T: Real> KineticGaussians<T> {
         let found = energy_flow(step.tape, step.model, &self.motion, particles, moved, &maps, time_to);
         let (what, count) = ("energy flow of particles not seen", particles.population.rows.len());
         let Some(followed) = found else { return step.count_skipped(what, count, count) };
-        step.count_skipped_later(what, followed.count, count);
+        step.count_skipped_deferred(what, followed.count, count);
         let weight = weights.flow / (step.scene.extent * step.views.len() as f64);
         step.add_loss("energy_flow", weight, followed.distance);
     }

@@ -5,6 +5,7 @@ mod activation;
 mod coherence;
 mod energy_flow;
 mod losses;
+mod neighbors;
 mod particles;
 mod population;
 mod settings;
@@ -19,13 +20,13 @@ use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
-use crate::bases::anchors::{self, AnchorDeformation, AnchorGrowth, FINE, GaussianDeformation, SpawnedGaussians};
+use crate::bases::anchors::{self, AnchorDeformation, AnchoredGaussians, FINE, GaussianDeformation, SpawnedGaussians};
+use crate::data::SceneFacts;
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
-use crate::params::Shared;
+use crate::method::{Base, Method, Moment, Start, Step};
+use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables, belongs};
-use crate::step::Step;
+use crate::shared::Shared;
 use particles::{Moved, ParticleMotion, Particles};
 use population::{DYNAMIC, LatestPopulation};
 use settings::Settings;
@@ -36,12 +37,11 @@ const ACTIVATION: &str = "activation";
 const ENERGY_FLOW: &str = "energy-flow";
 const COHERENCE: &str = "coherence";
 
-/// The folder's entry.
-pub struct Kineticgs;
+/// KineticGS: particles from momentum with windows of activation, on anchors.
+pub(crate) struct Kineticgs;
 
 impl MethodFolder for Kineticgs {
     const NAME: &'static str = "kineticgs";
-    const ABOUT: &'static str = "KineticGS: particles from momentum with windows of activation, on anchors";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -78,6 +78,7 @@ impl MethodFolder for Kineticgs {
 }
 
 struct KineticGaussians<T: Real> {
+    base: AnchoredGaussians,
     shared: Shared,
     settings: Settings,
     motion: ParticleMotion,
@@ -94,7 +95,8 @@ impl<T: Real> KineticGaussians<T> {
         };
         let local = GaussianDeformation::new(&settings.deformation);
         let population = LatestPopulation::default();
-        Self { shared: shared.clone(), settings, motion, local, population }
+        let base = AnchoredGaussians::new(shared, &settings.anchors);
+        Self { base, shared: shared.clone(), settings, motion, local, population }
     }
 
     /// Whether an effect is on; without motion none is.
@@ -115,8 +117,7 @@ impl<T: Real> KineticGaussians<T> {
     /// The Gaussians of a view at a moment.
     fn spawned(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SpawnedGaussians {
         if !self.moves(moment.phase) {
-            let canonical = anchors::Anchors::stored(model);
-            return anchors::spawn(tape, model, &canonical, moment.camera);
+            return self.base.spawn(tape, model, moment.camera);
         }
         let particles = self.particles(tape, model);
         let moved = self.motion.at(tape, model, &particles, moment.time);
@@ -132,8 +133,8 @@ impl<T: Real> KineticGaussians<T> {
 }
 
 impl<T: Real> Method<T> for KineticGaussians<T> {
-    fn phases(&self) -> Vec<Phase> {
-        anchors::phases(&self.shared)
+    fn base(&self) -> &dyn Base<T> {
+        &self.base
     }
 
     fn initialize(
@@ -143,22 +144,20 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        let voxel_size = self.settings.anchors.voxel_size;
-        let mut positions: Vec<[f32; 3]> =
-            anchors::voxels(&points.positions, voxel_size).into_iter().map(|(center, _)| center).collect();
+        let mut positions = self.base.positions(points);
         if self.has(MOMENTUM_INIT) {
             let seeds = start.supplements.particles.as_ref();
             let seeds = &seeds.context("momentum-init is on, but no particles were given")?.points.positions;
             // One particle per voxel, where it was drawn.
-            let particles = anchors::voxels(seeds, voxel_size).into_iter().map(|(_, first)| seeds[first]);
+            let particles =
+                anchors::voxels(seeds, self.settings.anchors.voxel_size).into_iter().map(|(_, first)| seeds[first]);
             let static_count = positions.len();
             positions.extend(particles);
             let flag = |row: usize| if row < static_count { T::ZERO } else { T::ONE };
             let flags = (0..positions.len()).map(flag).collect();
             state.insert(DYNAMIC, Tensor::from_vec([positions.len(), 1], flags));
         }
-        anchors::insert_anchors(&mut state, positions, &self.settings.anchors, start.scene().extent)?;
-        anchors::insert_view_networks(&mut state, &self.settings.anchors, random);
+        self.base.insert(&mut state, positions, start.scene(), random)?;
         Ok(state)
     }
 
@@ -179,12 +178,12 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         Ok(state)
     }
 
-    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if belongs(tensor, activation::ACTIVATION) {
             return Some(self.settings.activation_rate);
         }
-        let anchors = self.settings.anchors.learning_rate(tensor, scene);
-        anchors.or_else(|| self.settings.deformation.learning_rate(tensor, scene))
+        let of_anchors = Method::<T>::base(self).learning_rate(phase, tensor, scene);
+        of_anchors.or_else(|| self.settings.deformation.learning_rate(tensor, scene))
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
@@ -197,10 +196,5 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         if self.moves(step.phase) { self.fine_losses(step) } else { self.coarse_losses(step) }
-    }
-
-    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        let Shared { density, schedule_scale, .. } = &self.shared;
-        vec![Box::new(AnchorGrowth::new(density, &self.settings.anchors, *schedule_scale))]
     }
 }

@@ -14,7 +14,7 @@ use super::activation::Windows;
 use super::population::Population;
 use crate::bases::anchors::{AnchorChange, AnchorDeformation, Anchors};
 use crate::bases::gates::straight_through;
-use crate::state::Variables;
+use crate::model::Variables;
 
 pointwise! {
     /// 1 where a gate is above the threshold, else 0; a NaN is kept, and shows.
@@ -27,7 +27,7 @@ pointwise! {
 }
 
 /// How particles move.
-pub struct ParticleMotion {
+pub(crate) struct ParticleMotion {
     /// The field that moves them.
     pub deformation: AnchorDeformation,
     /// A particle is active where its window is above this (θ_g).
@@ -37,7 +37,7 @@ pub struct ParticleMotion {
 }
 
 /// The particles of a step: what does not depend on the time.
-pub struct Particles<T: Real> {
+pub(crate) struct Particles<T: Real> {
     /// Which anchors they are.
     pub population: Arc<Population<T>>,
     /// [P, 3] canonical, world.
@@ -48,7 +48,7 @@ pub struct Particles<T: Real> {
 
 /// The gates of P particles at one time.
 #[derive(Clone, Copy)]
-pub struct Gates {
+pub(crate) struct Gates {
     /// [P, 1] the window where it is open; 0, without a gradient, where it is not.
     soft: Var,
     /// [P, 1] 1 where it is open, else 0; a NaN is kept, and shows. No gradient flows through it.
@@ -56,7 +56,7 @@ pub struct Gates {
 }
 
 /// All anchors at one time.
-pub struct Moved {
+pub(crate) struct Moved {
     /// With the particles where they are.
     pub anchors: Anchors,
     /// [P, 1] 1 for particles that are active, else 0; `None`: all are.
@@ -67,14 +67,14 @@ pub struct Moved {
 }
 
 /// Which of P particles are computed with.
-pub struct Chosen {
+pub(crate) struct Chosen {
     /// `None`: all.
     some: Option<RowIndex>,
 }
 
 impl Chosen {
     /// Those whose mask [P, 1] is not 0, if it is on the host; all where it is on a GPU, or where there is none.
-    pub fn by<T: Real>(tape: &Tape<T>, mask: Option<Var>) -> Self {
+    pub(crate) fn by<T: Real>(tape: &Tape<T>, mask: Option<Var>) -> Self {
         let Some(mask) = mask.filter(|_| tape.device() == Device::Cpu) else { return Self { some: None } };
         let mask = tape.value(mask).as_slice();
         let kept: Vec<u32> = (0..mask.len() as u32).filter(|&particle| mask[particle as usize] != T::ZERO).collect();
@@ -82,12 +82,12 @@ impl Chosen {
     }
 
     /// Whether nothing is.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.some.as_ref().is_some_and(RowIndex::is_empty)
     }
 
     /// Their rows of x [P, …]: [M, …].
-    pub fn gather<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> Var {
+    pub(crate) fn gather<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> Var {
         self.some.as_ref().map_or(x, |some| gather(tape, x, some))
     }
 
@@ -106,7 +106,7 @@ impl Chosen {
 
 impl ParticleMotion {
     /// The particles of a population, and their windows if `activation` is on.
-    pub fn particles<T: Real>(
+    pub(crate) fn particles<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -125,7 +125,13 @@ impl ParticleMotion {
     ///
     /// Particles outside their windows are where and what they are canonically and pass no gradient; their windows move with
     /// those of their neighbours, by regularisation and coherence.
-    pub fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, particles: &Particles<T>, time: f64) -> Moved {
+    pub(crate) fn at<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        particles: &Particles<T>,
+        time: f64,
+    ) -> Moved {
         let canonical = Anchors::stored(model);
         let gates = self.gates(tape, particles, time);
         let active = gates.map(|gates| gates.active);
@@ -152,7 +158,7 @@ impl ParticleMotion {
     }
 
     /// The gates of all particles at a time; `None` where they have no windows.
-    pub fn gates<T: Real>(&self, tape: &mut Tape<T>, particles: &Particles<T>, time: f64) -> Option<Gates> {
+    pub(crate) fn gates<T: Real>(&self, tape: &mut Tape<T>, particles: &Particles<T>, time: f64) -> Option<Gates> {
         let window = particles.windows?.at(tape, time);
         let active = is_open(tape, window, self.gate_threshold);
         let active = tape.detach(active);
@@ -160,7 +166,7 @@ impl ParticleMotion {
     }
 
     /// [M, 3] where chosen particles are at a time at which these are their gates.
-    pub fn positions_at<T: Real>(
+    pub(crate) fn positions_at<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,

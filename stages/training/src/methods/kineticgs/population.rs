@@ -6,14 +6,14 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use shaders::arrays::rows::RowIndex;
 use shaders::tape::{Real, Tape, Tensor};
 
-use super::coherence::{Pairs, Search};
-use crate::state::Variables;
+use super::neighbors::{Pairs, Search};
+use crate::model::Variables;
 
 /// [N, 1]: 1 for particles, 0 for anchors that stand still; absent where all are particles.
-pub const DYNAMIC: &str = "anchors.dynamic";
+pub(crate) const DYNAMIC: &str = "anchors.dynamic";
 
 /// The particles among N anchors.
-pub struct Population<T: Real> {
+pub(crate) struct Population<T: Real> {
     /// [N, 3] where the anchors are canonically, and which of them are particles.
     positions: Tensor<T>,
     dynamic: Option<Tensor<T>>,
@@ -41,7 +41,7 @@ impl<T: Real> Population<T> {
     }
 
     /// Pairs of neighbouring particles, by cells of this side along a curve; `None` where there are none.
-    pub fn pairs(&self, search: Search, cell_size: f64) -> Option<&Pairs> {
+    pub(crate) fn pairs(&self, search: Search, cell_size: f64) -> Option<&Pairs> {
         let find = || Pairs::new(&search.pairs(&self.canonical(), cell_size), self.rows.len());
         self.pairs[search as usize].get_or_init(find).as_ref()
     }
@@ -54,7 +54,7 @@ impl<T: Real> Population<T> {
 }
 
 /// The population that was asked for last.
-pub struct LatestPopulation<T: Real>(Mutex<Option<Arc<Population<T>>>>);
+pub(crate) struct LatestPopulation<T: Real>(Mutex<Option<Arc<Population<T>>>>);
 
 impl<T: Real> Default for LatestPopulation<T> {
     fn default() -> Self {
@@ -64,7 +64,7 @@ impl<T: Real> Default for LatestPopulation<T> {
 
 impl<T: Real> LatestPopulation<T> {
     /// That of a model: the same as before as long as its tensors are.
-    pub fn of(&self, tape: &Tape<T>, model: &Variables) -> Arc<Population<T>> {
+    pub(crate) fn of(&self, tape: &Tape<T>, model: &Variables) -> Arc<Population<T>> {
         let positions = tape.value(model.get("anchors.positions"));
         let dynamic = model.find(DYNAMIC).map(|var| tape.value(var));
         let mut latest = self.0.lock().unwrap_or_else(PoisonError::into_inner);

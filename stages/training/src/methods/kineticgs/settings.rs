@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::coherence::Neighbors;
+use super::neighbors::Neighbors;
 use super::weights::LossSettings;
 use crate::bases::anchors::{AnchorSettings, DeformationSettings};
 use crate::schedule::LogLinear;
@@ -10,7 +10,7 @@ use crate::schedule::LogLinear;
 /// What only this method understands.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Anchors and their networks.
     pub anchors: AnchorSettings,
     /// The fields that move particles and Gaussians.
@@ -57,7 +57,7 @@ impl Settings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         self.anchors.check()?;
         self.deformation.check()?;
         let good = [

@@ -13,14 +13,10 @@ use shaders::tape::{Device, Var};
 use super::*;
 use crate::bases::anchors::{Anchors, COARSE, DeformationSettings};
 use crate::clock::{ClockReading, PhaseClock};
-use crate::dataset::Dataset;
+use crate::data::{Dataset, NOTHING, ParticleSeeds, Stream, Supplements, ViewConstants, generator};
 use crate::effects::Effects;
-use crate::method::raster_settings;
-use crate::sampler::{Stream, generator};
-use crate::step::{SkippedWork, StepOutcome, run_step};
-use crate::supplements::{NOTHING, ParticleSeeds, Supplements};
-use crate::test_scene::TestScene;
-use crate::view_constants::ViewConstants;
+use crate::method::{Recorded, StepOutcome, raster_settings, run_step};
+use crate::scene_tests::TestScene;
 
 /// The method at the start of a phase on the test scene.
 struct World {
@@ -76,15 +72,11 @@ impl World {
             random: &mut generator(2, Stream::Method),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
-            losses: Vec::new(),
-            renders: Vec::new(),
-            skipped: SkippedWork::new(),
-            kept: Vec::new(),
+            recorded: Recorded::default(),
         };
         let outcome = run_step(&self.method, step).unwrap();
-        // What is kept is known here.
-        let skipped = outcome.look().1;
-        let outcome = StepOutcome { skipped, kept: Vec::new(), ..outcome };
+        let skipped = outcome.read_back().1;
+        let outcome = StepOutcome { skipped, deferred: Vec::new(), ..outcome };
         let operations = tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum();
         (outcome, operations)
     }

@@ -10,7 +10,7 @@ const FLOW_LEFT: f64 = 1e-2;
 /// Weights of the losses beyond the photometric one, and their schedule in iterations of `fine`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LossSettings {
+pub(crate) struct LossSettings {
     /// Of the energy-flow loss (λ_flow); lengths are shares of the scene's extent.
     pub flow: f64,
     /// Of the spread of activation windows (λ_reg).
@@ -33,7 +33,7 @@ impl Default for LossSettings {
 
 /// The weights at one iteration; 0 where a loss is not evaluated.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weights {
+pub(crate) struct Weights {
     /// λ_flow.
     pub flow: f64,
     /// λ_reg.
@@ -44,7 +44,7 @@ pub struct Weights {
 
 impl LossSettings {
     /// The weights at an iteration of `fine`, counted from 1, with the schedule stretched by `schedule_scale`.
-    pub fn at(&self, iteration: u64, schedule_scale: f64) -> Weights {
+    pub(crate) fn at(&self, iteration: u64, schedule_scale: f64) -> Weights {
         let [ramp, fades_from, ends] =
             [self.ramp, self.flow_fades_from, self.flow_ends].map(|at| stretch(at, schedule_scale));
         let grown = if ramp == 0 { 1.0 } else { (iteration as f64 / ramp as f64).min(1.0) };
@@ -58,7 +58,7 @@ impl LossSettings {
     }
 
     /// Whether weights and schedule can work.
-    pub fn works(&self) -> bool {
+    pub(crate) fn works(&self) -> bool {
         [self.flow, self.activation, self.coherence].iter().all(|&weight| weight >= 0.0 && weight.is_finite())
             && self.flow_fades_from <= self.flow_ends
     }

@@ -11,23 +11,18 @@ mod tokens;
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use scene::cloud::PointCloud;
-use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
-use crate::bases::stillness::{self, SKIP_STILL};
-use crate::coarse::CoarseSharing;
+use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::data::{SceneFacts, Supplements};
 use crate::effects::{Effect, Need};
-use crate::language::Language;
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
-use crate::params::Shared;
-use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables, belongs};
-use crate::step::Step;
-use crate::supplements::Supplements;
+use crate::method::{Base, CoarseSharing, Language, Method, Start, Step, StepHook};
+use crate::model::{ModelState, Variables, belongs};
+use crate::schedule::{LogLinear, Phase, stretch};
+use crate::shared::Shared;
 use settings::L4dgsSettings;
 use teacher::{TEACHER, TEXT, Teacher, prompt_embeddings};
 
@@ -36,12 +31,11 @@ const SEMANTICS: &str = "gaussians.semantics";
 /// Standard deviation of their first values.
 const FIRST_SEMANTICS: f64 = 0.01;
 
-/// The folder's entry.
-pub struct L4dgs;
+/// 4DGaussians guided by language: semantic features follow a frozen teacher (L4DGS).
+pub(crate) struct L4dgs;
 
 impl MethodFolder for L4dgs {
     const NAME: &'static str = "l4dgs";
-    const ABOUT: &'static str = "4DGaussians guided by language: semantic features follow a frozen teacher (L4DGS)";
     type Settings = L4dgsSettings;
 
     fn shared_defaults() -> Shared {
@@ -175,19 +169,14 @@ impl LanguageGuided {
 }
 
 impl<T: Real> Method<T> for LanguageGuided {
-    /// `coarse` is the base's; `teacher` comes only where something asks the teacher.
-    fn phases(&self) -> Vec<Phase> {
-        let teacher = self.on.teacher().then(|| self.base.phase(TEACHER));
-        [Some(self.base.phase(COARSE)), teacher, Some(self.base.phase(FINE))].into_iter().flatten().collect()
+    fn base(&self) -> &dyn Base<T> {
+        &self.base
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        self.base.initialize(start.scene(), points)
+    /// The base's phases, with `teacher` between them if any loss reads the teacher.
+    fn phases(&self) -> Vec<Phase> {
+        let teacher = self.on.teacher().then_some(TEACHER);
+        [Some(COARSE), teacher, Some(FINE)].into_iter().flatten().map(|name| self.shared.phase(name)).collect()
     }
 
     fn enter_phase(
@@ -212,13 +201,9 @@ impl<T: Real> Method<T> for LanguageGuided {
         match (phase == TEACHER, belongs(tensor, TEACHER)) {
             (true, true) => (tensor != TEXT).then(|| LogLinear::constant(self.settings.teacher.rate)),
             (false, false) if tensor == SEMANTICS => Some(LogLinear::constant(self.settings.semantic_rate)),
-            (false, false) => self.base.learning_rate(tensor, scene),
+            (false, false) => Method::<T>::base(self).learning_rate(phase, tensor, scene),
             _ => None,
         }
-    }
-
-    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
-        Ok(self.base.splats(tape, model, moment))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
@@ -227,13 +212,13 @@ impl<T: Real> Method<T> for LanguageGuided {
             return Ok(());
         }
         self.image_losses(step)?;
-        stillness::count_skipped(step);
+        static_mask::count_skipped(step);
         self.base.regularize(step);
         Ok(())
     }
 
-    fn population_controls(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        if phase == TEACHER { Vec::new() } else { self.base.population_controls() }
+    fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+        if phase == TEACHER { Vec::new() } else { Method::<T>::base(self).hooks(phase, scene) }
     }
 
     fn language(&self) -> Option<&dyn Language<T>> {

@@ -5,7 +5,7 @@ use crate::bases::hexplane::HexplaneSettings;
 /// The base, the teacher and the semantic losses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct L4dgsSettings {
+pub(crate) struct L4dgsSettings {
     /// Field, network and their training.
     pub hexplane: HexplaneSettings,
     /// What the semantic features of the Gaussians are taught by.
@@ -29,7 +29,7 @@ pub struct L4dgsSettings {
 /// The central-difference network, the attention and the decoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct TeacherSettings {
+pub(crate) struct TeacherSettings {
     /// Image pixels per token, at least.
     pub pixels_per_token: usize,
     /// Tokens along the longer side of the image, at most.
@@ -57,7 +57,7 @@ pub struct TeacherSettings {
 /// The weights of equations 3 to 10.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LossWeights {
+pub(crate) struct LossWeights {
     /// Of all semantic and depth losses together.
     pub semantics: f64,
     /// λ: of the angle between features, equations 3 and 4.
@@ -152,7 +152,7 @@ impl L4dgsSettings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         self.hexplane.check()?;
         let TeacherSettings { pixels_per_token, tokens_per_side, channels, theta, width, heads, .. } = self.teacher;
         let TeacherSettings { top_k, text_top_k, features, decoder_width, rate, .. } = self.teacher;

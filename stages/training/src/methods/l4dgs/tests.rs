@@ -6,11 +6,10 @@ use shaders::tape::Device;
 
 use super::*;
 use crate::artifact::Model;
-use crate::dataset::Dataset;
+use crate::data::{Dataset, FeatureTokens, Supplements};
 use crate::params::TrainingParams;
 use crate::player::Player;
-use crate::supplements::{FeatureTokens, Supplements};
-use crate::test_scene::TestScene;
+use crate::scene_tests::TestScene;
 use crate::trainer::Trainer;
 use tokens::{CELLS, TokenGrid};
 
@@ -27,7 +26,7 @@ fn train(dataset: &Dataset, supplements: &Supplements, params: Value) -> (Model,
     while !trainer.is_done() {
         trainer.advance().unwrap();
     }
-    let operations = trainer.report().kernels.into_keys().collect();
+    let operations = trainer.report().kernels_ms.into_keys().collect();
     (trainer.finish().unwrap(), operations)
 }
 
@@ -288,7 +287,7 @@ fn the_teacher_sees_equal_images_equally_and_different_ones_differently() {
     let settings = L4dgsSettings::tiny().teacher;
     let teacher = Teacher::new(&settings);
     let mut state = ModelState::<f64>::new();
-    teacher.insert(&mut state, None, None, &mut crate::sampler::generator(1, crate::sampler::Stream::Method));
+    teacher.insert(&mut state, None, None, &mut crate::data::generator(1, crate::data::Stream::Method));
     let lesson = |shift: usize| {
         let mut tape = Tape::new(Device::Cpu);
         let model = state.bind(&mut tape, |_| false);

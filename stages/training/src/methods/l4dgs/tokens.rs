@@ -8,18 +8,18 @@ use super::settings::TeacherSettings;
 
 /// Cells along each side of a token: a token's depth is the vector of its cells' depths, and the teacher sees the image
 /// at one pixel per cell.
-pub const CELLS: usize = 4;
+pub(crate) const CELLS: usize = 4;
 
 /// Rows and columns of tokens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TokenGrid {
+pub(crate) struct TokenGrid {
     pub rows: usize,
     pub columns: usize,
 }
 
 impl TokenGrid {
     /// Tokens as square as the image allows.
-    pub fn of_image(height: usize, width: usize, settings: &TeacherSettings) -> Self {
+    pub(crate) fn of_image(height: usize, width: usize, settings: &TeacherSettings) -> Self {
         let longer = height.max(width);
         let along_longer = (longer / settings.pixels_per_token).clamp(1, settings.tokens_per_side);
         let along = |pixels: usize| ((2 * pixels * along_longer + longer) / (2 * longer)).max(1);
@@ -27,24 +27,24 @@ impl TokenGrid {
     }
 
     /// Tokens in all.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.rows * self.columns
     }
 
     /// [tokens, C]: the mean of an image [H, W, C] over every token.
-    pub fn pool<T: Real>(&self, tape: &mut Tape<T>, image: Var) -> Var {
+    pub(crate) fn pool<T: Real>(&self, tape: &mut Tape<T>, image: Var) -> Var {
         let channels = tape.value(image).shape()[2];
         let pooled = average_pool(tape, image, self.rows, self.columns);
         reshape(tape, pooled, [self.count(), channels])
     }
 
     /// The image at one pixel per cell, [CELLS·rows, CELLS·columns, C].
-    pub fn cell_image<T: Real>(&self, tape: &mut Tape<T>, image: Var) -> Var {
+    pub(crate) fn cell_image<T: Real>(&self, tape: &mut Tape<T>, image: Var) -> Var {
         average_pool(tape, image, CELLS * self.rows, CELLS * self.columns)
     }
 
     /// [tokens·CELLS², 1]: the mean of a map [H, W] over every cell, token by token.
-    pub fn cells<T: Real>(&self, tape: &mut Tape<T>, map: Var) -> Var {
+    pub(crate) fn cells<T: Real>(&self, tape: &mut Tape<T>, map: Var) -> Var {
         let &[height, width] = tape.value(map).shape() else { panic!("a map of cells must be [H, W]") };
         let map = reshape(tape, map, [height, width, 1]);
         let pooled = self.cell_image(tape, map);
@@ -53,7 +53,7 @@ impl TokenGrid {
     }
 
     /// As [`TokenGrid::cells`] for values that are not on a tape: [tokens·CELLS²].
-    pub fn cell_values<T: Real>(&self, height: usize, width: usize, values: Vec<T>) -> Tensor<T> {
+    pub(crate) fn cell_values<T: Real>(&self, height: usize, width: usize, values: Vec<T>) -> Tensor<T> {
         let mut tape = Tape::new(shaders::tape::Device::Cpu);
         let map = tape.constant(Tensor::from_vec([height, width], values));
         let cells = self.cells(&mut tape, map);

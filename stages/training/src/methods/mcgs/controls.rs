@@ -1,33 +1,23 @@
 //! What changes from step to step without being learnt, kept in the model so that a checkpoint and a render know it: the
 //! shares of the mixture, what is left of the noise, and how visible every node is.
 
-use rand_chacha::ChaCha8Rng;
-use serde_json::Value;
 use shaders::arrays::rows::{columns, concat_columns};
 use shaders::geometry::neighbor_blend::{Neighbors, blend};
 use shaders::pointwise;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::settings::Settings;
+use super::{NOISE, SHARES, VISIBILITY};
 use crate::bases::gaussians::{GAUSSIANS, SEEN_COUNT, Statistics};
-use crate::method::{PopulationControl, SceneFacts};
-use crate::optimizer::Optimizer;
+use crate::method::{AfterStep, ScreenStats, StepHook};
+use crate::model::ModelState;
 use crate::schedule::stretch;
-use crate::screen::Screen;
-use crate::state::ModelState;
-
-/// [2]: λ_pos and λ_rot.
-pub const SHARES: &str = "mixing.shares";
-/// [1]: what is left of the noise, 1 to 0.
-pub const NOISE: &str = "mixing.noise";
-/// [M, 1]: a running mean of the share of a node's Gaussians that a step's view saw, 1 at first.
-pub const VISIBILITY: &str = "nodes.visibility";
 
 /// What one step counts in the running mean: the memory is of a hundred views, about one round through a capture.
 const STEP_SHARE: f64 = 0.01;
 
 /// Adds the tensors of this module.
-pub fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise: bool) -> anyhow::Result<()> {
+pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise: bool) -> anyhow::Result<()> {
     state.insert(SHARES, Tensor::full([2], T::from_f64(settings.mixing.first)));
     if has_noise {
         let nodes = state.get("nodes.positions")?.rows();
@@ -39,7 +29,7 @@ pub fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise
 
 /// Raises the shares and lowers the noise, evenly.
 #[derive(Clone)]
-pub struct Ramp {
+pub(crate) struct Ramp {
     shares: [f64; 3],
     shares_until: u64,
     noise_until: u64,
@@ -47,7 +37,7 @@ pub struct Ramp {
 
 impl Ramp {
     /// For a phase that begins after `steps_before` steps of the same schedule.
-    pub fn new(settings: &Settings, steps_before: u64, schedule_scale: f64) -> Self {
+    pub(crate) fn new(settings: &Settings, steps_before: u64, schedule_scale: f64) -> Self {
         let left = |until: u64| stretch(until.saturating_sub(steps_before), schedule_scale).max(1);
         let mixing = &settings.mixing;
         Self {
@@ -69,24 +59,8 @@ impl Ramp {
     }
 }
 
-impl PopulationControl for Ramp {
-    fn watches(&self, _iteration: u64) -> bool {
-        false
-    }
-
-    fn observe(&mut self, _screen: &Screen<'_>) {}
-
-    fn judges(&self, _iteration: u64) -> bool {
-        false
-    }
-
-    fn act(
-        &mut self,
-        iteration: u64,
-        optimizer: &mut Optimizer,
-        _scene: &SceneFacts,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<()> {
+impl StepHook for Ramp {
+    fn after_step(&mut self, AfterStep { iteration, optimizer, .. }: AfterStep<'_>) -> anyhow::Result<()> {
         let shares = self.shares_at(iteration).map(|share| share as f32);
         optimizer.edit(SHARES, |values| values.copy_from_slice(&shares))?;
         if optimizer.tensor(NOISE).is_ok() {
@@ -94,71 +68,45 @@ impl PopulationControl for Ramp {
         }
         Ok(())
     }
-
-    fn save(&self) -> Value {
-        Value::Null
-    }
-
-    fn restore(&mut self, _saved: Value) -> anyhow::Result<()> {
-        Ok(())
-    }
 }
 
 /// Follows how much of every node's Gaussians is seen.
 #[derive(Clone)]
-pub struct Visibility {
+pub(crate) struct Visibility {
     per_gaussian: usize,
     /// The step after which nobody asks any more.
     noise_until: u64,
-    /// [N, 3] statistics of the step before [`PopulationControl::act`] alone: its second column is 1 for what was seen.
+    /// [N, 3] statistics of the latest step alone: the second column is 1 for visible Gaussians.
     seen: Option<Statistics>,
 }
 
 impl Visibility {
     /// For Gaussians that follow so many nodes, as long as a ramp has noise left.
-    pub fn new(per_gaussian: usize, ramp: &Ramp) -> Self {
+    pub(crate) fn new(per_gaussian: usize, ramp: &Ramp) -> Self {
         Self { per_gaussian, noise_until: ramp.noise_until, seen: None }
     }
 }
 
-impl PopulationControl for Visibility {
-    fn watches(&self, iteration: u64) -> bool {
+impl StepHook for Visibility {
+    fn observes_at(&self, iteration: u64) -> bool {
         iteration < self.noise_until
     }
 
-    fn observe(&mut self, screen: &Screen<'_>) {
-        if screen.population == GAUSSIANS {
+    fn observe(&mut self, stats: &ScreenStats<'_>) {
+        if stats.population == GAUSSIANS {
             let mut seen = Statistics::default();
-            seen.observe(screen);
+            seen.observe(stats);
             self.seen = Some(seen);
         }
     }
 
-    fn judges(&self, _iteration: u64) -> bool {
-        false
-    }
-
-    fn act(
-        &mut self,
-        _iteration: u64,
-        optimizer: &mut Optimizer,
-        _scene: &SceneFacts,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<()> {
+    fn after_step(&mut self, AfterStep { optimizer, .. }: AfterStep<'_>) -> anyhow::Result<()> {
         let Some(seen) = self.seen.take() else { return Ok(()) };
         let [gaussians, nodes, before] =
             ["gaussians.positions", "nodes.positions", VISIBILITY].map(|name| optimizer.tensor(name));
         let neighbors = Neighbors::nearest(gaussians?, nodes?, self.per_gaussian);
         let after = followed(seen.tensor(), before?, &neighbors);
         optimizer.set_values(VISIBILITY, after)
-    }
-
-    fn save(&self) -> Value {
-        Value::Null
-    }
-
-    fn restore(&mut self, _saved: Value) -> anyhow::Result<()> {
-        Ok(())
     }
 }
 

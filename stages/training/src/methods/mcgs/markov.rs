@@ -11,12 +11,12 @@ use shaders::networks::linear::Activation;
 use shaders::pointwise::{add, relu, scale};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::motion::{NETWORK, NodeMotion, frame_interval};
+use super::node_motion::{NETWORK, NodeMotion, frame_interval};
 use crate::bases::bounds;
 use crate::bases::control_nodes::identity_rotations;
 use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix, normal};
-use crate::method::SceneFacts;
-use crate::state::{ModelState, Variables};
+use crate::data::SceneFacts;
+use crate::model::{ModelState, Variables};
 
 /// Columns of a state: position and quaternion.
 const STATE: usize = 7;
@@ -28,7 +28,7 @@ const FIRST_EMBEDDING: f64 = 0.5;
 /// Sizes of the chain.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct ChainSettings {
+pub(crate) struct ChainSettings {
     /// States that are looked back on.
     pub window: usize,
     /// Width of the encoder, of the attention and of the predictor.
@@ -47,7 +47,7 @@ impl Default for ChainSettings {
 
 impl ChainSettings {
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             ((1..=1024).contains(&self.window), "chain.window must be 1 to 1024"),
             ((1..=4096).contains(&self.width), "chain.width must be 1 to 4096"),
@@ -58,27 +58,27 @@ impl ChainSettings {
 }
 
 /// Encoder, attention and predictor; tensors are called `chain.…`.
-pub struct Chain {
+pub(crate) struct Chain {
     settings: ChainSettings,
     attends: bool,
 }
 
 impl Chain {
     /// The name of the network.
-    pub const NAME: &'static str = "chain";
+    pub(crate) const NAME: &'static str = "chain";
 
     /// A chain that looks back over its window if it `attends`, else at the last state alone.
-    pub fn new(settings: &ChainSettings, attends: bool) -> Self {
+    pub(crate) fn new(settings: &ChainSettings, attends: bool) -> Self {
         Self { settings: settings.clone(), attends }
     }
 
     /// States that a prediction looks back on.
-    pub fn window(&self) -> usize {
+    pub(crate) fn window(&self) -> usize {
         if self.attends { self.settings.window } else { 1 }
     }
 
     /// Adds all layers; the predictor's last one starts at zero, so that a node stays where it was.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
         let width = self.settings.width;
         for (layer, inputs) in [STATE, width].into_iter().enumerate() {
             insert_layer(state, &format!("chain.encoder.{layer}"), inputs, width, FirstWeights::FanIn, random);
@@ -107,7 +107,7 @@ impl Chain {
     ///
     /// The network speaks of both in what a frame is of the capture's duration, and of lengths in the scene's extent:
     /// within a frame little happens, and an output of the order of 1 would throw nodes across the scene.
-    pub fn predict<T: Real>(
+    pub(crate) fn predict<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,

@@ -3,6 +3,7 @@
 mod controls;
 mod markov;
 mod motion;
+mod node_motion;
 mod noise;
 mod physics;
 mod settings;
@@ -11,7 +12,6 @@ mod tests;
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
-use scene::cloud::PointCloud;
 use shaders::arrays::rows::{RowIndex, gather};
 use shaders::pointwise::add;
 use shaders::rasteriser::SplatVars;
@@ -21,26 +21,33 @@ use super::MethodFolder;
 use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
 use crate::bases::control_nodes::{Rigidity, farthest_points, insert_nodes, published_decay, rows_of, sides};
 use crate::bases::gaussians::{self, GAUSSIANS, logit};
-use crate::bases::stillness::{self, SKIP_STILL};
+use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::data::SceneFacts;
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, photometric_losses};
-use crate::params::Shared;
+use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
+use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::shared::Shared;
 use controls::{Ramp, Visibility};
-use motion::{NodeMotion, Nodes};
+use motion::Nodes;
+use node_motion::{NodeMotion, Predictions, frame_interval};
 use settings::Settings;
+
+/// [2]: λ_pos and λ_rot.
+const SHARES: &str = "mixing.shares";
+/// [1]: what is left of the noise, 1 to 0.
+const NOISE: &str = "mixing.noise";
+/// [M, 1]: a running mean of the share of a node's Gaussians that a step's view saw, 1 at first.
+const VISIBILITY: &str = "nodes.visibility";
 
 /// Gaussians fainter than this do not become nodes: they mark no surface.
 const MIN_NODE_OPACITY: f64 = 0.1;
 
-/// The folder's entry.
-pub struct Mcgs;
+/// MCGS: control nodes whose motion follows a Markov chain.
+pub(crate) struct Mcgs;
 
 impl MethodFolder for Mcgs {
     const NAME: &'static str = "mcgs";
-    const ABOUT: &'static str = "MCGS: control nodes whose motion follows a Markov chain";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -60,7 +67,11 @@ impl MethodFolder for Mcgs {
             effect("attention", "the chain looks back over a window of states, not at the last one alone", OF_MOTION),
             effect("noise", "annealed noise on predicted motion, more where nodes are seldom seen", OF_MOTION),
             effect("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
-            effect("physics", "nodes avoid acceleration and haste", &[Need::Times(3), Need::Effect("motion")]),
+            effect(
+                "physics",
+                "penalties on the acceleration and the speed of nodes",
+                &[Need::Times(3), Need::Effect("motion")],
+            ),
         ]
     }
 
@@ -101,19 +112,8 @@ struct MarkovGaussians {
 }
 
 impl<T: Real> Method<T> for MarkovGaussians {
-    fn phases(&self) -> Vec<Phase> {
-        [WARM_UP, ALL].map(|name| self.canonical.phase(name)).to_vec()
-    }
-
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        let mut state = ModelState::new();
-        self.canonical.insert(&mut state, start.scene(), points)?;
-        Ok(state)
+    fn base(&self) -> &dyn Base<T> {
+        &self.canonical
     }
 
     fn enter_phase(
@@ -127,18 +127,18 @@ impl<T: Real> Method<T> for MarkovGaussians {
             self.choose_nodes(&mut state)?;
             self.nodes.insert(&mut state, &start.initial_points(&self.shared)?, random);
             controls::insert(&mut state, &self.settings, self.has_noise)?;
-            stillness::insert(&mut state, &self.shared.effects, start)?;
+            static_mask::insert(&mut state, &self.shared.effects, start)?;
         }
         Ok(state)
     }
 
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         let of_nodes = || Some(self.nodes.learning_rate(tensor)?.after(self.canonical.iterations(WARM_UP)));
-        self.canonical.learning_rate(phase, tensor, scene).or_else(of_nodes)
+        Method::<T>::base(self).learning_rate(phase, tensor, scene).or_else(of_nodes)
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
-        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
+        let canonical = self.canonical.splats(tape, model, moment)?;
         if !self.moves || moment.phase == WARM_UP {
             return Ok(canonical);
         }
@@ -151,31 +151,31 @@ impl<T: Real> Method<T> for MarkovGaussians {
         if !self.moves || step.phase == WARM_UP {
             return photometric_losses(self, step);
         }
-        stillness::count_skipped(step);
+        static_mask::count_skipped(step);
         for view in step.views {
             step.clock.enter("motion");
             let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);
             let motion = self.training_motion(step, view.time);
             let splats = self.nodes.carry(step.tape, step.model, canonical, &motion);
-            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
+            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
         }
         Ok(())
     }
 
-    fn population_controls(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        let mut controls: Vec<Box<dyn PopulationControl>> = Vec::new();
+    fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+        let mut hooks: Vec<Box<dyn StepHook>> = Vec::new();
         if self.moves && phase == ALL {
             let scale = self.shared.schedule_scale;
             let before = self.canonical.iterations(WARM_UP);
             let ramp = Ramp::new(&self.settings, before, scale);
             let visibility = self.has_noise.then(|| Visibility::new(self.settings.nodes.per_gaussian, &ramp));
-            controls.push(Box::new(ramp));
-            controls.extend(visibility.map(|control| Box::new(control) as Box<dyn PopulationControl>));
+            hooks.push(Box::new(ramp));
+            hooks.extend(visibility.map(|hook| Box::new(hook) as Box<dyn StepHook>));
         }
-        // Last: it changes the number of Gaussians that the others look at.
-        controls.push(self.canonical.population_control(phase, scene));
-        controls
+        // Density control comes last: it changes the number of Gaussians, which the other hooks have observed.
+        hooks.extend(Method::<T>::base(self).hooks(phase, scene));
+        hooks
     }
 }
 
@@ -206,7 +206,7 @@ impl MarkovGaussians {
             return self.nodes.direct(step.tape, step.model, &[time]);
         }
         step.count_skipped("chain in views of the direct branch", 0, 1);
-        let frame = motion::frame_interval(step.scene);
+        let frame = frame_interval(step.scene);
         let has_neighbors = time - frame >= 0.0 && time + frame <= 1.0;
         let weight = self.rigidity_weight(step.iteration);
         if !has_neighbors || !(self.has_physics || weight > 0.0) {
@@ -233,7 +233,7 @@ impl MarkovGaussians {
     }
 
     /// The mixture of direct and predicted motion, with noise on what was predicted where the scene calls for it.
-    fn noisy<T: Real>(&self, step: &mut Step<'_, T>, predictions: &motion::Predictions) -> NodeMotion {
+    fn noisy<T: Real>(&self, step: &mut Step<'_, T>, predictions: &Predictions) -> NodeMotion {
         let predictions = match self.has_noise {
             true => noise::disturb(step, predictions, &self.settings.noise),
             false => *predictions,

@@ -7,62 +7,27 @@ use shaders::geometry::neighbor_blend::{Neighbors, blend, weights};
 use shaders::geometry::quaternion;
 use shaders::pointwise::{add, mix};
 use shaders::rasteriser::SplatVars;
-use shaders::tape::{Real, Tape, Tensor, Var};
+use shaders::tape::{Real, Tape, Tensor};
 
+use super::SHARES;
 use super::markov::Chain;
+use super::node_motion::{NETWORK, NodeMotion, Predictions, frame_interval};
 use super::settings::Settings;
 use crate::bases::canonical::{Moved, moved, scales_and_rotations};
 use crate::bases::control_nodes::{NODES, identity_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::layers::FirstWeights;
-use crate::bases::stillness;
-use crate::method::SceneFacts;
+use crate::bases::static_mask;
+use crate::data::SceneFacts;
+use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables, belongs};
-
-/// The network of the direct branch.
-pub const NETWORK: &str = "network";
 
 /// What the direct branch says; next to no motion at first.
 const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
 
-/// Changes of nodes against the canonical moment, time by time where there are several.
-#[derive(Clone, Copy, Debug)]
-pub struct NodeMotion {
-    /// [T·M, 3], scene units.
-    pub translations: Var,
-    /// [T·M, 4] unit quaternions.
-    pub rotations: Var,
-}
-
-/// What both branches say of the same nodes and times.
-#[derive(Clone, Copy, Debug)]
-pub struct Predictions {
-    /// From where and when alone (equations 8 and 9).
-    pub direct: NodeMotion,
-    /// From the states before (equation 5).
-    pub chained: NodeMotion,
-}
-
-impl Predictions {
-    /// Every tensor mapped.
-    pub fn map(&self, mut f: impl FnMut(Var) -> Var) -> Self {
-        let mut both = |NodeMotion { translations, rotations }| NodeMotion {
-            translations: f(translations),
-            rotations: f(rotations),
-        };
-        Self { direct: both(self.direct), chained: both(self.chained) }
-    }
-}
-
-/// The time from one frame to the next, in shares of the whole time.
-pub fn frame_interval(scene: &SceneFacts) -> f64 {
-    1.0 / scene.time_count.saturating_sub(1).max(1) as f64
-}
-
 /// The nodes with both branches.
-pub struct Nodes {
+pub(crate) struct Nodes {
     settings: Settings,
     network: CoordinateMlp,
     chain: Chain,
@@ -70,20 +35,20 @@ pub struct Nodes {
 
 impl Nodes {
     /// With the method's settings.
-    pub fn new(settings: &Settings, attends: bool) -> Self {
+    pub(crate) fn new(settings: &Settings, attends: bool) -> Self {
         let heads = [TRANSLATION, ROTATION];
         let network = CoordinateMlp::new(NETWORK, &settings.network, FirstWeights::FanIn, &heads);
         Self { settings: settings.clone(), network, chain: Chain::new(&settings.chain, attends) }
     }
 
     /// Adds both branches for a scene with these points.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
         self.network.insert(state, points, random);
         self.chain.insert(state, random);
     }
 
     /// Step sizes of nodes and branches.
-    pub fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
+    pub(crate) fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
         let is_learnt = ["nodes.positions", "nodes.log_radii"].contains(&tensor);
         let of_nodes = || is_learnt.then_some(self.settings.nodes.rate);
         let of_chain = || belongs(tensor, Chain::NAME).then_some(self.settings.network.rate);
@@ -94,7 +59,7 @@ impl Nodes {
     ///
     /// The states that the chain looks back on are the direct branch's, so that any time can be asked for by itself; they
     /// are held fixed. Times before the start are the start's.
-    pub fn predict<T: Real>(
+    pub(crate) fn predict<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -119,7 +84,7 @@ impl Nodes {
     }
 
     /// The direct branch at every time.
-    pub fn direct<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, times: &[f64]) -> NodeMotion {
+    pub(crate) fn direct<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, times: &[f64]) -> NodeMotion {
         let hidden = self.network.hidden(tape, model, model.get("nodes.positions"), times);
         let translations = self.network.lengths(tape, model, TRANSLATION.name, hidden);
         let turns = self.network.head(tape, model, ROTATION.name, hidden);
@@ -129,9 +94,9 @@ impl Nodes {
     }
 
     /// (1 − λ)·direct + λ·chained, spherically for rotations (equations 10 and 11).
-    pub fn mix<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, predictions: &Predictions) -> NodeMotion {
+    pub(crate) fn mix<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, predictions: &Predictions) -> NodeMotion {
         let Predictions { direct, chained } = predictions;
-        let shares = tape.value(model.get(super::controls::SHARES)).as_slice().to_vec();
+        let shares = tape.value(model.get(SHARES)).as_slice().to_vec();
         let rows = tape.value(direct.rotations).rows();
         let of_rotation = tape.constant(Tensor::full([rows, 1], shares[1]));
         NodeMotion {
@@ -141,7 +106,7 @@ impl Nodes {
     }
 
     /// Motions of several times, one by one.
-    pub fn split<T: Real>(&self, tape: &mut Tape<T>, motions: &NodeMotion, times: usize) -> Vec<NodeMotion> {
+    pub(crate) fn split<T: Real>(&self, tape: &mut Tape<T>, motions: &NodeMotion, times: usize) -> Vec<NodeMotion> {
         let nodes = tape.value(motions.translations).rows() / times;
         let part = |time: usize| {
             let index = RowIndex::new(rows(time * nodes, nodes), times * nodes);
@@ -152,14 +117,14 @@ impl Nodes {
     }
 
     /// The Gaussians where their nodes take them: x + Σ wₖ·Δμₖ and Δq⊗q, Δq the blend of the nodes' rotations.
-    pub fn carry<T: Real>(
+    pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
         canonical: SplatVars,
         motion: &NodeMotion,
     ) -> SplatVars {
-        stillness::move_some(tape, model, canonical, |tape, some, _| self.carry_all(tape, model, some, motion))
+        static_mask::move_some(tape, model, canonical, |tape, some, _| self.carry_all(tape, model, some, motion))
     }
 
     fn carry_all<T: Real>(

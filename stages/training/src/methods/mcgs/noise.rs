@@ -8,14 +8,14 @@ use shaders::pointwise;
 use shaders::pointwise::{add, scale, shift};
 use shaders::tape::{Real, Tensor};
 
-use super::controls::{NOISE, VISIBILITY};
-use super::motion::{NodeMotion, Predictions};
-use crate::step::Step;
+use super::node_motion::{NodeMotion, Predictions};
+use super::{NOISE, VISIBILITY};
+use crate::method::Step;
 
 /// How strong, and until when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct NoiseSettings {
+pub(crate) struct NoiseSettings {
     /// First standard deviation of positions, as a share of the scene's extent.
     pub position: f64,
     /// First standard deviation of quaternions.
@@ -32,7 +32,11 @@ impl Default for NoiseSettings {
 
 /// Δμ + η·N(0, σ²) and SLERP(Δq, Δq + N(0, σ²), η_q) of the chained motion of one time; η = 1 + 2(1 − visibility) per node,
 /// η_q half of it, at most 1.
-pub fn disturb<T: Real>(step: &mut Step<'_, T>, predictions: &Predictions, settings: &NoiseSettings) -> Predictions {
+pub(crate) fn disturb<T: Real>(
+    step: &mut Step<'_, T>,
+    predictions: &Predictions,
+    settings: &NoiseSettings,
+) -> Predictions {
     let left = step.tape.value(step.model.get(NOISE)).as_slice()[0].to_f64();
     if left == 0.0 {
         return *predictions;

@@ -1,4 +1,4 @@
-//! Nodes avoid acceleration and haste (equations 17 to 19).
+//! Penalties on the acceleration and the speed of nodes (equations 17 to 19).
 
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::row_sum;
@@ -7,31 +7,32 @@ use shaders::geometry::quaternion;
 use shaders::pointwise::{add, magnitude, scale, square, sub};
 use shaders::tape::{Real, Tape, Var};
 
-use super::motion::{NodeMotion, frame_interval};
-use crate::step::Step;
+use super::node_motion::{NodeMotion, frame_interval};
+use crate::method::Step;
 
 /// Weights, once lengths per frame are measured in scene extents per duration of the capture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct PhysicsSettings {
+pub(crate) struct PhysicsSettings {
     /// λ_a, of acceleration.
     pub acceleration: f64,
-    /// λ_s, of haste. It draws towards no motion, so it must be small.
-    pub haste: f64,
-    /// α, of turning within haste.
+    /// λ_s, weight of the speed penalty. It pulls towards no motion, so it must be small.
+    #[serde(rename = "haste")]
+    pub speed_penalty: f64,
+    /// α, share of the angular speed in the speed penalty.
     pub turning: f64,
 }
 
 impl Default for PhysicsSettings {
     fn default() -> Self {
-        Self { acceleration: 1e-3, haste: 1e-4, turning: 0.1 }
+        Self { acceleration: 1e-3, speed_penalty: 1e-4, turning: 0.1 }
     }
 }
 
 /// λ_a·mean ‖μ₊ − 2μ + μ₋‖² / u² + λ_s·(mean ‖μ₊ − μ‖₁ / u + α·mean ‖q₊ − q‖₁) over the nodes at three frames; what
 /// moves by the scene's extent while the capture lasts moves by u per frame. A unit that shrank with the motion would pull
 /// the harder the less moves.
-pub fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSettings, frames: &[NodeMotion]) {
+pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSettings, frames: &[NodeMotion]) {
     let [before, now, after] = frames else { unreachable!("three frames") };
     let per_unit = 1.0 / (step.scene.extent * frame_interval(step.scene));
     let tape = &mut *step.tape;
@@ -43,18 +44,18 @@ pub fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSettings, f
     let acceleration = mean_over_rows(tape, squares);
     let acceleration = scale(tape, acceleration, per_unit * per_unit);
 
-    let haste = magnitude(tape, leaving);
-    let haste = mean_over_rows(tape, haste);
-    let haste = scale(tape, haste, per_unit);
+    let speed = magnitude(tape, leaving);
+    let speed = mean_over_rows(tape, speed);
+    let speed = scale(tape, speed, per_unit);
     let next = quaternion::align(tape, after.rotations, now.rotations);
     let turn = sub(tape, next, now.rotations);
     let turn = magnitude(tape, turn);
     let turn = mean_over_rows(tape, turn);
     let turn = scale(tape, turn, settings.turning);
-    let haste = add(tape, haste, turn);
+    let speed = add(tape, speed, turn);
 
     step.add_loss("acceleration", settings.acceleration, acceleration);
-    step.add_loss("haste", settings.haste, haste);
+    step.add_loss("haste", settings.speed_penalty, speed);
 }
 
 /// The mean over rows of the sum of each.

@@ -11,7 +11,7 @@ use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 /// The method's table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// The network of the direct motion.
     pub network: CoordinateMlpSettings,
     /// The nodes.
@@ -31,7 +31,7 @@ pub struct Settings {
 /// The chain's shares λ of the motion (equations 10 and 11), which grow evenly.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Mixing {
+pub(crate) struct Mixing {
     /// λ where motion begins.
     pub first: f64,
     /// λ_pos in the end.
@@ -76,19 +76,19 @@ impl Settings {
             mixing: Mixing { first: 0.5, direct_views: 0.0, ..Mixing::default() },
             noise: NoiseSettings { rotation: 0.2, ..NoiseSettings::default() },
             rigidity: 0.01,
-            physics: PhysicsSettings { acceleration: 0.01, haste: 0.01, ..PhysicsSettings::default() },
+            physics: PhysicsSettings { acceleration: 0.01, speed_penalty: 0.01, ..PhysicsSettings::default() },
         }
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         self.network.check()?;
         self.nodes.check()?;
         self.chain.check()?;
         let Mixing { first, position, rotation, direct_views, .. } = self.mixing;
         let shares = [first, position, rotation, direct_views];
-        let PhysicsSettings { acceleration, haste, turning } = self.physics;
-        let weights = [self.rigidity, acceleration, haste, turning, self.noise.position, self.noise.rotation];
+        let PhysicsSettings { acceleration, speed_penalty, turning } = self.physics;
+        let weights = [self.rigidity, acceleration, speed_penalty, turning, self.noise.position, self.noise.rotation];
         let good = [
             (shares.iter().all(|share| (0.0..=1.0).contains(share)), "shares of the mixing must be 0 to 1"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),

@@ -1,11 +1,12 @@
+use scene::cloud::PointCloud;
 use serde_json::to_value;
 use shaders::check::noise;
 use shaders::tape::{Device, Tensor, Var};
 
 use super::*;
 use crate::bases::control_nodes::identity_rotations;
-use crate::sampler::{Stream, generator};
-use crate::test_training::ShortTraining;
+use crate::data::{Stream, generator};
+use crate::short_training_tests::ShortTraining;
 
 fn train(effects: &[&str]) -> ShortTraining {
     ShortTraining::run(Mcgs::NAME, to_value(Mcgs::tiny_settings()).unwrap(), effects)

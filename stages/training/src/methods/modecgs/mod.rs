@@ -4,7 +4,6 @@
 mod tests;
 
 use rand_chacha::ChaCha8Rng;
-use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::{columns, scale_rows};
 use shaders::pointwise::{add, sigmoid};
@@ -13,16 +12,16 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::anchors::{
-    self, AnchorChange, AnchorDeformation, AnchorGrowth, AnchorSettings, Anchors, DeformationSettings, FINE,
+    self, AnchorChange, AnchorDeformation, AnchorSettings, AnchoredGaussians, Anchors, DeformationSettings, FINE,
     GaussianDeformation, SpawnedGaussians,
 };
 use crate::bases::gates::straight_through;
+use crate::data::SceneFacts;
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
-use crate::params::Shared;
+use crate::method::{Base, Method, Moment, Observed, Start, Step};
+use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::shared::Shared;
 
 /// The only effect.
 const MOTION: &str = "motion";
@@ -31,13 +30,13 @@ const GATES: &str = "anchors.gates";
 /// An anchor stands still where its first gate is not above this (published code).
 const GATE_THRESHOLD: f64 = 0.01;
 
-/// The folder's entry.
-pub struct Modecgs;
+/// MoDec-GS: anchors move globally, their Gaussians locally (Kwak et al. 2025).
+pub(crate) struct Modecgs;
 
 /// What only this method understands.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Anchors and their networks.
     pub anchors: AnchorSettings,
     /// The fields that move anchors and Gaussians.
@@ -61,7 +60,6 @@ impl Default for Settings {
 
 impl MethodFolder for Modecgs {
     const NAME: &'static str = "modecgs";
-    const ABOUT: &'static str = "MoDec-GS: anchors move globally, their Gaussians locally (Kwak et al. 2025)";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -94,30 +92,33 @@ impl MethodFolder for Modecgs {
 }
 
 struct MotionDecomposition {
-    shared: Shared,
+    base: AnchoredGaussians,
     settings: Settings,
     global: AnchorDeformation,
     local: GaussianDeformation,
+    has_motion: bool,
 }
 
 impl MotionDecomposition {
     fn new(shared: &Shared, settings: Settings) -> Self {
         let global = AnchorDeformation::new(&settings.deformation, &settings.anchors);
         let local = GaussianDeformation::new(&settings.deformation);
-        Self { shared: shared.clone(), settings, global, local }
+        let base = AnchoredGaussians::new(shared, &settings.anchors);
+        let has_motion = shared.effects.has(MOTION);
+        Self { base, settings, global, local, has_motion }
     }
 
     /// Whether things move in a phase.
     fn moves(&self, phase: &str) -> bool {
-        phase == FINE && self.shared.effects.has(MOTION)
+        phase == FINE && self.has_motion
     }
 
     /// The Gaussians of a view at a moment.
     fn gaussians<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SpawnedGaussians {
-        let canonical = Anchors::stored(model);
         if !self.moves(moment.phase) {
-            return anchors::spawn(tape, model, &canonical, moment.camera);
+            return self.base.spawn(tape, model, moment.camera);
         }
+        let canonical = Anchors::stored(model);
         let change = self.global.at(tape, model, canonical.positions, self.segment_time(moment.time));
         let moved = through_gates(tape, model.get(GATES), &canonical, &change);
         let mut spawned = anchors::spawn(tape, model, &moved, moment.camera);
@@ -150,22 +151,8 @@ fn through_gates<T: Real>(tape: &mut Tape<T>, gates: Var, canonical: &Anchors, c
 }
 
 impl<T: Real> Method<T> for MotionDecomposition {
-    fn phases(&self) -> Vec<Phase> {
-        anchors::phases(&self.shared)
-    }
-
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        let mut state = ModelState::new();
-        let voxels = anchors::voxels(&points.positions, self.settings.anchors.voxel_size);
-        let positions = voxels.into_iter().map(|(center, _)| center).collect();
-        anchors::insert_anchors(&mut state, positions, &self.settings.anchors, start.scene().extent)?;
-        anchors::insert_view_networks(&mut state, &self.settings.anchors, random);
-        Ok(state)
+    fn base(&self) -> &dyn Base<T> {
+        &self.base
     }
 
     fn enter_phase(
@@ -184,12 +171,12 @@ impl<T: Real> Method<T> for MotionDecomposition {
         Ok(state)
     }
 
-    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if tensor == GATES {
             return Some(self.settings.gate_rate);
         }
-        let anchors = self.settings.anchors.learning_rate(tensor, scene);
-        anchors.or_else(|| self.settings.deformation.learning_rate(tensor, scene))
+        let of_anchors = Method::<T>::base(self).learning_rate(phase, tensor, scene);
+        of_anchors.or_else(|| self.settings.deformation.learning_rate(tensor, scene))
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
@@ -205,7 +192,7 @@ impl<T: Real> Method<T> for MotionDecomposition {
             step.clock.enter("motion");
             let moment = step.moment(view);
             let spawned = self.gaussians(step.tape, step.model, &moment);
-            let rendered = step.render_rows(&spawned.splats, view, spawned.rows())?;
+            let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
             anchors::photometric(step, rendered.color, view, None);
         }
         if self.moves(step.phase) {
@@ -213,10 +200,5 @@ impl<T: Real> Method<T> for MotionDecomposition {
             self.local.regularize(step);
         }
         Ok(())
-    }
-
-    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        let Shared { density, schedule_scale, .. } = &self.shared;
-        vec![Box::new(AnchorGrowth::new(density, &self.settings.anchors, *schedule_scale))]
     }
 }

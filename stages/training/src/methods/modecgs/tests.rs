@@ -3,11 +3,9 @@ use shaders::tape::Device;
 
 use super::*;
 use crate::bases::anchors::COARSE;
-use crate::dataset::Dataset;
+use crate::data::{Dataset, NOTHING, Stream, generator};
 use crate::effects::Effects;
-use crate::sampler::{Stream, generator};
-use crate::supplements::NOTHING;
-use crate::test_scene::TestScene;
+use crate::scene_tests::TestScene;
 
 /// The method and its state at the start of `fine` on the test scene.
 fn at_fine(effects: Effects, settings: Settings) -> (MotionDecomposition, ModelState<f64>, Dataset) {

@@ -14,8 +14,8 @@ use super::observation::{
 };
 use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
-use crate::method::TrainingView;
-use crate::step::Step;
+use crate::data::TrainingView;
+use crate::method::Step;
 
 /// Components of a vector: the reduction averages over them, the paper's squared norms sum.
 const AXES: f64 = 3.0;
@@ -50,7 +50,7 @@ impl PhysicalGaussians {
         let candidates = foreground(step.tape, rendered, step.supplements.moving(view.index));
         let count = step.tape.constant(candidates.clone());
         let count = total(step.tape, count);
-        step.count_skipped_later("physical losses of Gaussians in the background", count, candidates.len());
+        step.count_skipped_deferred("physical losses of Gaussians in the background", count, candidates.len());
         let size = SampleSize { share: self.settings.sample_share, most: self.settings.sample_max };
         let sampled = sample_rows(step.tape.device(), &candidates, size, step.random.random());
         let frames_ahead = self.parts.frames_ahead();

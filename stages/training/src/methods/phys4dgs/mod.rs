@@ -7,22 +7,16 @@ mod settings;
 mod tests;
 mod trajectories;
 
-use rand_chacha::ChaCha8Rng;
-use scene::cloud::PointCloud;
-use shaders::rasteriser::SplatVars;
-use shaders::tape::{Real, Tape};
+use shaders::tape::Real;
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
-use crate::bases::stillness::{self, SKIP_STILL};
-use crate::coarse::CoarseSharing;
+use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::effects::{Effect, Effects, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
-use crate::params::Shared;
-use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::method::{Base, CoarseSharing, Method, Observed, Step};
+use crate::schedule::stretch;
+use crate::shared::Shared;
 use settings::Phys4dgsSettings;
 
 /// The head that says a Gaussian's velocity, v in the paper.
@@ -30,12 +24,11 @@ const VELOCITY_HEAD: FurtherHead = ("velocity", 3);
 /// The head that says how the velocity changes until the next frame, δv in the paper.
 const VARIATION_HEAD: FurtherHead = ("velocity_variation", 3);
 
-/// The folder's entry.
-pub struct Phys4dgs;
+/// Phys4DGS: 4DGaussians with consistent velocities and higher derivatives of motion.
+pub(crate) struct Phys4dgs;
 
 impl MethodFolder for Phys4dgs {
     const NAME: &'static str = "phys4dgs";
-    const ABOUT: &'static str = "Phys4DGS: 4DGaussians with consistent velocities and higher derivatives of motion";
     type Settings = Phys4dgsSettings;
 
     fn shared_defaults() -> Shared {
@@ -171,47 +164,20 @@ impl PhysicalGaussians {
 }
 
 impl<T: Real> Method<T> for PhysicalGaussians {
-    fn phases(&self) -> Vec<Phase> {
-        self.base.phases()
-    }
-
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        self.base.initialize(start.scene(), points)
-    }
-
-    fn enter_phase(
-        &self,
-        phase: &str,
-        state: ModelState<T>,
-        start: &Start<'_>,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
-        self.base.enter_phase(phase, state, start, random)
-    }
-
-    fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        self.base.learning_rate(tensor, scene)
-    }
-
-    fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
-        Ok(self.base.splats(tape, model, moment))
+    fn base(&self) -> &dyn Base<T> {
+        &self.base
     }
 
     /// The photometric loss of every view, and beside it the physical ones (eq 11).
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let gain = self.gain(step.phase, step.iteration);
-        stillness::count_skipped(step);
+        static_mask::count_skipped(step);
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);
-            let splats = self.base.splats(step.tape, step.model, &moment);
+            let splats = self.base.splats(step.tape, step.model, &moment)?;
             step.raster.depth = gain > 0.0 && self.observes(step, view);
-            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
+            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
             if gain > 0.0 {
                 step.clock.enter("loss physics");
@@ -220,9 +186,5 @@ impl<T: Real> Method<T> for PhysicalGaussians {
         }
         self.base.regularize(step);
         Ok(())
-    }
-
-    fn population_controls(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
-        self.base.population_controls()
     }
 }

@@ -10,10 +10,9 @@ use shaders::rasteriser::{self, Rendered};
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::PhysicalGaussians;
-use crate::method::{Moment, TrainingView, too_large};
-use crate::state::Variables;
-use crate::step::Step;
-use crate::supplements::FlowPrior;
+use crate::data::{FlowPrior, TrainingView};
+use crate::method::{Base, Moment, Step, too_large};
+use crate::model::Variables;
 
 /// A Gaussian farther than this share of the depth from the surface in its pixel is hidden by it, or not part of it.
 const ON_SURFACE: f64 = 0.05;
@@ -42,7 +41,7 @@ pointwise! {
 }
 
 /// M points as a view shows them.
-pub struct Sight<T: Real> {
+pub(crate) struct Sight<T: Real> {
     device: Device,
     /// [M, 2] px.
     pixels: Tensor<T>,
@@ -53,7 +52,7 @@ pub struct Sight<T: Real> {
 }
 
 /// Displacements per frame that something else than the model tells.
-pub struct Observed<T: Real> {
+pub(crate) struct Observed<T: Real> {
     device: Device,
     /// [M, 3] world, scene units per frame; 0 where nothing is seen.
     pub displacements: Tensor<T>,
@@ -62,7 +61,7 @@ pub struct Observed<T: Real> {
 }
 
 /// Expected depth Σwz / Σw [H, W] of a render with depth; NaN where it covers no more than `min_coverage`.
-pub fn surface_depth<T: Real>(tape: &Tape<T>, rendered: &Rendered, min_coverage: f64) -> Tensor<T> {
+pub(crate) fn surface_depth<T: Real>(tape: &Tape<T>, rendered: &Rendered, min_coverage: f64) -> Tensor<T> {
     let mut child = tape.child();
     let sums = [rendered.depth.expect("rendered with depth"), rendered.alpha];
     let [depth, alpha] = sums.map(|var| child.constant(tape.value(var).clone()));
@@ -72,7 +71,7 @@ pub fn surface_depth<T: Real>(tape: &Tape<T>, rendered: &Rendered, min_coverage:
 
 impl<T: Real> Sight<T> {
     /// Points [M, 3] (world) that count by their weights [M], in an image with these depths [H, W] of its surfaces.
-    pub fn of(
+    pub(crate) fn of(
         device: Device,
         [points, weights]: [&Tensor<T>; 2],
         camera: &PinholeCamera,
@@ -94,20 +93,20 @@ impl<T: Real> Sight<T> {
 }
 
 /// [H, W, 3] exact displacements within one frame, scene units: velocity times its duration.
-pub fn displacement_map<T: Real>(velocity: &VelocityMap, frame_secs: f64) -> Tensor<T> {
+pub(crate) fn displacement_map<T: Real>(velocity: &VelocityMap, frame_secs: f64) -> Tensor<T> {
     let per_frame = |value: &f32| T::from_f64(f64::from(*value) * frame_secs);
     let values = velocity.velocity_world.as_flattened().iter().map(per_frame).collect();
     Tensor::from_vec([velocity.height as usize, velocity.width as usize, 3], values)
 }
 
 /// [H, W, 2] optical flow, px.
-pub fn flow_map<T: Real>(flow: &FlowMap) -> Tensor<T> {
+pub(crate) fn flow_map<T: Real>(flow: &FlowMap) -> Tensor<T> {
     let values = flow.flow_px.as_flattened().iter().map(|&value| T::from_f64(f64::from(value))).collect();
     Tensor::from_vec([flow.height as usize, flow.width as usize, 2], values)
 }
 
 /// Exact displacements within one frame (eq 4), of their map.
-pub fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> Observed<T> {
+pub(crate) fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> Observed<T> {
     let mut tape = Tape::new(sight.device);
     let map = tape.constant(map.clone());
     let [pixels, visible] = [&sight.pixels, &sight.visible].map(|tensor| tape.constant(tensor.clone()));
@@ -117,7 +116,7 @@ pub fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> Observe
 
 /// Displacements per frame that the map of optical flow tells (eq 2): the points behind a pixel before and after, each in the
 /// depth that is rendered there; `frames` lie between.
-pub fn flow_displacements<T: Real>(
+pub(crate) fn flow_displacements<T: Real>(
     sight: &Sight<T>,
     [camera, camera_to]: [&PinholeCamera; 2],
     [map, surface_depth_to]: [&Tensor<T>; 2],
@@ -147,7 +146,7 @@ impl<T: Real> Observed<T> {
     }
 
     /// So many times the middle one of the displacements' lengths, [1], scene units per frame; 0 where nothing is seen.
-    pub fn median_length(&self, times: f64) -> Tensor<T> {
+    pub(crate) fn median_length(&self, times: f64) -> Tensor<T> {
         let mut tape = Tape::new(self.device);
         let [displacements, weights] = [&self.displacements, &self.weights].map(|of| tape.constant(of.clone()));
         let lengths = norm(&mut tape, displacements);
@@ -158,7 +157,7 @@ impl<T: Real> Observed<T> {
 
     /// Weighted so that the square pulls no harder than at a distance of `limit` [1], but of `least` at least, from
     /// `estimate` [M, 3]: one step of iteratively reweighted least squares for the loss of Huber (1964).
-    pub fn without_outliers(&self, estimate: &Tensor<T>, limit: &Tensor<T>, least: f64) -> Self {
+    pub(crate) fn without_outliers(&self, estimate: &Tensor<T>, limit: &Tensor<T>, least: f64) -> Self {
         let mut tape = Tape::new(self.device);
         let seen = [estimate, &self.displacements, &self.weights, limit];
         let [estimate, displacements, weights, limit] = seen.map(|tensor| tape.constant(tensor.clone()));
@@ -209,7 +208,7 @@ impl PhysicalGaussians {
         let model = Variables::new(step.model.iter().map(constant).collect());
         let camera = PinholeCamera::from(&flow.camera_to);
         let moment = Moment { scene: step.scene, phase: step.phase, time, camera: &camera, sh_degree: step.sh_degree };
-        let splats = self.base.splats(&mut child, &model, &moment);
+        let splats = self.base.splats(&mut child, &model, &moment)?;
         let rendered = rasteriser::render(&mut child, &splats, None, &camera, &step.raster).map_err(too_large)?;
         let surface = surface_depth(&child, &rendered, self.settings.min_coverage);
         step.tape.absorb(child);

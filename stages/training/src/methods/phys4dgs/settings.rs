@@ -3,13 +3,13 @@
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::bases::hexplane::HexplaneSettings;
-use crate::params::over_defaults;
 use crate::schedule::LogLinear;
+use crate::shared::over_defaults;
 
 /// The table of this method.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Phys4dgsSettings {
+pub(crate) struct Phys4dgsSettings {
     /// The field, the network and their training.
     #[serde(deserialize_with = "field_over_defaults")]
     pub field: HexplaneSettings,
@@ -31,7 +31,7 @@ pub struct Phys4dgsSettings {
 /// Weights of the physical losses; lengths are in motion units, times in frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Weights {
+pub(crate) struct Weights {
     /// λ_v of eq 3.
     pub velocity: f64,
     /// λ_t of eq 10.
@@ -97,7 +97,7 @@ impl Phys4dgsSettings {
     /// Small, every loss on from the first step and heavy enough to be seen, every Gaussian compared, however
     /// transparent.
     #[cfg(test)]
-    pub fn tiny() -> Self {
+    pub(crate) fn tiny() -> Self {
         Self {
             field: HexplaneSettings::tiny(),
             weights: Weights {
@@ -117,7 +117,7 @@ impl Phys4dgsSettings {
     }
 
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         self.field.check()?;
         let Weights { velocity, temporal, displacement, true_displacement, acceleration, jerk, flow } = self.weights;
         let weights = [velocity, temporal, displacement, true_displacement, acceleration, jerk, flow];

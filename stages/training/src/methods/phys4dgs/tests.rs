@@ -6,19 +6,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use scene::LabelMap;
 use serde_json::{Value, json};
 use shaders::check::noise;
-use shaders::tape::{Device, Tensor};
+use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
-use crate::dataset::Dataset;
-use crate::method::{TrainingView, raster_settings};
+use crate::data::{Dataset, NOTHING, Stream, Supplements, TrainingView, ViewConstants, generator};
+use crate::method::{Recorded, SkippedWork, Start, raster_settings, run_step};
+use crate::model::ModelState;
 use crate::params::TrainingParams;
-use crate::sampler::{Stream, generator};
-use crate::step::{SkippedWork, run_step};
-use crate::supplements::{NOTHING, Supplements};
-use crate::test_scene::TestScene;
+use crate::scene_tests::TestScene;
 use crate::trainer::Trainer;
-use crate::view_constants::ViewConstants;
 
 const PHYSICS: [&str; 5] = ["velocity", "displacement", "higher-order", "flow", "true-displacement"];
 
@@ -60,7 +57,7 @@ impl World {
 
     /// The first step of `fine` on a training view.
     fn step(&self, params: &TrainingParams, view: usize) -> Observation {
-        let method = crate::methods::find(&params.method).unwrap().build_f64(params).unwrap();
+        let method = params.registration().build_f64(&params.shared, &params.settings).unwrap();
         self.step_on(Device::Cpu, &*method, params, view)
     }
 
@@ -98,13 +95,10 @@ impl World {
             random: &mut random,
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
-            losses: Vec::new(),
-            renders: Vec::new(),
-            skipped: SkippedWork::new(),
-            kept: Vec::new(),
+            recorded: Recorded::default(),
         };
         let outcome = run_step(method, step).unwrap();
-        let (losses, skipped) = outcome.look();
+        let (losses, skipped) = outcome.read_back();
         Observation {
             tensors: state.names().map(String::from).collect(),
             losses,

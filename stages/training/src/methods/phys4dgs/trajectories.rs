@@ -12,11 +12,11 @@ use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{HexplaneGaussians, MovedPoints};
-use crate::method::SceneFacts;
-use crate::step::Step;
+use crate::data::SceneFacts;
+use crate::method::Step;
 
 /// A Gaussian that moves less than this share of the scene's extent within the frames that are looked at stands still.
-pub const STANDS_STILL: f64 = 1e-4;
+pub(crate) const STANDS_STILL: f64 = 1e-4;
 
 /// Up to this share of a frame, two instants are one, and an instant after the end is the end.
 const SAME_INSTANT: f64 = 1e-3;
@@ -35,12 +35,12 @@ pointwise! {
 /// The length that motion within a frame is measured in: what moves by the scene's extent while the capture lasts moves by
 /// one unit per frame. It does not depend on how the model moves: divided by its own motion, losses of differences would
 /// pull the harder the less moves, and end all motion.
-pub fn motion_unit(scene: &SceneFacts) -> f64 {
+pub(crate) fn motion_unit(scene: &SceneFacts) -> f64 {
     scene.extent * frame_of(scene)
 }
 
 /// M Gaussians at a time and a few frames after it.
-pub struct Trajectories {
+pub(crate) struct Trajectories {
     /// [M]: 1 for a Gaussian that is compared, 0 for one that stands still and for a place that no Gaussian was drawn for.
     pub weights: Var,
     /// [M, 3]: where the Gaussians are in the canonical space.
@@ -52,7 +52,7 @@ pub struct Trajectories {
 }
 
 /// One frame in normalised time; infinite for a single instant.
-pub fn frame_of(scene: &SceneFacts) -> f64 {
+pub(crate) fn frame_of(scene: &SceneFacts) -> f64 {
     scene.time_map.frame_secs / (scene.time_map.end_secs - scene.time_map.start_secs)
 }
 
@@ -60,7 +60,7 @@ impl Trajectories {
     /// Follows the Gaussians that were `sampled` from `time` over at most `frames_ahead` frames that lie within the capture.
     ///
     /// Those that stand still do not count; `None` if it is known that nothing is left to compare.
-    pub fn follow<T: Real>(
+    pub(crate) fn follow<T: Real>(
         step: &mut Step<'_, T>,
         base: &HexplaneGaussians,
         sampled: &SampledRows<T>,
@@ -80,7 +80,7 @@ impl Trajectories {
         let threshold = STANDS_STILL * step.scene.extent;
         let [moving, kept] = moving(step.tape, &points, &sampled.weights, threshold);
         let kept = step.tape.constant(kept);
-        step.count_skipped_later("physical losses of Gaussians that stand still", kept, sampled.rows.len());
+        step.count_skipped_deferred("physical losses of Gaussians that stand still", kept, sampled.rows.len());
         let weights = step.tape.constant(moving);
         let followed = Self { weights, canonical, times, points };
         match step.tape.device() {
@@ -108,13 +108,13 @@ impl Trajectories {
     }
 
     /// xₖ₊₁ − xₖ [M, 3], for k = 0, 1, …: velocities in scene units per frame.
-    pub fn displacements<T: Real>(&self, tape: &mut Tape<T>) -> Vec<Var> {
+    pub(crate) fn displacements<T: Real>(&self, tape: &mut Tape<T>) -> Vec<Var> {
         let positions: Vec<Var> = self.points.iter().map(|at| at.positions).collect();
         differences(tape, &positions)
     }
 
     /// Positions [M, 3] at any time, evaluated unless that is one of the instants.
-    pub fn positions_at<T: Real>(&self, step: &mut Step<'_, T>, base: &HexplaneGaussians, time: f64) -> Var {
+    pub(crate) fn positions_at<T: Real>(&self, step: &mut Step<'_, T>, base: &HexplaneGaussians, time: f64) -> Var {
         let same = SAME_INSTANT * frame_of(step.scene);
         match self.times.iter().position(|instant| (instant - time).abs() <= same) {
             Some(at) => self.points[at].positions,
@@ -124,13 +124,13 @@ impl Trajectories {
 }
 
 /// xₖ₊₁ − xₖ.
-pub fn differences<T: Real>(tape: &mut Tape<T>, values: &[Var]) -> Vec<Var> {
+pub(crate) fn differences<T: Real>(tape: &mut Tape<T>, values: &[Var]) -> Vec<Var> {
     values.windows(2).map(|pair| sub(tape, pair[1], pair[0])).collect()
 }
 
 /// Gaussians that may belong to what moves, [N] of 1 and 0: where the moving part of the view is known, those whose centre
 /// it covers; else all.
-pub fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: Option<&LabelMap>) -> Tensor<T> {
+pub(crate) fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: Option<&LabelMap>) -> Tensor<T> {
     match moving {
         Some(moving) => covered(tape, rendered, moving),
         None => Tensor::full([rendered.splats(tape)], T::ONE),

@@ -18,12 +18,12 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
 use crate::bases::primitives4d;
+use crate::data::SceneFacts;
 use crate::effects::Effect;
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, photometric_losses};
-use crate::params::Shared;
-use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
+use crate::model::{ModelState, Variables};
+use crate::schedule::{LogLinear, Phase};
+use crate::shared::Shared;
 use settings::{Settings, Switches};
 
 /// The only phase.
@@ -31,12 +31,11 @@ const TRAIN: &str = "train";
 /// Waves of the colours' Fourier series beside the constant (published code).
 const WAVES: usize = 2;
 
-/// The folder's entry.
-pub struct Realtime4dgs;
+/// 4D-GS: Gaussians in space and time, cut at every instant (Yang et al. 2024).
+pub(crate) struct Realtime4dgs;
 
 impl MethodFolder for Realtime4dgs {
     const NAME: &'static str = "realtime4dgs";
-    const ABOUT: &'static str = "4D-GS: Gaussians in space and time, cut at every instant (Yang et al. 2024)";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -99,9 +98,35 @@ impl SpaceTimeGaussians {
 }
 
 impl<T: Real> Method<T> for SpaceTimeGaussians {
+    fn base(&self) -> &dyn Base<T> {
+        self
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if !self.switches.motion {
+            return photometric_losses(self, step);
+        }
+        for view in step.views {
+            step.clock.enter("motion");
+            let moment = step.moment(view);
+            let (splats, sliced) = self.slice(step.tape, step.model, &moment);
+            primitives4d::count_skipped(step, "Gaussians of other times", &sliced);
+            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
+            step.photometric(rendered.color, view);
+            if self.switches.rigid {
+                step.clock.enter("loss rigid");
+                let loss = rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, step.random);
+                let share = self.settings.rigid_weight / step.views.len() as f64;
+                loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<T: Real> Base<T> for SpaceTimeGaussians {
     fn phases(&self) -> Vec<Phase> {
-        let iterations = self.shared.iterations.get(TRAIN).copied().unwrap_or(0);
-        vec![Phase { name: TRAIN, iterations: stretch(iterations, self.shared.schedule_scale) }]
+        vec![self.shared.phase(TRAIN)]
     }
 
     fn initialize(
@@ -112,13 +137,7 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
     ) -> anyhow::Result<ModelState<T>> {
         let mut still = ModelState::new();
         let (degree, count) = (self.shared.harmonics.degree, points.len());
-        gaussians::insert_gaussians(
-            &mut still,
-            GAUSSIANS,
-            points,
-            degree,
-            gaussians::LONE_SCALE * start.scene().extent,
-        )?;
+        gaussians::insert_initial(&mut still, &self.shared, start.scene(), points)?;
         if !self.switches.motion {
             return Ok(still);
         }
@@ -152,28 +171,7 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
         Ok(self.slice(tape, model, moment).0)
     }
 
-    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
-        if !self.switches.motion {
-            return photometric_losses(self, step);
-        }
-        for view in step.views {
-            step.clock.enter("motion");
-            let moment = step.moment(view);
-            let (splats, sliced) = self.slice(step.tape, step.model, &moment);
-            primitives4d::count_skipped(step, "Gaussians of other times", &sliced);
-            let rendered = step.render(&splats, None, view, Some(GAUSSIANS))?;
-            step.photometric(rendered.color, view);
-            if self.switches.rigid {
-                step.clock.enter("loss rigid");
-                let loss = rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, step.random);
-                let share = self.settings.rigid_weight / step.views.len() as f64;
-                loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
-            }
-        }
-        Ok(())
-    }
-
-    fn population_controls(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+    fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let white = scene.background == [1.0; 3];
         let Shared { density, schedule_scale, .. } = &self.shared;
         let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);

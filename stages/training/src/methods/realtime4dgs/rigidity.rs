@@ -24,7 +24,7 @@ const ELSEWHERE: f64 = 1e3;
 /// Σ e^(−100·d²)·‖vᵢ − vⱼ‖ over some Gaussians i, drawn at random, and the nearest j of each, by the number of pairs, with
 /// displacements v over a tenth of the clip and distances d at one time; positions [N, 3]. Those that are not there count
 /// for nothing. `None` where there are no two Gaussians.
-pub fn loss<T: Real>(
+pub(crate) fn loss<T: Real>(
     tape: &mut Tape<T>,
     positions: Var,
     sliced: &SlicedVars,

@@ -7,7 +7,7 @@ use crate::effects::{Effect, Effects, Need};
 /// What only this method understands: the loss of the effect `rigid`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Its weight.
     pub rigid_weight: f64,
     /// How many Gaussians per view are compared with their neighbours, drawn at random.
@@ -24,7 +24,7 @@ impl Default for Settings {
 
 impl Settings {
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         if self.rigid_samples == 0 || self.rigid_neighbors == 0 {
             return Err("realtime4dgs: rigid_samples and rigid_neighbors must be positive".into());
         }
@@ -37,7 +37,7 @@ impl Settings {
 
 /// Which effects are on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Switches {
+pub(crate) struct Switches {
     pub motion: bool,
     /// These only with motion.
     pub temporal_color: bool,
@@ -45,14 +45,14 @@ pub struct Switches {
 }
 
 impl Switches {
-    pub fn new(effects: &Effects) -> Self {
+    pub(crate) fn new(effects: &Effects) -> Self {
         let motion = effects.has("motion");
         Self { motion, temporal_color: motion && effects.has("temporal-color"), rigid: motion && effects.has("rigid") }
     }
 }
 
 /// What the method can simulate or leave out, in the order of its README.
-pub fn effects() -> Vec<Effect> {
+pub(crate) fn effects() -> Vec<Effect> {
     let motion = Effect {
         name: "motion",
         about: "Gaussians have a time, move, turn and fade",

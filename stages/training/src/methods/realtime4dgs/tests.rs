@@ -2,13 +2,12 @@ use shaders::tape::Device;
 
 use super::*;
 use crate::bases::gaussians::{baked, present};
-use crate::dataset::Dataset;
+use crate::data::{Dataset, NOTHING, Stream, generator};
 use crate::effects::Effects;
 use crate::methods;
-use crate::params::{Harmonics, TrainingParams};
-use crate::sampler::{Stream, generator};
-use crate::supplements::NOTHING;
-use crate::test_scene::TestScene;
+use crate::params::TrainingParams;
+use crate::scene_tests::TestScene;
+use crate::shared::Harmonics;
 
 fn dataset(dir: &tempfile::TempDir) -> Dataset {
     Dataset::load(TestScene::default().write(dir.path()), 1).unwrap()
@@ -40,7 +39,7 @@ fn splats(
     let model = state.bind(&mut tape, |_| false);
     let camera = dataset.train[0].camera;
     let moment = Moment { scene: &dataset.scene, phase: TRAIN, time, camera: &camera, sh_degree };
-    let splats = method.splats(&mut tape, &model, &moment).unwrap();
+    let splats = Method::splats(method, &mut tape, &model, &moment).unwrap();
     let operations = tape.profile().ops.keys().copied().collect();
     (tape, splats, operations)
 }
@@ -50,7 +49,8 @@ fn without_motion_it_is_static3dgs() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dataset(&dir);
     let still = method(&["temporal-color", "rigid"], 3);
-    let plain = methods::find("static3dgs").unwrap().build_f32(&TrainingParams::of("static3dgs").unwrap()).unwrap();
+    let TrainingParams { shared, settings, .. } = TrainingParams::of("static3dgs").unwrap();
+    let plain = methods::find("static3dgs").unwrap().build_f32(&shared, &settings).unwrap();
     let state = first_state(&still, &dataset);
     assert_eq!(state, first_state(&*plain, &dataset), "the same bytes");
     assert!(splats(&still, &state, &dataset, 0.5, 0).2.is_empty(), "and no operation");

@@ -6,19 +6,18 @@ use shaders::pointwise::{add, scale};
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape};
 
+use super::CANDIDATES;
 use super::nodes::Nodes;
 use crate::bases::canonical::scales_and_rotations;
 use crate::bases::gaussians;
-use crate::method::{Moment, SceneFacts};
-use crate::params::LearningRates;
+use crate::data::SceneFacts;
+use crate::method::Moment;
+use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables};
-
-/// The population of candidates.
-pub const CANDIDATES: &str = "candidates";
+use crate::shared::LearningRates;
 
 /// Adds Gaussians on at most `count` of the points, evenly chosen.
-pub fn insert<T: Real>(
+pub(crate) fn insert<T: Real>(
     state: &mut ModelState<T>,
     scene: &SceneFacts,
     points: &PointCloud,
@@ -37,13 +36,18 @@ pub fn insert<T: Real>(
 }
 
 /// Step sizes; a round Gaussian has no rotation to learn.
-pub fn learning_rate(rates: &LearningRates, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+pub(crate) fn learning_rate(rates: &LearningRates, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
     let rate = gaussians::learning_rate(rates, CANDIDATES, tensor, scene)?;
     (tensor != "candidates.rotations").then_some(rate)
 }
 
 /// The candidates at a moment, moved where `nodes` are given.
-pub fn splats<T: Real>(tape: &mut Tape<T>, model: &Variables, nodes: Option<&Nodes>, moment: &Moment<'_>) -> SplatVars {
+pub(crate) fn splats<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    nodes: Option<&Nodes>,
+    moment: &Moment<'_>,
+) -> SplatVars {
     let canonical = gaussians::static_splats(tape, model, CANDIDATES, moment.sh_degree);
     let positions = match nodes {
         Some(nodes) => {

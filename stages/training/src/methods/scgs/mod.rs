@@ -16,29 +16,30 @@ use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
 use crate::bases::control_nodes::{ControlNodeSettings, published_decay};
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::bases::stillness::{self, SKIP_STILL};
+use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::data::SceneFacts;
 use crate::effects::{Effect, Need};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
-use crate::params::{Density, Shared};
-use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
-use candidates::CANDIDATES;
+use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
+use crate::model::{ModelState, Variables};
+use crate::schedule::{LogLinear, Phase, stretch};
+use crate::shared::{Density, Shared};
 use nodes::Nodes;
 
+/// The population of candidates.
+const CANDIDATES: &str = "candidates";
 /// Candidates for nodes learn where things are, each drawn as a Gaussian. Were they moved from the first step on, a network
 /// would learn to carry all of them out of the image: random points are worse than an empty background.
 const PLACE_CANDIDATES: &str = "place-candidates";
 /// Candidates move.
 const CHOOSE_NODES: &str = "choose-nodes";
 
-/// The folder's entry.
-pub struct Scgs;
+/// SC-GS: sparse control nodes carry canonical Gaussians (Huang et al. 2024).
+pub(crate) struct Scgs;
 
 /// What only this method understands.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// The network that moves the nodes.
     pub network: CoordinateMlpSettings,
     /// The nodes.
@@ -74,7 +75,6 @@ impl Default for Settings {
 
 impl MethodFolder for Scgs {
     const NAME: &'static str = "scgs";
-    const ABOUT: &'static str = "SC-GS: sparse control nodes carry canonical Gaussians (Huang et al. 2024)";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -153,6 +153,10 @@ struct SparselyControlled {
 }
 
 impl<T: Real> Method<T> for SparselyControlled {
+    fn base(&self) -> &dyn Base<T> {
+        &self.canonical
+    }
+
     fn phases(&self) -> Vec<Phase> {
         let of_candidates = |name| match self.moves {
             true => self.canonical.phase(name),
@@ -168,14 +172,13 @@ impl<T: Real> Method<T> for SparselyControlled {
         points: &PointCloud,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
-        let mut state = ModelState::new();
-        if self.moves {
-            let degree = self.shared.harmonics.degree;
-            candidates::insert(&mut state, start.scene(), points, self.settings.candidates, degree)?;
-            self.nodes.insert_network(&mut state, points, random);
-        } else {
-            self.canonical.insert(&mut state, start.scene(), points)?;
+        if !self.moves {
+            return self.canonical.initialize(start, points, random);
         }
+        let mut state = ModelState::new();
+        let degree = self.shared.harmonics.degree;
+        candidates::insert(&mut state, start.scene(), points, self.settings.candidates, degree)?;
+        self.nodes.insert_network(&mut state, points, random);
         Ok(state)
     }
 
@@ -192,9 +195,9 @@ impl<T: Real> Method<T> for SparselyControlled {
         let mut state = self.nodes.choose(state)?;
         // The Gaussians start anew from the points that the candidates were taken from.
         let points = start.initial_points(&self.shared)?;
-        self.canonical.insert(&mut state, start.scene(), &points)?;
+        gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points)?;
         self.nodes.insert_gaussian_features(&mut state)?;
-        stillness::insert(&mut state, &self.shared.effects, start)?;
+        static_mask::insert(&mut state, &self.shared.effects, start)?;
         Ok(state)
     }
 
@@ -205,31 +208,31 @@ impl<T: Real> Method<T> for SparselyControlled {
             let of_network = || self.nodes.learning_rate_among_candidates(tensor).filter(|_| phase == CHOOSE_NODES);
             return of_candidates.or_else(of_network);
         }
-        let of_gaussians = self.canonical.learning_rate(phase, tensor, scene);
+        let of_gaussians = Method::<T>::base(self).learning_rate(phase, tensor, scene);
         of_gaussians.or_else(|| self.nodes.learning_rate(tensor, phase == ALL, self.steps_before_all()))
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
         if !self.moves {
-            return Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree));
+            return self.canonical.splats(tape, model, moment);
         }
         if self.has_candidates(moment.phase) {
             let nodes = (moment.phase == CHOOSE_NODES).then_some(&self.nodes);
             return Ok(candidates::splats(tape, model, nodes, moment));
         }
-        let canonical = gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree);
-        Ok(stillness::move_some(tape, model, canonical, |tape, some, rows| {
+        let canonical = self.canonical.splats(tape, model, moment)?;
+        Ok(static_mask::move_some(tape, model, canonical, |tape, some, rows| {
             self.nodes.carry(tape, model, some, rows, moment.time)
         }))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
-        stillness::count_skipped(step);
+        static_mask::count_skipped(step);
         let population = if self.has_candidates(step.phase) { CANDIDATES } else { GAUSSIANS };
         for view in step.views {
             step.clock.enter("motion");
             let splats = self.splats(step.tape, step.model, &step.moment(view))?;
-            let rendered = step.render(&splats, None, view, Some(population))?;
+            let rendered = step.render(&splats, None, view, Observed::All(population))?;
             step.photometric(rendered.color, view);
         }
         if self.is_rigid && [CHOOSE_NODES, ALL].contains(&step.phase) {
@@ -242,7 +245,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         Ok(())
     }
 
-    fn population_controls(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+    fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         if [PLACE_CANDIDATES, CHOOSE_NODES].contains(&phase) {
             let white = scene.background == [1.0; 3];
             let density = Density { max_count: self.settings.max_candidates, ..self.shared.density.clone() };
@@ -251,7 +254,7 @@ impl<T: Real> Method<T> for SparselyControlled {
             let control = AdaptiveDensity::new(CANDIDATES, &density, scale, white).after(before);
             return if self.moves { vec![Box::new(control)] } else { Vec::new() };
         }
-        vec![self.canonical.population_control(phase, scene)]
+        Method::<T>::base(self).hooks(phase, scene)
     }
 }
 

@@ -9,16 +9,15 @@ use shaders::pointwise::add;
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
-use super::Settings;
-use super::candidates::CANDIDATES;
+use super::{CANDIDATES, Settings};
 use crate::bases::canonical::{Moved, moved, scales_and_rotations};
 use crate::bases::control_nodes::{NODES, Rigidity, farthest_points, identity_rotations, insert_nodes, rows_of, sides};
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
+use crate::method::Step;
+use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
-use crate::state::{ModelState, Variables, belongs};
-use crate::step::Step;
 
 /// What the network says of a node, with the published first weights: next to no motion.
 const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
@@ -39,26 +38,31 @@ const RIGID_SPAN: f64 = 0.05;
 const MOST_RIGID: usize = 512;
 
 /// The nodes and the network that moves them.
-pub struct Nodes {
+pub(crate) struct Nodes {
     settings: Settings,
     network: CoordinateMlp,
 }
 
 impl Nodes {
     /// With the method's settings.
-    pub fn new(settings: &Settings) -> Self {
+    pub(crate) fn new(settings: &Settings) -> Self {
         let heads = [TRANSLATION, ROTATION, SCALE, FRAME];
         let network = CoordinateMlp::new("network", &settings.network, FirstWeights::He, &heads);
         Self { settings: settings.clone(), network }
     }
 
     /// Adds the network for a scene with these points.
-    pub fn insert_network<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert_network<T: Real>(
+        &self,
+        state: &mut ModelState<T>,
+        points: &PointCloud,
+        random: &mut ChaCha8Rng,
+    ) {
         self.network.insert(state, points, random);
     }
 
     /// Candidates become nodes: those whose paths through time lie farthest apart. The rest of them is dropped.
-    pub fn choose<T: Real>(&self, candidates: ModelState<T>) -> anyhow::Result<ModelState<T>> {
+    pub(crate) fn choose<T: Real>(&self, candidates: ModelState<T>) -> anyhow::Result<ModelState<T>> {
         let positions = candidates.get("candidates.positions")?.clone();
         let chosen = farthest_points(&self.paths(&candidates, &positions), self.settings.nodes.count);
         let mut state = ModelState::new();
@@ -92,7 +96,7 @@ impl Nodes {
     }
 
     /// Adds the learnt coordinates of the Gaussians.
-    pub fn insert_gaussian_features<T: Real>(&self, state: &mut ModelState<T>) -> anyhow::Result<()> {
+    pub(crate) fn insert_gaussian_features<T: Real>(&self, state: &mut ModelState<T>) -> anyhow::Result<()> {
         let count = state.get("gaussians.positions")?.rows();
         if self.settings.features > 0 {
             let first = Tensor::full([count, self.settings.features], T::from_f64(FIRST_FEATURES[0]));
@@ -102,14 +106,14 @@ impl Nodes {
     }
 
     /// Step sizes among candidates: of the network, as far as it moves them.
-    pub fn learning_rate_among_candidates(&self, tensor: &str) -> Option<LogLinear> {
+    pub(crate) fn learning_rate_among_candidates(&self, tensor: &str) -> Option<LogLinear> {
         let is_idle = |head: &Head| belongs(tensor, &format!("network.{}", head.name));
         let rate = self.network.learning_rate(tensor)?;
         (![ROTATION, SCALE, FRAME].iter().any(is_idle)).then_some(rate)
     }
 
     /// Step sizes of what belongs to nodes; until `with_nodes`, only the Gaussians' side of it learns.
-    pub fn learning_rate(&self, tensor: &str, with_nodes: bool, steps_before: u64) -> Option<LogLinear> {
+    pub(crate) fn learning_rate(&self, tensor: &str, with_nodes: bool, steps_before: u64) -> Option<LogLinear> {
         if tensor == "gaussians.node_features" {
             return Some(LogLinear::constant(self.settings.feature_rate));
         }
@@ -119,14 +123,20 @@ impl Nodes {
     }
 
     /// What the network adds to positions [N, 3] at each of the times: [T·N, 3], time by time.
-    pub fn translations<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
+    pub(crate) fn translations<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        positions: Var,
+        times: &[f64],
+    ) -> Var {
         let hidden = self.network.hidden(tape, model, positions, times);
         self.network.lengths(tape, model, TRANSLATION.name, hidden)
     }
 
     /// The Gaussians at a time: each is carried by the frames of its nodes, and takes over the blend of their changes.
     /// `rows` says which of the Gaussians these are, where they are not all.
-    pub fn carry<T: Real>(
+    pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -175,7 +185,7 @@ impl Nodes {
     }
 
     /// The rigidity of nodes, or of candidates, between two moments close to each other.
-    pub fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, population: &str, weight: f64) {
+    pub(crate) fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, population: &str, weight: f64) {
         if weight == 0.0 {
             return;
         }

@@ -1,7 +1,7 @@
 use serde_json::to_value;
 
 use super::*;
-use crate::test_training::ShortTraining;
+use crate::short_training_tests::ShortTraining;
 
 fn train(effects: &[&str]) -> ShortTraining {
     ShortTraining::run(Scgs::NAME, to_value(Scgs::tiny_settings()).unwrap(), effects)
@@ -31,10 +31,10 @@ fn rigidity_costs_operations_and_no_tensors() {
 fn nodes_that_do_not_move_leave_the_gaussians_where_they_are() {
     let mut state = ModelState::<f64>::new();
     let nodes = Nodes::new(&Scgs::tiny_settings());
-    let mut random = crate::sampler::generator(1, crate::sampler::Stream::Initial);
+    let mut random = crate::data::generator(1, crate::data::Stream::Initial);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
     nodes.insert_network(&mut state, &points, &mut random);
-    let scene = crate::method::SceneFacts {
+    let scene = crate::data::SceneFacts {
         extent: 3.0,
         time_map: scene::TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
         background: [0.0; 3],

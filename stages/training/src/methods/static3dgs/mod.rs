@@ -10,25 +10,25 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start};
-use crate::params::Shared;
-use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables};
+use crate::data::SceneFacts;
+use crate::method::{Base, Method, Moment, Start, StepHook};
+use crate::model::{ModelState, Variables};
+use crate::schedule::{LogLinear, Phase};
+use crate::shared::Shared;
 
 /// The only phase.
 const TRAIN: &str = "train";
 
-/// The folder's entry.
-pub struct Static3dgs;
+/// 3D Gaussian splatting, time ignored (Kerbl et al. 2023).
+pub(crate) struct Static3dgs;
 
 /// There is nothing that only this method understands.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {}
+pub(crate) struct Settings {}
 
 impl MethodFolder for Static3dgs {
     const NAME: &'static str = "static3dgs";
-    const ABOUT: &'static str = "3D Gaussian splatting, time ignored (Kerbl et al. 2023)";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -45,20 +45,19 @@ struct StaticGaussians {
 }
 
 impl<T: Real> Method<T> for StaticGaussians {
+    fn base(&self) -> &dyn Base<T> {
+        self
+    }
+}
+
+impl<T: Real> Base<T> for StaticGaussians {
     fn phases(&self) -> Vec<Phase> {
-        let iterations = self.shared.iterations.get(TRAIN).copied().unwrap_or(0);
-        vec![Phase { name: TRAIN, iterations: stretch(iterations, self.shared.schedule_scale) }]
+        vec![self.shared.phase(TRAIN)]
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: &mut ChaCha8Rng) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        let lone_scale = gaussians::LONE_SCALE * start.scene().extent;
-        gaussians::insert_gaussians(&mut state, GAUSSIANS, points, self.shared.harmonics.degree, lone_scale)?;
+        gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
         Ok(state)
     }
 
@@ -70,7 +69,7 @@ impl<T: Real> Method<T> for StaticGaussians {
         Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree))
     }
 
-    fn population_controls(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+    fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let white = scene.background == [1.0; 3];
         let Shared { density, schedule_scale, .. } = &self.shared;
         vec![Box::new(AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white))]

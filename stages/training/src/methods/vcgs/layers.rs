@@ -8,21 +8,24 @@ use shaders::tape::{Real, Tensor};
 use super::settings::{Settings, Switches};
 use super::surfels::{Picture, Surfel, thinned, uncovered, without_duplicates, wxyz};
 use crate::bases::gaussians::logit;
-use crate::dataset::{Dataset, LoadedView};
+use crate::data::{BackgroundView, Dataset, LoadedView};
 use crate::method::{Start, too_large};
-use crate::state::ModelState;
-use crate::supplements::BackgroundView;
+use crate::model::ModelState;
 
 /// The population that never moves.
-pub const BACKGROUND: &str = "background";
+pub(crate) const BACKGROUND: &str = "background";
 /// The population of 4D surfels.
-pub const FOREGROUND: &str = "foreground";
+pub(crate) const FOREGROUND: &str = "foreground";
 
 /// The first opacity (Yu et al. 2025, WonderWorld).
 const INITIAL_OPACITY: f64 = 0.15;
 
 /// The surfels of what stands still: the first view's, then of every view what the ones before do not show.
-pub fn background_surfels(start: &Start<'_>, settings: &Settings, switches: &Switches) -> anyhow::Result<Vec<Surfel>> {
+pub(crate) fn background_surfels(
+    start: &Start<'_>,
+    settings: &Settings,
+    switches: &Switches,
+) -> anyhow::Result<Vec<Surfel>> {
     let mut surfels: Vec<Surfel> = Vec::new();
     for view in &start.dataset.train {
         let filled = if switches.inpainting { Some(filled_view(start, view)?) } else { None };
@@ -46,7 +49,11 @@ pub fn background_surfels(start: &Start<'_>, settings: &Settings, switches: &Swi
 }
 
 /// The surfels of what moves, of every view: born at the view's time, across its viewing direction.
-pub fn foreground_surfels(start: &Start<'_>, settings: &Settings, switches: &Switches) -> anyhow::Result<Vec<Surfel>> {
+pub(crate) fn foreground_surfels(
+    start: &Start<'_>,
+    settings: &Settings,
+    switches: &Switches,
+) -> anyhow::Result<Vec<Surfel>> {
     let mut surfels = Vec::new();
     for view in &start.dataset.train {
         let picture = picture(start, view, &view.pixels, depth_of(start, view)?);
@@ -62,7 +69,11 @@ pub fn foreground_surfels(start: &Start<'_>, settings: &Settings, switches: &Swi
 }
 
 /// Which pixels of a view show the static layer and nothing else; `None`: all of them.
-pub fn static_pixels(start: &Start<'_>, view: &LoadedView, switches: &Switches) -> anyhow::Result<Option<Vec<bool>>> {
+pub(crate) fn static_pixels(
+    start: &Start<'_>,
+    view: &LoadedView,
+    switches: &Switches,
+) -> anyhow::Result<Option<Vec<bool>>> {
     let is_zero = |map: &LabelMap| map.labels.iter().map(|&label| label == 0).collect();
     Ok(match (switches.inpainting, switches.layer_split) {
         (true, _) => Some(is_zero(&filled_view(start, view)?.unfilled)),
@@ -72,7 +83,7 @@ pub fn static_pixels(start: &Start<'_>, view: &LoadedView, switches: &Switches) 
 }
 
 /// The view without what moves.
-pub fn filled_view<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a BackgroundView> {
+pub(crate) fn filled_view<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a BackgroundView> {
     let found = start.supplements.background.get(view.index).and_then(Option::as_ref);
     let hint = "wire an inpaint-import job to the port background, or switch off \"inpainting\"";
     let filled = found.ok_or_else(|| missing("image without what moves", start.dataset, view, hint))?;
@@ -123,13 +134,13 @@ fn bad_input(message: &str, hint: &str) -> Failure {
 }
 
 /// Adds the tensors of the static layer.
-pub fn insert_background<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel]) {
+pub(crate) fn insert_background<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel]) {
     insert_surfels(state, BACKGROUND, surfels);
     insert(state, BACKGROUND, "rotations", &[4], surfels, |surfel| wxyz(surfel.rotation).to_vec());
 }
 
 /// Adds the tensors of the moving layer; `deviation_time` is how long a surfel is seen at first, in [0, 1].
-pub fn insert_foreground<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel], deviation_time: f64) {
+pub(crate) fn insert_foreground<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel], deviation_time: f64) {
     insert_surfels(state, FOREGROUND, surfels);
     let mut insert = |attribute: &str, row: &[usize], values: &dyn Fn(&Surfel) -> Vec<f64>| {
         insert(state, FOREGROUND, attribute, row, surfels, values);

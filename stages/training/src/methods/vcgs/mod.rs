@@ -20,13 +20,12 @@ use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
 use crate::bases::primitives4d;
-use crate::dataset::LoadedView;
+use crate::data::{LoadedView, SceneFacts, TrainingView};
 use crate::effects::Effect;
-use crate::method::{Method, Moment, Phase, PopulationControl, SceneFacts, Start, TrainingView};
-use crate::params::{Harmonics, Shared};
-use crate::schedule::{LogLinear, stretch};
-use crate::state::{ModelState, Variables};
-use crate::step::Step;
+use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
+use crate::model::{ModelState, Variables};
+use crate::schedule::{LogLinear, Phase};
+use crate::shared::{Harmonics, Shared};
 use layers::{BACKGROUND, FOREGROUND};
 use pruning::SurfelPruning;
 use settings::{Settings, Switches};
@@ -37,12 +36,11 @@ const STATIC: &str = "static";
 /// The phase of the moving layer on the frozen static one.
 const DYNAMIC: &str = "dynamic";
 
-/// The folder's entry.
-pub struct Vcgs;
+/// VC-GS: a static layer, and 4D surfels that move within the view plane.
+pub(crate) struct Vcgs;
 
 impl MethodFolder for Vcgs {
     const NAME: &'static str = "vcgs";
-    const ABOUT: &'static str = "VC-GS: a static layer, and 4D surfels that move within the view plane";
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -127,7 +125,7 @@ impl ViewPlaneGaussians {
         for view in step.views {
             step.clock.enter("motion");
             let splats = standing(step.tape, step.model);
-            let rendered = step.render(&splats, None, view, Some(BACKGROUND))?;
+            let rendered = step.render(&splats, None, view, Observed::All(BACKGROUND))?;
             let loaded = loaded(step, view);
             let mut target = view.clone();
             if self.switches.inpainting {
@@ -151,13 +149,33 @@ impl ViewPlaneGaussians {
 }
 
 impl<T: Real> Method<T> for ViewPlaneGaussians {
+    fn base(&self) -> &dyn Base<T> {
+        self
+    }
+
+    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if step.phase == STATIC {
+            return self.static_losses(step);
+        }
+        for view in step.views {
+            step.clock.enter("motion");
+            let moment = step.moment(view);
+            let (splats, sliced) = self.layers(step.tape, step.model, &moment);
+            let sliced = sliced.expect("the phase has a moving layer");
+            primitives4d::count_skipped(step, "surfels of other times", &sliced);
+            let moving = step.tape.value(sliced.present).len();
+            let rendered = step.render(&splats, None, view, Observed::First(FOREGROUND, moving))?;
+            step.photometric(rendered.color, view);
+        }
+        Ok(())
+    }
+}
+
+impl<T: Real> Base<T> for ViewPlaneGaussians {
     fn phases(&self) -> Vec<Phase> {
-        let phase = |name: &'static str| {
-            let iterations = self.shared.iterations.get(name).copied().unwrap_or(0);
-            Phase { name, iterations: stretch(iterations, self.shared.schedule_scale) }
-        };
-        let background = self.has_background().then(|| phase(STATIC));
-        background.into_iter().chain(self.switches.motion.then(|| phase(DYNAMIC))).collect()
+        let [background, moving] = [STATIC, DYNAMIC].map(|name| self.shared.phase(name));
+        let background = self.has_background().then_some(background);
+        background.into_iter().chain(self.switches.motion.then_some(moving)).collect()
     }
 
     fn initialize(
@@ -200,24 +218,7 @@ impl<T: Real> Method<T> for ViewPlaneGaussians {
         Ok(self.layers(tape, model, moment).0)
     }
 
-    fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
-        if step.phase == STATIC {
-            return self.static_losses(step);
-        }
-        for view in step.views {
-            step.clock.enter("motion");
-            let moment = step.moment(view);
-            let (splats, sliced) = self.layers(step.tape, step.model, &moment);
-            let sliced = sliced.expect("the phase has a moving layer");
-            primitives4d::count_skipped(step, "surfels of other times", &sliced);
-            let moving = step.tape.value(sliced.present).len();
-            let rendered = step.render_first(&splats, moving, view, FOREGROUND)?;
-            step.photometric(rendered.color, view);
-        }
-        Ok(())
-    }
-
-    fn population_controls(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn PopulationControl>> {
+    fn hooks(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let layer = if phase == STATIC { BACKGROUND } else { FOREGROUND };
         vec![Box::new(SurfelPruning::new(layer, &self.settings.pruning, self.shared.schedule_scale))]
     }

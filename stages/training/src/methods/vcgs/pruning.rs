@@ -1,18 +1,15 @@
-//! Removes surfels that nobody misses; none are ever added.
+//! Pruning of surfels that contribute little; none are ever added.
 
 use anyhow::Context as _;
-use rand_chacha::ChaCha8Rng;
 
 use super::settings::Pruning;
 use crate::bases::gaussians::{RADIUS_PX, Statistics, logit};
-use crate::method::{PopulationControl, SceneFacts};
-use crate::optimizer::Optimizer;
+use crate::method::{AfterStep, ScreenStats, StepHook};
 use crate::schedule::stretch;
-use crate::screen::Screen;
 
 /// Prunes one layer by opacity and by size on the screen.
 #[derive(Clone)]
-pub struct SurfelPruning {
+pub(crate) struct SurfelPruning {
     population: &'static str,
     params: Pruning,
     /// Since the last round.
@@ -20,7 +17,7 @@ pub struct SurfelPruning {
 }
 
 impl SurfelPruning {
-    pub fn new(population: &'static str, params: &Pruning, schedule_scale: f64) -> Self {
+    pub(crate) fn new(population: &'static str, params: &Pruning, schedule_scale: f64) -> Self {
         let params = Pruning { interval: stretch(params.interval, schedule_scale), ..params.clone() };
         Self { population, params, statistics: Statistics::default() }
     }
@@ -42,29 +39,23 @@ impl SurfelPruning {
     }
 }
 
-impl PopulationControl for SurfelPruning {
-    fn watches(&self, _iteration: u64) -> bool {
+impl StepHook for SurfelPruning {
+    fn observes_at(&self, _iteration: u64) -> bool {
         true
     }
 
-    fn observe(&mut self, screen: &Screen<'_>) {
-        if screen.population == self.population {
-            self.statistics.observe(screen);
+    fn observe(&mut self, stats: &ScreenStats<'_>) {
+        if stats.population == self.population {
+            self.statistics.observe(stats);
         }
     }
 
-    fn judges(&self, iteration: u64) -> bool {
+    fn reads_rows_at(&self, iteration: u64) -> bool {
         iteration > self.params.interval && iteration.is_multiple_of(self.params.interval)
     }
 
-    fn act(
-        &mut self,
-        iteration: u64,
-        optimizer: &mut Optimizer,
-        _scene: &SceneFacts,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<()> {
-        if self.judges(iteration) {
+    fn after_step(&mut self, AfterStep { iteration, optimizer, .. }: AfterStep<'_>) -> anyhow::Result<()> {
+        if self.reads_rows_at(iteration) {
             let keep = self.survivors(optimizer.tensor(&format!("{}.opacity_logits", self.population))?.as_slice());
             optimizer.keep(self.population, &keep)?;
             self.statistics = Statistics::default();

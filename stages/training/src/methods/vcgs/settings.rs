@@ -7,7 +7,7 @@ use crate::effects::{Effect, Effects, Need};
 /// What only this method understands.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// A surfel stands on every so many pixels of every so many rows.
     pub pixel_stride: usize,
     /// At most so many surfels per layer, evenly chosen.
@@ -23,7 +23,7 @@ pub struct Settings {
 /// When surfels are removed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Pruning {
+pub(crate) struct Pruning {
     /// Iterations between two rounds, none up to the first interval (stretched with the schedule).
     pub interval: u64,
     /// Surfels less opaque than this go.
@@ -48,7 +48,7 @@ impl Default for Pruning {
 
 /// Which effects are on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Switches {
+pub(crate) struct Switches {
     pub motion: bool,
     pub constraint: bool,
     pub layer_split: bool,
@@ -57,7 +57,7 @@ pub struct Switches {
 }
 
 impl Switches {
-    pub fn new(effects: &Effects) -> Self {
+    pub(crate) fn new(effects: &Effects) -> Self {
         let layer_split = effects.has("layer-split");
         Self {
             motion: effects.has("motion"),
@@ -69,7 +69,7 @@ impl Switches {
 }
 
 /// What the method can simulate or leave out, in the order of its README.
-pub fn effects() -> Vec<Effect> {
+pub(crate) fn effects() -> Vec<Effect> {
     let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
     vec![
         effect(
@@ -93,7 +93,7 @@ pub fn effects() -> Vec<Effect> {
 
 impl Settings {
     /// Why these settings cannot work, if so.
-    pub fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), String> {
         if self.pixel_stride == 0 || self.max_count == 0 || self.pruning.interval == 0 {
             return Err("vcgs: pixel_stride, max_count and pruning.interval must be positive".into());
         }

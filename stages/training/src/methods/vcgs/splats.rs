@@ -10,10 +10,10 @@ use shaders::tape::{Real, Tape, Var};
 use super::layers::{BACKGROUND, FOREGROUND};
 use super::settings::{Settings, Switches};
 use crate::bases::primitives4d;
-use crate::state::Variables;
+use crate::model::Variables;
 
 /// The moving surfels at a time, each where equations 2 to 6 put it.
-pub fn moving<T: Real>(
+pub(crate) fn moving<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
     time: f64,
@@ -41,7 +41,7 @@ pub fn moving<T: Real>(
 }
 
 /// The static layer, which no time and no fourth dimension touches.
-pub fn standing<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
+pub(crate) fn standing<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
     let var = |attribute: &str| model.get(&format!("{BACKGROUND}.{attribute}"));
     let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
     SplatVars {
@@ -53,7 +53,7 @@ pub fn standing<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
 }
 
 /// The splats of two layers, the first one's first.
-pub fn joined<T: Real>(tape: &mut Tape<T>, first: &SplatVars, second: &SplatVars) -> SplatVars {
+pub(crate) fn joined<T: Real>(tape: &mut Tape<T>, first: &SplatVars, second: &SplatVars) -> SplatVars {
     let mut factor = |shape: ShapeVars| match shape {
         ShapeVars::ScaleRotation { log_scales, rotations } => factors(tape, log_scales, rotations),
         ShapeVars::Factor(factors) => factors,
@@ -70,7 +70,7 @@ pub fn joined<T: Real>(tape: &mut Tape<T>, first: &SplatVars, second: &SplatVars
 
 /// Δ − (1 − ε)(n·Δ)n for displacements Δ [M, 3] and unit viewing directions n [M, 3]: equations 4 to 6 without the
 /// translation, which displacements do not have.
-pub fn within_view_plane<T: Real>(tape: &mut Tape<T>, displacements: Var, axes: Var, depth_share: f64) -> Var {
+pub(crate) fn within_view_plane<T: Real>(tape: &mut Tape<T>, displacements: Var, axes: Var, depth_share: f64) -> Var {
     let along = row_dot(tape, displacements, axes);
     let removed = scale_rows(tape, axes, along);
     let removed = scale(tape, removed, 1.0 - depth_share);

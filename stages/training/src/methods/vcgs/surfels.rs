@@ -20,11 +20,11 @@ const COVERED: f32 = 0.5;
 /// The logit of what counts as covering: nearly opaque.
 const COVERING_LOGIT: f32 = 4.0;
 /// Thickness as a share of the smaller side, and the least one in scene units.
-pub const THICKNESS_SHARE: f64 = 0.01;
+pub(crate) const THICKNESS_SHARE: f64 = 0.01;
 const MIN_THICKNESS: f64 = 1e-6;
 
 /// What one view tells of the surfaces that it sees.
-pub struct Picture<'a> {
+pub(crate) struct Picture<'a> {
     pub camera: &'a Camera,
     /// [H, W, 3] sRGB.
     pub pixels: &'a [u8],
@@ -34,7 +34,7 @@ pub struct Picture<'a> {
 
 /// One flat Gaussian in the world.
 #[derive(Clone, Copy, Debug)]
-pub struct Surfel {
+pub(crate) struct Surfel {
     pub position: DVec3,
     /// Its third axis is the surface's normal.
     pub rotation: DQuat,
@@ -49,14 +49,14 @@ pub struct Surfel {
 
 impl Surfel {
     /// Standard deviation along the normal, scene units.
-    pub fn thickness(&self) -> f64 {
+    pub(crate) fn thickness(&self) -> f64 {
         (THICKNESS_SHARE * self.scales[0].min(self.scales[1])).max(MIN_THICKNESS)
     }
 }
 
 impl Picture<'_> {
     /// A surfel on every `stride`-th pixel of every `stride`-th row that has a depth and is `wanted`.
-    pub fn surfels(&self, time: f64, stride: usize, wanted: impl Fn(usize) -> bool) -> Vec<Surfel> {
+    pub(crate) fn surfels(&self, time: f64, stride: usize, wanted: impl Fn(usize) -> bool) -> Vec<Surfel> {
         let (width, height) = (self.depth.width as usize, self.depth.height as usize);
         let places = (stride / 2..height).step_by(stride).flat_map(|row| {
             (stride / 2..width).step_by(stride).map(move |column| (row * width + column, column, row)) //
@@ -120,7 +120,7 @@ fn axes(normal: DVec3) -> DMat3 {
 }
 
 /// Which pixels of a picture show something that `surfels` do not cover: nothing drawn there, or at another depth.
-pub fn uncovered(surfels: &[Surfel], picture: &Picture<'_>) -> Result<Vec<bool>, TooManyIntersections> {
+pub(crate) fn uncovered(surfels: &[Surfel], picture: &Picture<'_>) -> Result<Vec<bool>, TooManyIntersections> {
     let settings = RasterSettings { depth: true, sh_degree: 0, ..RasterSettings::default() };
     let image = render_image(&covering_splats(surfels), &PinholeCamera::from(picture.camera), &settings)?;
     let drawn = image.depth.expect("depth was asked for");
@@ -151,12 +151,12 @@ fn covering_splats(surfels: &[Surfel]) -> SplatTensors<f32> {
 }
 
 /// The quaternion in the order of the tensors.
-pub fn wxyz(rotation: DQuat) -> [f64; 4] {
+pub(crate) fn wxyz(rotation: DQuat) -> [f64; 4] {
     [rotation.w, rotation.x, rotation.y, rotation.z]
 }
 
 /// The first surfel of every cube of half the median spacing.
-pub fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
+pub(crate) fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
     let mut spacings: Vec<f64> = surfels.iter().map(|s| s.scales[0].min(s.scales[1]) / SPACING_SHARE).collect();
     spacings.sort_by(f64::total_cmp);
     let Some(&median) = spacings.get(spacings.len() / 2) else { return surfels };
@@ -166,7 +166,7 @@ pub fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
 }
 
 /// At most `max_count`, evenly chosen.
-pub fn thinned(surfels: Vec<Surfel>, max_count: usize) -> Vec<Surfel> {
+pub(crate) fn thinned(surfels: Vec<Surfel>, max_count: usize) -> Vec<Surfel> {
     let count = surfels.len();
     if count <= max_count {
         return surfels;

@@ -10,12 +10,10 @@ use super::settings::Pruning;
 use super::splats::within_view_plane;
 use super::surfels::{Picture, Surfel, uncovered, without_duplicates};
 use super::*;
-use crate::dataset::Dataset;
+use crate::data::{Dataset, NOTHING, Stream, Supplements, generator};
 use crate::effects::Effects;
-use crate::sampler::{Stream, generator};
-use crate::screen::{Screen, ScreenGradients};
-use crate::supplements::{NOTHING, Supplements};
-use crate::test_scene::TestScene;
+use crate::method::{ScreenGradients, ScreenStats};
+use crate::scene_tests::TestScene;
 
 struct World {
     dataset: Dataset,
@@ -51,7 +49,7 @@ fn last_state(method: &ViewPlaneGaussians, start: &Start<'_>) -> anyhow::Result<
     let mut state = Method::<f64>::initialize(method, start, &none, &mut random)?;
     let phases = Method::<f64>::phases(method);
     for phase in &phases {
-        state = method.enter_phase(phase.name, state, start, &mut random)?;
+        state = Method::enter_phase(method, phase.name, state, start, &mut random)?;
     }
     Ok((state, phases.last().unwrap().name))
 }
@@ -72,9 +70,9 @@ fn splats_at(
     let model = state.bind(&mut tape, |_| true);
     let camera = world.dataset.train[0].camera;
     let moment = Moment { scene: &world.dataset.scene, phase, time, camera: &camera, sh_degree: 0 };
-    let splats = method.splats(&mut tape, &model, &moment).unwrap();
+    let splats = Method::splats(method, &mut tape, &model, &moment).unwrap();
     let calls = tape.profile().ops.values().map(|cost| cost.forward.calls).sum();
-    let rows = method.rows(&mut tape, &model, &moment).unwrap();
+    let rows = Method::rows(method, &mut tape, &model, &moment).unwrap();
     let positions = tape.value(splats.positions).clone();
     assert!(rows.is_none_or(|rows| rows.len() == positions.rows()), "every splat has its row");
     (positions, calls)
@@ -236,7 +234,7 @@ fn pruning_takes_the_faint_and_the_large_and_leaves_enough() {
     let screen = |radius_px: Vec<f32>| {
         let (visible, gradient_ndc) = (vec![true; 5], vec![[0.0; 2]; 5]);
         let figures = ScreenGradients { radius_px, visible, gradient_ndc };
-        Screen::of(BACKGROUND, figures)
+        ScreenStats::of(BACKGROUND, figures)
     };
     assert_eq!(pruning.survivors(&logits), [true, false, true, true, true]);
     pruning.observe(&screen(vec![1.0, 1.0, 31.0, 1.0, 1.0]));

@@ -6,7 +6,7 @@ use shaders::pointwise::add;
 use shaders::tape::{Tape, Tensor};
 
 use crate::bases::gaussians::{self, GRADIENT_SUM, SEEN_COUNT};
-use crate::screen::{Owners, Screen};
+use crate::method::{Parents, ScreenStats};
 
 pointwise! {
     /// y = sum + term where count > 0, else the sum as it was.
@@ -23,7 +23,7 @@ pointwise! {
 /// Sums per anchor and per place of a Gaussian (slot), K slots per anchor; on the device that renders, until somebody judges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Saved", into = "Saved")]
-pub struct Statistics {
+pub(crate) struct Statistics {
     per_anchor: usize,
     /// Of the N·K slots.
     gaussians: gaussians::Statistics,
@@ -79,24 +79,24 @@ impl Default for Statistics {
 
 impl Statistics {
     /// Whether nothing was seen yet.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.look_count.is_empty()
     }
 
     /// Adds one step's renders, on the device that rendered.
-    pub fn observe(&mut self, screen: &Screen<'_>, per_anchor: usize) {
+    pub(crate) fn observe(&mut self, stats: &ScreenStats<'_>, per_anchor: usize) {
         self.per_anchor = per_anchor;
-        self.resize(screen.rows() / per_anchor);
-        self.gaussians.observe(screen);
-        self.look(screen);
+        self.resize(stats.rows() / per_anchor);
+        self.gaussians.observe(stats);
+        self.look(stats);
     }
 
     /// Adds the looks of one step at anchors; opacities count where any of its renders looked.
-    fn look(&mut self, screen: &Screen<'_>) {
-        let Some((first, others)) = screen.owners().split_first() else { return };
+    fn look(&mut self, stats: &ScreenStats<'_>) {
+        let Some((first, others)) = stats.parents().split_first() else { return };
         let mut tape = Tape::new(first.in_view.device());
         let [mut looks, mut opacity] = [&first.in_view, &first.opacity].map(|tensor| tape.constant(tensor.clone()));
-        for Owners { in_view, opacity: of_render } in others {
+        for Parents { in_view, opacity: of_render } in others {
             let [in_view, of_render] = [in_view, of_render].map(|tensor| tape.constant(tensor.clone()));
             (looks, opacity) = (add(&mut tape, looks, in_view), add(&mut tape, opacity, of_render));
         }
@@ -107,23 +107,23 @@ impl Statistics {
     }
 
     /// [N·K] the mean gradient of every Gaussian that was seen in more than `needed` steps.
-    pub fn mean_gradients(&self, needed: f64) -> Vec<Option<f32>> {
+    pub(crate) fn mean_gradients(&self, needed: f64) -> Vec<Option<f32>> {
         self.gaussians.rows().iter().map(|row| mean(row[GRADIENT_SUM], row[SEEN_COUNT], needed)).collect()
     }
 
     /// [N] the mean opacity, summed over its Gaussians, of every anchor that more than `needed` renders looked at.
-    pub fn mean_opacities(&self, needed: f64) -> Vec<Option<f32>> {
+    pub(crate) fn mean_opacities(&self, needed: f64) -> Vec<Option<f32>> {
         let rows = self.opacity_sum.as_slice().iter().zip(self.look_count.as_slice());
         rows.map(|(&sum, &count)| mean(sum, count, needed)).collect()
     }
 
     /// Starts anew for the Gaussians that [`Statistics::mean_gradients`] judged.
-    pub fn forget_seen(&mut self, needed: f64) {
+    pub(crate) fn forget_seen(&mut self, needed: f64) {
         self.gaussians.forget_gradients(|row| f64::from(row[SEEN_COUNT]) > needed);
     }
 
     /// Starts anew for the anchors that [`Statistics::mean_opacities`] judged.
-    pub fn forget_looks(&mut self, needed: f64) {
+    pub(crate) fn forget_looks(&mut self, needed: f64) {
         for (sum, count) in self.opacity_sum.make_mut().iter_mut().zip(self.look_count.make_mut()) {
             if f64::from(*count) > needed {
                 (*sum, *count) = (0.0, 0.0);
@@ -132,7 +132,7 @@ impl Statistics {
     }
 
     /// Room for so many anchors; new ones were never seen.
-    pub fn resize(&mut self, anchors: usize) {
+    pub(crate) fn resize(&mut self, anchors: usize) {
         self.gaussians.resize(anchors * self.per_anchor);
         for sums in [&mut self.opacity_sum, &mut self.look_count].into_iter().filter(|sums| sums.len() != anchors) {
             let mut values = sums.as_slice().to_vec();
@@ -142,7 +142,7 @@ impl Statistics {
     }
 
     /// Drops the anchors whose flag is false.
-    pub fn keep(&mut self, keep: &[bool]) {
+    pub(crate) fn keep(&mut self, keep: &[bool]) {
         let of_slots: Vec<bool> = keep.iter().flat_map(|&keep| std::iter::repeat_n(keep, self.per_anchor)).collect();
         self.gaussians.keep(&of_slots);
         for sums in [&mut self.opacity_sum, &mut self.look_count] {

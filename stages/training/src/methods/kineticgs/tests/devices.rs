@@ -4,8 +4,9 @@ use shaders::check::test_gpu;
 use shaders::geometry::point_lookup::FlowMaps;
 use shaders::gpu::readbacks_of_this_thread;
 
-use super::super::coherence::{Search, displacement_incoherence, window_incoherence};
+use super::super::coherence::{displacement_incoherence, window_incoherence};
 use super::super::energy_flow::{FlowView, energy_flow};
+use super::super::neighbors::Search;
 use super::super::population::Population;
 use super::*;
 

@@ -7,7 +7,7 @@ use shaders::geometry::point_lookup::flow_targets;
 
 use super::super::energy_flow::{FlowView, energy_flow};
 use super::*;
-use crate::supplements::{FlowPrior, ViewPriors};
+use crate::data::{FlowPrior, ViewPriors};
 
 /// A camera at the origin and a wall at depth 2, whose pixels go two to the right; `depth_to` is the depth there.
 fn wall(depth_to: Option<f32>) -> (Camera, ViewPriors, Supplements) {

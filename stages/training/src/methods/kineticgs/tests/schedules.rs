@@ -1,6 +1,7 @@
 //! Neighbours, and how much each loss weighs when.
 
-use super::super::coherence::{Neighbors, Pairs, Search, displacement_incoherence};
+use super::super::coherence::displacement_incoherence;
+use super::super::neighbors::{Neighbors, Pairs, Search};
 use super::super::weights::LossSettings;
 use super::*;
 

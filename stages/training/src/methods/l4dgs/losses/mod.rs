@@ -15,8 +15,8 @@ use super::tokens::TokenGrid;
 use super::{LanguageGuided, SEMANTICS};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::FINE;
-use crate::method::{Method as _, Moment, TrainingView, photometric_losses};
-use crate::step::Step;
+use crate::data::TrainingView;
+use crate::method::{Method as _, Moment, Observed, Step, photometric_losses};
 use observed::{RenderedTokens, color_statistics, depth_cells, rendered_tokens};
 use terms::{add_angle, add_distance};
 use weights::{CellMask, focus, normalized, still};
@@ -101,12 +101,12 @@ impl LanguageGuided {
     }
 
     fn view_losses<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>, due: &Due) -> anyhow::Result<()> {
-        let rendered = self.render(step, view, due, Some(GAUSSIANS))?;
+        let rendered = self.render(step, view, due, Observed::All(GAUSSIANS))?;
         step.photometric(rendered.color, view);
         let grid = self.grid(view);
         let tokens = rendered_tokens(step, grid, &rendered, self.settings.min_alpha);
         let covered = total(step.tape, tokens.covered);
-        step.count_skipped_later("tokens without Gaussians", covered, grid.count());
+        step.count_skipped_deferred("tokens without Gaussians", covered, grid.count());
 
         let asked = due.static_semantics || self.on.attention_focus;
         let lesson = asked.then(|| self.frame_lesson(step, grid, view, true));
@@ -132,7 +132,7 @@ impl LanguageGuided {
         step: &mut Step<'_, T>,
         view: &TrainingView<T>,
         due: &Due,
-        population: Option<&str>,
+        observed: Observed<'_>,
     ) -> anyhow::Result<Rendered> {
         step.clock.enter("motion");
         let (scene, phase, sh_degree) = (step.scene, step.phase, step.sh_degree);
@@ -140,7 +140,7 @@ impl LanguageGuided {
         let splats = self.splats(step.tape, step.model, &moment)?;
         let features = due.semantics().then(|| step.model.get(SEMANTICS));
         let without_depth = std::mem::replace(&mut step.raster.depth, due.depth());
-        let rendered = step.render(&splats, features, view, population);
+        let rendered = step.render(&splats, features, view, observed);
         step.raster.depth = without_depth;
         step.clock.enter("loss semantics");
         rendered
@@ -206,7 +206,7 @@ impl LanguageGuided {
             return Ok(());
         }
         let (later, is_real) = later_view(step, view);
-        let later_rendered = self.render(step, &later, due, None)?;
+        let later_rendered = self.render(step, &later, due, Observed::Nothing)?;
         let later_tokens = rendered_tokens(step, grid, &later_rendered, self.settings.min_alpha);
         if due.dynamic_semantics {
             // Real frames where a camera stands still, else two renders: a difference between a frame and a render

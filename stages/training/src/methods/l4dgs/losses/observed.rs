@@ -8,7 +8,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::super::tokens::{CELLS, TokenGrid};
 use super::weights::covered;
-use crate::step::Step;
+use crate::method::Step;
 
 /// Less opacity than this leaves features and depth undetermined.
 const MIN_ALPHA: f64 = 1e-3;
@@ -28,7 +28,7 @@ shaders::pointwise! {
 }
 
 /// What a render says about the tokens of the image.
-pub struct RenderedTokens {
+pub(crate) struct RenderedTokens {
     /// [tokens, features]: the mean feature of the Gaussians in sight.
     pub features: Option<Var>,
     /// [tokens, CELLS²] in extents of the scene.
@@ -40,7 +40,7 @@ pub struct RenderedTokens {
 }
 
 /// Means over tokens and cells, divided by the opacity that they were blended with; covered is what has `min_alpha`.
-pub fn rendered_tokens<T: Real>(
+pub(crate) fn rendered_tokens<T: Real>(
     step: &mut Step<'_, T>,
     grid: TokenGrid,
     rendered: &Rendered,
@@ -67,7 +67,7 @@ pub fn rendered_tokens<T: Real>(
 }
 
 /// [tokens, CELLS²] of a depth map in extents of the scene, and 1 for the cells in which all of it is known, else 0.
-pub fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, extent: f64) -> [Tensor<T>; 2] {
+pub(crate) fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, extent: f64) -> [Tensor<T>; 2] {
     let (height, width) = (map.height as usize, map.width as usize);
     let is_known = |depth: f32| depth > 0.0 && depth.is_finite();
     let relative = |&depth: &f32| T::from_f64(if is_known(depth) { f64::from(depth) / extent } else { 0.0 });
@@ -80,7 +80,7 @@ pub fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, extent: f64) -> [Te
 }
 
 /// [tokens, 6]: mean and standard deviation of the three colours of an image [H, W, 3].
-pub fn color_statistics<T: Real>(tape: &mut Tape<T>, grid: TokenGrid, image: Var) -> Var {
+pub(crate) fn color_statistics<T: Real>(tape: &mut Tape<T>, grid: TokenGrid, image: Var) -> Var {
     let squares = square(tape, image);
     let [means, mean_squares] = [image, squares].map(|image| grid.pool(tape, image));
     let deviations = deviation(tape, means, mean_squares);

@@ -6,13 +6,19 @@ use shaders::pointwise::{mul, sub};
 use shaders::tape::{Real, Var};
 
 use super::weights::directed;
-use crate::step::Step;
+use crate::method::Step;
 
 /// Shorter vectors count as this long in a cosine.
 const MIN_NORM: f64 = 1e-6;
 
 /// Adds weight · Σ wₙ‖aₙ − bₙ‖².
-pub fn add_distance<T: Real>(step: &mut Step<'_, T>, name: &'static str, weight: f64, [a, b]: [Var; 2], weights: Var) {
+pub(crate) fn add_distance<T: Real>(
+    step: &mut Step<'_, T>,
+    name: &'static str,
+    weight: f64,
+    [a, b]: [Var; 2],
+    weights: Var,
+) {
     let difference = sub(step.tape, a, b);
     let squared = squared_norm(step.tape, difference);
     add_sum(step, name, weight, squared, weights);
@@ -20,7 +26,7 @@ pub fn add_distance<T: Real>(step: &mut Step<'_, T>, name: &'static str, weight:
 
 /// Adds weight · Σ wₙ(1 − cos(aₙ, bₙ)) over the rows in which both are at least `min_norm` long: below that a direction
 /// is noise, and the gradient of its angle explodes.
-pub fn add_angle<T: Real>(
+pub(crate) fn add_angle<T: Real>(
     step: &mut Step<'_, T>,
     name: &'static str,
     weight: f64,

@@ -39,13 +39,13 @@ shaders::pointwise! {
 }
 
 /// 1 where an opacity is at least `min_alpha`, else 0.
-pub fn covered<T: Real>(tape: &mut Tape<T>, alpha: Var, min_alpha: f64) -> Var {
+pub(crate) fn covered<T: Real>(tape: &mut Tape<T>, alpha: Var, min_alpha: f64) -> Var {
     let alpha = tape.detach(alpha);
     at_least(tape, alpha, min_alpha)
 }
 
 /// [tokens, 1]: how much attention every token receives, the mean over the rows of the attention map [tokens, tokens].
-pub fn focus<T: Real>(tape: &mut Tape<T>, probabilities: Var) -> Var {
+pub(crate) fn focus<T: Real>(tape: &mut Tape<T>, probabilities: Var) -> Var {
     let tokens = tape.value(probabilities).rows();
     let probabilities = tape.detach(probabilities);
     let received = segment_mean(tape, probabilities, &RowIndex::new(vec![0; tokens], 1));
@@ -53,21 +53,21 @@ pub fn focus<T: Real>(tape: &mut Tape<T>, probabilities: Var) -> Var {
 }
 
 /// [tokens, 1]: weights of the tokens with a 1 in the mask that sum to 1, else 0; all 0 if none of them has any.
-pub fn normalized<T: Real>(tape: &mut Tape<T>, focus: Var, mask: Var) -> Var {
+pub(crate) fn normalized<T: Real>(tape: &mut Tape<T>, focus: Var, mask: Var) -> Var {
     let masked = mul(tape, focus, mask);
     let sums = total_per_row(tape, masked);
     divide_rows(tape, masked, sums, NO_WEIGHT)
 }
 
 /// Weights for terms that also punish true motion: full from the uniform weight on, falling with the square below.
-pub fn still<T: Real>(tape: &mut Tape<T>, weights: Var) -> Var {
+pub(crate) fn still<T: Real>(tape: &mut Tape<T>, weights: Var) -> Var {
     let valid = at_least(tape, weights, NO_WEIGHT);
     let count = total_per_row(tape, valid);
     at_most_uniform(tape, weights, count)
 }
 
 /// The weights of the rows in which a and b are at least `min_norm` long, else 0.
-pub fn directed<T: Real>(tape: &mut Tape<T>, weights: Var, ab: [Var; 2], min_norm: f64) -> Var {
+pub(crate) fn directed<T: Real>(tape: &mut Tape<T>, weights: Var, ab: [Var; 2], min_norm: f64) -> Var {
     let [a, b] = ab.map(|x| {
         let x = tape.detach(x);
         norm(tape, x)
@@ -84,30 +84,30 @@ fn total_per_row<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
 
 /// Which cells [tokens, cells] count, as ones and zeros; and how many of each token.
 #[derive(Clone, Copy)]
-pub struct CellMask {
+pub(crate) struct CellMask {
     ones: Var,
     counts: Var,
 }
 
 impl CellMask {
     /// The cells with a 1 in both masks.
-    pub fn new<T: Real>(tape: &mut Tape<T>, a: Var, b: Var) -> Self {
+    pub(crate) fn new<T: Real>(tape: &mut Tape<T>, a: Var, b: Var) -> Self {
         let ones = mul(tape, a, b);
         Self { ones, counts: row_sum(tape, ones) }
     }
 
     /// [tokens, 1]: 1 where any cell of a token counts, else 0.
-    pub fn any<T: Real>(self, tape: &mut Tape<T>) -> Var {
+    pub(crate) fn any<T: Real>(self, tape: &mut Tape<T>) -> Var {
         at_least(tape, self.counts, 1.0)
     }
 
     /// x [tokens, cells] where it counts, else 0.
-    pub fn masked<T: Real>(self, tape: &mut Tape<T>, x: Var) -> Var {
+    pub(crate) fn masked<T: Real>(self, tape: &mut Tape<T>, x: Var) -> Var {
         mul(tape, x, self.ones)
     }
 
     /// Masked rows less the mean over what counts in them.
-    pub fn centered<T: Real>(self, tape: &mut Tape<T>, masked: Var) -> Var {
+    pub(crate) fn centered<T: Real>(self, tape: &mut Tape<T>, masked: Var) -> Var {
         let sums = row_sum(tape, masked);
         let means = divide_rows(tape, sums, self.counts, 1.0);
         let mean_of_cells = scale_rows(tape, self.ones, means);

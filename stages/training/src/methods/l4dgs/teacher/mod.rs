@@ -10,7 +10,7 @@ mod network;
 mod reconstruction;
 mod text;
 
-pub use text::prompt_embeddings;
+pub(crate) use text::prompt_embeddings;
 
 use rand_chacha::ChaCha8Rng;
 use shaders::arrays::rows::{concat_columns, normalize};
@@ -22,25 +22,25 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::settings::TeacherSettings;
 use super::tokens::TokenGrid;
 use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix};
-use crate::state::{ModelState, Variables};
+use crate::model::{ModelState, Variables};
 use network::Network;
 
 /// All tensors of the teacher are called `teacher.…`.
-pub const TEACHER: &str = "teacher";
+pub(crate) const TEACHER: &str = "teacher";
 /// Embeddings of the prompts, [P, E]; not learnt.
-pub const TEXT: &str = "teacher.prompts";
+pub(crate) const TEXT: &str = "teacher.prompts";
 /// Shorter features have no direction.
 const MIN_NORM: f64 = 1e-6;
 /// Mean and standard deviation of three colours.
 const COLOR_STATISTICS: usize = 6;
 
 /// The teacher's layers; what a model has of them shows in its tensors.
-pub struct Teacher<'a> {
+pub(crate) struct Teacher<'a> {
     settings: &'a TeacherSettings,
 }
 
 /// What the teacher says about one image.
-pub struct Lesson {
+pub(crate) struct Lesson {
     /// [tokens, features]: SMSA, of unit length.
     pub features: Var,
     /// [tokens, tokens]: attention of every token to every other, averaged over the heads.
@@ -48,13 +48,13 @@ pub struct Lesson {
 }
 
 impl<'a> Teacher<'a> {
-    pub fn new(settings: &'a TeacherSettings) -> Self {
+    pub(crate) fn new(settings: &'a TeacherSettings) -> Self {
         Self { settings }
     }
 
     /// Adds the teacher's tensors: for visual tokens of `token_width` where frames have any, and for prompts [P, E]
     /// where language takes part.
-    pub fn insert<T: Real>(
+    pub(crate) fn insert<T: Real>(
         &self,
         state: &mut ModelState<T>,
         token_width: Option<usize>,
@@ -92,7 +92,7 @@ impl<'a> Teacher<'a> {
     }
 
     /// Tokens of an image [H, W, 3], with the visual tokens [rows, columns, F] of that frame if it has any.
-    pub fn observe<T: Real>(
+    pub(crate) fn observe<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -129,7 +129,7 @@ impl<'a> Teacher<'a> {
     }
 
     /// Whether the model was taught with visual tokens.
-    pub fn reads_visual_tokens(model: &Variables) -> bool {
+    pub(crate) fn reads_visual_tokens(model: &Variables) -> bool {
         model.find("teacher.tokens.weight").is_some()
     }
 

@@ -11,7 +11,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::super::settings::TeacherSettings;
 use super::super::tokens::TokenGrid;
 use crate::bases::layers::uniform;
-use crate::state::{ModelState, Variables};
+use crate::model::{ModelState, Variables};
 
 /// Taps along each side of a kernel.
 const KERNEL: usize = 3;
@@ -19,22 +19,22 @@ const KERNEL: usize = 3;
 const GROUPS: usize = 8;
 
 /// The levels of the teacher.
-pub struct Network<'a> {
+pub(crate) struct Network<'a> {
     settings: &'a TeacherSettings,
 }
 
 impl<'a> Network<'a> {
-    pub fn new(settings: &'a TeacherSettings) -> Self {
+    pub(crate) fn new(settings: &'a TeacherSettings) -> Self {
         Self { settings }
     }
 
     /// Channels of all levels together.
-    pub fn outputs(&self) -> usize {
+    pub(crate) fn outputs(&self) -> usize {
         self.settings.channels.iter().sum()
     }
 
     /// Adds `teacher.level_{0,1,2}.weight`, `.scale` and `.shift`; weights as by He et al. 2015, for what a ReLU follows.
-    pub fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
         let mut inputs = 3;
         for (level, &outputs) in self.settings.channels.iter().enumerate() {
             let bound = (6.0 / (KERNEL * KERNEL * inputs) as f64).sqrt();
@@ -46,7 +46,13 @@ impl<'a> Network<'a> {
     }
 
     /// The output of every level as tokens [tokens, channels], for an image [H, W, 3].
-    pub fn levels<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, grid: TokenGrid, image: Var) -> Vec<Var> {
+    pub(crate) fn levels<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        grid: TokenGrid,
+        image: Var,
+    ) -> Vec<Var> {
         let mut x = grid.cell_image(tape, image);
         let mut levels = Vec::new();
         for (level, &channels) in self.settings.channels.iter().enumerate() {

@@ -6,18 +6,18 @@ use shaders::pointwise::sub;
 use shaders::tape::{Real, Tape, Var};
 
 use super::{COLOR_STATISTICS, MIN_NORM, Teacher};
-use crate::state::Variables;
+use crate::model::Variables;
 
 /// Weight of the angle between a decoded token and the token (Qin et al. 2024).
 const ANGLE_WEIGHT: f64 = 1e-3;
 
 /// The parts of the reconstruction loss, each a scalar with its weight.
-pub type WeightedLosses = Vec<(f64, Var)>;
+pub(crate) type WeightedLosses = Vec<(f64, Var)>;
 
 impl Teacher<'_> {
     /// ‖colours − decoded‖² + ‖token − decoded‖² + 10⁻³·(1 − cos(token, decoded)), averaged over the tokens, for colour
     /// statistics [tokens, 6] and, where the frame has them, visual tokens [tokens, F].
-    pub fn reconstruction<T: Real>(
+    pub(crate) fn reconstruction<T: Real>(
         tape: &mut Tape<T>,
         model: &Variables,
         features: Var,
@@ -38,7 +38,7 @@ impl Teacher<'_> {
     }
 
     /// What semantic features [M, features] mean in the space of the visual tokens, [M, F]; none without such a space.
-    pub fn meaning<T: Real>(tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var> {
+    pub(crate) fn meaning<T: Real>(tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var> {
         if !Self::reads_visual_tokens(model) {
             return None;
         }

@@ -9,7 +9,7 @@ use shaders::tape::{Real, Tensor};
 const WIDTH: usize = 64;
 
 /// [P, 64]: one unit vector per prompt that depends on its text alone, so that equal words mean the same everywhere.
-pub fn prompt_embeddings<T: Real>(prompts: &[String]) -> Tensor<T> {
+pub(crate) fn prompt_embeddings<T: Real>(prompts: &[String]) -> Tensor<T> {
     let embedding = |prompt: &String| {
         let mut random = ChaCha8Rng::seed_from_u64(hash(prompt));
         let direction: Vec<f64> = (0..WIDTH).map(|_| StandardNormal.sample(&mut random)).collect();

@@ -20,7 +20,7 @@ fn allowed_error(loss: &str) -> f64 {
 /// What a step in f32 comes to on both devices.
 fn on_both_devices(world: &World, effects: &[&str], settings: &Phys4dgsSettings) -> Option<[Observation; 2]> {
     let params = world.phys4dgs(&[&["motion"], effects].concat(), settings);
-    let method = crate::methods::find("phys4dgs").unwrap().build_f32(&params).unwrap();
+    let method = crate::methods::find("phys4dgs").unwrap().build_f32(&params.shared, &params.settings).unwrap();
     Some([Device::Cpu, Device::Gpu(test_gpu()?)].map(|device| world.step_on(device, &*method, &params, 3)))
 }
 

@@ -6,10 +6,10 @@ use shaders::check::{agree, test_gpu};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Real, Tensor};
 
+use crate::data::FlowPrior;
 use crate::methods::phys4dgs::observation::{
     Observed, Sight, displacement_map, flow_displacements, flow_map, true_displacements,
 };
-use crate::supplements::FlowPrior;
 
 /// A camera at `position` that looks along z.
 fn camera_at(position: DVec3) -> Camera {

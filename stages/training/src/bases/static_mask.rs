@@ -1,0 +1,259 @@
+//! Gaussians that no training view shows where something moves: they skip what moves the others.
+
+use shaders::arrays::rows::{RowIndex, concat_rows, gather};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{ShapeVars, SplatVars};
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use crate::bases::canonical::scales_and_rotations;
+use crate::bases::gaussians::GAUSSIANS;
+use crate::effects::{Effect, Effects, Need};
+use crate::method::{Start, Step};
+use crate::model::{ModelState, Variables};
+
+/// The effect of every method whose motion model moves Gaussians one by one.
+pub(crate) const SKIP_STILL: Effect = Effect {
+    name: "skip-still",
+    about: "Gaussians that no view shows where something moves skip the motion model",
+    needs: &[Need::Layers, Need::Effect("motion")],
+    by_default: false,
+};
+
+/// Standard deviations that a Gaussian reaches: beyond, less than 1/255 of an opaque one is left (√(2·ln 255)).
+const REACH: f64 = 3.33;
+
+/// What tells the Gaussians that may move (1) from those that stand still (0): [N, 1]; it never learns, and what density
+/// control makes of a Gaussian is as that was.
+const MAY_MOVE: &str = "gaussians.may_move";
+
+/// Adds, where the effect is on, which Gaussians may move: those that reach, in some training view, a pixel that moves. A
+/// view whose moving part is not known shows nothing; where that holds of all views, all may move.
+pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, effects: &Effects, start: &Start<'_>) -> anyhow::Result<()> {
+    if !effects.has(SKIP_STILL.name) {
+        return Ok(());
+    }
+    let vectors = |attribute: &str| -> anyhow::Result<Vec<[f64; 3]>> {
+        let tensor = state.get(&format!("{GAUSSIANS}.{attribute}"))?;
+        Ok((0..tensor.rows()).map(|row| [0, 1, 2].map(|axis| tensor.row(row)[axis].to_f64())).collect())
+    };
+    let positions = vectors("positions")?;
+    let radii: Vec<f64> = vectors("log_scales")?
+        .iter()
+        .map(|scales| REACH * scales.iter().copied().fold(f64::NEG_INFINITY, f64::max).exp())
+        .collect();
+    let nothing_known = start.supplements.moving.iter().all(Option::is_none);
+    let mut may_move = vec![nothing_known; positions.len()];
+    for view in &start.dataset.train {
+        let Some(moving) = start.supplements.moving(view.index) else { continue };
+        let counts = RunningCounts::new(&moving.labels, moving.width as usize);
+        for (at, flag) in may_move.iter_mut().enumerate().filter(|(_, flag)| !**flag) {
+            *flag = footprint(&view.camera, positions[at], radii[at]).is_some_and(|square| counts.any_in(square));
+        }
+    }
+    let values = may_move.iter().map(|&flag| T::from_f64(f64::from(u8::from(flag)))).collect();
+    state.insert(MAY_MOVE, Tensor::from_vec([positions.len(), 1], values));
+    Ok(())
+}
+
+/// Counts the Gaussians that skip the motion model, once for every view of a step.
+pub(crate) fn count_skipped<T: Real>(step: &mut Step<'_, T>) {
+    let Some(flags) = step.model.find(MAY_MOVE) else { return };
+    let flags = step.tape.value(flags);
+    let still = flags.as_slice().iter().filter(|&&flag| flag == T::ZERO).count();
+    let (views, all) = (step.views.len(), flags.rows());
+    step.count_skipped("motion of still Gaussians", views * still, views * all);
+}
+
+/// Canonical Gaussians of which those that may move were moved by `motion`, which is told their rows (`None`: all).
+pub(crate) fn move_some<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    canonical: SplatVars,
+    motion: impl FnOnce(&mut Tape<T>, SplatVars, Option<&RowIndex>) -> SplatVars,
+) -> SplatVars {
+    let Some(flags) = model.find(MAY_MOVE) else { return motion(tape, canonical, None) };
+    let flags = tape.value(flags).as_slice();
+    let rows: Vec<u32> = (0..flags.len() as u32).filter(|&row| flags[row as usize] > T::ZERO).collect();
+    if rows.is_empty() {
+        return canonical;
+    }
+    let all = flags.len();
+    // Where a Gaussian is found among all of them, followed by those that were moved.
+    let mut place: Vec<u32> = (0..all as u32).collect();
+    rows.iter().enumerate().for_each(|(at, &row)| place[row as usize] = (all + at) as u32);
+    let merged = RowIndex::new(place, all + rows.len());
+    let rows = RowIndex::new(rows, all);
+
+    let some = map(canonical, |var| gather(tape, var, &rows));
+    let moved = motion(tape, some, Some(&rows));
+    let mut attributes = attributes(moved).into_iter().zip(attributes(some));
+    map(canonical, |var| match attributes.next().expect("as many attributes") {
+        (moved, before) if moved == before => var,
+        (moved, _) => {
+            let both = concat_rows(tape, &[var, moved]);
+            gather(tape, both, &merged)
+        }
+    })
+}
+
+/// Every attribute, in the order of [`map`].
+fn attributes(splats: SplatVars) -> [Var; 5] {
+    let (log_scales, rotations) = scales_and_rotations(&splats);
+    [splats.positions, log_scales, rotations, splats.opacity_logits, splats.sh]
+}
+
+/// Splats with every attribute mapped.
+fn map(splats: SplatVars, f: impl FnMut(Var) -> Var) -> SplatVars {
+    let [positions, log_scales, rotations, opacity_logits, sh] = attributes(splats).map(f);
+    SplatVars { positions, shape: ShapeVars::ScaleRotation { log_scales, rotations }, opacity_logits, sh }
+}
+
+/// The pixels [x₀, x₁, y₀, y₁] (each end included, px) around a ball in the image; `None` where it lies behind the camera.
+fn footprint(camera: &PinholeCamera, center_world: [f64; 3], radius: f64) -> Option<[f64; 4]> {
+    let [x, y, z] = [0, 1, 2].map(|row| {
+        let rotation = camera.rotation[row];
+        (0..3).map(|axis| rotation[axis] * center_world[axis]).sum::<f64>() + camera.translation[row]
+    });
+    let ([focal_x, focal_y], [center_x, center_y]) = (camera.focal, camera.center);
+    let (u, v) = (focal_x * x / z + center_x, focal_y * y / z + center_y);
+    let (reach_x, reach_y) = (focal_x * radius / z, focal_y * radius / z);
+    (z > 0.0).then_some([u - reach_x, u + reach_x, v - reach_y, v + reach_y])
+}
+
+/// How many pixels of every upper left part of a map are nonzero, so that any rectangle is counted at once.
+struct RunningCounts {
+    width: usize,
+    height: usize,
+    /// [height + 1, width + 1].
+    counts: Vec<u32>,
+}
+
+impl RunningCounts {
+    fn new(labels: &[u8], width: usize) -> Self {
+        let height = labels.len() / width.max(1);
+        let mut counts = vec![0; (width + 1) * (height + 1)];
+        for y in 0..height {
+            let mut in_row = 0;
+            for x in 0..width {
+                in_row += u32::from(labels[y * width + x] != 0);
+                counts[(y + 1) * (width + 1) + x + 1] = counts[y * (width + 1) + x + 1] + in_row;
+            }
+        }
+        Self { width, height, counts }
+    }
+
+    /// Whether any pixel of a footprint is nonzero.
+    fn any_in(&self, [x0, x1, y0, y1]: [f64; 4]) -> bool {
+        if !(x1 >= 0.0 && y1 >= 0.0 && x0 < self.width as f64 && y0 < self.height as f64) {
+            return false;
+        }
+        // Pixel i covers [i, i + 1); a cast from below zero or from beyond any integer saturates.
+        let (x0, y0) = (x0 as usize, y0 as usize);
+        let (x1, y1) = ((x1 as usize).min(self.width - 1) + 1, (y1 as usize).min(self.height - 1) + 1);
+        let at = |x: usize, y: usize| self.counts[y * (self.width + 1) + x];
+        at(x1, y1) + at(x0, y0) > at(x0, y1) + at(x1, y0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use scene::{LabelMap, PointCloud};
+    use shaders::check::noise;
+    use shaders::pointwise::scale;
+    use shaders::tape::Device;
+
+    use super::*;
+    use crate::bases::gaussians::insert_gaussians;
+    use crate::data::{Dataset, Supplements};
+    use crate::scene_tests::TestScene;
+
+    #[test]
+    fn gaussians_may_move_where_some_view_shows_motion() {
+        let dir = tempfile::tempdir().unwrap();
+        let dataset = Dataset::load(TestScene { size: 16, ..TestScene::default() }.write(dir.path()), 1).unwrap();
+        let points = PointCloud::random_in([[-0.3; 3], [0.3; 3]], 40, 1);
+        let moving_with = |labels: Option<Vec<u8>>| {
+            let first = dataset.train[0].index;
+            let mut supplements = Supplements { moving: vec![None; first + 1], ..Supplements::default() };
+            supplements.moving[first] = labels.map(|labels| LabelMap { width: 16, height: 16, labels });
+            let mut state = ModelState::<f64>::new();
+            insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01).unwrap();
+            state.insert("gaussians.log_scales", Tensor::full([40, 3], 0.001_f64.ln()));
+            insert(&mut state, &Effects::Auto, &Start { dataset: &dataset, supplements: &supplements }).unwrap();
+            state.get(MAY_MOVE).unwrap().as_slice().iter().filter(|&&flag| flag == 1.0).count()
+        };
+        let left_half = (0..256).map(|pixel| u8::from(pixel % 16 < 8)).collect();
+        let some = moving_with(Some(left_half));
+        assert!(some > 0 && some < 40, "{some}");
+        assert_eq!([moving_with(Some(vec![0; 256])), moving_with(Some(vec![1; 256])), moving_with(None)], [0, 40, 40]);
+    }
+
+    fn canonical(tape: &mut Tape<f64>) -> SplatVars {
+        let mut leaf = |columns: usize, seed| tape.leaf(Tensor::from_vec([5, columns], noise(5 * columns, seed)));
+        let (log_scales, rotations) = (leaf(3, 2), leaf(4, 3));
+        SplatVars {
+            positions: leaf(3, 1),
+            shape: ShapeVars::ScaleRotation { log_scales, rotations },
+            opacity_logits: leaf(1, 4),
+            sh: leaf(3, 5),
+        }
+    }
+
+    fn flagged(tape: &mut Tape<f64>, flags: [f64; 5]) -> Variables {
+        let flags = tape.constant(Tensor::from_vec([5, 1], flags.to_vec()));
+        Variables::new([(MAY_MOVE.into(), flags)].into())
+    }
+
+    #[test]
+    fn only_those_that_may_move_are_moved_and_gradients_reach_all() {
+        let mut tape = Tape::new(Device::Cpu);
+        let before = canonical(&mut tape);
+        let model = flagged(&mut tape, [0.0, 1.0, 0.0, 1.0, 1.0]);
+        let after = move_some(&mut tape, &model, before, |tape, some, rows| {
+            assert_eq!(rows.unwrap().row_of_item(), [1, 3, 4]);
+            assert_eq!(tape.value(some.positions).rows(), 3);
+            SplatVars { positions: scale(tape, some.positions, 10.0), ..some }
+        });
+        assert_eq!((after.opacity_logits, after.sh), (before.opacity_logits, before.sh), "unchanged, so not copied");
+        for row in 0..5 {
+            let factor = [1.0, 10.0, 1.0, 10.0, 10.0][row];
+            let expected: Vec<f64> = tape.value(before.positions).row(row).iter().map(|x| factor * x).collect();
+            assert_eq!(tape.value(after.positions).row(row), expected);
+        }
+        let seed = Tensor::full([5, 3], 1.0);
+        let gradient = tape.backward(&[(after.positions, seed)]).take(before.positions).unwrap();
+        assert_eq!(gradient.as_slice().chunks(3).map(|row| row[0]).collect::<Vec<_>>(), [1.0, 10.0, 1.0, 10.0, 10.0]);
+    }
+
+    #[test]
+    fn where_nothing_may_move_the_motion_model_does_not_run() {
+        let mut tape = Tape::new(Device::Cpu);
+        let before = canonical(&mut tape);
+        let model = flagged(&mut tape, [0.0; 5]);
+        let after = move_some(&mut tape, &model, before, |_, _, _| panic!("nothing moves"));
+        assert_eq!(after.positions, before.positions);
+        let unknown = Variables::new(std::collections::BTreeMap::new());
+        let all = move_some(&mut tape, &unknown, before, |_, all, rows| {
+            assert!(rows.is_none());
+            all
+        });
+        assert_eq!(all.positions, before.positions);
+    }
+
+    #[test]
+    fn a_rectangle_holds_a_pixel_or_not() {
+        let mut labels = vec![0; 12];
+        labels[6] = 7; // (2, 1) of 4×3
+        let counts = RunningCounts::new(&labels, 4);
+        for (square, any) in [
+            ([2.0, 2.9, 1.0, 1.9], true),
+            ([-5.0, 50.0, -5.0, f64::INFINITY], true),
+            ([3.0, 3.5, 0.0, 2.0], false),
+            ([0.0, 1.99, 0.0, 2.0], false),
+            ([4.0, 9.0, 0.0, 2.0], false),
+            ([f64::NAN, f64::NAN, 0.0, 2.0], false),
+        ] {
+            assert_eq!(counts.any_in(square), any, "{square:?}");
+        }
+    }
+}

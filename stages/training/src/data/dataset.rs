@@ -1,0 +1,195 @@
+//! The training views in memory, and the scene facts that methods may know.
+
+use std::collections::BTreeSet;
+
+use engine::{Facts, Failure, FailureKind};
+use rayon::prelude::*;
+use scene::cloud::PointCloud;
+use scene::{Capture, Split, TimeMap, View, facts};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::tape::{Real, Tensor};
+
+use crate::shared::{InitialPoints, PointSource};
+
+/// A capture's training views, and the few views that the quality curve is measured on.
+pub struct Dataset {
+    /// The capture.
+    pub capture: Capture,
+    /// Facts of the scene for methods.
+    pub(crate) scene: SceneFacts,
+    /// All training views, in the capture's order.
+    pub train: Vec<LoadedView>,
+    /// Evenly chosen validation views, or training views if the capture has no validation views.
+    pub curve: Vec<LoadedView>,
+    /// The split of [`Dataset::curve`].
+    pub curve_split: Split,
+}
+
+/// What methods may know of the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SceneFacts {
+    /// 1.1 × the largest distance of a training camera from their mean, scene units.
+    pub extent: f64,
+    /// Seconds to [0, 1].
+    pub time_map: TimeMap,
+    /// The colour behind the Gaussians.
+    pub background: [f32; 3],
+    /// Number of distinct times among the training views.
+    pub time_count: usize,
+}
+
+/// One training view in the working precision.
+#[derive(Clone, Debug)]
+pub(crate) struct TrainingView<T: Real> {
+    /// Index within the capture's views.
+    pub index: usize,
+    /// Intrinsics and pose.
+    pub camera: PinholeCamera,
+    /// In [0, 1].
+    pub time: f64,
+    /// [H, W, 3] in [0, 1].
+    pub image: Tensor<T>,
+}
+
+/// One view with its 8-bit image.
+pub struct LoadedView {
+    /// Index within the capture's views.
+    pub index: usize,
+    /// Intrinsics and pose.
+    pub camera: PinholeCamera,
+    /// In [0, 1].
+    pub time: f64,
+    /// [H, W, 3] sRGB.
+    pub pixels: Vec<u8>,
+}
+
+impl Dataset {
+    /// Reads every training view and `curve_views` views for the curve; 8 bit per value stay in memory.
+    pub fn load(capture: Capture, curve_views: usize) -> anyhow::Result<Self> {
+        let train_views: Vec<_> = capture.views_of(Split::Train).collect();
+        if train_views.is_empty() {
+            let failure =
+                Failure::new(FailureKind::BadInput, format!("capture {} has no training views", capture.name));
+            return Err(failure.at(&capture.dir).into());
+        }
+        let has_val = capture.views_of(Split::Val).next().is_some();
+        let curve_split = if has_val { Split::Val } else { Split::Train };
+        let curve_candidates: Vec<_> = capture.views_of(curve_split).collect();
+        let scene = SceneFacts {
+            extent: capture.scene_extent(),
+            time_map: capture.time_map,
+            background: capture.background,
+            time_count: time_count(&capture),
+        };
+        let train = load_all(&capture, &train_views)?;
+        let curve = load_all(&capture, &evenly(&curve_candidates, curve_views))?;
+        Ok(Self { scene, train, curve, curve_split, capture })
+    }
+
+    /// The points of the first Gaussians; random ones are drawn in the capture's bounds.
+    pub(crate) fn initial_points(&self, params: &InitialPoints, seed: u64) -> anyhow::Result<PointCloud> {
+        let stored = match params.from {
+            PointSource::Random => None,
+            PointSource::Auto | PointSource::Capture => self.capture.load_points()?,
+        };
+        let bad = |message: String, hint: &str| Failure::new(FailureKind::BadInput, message).hint(hint);
+        match (stored, params.from, self.capture.bounds_world) {
+            (Some(points), ..) if !points.is_empty() => Ok(thinned(points, params.max_count)),
+            (_, PointSource::Capture, _) => {
+                let message = format!("capture {} has no points", self.capture.name);
+                Err(bad(message, "set initial_points.from = \"random\"").into())
+            }
+            (_, _, Some(bounds)) => Ok(PointCloud::random_in(bounds, params.random_count, seed)),
+            (_, _, None) => {
+                let message = format!("capture {} has neither points nor bounds to draw them in", self.capture.name);
+                Err(bad(message, "import it with a point cloud").into())
+            }
+        }
+    }
+}
+
+/// Static facts of a capture ([`scene::facts`]), without reading its images.
+pub(crate) fn facts_of(capture: &Capture) -> Facts {
+    let times = time_count(capture);
+    let known = Facts::default().with(facts::TIMES, times);
+    // A single time shows no motion. With several times, motion is unknown until the images are read.
+    if times > 1 { known } else { known.with(facts::MOVING, false) }
+}
+
+/// Number of distinct times among the training views.
+fn time_count(capture: &Capture) -> usize {
+    capture.views_of(Split::Train).map(|(_, view)| view.time_secs.to_bits()).collect::<BTreeSet<u64>>().len()
+}
+
+impl LoadedView {
+    /// The view in working precision.
+    pub(crate) fn to_training<T: Real>(&self) -> TrainingView<T> {
+        self.with_image(self.image())
+    }
+
+    /// [H, W, 3] in [0, 1].
+    pub(crate) fn image<T: Real>(&self) -> Tensor<T> {
+        let levels: Vec<T> = (0..=255).map(|level| T::from_f64(f64::from(level) / 255.0)).collect();
+        let values = self.pixels.iter().map(|&value| levels[usize::from(value)]).collect();
+        Tensor::from_vec([self.camera.height, self.camera.width, 3], values)
+    }
+
+    /// The view with its image in working precision, from [`LoadedView::image`].
+    pub(crate) fn with_image<T: Real>(&self, image: Tensor<T>) -> TrainingView<T> {
+        TrainingView { index: self.index, camera: self.camera, time: self.time, image }
+    }
+}
+
+/// `count` of the items (all if there are fewer), evenly spread, first and last included.
+fn evenly<V: Clone>(items: &[V], count: usize) -> Vec<V> {
+    let count = count.min(items.len());
+    let last = items.len().saturating_sub(1);
+    (0..count).map(|at| items[if count > 1 { at * last / (count - 1) } else { last / 2 }].clone()).collect()
+}
+
+/// At most `max_count` points, evenly chosen.
+fn thinned(points: PointCloud, max_count: usize) -> PointCloud {
+    if points.len() <= max_count {
+        return points;
+    }
+    let chosen: Vec<usize> = (0..max_count).map(|at| at * points.len() / max_count).collect();
+    PointCloud {
+        positions: chosen.iter().map(|&at| points.positions[at]).collect(),
+        colors: chosen.iter().map(|&at| points.colors[at]).collect(),
+    }
+}
+
+fn load_all(capture: &Capture, views: &[(usize, &View)]) -> anyhow::Result<Vec<LoadedView>> {
+    let load = |&(index, view): &(usize, &View)| {
+        let pixels = capture.load_image(view)?.into_raw();
+        let time = capture.time_map.normalized(view.time_secs);
+        Ok(LoadedView { index, camera: PinholeCamera::from(&view.camera), time, pixels })
+    };
+    views.par_iter().map(load).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn even_choice_includes_both_ends_and_never_repeats() {
+        let items: Vec<usize> = (0..20).collect();
+        assert_eq!(evenly(&items, 5), [0, 4, 9, 14, 19]);
+        assert_eq!(evenly(&items, 1), [9]);
+        assert_eq!(evenly(&items, 100), items);
+        assert!(evenly::<usize>(&[], 3).is_empty());
+    }
+
+    #[test]
+    fn thinning_keeps_the_asked_count_and_the_pairs() {
+        let points = PointCloud {
+            positions: (0..10).map(|at| [at as f32; 3]).collect(),
+            colors: (0..10).map(|at| [at as u8; 3]).collect(),
+        };
+        let thin = thinned(points.clone(), 4);
+        assert_eq!(thin.len(), 4);
+        assert!(thin.positions.iter().zip(&thin.colors).all(|(position, color)| position[0] == f32::from(color[0])));
+        assert_eq!(thinned(points.clone(), 10), points);
+    }
+}

@@ -1,0 +1,84 @@
+//! Constant tensors of views, cached on a GPU.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+use shaders::tape::{Device, Real, Tensor};
+
+/// Capacity of the cache, bytes: little memory for a GPU that can train on views of their size.
+const MOST_BYTES: usize = 2 << 30;
+
+/// Tensors of views that many steps read. A GPU receives each of them once, up to the capacity of the cache; on the CPU
+/// they are recomputed, because caching them would double the memory of the data set.
+pub(crate) struct ViewConstants<T: Real> {
+    kept: Mutex<Kept<T>>,
+}
+
+/// Cached tensors by name and the view's index.
+struct Kept<T: Real> {
+    tensors: BTreeMap<(&'static str, usize), Tensor<T>>,
+    bytes: usize,
+}
+
+impl<T: Real> Default for ViewConstants<T> {
+    fn default() -> Self {
+        Self { kept: Mutex::new(Kept { tensors: BTreeMap::new(), bytes: 0 }) }
+    }
+}
+
+impl<T: Real> ViewConstants<T> {
+    /// The tensor `what` of a view on a device, from the cache or from `make`.
+    pub(crate) fn get(
+        &self,
+        device: Device,
+        what: &'static str,
+        view: usize,
+        make: impl FnOnce() -> Tensor<T>,
+    ) -> Tensor<T> {
+        if device == Device::Cpu {
+            return make();
+        }
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(tensor) = kept.tensors.get(&(what, view)) {
+            return tensor.clone();
+        }
+        let tensor = make().moved_to(device);
+        let bytes = size_of::<T>() * tensor.len();
+        if kept.bytes + bytes <= MOST_BYTES {
+            kept.bytes += bytes;
+            kept.tensors.insert((what, view), tensor.clone());
+        }
+        tensor
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use shaders::check::test_gpu;
+
+    use super::*;
+
+    #[test]
+    fn a_gpu_receives_every_tensor_once() {
+        let made = Cell::new(0);
+        let constants = ViewConstants::<f32>::default();
+        let ask = |device, what, view| {
+            let make = || {
+                made.set(made.get() + 1);
+                Tensor::full([2], view as f32)
+            };
+            assert_eq!(constants.get(device, what, view, make).as_slice(), [view as f32; 2]);
+        };
+        (0..3).for_each(|_| ask(Device::Cpu, "depth", 1));
+        assert_eq!(made.replace(0), 3);
+        let Some(gpu) = test_gpu() else { return };
+        for _ in 0..3 {
+            for (what, view) in [("depth", 1), ("depth", 2), ("flow", 1)] {
+                ask(Device::Gpu(gpu), what, view);
+            }
+        }
+        assert_eq!(made.get(), 3);
+    }
+}

@@ -1,0 +1,55 @@
+//! Hooks that a method runs between steps.
+
+use dyn_clone::DynClone;
+use rand_chacha::ChaCha8Rng;
+
+use super::screen::ScreenStats;
+use crate::data::SceneFacts;
+use crate::model::Optimizer;
+
+/// Runs between the steps of a phase: density control, annealing and the like. Every method has an empty default, so a
+/// hook implements only what it needs. Its state is part of every checkpoint.
+pub(crate) trait StepHook: DynClone + Send {
+    /// Whether [`StepHook::observe`] is to be called in step `iteration` (counted from 1 within the phase).
+    fn observes_at(&self, _iteration: u64) -> bool {
+        false
+    }
+
+    /// Observes the renders of a step and their gradients, once per population, before the optimizer's step.
+    fn observe(&mut self, _stats: &ScreenStats<'_>) {}
+
+    /// Whether [`StepHook::after_step`] reads values of rows on the host after step `iteration`, so that all pending
+    /// steps must be checked first.
+    fn reads_rows_at(&self, _iteration: u64) -> bool {
+        false
+    }
+
+    /// Runs after the optimizer's step.
+    fn after_step(&mut self, _step: AfterStep<'_>) -> anyhow::Result<()> {
+        Ok(())
+    }
+
+    /// The state of the hook, for a checkpoint; null for a hook without state.
+    fn save(&self) -> serde_json::Value {
+        serde_json::Value::Null
+    }
+
+    /// Restores the state from a checkpoint.
+    fn restore(&mut self, _saved: serde_json::Value) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+dyn_clone::clone_trait_object!(StepHook);
+
+/// What a [`StepHook`] may read and change after the optimizer's step.
+pub(crate) struct AfterStep<'a> {
+    /// The completed step, counted from 1 within the phase.
+    pub iteration: u64,
+    /// The model's tensors and their moments.
+    pub optimizer: &'a mut Optimizer,
+    /// The scene.
+    pub scene: &'a SceneFacts,
+    /// The random stream of the hooks.
+    pub random: &'a mut ChaCha8Rng,
+}

@@ -1,0 +1,105 @@
+//! Neighbouring particles.
+
+use std::collections::BTreeSet;
+use std::num::NonZero;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shaders::arrays::rows::{RowIndex, gather};
+use shaders::tape::{Real, Tape, Var};
+
+use crate::bases::space_filling_curves::{Curve, neighbor_pairs, without_jumps};
+
+/// Neighbours on either side along a curve: as many pairs as eight nearest neighbours make.
+const REACH: usize = 4;
+/// Nearest neighbours of a particle.
+const NEAREST: usize = 8;
+/// Pairs farther apart than this many times the median are not neighbours: the curve jumped.
+const JUMP: f64 = 3.0;
+
+/// How neighbours are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Neighbors {
+    /// Along a Hilbert or a Z-order curve, whichever the step draws.
+    Curve,
+    /// The eight nearest.
+    Knn,
+}
+
+impl Neighbors {
+    /// How they are found in a step.
+    pub(crate) fn draw(self, random: &mut ChaCha8Rng) -> Search {
+        match self {
+            Self::Curve if random.random::<bool>() => Search::Hilbert,
+            Self::Curve => Search::ZOrder,
+            Self::Knn => Search::Nearest,
+        }
+    }
+}
+
+/// How the neighbours of one step are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Search {
+    /// Along a Hilbert curve.
+    Hilbert,
+    /// Along a Z-order curve.
+    ZOrder,
+    /// The eight nearest.
+    Nearest,
+}
+
+impl Search {
+    /// Ways to search.
+    pub(crate) const COUNT: usize = 3;
+
+    /// Pairs of neighbours among positions, by cells of this side along a curve.
+    pub(crate) fn pairs(self, positions: &[[f32; 3]], cell_size: f64) -> Vec<[u32; 2]> {
+        let along = |curve: Curve| neighbor_pairs(positions, &curve.order(positions, cell_size), REACH, JUMP);
+        match self {
+            Self::Hilbert => along(Curve::Hilbert),
+            Self::ZOrder => along(Curve::ZOrder),
+            Self::Nearest => without_jumps(positions, nearest_pairs(positions), JUMP),
+        }
+    }
+}
+
+/// Every pair of which one is among the nearest of the other, once.
+fn nearest_pairs(positions: &[[f32; 3]]) -> Vec<[u32; 2]> {
+    let points: Vec<[f64; 3]> = positions.iter().map(|position| position.map(f64::from)).collect();
+    let tree: ImmutableKdTree<f64, 3> = match ImmutableKdTree::new_from_slice(&points) {
+        Ok(tree) => tree,
+        // No points have no neighbours.
+        Err(_) => return Vec::new(),
+    };
+    let wanted = NonZero::new(NEAREST + 1).expect("not zero");
+    let of_point = |(index, point): (usize, &[f64; 3])| -> Vec<[u32; 2]> {
+        let found = tree.query(point).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
+        let others = found.iter().map(|neighbor| neighbor.item).filter(|&other| other != index as u32);
+        others.map(|other| [other.min(index as u32), other.max(index as u32)]).collect()
+    };
+    let pairs: Vec<Vec<[u32; 2]>> = points.par_iter().enumerate().map(of_point).collect();
+    pairs.into_iter().flatten().collect::<BTreeSet<_>>().into_iter().collect()
+}
+
+/// Pairs of particles, at least one.
+pub(crate) struct Pairs {
+    /// Of every pair the first, and the second.
+    sides: [RowIndex; 2],
+}
+
+impl Pairs {
+    /// Pairs of so many particles; `None` without any.
+    pub(crate) fn new(pairs: &[[u32; 2]], particles: usize) -> Option<Self> {
+        let side = |side: usize| RowIndex::new(pairs.iter().map(|pair| pair[side]).collect(), particles);
+        (!pairs.is_empty()).then(|| Self { sides: [0, 1].map(side) })
+    }
+
+    /// The rows of x [P, …] of the first and of the second particle of every pair.
+    pub(crate) fn both<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> [Var; 2] {
+        self.sides.each_ref().map(|side| gather(tape, x, side))
+    }
+}

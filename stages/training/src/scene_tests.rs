@@ -1,0 +1,216 @@
+//! A tiny moving scene, rendered by the rasteriser itself, for tests.
+
+use std::path::Path;
+
+use glam::DVec3;
+use image::RgbImage;
+use scene::{
+    Camera, Capture, CaptureInfo, CaptureWriter, DepthMap, FlowMap, Frame, Intrinsics, LabelMap, NormalMap, PointCloud,
+    Protocol, Split, TimeMap, VelocityMap,
+};
+use shaders::check::noise;
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser::{self, RasterSettings, Rendered, ShapeVars, SplatVars};
+use shaders::tape::{Device, Tape, Tensor};
+
+use crate::data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, ParticleSeeds, Supplements, ViewPriors};
+use crate::trainer::to_bytes;
+
+/// Pixels per side.
+pub(crate) const SIZE: u32 = 24;
+
+/// What the capture shows.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TestScene {
+    /// Training views, evenly over time.
+    pub train_views: usize,
+    /// Validation views at the first and the last time.
+    pub val_views: usize,
+    /// How far the blobs move from start to end, scene units.
+    pub travel: f32,
+    /// Pixels per side.
+    pub size: u32,
+}
+
+impl Default for TestScene {
+    fn default() -> Self {
+        Self { train_views: 8, val_views: 2, travel: 0.6, size: SIZE }
+    }
+}
+
+impl TestScene {
+    /// Writes the capture into `dir`: training, validation and two test views, points near the blobs.
+    pub(crate) fn write(&self, dir: &Path) -> Capture {
+        let protocol = Protocol {
+            dataset: "test".into(),
+            split: "official".into(),
+            width: self.size,
+            height: self.size,
+            resize: "none".into(),
+            background: "black".into(),
+            time: "analytic".into(),
+        };
+        let info = CaptureInfo {
+            name: "blobs".into(),
+            pose_source: "analytic".into(),
+            protocol,
+            background: [0.0; 3],
+            time_map: TimeMap { start_secs: 0.0, end_secs: 2.0, frame_secs: 0.25 },
+            class_names: Vec::new(),
+            bounds_world: Some([[-1.0; 3], [1.0; 3]]),
+        };
+        let mut writer = CaptureWriter::create(dir, info).unwrap();
+        for (split, name, count) in
+            [(Split::Train, "train", self.train_views), (Split::Val, "val", self.val_views), (Split::Test, "test", 2)]
+        {
+            for at in 0..count {
+                let share = if count > 1 { at as f64 / (count - 1) as f64 } else { 0.0 };
+                writer.write_view(&self.frame(split, &format!("{name}_{at}"), at, share)).unwrap();
+            }
+        }
+        let points = PointCloud {
+            positions: (0..30)
+                .map(|at| blob_center(at % 6).map(|value| value + 0.1 * ((at * 7 % 5) as f32 - 2.0) / 2.0))
+                .collect(),
+            colors: vec![[128; 3]; 30],
+        };
+        writer.write_points(&points).unwrap();
+        writer.finish().unwrap()
+    }
+
+    fn frame(&self, split: Split, name: &str, at: usize, time: f64) -> Frame {
+        let focal = 1.2 * f64::from(self.size);
+        let center = 0.5 * f64::from(self.size);
+        let (width, height) = (self.size, self.size);
+        let intrinsics =
+            Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x: center, center_y: center };
+        let angle = if split == Split::Train { 0.7 * time } else { 0.35 };
+        let position = DVec3::new(3.0 * angle.sin(), -0.8, -3.0 * angle.cos());
+        let camera = Camera::look_at(intrinsics, position, DVec3::ZERO, DVec3::new(0.0, -1.0, 0.0));
+        let image = RgbImage::from_raw(width, height, self.render(&camera, time as f32)).unwrap();
+        Frame {
+            name: name.into(),
+            split,
+            camera,
+            camera_index: 0,
+            frame_index: at as u32,
+            time_secs: 2.0 * time,
+            image,
+            alpha: None,
+            depth: None,
+            flow: None,
+            mask: None,
+            velocity: None,
+        }
+    }
+
+    /// Everything that the optional inputs of a training can give, of the training views: exact depth, flow to half a
+    /// second later as the same camera sees it, velocity, what moves, and made-up features.
+    pub(crate) fn supplements(&self, dataset: &Dataset) -> Supplements {
+        let views = &dataset.capture.views;
+        let mut found = Supplements { features: Some(test_features(views.len())), ..Supplements::default() };
+        let (width, height) = (self.size, self.size);
+        for view in views {
+            let camera = &view.camera;
+            let time = (0.5 * view.time_secs) as f32;
+            let (tape, rendered, moving) = self.blobs(camera, time, true);
+            let image = |var| tape.value(var).as_slice();
+            let (alpha, depth) = (image(rendered.alpha), image(rendered.depth.unwrap()));
+            let known = |value: f32, alpha: f32| if alpha > 0.5 { value / alpha } else { 0.0 };
+            let depth_view: Vec<f32> = depth.iter().zip(alpha).map(|(&depth, &alpha)| known(depth, alpha)).collect();
+            let is_moving: Vec<bool> =
+                moving.iter().zip(alpha).map(|(&moving, &alpha)| moving > 0.5 * alpha && alpha > 0.5).collect();
+            let pixels_per_unit = 1.2 * self.size as f32;
+            let step = 0.25 * self.travel;
+            let flow = |(&depth, &moving): (&f32, &bool)| match (depth > 0.0, moving) {
+                (false, _) => [f32::NAN; 2],
+                (true, true) => [step * pixels_per_unit / depth, 0.0],
+                (true, false) => [0.0; 2],
+            };
+            let flow_px = depth_view.iter().zip(&is_moving).map(flow).collect();
+            // The blobs travel within the two seconds of the capture.
+            let velocity = |&moving: &bool| [if moving { 0.5 * self.travel } else { 0.0 }, 0.0, 0.0];
+            let velocity_world = is_moving.iter().map(velocity).collect();
+            let labels = is_moving.iter().map(|&moving| u8::from(moving)).collect();
+            let normal = |&depth: &f32| if depth > 0.0 { [0.0, 0.0, -1.0] } else { [0.0; 3] };
+            let normals_view = depth_view.iter().map(normal).collect();
+            found.priors.push(ViewPriors {
+                flow: Some(FlowPrior {
+                    map: FlowMap { width, height, flow_px },
+                    camera_to: *camera,
+                    time_to_secs: view.time_secs + 0.5,
+                    view_to: None,
+                }),
+                normals: Some(NormalMap { width, height, normals_view }),
+                velocity: Some(VelocityMap { width, height, velocity_world }),
+                depth: Some(DepthMap { width, height, depth_view: depth_view.clone() }),
+            });
+            found.moving.push(Some(LabelMap { width, height, labels }));
+            found.background.push(Some(BackgroundView {
+                image: dataset.capture.load_image(view).unwrap(),
+                depth: Some(DepthMap { width, height, depth_view }),
+                unfilled: LabelMap { width, height, labels: vec![0; (width * height) as usize] },
+            }));
+        }
+        let moving: Vec<[f32; 3]> = (0..6)
+            .step_by(2)
+            .map(|at| [blob_center(at)[0] - 0.5 * self.travel, blob_center(at)[1], blob_center(at)[2]])
+            .collect();
+        let points = PointCloud { colors: vec![[128; 3]; moving.len()], positions: moving };
+        found.particles = Some(ParticleSeeds { energies: vec![1.0 / 3.0; 3], points });
+        found
+    }
+
+    /// Six coloured blobs, every other one moving along x.
+    fn render(&self, camera: &Camera, time: f32) -> Vec<u8> {
+        let (tape, rendered, _) = self.blobs(camera, time, false);
+        to_bytes(tape.value(rendered.color))
+    }
+
+    /// The render, with depth if asked for, and per pixel the weight of what moves.
+    fn blobs(&self, camera: &Camera, time: f32, depth: bool) -> (Tape<f32>, Rendered, Vec<f32>) {
+        let shift = |at: usize| if at.is_multiple_of(2) { self.travel * (time - 0.5) } else { 0.0 };
+        let positions = (0..6)
+            .flat_map(|at| {
+                let [x, y, z] = blob_center(at);
+                [x + shift(at), y, z]
+            })
+            .collect();
+        let colors =
+            (0..6).flat_map(|at| [0, 1, 2].map(|channel| if (at + channel) % 3 == 0 { 1.5 } else { -0.7 })).collect();
+        let mut tape = Tape::<f32>::new(Device::Cpu);
+        let mut constant = |shape: &[usize], values: Vec<f32>| tape.constant(Tensor::from_vec(shape, values));
+        let splats = SplatVars {
+            positions: constant(&[6, 3], positions),
+            shape: ShapeVars::ScaleRotation {
+                log_scales: constant(&[6, 3], vec![0.15_f32.ln(); 18]),
+                rotations: constant(&[6, 4], [1.0, 0.0, 0.0, 0.0].repeat(6)),
+            },
+            opacity_logits: constant(&[6, 1], vec![2.0; 6]),
+            sh: constant(&[6, 1, 3], colors),
+        };
+        let moves = tape.constant(Tensor::from_vec([6, 1], (0..6).map(|at| f32::from(at % 2 == 0)).collect()));
+        let settings = RasterSettings { background: [0.0; 3], sh_degree: 0, depth, ..RasterSettings::default() };
+        let camera = PinholeCamera::from(camera);
+        let rendered = rasteriser::render(&mut tape, &splats, Some(moves), &camera, &settings).unwrap();
+        let moving = tape.value(rendered.features.unwrap()).as_slice().to_vec();
+        (tape, rendered, moving)
+    }
+}
+
+/// Noise on a grid of 4×4 tokens per view, and three prompts.
+fn test_features(views: usize) -> FeatureTokens {
+    let tensor = |shape: &[usize], seed| {
+        let values = noise(shape.iter().product(), seed).iter().map(|&value| value as f32).collect();
+        Tensor::from_vec(shape, values)
+    };
+    FeatureTokens {
+        visual: (0..views).map(|view| Some(tensor(&[4, 4, 8], view as u64))).collect(),
+        text: tensor(&[3, 8], 1000),
+        prompts: ["left", "middle", "right"].map(String::from).to_vec(),
+    }
+}
+
+fn blob_center(at: usize) -> [f32; 3] {
+    [(at % 3) as f32 * 0.7 - 0.7, (at / 3) as f32 * 0.7 - 0.35, 0.3 * (at % 2) as f32]
+}

@@ -1,0 +1,75 @@
+//! The table `density`.
+
+use engine::ParamProblem;
+use serde::{Deserialize, Serialize};
+
+use super::check::Checks;
+
+/// Adaptive density control (Kerbl et al. 2023, section 5.2, with the constants of its code).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Density {
+    /// Threshold of cloning and splitting: the mean norm of the loss's gradient by the projected mean, in normalised
+    /// device coordinates (gradients by pixels times half the image size).
+    pub gradient_threshold: f64,
+    /// Iterations between two rounds of cloning and splitting.
+    pub interval: u64,
+    /// No rounds up to and including this iteration.
+    pub from: u64,
+    /// No rounds from this iteration on.
+    pub until: u64,
+    /// Gaussians larger than this share of the extent are split, smaller ones are cloned.
+    pub split_above: f64,
+    /// Iterations between two rounds of pruning.
+    pub prune_interval: u64,
+    /// Populations of up to this many Gaussians are not pruned.
+    pub prune_above_count: usize,
+    /// Gaussians less opaque than this are pruned.
+    pub min_opacity: f64,
+    /// Gaussians whose projected radius exceeded this many pixels are pruned, once opacities have been reset.
+    pub max_radius_px: f64,
+    /// Gaussians larger than this share of the extent are pruned, once opacities have been reset.
+    pub max_scale: f64,
+    /// Iterations between two resets of the opacity; 0: never.
+    pub opacity_reset_interval: u64,
+    /// Upper bound of the opacity after a reset.
+    pub opacity_reset_to: f64,
+    /// Maximum number of Gaussians; those with the largest gradients are cloned and split first.
+    pub max_count: usize,
+}
+
+impl Default for Density {
+    fn default() -> Self {
+        Self {
+            gradient_threshold: 2e-4,
+            interval: 100,
+            from: 500,
+            until: 15_000,
+            split_above: 0.01,
+            prune_interval: 100,
+            prune_above_count: 0,
+            min_opacity: 0.005,
+            max_radius_px: 20.0,
+            max_scale: 0.1,
+            opacity_reset_interval: 3000,
+            opacity_reset_to: 0.01,
+            max_count: 1_000_000,
+        }
+    }
+}
+
+impl Density {
+    pub(super) fn problems(&self) -> Vec<ParamProblem> {
+        Checks::of("density")
+            .at_least_one("interval", self.interval)
+            .at_least_one("prune_interval", self.prune_interval)
+            .positive("gradient_threshold", self.gradient_threshold)
+            .positive("split_above", self.split_above)
+            .positive("max_radius_px", self.max_radius_px)
+            .positive("max_scale", self.max_scale)
+            .gaussians("max_count", self.max_count)
+            .open_share("min_opacity", self.min_opacity)
+            .open_share("opacity_reset_to", self.opacity_reset_to)
+            .problems
+    }
+}

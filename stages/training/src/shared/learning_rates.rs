@@ -1,0 +1,50 @@
+//! The table `learning_rates`.
+
+use engine::ParamProblem;
+use serde::{Deserialize, Serialize};
+
+use super::check::Checks;
+use crate::schedule::{LogLinear, MOST_RATE, is_rate};
+
+/// Learning rates of the Gaussians' attributes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct LearningRates {
+    /// Positions, as a share of the scene's extent.
+    pub position: LogLinear,
+    /// Constant colour.
+    pub sh_dc: f64,
+    /// All other harmonics.
+    pub sh_rest: f64,
+    /// Opacity logits.
+    pub opacity: f64,
+    /// Logarithmic scales.
+    pub scale: f64,
+    /// Quaternions.
+    pub rotation: f64,
+}
+
+impl Default for LearningRates {
+    fn default() -> Self {
+        Self {
+            position: LogLinear { start: 1.6e-4, end: 1.6e-6, steps: 30_000 },
+            sh_dc: 2.5e-3,
+            sh_rest: 1.25e-4,
+            opacity: 0.05,
+            scale: 5e-3,
+            rotation: 1e-3,
+        }
+    }
+}
+
+impl LearningRates {
+    pub(super) fn problems(&self) -> Vec<ParamProblem> {
+        let Self { position, sh_dc, sh_rest, opacity, scale, rotation } = *self;
+        let is_good = position.is_valid() && is_rate(position.start.max(position.end));
+        let message = format!("must be in (0, {MOST_RATE}]");
+        let constant =
+            [("sh_dc", sh_dc), ("sh_rest", sh_rest), ("opacity", opacity), ("scale", scale), ("rotation", rotation)];
+        let checks = Checks::of("learning_rates").require("position", is_good, &*message);
+        constant.iter().fold(checks, |checks, (key, rate)| checks.require(key, is_rate(*rate), &*message)).problems
+    }
+}

@@ -1,0 +1,161 @@
+//! The parameters that every method understands, one table per concern. Each table checks its own values.
+
+mod check;
+mod density;
+mod initial_points;
+mod learning_rates;
+mod rendering;
+
+use std::collections::BTreeMap;
+
+use engine::ParamProblem;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
+
+use crate::effects::Effects;
+use crate::schedule::{Phase, stretch};
+use check::{Checks, is_count, is_positive};
+
+pub(crate) use density::Density;
+pub(crate) use initial_points::{InitialPoints, PointSource};
+pub(crate) use learning_rates::LearningRates;
+pub(crate) use rendering::{Curve, Harmonics, Loss};
+
+/// Maximum optimizer steps; a larger product of steps and scale is a typing error.
+const MAX_STEPS: f64 = 1e8;
+
+/// Minimum budget: the time that its calibration takes.
+const MIN_BUDGET_SECS: f64 = 0.1;
+
+/// Maximum views per step, far beyond any published batch (24).
+const MAX_VIEWS: usize = 1024;
+
+/// The parameters that every method understands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Shared {
+    /// The seed of every random choice.
+    pub seed: u64,
+    /// Stretches every schedule (iterations, learning rates, density control, harmonics) by this factor.
+    pub schedule_scale: f64,
+    /// Training time to aim for, seconds: `schedule_scale` is then calibrated on the machine, and the result is not
+    /// reproducible bit for bit. Unset: no limit.
+    pub budget_secs: Option<f64>,
+    /// Optimizer steps per phase, before stretching.
+    pub iterations: BTreeMap<String, u64>,
+    /// The phase after which the training ends, so that other trainings can continue from it; unset: the last one.
+    pub stop_after: Option<String>,
+    /// Views per optimizer step.
+    pub batch: usize,
+    /// The effects to simulate beyond a static scene.
+    pub effects: Effects,
+    /// The points of the first Gaussians.
+    pub initial_points: InitialPoints,
+    /// Spherical harmonics.
+    pub harmonics: Harmonics,
+    /// The photometric loss.
+    pub loss: Loss,
+    /// Learning rates of the Gaussians' attributes.
+    pub learning_rates: LearningRates,
+    /// Adaptive density control.
+    pub density: Density,
+    /// The quality curve.
+    pub curve: Curve,
+}
+
+impl Shared {
+    /// A phase with the number of steps that the recipe gives it, stretched by the schedule scale.
+    pub(crate) fn phase(&self, name: &'static str) -> Phase {
+        Phase { name, iterations: stretch(self.iterations_of(name), self.schedule_scale) }
+    }
+
+    /// The steps of a phase before stretching.
+    pub(crate) fn iterations_of(&self, phase: &str) -> u64 {
+        self.iterations.get(phase).copied().unwrap_or(0)
+    }
+}
+
+impl Default for Shared {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            schedule_scale: 1.0,
+            budget_secs: None,
+            iterations: BTreeMap::new(),
+            stop_after: None,
+            batch: 1,
+            effects: Effects::Auto,
+            initial_points: InitialPoints::default(),
+            harmonics: Harmonics::default(),
+            loss: Loss::default(),
+            learning_rates: LearningRates::default(),
+            density: Density::default(),
+            curve: Curve::default(),
+        }
+    }
+}
+
+impl Shared {
+    /// The problems that types cannot express, given the defaults of the method `method`.
+    pub(crate) fn problems(&self, method: &str, defaults: &Self) -> Vec<ParamProblem> {
+        let phases = &defaults.iterations;
+        let known = || format!("{method} has the phases {}", phases.keys().cloned().collect::<Vec<_>>().join(", "));
+        let planned = self.iterations.values().fold(0.0, |sum, &steps| sum + steps as f64);
+        let steps = planned * self.schedule_scale;
+        let has_scale = is_positive(self.schedule_scale) && is_positive(planned);
+        let has_budget = |secs: f64| secs >= MIN_BUDGET_SECS && secs.is_finite();
+        let constant_colors = format!("must be 0: {method} has no view-dependent colours");
+        let own = Checks::of("")
+            .require("iterations", self.iterations.keys().all(|phase| phases.contains_key(phase)), known())
+            .require("stop_after", self.stop_after.iter().all(|phase| phases.contains_key(phase)), known())
+            .require("iterations", self.iterations.values().any(|&steps| steps > 0), "no phase has any steps")
+            .require("schedule_scale", is_positive(self.schedule_scale), "must be positive")
+            .require(
+                "budget_secs",
+                self.budget_secs.is_none_or(has_budget),
+                format!("must be at least {MIN_BUDGET_SECS} s"),
+            )
+            .require("schedule_scale", !has_scale || steps >= 1.0, format!("{steps:.1e} iterations are less than one"))
+            .require(
+                "schedule_scale",
+                !(steps > MAX_STEPS),
+                format!("{steps:e} iterations are more than {MAX_STEPS:e}"),
+            )
+            .require("batch", is_count(self.batch, MAX_VIEWS), format!("must be 1 to {MAX_VIEWS}"))
+            .require("harmonics.degree", self.harmonics.degree == 0 || defaults.harmonics.degree > 0, constant_colors);
+        let tables = [
+            self.harmonics.problems(),
+            self.initial_points.problems(),
+            self.loss.problems(),
+            self.learning_rates.problems(),
+            self.density.problems(),
+            self.curve.problems(),
+        ];
+        own.problems.into_iter().chain(tables.into_iter().flatten()).collect()
+    }
+}
+
+/// Deserialises a table whose missing keys take their values from `defaults` instead of the type's own defaults.
+pub(crate) fn over_defaults<'de, S: Serialize + DeserializeOwned, D: Deserializer<'de>>(
+    defaults: &S,
+    deserializer: D,
+) -> Result<S, D::Error> {
+    let given = Value::deserialize(deserializer)?;
+    let defaults = serde_json::to_value(defaults).map_err(serde::de::Error::custom)?;
+    serde_json::from_value(merge(defaults, given)).map_err(serde::de::Error::custom)
+}
+
+/// Merges `over` into `base`: tables merge, other values replace.
+pub(crate) fn merge(base: Value, over: Value) -> Value {
+    match (base, over) {
+        (Value::Object(mut base), Value::Object(over)) => {
+            for (key, value) in over {
+                let merged = merge(base.remove(&key).unwrap_or(Value::Null), value);
+                base.insert(key, merged);
+            }
+            Value::Object(base)
+        }
+        (_, over) => over,
+    }
+}

@@ -1,0 +1,80 @@
+//! The tables `harmonics`, `loss` and `curve`: how renders look, how they are compared, and when they are measured.
+
+use engine::ParamProblem;
+use serde::{Deserialize, Serialize};
+
+use super::check::Checks;
+
+/// Maximum points of a curve: each renders several views, so more points would take longer than what they measure.
+const MAX_POINTS: u64 = 1000;
+
+/// Spherical harmonics: the degree starts at 0 and grows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Harmonics {
+    /// The final degree, 0 to 3.
+    pub degree: usize,
+    /// Iterations between two degrees.
+    pub interval: u64,
+}
+
+/// The photometric loss (1 − λ)·L1 + λ·(1 − SSIM).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Loss {
+    /// λ; 0 skips SSIM altogether.
+    pub lambda_dssim: f64,
+}
+
+/// The quality curve: measurements on a few validation views, during which the training clock is stopped.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Curve {
+    /// Number of points, denser at the start (quadratic in the iteration); 0: no curve.
+    pub points: u64,
+    /// Number of validation views, evenly chosen.
+    pub views: usize,
+}
+
+impl Default for Harmonics {
+    fn default() -> Self {
+        Self { degree: 3, interval: 1000 }
+    }
+}
+
+impl Default for Loss {
+    fn default() -> Self {
+        Self { lambda_dssim: 0.2 }
+    }
+}
+
+impl Default for Curve {
+    fn default() -> Self {
+        Self { points: 40, views: 5 }
+    }
+}
+
+impl Harmonics {
+    pub(super) fn problems(&self) -> Vec<ParamProblem> {
+        Checks::of("harmonics")
+            .require("degree", self.degree <= 3, "must be 0 to 3")
+            .at_least_one("interval", self.interval)
+            .problems
+    }
+}
+
+impl Loss {
+    pub(super) fn problems(&self) -> Vec<ParamProblem> {
+        let is_share = (0.0..=1.0).contains(&self.lambda_dssim);
+        Checks::of("loss").require("lambda_dssim", is_share, "must be in [0, 1]").problems
+    }
+}
+
+impl Curve {
+    pub(super) fn problems(&self) -> Vec<ParamProblem> {
+        Checks::of("curve")
+            .require("points", self.points <= MAX_POINTS, format!("must be at most {MAX_POINTS}"))
+            .require("views", self.points == 0 || self.views > 0, "must be at least 1")
+            .problems
+    }
+}

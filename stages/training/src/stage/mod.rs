@@ -1,0 +1,245 @@
+//! The stage: a capture in, a model out.
+
+mod budget;
+mod inputs;
+mod watch;
+
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use captures::CaptureArtifact;
+use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage};
+use scene::Capture;
+use serde::Deserialize as _;
+use serde_json::Value;
+use shaders::gpu::Gpu;
+use shaders::tape::Device;
+
+use crate::artifact::Model;
+use crate::data::{Dataset, Supplements};
+use crate::device::compute_on;
+use crate::effects::CAPTURE;
+use crate::methods;
+use crate::params::TrainingParams;
+use crate::planning::{self, START};
+use crate::trainer::{Checkpoint, Earlier, Report, Trainer};
+
+pub use watch::Watch;
+
+use budget::Choice;
+use inputs::OptionalInputs;
+
+/// At most a minute of work is lost; a checkpoint of 100k Gaussians takes a fraction of a second. Not a parameter, because
+/// it cannot change the model.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
+/// Interval between two progress reports.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);
+
+/// The training stage.
+pub struct Training;
+
+impl Stage for Training {
+    type Params = TrainingParams;
+    type Output = Model;
+
+    const ID: &'static str = "training";
+    const ON_DEVICE: bool = true;
+    const ABOUT: &'static str = "trains a dynamic (or static) Gaussian model on a capture";
+
+    fn ports() -> Vec<Port> {
+        [Port::one::<CaptureArtifact>(CAPTURE)].into_iter().chain(inputs::optional_ports()).collect()
+    }
+
+    fn check_params(params: &TrainingParams) -> Vec<ParamProblem> {
+        params.problems()
+    }
+
+    fn facts(params: &TrainingParams, _context: &PlanContext<'_>) -> Facts {
+        planning::facts(params)
+    }
+
+    fn resolve(
+        params: TrainingParams,
+        context: &PlanContext<'_>,
+    ) -> Result<Resolution<TrainingParams>, Vec<ParamProblem>> {
+        planning::resolve(params, context)
+    }
+
+    fn resources(_params: &TrainingParams) -> Resources {
+        Resources { threads: 0 }
+    }
+
+    fn unused_sources(params: &TrainingParams) -> Vec<String> {
+        methods::unused_sources(&params.method)
+    }
+
+    fn run(context: &JobContext, params: &TrainingParams) -> anyhow::Result<Model> {
+        let capture = context.input::<CaptureArtifact>(CAPTURE)?.0;
+        let start = match context.optional_input::<Model>(START)? {
+            Some(model) => Some((model, earlier(context)?)),
+            None => None,
+        };
+        let given = OptionalInputs::open(context)?;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        let train_on = |device: Device| {
+            if context.profile && !device.gpu().is_none_or(Gpu::time_kernels) {
+                tracing::warn!("{} has no timestamps: kernels are counted, not timed", device.name());
+            }
+            let (stop, on_progress) = (&*context.stop, &*context.on_progress);
+            let watch = Watch { stop, on_progress, checkpoint_dir: context.checkpoint_dir(), device };
+            pool.install(|| {
+                let supplements = given.load(&capture)?;
+                train(capture, &supplements, params, start, &watch)
+            })
+        };
+        let trained = compute_on(&context.device, train_on);
+        let Some(Trained { model, report, budget }) = trained? else {
+            return Err(context.interrupted());
+        };
+        measure(context, &report)?;
+        if let Some(choice) = budget {
+            context.measure("budget", choice)?;
+        }
+        context.measure("device", Device::open(&context.device)?.name())?;
+        context.measure("threads", pool.current_num_threads())?;
+        if given.has_particles() {
+            // The shares of moving particles describe the start of this training, and reports read only trainings.
+            context.measure(
+                "particles_moving",
+                &context.input_record(crate::effects::PARTICLES)?.measurements["moving"],
+            )?;
+        }
+        model.save(context.output_dir())?;
+        Ok(model)
+    }
+}
+
+/// The measurements of the training whose model is on the port `start`.
+fn earlier(context: &JobContext) -> anyhow::Result<Earlier> {
+    let record = context.input_record(START)?;
+    let earlier = Earlier::deserialize(&record.measurements);
+    earlier.with_context(|| format!("cannot use the measurements of {}", record.producer))
+}
+
+/// A finished training.
+pub struct Trained {
+    /// The model.
+    pub model: Model,
+    /// The measurements.
+    pub report: Report,
+    /// How the schedule was chosen, for a training with a budget.
+    budget: Option<Choice>,
+}
+
+/// Trains to the end: from the newest checkpoint if there is one, otherwise from `start` (the model of another training
+/// after a shared phase, with its measurements) or from nothing. `None` if it was told to stop; a checkpoint is then saved.
+pub fn train(
+    capture: Capture,
+    supplements: &Supplements,
+    params: &TrainingParams,
+    start: Option<(Model, Earlier)>,
+    watch: &Watch<'_>,
+) -> anyhow::Result<Option<Trained>> {
+    let dataset = Dataset::load(capture, params.shared.curve.views)?;
+    let Some((params, budget)) = budget::fit(&dataset, supplements, params, watch)? else { return Ok(None) };
+    let params = &params;
+    let checkpoint = Checkpoint::load(watch.checkpoint_dir, &serde_json::to_value(params)?);
+    let trainer = match (checkpoint, start) {
+        (Some(checkpoint), _) => Trainer::resume(&dataset, supplements, params, checkpoint)?,
+        (None, Some((model, earlier))) => Trainer::continue_from(&dataset, supplements, params, &model, earlier)?,
+        (None, None) => Trainer::new(&dataset, supplements, params)?,
+    };
+    let mut trainer = trainer.on(watch.device);
+    let (mut saved, mut reported) = (Instant::now(), Instant::now());
+    while !trainer.is_done() {
+        trainer.advance()?;
+        let stopping = watch.stop.load(Ordering::Relaxed);
+        if stopping || saved.elapsed() >= CHECKPOINT_INTERVAL {
+            trainer.checkpoint()?.save(watch.checkpoint_dir)?;
+            saved = Instant::now();
+        }
+        if stopping {
+            return Ok(None);
+        }
+        if trainer.is_done() || reported.elapsed() >= PROGRESS_INTERVAL {
+            let (done, total) = trainer.steps();
+            (watch.on_progress)(Progress { done, total, message: trainer.status_line() });
+            reported = Instant::now();
+        }
+    }
+    let report = trainer.report();
+    Ok(Some(Trained { model: trainer.finish()?, report, budget }))
+}
+
+/// Records the measurements, which are no part of the artifact: every field of the report by its name.
+fn measure(context: &JobContext, report: &Report) -> anyhow::Result<()> {
+    let Value::Object(fields) = serde_json::to_value(report)? else { bail!("a report is an object") };
+    for (name, value) in fields {
+        context.measure(&name, value)?;
+    }
+    context.measure("peak_memory_bytes", peak_memory_bytes())
+}
+
+/// Peak resident memory of this process in bytes; `None` where the system does not report it.
+fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(1024 * kibibytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    use engine::{Artifact as _, Coordinates, Failure, FailureKind, InputRecord};
+    use serde_json::json;
+
+    use super::*;
+    use crate::scene_tests::TestScene;
+
+    fn context(root: &Path, capture: &Path) -> JobContext {
+        let mut context = JobContext::detached(root).unwrap();
+        let record = InputRecord {
+            producer: "capture".into(),
+            coordinates: Coordinates::new(),
+            artifact: Ok::<PathBuf, _>(capture.into()),
+            measurements: serde_json::Value::Null,
+            action_key: String::new(),
+        };
+        context.inputs.insert("capture".into(), vec![record]);
+        for port in inputs::optional_ports() {
+            context.inputs.insert(port.name.into(), Vec::new());
+        }
+        context
+    }
+
+    #[test]
+    fn an_interrupted_job_resumes_to_the_same_bytes() {
+        let dir = tempfile::tempdir().unwrap();
+        let capture = dir.path().join("capture");
+        TestScene::default().write(&capture);
+        let params: TrainingParams =
+            serde_json::from_value(json!({ "iterations": { "train": 12 }, "initial_points": { "random_count": 40 } }))
+                .unwrap();
+        let undisturbed = context(&dir.path().join("undisturbed"), &capture);
+        Training::run(&undisturbed, &params).unwrap();
+        assert!(undisturbed.measurements.borrow()["training_secs"].as_f64().unwrap() > 0.0);
+
+        // Told to stop, every run makes one step, saves it and fails as interrupted.
+        let disturbed = context(&dir.path().join("disturbed"), &capture);
+        for _ in 0..5 {
+            disturbed.stop.store(true, Ordering::Relaxed);
+            let failure = Training::run(&disturbed, &params).unwrap_err().downcast::<Failure>().unwrap();
+            assert_eq!(failure.kind, FailureKind::Interrupted);
+        }
+        disturbed.stop.store(false, Ordering::Relaxed);
+        Training::run(&disturbed, &params).unwrap();
+        for file in ["model.json", "model.safetensors"] {
+            let read = |context: &JobContext| std::fs::read(context.output_dir().join(file)).unwrap();
+            assert_eq!(read(&undisturbed), read(&disturbed), "{file}");
+        }
+        Model::open(disturbed.output_dir()).unwrap().check().unwrap();
+    }
+}

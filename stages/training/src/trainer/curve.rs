@@ -1,0 +1,64 @@
+//! The quality curve: PSNR over seconds of training on a few views, measured while the training clock is stopped.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+use shaders::tape::Tensor;
+
+use crate::data::LoadedView;
+use crate::shared::Curve;
+
+/// One point of the curve.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Seconds of training, evaluation excluded.
+    pub seconds: f64,
+    /// Steps over all phases.
+    pub iteration: u64,
+    /// Gaussians rendered.
+    pub n_gaussians: u64,
+    /// Mean PSNR of the 8-bit renders over the curve's views, dB.
+    pub psnr_val: f64,
+    /// The loss of the last step.
+    pub loss: f64,
+}
+
+/// The iterations (over all phases) of the curve's points: spaced quadratically, to resolve the steep start.
+pub(crate) fn schedule(curve: &Curve, total: u64) -> BTreeSet<u64> {
+    let share = |at: u64| (at as f64 / curve.points as f64).powi(2);
+    (1..=curve.points).map(|at| ((total as f64 * share(at)).round() as u64).max(1)).collect()
+}
+
+/// Converts [H, W, 3] to 8 bits: clamped to [0, 1], rounded half up.
+pub fn to_bytes(color: &Tensor<f32>) -> Vec<u8> {
+    color.as_slice().iter().map(|value| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect()
+}
+
+/// Peak signal-to-noise ratio in dB of two 8-bit images of equal size; 100 dB for equal images, because the curve is
+/// plotted and the largest finite value for 8-bit megapixel images is 108 dB.
+pub fn psnr(render: &[u8], truth: &LoadedView) -> f64 {
+    assert_eq!(render.len(), truth.pixels.len(), "images of equal size");
+    let squared = |(&a, &b): (&u8, &u8)| u64::from(a.abs_diff(b)).pow(2);
+    let sum: u64 = render.iter().zip(&truth.pixels).map(squared).sum();
+    if sum == 0 { 100.0 } else { -10.0 * (sum as f64 / (render.len() as f64 * 255.0 * 255.0)).log10() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_schedule_covers_the_training_and_is_denser_at_the_start() {
+        let points: Vec<u64> = schedule(&Curve { points: 10, views: 1 }, 1000).into_iter().collect();
+        assert_eq!((points[0], points[9], points.len()), (10, 1000, 10));
+        assert!(points.windows(3).all(|at| at[1] - at[0] < at[2] - at[1]));
+        assert!(schedule(&Curve { points: 0, views: 1 }, 1000).is_empty());
+        assert_eq!(schedule(&Curve { points: 40, views: 1 }, 3).into_iter().collect::<Vec<_>>(), [1, 2, 3]);
+    }
+
+    #[test]
+    fn bytes_are_clamped_and_rounded_half_up() {
+        let color = Tensor::from_vec([1, 2, 3], vec![-1.0, 0.5 / 255.0, 0.49 / 255.0, 1.0, 2.0, 0.5]);
+        assert_eq!(to_bytes(&color), [0, 1, 0, 255, 255, 128]);
+    }
+}

@@ -1,0 +1,150 @@
+//! One step of a training, checked or speculative.
+
+use std::collections::BTreeMap;
+
+use shaders::tape::{Tape, Tensor};
+
+use super::Trainer;
+use super::speculation::{Mode, PendingStep};
+use crate::data::TrainingView;
+use crate::method::{AfterStep, Recorded, ScreenStats, Step, StepOutcome, raster_settings, run_step};
+use crate::model::Variables;
+use crate::schedule::stretch;
+
+impl Trainer<'_> {
+    /// Runs the next step: speculatively on a GPU, once the size of the intersection buffers is known.
+    pub(super) fn next_step(&mut self) -> anyhow::Result<()> {
+        let Some(gpu) = self.device.gpu().filter(|_| self.capacity > 0) else { return self.step(Mode::Checked) };
+        // A speculative step may fail because an earlier, unchecked one produced bad values. The replay checks every
+        // step, so the error names its cause.
+        self.step(Mode::Speculative(gpu)).or_else(|error| match self.speculation.take() {
+            Some(speculation) => self.roll_back(speculation),
+            None => Err(error),
+        })
+    }
+
+    /// Runs one step and its hooks.
+    pub(super) fn step(&mut self, mode: Mode) -> anyhow::Result<()> {
+        let mut tape = Tape::new(self.device);
+        if let Mode::Speculative(_) = mode {
+            self.start_speculation();
+            tape = tape.with_capacity(self.capacity);
+        }
+        let (mut outcome, model) = self.differentiate(&mut tape)?;
+        let pending = match mode {
+            Mode::Checked => self.check_outcome(&mut tape, &outcome).map(|()| None)?,
+            Mode::Speculative(_) => Some(self.defer_outcome(&mut tape, &outcome)),
+        };
+        self.observe(&tape, &outcome);
+        let gradients = take_gradients(&mut outcome, &model);
+        if pending.is_none() {
+            self.check_gradients(&gradients, &tape)?;
+        }
+        // The tape shares the tensors; once it is gone, the optimizer changes them in place.
+        drop((tape, outcome));
+        self.clock.enter("optimizer");
+        if let (Mode::Speculative(gpu), Some(mut pending)) = (mode, pending) {
+            let magnitudes = self.state.optimizer.step_on(gpu, &gradients, self.state.iteration)?;
+            pending.add_update(gradients, magnitudes);
+            self.device.submit();
+            return if self.add_pending(pending)? { self.run_hooks() } else { Ok(()) };
+        }
+        self.state.optimizer.step(&gradients, self.state.iteration)?;
+        self.check_tensors()?;
+        self.run_hooks()
+    }
+
+    /// Computes the losses of the next views and their gradients.
+    fn differentiate(&mut self, tape: &mut Tape<f32>) -> anyhow::Result<(StepOutcome<f32>, Variables)> {
+        self.clock.enter("load");
+        self.state.iteration += 1;
+        let shared = &self.setup.params.shared;
+        if self.state.iteration.is_multiple_of(stretch(shared.harmonics.interval, shared.schedule_scale)) {
+            self.state.sh_degree = (self.state.sh_degree + 1).min(shared.harmonics.degree);
+        }
+        let views: Vec<_> = (0..shared.batch).map(|_| self.next_view()).collect();
+        let model = self.state.optimizer.bind(tape);
+        let dataset = self.setup.start.dataset;
+        let step = Step {
+            tape,
+            model: &model,
+            views: &views,
+            scene: &dataset.scene,
+            dataset,
+            supplements: self.setup.start.supplements,
+            shared,
+            phase: self.setup.phases[self.state.phase].name,
+            iteration: self.state.iteration,
+            sh_degree: self.state.sh_degree,
+            raster: raster_settings(&dataset.scene, self.state.sh_degree),
+            random: &mut self.state.method_random,
+            clock: &mut self.clock,
+            constants: &self.constants,
+            recorded: Recorded::default(),
+        };
+        Ok((run_step(&*self.setup.method, step)?, model))
+    }
+
+    /// Draws the next training view.
+    fn next_view(&mut self) -> TrainingView<f32> {
+        let index = self.state.sampler.next_view();
+        let view = &self.setup.start.dataset.train[index];
+        view.with_image(self.constants.get(self.device, "image", index, || view.image()))
+    }
+
+    /// Reads back the values of a step, checks and records them.
+    fn check_outcome(&mut self, tape: &mut Tape<f32>, outcome: &StepOutcome<f32>) -> anyhow::Result<()> {
+        self.grow_capacity(tape.read_back().intersections);
+        let (losses, skipped) = outcome.read_back();
+        self.split_render_time(tape);
+        self.telemetry.record_work(tape.profile(), &skipped);
+        self.check_losses(&losses, tape)?;
+        self.telemetry.record_losses(&losses);
+        Ok(())
+    }
+
+    /// Records what the host knows of a step, and keeps the rest for later.
+    fn defer_outcome(&mut self, tape: &mut Tape<f32>, outcome: &StepOutcome<f32>) -> PendingStep {
+        self.split_render_time(tape);
+        self.telemetry.record_work(tape.profile(), &outcome.skipped);
+        PendingStep::new(tape, outcome)
+    }
+
+    /// Splits the seconds of `render` among the stages of the rasteriser.
+    fn split_render_time(&mut self, tape: &Tape<f32>) {
+        for (op, activity) in [("projection", "projection"), ("binning", "sort"), ("blending", "blend")] {
+            if let Some(cost) = tape.profile().ops.get(op) {
+                self.clock.reassign("render", activity, cost.forward.secs);
+            }
+        }
+    }
+
+    /// Shows the renders of the step to the hooks that observe it.
+    fn observe(&mut self, tape: &Tape<f32>, outcome: &StepOutcome<f32>) {
+        self.clock.enter("density");
+        let iteration = self.state.iteration;
+        let populations = ScreenStats::by_population(&outcome.renders, tape, &outcome.gradients);
+        for hook in self.state.hooks.iter_mut().filter(|hook| hook.observes_at(iteration)) {
+            populations.iter().for_each(|stats| hook.observe(stats));
+        }
+    }
+
+    /// Runs the hooks after the optimizer's step.
+    fn run_hooks(&mut self) -> anyhow::Result<()> {
+        self.clock.enter("density");
+        for hook in &mut self.state.hooks {
+            hook.after_step(AfterStep {
+                iteration: self.state.iteration,
+                optimizer: &mut self.state.optimizer,
+                scene: self.setup.start.scene(),
+                random: &mut self.state.density_random,
+            })?;
+        }
+        self.check_not_empty()
+    }
+}
+
+/// The gradients of the model's tensors.
+fn take_gradients<'n>(outcome: &mut StepOutcome<f32>, model: &'n Variables) -> BTreeMap<&'n str, Tensor<f32>> {
+    model.iter().filter_map(|(name, var)| Some((name, outcome.gradients.take(var)?))).collect()
+}

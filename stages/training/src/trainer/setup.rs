@@ -1,0 +1,52 @@
+//! The fixed part of a training.
+
+use std::collections::BTreeSet;
+
+use anyhow::Context as _;
+
+use super::curve;
+use crate::data::{Dataset, Supplements};
+use crate::method::{Method, Start};
+use crate::params::TrainingParams;
+use crate::schedule::{LogLinear, Phase};
+
+/// The data, the parameters and the method of a training. No step changes them.
+pub(super) struct Setup<'a> {
+    /// The training views and the optional inputs.
+    pub start: Start<'a>,
+    /// The parameters.
+    pub params: &'a TrainingParams,
+    /// The method, configured by the parameters.
+    pub method: Box<dyn Method<f32>>,
+    /// The phases to run, in order.
+    pub phases: Vec<Phase>,
+    /// Steps (over all phases) after which the quality curve is measured.
+    pub curve_at: BTreeSet<u64>,
+}
+
+impl<'a> Setup<'a> {
+    /// Builds the method and its schedule.
+    pub(crate) fn new(
+        dataset: &'a Dataset,
+        supplements: &'a Supplements,
+        params: &'a TrainingParams,
+    ) -> anyhow::Result<Self> {
+        let method = params.registration().build_f32(&params.shared, &params.settings)?;
+        let mut phases = method.phases();
+        // The curve is scheduled over the whole training, even if this job stops after an earlier phase.
+        let total = phases.iter().map(|phase| phase.iterations).sum();
+        if let Some(last) = &params.shared.stop_after {
+            let at = phases.iter().position(|phase| phase.name == last);
+            phases.truncate(at.with_context(|| format!("{} has no phase {last}", params.method))? + 1);
+        }
+        let curve_at = curve::schedule(&params.shared.curve, total);
+        Ok(Self { start: Start { dataset, supplements }, params, method, phases, curve_at })
+    }
+
+    /// The learning rate of every tensor that a phase trains.
+    pub(crate) fn learning_rates(&self, phase: usize) -> impl Fn(&str) -> Option<LogLinear> {
+        let scale = self.params.shared.schedule_scale;
+        let name = self.phases[phase].name;
+        move |tensor| Some(self.method.learning_rate(name, tensor, self.start.scene())?.stretched(scale))
+    }
+}

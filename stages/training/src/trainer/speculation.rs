@@ -1,0 +1,170 @@
+//! Speculative steps: a GPU runs up to [`MAX_PENDING`] steps before the host checks any of them.
+//!
+//! The trainer takes a snapshot before the first speculative step. No value of a pending step is read back until
+//! [`MAX_PENDING`] steps are pending or until the host needs exact values: for a hook that reads rows, a point of the
+//! curve, a checkpoint or the end of a phase. If a value is then not finite, or a render overflowed its intersection
+//! buffer, the trainer rolls back to the snapshot and replays the steps in checked mode. An error is therefore reported
+//! at the step that causes it, and an overflow never changes a result.
+
+use std::collections::BTreeMap;
+
+use shaders::gpu::Gpu;
+use shaders::rasteriser::NOT_FINITE;
+use shaders::tape::{PendingReadback, Readback, Tape, Tensor};
+
+use super::Trainer;
+use super::telemetry::Telemetry;
+use super::train_state::TrainState;
+use crate::method::{StepOutcome, add_processed, sum_by_name};
+
+/// Maximum number of unchecked steps. One readback per 32 steps is negligible, and a rollback wastes little work.
+const MAX_PENDING: usize = 32;
+/// Intersection buffers hold this multiple of the largest count seen so far …
+const CAPACITY_FACTOR: f64 = 1.25;
+/// … plus this many intersections, because a few Gaussians can multiply fast.
+const EXTRA_CAPACITY: usize = 1 << 14;
+
+/// When the host checks the values of a step.
+#[derive(Clone, Copy)]
+pub(super) enum Mode {
+    /// Before the next step starts.
+    Checked,
+    /// After several steps; until then the values stay on this GPU.
+    Speculative(Gpu),
+}
+
+/// The pending steps and the snapshot to roll back to.
+pub(super) struct Speculation {
+    snapshot: Snapshot,
+    pending: Vec<PendingStep>,
+}
+
+/// The training before the first pending step.
+struct Snapshot {
+    state: TrainState,
+    telemetry: Telemetry,
+}
+
+/// A speculative step whose values the host has not read back yet.
+pub(super) struct PendingStep {
+    /// Name and weight of every loss.
+    losses: Vec<(&'static str, f64)>,
+    /// Name and total amount of work that the GPU counts.
+    counts: Vec<(&'static str, usize)>,
+    /// Names of the updated tensors.
+    gradients: Vec<String>,
+    /// The value of every loss, then the processed part of every count, then [gradients, 2]: the largest magnitude of
+    /// each gradient and of the updated tensor.
+    values: PendingReadback,
+}
+
+impl PendingStep {
+    /// Takes the deferred counts of the tape and the losses of the step.
+    pub(crate) fn new(tape: &mut Tape<f32>, outcome: &StepOutcome<f32>) -> Self {
+        let losses = outcome.values.iter().map(|(.., value)| value);
+        let processed = outcome.deferred.iter().map(|(_, processed, _)| processed);
+        Self {
+            losses: outcome.values.iter().map(|(name, weight, _)| (*name, *weight)).collect(),
+            counts: outcome.deferred.iter().map(|(what, _, of)| (*what, *of)).collect(),
+            gradients: Vec::new(),
+            values: PendingReadback::of(tape, losses.chain(processed).cloned().collect()),
+        }
+    }
+
+    /// Adds the optimizer's update: the names of its gradients and their magnitudes [gradients, 2].
+    pub(crate) fn add_update(&mut self, gradients: BTreeMap<&str, Tensor<f32>>, magnitudes: Tensor<f32>) {
+        self.gradients = gradients.into_keys().map(str::to_owned).collect();
+        self.values.push(magnitudes);
+    }
+}
+
+/// Whether a step succeeded: every value is finite and no buffer overflowed.
+fn succeeded(found: &Readback) -> bool {
+    let is_finite = found.values.iter().flatten().all(|value| value.is_finite());
+    is_finite && !found.overflowed && !found.events.contains_key(NOT_FINITE)
+}
+
+impl Trainer<'_> {
+    /// Enlarges the intersection buffers of later speculative renders to suit a render with this many intersections.
+    pub(super) fn grow_capacity(&mut self, intersections: usize) {
+        let capacity = (CAPACITY_FACTOR * intersections as f64) as usize + EXTRA_CAPACITY;
+        if self.device.gpu().is_some() {
+            self.capacity = self.capacity.max(capacity);
+        }
+    }
+
+    /// Takes a snapshot before the first of a series of speculative steps.
+    pub(super) fn start_speculation(&mut self) {
+        self.speculation.get_or_insert_with(|| {
+            let snapshot = Snapshot { state: self.state.clone(), telemetry: self.telemetry.clone() };
+            Speculation { snapshot, pending: Vec::new() }
+        });
+    }
+
+    /// Adds a pending step, and drains where its hooks or the number of pending steps require it. Returns whether the
+    /// hooks of the step still have to run: a rollback has replayed them.
+    pub(super) fn add_pending(&mut self, step: PendingStep) -> anyhow::Result<bool> {
+        let speculation = self.speculation.as_mut().expect("a speculative step starts with a snapshot");
+        speculation.pending.push(step);
+        let is_full = speculation.pending.len() >= MAX_PENDING;
+        let iteration = self.state.iteration;
+        if is_full || self.state.hooks.iter().any(|hook| hook.reads_rows_at(iteration)) {
+            return self.check_pending();
+        }
+        Ok(true)
+    }
+
+    /// Waits for all pending steps and checks them, so that the state is exact.
+    pub(super) fn drain(&mut self) -> anyhow::Result<()> {
+        self.check_pending().map(drop)
+    }
+
+    /// Reads back all pending steps and records them; if one failed, rolls back and replays instead. Returns whether
+    /// all of them succeeded.
+    fn check_pending(&mut self) -> anyhow::Result<bool> {
+        let Some(speculation) = self.speculation.take() else { return Ok(true) };
+        self.clock.enter("waiting for the device");
+        let found = PendingReadback::read(speculation.pending.iter().map(|step| &step.values));
+        if !found.iter().all(succeeded) {
+            self.roll_back(speculation)?;
+            return Ok(false);
+        }
+        let first = speculation.snapshot.state.iteration + 1;
+        for (iteration, (step, found)) in (first..).zip(speculation.pending.iter().zip(found)) {
+            self.record_pending(iteration, step, &found);
+        }
+        Ok(true)
+    }
+
+    /// Records the values of a pending step that succeeded.
+    fn record_pending(&mut self, iteration: u64, step: &PendingStep, found: &Readback) {
+        self.grow_capacity(found.intersections);
+        found.events.iter().for_each(|(what, count)| self.telemetry.profile.count(what, *count));
+        let (losses, rest) = found.values.split_at(step.losses.len());
+        let values = losses.iter().map(|value| f64::from(value[0]));
+        self.telemetry.record_losses(&sum_by_name(step.losses.iter().copied().zip(values)));
+        let (processed, magnitudes) = rest.split_at(step.counts.len());
+        for ((what, of), processed) in step.counts.iter().zip(processed) {
+            add_processed(&mut self.telemetry.skipped, what, f64::from(processed[0]), *of);
+        }
+        let of_gradients = magnitudes[0].chunks_exact(2).map(|pair| pair[0]);
+        let gradients = step.gradients.iter().map(String::as_str).zip(of_gradients);
+        self.telemetry.record_gradients(self.setup.phases[self.state.phase].name, iteration, gradients);
+    }
+
+    /// Restores the snapshot and replays the steps since then in checked mode, including one that failed half-way.
+    pub(super) fn roll_back(&mut self, speculation: Speculation) -> anyhow::Result<()> {
+        let last = self.state.iteration;
+        Snapshot { state: self.state, telemetry: self.telemetry } = speculation.snapshot;
+        while self.state.iteration < last {
+            self.step(Mode::Checked)?;
+        }
+        Ok(())
+    }
+
+    /// Number of pending steps.
+    #[cfg(test)]
+    pub(super) fn pending_steps(&self) -> usize {
+        self.speculation.as_ref().map_or(0, |speculation| speculation.pending.len())
+    }
+}

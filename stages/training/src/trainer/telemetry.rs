@@ -1,0 +1,80 @@
+//! Measurements of a running training. No step depends on them.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use shaders::tape::Profile;
+
+use super::curve::CurvePoint;
+use crate::artifact::LargestGradient;
+use crate::method::{SkippedWork, merge_skipped};
+
+/// What a training measures besides its model.
+#[derive(Clone, Default)]
+pub(super) struct Telemetry {
+    /// The part that a resumed training continues.
+    pub history: History,
+    /// Seconds and calls per operation, and events, since the last resumption.
+    pub profile: Profile,
+    /// Work left out since the last resumption.
+    pub skipped: SkippedWork,
+    /// The largest gradient of every tensor since the last resumption.
+    pub largest_gradients: BTreeMap<String, LargestGradient>,
+    /// The total loss of every step.
+    #[cfg(test)]
+    pub losses: Vec<f64>,
+}
+
+/// The measurements that a checkpoint stores.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct History {
+    /// Quality over seconds.
+    pub curve: Vec<CurvePoint>,
+    /// The total loss of the last step; NaN before the first one.
+    pub loss: f64,
+    /// Weighted loss values summed over steps, by loss.
+    pub loss_sums: BTreeMap<String, f64>,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self { curve: Vec::new(), loss: f64::NAN, loss_sums: BTreeMap::new() }
+    }
+}
+
+impl Telemetry {
+    /// Adds the weighted losses of one step.
+    pub(crate) fn record_losses(&mut self, losses: &BTreeMap<&'static str, f64>) {
+        self.history.loss = losses.values().sum();
+        #[cfg(test)]
+        self.losses.push(self.history.loss);
+        for (&name, value) in losses {
+            match self.history.loss_sums.get_mut(name) {
+                Some(sum) => *sum += value,
+                None => drop(self.history.loss_sums.insert(name.into(), *value)),
+            }
+        }
+    }
+
+    /// Adds the cost of one step and the work that it left out.
+    pub(crate) fn record_work(&mut self, profile: &Profile, skipped: &SkippedWork) {
+        self.profile.merge(profile);
+        merge_skipped(&mut self.skipped, skipped);
+    }
+
+    /// Keeps the largest magnitude of each gradient, with the step at which it occurred.
+    pub(crate) fn record_gradients<'n>(
+        &mut self,
+        phase: &str,
+        iteration: u64,
+        magnitudes: impl IntoIterator<Item = (&'n str, f32)>,
+    ) {
+        for (name, magnitude) in magnitudes {
+            let magnitude = f64::from(magnitude);
+            if self.largest_gradients.get(name).is_none_or(|known| magnitude > known.magnitude) {
+                let largest = LargestGradient { magnitude, phase: phase.into(), iteration };
+                self.largest_gradients.insert(name.into(), largest);
+            }
+        }
+    }
+}
