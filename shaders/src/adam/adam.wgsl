@@ -1,5 +1,5 @@
-// One update of every element of every group: m ← β1·m + (1 − β1)·g, v ← β2·v + (1 − β2)·g², p ← p − step·m / (√v·scale + ε);
-// and the largest magnitudes of the group's gradient and of its new values.
+// One Adam update of every element of every parameter group: m ← β1·m + (1 − β1)·g, v ← β2·v + (1 − β2)·g²,
+// p ← p − step·m / (√v·scale + ε). Also records the largest magnitudes of each group's gradient and of its new values.
 
 struct Item {
     beta1: f32,
@@ -8,7 +8,7 @@ struct Item {
     second_moment_scale: f32,
     epsilon: f32,
     len: u32,
-    // Where the group's two figures are.
+    // Index of the group's two maxima in `largest`.
     figures: u32,
 }
 
@@ -16,12 +16,12 @@ struct Item {
 
 var<workgroup> own_largest: array<atomic<u32>, 2>;
 
-// Without their sign, floats order as their bits do, NaN last.
+// Without the sign bit, floats order as their bits do, with NaN last.
 fn magnitude(value: f32) -> u32 {
     return bitcast<u32>(value) & 0x7fffffffu;
 }
 
-// Updates an element; the magnitudes of its gradient and of its new value.
+// Updates one element. Returns the magnitudes of its gradient and of its new value.
 fn advance(item: u32, adam: Item, at: u32) -> vec2<u32> {
     let gradient = gradients(item, at);
     let first = adam.beta1 * first_moments(item, at) + (1.0 - adam.beta1) * gradient;
@@ -54,7 +54,7 @@ fn main(
             found = max(found, advance(item, adam, at));
         }
     }
-    // The largest of whole numbers does not depend on the order.
+    // An integer maximum does not depend on the order.
     atomicMax(&own_largest[0], found.x);
     atomicMax(&own_largest[1], found.y);
     workgroupBarrier();

@@ -1,6 +1,6 @@
-// 3×3 matrices by rows and quaternions (w, x, y, z), as in the Rust file of this name.
+// 3×3 matrices by rows and quaternions (w, x, y, z): the definitions of `algebra.rs`.
 
-// Quaternions shorter than the root of this count as no rotation.
+// Quaternions with a smaller squared norm have no direction and count as the identity.
 const MIN_SQUARED_NORM: f32 = 1e-12;
 
 // A matrix by rows.
@@ -10,13 +10,13 @@ struct Rows {
     z: vec3<f32>,
 }
 
-// A unit quaternion and 1/|q|, which is zero where q has no direction.
+// A unit quaternion and 1/|q|. The inverse norm is zero if q has no direction.
 struct Unit {
     quaternion: vec4<f32>,
     inverse_norm: f32,
 }
 
-// By bits: compilers may assume that no number is NaN.
+// Tests the bits, because compilers may assume that no value is NaN.
 fn is_finite(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
 }
@@ -55,7 +55,7 @@ fn normalised(q: vec4<f32>) -> Unit {
     return Unit(q * inverse_norm, inverse_norm);
 }
 
-// The gradient of q from that of its normalised form: only the part tangential to the sphere of directions.
+// The gradient with respect to q, given that of q/|q|: the component tangential to the unit sphere, times 1/|q|.
 fn normalised_backward(unit: Unit, g: vec4<f32>) -> vec4<f32> {
     return (g - dot(g, unit.quaternion) * unit.quaternion) * unit.inverse_norm;
 }
@@ -73,7 +73,8 @@ fn rotation_matrix(q: vec4<f32>) -> Rows {
     );
 }
 
-// The gradient of the unit quaternion from that of its rotation, before projection to the tangent space.
+// The gradient with respect to the unit quaternion, given that of its rotation matrix, before the projection to the
+// tangent space.
 fn rotation_backward(q: vec4<f32>, g: Rows) -> vec4<f32> {
     let w = q.x;
     let x = q.y;

@@ -1,10 +1,12 @@
+// Measures arithmetic throughput: four chains of fused multiply-adds, each STEPS long and with values that stay finite.
+// The chains depend only on themselves. One invocation per vector.
+
 struct Constants { count: u32 }
 
 @group(0) @binding(0) var<uniform> constants: Constants;
 @group(0) @binding(1) var<storage, read> source: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> result: array<vec4<f32>>;
 
-// Four chains of multiply-adds that depend on nothing but themselves, and stay finite.
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,

@@ -1,9 +1,10 @@
-// Sums over the 256 / COLUMNS invocations that share a column, COLUMNS a power of two of at most 256, in workgroups of 256
-// whose neighbouring invocations are neighbouring columns: in a fixed order, by halving distances.
+// Tree reduction over the 256 / COLUMNS invocations of a workgroup that share a column, in a fixed order. COLUMNS is a
+// power of two, at most 256. Neighbouring invocations hold neighbouring columns.
 
 var<workgroup> column_parts: array<f32, 256>;
 
-// The sum of `value` over the invocations of a column, for each of them; all invocations of the workgroup call it together.
+// Returns the sum of `value` over the invocations of a column to each of them. Every invocation of the workgroup must
+// call it, in uniform control flow.
 fn column_sum(local: u32, value: f32) -> f32 {
     workgroupBarrier();
     column_parts[local] = value;

@@ -1,5 +1,5 @@
-// The sums over a block of rows of two terms per row and column, `terms(row, column)`: a workgroup adds up COLUMNS columns.
-// [blocks, 2, columns].
+// Sums two terms per row and column, `terms(row, column)`, over blocks of rows. A workgroup sums COLUMNS columns of one
+// block. The output is [blocks, 2, columns].
 
 struct Sums {
     rows: u32,
@@ -28,7 +28,7 @@ fn main(
     }
     let first = column_sum(local, own.x);
     let second = column_sum(local, own.y);
-    // A folded dispatch has workgroups beyond the last block.
+    // A folded dispatch may have workgroups past the last block.
     if (local < COLUMNS && column < sums.columns && block * sums.block_rows < sums.rows) {
         block_sums[2u * block * sums.columns + column] = first;
         block_sums[(2u * block + 1u) * sums.columns + column] = second;

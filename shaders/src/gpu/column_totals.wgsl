@@ -1,4 +1,4 @@
-// The sums of blocks of rows [blocks, 2, columns] added in order: a workgroup adds up COLUMNS columns.
+// Adds the block sums of `column_sums` [blocks, 2, columns] in a fixed order. A workgroup sums COLUMNS columns.
 
 struct Totals {
     blocks: u32,

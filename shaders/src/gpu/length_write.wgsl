@@ -1,6 +1,6 @@
-// Writes the `length` of a list: how many of its elements are used, how many are wanted, and the workgroups that have them,
-// of 256 elements each, then of 1024; one at least, which may have something to say of nothing. More than a dimension
-// allows are folded.
+// Writes the `length` of a list: the number of elements in use, the number wanted, and the indirect dispatches over
+// those in use, with 256 and with 1024 elements per workgroup. A dispatch has at least one workgroup, because a kernel
+// may have output even for an empty list. Dispatches above the limit of one dimension are folded into two.
 
 const MAX_GROUPS: u32 = 65535u;
 

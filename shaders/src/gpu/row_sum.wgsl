@@ -1,9 +1,10 @@
-// Sums over the LANES neighbouring invocations that share a row, LANES a power of two of at most 256, in workgroups of 256:
-// in a fixed order, by halving distances.
+// Tree reduction over the LANES neighbouring invocations that share a row, in workgroups of 256 and in a fixed order.
+// LANES is a power of two, at most 256.
 
 var<workgroup> row_parts: array<f32, 256>;
 
-// The sum of `value` over the invocations of a row, for each of them; all invocations of the workgroup call it together.
+// Returns the sum of `value` over the invocations of a row to each of them. Every invocation of the workgroup must call
+// it, in uniform control flow.
 fn row_sum(local: u32, value: f32) -> f32 {
     workgroupBarrier();
     row_parts[local] = value;

@@ -1,4 +1,4 @@
-// y = a + b, for every pair.
+// y = a + b for every pair of tensors. One invocation per element.
 
 struct Item {
     len: u32,

@@ -1,11 +1,13 @@
+// The largest magnitude of every item's values. One invocation per VALUES values.
+
 struct Item { count: u32, slot: u32 }
 
 @group(0) @binding(1) var<storage, read_write> largest: array<atomic<u32>>;
 
 var<workgroup> parts: array<u32, 256>;
 
-// Magnitudes as whole numbers: without their sign, floats order as their bits do, NaN last. The largest of whole numbers
-// does not depend on the order.
+// Magnitudes are compared as integers: without the sign bit, floats order as their bits do, with NaN last. An integer
+// maximum does not depend on the order.
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,

@@ -1,10 +1,10 @@
-// The row of every place and whether it was drawn, from the rows in the order of their keys.
+// The row of every place and whether it was drawn, from the rows sorted by key. One invocation per place.
 
 struct Sample {
     rows: u32,
-    // As many as are drawn at most.
+    // The maximum number of drawn rows.
     places: u32,
-    // Of the rows that can be drawn, so many are.
+    // The fraction of the candidate rows that is drawn.
     share: f32,
 }
 

@@ -1,4 +1,5 @@
-// The number of every row, below 2³¹ where it can be drawn: the same definitions as on the CPU.
+// The random sort key of every row, below 2³¹ for candidates and NOWHERE for others: the same definitions as on the
+// CPU. One invocation per row.
 
 struct Keys {
     rows: u32,

@@ -1,5 +1,6 @@
-// Exclusive sums within blocks of 1024 numbers, and the sum of each block. Sums saturate at CAP, so that they stay monotonic
-// where they would overflow. The text in front defines `number(index)`, with arrays from binding 3 on.
+// Exclusive prefix sums of `number(index)` within blocks of 1024, and the sum of each block. Sums saturate at CAP, so
+// that they stay monotonic instead of overflowing. The importing file declares its arrays from binding 3 on. One
+// workgroup per block.
 
 struct Scan {
     len: u32,
@@ -32,7 +33,7 @@ fn main(
         own = min(own + values[item], CAP);
     }
 
-    // Inclusive sums over the invocations, by doubling distances.
+    // Inclusive prefix sums over the invocations, by doubling distances.
     partial[local] = own;
     workgroupBarrier();
     for (var distance = 1u; distance < GROUP; distance *= 2u) {

@@ -1,4 +1,4 @@
-// Adds to the exclusive sums within blocks what lies before each block.
+// Adds the sum of all previous blocks to the exclusive prefix sums within blocks. One invocation per number.
 
 struct Scan {
     len: u32,

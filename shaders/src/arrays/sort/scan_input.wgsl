@@ -1,4 +1,4 @@
-// The numbers of an array.
+// Prefix sums of the numbers of an array.
 
 @group(0) @binding(3) var<storage, read> input: array<u32>;
 

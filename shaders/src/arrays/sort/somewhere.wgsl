@@ -1,4 +1,4 @@
-// How many of so many `sorted_keys`, an array that the kernel declares, come before NOWHERE, by halving the list.
+// The number of keys before NOWHERE among the first `len` of `sorted_keys`, by binary search.
 fn somewhere_count(len: u32) -> u32 {
     var low = 0u;
     var high = len;

@@ -1,16 +1,16 @@
-// What the kernels of a sort share: one pass moves keys by a digit of eight bits.
+// Sizes and digits of a least-significant-digit radix sort. One pass orders the keys by a digit of eight bits.
 
 struct Sort {
-    // The capacity in keys, and the blocks of 1024 of them.
+    // Capacity in keys, and in blocks of 1024 keys.
     len: u32,
     blocks: u32,
-    // Where the digit lies in the key, and where that of the next pass.
+    // Position of the digit in the key, in bits, in this pass and in the next one.
     shift: u32,
     next_shift: u32,
 }
 
 @group(0) @binding(0) var<uniform> sort: Sort;
-// Its first element is the number of keys, where COUNTED is 1.
+// If COUNTED is 1, the first element is the number of keys.
 @group(0) @binding(1) var<storage, read> length: array<u32>;
 
 const BLOCK: u32 = 1024u;

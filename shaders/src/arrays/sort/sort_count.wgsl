@@ -1,4 +1,4 @@
-// How many keys of each block have each digit of the first pass: [digit, block].
+// Counts the keys of each block by the digit of the first pass: [digit, block]. One workgroup per block.
 
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read_write> counts: array<u32>;
@@ -17,7 +17,7 @@ fn main(
     for (var item = 0u; item < ITEMS; item++) {
         let index = block * BLOCK + item * GROUP + local;
         if (index < key_count()) {
-            // Whole numbers: the order of additions does not matter.
+            // Integer additions do not depend on the order.
             atomicAdd(&histogram[digit_of(keys[index], sort.shift)], 1u);
         }
     }

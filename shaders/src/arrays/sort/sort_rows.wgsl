@@ -1,6 +1,6 @@
-// The counts of a digit's blocks become the number of keys of that digit in earlier blocks, and their sum is the digit's
-// total. LANES invocations share a digit: a power of two of at most 256, about as many as there are blocks. Where there is
-// another pass, its counts begin at zero.
+// Exclusive prefix sums, per digit, of the blocks' counts, and the digit's total. LANES invocations share a digit;
+// LANES is a power of two, at most 256, near the number of blocks. Unless this pass is the LAST, the counts of the next
+// pass are set to zero.
 
 @group(0) @binding(2) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(3) var<storage, read_write> totals: array<u32>;
@@ -25,7 +25,7 @@ fn main(
         if (is_block) {
             own = counts[at];
         }
-        // Inclusive sums over the invocations of a digit, by doubling distances.
+        // Inclusive prefix sums over the invocations of a digit, by doubling distances.
         partial[local] = own;
         workgroupBarrier();
         for (var distance = 1u; distance < LANES; distance *= 2u) {

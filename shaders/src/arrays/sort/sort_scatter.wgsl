@@ -1,9 +1,9 @@
-// Moves every key with its value to its place by one digit; keys of equal digit keep their order. FIRST is 1 where the
-// values are the places of the keys themselves. Unless this pass is the LAST, the digits of the next one are counted in the
-// blocks where the keys come to lie.
+// Moves every key and its value to the position given by one digit. The sort is stable. If FIRST is 1, the values are
+// the indices of the keys. Unless this pass is the LAST, the digits of the next pass are counted in the keys' new
+// blocks. One workgroup per block.
 //
-// A block is sorted in workgroup memory by the digit's lower and then its higher four bits, so that what is written next
-// to each other belongs next to each other.
+// A block is first sorted in workgroup memory, by the lower and then the higher four bits of the digit, so that
+// neighbouring invocations write to neighbouring positions.
 
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read> values: array<u32>;
@@ -15,15 +15,15 @@
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
 @group(0) @binding(8) var<storage, read_write> next_counts: array<atomic<u32>>;
 
-// The digits of a block's keys, each with the place of its key in the block in its lower ten bits.
+// The digits of a block's keys. The lower ten bits are the index of the key in the block.
 var<workgroup> items: array<u32, 1024>;
-// Counts of sixteen half digits, two to a word: the first eight, then the others, for every invocation.
+// Per invocation, counts of the sixteen values of a half digit, two to a word: the first eight, then the others.
 var<workgroup> counts: array<vec4<u32>, 512>;
-// Where the keys of each digit begin among all keys, and in the block.
+// Index of the first key of each digit among all keys, and in the block.
 var<workgroup> global_starts: array<u32, 256>;
 var<workgroup> local_starts: array<u32, 256>;
 
-// One for a half digit, in its half of its word.
+// A count of one for a half digit, in its half of its word.
 fn one_for(half_digit: u32) -> array<vec4<u32>, 2> {
     let word = half_digit / 2u;
     let one = 1u << (16u * (half_digit % 2u));
@@ -32,7 +32,7 @@ fn one_for(half_digit: u32) -> array<vec4<u32>, 2> {
     return array<vec4<u32>, 2>(low, high);
 }
 
-// The count of a half digit.
+// Extracts the count of a half digit.
 fn count_of(low: vec4<u32>, high: vec4<u32>, half_digit: u32) -> u32 {
     let ones = one_for(half_digit);
     let mask = array<vec4<u32>, 2>(ones[0] * 0xffffu, ones[1] * 0xffffu);
@@ -41,7 +41,7 @@ fn count_of(low: vec4<u32>, high: vec4<u32>, half_digit: u32) -> u32 {
     return word >> (16u * (half_digit % 2u));
 }
 
-// Exclusive sums over the sixteen halves, two to a word: the totals before each.
+// Exclusive prefix sums over the sixteen counts, two to a word.
 fn starts_of(totals_low: vec4<u32>, totals_high: vec4<u32>) -> array<vec4<u32>, 2> {
     var words = array<u32, 8>(
         totals_low.x, totals_low.y, totals_low.z, totals_low.w,
@@ -60,7 +60,7 @@ fn starts_of(totals_low: vec4<u32>, totals_high: vec4<u32>) -> array<vec4<u32>, 
     );
 }
 
-// Sorts the block by four bits of its digits, stably. Each invocation has four items in a row.
+// Sorts the block by four bits of its digits; the sort is stable. Each invocation has four consecutive items.
 fn sort_block(local: u32, shift: u32) {
     var own: array<u32, 4>;
     var low = vec4<u32>();
@@ -87,7 +87,7 @@ fn sort_block(local: u32, shift: u32) {
         workgroupBarrier();
     }
     let starts = starts_of(counts[GROUP - 1u], counts[2u * GROUP - 1u]);
-    // Where the next item of each half digit of this invocation goes.
+    // Destination of this invocation's next item of each half digit.
     var next_low = starts[0] + counts[local] - low;
     var next_high = starts[1] + counts[GROUP + local] - high;
     for (var item = 0u; item < ITEMS; item++) {
@@ -100,7 +100,7 @@ fn sort_block(local: u32, shift: u32) {
     workgroupBarrier();
 }
 
-// Where the keys of each digit begin among all keys: exclusive sums of the totals.
+// Index of the first key of each digit among all keys: exclusive prefix sums of the totals.
 fn find_global_starts(local: u32) {
     let own = totals[local];
     global_starts[local] = own;
@@ -127,7 +127,7 @@ fn main(
     let first = block * BLOCK;
     for (var item = 0u; item < ITEMS; item++) {
         let place = item * GROUP + local;
-        // What is beyond the end comes after every key.
+        // Items past the end sort after every key.
         var digit = DIGITS - 1u;
         if (first + place < key_count()) {
             digit = digit_of(keys[first + place], sort.shift);
@@ -156,7 +156,7 @@ fn main(
             let key = keys[index];
             sorted_keys[to] = key;
             if (LAST == 0u) {
-                // Whole numbers: the order of additions does not matter.
+                // Integer additions do not depend on the order.
                 atomicAdd(&next_counts[digit_of(key, sort.next_shift) * sort.blocks + to / BLOCK], 1u);
             }
             if (FIRST == 1u) {

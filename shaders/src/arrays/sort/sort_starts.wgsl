@@ -1,4 +1,4 @@
-// Where each key begins in a list of keys in rising order, by halving the list.
+// Index of the first occurrence of each key in a sorted list, by binary search. One invocation per key.
 
 struct Starts {
     len: u32,

@@ -1,4 +1,4 @@
-// The sums of the rows of every block of rows: one invocation per block and column.
+// Column sums over blocks of rows. One invocation per block and column.
 
 struct Rows {
     rows: u32,

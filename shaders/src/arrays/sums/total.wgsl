@@ -1,5 +1,5 @@
-// The sum of every block of 4096 terms, times a factor: one workgroup per block. The text in front defines `term(at)`, with
-// arrays from binding 2 on.
+// The sum of `term(at)` over every block of 4096 terms, times a factor. One workgroup per block. The importing file
+// declares its arrays from binding 2 on.
 
 struct Total {
     len: u32,

@@ -1,4 +1,4 @@
-// The elements of an array.
+// Block sums of the elements of an array.
 
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 

@@ -1,4 +1,4 @@
-// The gradient of a total: the same for every element.
+// The gradient of a sum: the same value for every element. One invocation per element.
 
 struct Spread {
     factor: f32,

@@ -1,4 +1,4 @@
-// Points carried by a node's frame: the same definitions as on the CPU.
+// Points carried by the frame of a node: the same definitions as on the CPU.
 
 struct Frames {
     points: u32,

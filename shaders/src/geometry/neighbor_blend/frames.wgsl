@@ -1,4 +1,4 @@
-// Every point as its nodes carry it: an invocation per point.
+// The weighted mean of the positions to which a point's nodes carry it. One invocation per point.
 
 @group(0) @binding(6) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(7) var<storage, read_write> y: array<f32>;

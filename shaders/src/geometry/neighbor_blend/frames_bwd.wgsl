@@ -1,4 +1,4 @@
-// The gradients of weights and points: an invocation per point.
+// The gradients of weights and points. One invocation per point.
 
 @group(0) @binding(6) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(7) var<storage, read> dy: array<f32>;

@@ -1,5 +1,5 @@
-// The gradients of the nodes' positions, translations and rotations: LANES invocations per node, each with every LANES-th
-// follower.
+// The gradients of the nodes' positions, translations and rotations. LANES invocations per node; each takes every
+// LANES-th of the points that follow the node.
 
 @group(0) @binding(6) var<storage, read> items: array<u32>;
 @group(0) @binding(7) var<storage, read> starts: array<u32>;
@@ -22,7 +22,7 @@ fn main(
 ) {
     let node = flat_group(group, groups) * (256u / LANES) + local / LANES;
     var pulled = vec3<f32>(0.0);
-    // Σ pulled·(x − p)ᵀ, the gradient of the rotation.
+    // Σ pull·(x − p)ᵀ, the gradient of the rotation matrix.
     var outer = Rows(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
     if (node < sizes.nodes) {
         let position = position_of(node);

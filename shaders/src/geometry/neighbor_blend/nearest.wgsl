@@ -1,13 +1,13 @@
-// The KEPT nearest of the nodes of every point in a space of AXES axes, nearest first; of equally near ones the first. An
-// invocation per point; nodes are loaded by the workgroup, TILE at a time. OTHERS is 1 where points are the nodes, and none
-// is its own neighbour.
+// The KEPT nearest nodes of every point in AXES dimensions, nearest first; ties go to the lower index. One invocation
+// per point. The workgroup loads TILE nodes at a time. If OTHERS is 1, the points are the nodes, and no point is its
+// own neighbour.
 
 const GROUP: u32 = 64u;
 const TILE: u32 = 64u;
 
 var<workgroup> tile: array<f32, TILE * AXES>;
 
-// The nearest so far.
+// The nearest nodes so far.
 var<private> found_nodes: array<u32, KEPT>;
 var<private> found_distances: array<f32, KEPT>;
 

@@ -1,7 +1,8 @@
-// The nearest nodes of every point in a space of any number of axes, and any number of them: an invocation per point, whose
-// list lies where it is read later. OTHERS is 1 where points are the nodes, and none is its own neighbour.
+// The nearest nodes of every point, for any number of dimensions and of nodes per point. One invocation per point,
+// which keeps its list in the output array. If OTHERS is 1, the points are the nodes, and no point is its own
+// neighbour.
 
-// Of what is in the list, [points, kept].
+// Squared distances of the nodes in the list, [points, kept].
 @group(0) @binding(4) var<storage, read_write> distances: array<f32>;
 
 var<private> first_found: u32;

@@ -1,5 +1,5 @@
-// The `kept` nearest nodes of a point, nearest first; of equally near ones the first. What stands beside this text keeps the
-// list: `found_node(rank)`, `found_distance(rank)` and `set_found(rank, node, distance)`.
+// The sorted list of the `kept` nearest nodes of a point, nearest first; ties go to the lower index. The importing file
+// stores the list.
 
 struct Nearest {
     points: u32,
@@ -15,7 +15,7 @@ struct Nearest {
 // [points, kept].
 @group(0) @binding(3) var<storage, read_write> node_of_item: array<u32>;
 
-// Nodes in the list so far.
+// Number of nodes in the list so far.
 var<private> found_count: u32;
 
 fn insert(node: u32, distance: f32) {

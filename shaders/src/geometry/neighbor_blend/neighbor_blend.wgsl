@@ -1,4 +1,4 @@
-// What the nodes of a point have, weighted: an invocation per value.
+// The weighted sum of the values of a point's nodes. One invocation per value.
 
 struct Blend {
     points: u32,

@@ -1,4 +1,4 @@
-// The gradients of the values of a blend: a workgroup adds up COLUMNS columns of one node over its followers.
+// The gradients of the nodes' values. A workgroup sums COLUMNS columns of one node over the points that follow it.
 
 struct Blend {
     points: u32,

@@ -1,4 +1,4 @@
-// The gradients of the weights of a blend: an invocation per weight.
+// The gradients of the blend weights. One invocation per weight.
 
 struct Blend {
     points: u32,

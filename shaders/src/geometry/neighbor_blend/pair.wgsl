@@ -1,4 +1,4 @@
-// How much a point follows a node: the same definitions as on the CPU. GATED is 1 where nodes have gates.
+// The weight with which a point follows a node: the same definitions as on the CPU. GATED is 1 if nodes have gates.
 
 struct Weights {
     points: u32,
@@ -13,7 +13,7 @@ struct Weights {
 @group(0) @binding(3) var<storage, read> log_radii: array<f32>;
 @group(0) @binding(4) var<storage, read> gates: array<f32>;
 
-// Added to every weight before they are divided by their sum.
+// Added to every weight before normalisation.
 const FLOOR: f32 = 1e-7;
 
 struct Pair {
@@ -45,7 +45,7 @@ fn pair_of(point: u32, node: u32) -> Pair {
     return Pair(squared_distance, inverse_variance, exp(-0.5 * squared_distance * inverse_variance), gate);
 }
 
-// Before it is divided by the sum.
+// The weight before normalisation.
 fn weight_of(pair: Pair) -> f32 {
     return pair.falloff * pair.gate + FLOOR;
 }

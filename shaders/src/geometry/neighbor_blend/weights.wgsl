@@ -1,4 +1,4 @@
-// The weights of every point's nodes: an invocation per point.
+// The normalised weights of every point's nodes. One invocation per point.
 
 @group(0) @binding(5) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(6) var<storage, read_write> weights: array<f32>;

@@ -1,5 +1,5 @@
-// The gradients of the weights before the division by their sum, (dwₖ − Σⱼ wⱼdwⱼ) / sum, and of the points: an invocation
-// per point.
+// The gradients of the weights before normalisation, (dwₖ − Σⱼ wⱼdwⱼ) / sum, and of the points. One invocation per
+// point.
 
 @group(0) @binding(5) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(6) var<storage, read> weights: array<f32>;

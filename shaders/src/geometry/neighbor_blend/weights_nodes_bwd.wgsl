@@ -1,5 +1,5 @@
-// The gradients of the nodes' positions, logarithmic radii and gates: LANES invocations per node, each with every LANES-th
-// follower, AXES axes at a time.
+// The gradients of the nodes' positions, logarithmic radii and gates. LANES invocations per node; each takes every
+// LANES-th of the points that follow the node, AXES axes at a time.
 
 @group(0) @binding(5) var<storage, read> items: array<u32>;
 @group(0) @binding(6) var<storage, read> starts: array<u32>;
@@ -20,7 +20,7 @@ fn main(
     }
 }
 
-// The gradients along the axes from the first one on, and with those from 0 on what a node has one of.
+// Sums the gradients along AXES axes from `first` on. The pass from axis 0 also sums those of radius and gate.
 fn add_followers(local: u32, node: u32, first: u32) {
     var g_position: array<f32, AXES>;
     var g_radius = 0.0;

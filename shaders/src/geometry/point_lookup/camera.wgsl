@@ -1,4 +1,4 @@
-// Between world and image: the same definitions as on the CPU.
+// Transforms between world and image: the same definitions as on the CPU.
 
 struct Camera {
     // Rows of camera_from_world, with the translation last.
@@ -12,7 +12,7 @@ struct Camera {
 
 @group(0) @binding(0) var<uniform> camera: Camera;
 
-// Pixel position of what is not in front of the camera.
+// Pixel position of points that are not in front of the camera.
 const OUTSIDE: f32 = -1.0;
 
 // R·X + t.

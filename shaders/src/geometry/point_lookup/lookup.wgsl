@@ -1,4 +1,4 @@
-// The image at every position: an invocation per position.
+// Samples an image at every position. One invocation per position.
 
 @group(0) @binding(3) var<storage, read_write> values: array<f32>;
 
@@ -16,7 +16,7 @@ fn main(
     for (var channel = 0u; channel < sizes.channels; channel++) {
         var sum = 0.0;
         for (var corner = 0u; corner < 4u; corner++) {
-            // A texel without a weight may be infinite.
+            // A texel with weight 0 may be infinite.
             if (window.valid && window.weights[corner] != 0.0) {
                 sum += window.weights[corner] * image[window.texels[corner] * sizes.channels + channel];
             }

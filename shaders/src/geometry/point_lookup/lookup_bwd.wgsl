@@ -1,5 +1,6 @@
-// The gradients of positions: an invocation per position. It also writes the texel and the weight of its four corners, by
-// which the gradients of the image are collected; the number of texels where a corner contributes nothing.
+// The gradients of positions. One invocation per position. It also writes the texels and weights of the position's four
+// corners, from which `lookup_image_bwd` computes the gradients of the image. A corner that does not contribute has the
+// number of texels as its texel.
 
 @group(0) @binding(3) var<storage, read> g_values: array<f32>;
 @group(0) @binding(4) var<storage, read_write> g_pixels: array<vec2<f32>>;

@@ -1,4 +1,4 @@
-// The gradients of the image: an invocation per value, which adds up the corners that fall on its texel in their order.
+// The gradients of the image. One invocation per value, which sums the corners at its texel in order.
 
 struct Corners {
     // Values of the image.
@@ -7,7 +7,7 @@ struct Corners {
 }
 
 @group(0) @binding(0) var<uniform> sizes: Corners;
-// The corners sorted by texel, and where those of every texel begin.
+// The corners sorted by texel, and the index of the first corner of every texel.
 @group(0) @binding(1) var<storage, read> corners: array<u32>;
 @group(0) @binding(2) var<storage, read> starts: array<u32>;
 @group(0) @binding(3) var<storage, read> weights: array<f32>;

@@ -1,4 +1,4 @@
-// 1 where a position lies within the image and sees finite texels alone, else 0: an invocation per position.
+// 1 for positions within the image that sample finite texels only, otherwise 0. One invocation per position.
 
 @group(0) @binding(3) var<storage, read_write> valid: array<f32>;
 

@@ -1,4 +1,4 @@
-// Pixels and depths of points: an invocation per point.
+// Projects points to pixels and depths. One invocation per point.
 
 @group(0) @binding(1) var<storage, read> points: array<f32>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<vec2<f32>>;

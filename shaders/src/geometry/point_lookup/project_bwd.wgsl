@@ -1,5 +1,5 @@
-// The gradients of points: an invocation per point. ARRIVING tells by bits which of the gradients of pixels and depths there
-// are; what stands in for another is not read.
+// The gradients of points. One invocation per point. ARRIVING is a bit mask of the upstream gradients that exist:
+// pixels, depths. The placeholder for a missing one is never read.
 
 @group(0) @binding(1) var<storage, read> points: array<f32>;
 @group(0) @binding(2) var<storage, read> g_pixels: array<vec2<f32>>;

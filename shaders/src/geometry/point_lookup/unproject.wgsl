@@ -1,4 +1,4 @@
-// The points behind pixels: an invocation per pixel.
+// Unprojects pixels with depths to points. One invocation per pixel.
 
 @group(0) @binding(1) var<storage, read> pixels: array<vec2<f32>>;
 @group(0) @binding(2) var<storage, read> depths: array<f32>;

@@ -1,4 +1,4 @@
-// The gradients of pixels and depths: an invocation per pixel.
+// The gradients of pixels and depths. One invocation per pixel.
 
 @group(0) @binding(1) var<storage, read> pixels: array<vec2<f32>>;
 @group(0) @binding(2) var<storage, read> depths: array<f32>;

@@ -1,13 +1,13 @@
-// What contributes to an image at a position between its pixels: the same definitions as on the CPU. EDGES is 1 where windows
-// that vary are not interpolated.
+// The 2×2 window of texels that a position between pixel centres samples: the same definitions as on the CPU. If EDGES
+// is 1, windows across an edge (texels that vary too much) are not interpolated.
 
 struct Lookup {
     width: u32,
     height: u32,
     channels: u32,
-    // Positions.
+    // Number of positions.
     count: u32,
-    // The share of the largest magnitude by which a window may vary.
+    // The fraction of the largest magnitude by which the texels of an interpolated window may vary.
     relative: f32,
 }
 
@@ -20,13 +20,13 @@ struct Axis {
     within: bool,
     texels: vec2<u32>,
     weights: vec2<f32>,
-    // Of the second weight; 0 beyond the outermost pixel centres.
+    // Derivative of the second weight; 0 beyond the outermost pixel centres.
     slope: f32,
 }
 
 struct Window {
     valid: bool,
-    // First row before second, left before right; beyond the border they repeat the border.
+    // First row before second, left before right. Texels beyond the border repeat the border.
     texels: vec4<u32>,
     weights: vec4<f32>,
     // ∂weights / ∂uₓ and ∂u_y.
@@ -34,7 +34,7 @@ struct Window {
     slopes_y: vec4<f32>,
 }
 
-// By bits: compilers may assume that no number is NaN.
+// Tests the bits, because compilers may assume that no value is NaN.
 fn is_finite(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
 }
@@ -64,7 +64,7 @@ fn texel_is_finite(texel: u32) -> bool {
     return true;
 }
 
-// Whether any channel varies by more than the share of the largest magnitude; what is not finite varies.
+// Whether any channel varies by more than `relative` times the largest magnitude, or is not finite.
 fn varies(texels: vec4<u32>) -> bool {
     var spread = 0.0;
     var largest = 0.0;

@@ -1,5 +1,6 @@
+// q or −q of every row, whichever is on the side of the reference.
 
-// −1 where q points away from the reference, else 1.
+// −1 if q points away from the reference, otherwise 1.
 fn side(row: u32) -> f32 {
     let reference = vec4<f32>(x1[4u * row], x1[4u * row + 1u], x1[4u * row + 2u], x1[4u * row + 3u]);
     return select(1.0, -1.0, dot(quaternion_0(row), reference) < 0.0);

@@ -1,21 +1,22 @@
+// The arc between two quaternions, for spherical linear interpolation.
 
-// Cosine of the half angle above which the chord stands for the arc.
+// Above this cosine of the angle between the quaternions, the chord replaces the arc.
 const CHORD_ABOVE: f32 = 0.9995;
 
-// Both ends as unit quaternions, b on the side of a.
+// Both ends as unit quaternions, with b on the side of a.
 struct Arc {
     a: Unit,
     b: Unit,
     sign: f32,
     cosine: f32,
-    // Where between them: the weights of both ends, and their derivatives by the cosine and by t.
+    // The weights of both ends, and their derivatives with respect to the cosine and to t.
     weights: vec2<f32>,
     by_cosine: vec2<f32>,
     by_t: vec2<f32>,
 }
 
-// The inverse cosine in [0, 1]; WGSL's own may be off by 7e-5. The polynomial of the inverse sine up to ½ is that of
-// Cephes (Moshier 1989).
+// The inverse cosine of values in [0, 1]; WGSL's built-in function may be off by 7e-5. The polynomial of the inverse
+// sine up to ½ is that of Cephes (Moshier 1989).
 fn angle_of(cosine: f32) -> f32 {
     let is_near = cosine > 0.5;
     let x = select(cosine, sqrt(0.5 * (1.0 - cosine)), is_near);

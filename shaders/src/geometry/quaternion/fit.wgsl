@@ -1,5 +1,5 @@
-// The rotation that takes the vectors of an owner best to where they are later: an invocation per owner. The leading
-// eigenvector of Horn's matrix, by cyclic Jacobi rotations.
+// The rotation that best maps the vectors of an owner to their later values (least squares): the leading eigenvector of
+// Horn's matrix, by cyclic Jacobi rotations. One invocation per owner.
 
 struct Fit {
     owners: u32,
@@ -12,12 +12,12 @@ struct Fit {
 @group(0) @binding(3) var<storage, read_write> rotations: array<vec4<f32>>;
 
 const SWEEPS: u32 = 6u;
-// Off the diagonal, what is so much smaller than it is none: below the rounding of f32.
+// Off-diagonal elements smaller than this, relative to the diagonal, count as zero: they are below the rounding of f32.
 const NEGLIGIBLE: f32 = 1e-9;
 
 alias Matrix = array<array<f32, 4>, 4>;
 
-// Row by row, the products of components of e and e'.
+// The sum of outer products of a vector and its later value, by rows.
 struct Correlation {
     x: vec3<f32>,
     y: vec3<f32>,

@@ -1,4 +1,6 @@
+// The Hamilton product of the quaternions of every row.
 
+// A row of the second input.
 fn quaternion_1(row: u32) -> vec4<f32> {
     return vec4<f32>(x1[4u * row], x1[4u * row + 1u], x1[4u * row + 2u], x1[4u * row + 3u]);
 }

@@ -1,5 +1,7 @@
+// The gradients of the Hamilton product. Multiplication by q is linear; its transpose is multiplication by the
+// conjugate.
 
-// Multiplication by q is linear; its transpose is multiplication by the conjugate.
+// The upstream gradient of a row.
 fn arriving(row: u32) -> vec4<f32> {
     return vec4<f32>(dy[4u * row], dy[4u * row + 1u], dy[4u * row + 2u], dy[4u * row + 3u]);
 }

@@ -1,3 +1,4 @@
+// q / |q| of every row.
 
 fn value(row: u32, column: u32) -> f32 {
     let unit = normalised(quaternion_0(row)).quaternion;

@@ -1,5 +1,5 @@
+// The vectors of every row, rotated by the unit quaternion (w, u): v + 2w(u×v) + 2u×(u×v).
 
-// v + 2w(u×v) + 2u×(u×v) for the unit quaternion (w, u).
 fn value(row: u32, column: u32) -> f32 {
     let q = normalised(quaternion_0(row)).quaternion;
     let v = vec3<f32>(x1[3u * row], x1[3u * row + 1u], x1[3u * row + 2u]);

@@ -1,9 +1,11 @@
+// The gradients of a rotation of vectors.
 
+// The upstream gradient of a row.
 fn arriving(row: u32) -> vec3<f32> {
     return vec3<f32>(dy[3u * row], dy[3u * row + 1u], dy[3u * row + 2u]);
 }
 
-// The turned vector is v + 2w(u×v) + 2(u(u·v) − v(u·u)) for the unit quaternion (w, u).
+// The rotated vector is v + 2w(u×v) + 2(u(u·v) − v(u·u)) for the unit quaternion (w, u).
 fn gradient_0(row: u32, column: u32) -> f32 {
     let unit = normalised(quaternion_0(row));
     let w = unit.quaternion.x;
@@ -15,7 +17,7 @@ fn gradient_0(row: u32, column: u32) -> f32 {
     return gradient[column];
 }
 
-// Turned back.
+// The upstream gradient, rotated by the inverse.
 fn gradient_1(row: u32, column: u32) -> f32 {
     let q = normalised(quaternion_0(row)).quaternion;
     let g = arriving(row);

@@ -1,3 +1,4 @@
+// Quaternions (w, x, y, z) of rows.
 
 fn hamilton(p: vec4<f32>, q: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(p.x * q.x - dot(p.yzw, q.yzw), p.x * q.yzw + q.x * p.yzw + cross(p.yzw, q.yzw));

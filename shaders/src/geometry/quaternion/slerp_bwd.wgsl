@@ -1,3 +1,4 @@
+// The gradients of spherical linear interpolation.
 
 // The gradient of the weighted sum of both ends.
 fn sum_gradient(arc: Arc, row: u32) -> vec4<f32> {
@@ -5,7 +6,7 @@ fn sum_gradient(arc: Arc, row: u32) -> vec4<f32> {
     return normalised_backward(between(arc), g);
 }
 
-// What it is along both ends.
+// The components of the sum's gradient along both ends.
 fn along(arc: Arc, of_sum: vec4<f32>) -> vec2<f32> {
     return vec2<f32>(dot(of_sum, arc.a.quaternion), dot(of_sum, arc.b.quaternion));
 }

@@ -1,4 +1,4 @@
-// Items that each have constants and arrays of their own, and a run of neighbouring workgroups.
+// One launch over ITEMS items. Each item has its own constants, arrays and run of consecutive workgroups.
 
 const VECTORS: u32 = (ITEMS + 3u) / 4u;
 
@@ -18,7 +18,7 @@ fn first_group(item: u32) -> u32 {
     return grouped.first_groups[item / 4u][item % 4u];
 }
 
-// The item of a workgroup: the last one that begins there or before.
+// The item of a workgroup: the last one whose first workgroup is at or before it.
 fn item_of(group: u32) -> u32 {
     var item = 0u;
     var beyond = ITEMS;

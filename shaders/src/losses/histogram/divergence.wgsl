@@ -1,4 +1,5 @@
-// The divergence of shares from uniform or, where BACKWARD is 1, its gradient: one workgroup.
+// The divergence of a histogram's shares from the uniform distribution, or its gradient if BACKWARD is 1. One
+// workgroup.
 
 struct Divergence {
     bins: u32,
@@ -9,7 +10,7 @@ struct Divergence {
 @group(0) @binding(2) var<storage, read> dy: array<f32>;
 @group(0) @binding(3) var<storage, read_write> out: array<f32>;
 
-// Added to shares before the logarithm.
+// Added to a share before the logarithm, which is finite then.
 const EMPTY_BIN: f32 = 1e-8;
 
 @compute @workgroup_size(256)

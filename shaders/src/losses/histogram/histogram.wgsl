@@ -1,12 +1,13 @@
-// The shares of the values of every block: a workgroup per block and COLUMNS bins, a power of two of at most 256. Of each
-// round of 256 values each invocation first places one; then it is a bin, and adds every (256 / COLUMNS)-th value to it.
+// The soft histogram of every block of values. One workgroup per block and COLUMNS bins; COLUMNS is a power of two, at
+// most 256. In each round of 256 values, an invocation first finds the bins of one value, then acts as a bin and sums
+// every (256 / COLUMNS)-th value.
 
 @group(0) @binding(2) var<storage, read_write> block_shares: array<f32>;
 
 const GROUP: u32 = 256u;
 const BLOCK: u32 = 4096u;
 
-// The lower bin of a value, and the parts of both.
+// The lower bin of each value, and the shares of the lower and the upper bin.
 var<workgroup> lowers: array<u32, GROUP>;
 var<workgroup> parts: array<vec2<f32>, GROUP>;
 

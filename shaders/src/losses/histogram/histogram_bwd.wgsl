@@ -1,4 +1,5 @@
-// The gradients of values from those of the shares of the two bins that they lie between: an invocation per value.
+// The gradients of the values, from those of the shares of the two bins that each value lies between. One invocation
+// per value.
 
 @group(0) @binding(2) var<storage, read> g_shares: array<f32>;
 @group(0) @binding(3) var<storage, read_write> g_x: array<f32>;

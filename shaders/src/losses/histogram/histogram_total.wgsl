@@ -1,4 +1,4 @@
-// The shares of all blocks: a workgroup per bin.
+// Sums the shares of all blocks. One workgroup per bin.
 
 struct Total {
     blocks: u32,

@@ -1,27 +1,27 @@
-// Where in the histogram a value lies: the same definitions as on the CPU.
+// The bins of a value of the soft histogram: the same definitions as on the CPU.
 
 struct Histogram {
-    // Values, and blocks of them.
+    // Number of values, and of blocks of values.
     len: u32,
     blocks: u32,
     bins: u32,
     low: f32,
-    // Of a bin.
+    // Width of a bin.
     width: f32,
-    // What a whole value counts.
+    // Total share of one value.
     share: f32,
 }
 
 @group(0) @binding(0) var<uniform> sizes: Histogram;
 @group(0) @binding(1) var<storage, read> x: array<f32>;
 
-// By bits: compilers may assume that no number is NaN.
+// Tests the bits, because compilers may assume that no value is NaN.
 fn is_finite(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
 }
 
 struct Place {
-    // The lower of the two bins that share a value, the upper one's part, and whether that part changes with the value.
+    // The lower of the two bins that share a value, the upper bin's part, and whether that part depends on the value.
     lower: u32,
     upper_part: f32,
     inside: bool,
@@ -32,7 +32,7 @@ fn place_of(value: f32) -> Place {
     let at = (value - sizes.low) / sizes.width - 0.5;
     let last = f32(sizes.bins - 1u);
     let clamped = min(max(at, 0.0), last);
-    // Of what is not a number any bin will do: the part shows it.
+    // A value that is not finite goes to any bin: its part is not finite.
     let lower = select(0.0, min(floor(clamped), last - 1.0), is_finite(at));
     let inside = at > 0.0 && at < last;
     return Place(u32(lower), select(clamped, at, inside || !is_finite(at)) - lower, inside);

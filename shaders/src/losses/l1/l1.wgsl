@@ -1,4 +1,4 @@
-// |render − target|.
+// The terms |render − target| of the L1 loss.
 
 @group(0) @binding(2) var<storage, read> render: array<f32>;
 @group(0) @binding(3) var<storage, read> image: array<f32>;

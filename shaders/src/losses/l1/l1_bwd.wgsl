@@ -1,4 +1,5 @@
-// The gradient of every element: its share of the mean, with the sign of the difference.
+// The gradient of every element of the render: its share of the mean, with the sign of the difference. One invocation
+// per element.
 
 struct Distance {
     len: u32,

@@ -1,5 +1,6 @@
-// SSIM of every window that counts, added per tile, and, where KEEP is 1, its derivatives with respect to the windowed means
-// of x, x² and xy: three sets of planes, 0 where no window counts.
+// Sums SSIM over the windows that count, per tile. If KEEP is 1, also writes its derivatives with respect to the
+// windowed means of x, x² and xy: three sets of planes, 0 for windows that do not count. One workgroup per tile and
+// channel.
 
 @group(0) @binding(1) var<storage, read> render: array<f32>;
 @group(0) @binding(2) var<storage, read> reference: array<f32>;
@@ -11,7 +12,7 @@ const C2: f32 = 0.0009;
 
 var<workgroup> reached_x: array<f32, REACHED>;
 var<workgroup> reached_y: array<f32, REACHED>;
-// One of the means of x, y, x², y² and xy after the other, filtered along rows.
+// x, y, x², y² or xy, one at a time, filtered along rows.
 var<workgroup> filtered: array<f32, FILTERED>;
 
 struct Similarity {
@@ -35,12 +36,12 @@ fn similarity(x: f32, y: f32, xx: f32, yy: f32, xy: f32) -> Similarity {
     let above_one = value > 1.0;
     let d_xx = select(-value * a * inverse, 0.0, variance_x < 0.0 || above_one);
     let d_xy = select(2.0 * c * inverse, 0.0, clamped || above_one);
-    // The mean of x enters A and C directly, B and D through the variance and the covariance.
+    // The mean of x affects A and C directly, and B and D through the variance and the covariance.
     let direct = select(2.0 * (y * d * inverse - x * value * b * inverse), 0.0, above_one);
     return Similarity(select(value, 1.0, above_one), direct - 2.0 * x * d_xx - y * d_xy, d_xx, d_xy);
 }
 
-// One of the five products at a place of the reached part.
+// One of the five products at a place of the reached area.
 fn product(kind: u32, place: u32) -> f32 {
     let x = reached_x[place];
     let y = reached_y[place];
@@ -54,7 +55,8 @@ fn product(kind: u32, place: u32) -> f32 {
     return x * y;
 }
 
-// The mean of a product under the window of the invocation's pixel; all invocations of the workgroup call it together.
+// Returns the windowed mean of a product at the invocation's pixel. Every invocation of the workgroup must call it, in
+// uniform control flow.
 fn mean(kind: u32, local: u32) -> f32 {
     workgroupBarrier();
     for (var at = local; at < FILTERED; at += 256u) {

@@ -1,4 +1,5 @@
-// dx of the mean of SSIM: every pixel gathers the derivatives of the windows above it.
+// The gradient of the mean of SSIM: every pixel gathers the derivatives of the windows that cover it. One workgroup per
+// tile and channel.
 
 @group(0) @binding(1) var<storage, read> render: array<f32>;
 @group(0) @binding(2) var<storage, read> reference: array<f32>;
@@ -9,8 +10,8 @@
 var<workgroup> reached: array<f32, REACHED>;
 var<workgroup> filtered: array<f32, FILTERED>;
 
-// The weighted sum of one kind of derivative around the invocation's pixel; all invocations of the workgroup call it
-// together.
+// Returns the weighted sum of one kind of derivative around the invocation's pixel. Every invocation of the workgroup
+// must call it, in uniform control flow.
 fn gathered(kind: u32, tile: Tile, local: u32) -> f32 {
     workgroupBarrier();
     for (var place = local; place < REACHED; place += 256u) {

@@ -1,18 +1,18 @@
-// A tile of 16×16 pixels of one channel, with the pixels around it that its windows reach.
+// A tile of 16×16 pixels of one channel, and the surrounding pixels that its windows reach.
 
 struct Image {
     width: u32,
     height: u32,
     channels: u32,
-    // Pixels at each end of a row or column whose window does not count.
+    // Number of pixels at each end of a row or column whose window does not count.
     margin: u32,
-    // Tiles.
+    // Tiles per row and per column of the image.
     columns: u32,
     rows: u32,
     // 1 over the number of windows.
     per_window: f32,
     padding: f32,
-    // Of the window along one axis.
+    // Weights of the window along one axis.
     weights: array<vec4<f32>, 3>,
 }
 
@@ -21,10 +21,10 @@ struct Image {
 const RADIUS: i32 = 5;
 const TAPS: u32 = 11u;
 const TILE: u32 = 16u;
-// With what lies around the tile.
+// Side and area of a tile with the reached pixels around it.
 const REACH: u32 = 26u;
 const REACHED: u32 = 676u;
-// What is filtered along rows: all reached rows of the tile's columns.
+// Elements that are filtered along rows: all reached rows of the tile's columns.
 const FILTERED: u32 = 416u;
 
 struct Tile {
@@ -44,7 +44,7 @@ fn weight(tap: u32) -> f32 {
     return image.weights[tap / 4u][tap % 4u];
 }
 
-// The pixel that a place of the reached part is, as (column, row); outside the image where x is negative.
+// The pixel at a place of the reached area, as (column, row); x is negative outside the image.
 fn reached_pixel(tile: Tile, place: u32) -> vec2<i32> {
     let pixel = vec2<i32>(i32(tile.first_column + place % REACH) - RADIUS, i32(tile.first_row + place / REACH) - RADIUS);
     if (pixel.x < 0 || pixel.y < 0 || pixel.x >= i32(image.width) || pixel.y >= i32(image.height)) {
@@ -53,11 +53,12 @@ fn reached_pixel(tile: Tile, place: u32) -> vec2<i32> {
     return pixel;
 }
 
-// Where the channel of a pixel lies in an interleaved image, and where in planes of one channel each.
+// Index of the channel of a pixel in an interleaved image.
 fn interleaved(tile: Tile, column: u32, row: u32) -> u32 {
     return (row * image.width + column) * image.channels + tile.channel;
 }
 
+// Index of the channel of a pixel in planes of one channel each.
 fn planar(tile: Tile, column: u32, row: u32) -> u32 {
     return (tile.channel * image.height + row) * image.width + column;
 }

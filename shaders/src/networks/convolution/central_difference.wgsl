@@ -1,5 +1,5 @@
-// The weights of a convolution less θ times the sum of the taps, at the central tap; where BACKWARD is 1, the gradients of
-// all taps less θ times that of the central one. An invocation per weight.
+// Central difference convolution: the weights, with θ times the sum of the taps subtracted from the central tap. If
+// BACKWARD is 1: the gradients of all taps less θ times that of the central one. One invocation per weight.
 
 struct Central {
     len: u32,
@@ -22,7 +22,7 @@ fn main(
     if (at >= sizes.len) {
         return;
     }
-    // Of the same output and channel: the first tap, and the central one.
+    // The first and the central tap of the same output and channel.
     let first = at / (sizes.taps * sizes.channels) * sizes.taps * sizes.channels + at % sizes.channels;
     let center = first + sizes.taps / 2u * sizes.channels;
     var difference = 0.0;

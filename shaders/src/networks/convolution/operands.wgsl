@@ -1,7 +1,7 @@
-// The operands of a convolution as a matrix product. DIRECTION 0: patches of x times weights. 1: patches of dy, of those
-// pixels whose taps read an input pixel, times weights. 2: dy transposed times patches of x.
+// The operands of a convolution as a matrix product. DIRECTION 0: patches of x times weights. DIRECTION 1: patches of
+// dy (the output pixels whose taps read an input pixel) times weights. DIRECTION 2: dy transposed times patches of x.
 
-// The input pixel that a tap of an output pixel reads; none in the padding.
+// The input pixel that a tap of an output pixel reads, or NOWHERE in the padding.
 fn source_of(pixel: u32, tap: u32) -> u32 {
     let row = pixel / OUTPUT_WIDTH * PIXEL_STRIDE + tap / KERNEL_WIDTH * DILATION;
     let column = pixel % OUTPUT_WIDTH * PIXEL_STRIDE + tap % KERNEL_WIDTH * DILATION;
@@ -11,7 +11,7 @@ fn source_of(pixel: u32, tap: u32) -> u32 {
     return (row - PADDING) * INPUT_WIDTH + column - PADDING;
 }
 
-// The output pixel whose tap reads an input pixel, if any does: the inverse of `source_of`.
+// The output pixel whose tap reads an input pixel, or NOWHERE: the inverse of `source_of`.
 fn reader_of(pixel: u32, tap: u32) -> u32 {
     let row = pixel / INPUT_WIDTH + PADDING;
     let column = pixel % INPUT_WIDTH + PADDING;

@@ -1,4 +1,4 @@
-// γ·(x − μ)/√(σ² + ε) + β for groups of PER_GROUP channels: an invocation per value.
+// γ·(x − μ)/√(σ² + ε) + β for groups of PER_GROUP channels. One invocation per value.
 
 struct GroupNorm {
     len: u32,
@@ -25,6 +25,6 @@ fn main(
     }
     let channel = at % sizes.channels;
     let of_group = channel / PER_GROUP;
-    // The mean is taken off first: a factor times a large mean would cancel.
+    // Subtracts the mean first, to avoid cancellation with a large mean.
     y[at] = scale[channel] * inverses[of_group] * (x[at] - means[of_group]) + shift[channel];
 }

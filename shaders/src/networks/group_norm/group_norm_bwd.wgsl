@@ -1,5 +1,5 @@
-// With x̂ = (x − μ)/√(σ² + ε) and g = γ·dy: dx = (g − mean(g) − x̂·mean(g·x̂))/√(σ² + ε), means over the group of PER_GROUP
-// channels, from the gradients of β and γ: an invocation per value.
+// With x̂ = (x − μ)/√(σ² + ε) and g = γ·dy: dx = (g − mean(g) − x̂·mean(g·x̂))/√(σ² + ε). The means over the group of
+// PER_GROUP channels follow from the gradients of β and γ. One invocation per value.
 
 struct GroupNorm {
     len: u32,

@@ -1,4 +1,5 @@
-// Of every group of PER_GROUP channels the mean of the terms or, where SQUARES is 1, 1/√(mean + ε): a workgroup per group.
+// The mean of the terms of every group of PER_GROUP channels, or 1/√(mean + ε) if SQUARES is 1. One workgroup per
+// group.
 
 struct Statistics {
     pixels: u32,

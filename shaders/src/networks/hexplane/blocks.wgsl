@@ -1,16 +1,16 @@
-// The gradients of the corners of every cell, block by block of the list of entries by cells: one invocation per block and
-// channel goes through its entries and writes what it has whenever a cell ends. As from one such place to the next either
-// the block or the cell grows, their sum tells the places apart.
+// The gradients of the corners of every cell, summed over blocks of the list of entries sorted by cell. One invocation
+// per block and channel visits its entries and writes its sums when a cell ends. From one write to the next, the block
+// or the cell increases, so that block + cell is a unique index.
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 @group(0) @binding(2) var<storage, read> g_values: array<f32>;
-// In the order of cells: cells, and [6·scales, points] the scale, plane and point of each entry.
+// Sorted by cell: the cell of each entry, and its index in [6·scales, points], which gives scale, plane and point.
 @group(0) @binding(3) var<storage, read> sorted_cells: array<u32>;
 @group(0) @binding(4) var<storage, read> entries: array<u32>;
 // [blocks + cells, 4, channels].
 @group(0) @binding(5) var<storage, read_write> corners: array<f32>;
 
-// The weights of the corners: low and high along the width, both at the low and at the high end of the height.
+// The weights of the corners: low and high along the width at the low end of the height, then at the high end.
 fn weights_of(scale: u32, plane: u32, point: u32) -> vec4<f32> {
     let width = width_axis(plane);
     let height = height_axis(plane);
@@ -37,7 +37,7 @@ fn main(
     let index = flat_group(group, groups) * 256u + local;
     let block = index / channels();
     let channel = index % channels();
-    // Of the items' scales alone, which are neighbours.
+    // Entries of the items' scales alone, which are consecutive.
     let count = ITEMS * 6u * points();
     let first = block * ENTRIES_PER_BLOCK;
     if (first >= count) {

@@ -1,4 +1,4 @@
-// The cell of every point on each of the six planes of every scale.
+// The cell of every point on each of the six planes of every scale. One invocation per scale and point.
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 // [6·scales, points].

@@ -1,4 +1,4 @@
-// The features of all scales: one invocation per scale, point and channel.
+// Hexplane features of all scales (K-Planes product of six planes). One invocation per scale, point and channel.
 
 @group(0) @binding(2) var<storage, read_write> features: array<f32>;
 

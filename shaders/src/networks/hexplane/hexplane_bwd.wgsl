@@ -1,24 +1,25 @@
-// The gradients of what every point read from the six planes of every scale, and of the positions. A workgroup has whole
-// points, with one invocation per channel or, of one point, per 256th channel. ADDS is 1 where the gradients of the positions add to what is there.
+// The gradients of the values that every point sampled from the six planes of every scale, and of the positions. A
+// workgroup has whole points, with one invocation per channel, or, of a single point, one per 256th channel. If ADDS is
+// 1, the gradients of the positions are added to the current values.
 
 @group(0) @binding(2) var<storage, read> dy: array<f32>;
 // [6·scales, points, channels].
 @group(0) @binding(3) var<storage, read_write> g_values: array<f32>;
 @group(0) @binding(4) var<storage, read_write> g_positions: array<f32>;
 
-// [3, invocation]: the derivatives along x, y and z, by channel.
+// [3, invocation]: the derivatives along x, y and z of the invocation's channels.
 var<workgroup> along: array<f32, 768>;
 
 fn write_gradient(scale: u32, plane: u32, point: u32, channel: u32, gradient: f32) {
     g_values[((6u * scale + plane) * points() + point) * channels() + channel] = gradient;
 }
 
-// Writes dy times the product of the other five values, for each of the six; the derivatives along x, y and z.
+// Writes, for each of the six values, dy times the product of the other five. Returns the derivatives along x, y and z.
 fn differentiate(scale: u32, point: u32, channel: u32) -> vec3<f32> {
     let r = readings_of(scale, point, channel);
     let own = constants_of(scale);
     let g = dy[point * own.features + own.number * own.channels + channel];
-    // What stands before each value, with dy, and after it.
+    // The products of the factors before each value, with dy, and after it.
     let before_xz = g * r.xy.value;
     let before_yz = before_xz * r.xz.value;
     let before_xt = before_yz * r.yz.value;
@@ -70,7 +71,7 @@ fn main(
     }
     workgroupBarrier();
 
-    // One invocation per point and axis adds over the channels; of one or two channels there are more points than for all.
+    // One invocation per point and axis sums over the channels; with one or two channels, each takes several points.
     for (var own = local; own < 3u * points_per_group; own += 256u) {
         let point = first_point + own / 3u;
         if (point < points()) {

@@ -1,4 +1,4 @@
-// What a point reads from the planes, for one channel.
+// The values that a point samples from the planes, for one channel.
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 
@@ -14,14 +14,14 @@ fn gather_texels(scale: u32, plane: u32, at: vec4<u32>) -> vec4<f32> {
     return gather_plane_zt(scale, at);
 }
 
-// The value and its derivatives along the plane's axes, in texels.
+// An interpolated value, and its derivatives per texel along the plane's width and height.
 struct Reading {
     value: f32,
     along_a: f32,
     along_b: f32,
 }
 
-// The plane at a along its width and b along its height.
+// Samples a plane at `a` along its width and `b` along its height.
 fn read_plane(scale: u32, plane: u32, a: Lookup, b: Lookup, channel: u32) -> Reading {
     let width = texels(scale, width_axis(plane));
     let rows = vec4<u32>(b.low, b.low, b.high, b.high) * width;

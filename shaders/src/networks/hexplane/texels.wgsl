@@ -1,7 +1,7 @@
-// The gradients of all texels of the six planes of every scale: each adds its corner of the cells around it, block by
-// block.
+// The gradients of all texels of the six planes of every scale. One invocation per texel and channel adds its corner of
+// the surrounding cells, block by block.
 
-// [cells + 1]: where the entries of a cell begin in the list by cells.
+// [cells + 1]: index of the first entry of each cell in the list of entries sorted by cell.
 @group(0) @binding(1) var<storage, read> entry_starts: array<u32>;
 @group(0) @binding(2) var<storage, read> corners: array<f32>;
 
@@ -28,7 +28,7 @@ fn write_gradient(scale: u32, plane: u32, at: u32, gradient: f32) {
     }
 }
 
-// What the blocks have for a corner of a cell.
+// The sum of all blocks' gradients of a corner of a cell.
 fn corner_sum(cell: u32, corner: u32, channel: u32) -> f32 {
     let first = entry_starts[cell] - first_entry(0u);
     let end = entry_starts[cell + 1u] - first_entry(0u);
@@ -42,7 +42,7 @@ fn corner_sum(cell: u32, corner: u32, channel: u32) -> f32 {
     return sum;
 }
 
-// The sum over the cells of a row of cells that have the texel: as their high end, then as their low end.
+// The sum over the cells of a row that have the texel as a corner: at their high end, then at their low end.
 fn row_sum(first: u32, count: u32, texel: u32, corner: u32, channel: u32) -> f32 {
     var sum = 0.0;
     if (texel > 0u) {
@@ -68,7 +68,7 @@ fn spatial_gradient(scale: u32, plane: u32, a: u32, b: u32, channel: u32) -> f32
     return sum;
 }
 
-// Of the rows of a time plane only the two around the time have gradients.
+// In a time plane, only the two rows around the time have gradients.
 fn time_gradient(scale: u32, plane: u32, a: u32, b: u32, channel: u32) -> f32 {
     let own = constants_of(scale);
     let weight = select(0.0, 1.0 - own.time_fraction, b == own.time_low) +
@@ -97,7 +97,7 @@ fn main(
 ) {
     let flat = flat_group(group, groups);
     let scale = item_of(flat);
-    // The elements of all planes, plane by plane.
+    // Elements are numbered plane by plane.
     var element = (flat - first_group(scale)) * 256u + local;
     var plane = 0u;
     for (; plane < 6u; plane++) {
@@ -114,7 +114,7 @@ fn main(
     if ((constants_of(scale).adds >> plane & 1u) == 0u) {
         write_gradient(scale, plane, element, gradient);
     } else if (gradient != 0.0) {
-        // Most texels are near no point.
+        // Skips the write for the many texels that are near no point.
         write_gradient(scale, plane, element, gradient_so_far(scale, plane, element) + gradient);
     }
 }

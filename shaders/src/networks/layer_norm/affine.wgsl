@@ -1,4 +1,4 @@
-// x·scale + offset by column, or dy·scale where BACKWARD is 1: an invocation per value.
+// x·scale + offset per column, or dy·scale if BACKWARD is 1. One invocation per value.
 
 struct Affine {
     len: u32,

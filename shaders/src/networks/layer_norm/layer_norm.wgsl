@@ -1,4 +1,4 @@
-// Rows of mean 0 and variance 1.
+// Standardises rows to mean 0 and variance 1. LANES invocations per row.
 
 @group(0) @binding(2) var<storage, read_write> y: array<f32>;
 

@@ -1,4 +1,5 @@
-// The gradients of rows from those of their standardised form: dx = (dy − mean(dy) − y·mean(y·dy)) / deviation.
+// The gradients of rows, from those of their standardised form: dx = (dy − mean(dy) − y·mean(y·dy)) / deviation. LANES
+// invocations per row.
 
 @group(0) @binding(2) var<storage, read> y: array<f32>;
 @group(0) @binding(3) var<storage, read> dy: array<f32>;

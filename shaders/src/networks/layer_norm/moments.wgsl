@@ -1,4 +1,4 @@
-// Mean and standard deviation of a row, which LANES invocations share.
+// Mean and standard deviation of a row that LANES invocations share.
 
 struct Norm {
     rows: u32,
@@ -10,7 +10,8 @@ struct Norm {
 
 const EPSILON: f32 = 1e-5;
 
-// For each of the invocations of a row; all invocations of the workgroup call it together.
+// Returns (mean, deviation) to each invocation of a row. Every invocation of the workgroup must call it, in uniform
+// control flow.
 fn moments(local: u32, row: u32) -> vec2<f32> {
     let first = row * sizes.columns;
     var own = 0.0;

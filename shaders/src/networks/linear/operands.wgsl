@@ -1,4 +1,4 @@
-// The operands of a layer, by their strides.
+// The operands of a linear layer, addressed by strides.
 
 fn a_at(item: u32, row: u32, term: u32) -> u32 {
     let own = constants_of(item);

@@ -1,38 +1,39 @@
-// Matrix products A·B by tiles of 64×64, of which each of the 256 invocations of a workgroup has 4×4 elements.
+// Matrix products A·B in tiles of 64×64. Each of the 256 invocations of a workgroup computes 4×4 elements of a tile.
 //
-// A_BY_TERM and B_BY_TERM are 1 where the terms of a sum are neighbours in memory. BIAS: the bias is added, and where RELU
-// is 1, what is negative becomes 0. MASK: an element of A counts as 0 where the side's at its place is not positive. SUMS:
-// a further column of the output is made of the sums of the rows of A. TOGETHER: the products of all items, whose terms
-// alone differ in number, add up to one output. What stands beside this text has `result` and `set_result` for the outputs
-// and says where operands lie: `a_at(item, row, term)` and `b_at(item, term, column)`, NOWHERE what counts as 0.
+// A_BY_TERM and B_BY_TERM are 1 if the terms of a sum are adjacent in memory. The other constants switch options on
+// with 1. BIAS: the bias is added. RELU: negative results become 0. MASK: an element of A counts as 0 if the element of
+// `side` at its index is not positive. SUMS: the sums of the rows of A are a further column of the output. TOGETHER:
+// the products of all items add up to one output; the items differ in their number of terms only. The importing file
+// defines `result` and `set_result` for the outputs and the indices of the operands, `a_at(item, row, term)` and
+// `b_at(item, term, column)`, which are NOWHERE for elements that count as 0.
 //
-// Where A_BY_TERM and SUMS are 2, items tell: those that have sums have rows as neighbours in A, the others terms.
+// If A_BY_TERM and SUMS are 2, the item decides: in A, rows are adjacent for items with sums, terms for the others.
 
 struct Item {
-    // Of A·B, and the terms of each sum.
+    // Rows and columns of A·B, and the number of terms of each sum.
     rows: u32,
     columns: u32,
     terms: u32,
-    // The sums are made in parts, each with its own A·B.
+    // Sums are split into parts of this many terms, each with its own A·B.
     terms_per_part: u32,
     row_tiles: u32,
     column_tiles: u32,
-    // Elements between neighbours along each dimension of A and B.
+    // Strides in elements along each dimension of A and B.
     a_row: u32,
     a_term: u32,
     b_term: u32,
     b_column: u32,
-    // Elements of a row of the output, [parts, rows, …].
+    // Row stride of the output, [parts, rows, …].
     y_row: u32,
-    // Whether the output adds to what is there.
+    // Whether the result is added to the output's current values.
     adds: u32,
-    // Whether the sums of the rows of A are made, where items tell.
+    // Whether the sums of the rows of A are computed, if the item decides.
     has_sums: u32,
 }
 
 const TILE: u32 = 64u;
 const STEP: u32 = 16u;
-// One more than a tile's elements: invocations that write neighbouring terms then use different banks of memory.
+// One more than a tile's width: invocations that write neighbouring terms then use different banks of workgroup memory.
 const STRIDE: u32 = 65u;
 const FOUR: vec4<u32> = vec4<u32>(0u, 1u, 2u, 3u);
 
@@ -48,7 +49,7 @@ fn a_is_by_term(item: u32) -> bool {
     return A_BY_TERM == 1u || (A_BY_TERM == 2u && !makes_sums(item));
 }
 
-// Four elements of A: 0 beyond its sizes and from `end` on.
+// Four elements of A; 0 out of range and for terms from `end` on.
 fn load_a(item: u32, rows: vec4<u32>, terms: vec4<u32>, end: u32) -> vec4<f32> {
     var at = vec4<u32>(NOWHERE);
     for (var four = 0u; four < 4u; four++) {
@@ -60,7 +61,7 @@ fn load_a(item: u32, rows: vec4<u32>, terms: vec4<u32>, end: u32) -> vec4<f32> {
     let safe = select(vec4<u32>(), at, counts);
     let values = gather_a(item, safe);
     if (MASK == 1u) {
-        // A NaN counts.
+        // Written so that NaN counts as positive.
         counts = counts & !(gather_side(item, safe) <= vec4<f32>());
     }
     return select(vec4<f32>(), values, counts);
@@ -77,7 +78,7 @@ fn load_b(item: u32, terms: vec4<u32>, columns: vec4<u32>, end: u32) -> vec4<f32
     return select(vec4<f32>(), gather_b(item, select(vec4<u32>(), at, counts)), counts);
 }
 
-// Four elements of each tile per invocation; neighbours read neighbours.
+// Loads four elements of each tile per invocation; neighbouring invocations read neighbouring elements.
 fn load_tiles(item: u32, local: u32, first_row: u32, first_column: u32, first_term: u32, end: u32) {
     var rows = vec4<u32>(local % TILE);
     var terms = local / TILE + 4u * FOUR;
@@ -129,7 +130,7 @@ fn write_row(item: u32, part: u32, row: u32, first_column: u32, values: vec4<f32
     }
 }
 
-// The items whose products a workgroup of an item adds.
+// The range of items whose products a workgroup of an item adds.
 fn items_of(item: u32) -> vec2<u32> {
     if (TOGETHER == 1u) {
         return vec2<u32>(0u, ITEMS);
@@ -157,7 +158,7 @@ fn main(
     let first_column = column_tile * TILE;
     let first_term = part * own.terms_per_part;
 
-    // The rows y, y + 16, … and the columns x, x + 16, … of the tile.
+    // This invocation has the rows y, y + 16, … and the columns x, x + 16, … of the tile.
     let x = local % 16u;
     let y_row = local / 16u;
     var row_0 = vec4<f32>();
@@ -190,7 +191,7 @@ fn main(
         }
     }
 
-    // A dispatch that was folded has workgroups beyond the last part.
+    // A folded dispatch may have workgroups past the last part.
     if (first_term < own.terms || part == 0u) {
         write_row(item, part, first_row + y_row, first_column + x, row_0);
         write_row(item, part, first_row + y_row + 16u, first_column + x, row_1);

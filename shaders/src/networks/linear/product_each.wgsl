@@ -1,4 +1,4 @@
-// Every product has an output of its own.
+// Matrix products with one output each.
 
 fn result(item: u32, at: u32) -> f32 {
     return y(item, at);

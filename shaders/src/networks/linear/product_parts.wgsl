@@ -1,11 +1,11 @@
-// The sums of the parts of products, whose last column are the sums of the rows of A: one invocation per element.
+// Adds the parts of products. The last column of a part holds the sums of the rows of A. One invocation per element.
 
 struct Item {
     rows: u32,
-    // Of a part, the last of them the sums.
+    // Columns of a part; the last one holds the sums.
     columns: u32,
     parts: u32,
-    // By bits, whether the product and the sums add to what is there.
+    // Bit mask: whether the product and the sums are added to the outputs' current values.
     adds: u32,
 }
 
@@ -23,7 +23,7 @@ fn main(
     if (element >= elements) {
         return;
     }
-    // Four parts at a time, whose loads do not wait for each other.
+    // Four independent loads at a time hide latency.
     var sum = 0.0;
     let whole = own.parts / 4u * 4u;
     for (var part = 0u; part < whole; part += 4u) {

@@ -1,4 +1,4 @@
-// All products add up.
+// Matrix products that add up to one output.
 
 @group(0) @binding(1) var<storage, read_write> y: array<f32>;
 

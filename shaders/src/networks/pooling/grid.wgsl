@@ -1,5 +1,5 @@
-// The grid of cells over an image: the same definitions as on the CPU. Along an axis, in units of 1/(pixels·cells) of it,
-// cells are `pixels` and pixels `cells` long.
+// A grid of cells over an image: the same definitions as on the CPU. In units of 1/(pixels·cells) of an axis, a cell is
+// `pixels` long and a pixel `cells` long, so that all borders are integers.
 
 struct Pool {
     // Pixels and cells along the height and the width.
@@ -11,17 +11,17 @@ struct Pool {
 
 @group(0) @binding(0) var<uniform> sizes: Pool;
 
-// The first and the end of the pixels that a cell touches.
+// The range of pixels that a cell overlaps: the first, then the end.
 fn pixels_of(cell: vec2<u32>) -> vec4<u32> {
     return vec4<u32>(cell * sizes.pixels / sizes.cells, ((cell + 1u) * sizes.pixels + sizes.cells - 1u) / sizes.cells);
 }
 
-// The first and the end of the cells that touch a pixel.
+// The range of cells that overlap a pixel: the first, then the end.
 fn cells_of(pixel: vec2<u32>) -> vec4<u32> {
     return vec4<u32>(pixel * sizes.cells / sizes.pixels, ((pixel + 1u) * sizes.cells + sizes.pixels - 1u) / sizes.pixels);
 }
 
-// The share of a cell's area that a pixel covers.
+// The fraction of a cell's area that a pixel covers.
 fn share_of(cell: vec2<u32>, pixel: vec2<u32>) -> f32 {
     let start = max(cell * sizes.pixels, pixel * sizes.cells);
     let end = min((cell + 1u) * sizes.pixels, (pixel + 1u) * sizes.cells);

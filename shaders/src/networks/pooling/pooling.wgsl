@@ -1,4 +1,4 @@
-// The mean of every cell: LANES invocations per cell and channel.
+// Average pooling: the mean of every cell. LANES invocations per cell and channel.
 
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 @group(0) @binding(2) var<storage, read_write> grid: array<f32>;

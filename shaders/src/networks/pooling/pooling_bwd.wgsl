@@ -1,4 +1,4 @@
-// The gradients of pixels from those of the cells that they touch: an invocation per pixel and channel.
+// The gradients of pixels, from those of the cells that they overlap. One invocation per pixel and channel.
 
 @group(0) @binding(1) var<storage, read> g_grid: array<f32>;
 @group(0) @binding(2) var<storage, read_write> g_image: array<f32>;

@@ -1,4 +1,4 @@
-// x where WITH_INPUT is 1, then sin x, cos x, sin 2x, cos 2x, sin 4x, …, each of COLUMNS_0 columns.
+// Positional encoding: x if WITH_INPUT is 1, then sin x, cos x, sin 2x, cos 2x, sin 4x, …, each with COLUMNS_0 columns.
 
 fn value(row: u32, column: u32) -> f32 {
     let block = column / COLUMNS_0;

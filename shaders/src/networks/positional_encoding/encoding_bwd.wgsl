@@ -1,3 +1,7 @@
+// The gradient of x, summed over BANDS frequency bands.
+
+// The gradient of x, summed over BANDS frequency bands.
+
 fn gradient_0(row: u32, column: u32) -> f32 {
     let first = row * COLUMNS_Y + column;
     var sum = 0.0;

@@ -1,4 +1,4 @@
-// The sum of a row's waves: an invocation per value.
+// The sum of a row's waves at one time. One invocation per value.
 
 @group(0) @binding(1) var<storage, read> waves: array<f32>;
 @group(0) @binding(2) var<storage, read> times: array<f32>;

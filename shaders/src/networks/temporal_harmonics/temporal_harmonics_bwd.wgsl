@@ -1,4 +1,4 @@
-// The gradients of waves and times: LANES invocations per row, each with every LANES-th value of a wave.
+// The gradients of waves and times. LANES invocations per row; each takes every LANES-th value of a wave.
 
 @group(0) @binding(1) var<storage, read> waves: array<f32>;
 @group(0) @binding(2) var<storage, read> times: array<f32>;

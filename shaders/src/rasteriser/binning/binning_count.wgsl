@@ -1,4 +1,5 @@
-// For every splat: how many tiles it meets, and the key by which it is sorted, its depth, or NOWHERE if it meets none.
+// The number of tiles that each splat intersects, and its sort key: its depth, or NOWHERE if it intersects none. One
+// invocation per splat.
 
 @group(0) @binding(4) var<storage, read> depths: array<f32>;
 @group(0) @binding(5) var<storage, read_write> counts: array<u32>;
@@ -24,6 +25,6 @@ fn main(
         }
     }
     counts[splat] = count;
-    // The bits of positive floats sort as the numbers do.
+    // The bits of positive floats sort as their values do.
     keys[splat] = select(NOWHERE, bitcast<u32>(depths[splat]), count > 0u);
 }

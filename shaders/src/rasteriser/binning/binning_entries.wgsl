@@ -1,4 +1,5 @@
-// From the hits sorted by tile: the rank of every entry, the entry of every hit, and where the entries of each tile begin.
+// From the hits sorted by tile: the rank of every entry, the entry of every hit, and the first entry of every tile. One
+// invocation per entry.
 
 struct Entries {
     tiles: u32,
@@ -25,8 +26,8 @@ fn main(
     if (entry >= count && entry > 0u) {
         return;
     }
-    // Each entry writes the starts of its tile and of the empty ones before it, if it is the first of its tile; the last
-    // one those after it, and where there is none they are all the same.
+    // The first entry of a tile writes the start of its tile and of the empty tiles before it. The last entry writes
+    // the starts after its tile. Without entries, every start is 0.
     var tile = 0u;
     if (count > 0u) {
         let hit = hit_of_entry[entry];

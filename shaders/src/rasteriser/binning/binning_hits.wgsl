@@ -1,5 +1,5 @@
-// The tiles of every rank, tiles ascending, each with the rank. Should this pass find fewer than were counted, the rest
-// belong to no tile; more are not written, nor what there is no capacity for.
+// The hits of every rank: (tile, rank) pairs with ascending tiles. If this pass finds fewer tiles than were counted,
+// the remaining hits belong to no tile. Hits above the count or the capacity are not written. One invocation per rank.
 
 @group(0) @binding(4) var<storage, read> order: array<u32>;
 @group(0) @binding(5) var<storage, read> hit_starts: array<u32>;

@@ -1,5 +1,5 @@
-// From the order of the splats: the rank of each, the number of splats that meet any tile, and as numbers to add up how many
-// tiles each rank meets, and 0 after the last.
+// From the depth order of the splats: the rank of each splat, the number of visible splats (those that intersect a
+// tile), and the input of the prefix sum: the number of tiles of each rank, then 0.
 
 @group(0) @binding(3) var<storage, read> sorted_keys: array<u32>;
 @group(0) @binding(4) var<storage, read> order: array<u32>;
@@ -10,7 +10,7 @@
 fn number(rank: u32) -> u32 {
     let is_rank = rank + 1u < scan.len;
     let is_visible = is_rank && sorted_keys[rank] != NOWHERE;
-    // The one rank after the last that is visible says how many there are.
+    // The first rank that is not visible is the number of visible splats.
     if (!is_visible && (rank == 0u || sorted_keys[max(rank, 1u) - 1u] != NOWHERE)) {
         visible[0] = rank;
     }

@@ -1,6 +1,6 @@
-// The set σ ≤ cutoff with σ = ½(A(dx + k·dy)² + m·dy²), slightly enlarged: the same definitions as for the CPU.
+// The ellipse σ ≤ cutoff with σ = ½(A(dx + k·dy)² + m·dy²), slightly enlarged: the same definitions as on the CPU.
 
-// Relative and absolute growth of the cutoff, and of an interval relative to its coordinates.
+// Relative and absolute enlargement of the cutoff, and relative enlargement of an interval's coordinates.
 const CUTOFF_SLACK: f32 = 1e-4;
 const COORDINATE_SLACK: f32 = 1e-6;
 
@@ -11,7 +11,7 @@ struct Ellipse {
     // 2·cutoff.
     squared_radius: f32,
     half_extents: vec2<f32>,
-    // Height above the centre of the rightmost point.
+    // y offset of the rightmost point from the centre.
     tip_offset: f32,
 }
 
@@ -29,14 +29,15 @@ fn ellipse_around(center: vec2<f32>, conic: vec3<f32>, cutoff: f32) -> Ellipse {
     return ellipse;
 }
 
-// Half the width at a height relative to the centre.
+// Half the width at a y offset from the centre.
 fn half_width(ellipse: Ellipse, offset_y: f32) -> f32 {
     let capacity = max(ellipse.squared_radius - ellipse.conic.z * offset_y * offset_y, 0.0);
     return sqrt(capacity / ellipse.conic.x);
 }
 
-// The shadow on the x axis of the part between two heights; its end lies before its start where there is none. The part is
-// convex, so that its shadow ends at the tips or, where they lie outside, at the nearer height.
+// The projection onto the x axis of the part between two y coordinates, as (start, end); end < start if the part is
+// empty. The part is convex, so its extremes lie at the left and right tips or, if these are outside, at the nearer y
+// coordinate.
 fn shadow_between(ellipse: Ellipse, first: f32, last: f32) -> vec2<f32> {
     let lowest = max(first - ellipse.center.y, -ellipse.half_extents.y);
     let highest = min(last - ellipse.center.y, ellipse.half_extents.y);

@@ -1,4 +1,4 @@
-// The tiles that meet the ellipse of a splat.
+// The tiles that intersect the ellipse of a splat.
 
 struct Grid {
     width: u32,
@@ -9,7 +9,7 @@ struct Grid {
     tiles: u32,
     // Splats.
     count: u32,
-    // Hits that there is capacity for, where hits are written.
+    // Capacity of the list of hits, if hits are written.
     capacity: u32,
 }
 
@@ -20,7 +20,7 @@ struct Grid {
 
 const TILE: u32 = 16u;
 
-// Tiles first..end along one axis; none if first ≥ end.
+// Tiles first..end along one axis; empty if first ≥ end.
 struct Span {
     first: u32,
     end: u32,
@@ -32,13 +32,13 @@ fn ellipse_of(splat: u32) -> Ellipse {
     return ellipse_around(center, conic, cutoffs[splat]);
 }
 
-// The tiles along an axis of `size` pixels with a span of pixel centres that meets [low, high].
+// The tiles along an axis of `size` pixels whose pixel centres span an interval that intersects [low, high].
 fn tiles_between(low: f32, high: f32, size: u32) -> Span {
     let last_center = f32(size) - 0.5;
     if (!(high >= 0.5 && low <= last_center)) {
         return Span(0u, 0u);
     }
-    // Clamped as floats before they become integers: coordinates may be anything.
+    // Clamped before the conversion to integers, because coordinates may have any value.
     let start = max(low, 0.0);
     let containing_low = u32(start / f32(TILE));
     let is_past_its_centers = start > f32(containing_low * TILE + TILE) - 0.5;
@@ -52,7 +52,8 @@ fn rows_of(ellipse: Ellipse) -> Span {
     return tiles_between(low, ellipse.center.y + ellipse.half_extents.y + slack, grid.height);
 }
 
-// The columns of the tiles in a row of tiles that meet the ellipse between the first and the last line of pixel centres.
+// The columns of those tiles of a row of tiles that intersect the ellipse between the row's first and last line of
+// pixel centres.
 fn columns_of(ellipse: Ellipse, row: u32) -> Span {
     let first = f32(row * TILE) + 0.5;
     let last = f32(min(row * TILE + TILE, grid.height) - 1u) + 0.5;

@@ -1,5 +1,5 @@
-// One tile per workgroup, one pixel per invocation: images, the transmittance after the last splat, and how many entries of
-// the tile lie before the end of the last that was blended.
+// Forward blending: the images, the final transmittance, and per pixel the index after the last blended entry of its
+// tile. One workgroup per tile, one invocation per pixel.
 
 @group(0) @binding(5) var<storage, read_write> color: array<f32>;
 @group(0) @binding(6) var<storage, read_write> alpha: array<f32>;
@@ -16,7 +16,7 @@ struct Pixel {
     is_done: bool,
 }
 
-// Whether any pixel still blends.
+// Whether any pixel of the tile still blends.
 var<workgroup> unfinished: atomic<u32>;
 
 @compute @workgroup_size(256)
@@ -61,7 +61,8 @@ fn main(
     }
 }
 
-// Blends the entries of a batch that meet the pixel's cell; `before` entries of the tile lie before the batch.
+// Blends the entries of a batch that intersect the pixel's cell; `before` is the number of the tile's entries before
+// the batch.
 fn blend_batch(pixel: ptr<function, Pixel>, place: vec2<u32>, cell: u32, turn: u32, before: u32) {
     for (var word = 0u; word < WORDS && !(*pixel).is_done; word++) {
         var bits = meeting(turn, cell, word);

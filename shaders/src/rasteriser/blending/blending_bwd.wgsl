@@ -1,7 +1,8 @@
-// What a pixel leaves for an entry of its tile on the way from front to back, with one scalar per pixel: Σ wφ over what is
-// still to come. The row of an entry holds the sums over all pixels of v·(1, e, e², e·dy, dy, dy²), with v the gradient of
-// σ, then of the weight times the gradient of each channel. ARRIVING tells by bits which of the gradients of colour, alpha,
-// depth and features there are; what stands in for another is not read.
+// A pixel's contribution to the gradient of an entry of its tile. The pixel visits the entries front to back and
+// carries one scalar: Σ wφ over the remaining entries. The row of an entry holds the sums over all pixels of v·(1, e,
+// e², e·dy, dy, dy²), with v the gradient of σ, then of the weight times the gradient of each channel. ARRIVING is a
+// bit mask of the upstream gradients that exist: colour, alpha, depth, features. The placeholder for a missing one is
+// never read.
 
 @group(0) @binding(5) var<storage, read> transmittances: array<f32>;
 @group(0) @binding(6) var<storage, read> last_entries: array<u32>;
@@ -17,7 +18,7 @@
 const MOMENTS: u32 = 6u;
 const CHANNELS: u32 = 3u + EXTRAS;
 const ROW: u32 = MOMENTS + CHANNELS;
-// Vectors that hold the channels behind the first two.
+// Vectors that hold the channels after the first two.
 const TAILS: u32 = (CHANNELS + 1u) / 4u;
 
 struct Pixel {
@@ -26,19 +27,19 @@ struct Pixel {
     last: u32,
     transmittance: f32,
     remaining: f32,
-    // The gradients that arrive.
+    // Upstream gradients of the channels: the first two, then the others.
     head: vec2<f32>,
     tails: array<vec4<f32>, TAILS>,
 }
 
-// What a pixel leaves for an entry.
+// The contribution of one pixel to one entry.
 struct Share {
     // The gradient of σ.
     v: f32,
     weight: f32,
 }
 
-// What a share adds to the columns of a row, in their order.
+// The values that a share adds to the columns of a row, in the order of the columns.
 struct Row {
     first: vec4<f32>,
     second: vec4<f32>,
@@ -47,7 +48,7 @@ struct Row {
 
 var<workgroup> tile_last: atomic<u32>;
 
-// The gradient that arrives at a channel of a pixel: three colours, depth, features; none behind the last.
+// The upstream gradient of a channel of a pixel: three colours, depth, features; 0 past the last.
 fn channel_gradient(at: u32, channel: u32) -> f32 {
     if (channel < 3u) {
         if ((ARRIVING & 1u) != 0u) {
@@ -81,7 +82,7 @@ fn channel_value(at: u32, channel: u32) -> f32 {
     return features[at * FEATURES + channel - 3u - DEPTH];
 }
 
-// Σ value·gradient over the channels of the image, the share of what lies behind everything included.
+// Σ value·gradient over the channels of the image, including the background's share.
 fn gradient_in_total(at: u32) -> f32 {
     var total = 0.0;
     for (var channel = 0u; channel < CHANNELS; channel++) {
@@ -93,7 +94,7 @@ fn gradient_in_total(at: u32) -> f32 {
     return total;
 }
 
-// A pixel before the first entry; outside the image it blends nothing.
+// The state of a pixel before the first entry; outside the image it blends nothing.
 fn pixel_before(position: vec2<u32>) -> Pixel {
     var pixel: Pixel;
     pixel.center = center_of(position);
@@ -110,18 +111,18 @@ fn pixel_before(position: vec2<u32>) -> Pixel {
     return pixel;
 }
 
-// The largest of the pixels' last entries.
+// The maximum of the pixels' last entries.
 fn last_of_tile(local: u32, last: u32) -> u32 {
     if (local == 0u) {
         atomicStore(&tile_last, 0u);
     }
     workgroupBarrier();
-    // A maximum of whole numbers: its order does not matter.
+    // An integer maximum does not depend on the order.
     atomicMax(&tile_last, last);
     return workgroupUniformLoad(&tile_last);
 }
 
-// The values of an entry that belong to the gradients of a tail.
+// The channel values of an entry that correspond to the gradients of a tail.
 fn tail_values(entry: u32, tail: u32) -> vec4<f32> {
     if (tail == 0u) {
         return vec4<f32>(colors[entry].z, extra_value(entry, 0u), extra_value(entry, 1u), extra_value(entry, 2u));
@@ -135,8 +136,8 @@ fn tail_values(entry: u32, tail: u32) -> vec4<f32> {
     );
 }
 
-// Takes a pixel past an entry; without branches, so that a subgroup stays together. Nothing of an entry that is not blended
-// reaches the pixel, not even what is no number.
+// Advances a pixel past an entry, without branches, so that a subgroup does not diverge. An entry that is not blended
+// does not affect the pixel, even if its values are NaN.
 fn pass_entry(pixel: ptr<function, Pixel>, entry: u32, sigma: f32, is_blended: bool) -> Share {
     let opacity = opacity_of(entry, sigma);
     let transmittance = (*pixel).transmittance;
@@ -165,7 +166,7 @@ fn row_of(pixel: ptr<function, Pixel>, share: Share, offset: vec2<f32>) -> Row {
     return row;
 }
 
-// Entries behind everything that was blended have no gradient.
+// Zeroes the rows of the entries after the last blended one, which have no gradient.
 fn clear_rows(local: u32, invocations: u32, first: u32, end: u32) {
     for (var at = first * ROW + local; at < end * ROW; at += invocations) {
         rows[at] = 0.0;

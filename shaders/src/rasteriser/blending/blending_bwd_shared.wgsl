@@ -1,6 +1,6 @@
-// One tile per workgroup, where there are no subgroups that could be used: the rows of its entries. In rounds of a few
-// entries each invocation first is a pixel and leaves its shares; then it adds up four columns for one entry and some of the
-// pixels; then the parts are added in order.
+// Backward blending without subgroup operations: the rows of a tile's entries. One workgroup per tile. In each round of
+// a few entries, an invocation first acts as a pixel and stores its shares, then sums four columns of one entry over
+// some of the pixels. Then the parts are added in order.
 
 // Entries of a round.
 const ROUND: u32 = 4u;
@@ -10,7 +10,7 @@ const PART_PIXELS: u32 = 16u;
 // Columns at a time.
 const COLUMNS: u32 = 16u;
 
-// [entry of the round, pixel], where the entry meets the pixel's cell.
+// [entry of the round, pixel]; written if the entry intersects the pixel's cell.
 var<workgroup> shares: array<vec2<f32>, ROUND * PIXELS>;
 // [entry of the round, column, part].
 var<workgroup> parts: array<f32, ROUND * COLUMNS * PARTS>;
@@ -46,7 +46,7 @@ fn main(
             leave_round(&pixel, meeting(turn, local / CELL_PIXELS, 0u), first - start, round, local);
             workgroupBarrier();
             for (var column = 0u; column < ROW; column += COLUMNS) {
-                // Not before the parts of the columns before were read.
+                // The parts of the previous columns must have been read.
                 if (column > 0u) {
                     workgroupBarrier();
                 }
@@ -60,7 +60,7 @@ fn main(
     clear_rows(local, PIXELS, first, end);
 }
 
-// Takes a pixel past the entries of a round that meet its cell.
+// Advances a pixel past the entries of a round that intersect its cell.
 fn leave_round(pixel: ptr<function, Pixel>, entries: u32, before: u32, round: u32, local: u32) {
     for (var k = 0u; k < ROUND; k++) {
         let entry = round + k;
@@ -76,7 +76,7 @@ fn leave_round(pixel: ptr<function, Pixel>, entries: u32, before: u32, round: u3
     }
 }
 
-// Four columns of one entry over the pixels of one part: neighbouring invocations take the same columns.
+// Sums four columns of one entry over the pixels of one part. Neighbouring invocations take the same columns.
 fn add_part(local: u32, turn: u32, corner: vec2<u32>, round: u32, first_column: u32) {
     let four = local / (ROUND * PARTS);
     let k = local / PARTS % ROUND;
@@ -95,7 +95,7 @@ fn add_part(local: u32, turn: u32, corner: vec2<u32>, round: u32, first_column: 
     }
 }
 
-// What a pixel's share adds to four columns of a row.
+// The values that a pixel's share adds to four columns of a row.
 fn columns_of(share: Share, entry: u32, position: vec2<u32>, column: u32) -> vec4<f32> {
     let offset = offset_to(entry, center_of(position));
     if (column == 0u) {
@@ -112,7 +112,7 @@ fn columns_of(share: Share, entry: u32, position: vec2<u32>, column: u32) -> vec
     return share.weight * channel_gradients(at, column - MOMENTS);
 }
 
-// Columns of the rows of a round, one column of one entry per invocation: the parts in their order.
+// Writes columns of the rows of a round, one column of one entry per invocation: adds the parts in order.
 fn write_rows(local: u32, first: u32, count: u32, round: u32, first_column: u32) {
     let k = local / COLUMNS;
     let column = first_column + local % COLUMNS;

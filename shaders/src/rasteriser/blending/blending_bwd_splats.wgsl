@@ -1,19 +1,20 @@
-// One tile and one subgroup per workgroup, where subgroups are of SUBGROUP invocations: the rows of the tile's entries. An
-// invocation is an entry (Mallick et al. 2024, Taming 3DGS). A bucket of SUBGROUP neighbouring entries stands still while the
-// tile's pixels stream past it: in each step a pixel goes on to the next invocation, which adds to its own row what the
-// pixel leaves. Between buckets the pixels lie in workgroup memory; no pixel looks at anything twice.
+// Backward blending with one invocation per entry (Mallick et al. 2024, Taming 3DGS): the rows of a tile's entries. A
+// workgroup is one tile and one subgroup of SUBGROUP invocations. A bucket of SUBGROUP consecutive entries stays in
+// place while the tile's pixels stream past it: in each step a pixel moves to the next invocation, which adds the
+// pixel's contribution to its own row. Between buckets the pixels are in workgroup memory. Each pixel visits each entry
+// once.
 
-// The entry of an invocation, as a batch of one.
+// The entry of an invocation: a batch of one.
 var<private> places: array<vec4<f32>, 1>;
 var<private> shapes: array<vec4<f32>, 1>;
 var<private> colors: array<vec4<f32>, 1>;
 var<private> own_extras: array<f32, EXTRAS + 1u>;
 
-// Gradients of a pixel, one more where that makes its numbers odd in all: neighbouring invocations then read from different
-// banks of workgroup memory.
+// Gradients per pixel, padded so that `Held` has an odd number of words: neighbouring invocations then read from
+// different banks of workgroup memory.
 const HELD: u32 = CHANNELS + CHANNELS % 2u;
 
-// A pixel between two buckets, as numbers alone.
+// The state of a pixel between two buckets, as scalars.
 struct Held {
     transmittance: f32,
     remaining: f32,
@@ -23,9 +24,9 @@ struct Held {
     gradients: array<f32, HELD>,
 }
 
-// Cell by cell.
+// In the order of places: cell by cell.
 var<workgroup> held: array<Held, PIXELS>;
-// The largest of a cell's last entries.
+// The maximum of the last entries of a cell's pixels.
 var<workgroup> cell_lasts: array<atomic<u32>, CELLS>;
 
 fn extra_value(entry: u32, extra: u32) -> f32 {
@@ -59,13 +60,13 @@ fn main(
         if (lane < count) {
             write_row(row, (first + lane) * ROW);
         }
-        // The next bucket finds the pixels as this one has left them.
+        // The next bucket reads the pixels' state after this one.
         workgroupBarrier();
     }
     clear_rows(lane, SUBGROUP, blended_end, end);
 }
 
-// Puts the tile's pixels into workgroup memory; the largest of their last entries.
+// Loads the tile's pixels into workgroup memory. Returns the maximum of their last entries.
 fn hold_pixels(lane: u32, corner: vec2<u32>) -> u32 {
     for (var cell = lane; cell < CELLS; cell += SUBGROUP) {
         atomicStore(&cell_lasts[cell], 0u);
@@ -90,7 +91,7 @@ fn hold_pixels(lane: u32, corner: vec2<u32>) -> u32 {
     return last_of_tile(lane, last);
 }
 
-// Fetches the invocation's entry of a bucket; the cells that it meets, by bits.
+// Loads the invocation's entry of a bucket. Returns a bit mask of the cells that it intersects.
 fn hold_entry(lane: u32, first: u32, count: u32, corner: vec2<u32>) -> u32 {
     if (lane >= count) {
         return 0u;
@@ -105,7 +106,7 @@ fn hold_entry(lane: u32, first: u32, count: u32, corner: vec2<u32>) -> u32 {
     return cells_meeting(places[0], shapes[0], corner);
 }
 
-// The cells with a pixel that blended anything behind so many entries, by bits.
+// Bit mask of the cells with a pixel whose last blended entry is at index `before` or later.
 fn cells_reaching(before: u32) -> u32 {
     var cells = 0u;
     for (var cell = 0u; cell < CELLS; cell++) {
@@ -114,7 +115,7 @@ fn cells_reaching(before: u32) -> u32 {
     return cells;
 }
 
-// The numbers of cells that are given by bits, in four bits each.
+// Converts a bit mask of cells to a list of cell numbers, four bits each.
 fn listed(cells: u32) -> u32 {
     var list = 0u;
     var shift = 0u;
@@ -125,17 +126,18 @@ fn listed(cells: u32) -> u32 {
     return list;
 }
 
-// Lets the pixels of the cells pass a bucket with `before` entries before it; the row of the invocation's entry.
+// Streams the pixels of the cells past a bucket that starts at entry `before`. Returns the row of the invocation's
+// entry.
 fn stream(cells: u32, before: u32, count: u32, lane: u32) -> Row {
     var row: Row;
     let list = listed(cells);
     let pixels = CELL_PIXELS * countOneBits(cells);
     let steps = select(0u, pixels + count - 1u, pixels > 0u);
-    // No pixel's last entry lies behind one that is not there.
+    // An entry past the end fails every pixel's `last` test.
     let own = select(NOWHERE, before + lane, lane < count);
     var state = vec2<f32>(0.0);
     for (var step = 0u; step < steps; step++) {
-        // Not a pixel's before the first has come and behind the last: then it is as large as any.
+        // Not the index of a pixel before the first one arrives, where it wraps around, and after the last.
         let at = step - lane;
         let place = (list >> (at / CELL_PIXELS * 4u & 31u) & 7u) * CELL_PIXELS + at % CELL_PIXELS;
         state = subgroupShuffleUp(state, 1u);
@@ -159,7 +161,7 @@ fn stream(cells: u32, before: u32, count: u32, lane: u32) -> Row {
     return row;
 }
 
-// A pixel in a state, before the next entry.
+// The pixel at a place, with (transmittance, remaining) from `state`.
 fn pixel_at(place: u32, state: vec2<f32>) -> Pixel {
     var pixel: Pixel;
     pixel.center = vec2<f32>(held[place].center_x, held[place].center_y);

@@ -1,12 +1,13 @@
-// One tile per workgroup, where subgroups are of SUBGROUP invocations: the rows of its entries. The pixels of a subgroup add
-// up what they leave for an entry by shuffles; the sums of the subgroups are added in order.
+// Backward blending with subgroups of SUBGROUP invocations: the rows of a tile's entries. One workgroup per tile, one
+// invocation per pixel. Shuffles sum the contributions of a subgroup's pixels; the sums of the subgroups are added in
+// order.
 
 const SUBGROUPS: u32 = PIXELS / SUBGROUP;
-// Invocations that end with the same of eight and of four sums.
+// Number of invocations that end up with the same one of eight sums, and of four sums.
 const EIGHTH: u32 = (SUBGROUP + 7u) / 8u;
 const QUARTER: u32 = SUBGROUP / 4u;
 
-// [entry, subgroup, column], for those entries for which a subgroup left anything: by bits.
+// [entry, subgroup, column]; valid for the entries in the subgroup's bit mask in `left`.
 var<workgroup> parts: array<f32, BATCH * SUBGROUPS * ROW>;
 var<workgroup> left: array<u32, SUBGROUPS>;
 
@@ -56,7 +57,7 @@ fn first_bits(count: u32) -> u32 {
     return select((1u << (count & 31u)) - 1u, 0xffffffffu, count >= 32u);
 }
 
-// The entries of the batch that meet a cell of the subgroup's pixels, by bits.
+// Bit mask of the entries of the batch that intersect a cell of the subgroup's pixels.
 fn meeting_subgroup(turn: u32, subgroup: u32) -> u32 {
     var entries = 0u;
     for (var cell = subgroup * SUBGROUP / CELL_PIXELS; cell * CELL_PIXELS < (subgroup + 1u) * SUBGROUP; cell++) {
@@ -65,7 +66,8 @@ fn meeting_subgroup(turn: u32, subgroup: u32) -> u32 {
     return entries;
 }
 
-// Takes the pixels of a subgroup past the entries, which are the same for all of them; those for which it left anything.
+// Advances the pixels of a subgroup past the entries, a mask that all of them share. Returns the mask of the entries
+// that any of them blended.
 fn leave_batch(pixel: ptr<function, Pixel>, entries: u32, before: u32, subgroup: u32, lane: u32) -> u32 {
     var given = 0u;
     for (var rest = entries; rest != 0u; rest &= rest - 1u) {
@@ -83,7 +85,7 @@ fn leave_batch(pixel: ptr<function, Pixel>, entries: u32, before: u32, subgroup:
     return given;
 }
 
-// Adds up the rows of a subgroup's pixels, from `at` on.
+// Sums the rows of a subgroup's pixels into `parts`, from `at` on.
 fn leave(row: Row, at: u32, lane: u32) {
     if (SUBGROUP >= 8u) {
         let sum = added8(lane, row.first, row.second);
@@ -108,7 +110,7 @@ fn leave_tail(values: vec4<f32>, at: u32, first_column: u32, lane: u32) {
     }
 }
 
-// The rows of a batch, one column of one entry per invocation at a time: what the subgroups left, in their order.
+// Writes the rows of a batch, one column of one entry per invocation at a time: adds the subgroups' sums in order.
 fn write_rows(local: u32, first: u32, count: u32) {
     for (var at = local; at < count * ROW; at += PIXELS) {
         let entry = at / ROW;

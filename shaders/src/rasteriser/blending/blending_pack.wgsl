@@ -1,4 +1,5 @@
-// The splats front to back, those that no tile holds last, each in one place: three vectors, and its depth and features.
+// Packs the splats front to back, those that intersect no tile last: per rank one record of three vectors, and depth
+// and features. One invocation per rank.
 
 struct Pack {
     // Splats.

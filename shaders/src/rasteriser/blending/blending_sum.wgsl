@@ -1,5 +1,5 @@
-// The gradients of every splat: its rows added in the order of its hits, then from moments to means, conics and opacities.
-// An invocation adds up one column of one splat, LANES of them side by side.
+// The gradients of every splat: sums its rows in the order of its hits, then converts the moments to gradients of
+// means, conics and opacities. LANES invocations share a splat; each sums one column at a time.
 
 struct Sum {
     // Splats.
@@ -60,7 +60,7 @@ fn total_of(splat: u32, column: u32) -> f32 {
     }
     var hit = hit_starts[rank];
     let end = hit_starts[rank + 1u];
-    // Four reads that need not wait for one another.
+    // Four independent reads at a time hide latency.
     for (; hit + 4u <= end; hit += 4u) {
         let values = vec4<f32>(
             value_of(hit, column),
@@ -76,14 +76,14 @@ fn total_of(splat: u32, column: u32) -> f32 {
     return total;
 }
 
-// Nothing for a hit that was counted and not found.
+// 0 for a hit that was counted but not found.
 fn value_of(hit: u32, column: u32) -> f32 {
     let entry = entry_of_hit[hit];
     let is_found = entry != NOWHERE;
     return select(0.0, rows[select(0u, entry, is_found) * ROW + column], is_found);
 }
 
-// Through e = dx + k·dy and σ = ½(A·e² + m·dy²): one of six gradients.
+// Writes one of six gradients, by the chain rule through e = dx + k·dy and σ = ½(A·e² + m·dy²).
 fn write_geometry(splat: u32, which: u32, first: u32) {
     let a = conics[3u * splat];
     let k = conics[3u * splat + 1u];
@@ -105,7 +105,7 @@ fn write_geometry(splat: u32, which: u32, first: u32) {
             g_conics[3u * splat + 2u] = 0.5 * moments[first + 5u];
         }
         case 5u: {
-            // alpha is opacity·e^(−σ), so that ∂/∂opacity = −∂/∂σ / opacity; a culled splat has opacity and gradient 0.
+            // alpha = opacity·e^(−σ), so ∂/∂opacity = −∂/∂σ / opacity. A culled splat has opacity and gradient 0.
             let opacity = opacities[splat];
             g_opacities[splat] = select(0.0, -moments[first] / opacity, opacity > 0.0);
         }

@@ -1,7 +1,8 @@
-// Which cells of a tile an entry meets: decided as which tiles are, by the ellipse σ ≤ cutoff grown by more than roundings: no
-// pixel sees a splat that its cell does not meet. CULLED is 0 where every cell meets every entry.
+// The cells of a tile that an entry intersects, by the same test as for tiles: the ellipse σ ≤ cutoff, enlarged by more
+// than the rounding error. So no pixel sees a splat that its cell does not intersect. If CULLED is 0, every entry
+// counts as intersecting every cell.
 
-// The cells of a tile that meet an entry with the first two vectors of its record, by bits.
+// Bit mask of the cells of a tile that intersect an entry, from the first two vectors of its record.
 fn cells_meeting(place: vec4<f32>, shape: vec4<f32>, corner: vec2<u32>) -> u32 {
     if (CULLED == 0u) {
         return (1u << CELLS) - 1u;
@@ -14,7 +15,7 @@ fn cells_meeting(place: vec4<f32>, shape: vec4<f32>, corner: vec2<u32>) -> u32 {
         let shadow = shadow_between(ellipse, top, top + f32(CELL_HEIGHT - 1u));
         for (var column = 0u; column < 2u; column++) {
             let first = left + f32(column * CELL_WIDTH);
-            // What cannot be compared meets.
+            // NaN counts as intersecting.
             if (!(shadow.y < first) && !(shadow.x > first + f32(CELL_WIDTH - 1u))) {
                 cells |= 1u << (2u * row + column);
             }

@@ -1,5 +1,5 @@
-// What one splat is to one pixel: the same definitions in both directions. EXTRAS is the number of channels beside the
-// colours, the first of which is the depth if DEPTH is 1; SMOOTH is 1 where alpha fades to zero at its threshold.
+// Evaluates one splat at one pixel, for both directions. EXTRAS is the number of channels beside the colours; the first
+// of them is the depth if DEPTH is 1. If SMOOTH is 1, alpha fades to zero at its threshold.
 
 struct Blend {
     background: vec3<f32>,
@@ -24,7 +24,7 @@ struct Blend {
 const TILE: u32 = 16u;
 const PIXELS: u32 = 256u;
 const FEATURES: u32 = EXTRAS - DEPTH;
-// The cells of a tile, two to a row: the pixels of 32 invocations, which hardware often runs together.
+// The cells of a tile, two to a row. A cell has the pixels of 32 invocations, which hardware often runs together.
 const CELLS: u32 = 8u;
 const CELL_WIDTH: u32 = 8u;
 const CELL_HEIGHT: u32 = 4u;
@@ -36,11 +36,12 @@ struct Opacity {
     alpha_by_sigma: f32,
 }
 
-// The corner of a tile, and the pixel at a place in it: cell by cell, row by row.
+// The first pixel of a tile.
 fn corner_of(tile: u32) -> vec2<u32> {
     return TILE * vec2<u32>(tile % blend.columns, tile / blend.columns);
 }
 
+// The pixel at a place of a tile. Places are numbered cell by cell, and row by row within a cell.
 fn pixel_of(corner: vec2<u32>, place: u32) -> vec2<u32> {
     let cell = place / CELL_PIXELS;
     let inner = place % CELL_PIXELS;
@@ -56,7 +57,7 @@ fn center_of(pixel: vec2<u32>) -> vec2<f32> {
     return vec2<f32>(pixel) + 0.5;
 }
 
-// e = dx + k·dy and dy, of mean − centre of a pixel, for an entry of the batch.
+// (e, dy) with e = dx + k·dy, for an entry of the batch and (dx, dy) = mean − pixel centre.
 fn offset_to(entry: u32, center: vec2<f32>) -> vec2<f32> {
     let place = places[entry];
     let offset = place.xy - center;

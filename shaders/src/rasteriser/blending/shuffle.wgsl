@@ -1,4 +1,4 @@
-// What the invocation whose number in the subgroup differs in one bit gives.
+// Exchanges values between invocations whose indices in the subgroup differ in one bit.
 
 fn exchanged(value: f32, distance: u32) -> f32 {
     return subgroupShuffleXor(value, distance);

@@ -1,8 +1,9 @@
-// Sums over the SUBGROUP invocations of a subgroup, several at once: in each step an invocation keeps half of its sums and
-// gives the others to the invocation whose number differs in one bit. What is added to what depends on SUBGROUP alone.
+// Several sums at once over the SUBGROUP invocations of a subgroup. In each step an invocation keeps half of its
+// partial sums and passes the other half to the invocation whose index differs in one bit. The order of additions
+// depends on SUBGROUP alone.
 
-// Of four sums the one whose number is in the two bits of `lane` from `distance` downwards, of all invocations that differ
-// in these bits and lower ones.
+// Returns one of four sums, selected by two bits of `lane`: that of `distance` and the next lower one. The sum is over
+// all invocations whose indices differ in these bits and lower ones.
 fn added4(lane: u32, values: vec4<f32>, distance: u32) -> f32 {
     let is_upper = (lane & distance) != 0u;
     let given2 = select(values.zw, values.xy, is_upper);
@@ -10,7 +11,7 @@ fn added4(lane: u32, values: vec4<f32>, distance: u32) -> f32 {
     let is_odd = (lane & (distance / 2u)) != 0u;
     let given = select(pair.y, pair.x, is_odd);
     var sum = select(pair.x, pair.y, is_odd) + exchanged(given, distance / 2u);
-    // One sum is left, of which the invocations have parts; no loop, as it has at most five steps of known length.
+    // One sum remains, in parts. Unrolled, because it has at most five steps of known distance.
     if (distance >= 4u) {
         sum += exchanged(sum, distance / 4u);
     }
@@ -29,7 +30,7 @@ fn added4(lane: u32, values: vec4<f32>, distance: u32) -> f32 {
     return sum;
 }
 
-// Of eight sums the one with the number lane / (SUBGROUP / 8); SUBGROUP is at least eight.
+// Returns the sum with index lane / (SUBGROUP / 8) of eight; SUBGROUP is at least eight.
 fn added8(lane: u32, first: vec4<f32>, second: vec4<f32>) -> f32 {
     let distance = SUBGROUP / 2u;
     let is_upper = (lane & distance) != 0u;

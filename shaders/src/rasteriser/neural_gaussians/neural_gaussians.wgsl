@@ -1,4 +1,4 @@
-// The Gaussians that anchors spawn, all of them in order: an invocation per Gaussian.
+// The Gaussians that anchors spawn, in the order of the anchors. One invocation per Gaussian.
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 @group(0) @binding(2) var<storage, read> log_scales: array<f32>;

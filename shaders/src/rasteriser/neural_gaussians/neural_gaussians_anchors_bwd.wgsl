@@ -1,5 +1,6 @@
-// The gradients of positions and scales of anchors, each the sum over its Gaussians in order: an invocation per anchor.
-// ARRIVING tells by bits which of the gradients of positions and scales there are; what stands in for another is not read.
+// The gradients of the anchors' positions and scales: sums over each anchor's Gaussians in order. One invocation per
+// anchor. ARRIVING is a bit mask of the upstream gradients that exist: positions, scales. The placeholder for a missing
+// one is never read.
 
 @group(0) @binding(1) var<storage, read> log_scales: array<f32>;
 @group(0) @binding(2) var<storage, read> offsets: array<f32>;

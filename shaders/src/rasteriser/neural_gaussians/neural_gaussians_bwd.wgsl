@@ -1,5 +1,6 @@
-// The gradients of what belongs to one Gaussian: an invocation per Gaussian. ARRIVING tells by bits which of the gradients of
-// positions, scales, rotations, logits and harmonics there are; what stands in for another is not read.
+// The gradients of offsets, opacities, shapes and colours. One invocation per Gaussian. ARRIVING is a bit mask of the
+// upstream gradients that exist: positions, scales, rotations, logits, harmonics. The placeholder for a missing one is
+// never read.
 
 @group(0) @binding(1) var<storage, read> log_scales: array<f32>;
 @group(0) @binding(2) var<storage, read> opacities: array<f32>;
@@ -56,7 +57,7 @@ fn main(
     }
     var g_opacity = 0.0;
     let opacity = opacities[gaussian];
-    // No gradient where the opacity was kept off 0 or 1, or is hidden.
+    // A clamped or hidden opacity has no gradient.
     if (arrives(3u) && !(opacity < LOW) && !(opacity > HIGH)) {
         g_opacity = by_logit[gaussian] / (opacity * (1.0 - opacity));
     }

@@ -1,9 +1,9 @@
-// The factor F = R_q·diag(eˢ) of a splat's covariance FFᵀ: the same definitions as on the CPU, for both directions.
+// The factor F = R_q·diag(eˢ) of a splat's covariance FFᵀ, for both directions: the same definitions as on the CPU.
 
-// Standard deviations above this are overflow on its way.
+// Larger standard deviations are out of range, because they are about to overflow.
 const MAX_SCALE: f32 = 1e9;
 
-// F, with what its backward pass needs.
+// F, and the intermediate values that its backward pass needs.
 struct Factor {
     in_range: bool,
     matrix: Rows,
@@ -21,7 +21,7 @@ struct ShapeGradient {
 fn scaled_rotation(log_scales: vec3<f32>, raw_rotation: vec4<f32>) -> Factor {
     var factor: Factor;
     factor.scales = exp(log_scales);
-    // A logarithm of minus infinity is a scale of zero; that of a NaN is out of range.
+    // A logarithm of minus infinity is a scale of zero. NaN is out of range.
     let is_number = is_finite3(factor.scales) && all(log_scales < vec3<f32>(3e38));
     factor.in_range = is_number && all(factor.scales <= vec3<f32>(MAX_SCALE));
     factor.unit = normalised(raw_rotation);
@@ -30,7 +30,7 @@ fn scaled_rotation(log_scales: vec3<f32>, raw_rotation: vec4<f32>) -> Factor {
     return factor;
 }
 
-// The gradients of logarithms and quaternion from that of F.
+// The gradients of the logarithmic scales and of the quaternion, from that of F.
 fn scaled_rotation_backward(factor: Factor, g: Rows) -> ShapeGradient {
     let along = factor.rotation.x * g.x + factor.rotation.y * g.y + factor.rotation.z * g.z;
     let g_unit = rotation_backward(factor.unit.quaternion, scale_columns(g, factor.scales));

@@ -1,4 +1,4 @@
-// The factors of rows of logarithms (x0) and quaternions (x1).
+// The covariance factors of rows of logarithmic scales (x0) and quaternions (x1).
 
 fn factor_at(row: u32) -> Factor {
     let log_scales = vec3<f32>(x0[3u * row], x0[3u * row + 1u], x0[3u * row + 2u]);

@@ -1,4 +1,6 @@
-// Zero where a factor is out of range.
+// The gradients of rows of logarithmic scales and quaternions, from those of their covariance factors.
+
+// Zero if the factor is out of range.
 fn shape_gradient(row: u32) -> ShapeGradient {
     let factor = factor_at(row);
     if (!factor.in_range) {

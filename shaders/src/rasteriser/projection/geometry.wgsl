@@ -1,5 +1,5 @@
-// One splat through one camera: the same definitions as the reference for the CPU, shared by both directions.
-// SH_DEGREE is the degree of the harmonics; GIVEN_FACTORS is 1 where the factors of the covariances are given.
+// Projects one splat with one camera, for both directions: the same definitions as the CPU reference. SH_DEGREE is the
+// degree of the harmonics. GIVEN_FACTORS is 1 if the inputs are the factors of the covariances.
 
 struct View {
     // Rows of camera_from_world, with the translation last.
@@ -11,7 +11,7 @@ struct View {
     size: vec2<f32>,
     near: f32,
     far: f32,
-    // Range of x/z and y/z within which the affine map follows the splat.
+    // Range of x/z and y/z within which the affine approximation is taken at the splat; outside, at the nearest limit.
     slope_low: vec2<f32>,
     slope_high: vec2<f32>,
     dilation: f32,
@@ -24,7 +24,7 @@ struct View {
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 @group(0) @binding(2) var<storage, read> opacity_logits: array<f32>;
 @group(0) @binding(3) var<storage, read> sh: array<f32>;
-// [N, 3] logarithms of the standard deviations, or [N, 9] factors.
+// Logarithms of the standard deviations [N, 3], or factors [N, 9].
 @group(0) @binding(4) var<storage, read> shapes: array<f32>;
 @group(0) @binding(5) var<storage, read> rotations: array<f32>;
 
@@ -35,7 +35,7 @@ const COEFFICIENTS: u32 = (SH_DEGREE + 1u) * (SH_DEGREE + 1u);
 struct Geometry {
     usable: bool,
     position_view: vec3<f32>,
-    // x/z and y/z, clamped, and whether they were not.
+    // x/z and y/z, clamped, and whether each is within its range.
     slopes: vec2<f32>,
     is_free: vec2<bool>,
     factor_world: Factor,
@@ -51,7 +51,7 @@ struct Geometry {
 
 struct Color {
     direction: vec3<f32>,
-    // 1/distance; zero where the direction is undefined.
+    // 1/distance; zero if the direction is undefined.
     inverse_distance: f32,
     basis: array<f32, 16>,
     unclamped: vec3<f32>,
@@ -88,7 +88,7 @@ fn largest(m: Rows) -> f32 {
     return max(max(rows.x, rows.y), rows.z);
 }
 
-// Whether no value that the image may not show is infinite or NaN.
+// Whether those shape inputs are finite whose infinities and NaNs the projection may hide.
 fn shape_is_finite(splat: u32) -> bool {
     if (GIVEN_FACTORS == 1u) {
         let m = given_factor(splat);
@@ -136,7 +136,7 @@ fn geometry_of(splat: u32) -> Geometry {
     geometry.factor_x = magnification.x * (geometry.factor_view.x - geometry.slopes.x * along_z);
     geometry.factor_y = magnification.y * (geometry.factor_view.y - geometry.slopes.y * along_z);
 
-    // (A, k, m): the covariance V·Vᵀ + εI is never formed, as its determinant would cancel.
+    // (A, k, m): the covariance V·Vᵀ + εI is never formed, because its determinant would suffer from cancellation.
     let a = dot(geometry.factor_x, geometry.factor_x);
     let b = dot(geometry.factor_x, geometry.factor_y);
     let c = dot(geometry.factor_y, geometry.factor_y);
@@ -153,7 +153,7 @@ fn geometry_of(splat: u32) -> Geometry {
     return geometry;
 }
 
-// Whether the bounding box of σ ≤ cutoff overlaps the image; half a pixel generous.
+// Whether the bounding box of σ ≤ cutoff overlaps the image, with a margin of half a pixel.
 fn touches_image(geometry: Geometry, cutoff: f32) -> bool {
     let extent = sqrt(2.0 * cutoff * geometry.variances);
     return all(geometry.mean2d + extent >= vec2<f32>(0.0)) && all(geometry.mean2d - extent <= view.size);

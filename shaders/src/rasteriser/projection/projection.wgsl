@@ -1,5 +1,5 @@
-// The image of every splat; a culled splat has zeros and a negative cutoff that tells why. Splats that were culled for their
-// numbers, and numbers that were kept in range, are counted.
+// Projects every splat. A culled splat gets zeros and a negative cutoff that encodes the reason. Also counts splats
+// culled because of their values, and clamped values. One invocation per splat.
 
 @group(0) @binding(6) var<storage, read_write> means2d: array<f32>;
 @group(0) @binding(7) var<storage, read_write> conics: array<f32>;
@@ -9,7 +9,7 @@
 @group(0) @binding(11) var<storage, read_write> cutoffs: array<f32>;
 @group(0) @binding(12) var<storage, read_write> counts: array<atomic<u32>>;
 
-// How far beyond the image, in images, means may lie.
+// Means farther outside the image than this, in image sizes, count as off-axis.
 const MARGIN: f32 = 0.15;
 
 const EVENTS: u32 = 6u;
@@ -21,7 +21,7 @@ const NEAR: f32 = -2.0;
 const HUGE: f32 = -3.0;
 const NOT_FINITE: f32 = -4.0;
 
-// The opacity of a splat that is not there.
+// The opacity logit of a hidden splat.
 const HIDDEN_LOGIT: f32 = -100.0;
 
 fn parameters_are_finite(splat: u32) -> bool {
@@ -43,7 +43,7 @@ fn why_culled(splat: u32, geometry: Geometry) -> f32 {
     if (!parameters_are_finite(splat)) {
         return NOT_FINITE;
     }
-    // Wherever it would be: it is not there.
+    // A hidden splat is unseen wherever it is.
     if (opacity_logits[splat] <= HIDDEN_LOGIT) {
         return UNSEEN;
     }
@@ -67,7 +67,7 @@ fn write_image(splat: u32, mean2d: vec2<f32>, conic: vec3<f32>, depth: f32, opac
     cutoffs[splat] = cutoff;
 }
 
-// Whole numbers: the order of additions does not matter.
+// Integer additions do not depend on the order.
 fn note(event: u32, times: u32) {
     if (times > 0u) {
         atomicAdd(&group_counts[event], times);

@@ -1,5 +1,6 @@
-// The gradients of every splat's parameters from those of its image. ARRIVING tells by bits which of the gradients of
-// means, conics, depths, opacities and colours there are; what stands in for another is not read.
+// The gradients of every splat's parameters, from those of its projection. One invocation per splat. ARRIVING is a bit
+// mask of the upstream gradients that exist: means, conics, depths, opacities, colours. The placeholder for a missing
+// one is never read.
 
 @group(0) @binding(6) var<storage, read> cutoffs: array<f32>;
 @group(0) @binding(7) var<storage, read> g_means2d: array<f32>;
@@ -52,7 +53,7 @@ fn color_gradient(splat: u32) -> vec3<f32> {
     return vec3<f32>(g_colors[3u * splat], g_colors[3u * splat + 1u], g_colors[3u * splat + 2u]);
 }
 
-// From (A, k, m) to the covariance's (a, b, c): A = 1/(a − b²/c), k = −b/c, m = 1/c.
+// The gradient of the covariance (a, b, c), from that of (A, k, m): A = 1/(a − b²/c), k = −b/c, m = 1/c.
 fn covariance_gradient(conic: vec3<f32>, g: vec3<f32>) -> vec3<f32> {
     let k = conic.y;
     let m = conic.z;
@@ -66,7 +67,7 @@ fn write_shape_row(first: u32, row: vec3<f32>) {
     }
 }
 
-// The gradient of what gives the covariance, from that of its factor F.
+// Writes the gradients of the shape's inputs, from that of the factor F.
 fn write_shape_gradient(splat: u32, factor: Factor, g: Rows) {
     if (GIVEN_FACTORS == 1u) {
         write_shape_row(9u * splat, g.x);
@@ -81,7 +82,7 @@ fn write_shape_gradient(splat: u32, factor: Factor, g: Rows) {
     }
 }
 
-// The gradient of the position through mean, affine map and depth; writes that of the shape.
+// Returns the gradient of the position through mean, affine map and depth. Writes that of the shape.
 fn geometry_backward(splat: u32, geometry: Geometry) -> vec3<f32> {
     let p = geometry.position_view;
     let magnification = view.focal / p.z;
@@ -110,7 +111,7 @@ fn geometry_backward(splat: u32, geometry: Geometry) -> vec3<f32> {
     g_position.y += g_slopes.y / p.z;
     g_position.z -= dot(g_slopes, slopes) / p.z;
 
-    // Back to the world: the transposed rotation of the camera.
+    // Back to world space: the transposed rotation of the camera.
     let camera = camera_rotation();
     let columns = Rows(
         vec3<f32>(camera.x.x, camera.y.x, camera.z.x),
@@ -122,7 +123,7 @@ fn geometry_backward(splat: u32, geometry: Geometry) -> vec3<f32> {
     return row_times(g_position, camera);
 }
 
-// Σₖ gₖ ∇Yₖ(direction), with the direction's components taken as independent.
+// Σₖ gₖ ∇Yₖ(direction), with the components of the direction as independent variables.
 fn harmonics_backward(d: vec3<f32>, g: array<f32, 16>) -> vec3<f32> {
     var by = vec3<f32>(0.0);
     let x = d.x;
@@ -163,7 +164,7 @@ fn harmonics_backward(d: vec3<f32>, g: array<f32, 16>) -> vec3<f32> {
     return by;
 }
 
-// The gradient of the position through the viewing direction; writes that of the harmonics.
+// Returns the gradient of the position through the viewing direction. Writes that of the harmonics.
 fn color_backward(splat: u32) -> vec3<f32> {
     let color = color_of(splat);
     let g_color = select(vec3<f32>(0.0), color_gradient(splat), color.unclamped > vec3<f32>(0.0));
@@ -209,7 +210,7 @@ fn main(
     }
     let geometry = geometry_of(splat);
     let drawn = cutoffs[splat] >= 0.0 && geometry.usable;
-    // Harmonics that are not in use, and all of a culled splat.
+    // Zeroes the gradients of unused harmonics, and of all harmonics of a culled splat.
     let first = select(0u, 3u * COEFFICIENTS, drawn);
     for (var at = first; at < view.sh_len; at++) {
         g_sh[splat * view.sh_len + at] = 0.0;

@@ -1,7 +1,7 @@
-// Whether every splat is visible and its centre lies in a pixel of the mask: an invocation per splat.
+// Whether each splat is visible with its centre in a pixel of the mask. One invocation per splat.
 
 struct Mask {
-    // Splats.
+    // Number of splats.
     count: u32,
     width: u32,
     height: u32,

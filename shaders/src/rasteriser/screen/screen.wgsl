@@ -1,6 +1,7 @@
-// What density control needs to know of every splat of a render: its gradient by the mean in normalised device
-// coordinates, whether it is visible, and its radius in pixels. FIRST begins a step, LAST ends it and adds it to the statistics; the sums of a
-// step with several renders pass from one launch to the next. Where ROWS is 1, the splats are some of the rows.
+// Screen-space statistics of every splat for density control: the gradient of its mean in normalised device
+// coordinates, whether it was visible, and its radius in pixels. FIRST starts a step; LAST ends it and adds it to the
+// statistics. The sums of a step with several renders pass from one launch to the next. If ROWS is 1, the splats are a
+// subset of the rows. One invocation per row.
 
 struct View {
     count: u32,
@@ -14,12 +15,13 @@ struct View {
 @group(0) @binding(1) var<storage, read> gradients_px: array<f32>;
 @group(0) @binding(2) var<storage, read> conics: array<f32>;
 @group(0) @binding(3) var<storage, read> rank_of_splat: array<u32>;
-// [N, 3]: the sum over steps of the norm of the gradient, steps that saw the splat, and its largest radius.
+// [N, 3]: the sum over steps of the gradient's norm, the number of steps with the splat visible, and its largest
+// radius.
 @group(0) @binding(4) var<storage, read> statistics: array<f32>;
-// [N]: the gradient of this step so far, whether it saw the splat, and the largest radius.
+// [N]: the gradient of this step so far, whether the splat was visible, and its largest radius.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> new_statistics: array<f32>;
-// [N]: the splat that a row is, or NOWHERE.
+// [N]: the splat of a row, or NOWHERE.
 @group(0) @binding(7) var<storage, read> splat_of_row: array<u32>;
 
 // Three standard deviations along the longer axis, from (A, k, m).

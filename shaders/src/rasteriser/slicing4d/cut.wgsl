@@ -1,11 +1,11 @@
-// One 4D Gaussian cut at an instant: the same definitions as the reference for the CPU. A matrix is the list of its rows, so
-// that the product of a and b is written b * a, and that of a row v and b is written b * v.
+// Slices one 4D Gaussian at an instant: the same definitions as the CPU reference. A matrix is stored as the list of
+// its rows, so the product of a and b is written b * a, and that of a row v and b is written b * v.
 
-// The least standard deviation in time, in units of time.
+// The smallest standard deviation in time, in units of time.
 const MIN_DEVIATION_TIME: f32 = 1e-4;
-// The square of a length that has no direction any more.
+// A row with a smaller squared length has no direction.
 const MIN_SQUARED_LENGTH: f32 = 1e-30;
-// Keeps the logarithm of 1 − opacity finite.
+// Lower bound that keeps the logarithm of 1 − opacity finite.
 const MIN_TRANSPARENCY: f32 = 1e-30;
 
 struct Gaussian {
@@ -26,32 +26,33 @@ struct Axes {
     lengths: mat4x4<f32>,
 }
 
-// The last row of L: its length is the standard deviation in time, its direction what the slice is orthogonal to.
+// The last row of L: its length is the standard deviation in time, its direction is orthogonal to the slice.
 struct TimeRow {
     direction: vec4<f32>,
-    // Zero where there is no direction.
+    // Zero if there is no direction.
     inverse_length: f32,
     deviation: f32,
     is_clamped: bool,
 }
 
 struct Cut {
-    // The unit normal û of the reflection H = I − 2ûûᵀ, and the inverse of its length before normalisation.
+    // The unit normal û of the Householder reflection H = I − 2ûûᵀ, and the inverse of its length before normalisation.
     normal: vec4<f32>,
     inverse_normal_length: f32,
     velocity: vec3<f32>,
-    // Without the last column.
+    // The reflected rows without their last column.
     factor: Rows,
 }
 
-// The logit of an opacity times a share, and its derivatives by the opacity's logit and by the logarithm of the share.
+// The logit of an opacity times a share, and its derivatives with respect to the opacity's logit and the logarithm of
+// the share.
 struct Faded {
     logit: f32,
     by_logit: f32,
     by_log_share: f32,
 }
 
-// p ↦ q ⊗ p.
+// The matrix of p ↦ q ⊗ p.
 fn left_matrix(q: vec4<f32>) -> mat4x4<f32> {
     return mat4x4<f32>(
         vec4<f32>(q.x, -q.w, q.z, q.y),
@@ -61,7 +62,7 @@ fn left_matrix(q: vec4<f32>) -> mat4x4<f32> {
     );
 }
 
-// p ↦ p ⊗ q̄.
+// The matrix of p ↦ p ⊗ q̄.
 fn right_matrix(q: vec4<f32>) -> mat4x4<f32> {
     return mat4x4<f32>(
         vec4<f32>(q.x, -q.w, q.z, -q.y),
@@ -90,7 +91,7 @@ fn time_row_of(row: vec4<f32>) -> TimeRow {
     return TimeRow(row * inverse_length, inverse_length, max(length, MIN_DEVIATION_TIME), length < MIN_DEVIATION_TIME);
 }
 
-// The logarithm of the share of the opacity at the instant.
+// The logarithm of the share of the opacity that remains at the instant.
 fn log_share(offset_time: f32, deviation: f32) -> f32 {
     let offset = offset_time / deviation;
     return -0.5 * offset * offset;
@@ -102,7 +103,7 @@ fn reflected(v: vec4<f32>, normal: vec4<f32>) -> vec4<f32> {
 }
 
 fn cut_of(axes: Axes, time_row: TimeRow) -> Cut {
-    // The time row goes to ∓ the last axis, whichever is farther: the normal is never short.
+    // The reflection maps the time row to the farther of ± the last axis, so that the normal is never short.
     var normal = time_row.direction;
     normal.w += select(-1.0, 1.0, normal.w >= 0.0);
     let inverse_normal_length = 1.0 / sqrt(dot(normal, normal));
@@ -120,7 +121,7 @@ fn cut_of(axes: Axes, time_row: TimeRow) -> Cut {
     return Cut(normal, inverse_normal_length, along / time_row.deviation, factor);
 }
 
-// σ(x)·w = σ(ln w − ln(e⁻ˣ + 1 − w)); for negative x with eˣ taken out of the logarithm, so that nothing overflows.
+// σ(x)·w = σ(ln w − ln(e⁻ˣ + 1 − w)). For negative x, e⁻ˣ is factored out of the logarithm to avoid overflow.
 fn faded(logit: f32, log_share: f32) -> Faded {
     let share = exp(log_share);
     let rest = 1.0 - share;

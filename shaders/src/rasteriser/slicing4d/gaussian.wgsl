@@ -1,10 +1,10 @@
-// The parameters of the Gaussians as they are stored.
+// The stored parameters of the 4D Gaussians.
 
 struct Slicing {
     time: f32,
-    // Logarithm of the share below which a Gaussian is not there.
+    // A Gaussian is hidden if the logarithm of its share is at or below this.
     least_log_share: f32,
-    // The opacity's logit of a Gaussian that is not there.
+    // The opacity logit of a hidden Gaussian.
     hidden_logit: f32,
     count: u32,
 }
@@ -23,7 +23,7 @@ fn gaussian_of(row: u32) -> Gaussian {
     return Gaussian(scales, rotations_left[row], rotations_right[row], slicing.time - times[row], opacity_logits[row]);
 }
 
-// Written so that a NaN is there, and found.
+// Written so that NaN counts as present and is detected later.
 fn is_present(gaussian: Gaussian, time_row: TimeRow) -> bool {
     return !(log_share(gaussian.offset_time, time_row.deviation) <= slicing.least_log_share);
 }

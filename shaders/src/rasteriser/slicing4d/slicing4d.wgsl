@@ -1,4 +1,5 @@
-// Every Gaussian at the instant; zeros and a hidden opacity where it is not there.
+// Slices every 4D Gaussian at the instant. An absent Gaussian gets zeros and a hidden opacity. One invocation per
+// Gaussian.
 
 @group(0) @binding(7) var<storage, read_write> displacements: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocities: array<f32>;

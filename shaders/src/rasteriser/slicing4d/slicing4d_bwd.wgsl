@@ -1,5 +1,6 @@
-// The gradients of every Gaussian's parameters, zero where it is not there. ARRIVING tells by bits which of the gradients
-// of displacements, velocities, factors and opacities there are; what stands in for another is not read.
+// The gradients of every 4D Gaussian's parameters; zero for an absent Gaussian. One invocation per Gaussian. ARRIVING
+// is a bit mask of the upstream gradients that exist: displacements, velocities, factors, opacities. The placeholder
+// for a missing one is never read.
 
 @group(0) @binding(7) var<storage, read> g_displacements: array<f32>;
 @group(0) @binding(8) var<storage, read> g_velocities: array<f32>;
@@ -41,7 +42,7 @@ fn upstream_of(row: u32) -> Upstream {
     return upstream;
 }
 
-// The gradient of q from that of `left_matrix`.
+// The gradient of q, from that of `left_matrix(q)`.
 fn left_backward(g: mat4x4<f32>) -> vec4<f32> {
     return vec4<f32>(
         g[0].x + g[1].y + g[2].z + g[3].w,
@@ -51,7 +52,7 @@ fn left_backward(g: mat4x4<f32>) -> vec4<f32> {
     );
 }
 
-// The gradient of q from that of `right_matrix`.
+// The gradient of q, from that of `right_matrix(q)`.
 fn right_backward(g: mat4x4<f32>) -> vec4<f32> {
     return vec4<f32>(
         g[0].x + g[1].y + g[2].z + g[3].w,
@@ -61,12 +62,12 @@ fn right_backward(g: mat4x4<f32>) -> vec4<f32> {
     );
 }
 
-// The part of `g` tangential to the unit vector, divided by the length: the gradient of v from that of v/|v|.
+// The gradient of v, from that of v/|v|: the component of `g` tangential to the unit vector, divided by the length.
 fn direction_backward(unit: vec4<f32>, inverse_length: f32, g: vec4<f32>) -> vec4<f32> {
     return (g - dot(g, unit) * unit) * inverse_length;
 }
 
-// The gradient of L.
+// Returns the gradient of L.
 fn cut_backward(
     axes: Axes,
     time_row: TimeRow,

@@ -1,13 +1,12 @@
-// Some columns of rows to some columns of other rows; 0 for a column that is not there.
+// Copies columns of rows to columns of other rows; 0 for a missing source column. One invocation per element.
 
 struct Columns {
-    // Of what is written; a row of what is read begins every `from_stride` elements, one of what is written every
-    // `to_stride`.
+    // Rows and columns of the destination. The strides between rows are `from_stride` and `to_stride` elements.
     rows: u32,
     width: u32,
     from_stride: u32,
     from_columns: u32,
-    // The column that goes to the first one written; before the first column by as much as it is below 2³².
+    // The source column of the first destination column. Values just below 2³² stand for negative columns.
     from_first: u32,
     to_stride: u32,
     to_first: u32,

@@ -1,4 +1,4 @@
-// The row of every item; where MEAN is 1, over the number of items of that row.
+// Gathers the row of every item; if MEAN is 1, divided by the number of items of that row. One invocation per element.
 
 struct Items {
     columns: u32,

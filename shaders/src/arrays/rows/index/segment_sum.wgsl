@@ -1,5 +1,5 @@
-// The sum of every segment of a list of rows: the rows themselves, or where INDIRECT is 1 those that `items` names. Where
-// MEAN is 1, over the number of items of the segment's row.
+// The sum of every segment of a list of rows: of the rows themselves, or of those that `items` indexes if INDIRECT is
+// 1. If MEAN is 1, the sum is divided by the number of items of the segment. One invocation per segment and column.
 
 struct Segments {
     columns: u32,

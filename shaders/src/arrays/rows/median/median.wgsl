@@ -1,4 +1,4 @@
-// The middle one of the sorted keys that stand for an element.
+// The median of the sorted keys that belong to an element. One invocation.
 
 struct Median {
     len: u32,
@@ -11,7 +11,7 @@ struct Median {
 @compute @workgroup_size(1)
 fn main() {
     let low = somewhere_count(sizes.len);
-    // The bits of 0 where there is none.
+    // The bits of 0 if there is none.
     var found = 0u;
     if (low > 0u) {
         found = sorted_keys[low / 2u];

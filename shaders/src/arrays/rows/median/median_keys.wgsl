@@ -1,4 +1,5 @@
-// Elements as whole numbers of the same order, which the bits of what is not negative are; those without a flag come last.
+// Sort keys of non-negative elements: their bits, which sort as their values do. Elements without a flag sort last. One
+// invocation per element.
 
 struct Median {
     len: u32,
@@ -17,7 +18,7 @@ fn main(
 ) {
     let at = flat_group(group, groups) * 256u + local;
     if (at < sizes.len) {
-        // Without the sign, which a zero or a NaN may have.
+        // Clears the sign, which a zero or a NaN may have.
         keys[at] = select(NOWHERE, x[at] & 0x7fffffffu, flags[at] > 0.0);
     }
 }

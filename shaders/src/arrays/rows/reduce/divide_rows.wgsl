@@ -1,4 +1,4 @@
-// Every row over max(divisor, floor).
+// Every row divided by max(divisor, floor).
 
 fn value(row: u32, column: u32) -> f32 {
     let floor = map.values[0].x;

@@ -1,9 +1,11 @@
+// The gradients of rows divided by max(divisor, floor).
+
 fn gradient_0(row: u32, column: u32) -> f32 {
     let floor = map.values[0].x;
     return dy[row * COLUMNS_0 + column] / select(x1[row], floor, x1[row] <= floor);
 }
 
-// Nothing passes from the floor down.
+// No gradient passes at or below the floor.
 fn gradient_1(row: u32, column: u32) -> f32 {
     if (x1[row] <= map.values[0].x) {
         return 0.0;

@@ -1,4 +1,4 @@
-// The lengths of rows, each shared by LANES invocations.
+// The norms of rows, with LANES invocations per row.
 
 struct Lengths {
     rows: u32,
@@ -9,7 +9,7 @@ struct Lengths {
 @group(0) @binding(0) var<uniform> sizes: Lengths;
 @group(0) @binding(1) var<storage, read> x: array<f32>;
 
-// ‖x‖ of the invocation's row; all invocations of the workgroup call it together.
+// Returns ‖x‖ of the invocation's row. Every invocation of the workgroup must call it, in uniform control flow.
 fn norm_of(row: u32, local: u32) -> f32 {
     var own = 0.0;
     if (row < sizes.rows) {

@@ -1,4 +1,4 @@
-// ‖x‖ of every row.
+// The norm ‖x‖ of every row.
 
 fn value(row: u32, column: u32) -> f32 {
     var squares = 0.0;

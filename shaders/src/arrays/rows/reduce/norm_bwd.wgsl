@@ -1,3 +1,5 @@
+// The gradient of the norm of every row; 0 for a row of zeros.
+
 fn gradient_0(row: u32, column: u32) -> f32 {
     if (y[row] == 0.0) {
         return 0.0;

@@ -1,4 +1,4 @@
-// x / max(‖x‖, ε) of every row.
+// x / max(‖x‖, ε) of every row. LANES invocations per row.
 
 @group(0) @binding(2) var<storage, read_write> y: array<f32>;
 

@@ -1,4 +1,5 @@
-// The gradient: from ε on only what is tangential to the sphere passes.
+// The gradient of x / max(‖x‖, ε): for norms of at least ε, only the tangential component passes. LANES invocations per
+// row.
 
 @group(0) @binding(2) var<storage, read> y: array<f32>;
 @group(0) @binding(3) var<storage, read> dy: array<f32>;

@@ -1,4 +1,4 @@
-// Σₖ aₖbₖ of every row.
+// The dot product Σₖ aₖbₖ of every row.
 
 fn value(row: u32, column: u32) -> f32 {
     var sum = 0.0;

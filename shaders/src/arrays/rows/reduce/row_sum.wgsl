@@ -1,4 +1,4 @@
-// Σₖ xₖ of every row.
+// The sum Σₖ xₖ of every row.
 
 fn value(row: u32, column: u32) -> f32 {
     var sum = 0.0;

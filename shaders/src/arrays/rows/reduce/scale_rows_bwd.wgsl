@@ -1,3 +1,5 @@
+// The gradients of rows and of their factors.
+
 fn gradient_0(row: u32, column: u32) -> f32 {
     return x1[row] * dy[row * COLUMNS_0 + column];
 }

@@ -1,3 +1,5 @@
+// Sizes of a weighted mean of squared distances between rows.
+
 struct Weighted {
     rows: u32,
     columns: u32,
@@ -5,7 +7,7 @@ struct Weighted {
 
 @group(0) @binding(0) var<uniform> sizes: Weighted;
 
-// 1 / (K·Σ w), or 0 where nothing weighs anything.
+// 1 / (K·Σ w), or 0 if all weights are 0.
 fn factor_of(weight_sum: f32) -> f32 {
     if (weight_sum == 0.0) {
         return 0.0;

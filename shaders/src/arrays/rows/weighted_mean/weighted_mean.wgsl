@@ -1,4 +1,4 @@
-// The mean from both sums.
+// The weighted mean, from both sums. One invocation.
 
 @group(0) @binding(1) var<storage, read> sums: array<f32>;
 @group(0) @binding(2) var<storage, read_write> mean: array<f32>;

@@ -1,4 +1,5 @@
-// One invocation per element of a; the first of a row has the weight of that row, too.
+// The gradients of the weighted mean. One invocation per element of `a`; the first of a row also computes that of the
+// weight.
 
 @group(0) @binding(1) var<storage, read> a: array<f32>;
 @group(0) @binding(2) var<storage, read> b: array<f32>;

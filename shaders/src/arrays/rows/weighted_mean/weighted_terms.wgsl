@@ -1,4 +1,4 @@
-// Σ w and Σ w‖a − b‖² over the rows of every workgroup.
+// Σ w and Σ w‖a − b‖² over the 256 rows of every workgroup. One invocation per row.
 
 @group(0) @binding(1) var<storage, read> a: array<f32>;
 @group(0) @binding(2) var<storage, read> b: array<f32>;

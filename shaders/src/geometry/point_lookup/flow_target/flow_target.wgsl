@@ -1,18 +1,18 @@
-// Where the flow of a view leads points that the view sees: an invocation per point. KNOWS_ARRIVAL is 1 where there is a map
-// of the depth where the flow arrives.
+// Lifts optical flow to 3D targets for the points that a view sees. One invocation per point. KNOWS_ARRIVAL is 1 if
+// there is a depth map of the view where the flow arrives.
 
 struct Flow {
-    // Rows of camera_from_world, with the translation last: of what sees the maps, and of what sees the arrival.
+    // Rows of camera_from_world, with the translation last: of the source view, and of the arrival view.
     rows: array<vec4<f32>, 3>,
     rows_to: array<vec4<f32>, 3>,
     focal: vec2<f32>,
     center: vec2<f32>,
     focal_to: vec2<f32>,
     center_to: vec2<f32>,
-    // Widths and heights of the maps.
+    // Widths and heights of the source maps and of the arrival map.
     size: vec2<u32>,
     size_to: vec2<u32>,
-    // Points.
+    // Number of points.
     count: u32,
     depth_tolerance: f32,
     padding: vec2<u32>,
@@ -33,7 +33,7 @@ struct Target {
     seen: f32,
 }
 
-// The pixel of a map that holds a position.
+// The texel of a map that contains a position, or NOWHERE.
 fn texel_of(pixel: vec2<f32>, size: vec2<u32>) -> u32 {
     let is_number = is_finite(pixel.x) && is_finite(pixel.y);
     if (!is_number || any(pixel < vec2<f32>(0.0)) || any(pixel >= vec2<f32>(size))) {
@@ -46,7 +46,7 @@ fn is_known(surface: f32) -> bool {
     return is_finite(surface) && surface > 0.0;
 }
 
-// Rᵀ·d of what sees the arrival.
+// Rᵀ·d for the arrival view.
 fn rotated_to_world(d: vec3<f32>) -> vec3<f32> {
     return d.x * view.rows_to[0].xyz + d.y * view.rows_to[1].xyz + d.z * view.rows_to[2].xyz;
 }
@@ -75,7 +75,7 @@ fn target_of(point: vec3<f32>) -> Target {
     found.free = normalize(rotated_to_world(ray));
     if (KNOWS_ARRIVAL == 1u) {
         let texel_to = texel_of(arrival, view.size_to);
-        // What is not there is not looked at.
+        // The clamp keeps the index in range; a missing texel's value is not used.
         let surface_to = depth_to[min(texel_to, arrayLength(&depth_to) - 1u)];
         if (texel_to != NOWHERE && is_known(surface_to)) {
             arrival_depth = surface_to;

@@ -1,4 +1,5 @@
-// Where in `chosen`, from `first` on, a query of a head keeps a key: the kept keys are in ascending order.
+// Binary search for `key` among the kept keys of one query and head, which start at `chosen[first]` in ascending order.
+// Returns NOWHERE if the query does not keep the key.
 fn place_of(first: u32, key: u32) -> u32 {
     var low = first;
     var high = first + sizes.kept;

@@ -1,4 +1,4 @@
-// Sizes of attention to the best keys, and where the columns of a head lie.
+// Sizes of top-k attention, and the indices of a head's columns and kept keys.
 
 struct TopK {
     queries: u32,
@@ -6,7 +6,7 @@ struct TopK {
     heads: u32,
     // Columns per head.
     depth: u32,
-    // Keys that exist, and that every query keeps.
+    // Keys that may be attended to, and keys that every query keeps.
     valid: u32,
     kept: u32,
     // 1 / √d.
@@ -19,7 +19,7 @@ fn columns_of(row: u32, head: u32) -> u32 {
     return (row * sizes.heads + head) * sizes.depth;
 }
 
-// Where the kept keys of a query and head begin.
+// Index of the first kept key of a query and head.
 fn kept_of(query: u32, head: u32) -> u32 {
     return (query * sizes.heads + head) * sizes.kept;
 }

@@ -1,5 +1,6 @@
-// The gradients of the scores that were kept, scaled, and of the queries: a workgroup per query and head. ARRIVING tells by
-// bits which of the gradients of what is seen and of the mean probabilities there are; what stands in for another is not read.
+// Gradients of the kept scores, times the scale, and of the queries. One workgroup per query and head. ARRIVING is a
+// bit mask of the upstream gradients that exist: the attention output, then the mean probabilities. The placeholder for
+// a missing one is never read.
 
 @group(0) @binding(1) var<storage, read> key: array<f32>;
 @group(0) @binding(2) var<storage, read> value: array<f32>;
@@ -13,7 +14,7 @@
 
 const GROUP: u32 = 256u;
 
-// The gradient of one probability.
+// The gradient of one attention probability.
 fn arriving_at(query: u32, head: u32, seen: u32) -> f32 {
     var gradient = 0.0;
     if ((ARRIVING & 1u) != 0u) {

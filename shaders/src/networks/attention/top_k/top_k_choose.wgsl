@@ -1,6 +1,7 @@
-// The best keys of one query and head, how much it looks at each, and what it sees: a workgroup per query and head.
+// Selects the keys with the highest scores, and computes the attention probabilities and the output. One workgroup per
+// query and head.
 //
-// The threshold is found digit by digit from counts; of the keys that equal it the first ones are kept.
+// The score threshold is found by radix selection. Of the keys whose score equals it, the first ones are kept.
 
 @group(0) @binding(1) var<storage, read> query: array<f32>;
 @group(0) @binding(2) var<storage, read> key: array<f32>;
@@ -21,13 +22,13 @@ var<workgroup> counts: array<atomic<u32>, DIGITS>;
 var<workgroup> before: array<u32, GROUP>;
 var<workgroup> maxima: array<f32, GROUP>;
 
-// Whole numbers in the order of the numbers, −0 before +0.
+// Maps a float to an integer with the same order, −0 before +0.
 fn ordered(score: f32) -> u32 {
     let bits = bitcast<u32>(score);
     return select(bits | 0x80000000u, ~bits, (bits & 0x80000000u) != 0u);
 }
 
-// The smallest number that is kept, and how many of those that equal it.
+// The smallest score that is kept, and how many of the keys with this score are kept.
 fn threshold(local: u32, first: u32) -> vec2<u32> {
     var prefix = 0u;
     var remaining = sizes.kept;
@@ -55,7 +56,7 @@ fn threshold(local: u32, first: u32) -> vec2<u32> {
     return vec2<u32>(prefix, remaining);
 }
 
-// The sum of `count` over the invocations up to this one.
+// Inclusive prefix sum of `count` over the invocations of the workgroup.
 fn inclusive_sum(local: u32, count: u32) -> u32 {
     workgroupBarrier();
     before[local] = count;
@@ -72,10 +73,10 @@ fn inclusive_sum(local: u32, count: u32) -> u32 {
     return before[local];
 }
 
-// Writes the kept keys in ascending order, and their scores.
+// Writes the kept keys in ascending order and their scaled scores.
 fn choose(local: u32, first: u32, kept_at: u32) {
     let limit = threshold(local, first);
-    // Keys so far that are above the threshold, and that equal it.
+    // Number of keys so far above the threshold and equal to it.
     var above = 0u;
     var equal = 0u;
     for (var start = 0u; start < sizes.valid; start += GROUP) {
@@ -87,7 +88,7 @@ fn choose(local: u32, first: u32, kept_at: u32) {
             is_above = u32(bits > limit.x);
             is_equal = u32(bits == limit.x);
         }
-        // Both counts in one number, as neither exceeds the workgroup.
+        // Both counts fit one integer, because neither exceeds the workgroup size.
         let sum = inclusive_sum(local, is_above + (is_equal << 16u));
         let above_before = above + (sum & 0xffffu) - is_above;
         let equal_before = equal + (sum >> 16u) - is_equal;
@@ -103,7 +104,7 @@ fn choose(local: u32, first: u32, kept_at: u32) {
 }
 
 fn largest_kept(local: u32, kept_at: u32) -> f32 {
-    // The first one stands in where an invocation has none.
+    // Invocations without a kept key use the first one.
     var largest = probabilities[kept_at];
     for (var at = local; at < sizes.kept; at += GROUP) {
         largest = max(largest, probabilities[kept_at + at]);

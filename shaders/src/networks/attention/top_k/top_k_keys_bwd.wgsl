@@ -1,7 +1,8 @@
-// The gradients of keys and values: a workgroup adds up 64 columns of a key of a head, first those of the key, then those of
-// the value, over the queries in order. ARRIVING tells whether there is a gradient of what is seen.
+// Gradients of keys and values. A workgroup sums 64 columns of one key and head over the queries in order: the columns
+// of the key, then those of the value. Bit 0 of ARRIVING is set if the attention output has a gradient.
 //
-// In rounds of 64 queries each invocation first finds how one query looks at the key; then it is a column.
+// In each round of 64 queries, an invocation first looks up one query's score gradient and probability for the key,
+// then acts as one column.
 
 @group(0) @binding(1) var<storage, read> query: array<f32>;
 @group(0) @binding(2) var<storage, read> chosen: array<u32>;
@@ -13,7 +14,7 @@
 
 const GROUP: u32 = 64u;
 
-// Gradient of the score and probability of a query of the round.
+// Score gradient and probability of every query of the round.
 var<workgroup> looks: array<vec2<f32>, GROUP>;
 
 @compute @workgroup_size(64)
@@ -42,7 +43,7 @@ fn main(
         let end = min(GROUP, sizes.queries - first);
         for (var at = 0u; at < end; at++) {
             let look = looks[at];
-            // Most queries keep few keys.
+            // Most queries do not keep this key.
             if (look.y == 0.0 || column >= 2u * sizes.depth) {
                 continue;
             }

@@ -1,4 +1,4 @@
-// How much every query looks at every key, averaged over the heads: an invocation per query and key.
+// Attention probability of every query and key, averaged over the heads. One invocation per query and key.
 
 @group(0) @binding(1) var<storage, read> chosen: array<u32>;
 @group(0) @binding(2) var<storage, read> probabilities: array<f32>;

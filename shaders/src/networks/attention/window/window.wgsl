@@ -1,10 +1,10 @@
-// One query of one head and the window that it looks at: the same definitions as on the CPU.
+// Attention of one query of one head to its window of WINDOW tokens: the same definitions as on the CPU.
 
 struct Window {
     rows: u32,
-    // Tokens per row that look.
+    // Query tokens per row.
     queries: u32,
-    // Of all heads together.
+    // Of all heads.
     channels: u32,
     heads: u32,
     // 1 / √d.
@@ -16,17 +16,17 @@ struct Window {
 @group(0) @binding(2) var<storage, read> keys: array<f32>;
 @group(0) @binding(3) var<storage, read> values: array<f32>;
 
-// Where the channels of a head of a token of the window begin.
+// Index of the first channel of a head of a window token.
 fn seen_at(row: u32, at: u32, head: u32) -> u32 {
     return (row * WINDOW + at) * sizes.channels + head * (sizes.channels / sizes.heads);
 }
 
-// The same for a token that looks.
+// Index of the first channel of a head of a query token.
 fn looking_at(row: u32, token: u32, head: u32) -> u32 {
     return (row * sizes.queries + token) * sizes.channels + head * (sizes.channels / sizes.heads);
 }
 
-// Holds how much a query looks at every token of the window.
+// Computes and holds the attention weight of a query to every token of the window.
 fn look(row: u32, token: u32, head: u32) {
     let query = looking_at(row, token, head);
     var largest = 0.0;

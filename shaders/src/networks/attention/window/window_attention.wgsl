@@ -1,4 +1,4 @@
-// What every query sees: an invocation per query and head.
+// Window attention: the weighted mean of the values. One invocation per query and head.
 
 @group(0) @binding(4) var<storage, read_write> y: array<f32>;
 

@@ -1,11 +1,11 @@
-// The gradients of queries, keys and values: an invocation per row and head, which goes through the row's queries in order.
+// Gradients of queries, keys and values. One invocation per row and head, which visits the row's queries in order.
 
 @group(0) @binding(4) var<storage, read> dy: array<f32>;
 @group(0) @binding(5) var<storage, read_write> g_queries: array<f32>;
 @group(0) @binding(6) var<storage, read_write> g_keys: array<f32>;
 @group(0) @binding(7) var<storage, read_write> g_values: array<f32>;
 
-// Holds the gradients of the scores before they are scaled, times the scale.
+// Computes and holds the gradients of the unscaled scores.
 fn differentiate(row: u32, token: u32, head: u32) {
     let out = looking_at(row, token, head);
     var mean = 0.0;

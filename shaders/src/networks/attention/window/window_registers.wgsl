@@ -1,9 +1,9 @@
-// What an invocation holds of a window: a number or two per token, in its own memory.
+// Per-invocation storage of a window's attention weights and gradients, in private memory.
 
 var<private> weights: array<f32, WINDOW>;
 var<private> gradients: array<f32, WINDOW>;
 
-// Says which of how many invocations this is.
+// Selects the storage of invocation `index` of `invocations`; private memory needs no selection.
 fn hold_for(index: u32, invocations: u32) {}
 
 fn weight_at(at: u32) -> f32 {

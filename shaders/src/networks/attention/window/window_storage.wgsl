@@ -1,10 +1,11 @@
-// What an invocation holds of a window that is too long for its own memory: in an array `held`,
-// [WINDOW, invocations] of weights and then of gradients, so that neighbours write neighbours.
+// Per-invocation storage of a window's attention weights and gradients, for windows that are too long for private
+// memory. The array `held` has [WINDOW, invocations] weights, then as many gradients, so that neighbouring invocations
+// access neighbouring elements.
 
 var<private> own: u32;
 var<private> stride: u32;
 
-// Says which of how many invocations this is.
+// Selects the storage of invocation `index` of `invocations`.
 fn hold_for(index: u32, invocations: u32) {
     own = index;
     stride = invocations;

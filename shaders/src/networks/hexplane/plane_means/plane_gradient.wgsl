@@ -1,16 +1,16 @@
-// The gradient of every element of every plane, by all means that it enters.
+// The gradient of every element of every plane, through all means that it contributes to. One invocation per element.
 
 struct Item {
     rows: u32,
     row_len: u32,
-    // 1 over the number of second differences and of distances to one; 0 where a mean does not ask for them.
+    // 1 over the number of second differences, and of distances to one; 0 if the mean is not needed.
     difference_factor: f32,
     distance_factor: f32,
-    // Whether the gradient adds to what is there.
+    // Whether the gradient is added to the current values.
     adds: u32,
 }
 
-// An element is the first, the middle and the last of three second differences, where those are there.
+// An element is the first, the middle and the last term of up to three second differences.
 fn difference_derivative(item: u32, at: u32, rows: u32, row_len: u32) -> f32 {
     let row = at / row_len;
     var sum = 0.0;

@@ -1,13 +1,13 @@
-// The part of a mean over a plane that every workgroup has, of 4096 terms.
+// Partial sums of a mean over a plane. One workgroup per 4096 terms.
 
 struct Item {
     row_len: u32,
-    // Terms of the mean, and 1 over their number (0 where there are none).
+    // Terms of the mean, and 1 over their number (0 if there are none).
     terms: u32,
     factor: f32,
-    // Where this plane's sums begin.
+    // Index of this plane's first sum.
     first_sum: u32,
-    // 0: squared second differences, 1: distances to one.
+    // 0: squared second differences. 1: distances to one.
     mean: u32,
 }
 

@@ -1,4 +1,4 @@
-// The sums of runs of a list: one workgroup each.
+// The sums of ranges of a list. One workgroup per range.
 
 struct Item {
     first: u32,
