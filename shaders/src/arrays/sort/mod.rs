@@ -9,10 +9,10 @@ use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, Length, uniforms};
 /// The end of a kernel of [`sums_of`], whose text in front defines `fn number(index: u32) -> u32`.
 pub const SCAN_TEXT: &str = include_str!("scan.wgsl");
 /// What a kernel that declares the array `sorted_keys` calls: `somewhere_count(len)`.
-pub const SOMEWHERE: &str = include_str!("somewhere.wgsl");
+pub const SOMEWHERE: &str = include_str!("present_count.wgsl");
 const SCAN: Kernel = Kernel { name: "scan", text: &[include_str!("scan_input.wgsl"), SCAN_TEXT] };
 const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: &[include_str!("scan_add.wgsl")] };
-const SORT: &str = include_str!("sort.wgsl");
+const SORT: &str = include_str!("sort_digits.wgsl");
 const COUNT: Kernel = Kernel { name: "sort, counts", text: &[SORT, include_str!("sort_count.wgsl")] };
 const ROWS: Kernel = Kernel { name: "sort, rows", text: &[SORT, include_str!("sort_rows.wgsl")] };
 const SCATTER: Kernel = Kernel { name: "sort, scatter", text: &[SORT, include_str!("sort_scatter.wgsl")] };

@@ -6,7 +6,7 @@ mod tests;
 
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 
-const ROWS: Kernel = Kernel { name: "sums of rows", text: &[include_str!("rows.wgsl")] };
+const ROWS: Kernel = Kernel { name: "sums of rows", text: &[include_str!("sums_of_rows.wgsl")] };
 /// The end of a kernel of [`total_of`], behind [`ROW_SUM`] and text that defines `fn term(at: u32) -> f32`.
 pub const TOTAL_TEXT: &str = include_str!("total.wgsl");
 const TOTAL: Kernel = Kernel { name: "total", text: &[ROW_SUM, include_str!("total_input.wgsl"), TOTAL_TEXT] };

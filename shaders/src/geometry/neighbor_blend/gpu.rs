@@ -19,7 +19,7 @@ const BLEND_WEIGHTS: Kernel =
 const BLEND_VALUES: Kernel =
     Kernel { name: "neighbor blend backward", text: &[COLUMN_SUM, include_str!("neighbor_blend_bwd.wgsl")] };
 
-const PAIR: &str = include_str!("pair.wgsl");
+const PAIR: &str = include_str!("node_weight.wgsl");
 const WEIGHTS: Kernel = Kernel { name: "neighbor weights", text: &[algebra::WGSL, PAIR, include_str!("weights.wgsl")] };
 const WEIGHTS_POINTS: Kernel =
     Kernel { name: "neighbor weights backward", text: &[algebra::WGSL, PAIR, include_str!("weights_bwd.wgsl")] };
@@ -28,7 +28,7 @@ const WEIGHTS_NODES: Kernel = Kernel {
     text: &[ROW_SUM, algebra::WGSL, PAIR, include_str!("weights_nodes_bwd.wgsl")],
 };
 
-const FRAME: &str = include_str!("frame.wgsl");
+const FRAME: &str = include_str!("node_frame.wgsl");
 const FRAMES: Kernel = Kernel { name: "blend frames", text: &[algebra::WGSL, FRAME, include_str!("frames.wgsl")] };
 const FRAMES_POINTS: Kernel =
     Kernel { name: "blend frames backward", text: &[algebra::WGSL, FRAME, include_str!("frames_bwd.wgsl")] };

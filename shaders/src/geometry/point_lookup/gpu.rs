@@ -19,7 +19,7 @@ const UNPROJECT: Kernel = Kernel { name: "unproject", text: &[CAMERA, include_st
 const UNPROJECT_BACKWARD: Kernel =
     Kernel { name: "unproject backward", text: &[CAMERA, include_str!("unproject_bwd.wgsl")] };
 
-const WINDOW: &str = include_str!("window.wgsl");
+const WINDOW: &str = include_str!("texel_window.wgsl");
 const LOOKUP: Kernel = Kernel { name: "lookup", text: &[WINDOW, include_str!("lookup.wgsl")] };
 const VALID: Kernel = Kernel { name: "lookup, validity", text: &[WINDOW, include_str!("lookup_valid.wgsl")] };
 const LOOKUP_BACKWARD: Kernel = Kernel { name: "lookup backward", text: &[WINDOW, include_str!("lookup_bwd.wgsl")] };

@@ -42,7 +42,7 @@ pub fn align<T: Real>(tape: &mut Tape<T>, q: Var, reference: Var) -> Var {
 }
 
 /// What the WGSL of all of these builds upon, besides [`algebra::WGSL`].
-const ROWS: &str = include_str!("rows.wgsl");
+const ROWS: &str = include_str!("quaternion_rows.wgsl");
 
 /// The WGSL of a map without constants.
 fn wgsl_of(value: &'static [&'static str], gradients: &'static [&'static str]) -> Option<RowWgsl> {

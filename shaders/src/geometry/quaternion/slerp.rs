@@ -49,7 +49,7 @@ impl RowMap<3> for Slerp {
     }
 
     fn wgsl(&self, _columns: [usize; 3]) -> Option<RowWgsl> {
-        const ARC: &str = include_str!("arc.wgsl");
+        const ARC: &str = include_str!("slerp_arc.wgsl");
         wgsl_of(
             &[algebra::WGSL, ROWS, ARC, include_str!("slerp.wgsl")],
             &[algebra::WGSL, ROWS, ARC, include_str!("slerp_bwd.wgsl")],

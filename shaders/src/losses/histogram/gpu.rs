@@ -8,7 +8,7 @@ use super::SoftHistogram;
 use crate::gpu::{Binding, COLUMN_SUM, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 use crate::tape::{Real, Tensor};
 
-const PLACE: &str = include_str!("place.wgsl");
+const PLACE: &str = include_str!("histogram_bins.wgsl");
 const BLOCKS: Kernel = Kernel { name: "soft histogram", text: &[COLUMN_SUM, PLACE, include_str!("histogram.wgsl")] };
 const TOTAL: Kernel = Kernel { name: "soft histogram, total", text: &[ROW_SUM, include_str!("histogram_total.wgsl")] };
 const BACKWARD: Kernel = Kernel { name: "soft histogram backward", text: &[PLACE, include_str!("histogram_bwd.wgsl")] };

@@ -5,7 +5,7 @@ use crate::arrays::sums::{LANES, total};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 use crate::tape::{Real, Tensor};
 
-const WINDOW: &str = include_str!("window.wgsl");
+const WINDOW: &str = include_str!("ssim_tile.wgsl");
 const FORWARD: Kernel = Kernel { name: "ssim", text: &[ROW_SUM, WINDOW, include_str!("ssim.wgsl")] };
 const BACKWARD: Kernel = Kernel { name: "ssim backward", text: &[WINDOW, include_str!("ssim_bwd.wgsl")] };
 

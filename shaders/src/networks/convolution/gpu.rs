@@ -12,7 +12,7 @@ use crate::networks::linear::product::{self, Product};
 use crate::tape::{Real, Tensor};
 
 const CONVOLUTION: Grouped = Grouped {
-    kernel: Kernel { name: "convolution", text: &[product::EACH[0], product::EACH[1], include_str!("operands.wgsl")] },
+    kernel: Kernel { name: "convolution", text: &[product::EACH[0], product::EACH[1], include_str!("convolution.wgsl")] },
     shared: 0,
     arrays: product::EACH_ARRAYS,
 };

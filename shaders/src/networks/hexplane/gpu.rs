@@ -12,7 +12,7 @@ use crate::gpu::{ALIGNMENT, Binding, Gpu, GpuArray, Kernel, parts};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
 const FIELD: &str = include_str!("field.wgsl");
-const POINTS: &str = include_str!("points.wgsl");
+const POINTS: &str = include_str!("plane_samples.wgsl");
 const FORWARD: Grouped = Grouped {
     kernel: Kernel { name: "hexplane", text: &[FIELD, POINTS, include_str!("hexplane.wgsl")] },
     shared: 2,

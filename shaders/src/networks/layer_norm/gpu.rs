@@ -8,7 +8,7 @@ use crate::gpu::column_sums::{COLUMN_SUMS, Terms};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const MOMENTS: &str = include_str!("moments.wgsl");
+const MOMENTS: &str = include_str!("row_moments.wgsl");
 const STANDARDIZE: Kernel = Kernel { name: "standardize", text: &[ROW_SUM, MOMENTS, include_str!("layer_norm.wgsl")] };
 const STANDARDIZE_BACKWARD: Kernel =
     Kernel { name: "standardize backward", text: &[ROW_SUM, MOMENTS, include_str!("layer_norm_bwd.wgsl")] };

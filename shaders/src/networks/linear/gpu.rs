@@ -6,7 +6,7 @@ use crate::gpu::grouped::Grouped;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
-const OPERANDS: &str = include_str!("operands.wgsl");
+const OPERANDS: &str = include_str!("strided_operands.wgsl");
 const LAYERS: Grouped =
     Grouped { kernel: Kernel { name: "linear", text: &[EACH[0], EACH[1], OPERANDS] }, shared: 0, arrays: EACH_ARRAYS };
 /// The gradient of an input that several layers share.

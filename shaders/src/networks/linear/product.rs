@@ -6,9 +6,9 @@ use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 
 /// The text of a kernel of products with an output each, but for where their operands lie: `a_at(item, row, term)` and
 /// `b_at(item, term, column)`, NOWHERE what counts as 0.
-pub const EACH: [&str; 2] = [include_str!("product.wgsl"), include_str!("product_each.wgsl")];
+pub const EACH: [&str; 2] = [include_str!("product.wgsl"), include_str!("separate_outputs.wgsl")];
 /// As [`EACH`], of products that add up to one output.
-pub const SUM: [&str; 2] = [include_str!("product.wgsl"), include_str!("product_sum.wgsl")];
+pub const SUM: [&str; 2] = [include_str!("product.wgsl"), include_str!("summed_output.wgsl")];
 /// The arrays of [`EACH`].
 pub const EACH_ARRAYS: &[ItemArray] =
     &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side"), ItemArray::write("y")];

@@ -8,7 +8,7 @@ use super::AveragePool;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const GRID: &str = include_str!("grid.wgsl");
+const GRID: &str = include_str!("pooling_grid.wgsl");
 const FORWARD: Kernel = Kernel { name: "average pool", text: &[ROW_SUM, GRID, include_str!("pooling.wgsl")] };
 const BACKWARD: Kernel = Kernel { name: "average pool backward", text: &[GRID, include_str!("pooling_bwd.wgsl")] };
 

@@ -8,7 +8,7 @@ use super::Waves;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const WAVES: &str = include_str!("waves.wgsl");
+const WAVES: &str = include_str!("wave_phase.wgsl");
 const FORWARD: Kernel = Kernel { name: "temporal harmonics", text: &[WAVES, include_str!("temporal_harmonics.wgsl")] };
 const BACKWARD: Kernel = Kernel {
     name: "temporal harmonics backward",

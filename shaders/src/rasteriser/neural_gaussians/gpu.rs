@@ -8,7 +8,7 @@ use super::{Chosen, Spawn};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
-const SPAWN: &str = include_str!("spawn.wgsl");
+const SPAWN: &str = include_str!("spawned_parameters.wgsl");
 const FORWARD: Kernel = Kernel { name: "neural gaussians", text: &[SPAWN, include_str!("neural_gaussians.wgsl")] };
 const BACKWARD: Kernel =
     Kernel { name: "neural gaussians backward", text: &[SPAWN, include_str!("neural_gaussians_bwd.wgsl")] };

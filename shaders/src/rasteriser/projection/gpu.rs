@@ -10,7 +10,7 @@ use crate::tape::{Real, Tensor, upstream};
 const GROUP: usize = 64;
 
 /// F = R_q·diag(eˢ), after the algebra.
-pub(super) const FACTOR: &str = include_str!("factor.wgsl");
+pub(super) const FACTOR: &str = include_str!("covariance_factor.wgsl");
 const GEOMETRY: &str = include_str!("geometry.wgsl");
 pub(super) const FORWARD: Kernel =
     Kernel { name: "projection", text: &[algebra::WGSL, FACTOR, GEOMETRY, include_str!("projection.wgsl")] };

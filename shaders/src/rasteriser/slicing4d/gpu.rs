@@ -10,8 +10,8 @@ use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::rasteriser::splats::HIDDEN_LOGIT;
 use crate::tape::{Real, Tensor, upstream};
 
-const CUT: &str = include_str!("cut.wgsl");
-const GAUSSIAN: &str = include_str!("gaussian.wgsl");
+const CUT: &str = include_str!("time_slice.wgsl");
+const GAUSSIAN: &str = include_str!("stored_gaussian.wgsl");
 const FORWARD: Kernel =
     Kernel { name: "slicing4d", text: &[algebra::WGSL, CUT, GAUSSIAN, include_str!("slicing4d.wgsl")] };
 const BACKWARD: Kernel =

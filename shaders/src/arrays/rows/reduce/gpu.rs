@@ -3,7 +3,7 @@
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const LENGTH: &str = include_str!("length.wgsl");
+const LENGTH: &str = include_str!("row_norm.wgsl");
 const FORWARD: Kernel = Kernel { name: "normalize", text: &[ROW_SUM, LENGTH, include_str!("normalize.wgsl")] };
 const BACKWARD: Kernel =
     Kernel { name: "normalize backward", text: &[ROW_SUM, LENGTH, include_str!("normalize_bwd.wgsl")] };

@@ -4,7 +4,7 @@ use crate::arrays::sums::{GROUP, LANES, over_rows};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 use crate::tape::{Real, Tensor};
 
-const SIZES: &str = include_str!("weighted.wgsl");
+const SIZES: &str = include_str!("weighted_mean_factor.wgsl");
 const TERMS: Kernel =
     Kernel { name: "weighted mean, terms", text: &[ROW_SUM, SIZES, include_str!("weighted_terms.wgsl")] };
 const MEAN: Kernel = Kernel { name: "weighted mean", text: &[SIZES, include_str!("weighted_mean.wgsl")] };

@@ -10,9 +10,9 @@ use crate::tape::{Real, Tensor};
 
 const REGISTERS: &str = include_str!("window_registers.wgsl");
 const STORAGE: &str = include_str!("window_storage.wgsl");
-const WINDOW: &str = include_str!("window.wgsl");
-const FORWARD_TEXT: &str = include_str!("window_attention.wgsl");
-const BACKWARD_TEXT: &str = include_str!("window_attention_bwd.wgsl");
+const WINDOW: &str = include_str!("window_weights.wgsl");
+const FORWARD_TEXT: &str = include_str!("window_attention_body.wgsl");
+const BACKWARD_TEXT: &str = include_str!("window_attention_bwd_body.wgsl");
 
 const FORWARD: Kernel = Kernel { name: "window attention", text: &[REGISTERS, WINDOW, FORWARD_TEXT] };
 const BACKWARD: Kernel = Kernel { name: "window attention backward", text: &[REGISTERS, WINDOW, BACKWARD_TEXT] };

@@ -6,7 +6,7 @@ use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
-const PLANE: &str = include_str!("plane.wgsl");
+const PLANE: &str = include_str!("second_difference.wgsl");
 
 const SUMS: Grouped = Grouped {
     kernel: Kernel { name: "plane means", text: &[ROW_SUM, PLANE, include_str!("plane_sums.wgsl")] },

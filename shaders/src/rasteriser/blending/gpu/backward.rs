@@ -7,7 +7,7 @@ use crate::rasteriser::binning::GpuLists;
 use crate::rasteriser::blending::ROW_COLORS;
 use crate::tape::{Real, Tensor, upstream};
 
-const SHARES: &str = include_str!("../blending_bwd.wgsl");
+const SHARES: &str = include_str!("../pixel_share.wgsl");
 pub(super) const SUBGROUP_SUM: &str = include_str!("../subgroup_sum.wgsl");
 /// Pixels are added up by shuffles in subgroups.
 pub(super) const IN_SUBGROUPS: Kernel = Kernel {
@@ -18,7 +18,7 @@ pub(super) const IN_SUBGROUPS: Kernel = Kernel {
         CELLS,
         STAGE,
         SHARES,
-        include_str!("../shuffle.wgsl"),
+        include_str!("../subgroup_exchange.wgsl"),
         SUBGROUP_SUM,
         include_str!("../blending_bwd_subgroups.wgsl"),
     ],

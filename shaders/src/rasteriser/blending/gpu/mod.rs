@@ -13,9 +13,9 @@ use crate::tape::{Real, Tensor};
 use plan::Plan;
 
 const ELLIPSE: &str = include_str!("../../binning/ellipse.wgsl");
-const SAMPLE: &str = include_str!("../sample.wgsl");
-const CELLS: &str = include_str!("../cells.wgsl");
-const STAGE: &str = include_str!("../stage.wgsl");
+const SAMPLE: &str = include_str!("../splat_at_pixel.wgsl");
+const CELLS: &str = include_str!("../tile_cells.wgsl");
+const STAGE: &str = include_str!("../staged_entries.wgsl");
 const PACK: Kernel = Kernel { name: "blending, records", text: &[include_str!("../blending_pack.wgsl")] };
 const FORWARD: Kernel =
     Kernel { name: "blending", text: &[ELLIPSE, SAMPLE, CELLS, STAGE, include_str!("../blending.wgsl")] };
