@@ -1,5 +1,15 @@
 // One Adam update of every element of every parameter group: m ← β1·m + (1 − β1)·g, v ← β2·v + (1 − β2)·g²,
 // p ← p − step·m / (√v·scale + ε). Also records the largest magnitudes of each group's gradient and of its new values.
+#import gpu::flat_group
+#import gpu::grouped::grouped
+#const ELEMENTS
+#extern fn gradients(item: u32, at: u32) -> f32
+#extern fn values(item: u32, at: u32) -> f32
+#extern fn first_moments(item: u32, at: u32) -> f32
+#extern fn second_moments(item: u32, at: u32) -> f32
+#extern fn set_new_values(item: u32, at: u32, value: f32)
+#extern fn set_new_first_moments(item: u32, at: u32, value: f32)
+#extern fn set_new_second_moments(item: u32, at: u32, value: f32)
 
 struct Item {
     beta1: f32,

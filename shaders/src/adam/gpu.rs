@@ -7,7 +7,7 @@ use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::Tensor;
 
 const ADAM: Grouped = Grouped {
-    kernel: Kernel { name: "adam", text: &[include_str!("adam.wgsl")] },
+    kernel: Kernel { name: "adam", text: include_str!("adam.wgsl") },
     shared: 1,
     arrays: &[
         ItemArray::read("gradients"),

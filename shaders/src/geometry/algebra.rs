@@ -2,9 +2,6 @@
 
 use crate::tape::Real;
 
-/// The same in the language of kernels.
-pub const WGSL: &str = include_str!("algebra.wgsl");
-
 /// Quaternions shorter than the root of this count as no rotation: their direction is rounding noise.
 const MIN_SQUARED_NORM: f64 = 1e-12;
 

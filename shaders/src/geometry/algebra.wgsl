@@ -93,4 +93,3 @@ fn rotation_backward(q: vec4<f32>, g: Rows) -> vec4<f32> {
         x * xz + y * yz + w * wz - 2.0 * z * (g.x.x + g.y.y),
     );
 }
-

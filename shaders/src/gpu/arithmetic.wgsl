@@ -1,5 +1,7 @@
 // Measures arithmetic throughput: four chains of fused multiply-adds, each STEPS long and with values that stay finite.
 // The chains depend only on themselves. One invocation per vector.
+#import gpu::elements
+#const STEPS
 
 struct Constants { count: u32 }
 
@@ -7,13 +9,7 @@ struct Constants { count: u32 }
 @group(0) @binding(1) var<storage, read> source: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> result: array<vec4<f32>>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let i = flat_group(group, groups) * 256u + local;
+fn run(i: u32) {
     if (i < constants.count) {
         let factor = source[i];
         var a = factor;

@@ -1,5 +1,6 @@
 // Tree reduction over the 256 / COLUMNS invocations of a workgroup that share a column, in a fixed order. COLUMNS is a
 // power of two, at most 256. Neighbouring invocations hold neighbouring columns.
+#const COLUMNS
 
 var<workgroup> column_parts: array<f32, 256>;
 

@@ -1,13 +1,9 @@
 //! Sums over the rows of what an operation computes from its arrays, column by column: first over blocks of rows, then over
 //! blocks, in an order that depends on the sizes alone.
 
-use super::launch::COLUMN_SUM;
 use super::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
 
-/// The end of a kernel of terms: the text in front of it declares the arrays from binding 2 on, and defines
-/// `fn terms(row: u32, column: u32) -> vec2<f32>`.
-pub const COLUMN_SUMS: [&str; 2] = [COLUMN_SUM, include_str!("column_sums.wgsl")];
-const TOTALS: Kernel = Kernel { name: "column totals", text: &[COLUMN_SUM, include_str!("column_totals.wgsl")] };
+const TOTALS: Kernel = Kernel { name: "column totals", text: include_str!("column_totals.wgsl") };
 
 /// The most blocks, and the fewest rows of each: few enough to be added by one workgroup, and many enough to fill a GPU.
 const MAX_BLOCKS: usize = 256;
@@ -33,7 +29,7 @@ uniforms! {
 
 /// The terms of an operation: two for every row and column.
 pub struct Terms<'a> {
-    /// Text that ends with [`COLUMN_SUMS`].
+    /// Imports `column_sums.wgsl`.
     pub kernel: &'a Kernel,
     /// Constants of its specialisation besides COLUMNS.
     pub specialisation: &'a [(&'static str, u32)],
@@ -86,15 +82,12 @@ mod tests {
     /// x and x².
     const SQUARES: Kernel = Kernel {
         name: "test of column sums",
-        text: &[
-            COLUMN_SUMS[0],
-            COLUMN_SUMS[1],
-            "@group(0) @binding(2) var<storage, read> x: array<f32>;
+        text: "#import gpu::column_sums
+             @group(0) @binding(2) var<storage, read> x: array<f32>;
              fn terms(row: u32, column: u32) -> vec2<f32> {
                  let value = x[row * sums.columns + column];
                  return vec2<f32>(value, value * value);
              }",
-        ],
     };
 
     #[test]

@@ -1,5 +1,9 @@
 // Sums two terms per row and column, `terms(row, column)`, over blocks of rows. A workgroup sums COLUMNS columns of one
 // block. The output is [blocks, 2, columns].
+#import gpu::column_sum
+#import gpu::flat_group
+#const COLUMNS
+#extern fn terms(row: u32, column: u32) -> vec2<f32>
 
 struct Sums {
     rows: u32,

@@ -1,4 +1,7 @@
 // Adds the block sums of `column_sums` [blocks, 2, columns] in a fixed order. A workgroup sums COLUMNS columns.
+#import gpu::column_sum
+#import gpu::flat_group
+#const COLUMNS
 
 struct Totals {
     blocks: u32,

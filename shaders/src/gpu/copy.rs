@@ -3,7 +3,7 @@
 use super::launch::{Kernel, WORKGROUP_SIZE, uniforms};
 use super::{Binding, GpuArray};
 
-const COPY: Kernel = Kernel { name: "copy", text: &[include_str!("copy.wgsl")] };
+const COPY: Kernel = Kernel { name: "copy", text: include_str!("copy.wgsl") };
 
 uniforms! {
     struct SizeBlock as "Size" {

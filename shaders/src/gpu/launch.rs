@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 use super::parts::Parts;
-use super::{Binding, Context, Gpu, Groups, count, lock};
+use super::{Binding, Context, Gpu, Groups, count, lock, wgsl};
 
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
 pub const STORAGE_ARRAYS: u32 = 16;
@@ -13,15 +13,6 @@ pub const WORKGROUP_SIZE: u32 = 256;
 /// Workgroups along the first dimension of a dispatch; a larger dispatch is folded (`flat_group` in WGSL). The least that
 /// WebGPU guarantees.
 const MAX_GROUPS: u32 = 65_535;
-
-/// `row_sum`, for kernels in which LANES invocations share a row ([`lanes_for`]).
-pub const ROW_SUM: &str = include_str!("row_sum.wgsl");
-
-/// `column_sum`, for kernels in which a workgroup adds up COLUMNS columns ([`columns_for`]).
-pub const COLUMN_SUM: &str = include_str!("column_sum.wgsl");
-
-/// Text in front of every kernel.
-pub const PRELUDE: &str = include_str!("prelude.wgsl");
 
 /// One run of a kernel. Its constants are at binding 0 of group 0 (there must be some), its arrays from binding 1 on.
 pub struct Launch<'a> {
@@ -44,12 +35,6 @@ pub struct Pipeline {
     pub nanoseconds: AtomicU64,
     pub compute: wgpu::ComputePipeline,
     pub layout: wgpu::BindGroupLayout,
-}
-
-/// The text of a kernel whose constants of specialisation are `constants`.
-pub fn specialised(text: &str, constants: &[(&str, u32)]) -> String {
-    let lines = constants.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n"));
-    lines.collect::<String>() + PRELUDE + text
 }
 
 /// Invocations that share a row of `len` terms: a power of two up to a workgroup, each with a few terms.
@@ -85,8 +70,8 @@ pub(crate) use uniforms;
 /// A kernel whose text lies in files.
 pub struct Kernel {
     pub name: &'static str,
-    /// Parts of the text, in order.
-    pub text: &'static [&'static str],
+    /// The WGSL of its entry file, which declares its imports and constants ([`wgsl`]).
+    pub text: &'static str,
 }
 
 impl Kernel {
@@ -98,10 +83,10 @@ impl Kernel {
 
     /// The text behind declarations that were made for it, specialised.
     pub fn source_with(&self, declarations: &str, specialisation: &[(&str, u32)]) -> String {
-        let text = declarations.to_owned() + &self.text.concat();
+        let text = wgsl::assemble(&(declarations.to_owned() + self.text), specialisation);
         #[cfg(test)]
         let text = super::fault_tests::planted(self.name, text);
-        specialised(&text, specialisation)
+        text
     }
 
     /// The name under which its pipeline is kept.

@@ -22,7 +22,8 @@ fn validate_with(source: &str, capabilities: Capabilities) -> Result<naga::Modul
     validate_text(source, capabilities)
 }
 
-fn validate_text(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
+/// Parses and validates WGSL.
+pub fn validate_text(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
     let module = naga::front::wgsl::parse_str(source).map_err(|error| error.emit_to_string(source))?;
     let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities);
     validator.validate(&module).map_err(|error| format!("{error:?}"))?;

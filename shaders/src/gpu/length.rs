@@ -29,9 +29,6 @@ impl Length {
     pub const GROUP: usize = 256;
     pub const BLOCK: usize = 1024;
 
-    /// What a kernel that declares the array `length` calls: `write_length(wanted, capacity)`.
-    pub const WGSL: &'static str = include_str!("length_write.wgsl");
-
     /// For a kernel to write.
     pub fn new(gpu: Gpu) -> Self {
         Self { array: GpuArray::new(gpu, 8) }
@@ -65,13 +62,11 @@ pub(crate) mod tests {
 
     const WRITE: Kernel = Kernel {
         name: "test of lengths",
-        text: &[
-            Length::WGSL,
-            "struct Wanted { count: u32, capacity: u32 }
+        text: "#import gpu::length_write
+             struct Wanted { count: u32, capacity: u32 }
              @group(0) @binding(0) var<uniform> wanted: Wanted;
              @group(0) @binding(1) var<storage, read_write> length: array<u32>;
              @compute @workgroup_size(1) fn main() { write_length(wanted.count, wanted.capacity); }",
-        ],
     };
 
     /// A length written on a GPU.

@@ -1,6 +1,7 @@
 // Writes the `length` of a list: the number of elements in use, the number wanted, and the indirect dispatches over
 // those in use, with 256 and with 1024 elements per workgroup. A dispatch has at least one workgroup, because a kernel
 // may have output even for an empty list. Dispatches above the limit of one dimension are folded into two.
+#extern var<storage, read_write> length: array<u32>
 
 const MAX_GROUPS: u32 = 65535u;
 

@@ -22,6 +22,7 @@ mod rates;
 mod recorder;
 #[cfg(test)]
 pub(crate) mod tests;
+pub(crate) mod wgsl;
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -32,7 +33,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
 pub(crate) use array::GpuArray;
 pub(crate) use binding::{ALIGNMENT, Binding};
-pub(crate) use launch::{COLUMN_SUM, Kernel, Launch, ROW_SUM, columns_for, lanes_for, specialised, uniforms};
+pub(crate) use launch::{Kernel, Launch, columns_for, lanes_for, uniforms};
 pub(crate) use length::{Groups, Length};
 pub use profile::{KernelCost, Usage};
 pub use rates::Rates;

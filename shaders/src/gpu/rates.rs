@@ -18,7 +18,7 @@ const RUNS: usize = 5;
 const GROUP: usize = 256;
 
 /// Without a step it only moves what it reads to what it writes.
-const ARITHMETIC: Kernel = Kernel { name: "arithmetic", text: &[include_str!("arithmetic.wgsl")] };
+const ARITHMETIC: Kernel = Kernel { name: "arithmetic", text: include_str!("arithmetic.wgsl") };
 
 uniforms! {
     struct Constants as "Constants" { count: u32 }

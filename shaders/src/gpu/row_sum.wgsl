@@ -1,5 +1,6 @@
 // Tree reduction over the LANES neighbouring invocations that share a row, in workgroups of 256 and in a fixed order.
 // LANES is a power of two, at most 256.
+#const LANES
 
 var<workgroup> row_parts: array<f32, 256>;
 

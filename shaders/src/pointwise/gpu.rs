@@ -1,7 +1,7 @@
 //! The kernels around the WGSL text of expressions.
 
 use super::expression::{Expression, Pointwise};
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, specialised};
+use crate::gpu::{Binding, Gpu, GpuArray, Launch, wgsl};
 use crate::tape::{Real, Tensor};
 
 /// Invocations per workgroup.
@@ -58,18 +58,15 @@ impl Expression {
 
     fn kernel(&self, declarations: &str, indexed_by: &str, calls: &[String]) -> String {
         let text = format!(
-            "{}\nstruct Constants {{ values: array<vec4<f32>, {}> }}\n\
+            "#import gpu::elements\n{}\nstruct Constants {{ values: array<vec4<f32>, {}> }}\n\
              @group(0) @binding(0) var<uniform> constants: Constants;\n{declarations}\n\
-             @compute @workgroup_size({GROUP})\n\
-             fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, \
-             @builtin(local_invocation_index) local: u32) {{\n    \
-             let i = flat_group(group, groups) * {GROUP}u + local;\n    \
+             fn run(i: u32) {{\n    \
              if (i < arrayLength(&{indexed_by})) {{\n        {}\n    }}\n}}\n",
             self.wgsl,
             self.constant_vectors(),
             calls.join("\n        "),
         );
-        specialised(&text, &[])
+        wgsl::assemble(&text, &[])
     }
 
     /// At least one, because a block of constants is never empty.

@@ -5,7 +5,7 @@ use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 
 const SUMS: Grouped = Grouped {
-    kernel: Kernel { name: "sums of pairs", text: &[include_str!("pair_sums.wgsl")] },
+    kernel: Kernel { name: "sums of pairs", text: include_str!("pair_sums.wgsl") },
     shared: 0,
     arrays: &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::write("y")],
 };

@@ -9,7 +9,7 @@ const GROUP: usize = 256;
 const VALUES: usize = 16;
 
 pub(super) const LARGEST: Grouped = Grouped {
-    kernel: Kernel { name: "largest magnitude", text: &[include_str!("magnitude.wgsl")] },
+    kernel: Kernel { name: "largest magnitude", text: include_str!("magnitude.wgsl") },
     shared: 1,
     arrays: &[ItemArray::read("values").of_bits()],
 };

@@ -1,4 +1,8 @@
 // The largest magnitude of every item's values. One invocation per VALUES values.
+#import gpu::flat_group
+#import gpu::grouped::grouped
+#const VALUES
+#extern fn values(item: u32, at: u32) -> u32
 
 struct Item { count: u32, slot: u32 }
 

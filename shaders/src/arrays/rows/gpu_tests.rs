@@ -194,9 +194,9 @@ impl RowMap<1> for FaultySum {
     }
 
     fn wgsl(&self, _columns: [usize; 1]) -> Option<RowWgsl> {
-        let gradients = &["fn gradient_0(row: u32, column: u32) -> f32 { return 1.001 * dy[row]; }"];
+        let gradients = "fn gradient_0(row: u32, column: u32) -> f32 { return 1.001 * dy[row]; }";
         Some(RowWgsl {
-            value: &[include_str!("reduce/row_sum.wgsl")],
+            value: include_str!("reduce/row_sum.wgsl"),
             gradients,
             specialisation: Vec::new(),
             numbers: Vec::new(),

@@ -31,17 +31,17 @@ impl RowMap<2> for KeepRows {
 
     fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
         Some(RowWgsl {
-            value: &["fn value(row: u32, column: u32) -> f32 {
+            value: "fn value(row: u32, column: u32) -> f32 {
     return select(0.0, x0[row * COLUMNS_0 + column], x1[row] > 0.0);
 }
-"],
-            gradients: &["fn gradient_0(row: u32, column: u32) -> f32 {
+",
+            gradients: "fn gradient_0(row: u32, column: u32) -> f32 {
     return select(0.0, dy[row * COLUMNS_0 + column], x1[row] > 0.0);
 }
 fn gradient_1(row: u32, column: u32) -> f32 {
     return 0.0;
 }
-"],
+",
             specialisation: Vec::new(),
             numbers: Vec::new(),
         })

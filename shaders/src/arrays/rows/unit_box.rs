@@ -42,14 +42,14 @@ impl RowMap<1> for InUnitBox {
         let [middle, factor] = [self.middle, self.factor].map(|values| values.map(|value| value as f32));
         let pad = |[x, y, z]: [f32; 3]| [x, y, z, 0.0];
         Some(RowWgsl {
-            value: &["fn value(row: u32, column: u32) -> f32 {
+            value: "fn value(row: u32, column: u32) -> f32 {
     return (x0[row * 3u + column] - map.values[0][column]) * map.values[1][column];
 }
-"],
-            gradients: &["fn gradient_0(row: u32, column: u32) -> f32 {
+",
+            gradients: "fn gradient_0(row: u32, column: u32) -> f32 {
     return dy[row * 3u + column] * map.values[1][column];
 }
-"],
+",
             specialisation: Vec::new(),
             numbers: [pad(middle), pad(factor)].concat(),
         })

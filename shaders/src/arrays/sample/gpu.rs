@@ -2,12 +2,12 @@
 
 use super::{SampleSize, SampledRows};
 use crate::arrays::rows::RowIndex;
-use crate::arrays::sort::{SOMEWHERE, sort};
+use crate::arrays::sort::sort;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-pub(super) const KEYS: Kernel = Kernel { name: "sample, keys", text: &[include_str!("sample_keys.wgsl")] };
-pub(super) const CHOOSE: Kernel = Kernel { name: "sample", text: &[SOMEWHERE, include_str!("sample.wgsl")] };
+pub(super) const KEYS: Kernel = Kernel { name: "sample, keys", text: include_str!("sample_keys.wgsl") };
+pub(super) const CHOOSE: Kernel = Kernel { name: "sample", text: include_str!("sample.wgsl") };
 
 /// Rows and places per workgroup.
 const GROUP: usize = 256;

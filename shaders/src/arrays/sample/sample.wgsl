@@ -1,4 +1,6 @@
 // The row of every place and whether it was drawn, from the rows sorted by key. One invocation per place.
+#import arrays::sort::present_count
+#import gpu::elements
 
 struct Sample {
     rows: u32,
@@ -14,13 +16,7 @@ struct Sample {
 @group(0) @binding(3) var<storage, read_write> row_of_place: array<u32>;
 @group(0) @binding(4) var<storage, read_write> weights: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let place = flat_group(group, groups) * 256u + local;
+fn run(place: u32) {
     if (place >= draw.places) {
         return;
     }

@@ -1,5 +1,7 @@
 // The random sort key of every row, below 2³¹ for candidates and NOWHERE for others: the same definitions as on the
 // CPU. One invocation per row.
+#import gpu::elements
+#import gpu::nowhere
 
 struct Keys {
     rows: u32,
@@ -16,13 +18,7 @@ fn scrambled(bits: u32) -> u32 {
     return second ^ (second >> 16u);
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let row = flat_group(group, groups) * 256u + local;
+fn run(row: u32) {
     if (row < draw.rows) {
         let key = scrambled(scrambled(row) ^ draw.seed) >> 1u;
         keys[row] = select(NOWHERE, key, candidates[row] > 0.0);

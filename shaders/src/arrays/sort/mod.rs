@@ -6,17 +6,12 @@ mod tests;
 
 use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, Length, uniforms};
 
-/// The end of a kernel of [`sums_of`], whose text in front defines `fn number(index: u32) -> u32`.
-pub const SCAN_TEXT: &str = include_str!("scan.wgsl");
-/// What a kernel that declares the array `sorted_keys` calls: `somewhere_count(len)`.
-pub const SOMEWHERE: &str = include_str!("present_count.wgsl");
-const SCAN: Kernel = Kernel { name: "scan", text: &[include_str!("scan_input.wgsl"), SCAN_TEXT] };
-const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: &[include_str!("scan_add.wgsl")] };
-const SORT: &str = include_str!("sort_digits.wgsl");
-const COUNT: Kernel = Kernel { name: "sort, counts", text: &[SORT, include_str!("sort_count.wgsl")] };
-const ROWS: Kernel = Kernel { name: "sort, rows", text: &[SORT, include_str!("sort_rows.wgsl")] };
-const SCATTER: Kernel = Kernel { name: "sort, scatter", text: &[SORT, include_str!("sort_scatter.wgsl")] };
-const STARTS: Kernel = Kernel { name: "sort, starts", text: &[include_str!("sort_starts.wgsl")] };
+const SCAN: Kernel = Kernel { name: "scan", text: include_str!("scan_input.wgsl") };
+const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: include_str!("scan_add.wgsl") };
+const COUNT: Kernel = Kernel { name: "sort, counts", text: include_str!("sort_count.wgsl") };
+const ROWS: Kernel = Kernel { name: "sort, rows", text: include_str!("sort_rows.wgsl") };
+const SCATTER: Kernel = Kernel { name: "sort, scatter", text: include_str!("sort_scatter.wgsl") };
+const STARTS: Kernel = Kernel { name: "sort, starts", text: include_str!("sort_starts.wgsl") };
 
 /// Elements per workgroup of every kernel but the offsets and starts.
 const BLOCK: usize = Length::BLOCK;
@@ -55,7 +50,7 @@ pub fn exclusive_sums(gpu: Gpu, input: &GpuArray) -> GpuArray {
     sums_of(gpu, &SCAN, &[Binding::Read(input)], input.len())
 }
 
-/// The same of so many numbers, which a kernel that ends with [`SCAN_TEXT`] makes of arrays.
+/// The exclusive prefix sums of `len` numbers, by a kernel that imports `scan.wgsl` and computes the numbers from arrays.
 pub fn sums_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], len: usize) -> GpuArray {
     let (sums, blocks) = (GpuArray::new(gpu, len), len.div_ceil(BLOCK));
     let block_sums = GpuArray::new(gpu, blocks);

@@ -1,4 +1,7 @@
 // The number of keys before NOWHERE among the first `len` of `sorted_keys`, by binary search.
+#import gpu::nowhere
+#extern var<storage, read> sorted_keys: array<u32>
+
 fn somewhere_count(len: u32) -> u32 {
     var low = 0u;
     var high = len;

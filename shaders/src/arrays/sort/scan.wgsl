@@ -1,6 +1,8 @@
 // Exclusive prefix sums of `number(index)` within blocks of 1024, and the sum of each block. Sums saturate at CAP, so
 // that they stay monotonic instead of overflowing. The importing file declares its arrays from binding 3 on. One
 // workgroup per block.
+#import gpu::flat_group
+#extern fn number(index: u32) -> u32
 
 struct Scan {
     len: u32,

@@ -1,4 +1,5 @@
 // Adds the sum of all previous blocks to the exclusive prefix sums within blocks. One invocation per number.
+#import gpu::elements
 
 struct Scan {
     len: u32,
@@ -10,13 +11,7 @@ struct Scan {
 
 const CAP: u32 = 0x20000000u;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index < scan.len) {
         sums[index] = min(sums[index] + before[index / 1024u], CAP);
     }

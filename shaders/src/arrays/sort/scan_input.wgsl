@@ -1,4 +1,5 @@
 // Prefix sums of the numbers of an array.
+#import arrays::sort::scan
 
 @group(0) @binding(3) var<storage, read> input: array<u32>;
 

@@ -1,4 +1,6 @@
 // Counts the keys of each block by the digit of the first pass: [digit, block]. One workgroup per block.
+#import arrays::sort::sort_digits
+#import gpu::flat_group
 
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read_write> counts: array<u32>;

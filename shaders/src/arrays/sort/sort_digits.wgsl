@@ -1,4 +1,5 @@
 // Sizes and digits of a least-significant-digit radix sort. One pass orders the keys by a digit of eight bits.
+#const COUNTED
 
 struct Sort {
     // Capacity in keys, and in blocks of 1024 keys.

@@ -1,6 +1,9 @@
 // Exclusive prefix sums, per digit, of the blocks' counts, and the digit's total. LANES invocations share a digit;
 // LANES is a power of two, at most 256, near the number of blocks. Unless this pass is the LAST, the counts of the next
 // pass are set to zero.
+#import arrays::sort::sort_digits
+#import gpu::flat_group
+#const LANES, LAST
 
 @group(0) @binding(2) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(3) var<storage, read_write> totals: array<u32>;

@@ -4,6 +4,9 @@
 //
 // A block is first sorted in workgroup memory, by the lower and then the higher four bits of the digit, so that
 // neighbouring invocations write to neighbouring positions.
+#import arrays::sort::sort_digits
+#import gpu::flat_group
+#const FIRST, LAST
 
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read> values: array<u32>;

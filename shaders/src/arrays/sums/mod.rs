@@ -4,14 +4,12 @@
 #[cfg(test)]
 mod tests;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 
-const ROWS: Kernel = Kernel { name: "sums of rows", text: &[include_str!("sums_of_rows.wgsl")] };
-/// The end of a kernel of [`total_of`], behind [`ROW_SUM`] and text that defines `fn term(at: u32) -> f32`.
-pub const TOTAL_TEXT: &str = include_str!("total.wgsl");
-const TOTAL: Kernel = Kernel { name: "total", text: &[ROW_SUM, include_str!("total_input.wgsl"), TOTAL_TEXT] };
+const ROWS: Kernel = Kernel { name: "sums of rows", text: include_str!("sums_of_rows.wgsl") };
+const TOTAL: Kernel = Kernel { name: "total", text: include_str!("total_input.wgsl") };
 
-/// Invocations per workgroup, which [`ROW_SUM`] adds.
+/// Invocations per workgroup, which share one sum (`gpu/row_sum.wgsl`).
 pub const GROUP: usize = 256;
 /// Elements per workgroup of a total, and so of kernels that make terms of a total.
 pub const BLOCK: usize = 4096;
@@ -53,8 +51,7 @@ pub fn total(gpu: Gpu, x: &GpuArray, factor: f32) -> GpuArray {
     total_of(gpu, &TOTAL, &[Binding::Read(x)], x.len(), factor)
 }
 
-/// factor · the sum of so many terms, which a kernel that ends with [`TOTAL_TEXT`] makes of as many elements of each array:
-/// [1].
+/// factor · the sum of `terms` terms, by a kernel that imports `total.wgsl` and computes each term from its arrays: [1].
 pub fn total_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], terms: usize, factor: f32) -> GpuArray {
     let blocks = terms.div_ceil(BLOCK).max(1);
     let is_last = blocks == 1;

@@ -1,4 +1,5 @@
 // Column sums over blocks of rows. One invocation per block and column.
+#import gpu::elements
 
 struct Rows {
     rows: u32,
@@ -10,13 +11,7 @@ struct Rows {
 @group(0) @binding(1) var<storage, read> x: array<f32>;
 @group(0) @binding(2) var<storage, read_write> sums: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= arrayLength(&sums)) {
         return;
     }

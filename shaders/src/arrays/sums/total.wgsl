@@ -1,5 +1,8 @@
 // The sum of `term(at)` over every block of 4096 terms, times a factor. One workgroup per block. The importing file
 // declares its arrays from binding 2 on.
+#import gpu::flat_group
+#import gpu::row_sum
+#extern fn term(at: u32) -> f32
 
 struct Total {
     len: u32,

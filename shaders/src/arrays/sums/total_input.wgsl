@@ -1,4 +1,5 @@
 // Block sums of the elements of an array.
+#import arrays::sums::total
 
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 

@@ -4,7 +4,7 @@ use crate::arrays::sums::{self, GROUP};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const SPREAD: Kernel = Kernel { name: "total backward", text: &[include_str!("total_bwd.wgsl")] };
+const SPREAD: Kernel = Kernel { name: "total backward", text: include_str!("total_bwd.wgsl") };
 
 uniforms! {
     struct SpreadBlock as "Spread" {

@@ -1,15 +1,11 @@
 // The weighted mean of the positions to which a point's nodes carry it. One invocation per point.
+#import geometry::neighbor_blend::node_frame
+#import gpu::elements_64
 
 @group(0) @binding(6) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(7) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let point = flat_group(group, groups) * 64u + local;
+fn run(point: u32) {
     if (point >= sizes.points) {
         return;
     }

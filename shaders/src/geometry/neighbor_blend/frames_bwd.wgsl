@@ -1,17 +1,14 @@
 // The gradients of weights and points. One invocation per point.
+#import geometry::algebra
+#import geometry::neighbor_blend::node_frame
+#import gpu::elements_64
 
 @group(0) @binding(6) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(7) var<storage, read> dy: array<f32>;
 @group(0) @binding(8) var<storage, read_write> g_weights: array<f32>;
 @group(0) @binding(9) var<storage, read_write> g_points: array<f32>;
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let point = flat_group(group, groups) * 64u + local;
+fn run(point: u32) {
     if (point >= sizes.points) {
         return;
     }

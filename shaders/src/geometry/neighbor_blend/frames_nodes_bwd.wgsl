@@ -1,5 +1,10 @@
 // The gradients of the nodes' positions, translations and rotations. LANES invocations per node; each takes every
 // LANES-th of the points that follow the node.
+#import geometry::algebra
+#import geometry::neighbor_blend::node_frame
+#import gpu::flat_group
+#import gpu::row_sum
+#const LANES
 
 @group(0) @binding(6) var<storage, read> items: array<u32>;
 @group(0) @binding(7) var<storage, read> starts: array<u32>;

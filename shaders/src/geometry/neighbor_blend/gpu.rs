@@ -5,37 +5,26 @@
 mod tests;
 
 use super::Neighbors;
-use crate::geometry::algebra;
-use crate::gpu::{Binding, COLUMN_SUM, Gpu, GpuArray, Kernel, ROW_SUM, columns_for, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, columns_for, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const LIST: &str = include_str!("nearest_list.wgsl");
-const NEAREST: Kernel = Kernel { name: "nearest nodes", text: &[LIST, include_str!("nearest.wgsl")] };
-const NEAREST_ANY: Kernel = Kernel { name: "nearest nodes, any", text: &[LIST, include_str!("nearest_any.wgsl")] };
+const NEAREST: Kernel = Kernel { name: "nearest nodes", text: include_str!("nearest.wgsl") };
+const NEAREST_ANY: Kernel = Kernel { name: "nearest nodes, any", text: include_str!("nearest_any.wgsl") };
 
-const BLEND: Kernel = Kernel { name: "neighbor blend", text: &[include_str!("neighbor_blend.wgsl")] };
+const BLEND: Kernel = Kernel { name: "neighbor blend", text: include_str!("neighbor_blend.wgsl") };
 const BLEND_WEIGHTS: Kernel =
-    Kernel { name: "neighbor blend backward, weights", text: &[include_str!("neighbor_blend_weights_bwd.wgsl")] };
-const BLEND_VALUES: Kernel =
-    Kernel { name: "neighbor blend backward", text: &[COLUMN_SUM, include_str!("neighbor_blend_bwd.wgsl")] };
+    Kernel { name: "neighbor blend backward, weights", text: include_str!("neighbor_blend_weights_bwd.wgsl") };
+const BLEND_VALUES: Kernel = Kernel { name: "neighbor blend backward", text: include_str!("neighbor_blend_bwd.wgsl") };
 
-const PAIR: &str = include_str!("node_weight.wgsl");
-const WEIGHTS: Kernel = Kernel { name: "neighbor weights", text: &[algebra::WGSL, PAIR, include_str!("weights.wgsl")] };
-const WEIGHTS_POINTS: Kernel =
-    Kernel { name: "neighbor weights backward", text: &[algebra::WGSL, PAIR, include_str!("weights_bwd.wgsl")] };
-const WEIGHTS_NODES: Kernel = Kernel {
-    name: "neighbor weights backward, nodes",
-    text: &[ROW_SUM, algebra::WGSL, PAIR, include_str!("weights_nodes_bwd.wgsl")],
-};
+const WEIGHTS: Kernel = Kernel { name: "neighbor weights", text: include_str!("weights.wgsl") };
+const WEIGHTS_POINTS: Kernel = Kernel { name: "neighbor weights backward", text: include_str!("weights_bwd.wgsl") };
+const WEIGHTS_NODES: Kernel =
+    Kernel { name: "neighbor weights backward, nodes", text: include_str!("weights_nodes_bwd.wgsl") };
 
-const FRAME: &str = include_str!("node_frame.wgsl");
-const FRAMES: Kernel = Kernel { name: "blend frames", text: &[algebra::WGSL, FRAME, include_str!("frames.wgsl")] };
-const FRAMES_POINTS: Kernel =
-    Kernel { name: "blend frames backward", text: &[algebra::WGSL, FRAME, include_str!("frames_bwd.wgsl")] };
-const FRAMES_NODES: Kernel = Kernel {
-    name: "blend frames backward, nodes",
-    text: &[ROW_SUM, algebra::WGSL, FRAME, include_str!("frames_nodes_bwd.wgsl")],
-};
+const FRAMES: Kernel = Kernel { name: "blend frames", text: include_str!("frames.wgsl") };
+const FRAMES_POINTS: Kernel = Kernel { name: "blend frames backward", text: include_str!("frames_bwd.wgsl") };
+const FRAMES_NODES: Kernel =
+    Kernel { name: "blend frames backward, nodes", text: include_str!("frames_nodes_bwd.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

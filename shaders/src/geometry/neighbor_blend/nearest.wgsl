@@ -1,6 +1,9 @@
 // The KEPT nearest nodes of every point in AXES dimensions, nearest first; ties go to the lower index. One invocation
 // per point. The workgroup loads TILE nodes at a time. If OTHERS is 1, the points are the nodes, and no point is its
 // own neighbour.
+#import geometry::neighbor_blend::nearest_list
+#import gpu::flat_group
+#const AXES, KEPT, OTHERS
 
 const GROUP: u32 = 64u;
 const TILE: u32 = 64u;

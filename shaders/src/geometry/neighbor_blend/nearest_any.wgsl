@@ -1,6 +1,9 @@
 // The nearest nodes of every point, for any number of dimensions and of nodes per point. One invocation per point,
 // which keeps its list in the output array. If OTHERS is 1, the points are the nodes, and no point is its own
 // neighbour.
+#import geometry::neighbor_blend::nearest_list
+#import gpu::elements_64
+#const OTHERS
 
 // Squared distances of the nodes in the list, [points, kept].
 @group(0) @binding(4) var<storage, read_write> distances: array<f32>;
@@ -20,13 +23,7 @@ fn set_found(rank: u32, node: u32, distance: f32) {
     distances[first_found + rank] = distance;
 }
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let point = flat_group(group, groups) * 64u + local;
+fn run(point: u32) {
     if (point >= sizes.points) {
         return;
     }

@@ -1,5 +1,8 @@
 // The sorted list of the `kept` nearest nodes of a point, nearest first; ties go to the lower index. The importing file
 // stores the list.
+#extern fn found_node(rank: u32) -> u32
+#extern fn found_distance(rank: u32) -> f32
+#extern fn set_found(rank: u32, node: u32, distance: f32)
 
 struct Nearest {
     points: u32,
@@ -31,4 +34,3 @@ fn insert(node: u32, distance: f32) {
     }
     set_found(at, node, distance);
 }
-

@@ -1,4 +1,5 @@
 // The weighted sum of the values of a point's nodes. One invocation per value.
+#import gpu::elements
 
 struct Blend {
     points: u32,
@@ -13,13 +14,7 @@ struct Blend {
 @group(0) @binding(3) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(4) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at >= sizes.points * sizes.columns) {
         return;
     }

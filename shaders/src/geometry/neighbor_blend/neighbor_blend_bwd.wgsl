@@ -1,4 +1,7 @@
 // The gradients of the nodes' values. A workgroup sums COLUMNS columns of one node over the points that follow it.
+#import gpu::column_sum
+#import gpu::flat_group
+#const COLUMNS
 
 struct Blend {
     points: u32,

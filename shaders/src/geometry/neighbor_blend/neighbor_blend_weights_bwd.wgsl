@@ -1,4 +1,5 @@
 // The gradients of the blend weights. One invocation per weight.
+#import gpu::elements
 
 struct Blend {
     points: u32,
@@ -13,13 +14,7 @@ struct Blend {
 @group(0) @binding(3) var<storage, read> dy: array<f32>;
 @group(0) @binding(4) var<storage, read_write> g_weights: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let item = flat_group(group, groups) * 256u + local;
+fn run(item: u32) {
     if (item >= sizes.points * sizes.per_point) {
         return;
     }

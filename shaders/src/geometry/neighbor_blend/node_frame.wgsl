@@ -1,4 +1,5 @@
 // Points carried by the frame of a node: the same definitions as on the CPU.
+#import geometry::algebra
 
 struct Frames {
     points: u32,
@@ -33,4 +34,3 @@ fn rotation_of(node: u32) -> Rows {
 fn carried(rotation: Rows, node: u32, x: vec3<f32>) -> vec3<f32> {
     return apply(rotation, x - position_of(node)) + position_of(node) + translation_of(node);
 }
-

@@ -1,4 +1,6 @@
 // The weight with which a point follows a node: the same definitions as on the CPU. GATED is 1 if nodes have gates.
+#import geometry::algebra
+#const GATED
 
 struct Weights {
     points: u32,
@@ -49,4 +51,3 @@ fn pair_of(point: u32, node: u32) -> Pair {
 fn weight_of(pair: Pair) -> f32 {
     return pair.falloff * pair.gate + FLOOR;
 }
-

@@ -1,15 +1,11 @@
 // The normalised weights of every point's nodes. One invocation per point.
+#import geometry::neighbor_blend::node_weight
+#import gpu::elements
 
 @group(0) @binding(5) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(6) var<storage, read_write> weights: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let point = flat_group(group, groups) * 256u + local;
+fn run(point: u32) {
     if (point >= sizes.points) {
         return;
     }

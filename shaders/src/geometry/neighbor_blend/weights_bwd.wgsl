@@ -1,5 +1,7 @@
 // The gradients of the weights before normalisation, (dwₖ − Σⱼ wⱼdwⱼ) / sum, and of the points. One invocation per
 // point.
+#import geometry::neighbor_blend::node_weight
+#import gpu::elements
 
 @group(0) @binding(5) var<storage, read> node_of_item: array<u32>;
 @group(0) @binding(6) var<storage, read> weights: array<f32>;
@@ -7,13 +9,7 @@
 @group(0) @binding(8) var<storage, read_write> unnormalised: array<f32>;
 @group(0) @binding(9) var<storage, read_write> g_points: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let point = flat_group(group, groups) * 256u + local;
+fn run(point: u32) {
     if (point >= sizes.points) {
         return;
     }

@@ -1,5 +1,9 @@
 // The gradients of the nodes' positions, logarithmic radii and gates. LANES invocations per node; each takes every
 // LANES-th of the points that follow the node, AXES axes at a time.
+#import geometry::neighbor_blend::node_weight
+#import gpu::flat_group
+#import gpu::row_sum
+#const AXES, LANES
 
 @group(0) @binding(5) var<storage, read> items: array<u32>;
 @group(0) @binding(6) var<storage, read> starts: array<u32>;

@@ -35,4 +35,3 @@ fn rotated_to_world(d: vec3<f32>) -> vec3<f32> {
 fn ray_view(pixel: vec2<f32>) -> vec3<f32> {
     return vec3<f32>((pixel - camera.center) / camera.focal, 1.0);
 }
-

@@ -11,20 +11,15 @@ use crate::arrays::sort::{sort, starts};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
-const CAMERA: &str = include_str!("camera.wgsl");
-const PROJECT: Kernel = Kernel { name: "project points", text: &[CAMERA, include_str!("project.wgsl")] };
-const PROJECT_BACKWARD: Kernel =
-    Kernel { name: "project points backward", text: &[CAMERA, include_str!("project_bwd.wgsl")] };
-const UNPROJECT: Kernel = Kernel { name: "unproject", text: &[CAMERA, include_str!("unproject.wgsl")] };
-const UNPROJECT_BACKWARD: Kernel =
-    Kernel { name: "unproject backward", text: &[CAMERA, include_str!("unproject_bwd.wgsl")] };
+const PROJECT: Kernel = Kernel { name: "project points", text: include_str!("project.wgsl") };
+const PROJECT_BACKWARD: Kernel = Kernel { name: "project points backward", text: include_str!("project_bwd.wgsl") };
+const UNPROJECT: Kernel = Kernel { name: "unproject", text: include_str!("unproject.wgsl") };
+const UNPROJECT_BACKWARD: Kernel = Kernel { name: "unproject backward", text: include_str!("unproject_bwd.wgsl") };
 
-const WINDOW: &str = include_str!("texel_window.wgsl");
-const LOOKUP: Kernel = Kernel { name: "lookup", text: &[WINDOW, include_str!("lookup.wgsl")] };
-const VALID: Kernel = Kernel { name: "lookup, validity", text: &[WINDOW, include_str!("lookup_valid.wgsl")] };
-const LOOKUP_BACKWARD: Kernel = Kernel { name: "lookup backward", text: &[WINDOW, include_str!("lookup_bwd.wgsl")] };
-const IMAGE_BACKWARD: Kernel =
-    Kernel { name: "lookup backward, image", text: &[include_str!("lookup_image_bwd.wgsl")] };
+const LOOKUP: Kernel = Kernel { name: "lookup", text: include_str!("lookup.wgsl") };
+const VALID: Kernel = Kernel { name: "lookup, validity", text: include_str!("lookup_valid.wgsl") };
+const LOOKUP_BACKWARD: Kernel = Kernel { name: "lookup backward", text: include_str!("lookup_bwd.wgsl") };
+const IMAGE_BACKWARD: Kernel = Kernel { name: "lookup backward, image", text: include_str!("lookup_image_bwd.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

@@ -35,15 +35,15 @@ impl RowMap<1> for InImage {
 
     fn wgsl(&self, _input_columns: [usize; 1]) -> Option<RowWgsl> {
         Some(RowWgsl {
-            value: &["fn value(row: u32, column: u32) -> f32 {
+            value: "fn value(row: u32, column: u32) -> f32 {
     let pixel = vec2<f32>(x0[2u * row], x0[2u * row + 1u]);
     return select(0.0, 1.0, all(pixel >= vec2<f32>(0.0)) && all(pixel < map.values[0].xy));
 }
-"],
-            gradients: &["fn gradient_0(row: u32, column: u32) -> f32 {
+",
+            gradients: "fn gradient_0(row: u32, column: u32) -> f32 {
     return 0.0;
 }
-"],
+",
             specialisation: Vec::new(),
             numbers: self.size_px.map(|size| size as f32).to_vec(),
         })

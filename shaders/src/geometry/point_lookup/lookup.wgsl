@@ -1,14 +1,10 @@
 // Samples an image at every position. One invocation per position.
+#import geometry::point_lookup::texel_window
+#import gpu::elements_64
 
 @group(0) @binding(3) var<storage, read_write> values: array<f32>;
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 64u + local;
+fn run(at: u32) {
     if (at >= sizes.count) {
         return;
     }

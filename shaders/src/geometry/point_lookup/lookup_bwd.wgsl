@@ -1,6 +1,8 @@
 // The gradients of positions. One invocation per position. It also writes the texels and weights of the position's four
 // corners, from which `lookup_image_bwd` computes the gradients of the image. A corner that does not contribute has the
 // number of texels as its texel.
+#import geometry::point_lookup::texel_window
+#import gpu::elements_64
 
 @group(0) @binding(3) var<storage, read> g_values: array<f32>;
 @group(0) @binding(4) var<storage, read_write> g_pixels: array<vec2<f32>>;
@@ -8,13 +10,7 @@
 @group(0) @binding(5) var<storage, read_write> texels: array<u32>;
 @group(0) @binding(6) var<storage, read_write> weights: array<f32>;
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 64u + local;
+fn run(at: u32) {
     if (at >= sizes.count) {
         return;
     }

@@ -1,4 +1,5 @@
 // The gradients of the image. One invocation per value, which sums the corners at its texel in order.
+#import gpu::elements
 
 struct Corners {
     // Values of the image.
@@ -14,13 +15,7 @@ struct Corners {
 @group(0) @binding(4) var<storage, read> g_values: array<f32>;
 @group(0) @binding(5) var<storage, read_write> g_image: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= sizes.len) {
         return;
     }

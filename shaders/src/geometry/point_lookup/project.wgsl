@@ -1,16 +1,12 @@
 // Projects points to pixels and depths. One invocation per point.
+#import geometry::point_lookup::camera
+#import gpu::elements
 
 @group(0) @binding(1) var<storage, read> points: array<f32>;
 @group(0) @binding(2) var<storage, read_write> pixels: array<vec2<f32>>;
 @group(0) @binding(3) var<storage, read_write> depths: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let point = flat_group(group, groups) * 256u + local;
+fn run(point: u32) {
     if (point >= camera.count) {
         return;
     }

@@ -1,18 +1,15 @@
 // The gradients of points. One invocation per point. ARRIVING is a bit mask of the upstream gradients that exist:
 // pixels, depths. The placeholder for a missing one is never read.
+#import geometry::point_lookup::camera
+#import gpu::elements
+#const ARRIVING
 
 @group(0) @binding(1) var<storage, read> points: array<f32>;
 @group(0) @binding(2) var<storage, read> g_pixels: array<vec2<f32>>;
 @group(0) @binding(3) var<storage, read> g_depths: array<f32>;
 @group(0) @binding(4) var<storage, read_write> g_points: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let point = flat_group(group, groups) * 256u + local;
+fn run(point: u32) {
     if (point >= camera.count) {
         return;
     }

@@ -1,5 +1,6 @@
 // The 2×2 window of texels that a position between pixel centres samples: the same definitions as on the CPU. If EDGES
 // is 1, windows across an edge (texels that vary too much) are not interpolated.
+#const EDGES
 
 struct Lookup {
     width: u32,
@@ -111,4 +112,3 @@ fn window_of(pixel: vec2<f32>) -> Window {
     }
     return window;
 }
-

@@ -1,4 +1,7 @@
 // q or −q of every row, whichever is on the side of the reference.
+#import geometry::quaternion::quaternion_rows
+#extern var<storage, read> x0: array<f32>
+#extern var<storage, read> x1: array<f32>
 
 // −1 if q points away from the reference, otherwise 1.
 fn side(row: u32) -> f32 {

@@ -1,4 +1,7 @@
 // The gradients of `align`.
+#import geometry::quaternion::quaternion_rows
+#extern var<storage, read> x1: array<f32>
+#extern var<storage, read> dy: array<f32>
 
 fn gradient_0(row: u32, column: u32) -> f32 {
     let reference = vec4<f32>(x1[4u * row], x1[4u * row + 1u], x1[4u * row + 2u], x1[4u * row + 3u]);

@@ -4,7 +4,7 @@ use super::Quaternion;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
-const FIT: Kernel = Kernel { name: "best rotations", text: &[include_str!("fit.wgsl")] };
+const FIT: Kernel = Kernel { name: "best rotations", text: include_str!("fit.wgsl") };
 
 /// Owners per workgroup: few, because each invocation holds two matrices.
 const GROUP: usize = 64;

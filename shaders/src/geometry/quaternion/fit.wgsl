@@ -1,5 +1,6 @@
 // The rotation that best maps the vectors of an owner to their later values (least squares): the leading eigenvector of
 // Horn's matrix, by cyclic Jacobi rotations. One invocation per owner.
+#import gpu::elements_64
 
 struct Fit {
     owners: u32,
@@ -52,13 +53,7 @@ fn horn(s: Correlation) -> Matrix {
     );
 }
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let owner = flat_group(group, groups) * 64u + local;
+fn run(owner: u32) {
     if (owner >= fit.owners) {
         return;
     }

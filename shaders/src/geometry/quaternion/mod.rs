@@ -15,7 +15,7 @@ pub use slerp::slerp;
 
 use crate::arrays::rows::{RowMap, RowWgsl, map_rows};
 use crate::geometry::algebra::{
-    self, Quaternion, apply, conjugate, dot4, hamilton, normalised, normalised_backward, rotation, rotation_backward,
+    Quaternion, apply, conjugate, dot4, hamilton, normalised, normalised_backward, rotation, rotation_backward,
     transposed,
 };
 use crate::tape::{Real, Tape, Var};
@@ -41,11 +41,8 @@ pub fn align<T: Real>(tape: &mut Tape<T>, q: Var, reference: Var) -> Var {
     map_rows(tape, Align, [q, reference])
 }
 
-/// What the WGSL of all of these builds upon, besides [`algebra::WGSL`].
-const ROWS: &str = include_str!("quaternion_rows.wgsl");
-
 /// The WGSL of a map without constants.
-fn wgsl_of(value: &'static [&'static str], gradients: &'static [&'static str]) -> Option<RowWgsl> {
+fn wgsl_of(value: &'static str, gradients: &'static str) -> Option<RowWgsl> {
     Some(RowWgsl { value, gradients, specialisation: Vec::new(), numbers: Vec::new() })
 }
 
@@ -74,10 +71,7 @@ impl RowMap<1> for Normalize {
     }
 
     fn wgsl(&self, _columns: [usize; 1]) -> Option<RowWgsl> {
-        wgsl_of(
-            &[algebra::WGSL, ROWS, include_str!("normalize.wgsl")],
-            &[algebra::WGSL, ROWS, include_str!("normalize_bwd.wgsl")],
-        )
+        wgsl_of(include_str!("normalize.wgsl"), include_str!("normalize_bwd.wgsl"))
     }
 }
 
@@ -102,10 +96,7 @@ impl RowMap<2> for Multiply {
     }
 
     fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
-        wgsl_of(
-            &[algebra::WGSL, ROWS, include_str!("multiply.wgsl")],
-            &[algebra::WGSL, ROWS, include_str!("multiply_bwd.wgsl")],
-        )
+        wgsl_of(include_str!("multiply.wgsl"), include_str!("multiply_bwd.wgsl"))
     }
 }
 
@@ -130,10 +121,7 @@ impl RowMap<2> for Align {
     }
 
     fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
-        wgsl_of(
-            &[algebra::WGSL, ROWS, include_str!("align.wgsl")],
-            &[algebra::WGSL, ROWS, include_str!("align_bwd.wgsl")],
-        )
+        wgsl_of(include_str!("align.wgsl"), include_str!("align_bwd.wgsl"))
     }
 }
 
@@ -165,9 +153,6 @@ impl RowMap<2> for Rotate {
     }
 
     fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
-        wgsl_of(
-            &[algebra::WGSL, ROWS, include_str!("rotate.wgsl")],
-            &[algebra::WGSL, ROWS, include_str!("rotate_bwd.wgsl")],
-        )
+        wgsl_of(include_str!("rotate.wgsl"), include_str!("rotate_bwd.wgsl"))
     }
 }

@@ -1,4 +1,6 @@
 // The Hamilton product of the quaternions of every row.
+#import geometry::quaternion::quaternion_rows
+#extern var<storage, read> x1: array<f32>
 
 // A row of the second input.
 fn quaternion_1(row: u32) -> vec4<f32> {

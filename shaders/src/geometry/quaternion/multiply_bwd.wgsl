@@ -1,5 +1,8 @@
 // The gradients of the Hamilton product. Multiplication by q is linear; its transpose is multiplication by the
 // conjugate.
+#import geometry::quaternion::quaternion_rows
+#extern var<storage, read> x1: array<f32>
+#extern var<storage, read> dy: array<f32>
 
 // The upstream gradient of a row.
 fn arriving(row: u32) -> vec4<f32> {

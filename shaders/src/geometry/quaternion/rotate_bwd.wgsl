@@ -1,4 +1,8 @@
 // The gradients of a rotation of vectors.
+#import geometry::algebra
+#import geometry::quaternion::quaternion_rows
+#extern var<storage, read> x1: array<f32>
+#extern var<storage, read> dy: array<f32>
 
 // The upstream gradient of a row.
 fn arriving(row: u32) -> vec3<f32> {

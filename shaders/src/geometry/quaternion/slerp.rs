@@ -1,8 +1,8 @@
 //! Spherical linear interpolation.
 
-use super::{ROWS, four, wgsl_of};
+use super::{four, wgsl_of};
 use crate::arrays::rows::{RowMap, RowWgsl, map_rows};
-use crate::geometry::algebra::{self, Quaternion, combine4, dot4, normalised, normalised_backward};
+use crate::geometry::algebra::{Quaternion, combine4, dot4, normalised, normalised_backward};
 use crate::tape::{Real, Tape, Var};
 
 /// Cosine of the half angle above which the arc is as good as its chord: they differ by less than 10⁻⁶, and the sine of
@@ -49,11 +49,7 @@ impl RowMap<3> for Slerp {
     }
 
     fn wgsl(&self, _columns: [usize; 3]) -> Option<RowWgsl> {
-        const ARC: &str = include_str!("slerp_arc.wgsl");
-        wgsl_of(
-            &[algebra::WGSL, ROWS, ARC, include_str!("slerp.wgsl")],
-            &[algebra::WGSL, ROWS, ARC, include_str!("slerp_bwd.wgsl")],
-        )
+        wgsl_of(include_str!("slerp.wgsl"), include_str!("slerp_bwd.wgsl"))
     }
 }
 

@@ -1,4 +1,8 @@
 // The arc between two quaternions, for spherical linear interpolation.
+#import geometry::algebra
+#import geometry::quaternion::quaternion_rows
+#extern var<storage, read> x1: array<f32>
+#extern var<storage, read> x2: array<f32>
 
 // Above this cosine of the angle between the quaternions, the chord replaces the arc.
 const CHORD_ABOVE: f32 = 0.9995;

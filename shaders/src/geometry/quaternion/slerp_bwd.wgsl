@@ -1,4 +1,7 @@
 // The gradients of spherical linear interpolation.
+#import geometry::algebra
+#import geometry::quaternion::slerp_arc
+#extern var<storage, read> dy: array<f32>
 
 // The gradient of the weighted sum of both ends.
 fn sum_gradient(arc: Arc, row: u32) -> vec4<f32> {

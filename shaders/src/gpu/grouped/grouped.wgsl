@@ -1,6 +1,13 @@
 // One launch over ITEMS items. Each item has its own constants, arrays and run of consecutive workgroups.
+#const ITEMS, ITEM_BYTES
+#extern struct Item
 
 const VECTORS: u32 = (ITEMS + 3u) / 4u;
+
+// The constants of an item, padded to ITEM_BYTES.
+struct Padded {
+    @size(ITEM_BYTES) constants: Item,
+}
 
 struct Grouped {
     // The first workgroup of every item, four to a vector.
@@ -32,4 +39,3 @@ fn item_of(group: u32) -> u32 {
     }
     return item;
 }
-

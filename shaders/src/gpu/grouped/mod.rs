@@ -12,7 +12,6 @@ pub(crate) mod tests;
 
 use super::{Binding, Gpu, Kernel, parts};
 
-const TEXT: &str = include_str!("grouped.wgsl");
 /// Bytes of constants between neighbouring items are a multiple of this, as WGSL wants it.
 const ALIGNMENT: usize = 16;
 /// The most arrays of a launch, on adapters that allow more: an access chooses among its items.
@@ -118,13 +117,12 @@ fn choice(items: usize, statement: impl Fn(usize) -> String) -> String {
 }
 
 impl Grouped {
-    /// What stands in front of the kernel's own text for items with so many bytes of constants.
-    fn declarations(&self, items: usize, bytes: usize) -> String {
-        let padded = format!("struct Padded {{ @size({}) constants: Item }}\n", bytes.next_multiple_of(ALIGNMENT));
+    /// The items' arrays, and the functions that choose among them.
+    fn declarations(&self, items: usize) -> String {
         let array = |(at, array): (usize, &ItemArray)| array.declaration(at / self.arrays.len(), 1 + self.shared + at);
         let declared = std::iter::repeat_n(self.arrays, items).flatten().enumerate().map(array);
         let functions = self.arrays.iter().map(|array| array.functions(items));
-        TEXT.to_owned() + &padded + &declared.chain(functions).collect::<String>()
+        declared.chain(functions).collect()
     }
 
     /// Items per launch if the kernel sees their arrays whole.
@@ -194,8 +192,8 @@ impl Grouped {
             constants.resize(constants.len().next_multiple_of(ALIGNMENT), 0);
         }
         let arrays: Vec<Binding> = shared.iter().chain(items.iter().flat_map(|item| &item.arrays)).copied().collect();
-        let specialisation = [&[("ITEMS", items.len() as u32)], specialisation].concat();
-        let declarations = || self.declarations(items.len(), size_of::<C>());
+        let specialisation = specialised_for_items::<C>(items.len(), specialisation);
+        let declarations = || self.declarations(items.len());
         self.kernel.launch_with(gpu, &declarations, &specialisation, &constants, &arrays, groups);
     }
 }
@@ -204,6 +202,12 @@ impl Grouped {
 fn capacity(gpu: Gpu, shared: usize, arrays: usize) -> usize {
     let left = gpu.arrays_per_kernel().saturating_sub(shared);
     left.checked_div(arrays).unwrap_or(MOST_ITEMS).clamp(1, MOST_ITEMS)
+}
+
+/// The constants of a kernel over this many items, each with a `C`.
+fn specialised_for_items<'a, C>(items: usize, specialisation: &[(&'a str, u32)]) -> Vec<(&'a str, u32)> {
+    let bytes = size_of::<C>().next_multiple_of(ALIGNMENT);
+    [&[("ITEMS", items as u32), ("ITEM_BYTES", bytes as u32)], specialisation].concat()
 }
 
 impl Gpu {

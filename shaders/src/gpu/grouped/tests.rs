@@ -25,8 +25,8 @@ pub fn with_arrays<R>(most: usize, result: impl FnOnce() -> R) -> R {
 /// Panics unless a kernel is valid for one and for many items, with constants laid out as `T`.
 pub fn assert_valid_grouped<T: Fields>(grouped: &Grouped, specialisation: &[(&'static str, u32)]) {
     for items in [1, 2, 5, 18] {
-        let specialisation = [&[("ITEMS", items as u32)], specialisation].concat();
-        let source = grouped.kernel.source_with(&grouped.declarations(items, size_of::<T>()), &specialisation);
+        let specialisation = specialised_for_items::<T>(items, specialisation);
+        let source = grouped.kernel.source_with(&grouped.declarations(items), &specialisation);
         check_layout::<T>(&source).unwrap_or_else(|error| panic!("{}: {error}", grouped.kernel.name));
         assert_eq!(layout_of_items(&source), [16 * items.div_ceil(4), size_of::<T>().next_multiple_of(ALIGNMENT)]);
     }
@@ -51,7 +51,9 @@ uniforms! {
 const SCALED: Grouped = Grouped {
     kernel: Kernel {
         name: "test of groups",
-        text: &["struct Item { len: u32, factor: f32, first: u32 }
+        text: "#import gpu::flat_group
+#import gpu::grouped::grouped
+             struct Item { len: u32, factor: f32, first: u32 }
              @group(0) @binding(1) var<storage, read> offset: array<f32>;
              @group(0) @binding(2) var<storage, read_write> groups_of_items: array<u32>;
 
@@ -72,7 +74,7 @@ const SCALED: Grouped = Grouped {
                  if (local == 0u && at < own.len) {
                      groups_of_items[own.first + own_group] = item;
                  }
-             }"],
+             }",
     },
     shared: 2,
     arrays: &[ItemArray::read("x").of_bits(), ItemArray::write("y")],

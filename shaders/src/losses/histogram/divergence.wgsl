@@ -1,5 +1,7 @@
 // The divergence of a histogram's shares from the uniform distribution, or its gradient if BACKWARD is 1. One
 // workgroup.
+#import gpu::row_sum
+#const BACKWARD
 
 struct Divergence {
     bins: u32,

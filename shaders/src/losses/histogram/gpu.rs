@@ -5,15 +5,13 @@
 mod tests;
 
 use super::SoftHistogram;
-use crate::gpu::{Binding, COLUMN_SUM, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const PLACE: &str = include_str!("histogram_bins.wgsl");
-const BLOCKS: Kernel = Kernel { name: "soft histogram", text: &[COLUMN_SUM, PLACE, include_str!("histogram.wgsl")] };
-const TOTAL: Kernel = Kernel { name: "soft histogram, total", text: &[ROW_SUM, include_str!("histogram_total.wgsl")] };
-const BACKWARD: Kernel = Kernel { name: "soft histogram backward", text: &[PLACE, include_str!("histogram_bwd.wgsl")] };
-const DIVERGENCE: Kernel =
-    Kernel { name: "divergence from uniform", text: &[ROW_SUM, include_str!("divergence.wgsl")] };
+const BLOCKS: Kernel = Kernel { name: "soft histogram", text: include_str!("histogram.wgsl") };
+const TOTAL: Kernel = Kernel { name: "soft histogram, total", text: include_str!("histogram_total.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "soft histogram backward", text: include_str!("histogram_bwd.wgsl") };
+const DIVERGENCE: Kernel = Kernel { name: "divergence from uniform", text: include_str!("divergence.wgsl") };
 
 /// Invocations per workgroup, and the most bins that one of them has.
 const GROUP: usize = 256;

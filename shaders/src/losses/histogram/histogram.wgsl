@@ -1,6 +1,11 @@
 // The soft histogram of every block of values. One workgroup per block and COLUMNS bins; COLUMNS is a power of two, at
 // most 256. In each round of 256 values, an invocation first finds the bins of one value, then acts as a bin and sums
 // every (256 / COLUMNS)-th value.
+#import gpu::column_sum
+#import gpu::flat_group
+#import gpu::nowhere
+#import losses::histogram::histogram_bins
+#const COLUMNS
 
 @group(0) @binding(2) var<storage, read_write> block_shares: array<f32>;
 

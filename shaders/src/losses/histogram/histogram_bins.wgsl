@@ -37,4 +37,3 @@ fn place_of(value: f32) -> Place {
     let inside = at > 0.0 && at < last;
     return Place(u32(lower), select(clamped, at, inside || !is_finite(at)) - lower, inside);
 }
-

@@ -1,16 +1,12 @@
 // The gradients of the values, from those of the shares of the two bins that each value lies between. One invocation
 // per value.
+#import gpu::elements
+#import losses::histogram::histogram_bins
 
 @group(0) @binding(2) var<storage, read> g_shares: array<f32>;
 @group(0) @binding(3) var<storage, read_write> g_x: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at >= sizes.len) {
         return;
     }

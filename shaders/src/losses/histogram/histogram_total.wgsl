@@ -1,4 +1,6 @@
 // Sums the shares of all blocks. One workgroup per bin.
+#import gpu::flat_group
+#import gpu::row_sum
 
 struct Total {
     blocks: u32,

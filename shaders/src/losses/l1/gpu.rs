@@ -1,11 +1,11 @@
 //! The kernels of the mean distance.
 
-use crate::arrays::sums::{GROUP, TOTAL_TEXT, total_of};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::arrays::sums::{GROUP, total_of};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const L1: Kernel = Kernel { name: "l1", text: &[ROW_SUM, include_str!("l1.wgsl"), TOTAL_TEXT] };
-const L1_BACKWARD: Kernel = Kernel { name: "l1 backward", text: &[include_str!("l1_bwd.wgsl")] };
+const L1: Kernel = Kernel { name: "l1", text: include_str!("l1.wgsl") };
+const L1_BACKWARD: Kernel = Kernel { name: "l1 backward", text: include_str!("l1_bwd.wgsl") };
 
 uniforms! {
     struct DistanceBlock as "Distance" {

@@ -2,12 +2,11 @@
 
 use super::{Layout, Ssim, TAPS, weights};
 use crate::arrays::sums::{LANES, total};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const WINDOW: &str = include_str!("ssim_tile.wgsl");
-const FORWARD: Kernel = Kernel { name: "ssim", text: &[ROW_SUM, WINDOW, include_str!("ssim.wgsl")] };
-const BACKWARD: Kernel = Kernel { name: "ssim backward", text: &[WINDOW, include_str!("ssim_bwd.wgsl")] };
+const FORWARD: Kernel = Kernel { name: "ssim", text: include_str!("ssim.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "ssim backward", text: include_str!("ssim_bwd.wgsl") };
 
 /// Pixels along the sides of a tile.
 const TILE: usize = 16;

@@ -1,6 +1,10 @@
 // Sums SSIM over the windows that count, per tile. If KEEP is 1, also writes its derivatives with respect to the
 // windowed means of x, x² and xy: three sets of planes, 0 for windows that do not count. One workgroup per tile and
 // channel.
+#import gpu::flat_group
+#import gpu::row_sum
+#import losses::ssim::ssim_tile
+#const KEEP
 
 @group(0) @binding(1) var<storage, read> render: array<f32>;
 @group(0) @binding(2) var<storage, read> reference: array<f32>;

@@ -1,5 +1,7 @@
 // The gradient of the mean of SSIM: every pixel gathers the derivatives of the windows that cover it. One workgroup per
 // tile and channel.
+#import gpu::flat_group
+#import losses::ssim::ssim_tile
 
 @group(0) @binding(1) var<storage, read> render: array<f32>;
 @group(0) @binding(2) var<storage, read> reference: array<f32>;

@@ -62,4 +62,3 @@ fn interleaved(tile: Tile, column: u32, row: u32) -> u32 {
 fn planar(tile: Tile, column: u32, row: u32) -> u32 {
     return (tile.channel * image.height + row) * image.width + column;
 }
-

@@ -1,5 +1,7 @@
 // Central difference convolution: the weights, with θ times the sum of the taps subtracted from the central tap. If
 // BACKWARD is 1: the gradients of all taps less θ times that of the central one. One invocation per weight.
+#import gpu::elements
+#const BACKWARD
 
 struct Central {
     len: u32,
@@ -12,13 +14,7 @@ struct Central {
 @group(0) @binding(1) var<storage, read> weights: array<f32>;
 @group(0) @binding(2) var<storage, read_write> out: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at >= sizes.len) {
         return;
     }

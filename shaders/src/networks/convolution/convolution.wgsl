@@ -1,5 +1,11 @@
-// The operands of a convolution as a matrix product. DIRECTION 0: patches of x times weights. DIRECTION 1: patches of
+// A convolution as a matrix product. DIRECTION 0: patches of x times weights. DIRECTION 1: patches of
 // dy (the output pixels whose taps read an input pixel) times weights. DIRECTION 2: dy transposed times patches of x.
+#import gpu::grouped::grouped
+#import gpu::nowhere
+#import networks::linear::product
+#import networks::linear::separate_outputs
+#const CHANNELS, DILATION, DIRECTION, INPUT_HEIGHT, INPUT_WIDTH, KERNEL_WIDTH, OUTPUTS, OUTPUT_HEIGHT, OUTPUT_WIDTH
+#const PADDING, PIXEL_STRIDE, TAPS
 
 // The input pixel that a tap of an output pixel reads, or NOWHERE in the padding.
 fn source_of(pixel: u32, tap: u32) -> u32 {

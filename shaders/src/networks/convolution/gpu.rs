@@ -12,11 +12,11 @@ use crate::networks::linear::product::{self, Product};
 use crate::tape::{Real, Tensor};
 
 const CONVOLUTION: Grouped = Grouped {
-    kernel: Kernel { name: "convolution", text: &[product::EACH[0], product::EACH[1], include_str!("convolution.wgsl")] },
+    kernel: Kernel { name: "convolution", text: include_str!("convolution.wgsl") },
     shared: 0,
     arrays: product::EACH_ARRAYS,
 };
-const CENTRAL: Kernel = Kernel { name: "central difference", text: &[include_str!("central_difference.wgsl")] };
+const CENTRAL: Kernel = Kernel { name: "central difference", text: include_str!("central_difference.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

@@ -5,22 +5,16 @@
 mod tests;
 
 use super::GroupNorm;
-use crate::gpu::column_sums::{COLUMN_SUMS, Terms};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::gpu::column_sums::Terms;
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const TERMS: Kernel = Kernel {
-    name: "group norm, terms",
-    text: &[COLUMN_SUMS[0], COLUMN_SUMS[1], include_str!("group_norm_terms.wgsl")],
-};
-const STATISTICS: Kernel =
-    Kernel { name: "group norm, statistics", text: &[ROW_SUM, include_str!("group_norm_statistics.wgsl")] };
-const FORWARD: Kernel = Kernel { name: "group norm", text: &[include_str!("group_norm.wgsl")] };
-const BACKWARD_TERMS: Kernel = Kernel {
-    name: "group norm backward, terms",
-    text: &[COLUMN_SUMS[0], COLUMN_SUMS[1], include_str!("group_norm_bwd_terms.wgsl")],
-};
-const BACKWARD: Kernel = Kernel { name: "group norm backward", text: &[include_str!("group_norm_bwd.wgsl")] };
+const TERMS: Kernel = Kernel { name: "group norm, terms", text: include_str!("group_norm_terms.wgsl") };
+const STATISTICS: Kernel = Kernel { name: "group norm, statistics", text: include_str!("group_norm_statistics.wgsl") };
+const FORWARD: Kernel = Kernel { name: "group norm", text: include_str!("group_norm.wgsl") };
+const BACKWARD_TERMS: Kernel =
+    Kernel { name: "group norm backward, terms", text: include_str!("group_norm_bwd_terms.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "group norm backward", text: include_str!("group_norm_bwd.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

@@ -1,4 +1,6 @@
 // γ·(x − μ)/√(σ² + ε) + β for groups of PER_GROUP channels. One invocation per value.
+#import gpu::elements
+#const PER_GROUP
 
 struct GroupNorm {
     len: u32,
@@ -13,13 +15,7 @@ struct GroupNorm {
 @group(0) @binding(5) var<storage, read> inverses: array<f32>;
 @group(0) @binding(6) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at >= sizes.len) {
         return;
     }

@@ -1,5 +1,7 @@
 // With x̂ = (x − μ)/√(σ² + ε) and g = γ·dy: dx = (g − mean(g) − x̂·mean(g·x̂))/√(σ² + ε). The means over the group of
 // PER_GROUP channels follow from the gradients of β and γ. One invocation per value.
+#import gpu::elements
+#const PER_GROUP
 
 struct GroupNorm {
     len: u32,
@@ -16,13 +18,7 @@ struct GroupNorm {
 @group(0) @binding(7) var<storage, read> g_scale: array<f32>;
 @group(0) @binding(8) var<storage, read_write> dx: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at >= sizes.len) {
         return;
     }

@@ -1,4 +1,6 @@
 // The terms of the gradients of β and γ for groups of PER_GROUP channels: dy and dy·x̂.
+#import gpu::column_sums
+#const PER_GROUP
 
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 @group(0) @binding(3) var<storage, read> dy: array<f32>;

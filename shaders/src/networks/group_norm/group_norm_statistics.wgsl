@@ -1,5 +1,8 @@
 // The mean of the terms of every group of PER_GROUP channels, or 1/√(mean + ε) if SQUARES is 1. One workgroup per
 // group.
+#import gpu::flat_group
+#import gpu::row_sum
+#const PER_GROUP, SQUARES
 
 struct Statistics {
     pixels: u32,

@@ -1,5 +1,7 @@
 // The terms of the statistics of groups of PER_GROUP channels: the values, or their squared differences from the means
 // if SQUARES is 1.
+#import gpu::column_sums
+#const PER_GROUP, SQUARES
 
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 @group(0) @binding(3) var<storage, read> means: array<f32>;

@@ -1,6 +1,9 @@
 // The gradients of the corners of every cell, summed over blocks of the list of entries sorted by cell. One invocation
 // per block and channel visits its entries and writes its sums when a cell ends. From one write to the next, the block
 // or the cell increases, so that block + cell is a unique index.
+#import gpu::elements
+#import networks::hexplane::field
+#const ITEMS
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 @group(0) @binding(2) var<storage, read> g_values: array<f32>;
@@ -28,13 +31,7 @@ fn write_corners(place: u32, channel: u32, sums: vec4<f32>) {
     }
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     let block = index / channels();
     let channel = index % channels();
     // Entries of the items' scales alone, which are consecutive.

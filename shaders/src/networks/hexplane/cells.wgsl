@@ -1,18 +1,12 @@
 // The cell of every point on each of the six planes of every scale. One invocation per scale and point.
+#import gpu::grouped::elements
+#import networks::hexplane::field
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 // [6·scales, points].
 @group(0) @binding(2) var<storage, read_write> cell_of_entry: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let flat = flat_group(group, groups);
-    let scale = item_of(flat);
-    let point = (flat - first_group(scale)) * 256u + local;
+fn run(scale: u32, point: u32) {
     if (point >= points()) {
         return;
     }

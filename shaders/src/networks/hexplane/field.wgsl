@@ -1,5 +1,6 @@
 // The scales of a hexplane field at one time; each scale is an item. The six planes xy, xz, xt, yz, yt, zt have the
 // shape [height, width, channels].
+#import gpu::grouped::grouped
 
 struct Item {
     // Texels along x, y, z and t.
@@ -92,4 +93,3 @@ fn time_lookup(scale: u32) -> Lookup {
     let own = constants_of(scale);
     return Lookup(own.time_low, own.time_high, own.time_fraction, 0.0);
 }
-

@@ -11,30 +11,19 @@ use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{ALIGNMENT, Binding, Gpu, GpuArray, Kernel, parts};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
-const FIELD: &str = include_str!("field.wgsl");
-const POINTS: &str = include_str!("plane_samples.wgsl");
-const FORWARD: Grouped = Grouped {
-    kernel: Kernel { name: "hexplane", text: &[FIELD, POINTS, include_str!("hexplane.wgsl")] },
-    shared: 2,
-    arrays: PLANES,
-};
+const FORWARD: Grouped =
+    Grouped { kernel: Kernel { name: "hexplane", text: include_str!("hexplane.wgsl") }, shared: 2, arrays: PLANES };
 const BACKWARD: Grouped = Grouped {
-    kernel: Kernel { name: "hexplane backward", text: &[FIELD, POINTS, include_str!("hexplane_bwd.wgsl")] },
+    kernel: Kernel { name: "hexplane backward", text: include_str!("hexplane_bwd.wgsl") },
     shared: 4,
     arrays: PLANES,
 };
-const CELLS: Grouped = Grouped {
-    kernel: Kernel { name: "hexplane, cells", text: &[FIELD, include_str!("cells.wgsl")] },
-    shared: 2,
-    arrays: &[],
-};
-const BLOCKS: Grouped = Grouped {
-    kernel: Kernel { name: "hexplane, blocks", text: &[FIELD, include_str!("blocks.wgsl")] },
-    shared: 5,
-    arrays: &[],
-};
+const CELLS: Grouped =
+    Grouped { kernel: Kernel { name: "hexplane, cells", text: include_str!("cells.wgsl") }, shared: 2, arrays: &[] };
+const BLOCKS: Grouped =
+    Grouped { kernel: Kernel { name: "hexplane, blocks", text: include_str!("blocks.wgsl") }, shared: 5, arrays: &[] };
 const TEXELS: Grouped = Grouped {
-    kernel: Kernel { name: "hexplane, texels", text: &[FIELD, include_str!("texels.wgsl")] },
+    kernel: Kernel { name: "hexplane, texels", text: include_str!("texels.wgsl") },
     shared: 2,
     arrays: GRADIENTS,
 };

@@ -1,17 +1,12 @@
 // Hexplane features of all scales (K-Planes product of six planes). One invocation per scale, point and channel.
+#import gpu::grouped::elements
+#import gpu::grouped::grouped
+#import networks::hexplane::plane_samples
 
 @group(0) @binding(2) var<storage, read_write> features: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let flat = flat_group(group, groups);
-    let scale = item_of(flat);
+fn run(scale: u32, index: u32) {
     let own = constants_of(scale);
-    let index = (flat - first_group(scale)) * 256u + local;
     let point = index / own.channels;
     if (point >= own.points) {
         return;

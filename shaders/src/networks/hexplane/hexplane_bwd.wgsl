@@ -1,6 +1,11 @@
 // The gradients of the values that every point sampled from the six planes of every scale, and of the positions. A
 // workgroup has whole points, with one invocation per channel, or, of a single point, one per 256th channel. If ADDS is
 // 1, the gradients of the positions are added to the current values.
+#import gpu::flat_group
+#import gpu::grouped::grouped
+#import networks::hexplane::field
+#import networks::hexplane::plane_samples
+#const ADDS, ITEMS
 
 @group(0) @binding(2) var<storage, read> dy: array<f32>;
 // [6·scales, points, channels].

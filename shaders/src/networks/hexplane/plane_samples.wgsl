@@ -1,4 +1,11 @@
 // The values that a point samples from the planes, for one channel.
+#import networks::hexplane::field
+#extern fn gather_plane_xy(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn gather_plane_xz(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn gather_plane_xt(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn gather_plane_yz(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn gather_plane_yt(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn gather_plane_zt(item: u32, at: vec4<u32>) -> vec4<f32>
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 
@@ -64,4 +71,3 @@ fn readings_of(scale: u32, point: u32, channel: u32) -> Readings {
         read_plane(scale, 5u, z, t, channel),
     );
 }
-

@@ -1,5 +1,20 @@
 // The gradients of all texels of the six planes of every scale. One invocation per texel and channel adds its corner of
 // the surrounding cells, block by block.
+#import gpu::grouped::elements
+#import gpu::grouped::grouped
+#import networks::hexplane::field
+#extern fn g_xy(item: u32, at: u32) -> f32
+#extern fn set_g_xy(item: u32, at: u32, value: f32)
+#extern fn g_xz(item: u32, at: u32) -> f32
+#extern fn set_g_xz(item: u32, at: u32, value: f32)
+#extern fn g_xt(item: u32, at: u32) -> f32
+#extern fn set_g_xt(item: u32, at: u32, value: f32)
+#extern fn g_yz(item: u32, at: u32) -> f32
+#extern fn set_g_yz(item: u32, at: u32, value: f32)
+#extern fn g_yt(item: u32, at: u32) -> f32
+#extern fn set_g_yt(item: u32, at: u32, value: f32)
+#extern fn g_zt(item: u32, at: u32) -> f32
+#extern fn set_g_zt(item: u32, at: u32, value: f32)
 
 // [cells + 1]: index of the first entry of each cell in the list of entries sorted by cell.
 @group(0) @binding(1) var<storage, read> entry_starts: array<u32>;
@@ -89,16 +104,9 @@ fn gradient_of(scale: u32, plane: u32, element: u32) -> f32 {
     return spatial_gradient(scale, plane, texel % width, texel / width, channel);
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let flat = flat_group(group, groups);
-    let scale = item_of(flat);
+fn run(scale: u32, at: u32) {
     // Elements are numbered plane by plane.
-    var element = (flat - first_group(scale)) * 256u + local;
+    var element = at;
     var plane = 0u;
     for (; plane < 6u; plane++) {
         let len = texels(scale, width_axis(plane)) * texels(scale, height_axis(plane)) * channels();

@@ -1,4 +1,6 @@
 // x·scale + offset per column, or dy·scale if BACKWARD is 1. One invocation per value.
+#import gpu::elements
+#const BACKWARD
 
 struct Affine {
     len: u32,
@@ -11,13 +13,7 @@ struct Affine {
 @group(0) @binding(3) var<storage, read> offset: array<f32>;
 @group(0) @binding(4) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at >= sizes.len) {
         return;
     }

@@ -1,4 +1,5 @@
 // The terms of the gradients of scale and offset: dy·x and dy.
+#import gpu::column_sums
 
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 @group(0) @binding(3) var<storage, read> dy: array<f32>;

@@ -4,19 +4,14 @@
 #[path = "gpu_tests.rs"]
 mod tests;
 
-use crate::gpu::column_sums::{COLUMN_SUMS, Terms};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
+use crate::gpu::column_sums::Terms;
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const MOMENTS: &str = include_str!("row_moments.wgsl");
-const STANDARDIZE: Kernel = Kernel { name: "standardize", text: &[ROW_SUM, MOMENTS, include_str!("layer_norm.wgsl")] };
-const STANDARDIZE_BACKWARD: Kernel =
-    Kernel { name: "standardize backward", text: &[ROW_SUM, MOMENTS, include_str!("layer_norm_bwd.wgsl")] };
-const AFFINE: Kernel = Kernel { name: "affine columns", text: &[include_str!("affine.wgsl")] };
-const AFFINE_TERMS: Kernel = Kernel {
-    name: "affine columns backward",
-    text: &[COLUMN_SUMS[0], COLUMN_SUMS[1], include_str!("affine_terms.wgsl")],
-};
+const STANDARDIZE: Kernel = Kernel { name: "standardize", text: include_str!("layer_norm.wgsl") };
+const STANDARDIZE_BACKWARD: Kernel = Kernel { name: "standardize backward", text: include_str!("layer_norm_bwd.wgsl") };
+const AFFINE: Kernel = Kernel { name: "affine columns", text: include_str!("affine.wgsl") };
+const AFFINE_TERMS: Kernel = Kernel { name: "affine columns backward", text: include_str!("affine_terms.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

@@ -1,4 +1,7 @@
 // Standardises rows to mean 0 and variance 1. LANES invocations per row.
+#import gpu::flat_group
+#import networks::layer_norm::row_moments
+#const LANES
 
 @group(0) @binding(2) var<storage, read_write> y: array<f32>;
 

@@ -1,5 +1,9 @@
 // The gradients of rows, from those of their standardised form: dx = (dy − mean(dy) − y·mean(y·dy)) / deviation. LANES
 // invocations per row.
+#import gpu::flat_group
+#import gpu::row_sum
+#import networks::layer_norm::row_moments
+#const LANES
 
 @group(0) @binding(2) var<storage, read> y: array<f32>;
 @group(0) @binding(3) var<storage, read> dy: array<f32>;

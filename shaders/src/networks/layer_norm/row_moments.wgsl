@@ -1,4 +1,6 @@
 // Mean and standard deviation of a row that LANES invocations share.
+#import gpu::row_sum
+#const LANES
 
 struct Norm {
     rows: u32,
@@ -30,4 +32,3 @@ fn moments(local: u32, row: u32) -> vec2<f32> {
     }
     return vec2<f32>(mean, sqrt(row_sum(local, own) / f32(sizes.columns) + EPSILON));
 }
-

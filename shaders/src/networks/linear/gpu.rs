@@ -1,17 +1,16 @@
 //! The kernels of layers: one matrix product for each direction, of several layers at once.
 
 use super::Activation;
-use super::product::{self, EACH, EACH_ARRAYS, Output, Product, SUM, SUM_ARRAYS};
+use super::product::{self, EACH_ARRAYS, Output, Product, SUM_ARRAYS};
 use crate::gpu::grouped::Grouped;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
-const OPERANDS: &str = include_str!("strided_operands.wgsl");
 const LAYERS: Grouped =
-    Grouped { kernel: Kernel { name: "linear", text: &[EACH[0], EACH[1], OPERANDS] }, shared: 0, arrays: EACH_ARRAYS };
+    Grouped { kernel: Kernel { name: "linear", text: include_str!("linear.wgsl") }, shared: 0, arrays: EACH_ARRAYS };
 /// The gradient of an input that several layers share.
 const OVER_LAYERS: Grouped = Grouped {
-    kernel: Kernel { name: "linear, over layers", text: &[SUM[0], SUM[1], OPERANDS] },
+    kernel: Kernel { name: "linear, over layers", text: include_str!("linear_over_layers.wgsl") },
     shared: 1,
     arrays: SUM_ARRAYS,
 };

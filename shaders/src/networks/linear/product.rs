@@ -4,19 +4,14 @@
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 
-/// The text of a kernel of products with an output each, but for where their operands lie: `a_at(item, row, term)` and
-/// `b_at(item, term, column)`, NOWHERE what counts as 0.
-pub const EACH: [&str; 2] = [include_str!("product.wgsl"), include_str!("separate_outputs.wgsl")];
-/// As [`EACH`], of products that add up to one output.
-pub const SUM: [&str; 2] = [include_str!("product.wgsl"), include_str!("summed_output.wgsl")];
-/// The arrays of [`EACH`].
+/// The arrays of a kernel of products with one output each (`separate_outputs.wgsl`).
 pub const EACH_ARRAYS: &[ItemArray] =
     &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side"), ItemArray::write("y")];
-/// Those of [`SUM`], which shares one array.
+/// The arrays of a kernel of products that add up to one shared output (`summed_output.wgsl`).
 pub const SUM_ARRAYS: &[ItemArray] = &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side")];
 
 const PARTS: Grouped = Grouped {
-    kernel: Kernel { name: "products, parts", text: &[include_str!("product_parts.wgsl")] },
+    kernel: Kernel { name: "products, parts", text: include_str!("product_parts.wgsl") },
     shared: 0,
     arrays: &[ItemArray::read("parts"), ItemArray::write("product"), ItemArray::write("sums")],
 };
@@ -116,7 +111,7 @@ fn specialised(specialisation: &[(&'static str, u32)], together: bool) -> Vec<(&
     [specialisation, &[("TOGETHER", u32::from(together))]].concat()
 }
 
-/// Every product into its output; `kernel` is of [`EACH`].
+/// Computes every product into its output; `kernel` has the arrays [`EACH_ARRAYS`].
 pub fn each(
     gpu: Gpu,
     kernel: &Grouped,
@@ -158,7 +153,7 @@ pub fn sum(
 pub type WithSums<'p, 'a> = (&'p [Product<'a>], &'p [[Output<'a>; 2]]);
 
 /// Every product, and the sums of the rows of its A, into their outputs; of so many terms that workgroups share their sums.
-/// `kernel` is of [`EACH`].
+/// `kernel` has the arrays [`EACH_ARRAYS`].
 pub fn with_sums(gpu: Gpu, kernel: &Grouped, specialisation: &[(&'static str, u32)], products: WithSums) {
     each_with_sums(gpu, kernel, specialisation, (&[], &[]), products);
 }

@@ -8,6 +8,18 @@
 // `b_at(item, term, column)`, which are NOWHERE for elements that count as 0.
 //
 // If A_BY_TERM and SUMS are 2, the item decides: in A, rows are adjacent for items with sums, terms for the others.
+#import gpu::flat_group
+#import gpu::grouped::grouped
+#import gpu::nowhere
+#const A_BY_TERM, BIAS, B_BY_TERM, ITEMS, MASK, RELU, SUMS, TOGETHER
+#extern fn gather_a(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn gather_b(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn gather_side(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn side(item: u32, at: u32) -> f32
+#extern fn a_at(item: u32, row: u32, term: u32) -> u32
+#extern fn b_at(item: u32, term: u32, column: u32) -> u32
+#extern fn result(item: u32, at: u32) -> f32
+#extern fn set_result(item: u32, at: u32, value: f32)
 
 struct Item {
     // Rows and columns of A·B, and the number of terms of each sum.

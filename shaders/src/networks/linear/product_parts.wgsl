@@ -1,4 +1,12 @@
 // Adds the parts of products. The last column of a part holds the sums of the rows of A. One invocation per element.
+#import gpu::grouped::elements
+#import gpu::grouped::grouped
+#extern fn gather_parts(item: u32, at: vec4<u32>) -> vec4<f32>
+#extern fn parts(item: u32, at: u32) -> f32
+#extern fn product(item: u32, at: u32) -> f32
+#extern fn set_product(item: u32, at: u32, value: f32)
+#extern fn sums(item: u32, at: u32) -> f32
+#extern fn set_sums(item: u32, at: u32, value: f32)
 
 struct Item {
     rows: u32,
@@ -9,16 +17,8 @@ struct Item {
     adds: u32,
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let flat = flat_group(group, groups);
-    let item = item_of(flat);
+fn run(item: u32, element: u32) {
     let own = constants_of(item);
-    let element = (flat - first_group(item)) * 256u + local;
     let elements = own.rows * own.columns;
     if (element >= elements) {
         return;

@@ -1,4 +1,6 @@
 // Matrix products with one output each.
+#extern fn y(item: u32, at: u32) -> f32
+#extern fn set_y(item: u32, at: u32, value: f32)
 
 fn result(item: u32, at: u32) -> f32 {
     return y(item, at);

@@ -1,4 +1,6 @@
 // The operands of a linear layer, addressed by strides.
+#import gpu::grouped::grouped
+#import networks::linear::product
 
 fn a_at(item: u32, row: u32, term: u32) -> u32 {
     let own = constants_of(item);

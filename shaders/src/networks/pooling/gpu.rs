@@ -5,12 +5,11 @@
 mod tests;
 
 use super::AveragePool;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const GRID: &str = include_str!("pooling_grid.wgsl");
-const FORWARD: Kernel = Kernel { name: "average pool", text: &[ROW_SUM, GRID, include_str!("pooling.wgsl")] };
-const BACKWARD: Kernel = Kernel { name: "average pool backward", text: &[GRID, include_str!("pooling_bwd.wgsl")] };
+const FORWARD: Kernel = Kernel { name: "average pool", text: include_str!("pooling.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "average pool backward", text: include_str!("pooling_bwd.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

@@ -1,4 +1,8 @@
 // Average pooling: the mean of every cell. LANES invocations per cell and channel.
+#import gpu::flat_group
+#import gpu::row_sum
+#import networks::pooling::pooling_grid
+#const LANES
 
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 @group(0) @binding(2) var<storage, read_write> grid: array<f32>;

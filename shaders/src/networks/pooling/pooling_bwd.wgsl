@@ -1,15 +1,11 @@
 // The gradients of pixels, from those of the cells that they overlap. One invocation per pixel and channel.
+#import gpu::elements
+#import networks::pooling::pooling_grid
 
 @group(0) @binding(1) var<storage, read> g_grid: array<f32>;
 @group(0) @binding(2) var<storage, read_write> g_image: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= sizes.pixels.x * sizes.pixels.y * sizes.channels) {
         return;
     }

@@ -28,4 +28,3 @@ fn share_of(cell: vec2<u32>, pixel: vec2<u32>) -> f32 {
     let shares = vec2<f32>(end - start) / vec2<f32>(sizes.pixels);
     return shares.x * shares.y;
 }
-

@@ -1,4 +1,6 @@
 // Positional encoding: x if WITH_INPUT is 1, then sin x, cos x, sin 2x, cos 2x, sin 4x, …, each with COLUMNS_0 columns.
+#const COLUMNS_0, WITH_INPUT
+#extern var<storage, read> x0: array<f32>
 
 fn value(row: u32, column: u32) -> f32 {
     let block = column / COLUMNS_0;

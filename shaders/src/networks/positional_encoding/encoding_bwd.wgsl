@@ -1,4 +1,7 @@
 // The gradient of x, summed over BANDS frequency bands.
+#const BANDS, COLUMNS_0, COLUMNS_Y, WITH_INPUT
+#extern var<storage, read> y: array<f32>
+#extern var<storage, read> dy: array<f32>
 
 // The gradient of x, summed over BANDS frequency bands.
 

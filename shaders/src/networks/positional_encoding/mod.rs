@@ -70,8 +70,8 @@ impl RowMap<1> for PositionalEncoding {
 
     fn wgsl(&self, _coordinates: [usize; 1]) -> Option<RowWgsl> {
         let wgsl = || RowWgsl {
-            value: &[include_str!("encoding.wgsl")],
-            gradients: &[include_str!("encoding_bwd.wgsl")],
+            value: include_str!("encoding.wgsl"),
+            gradients: include_str!("encoding_bwd.wgsl"),
             specialisation: vec![("BANDS", self.bands as u32), ("WITH_INPUT", u32::from(self.with_input))],
             numbers: Vec::new(),
         };

@@ -5,15 +5,12 @@
 mod tests;
 
 use super::Waves;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const WAVES: &str = include_str!("wave_phase.wgsl");
-const FORWARD: Kernel = Kernel { name: "temporal harmonics", text: &[WAVES, include_str!("temporal_harmonics.wgsl")] };
-const BACKWARD: Kernel = Kernel {
-    name: "temporal harmonics backward",
-    text: &[ROW_SUM, WAVES, include_str!("temporal_harmonics_bwd.wgsl")],
-};
+const FORWARD: Kernel = Kernel { name: "temporal harmonics", text: include_str!("temporal_harmonics.wgsl") };
+const BACKWARD: Kernel =
+    Kernel { name: "temporal harmonics backward", text: include_str!("temporal_harmonics_bwd.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

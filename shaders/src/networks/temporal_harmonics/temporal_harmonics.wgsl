@@ -1,16 +1,12 @@
 // The sum of a row's waves at one time. One invocation per value.
+#import gpu::elements
+#import networks::temporal_harmonics::wave_phase
 
 @group(0) @binding(1) var<storage, read> waves: array<f32>;
 @group(0) @binding(2) var<storage, read> times: array<f32>;
 @group(0) @binding(3) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at >= sizes.rows * sizes.used) {
         return;
     }

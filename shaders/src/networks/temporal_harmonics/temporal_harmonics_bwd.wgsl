@@ -1,4 +1,8 @@
 // The gradients of waves and times. LANES invocations per row; each takes every LANES-th value of a wave.
+#import gpu::flat_group
+#import gpu::row_sum
+#import networks::temporal_harmonics::wave_phase
+#const LANES
 
 @group(0) @binding(1) var<storage, read> waves: array<f32>;
 @group(0) @binding(2) var<storage, read> times: array<f32>;

@@ -19,4 +19,3 @@ fn phase_of(wave: u32, offset: f32) -> f32 {
     let turns = f32(wave + 1u) * offset;
     return TAU * (turns - round(turns));
 }
-

@@ -1,17 +1,14 @@
 // The number of tiles that each splat intersects, and its sort key: its depth, or NOWHERE if it intersects none. One
 // invocation per splat.
+#import gpu::elements
+#import gpu::nowhere
+#import rasteriser::binning::tile_spans
 
 @group(0) @binding(4) var<storage, read> depths: array<f32>;
 @group(0) @binding(5) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> keys: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let splat = flat_group(group, groups) * 256u + local;
+fn run(splat: u32) {
     if (splat >= grid.count) {
         return;
     }

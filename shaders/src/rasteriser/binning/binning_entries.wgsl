@@ -1,5 +1,7 @@
 // From the hits sorted by tile: the rank of every entry, the entry of every hit, and the first entry of every tile. One
 // invocation per entry.
+#import gpu::elements
+#import gpu::nowhere
 
 struct Entries {
     tiles: u32,
@@ -15,13 +17,7 @@ struct Entries {
 @group(0) @binding(6) var<storage, read_write> tile_starts: array<u32>;
 @group(0) @binding(7) var<storage, read_write> entry_of_hit: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let entry = flat_group(group, groups) * 256u + local;
+fn run(entry: u32) {
     let count = length[0];
     if (entry >= count && entry > 0u) {
         return;

@@ -1,5 +1,8 @@
 // The hits of every rank: (tile, rank) pairs with ascending tiles. If this pass finds fewer tiles than were counted,
 // the remaining hits belong to no tile. Hits above the count or the capacity are not written. One invocation per rank.
+#import gpu::elements
+#import gpu::length_write
+#import rasteriser::binning::tile_spans
 
 @group(0) @binding(4) var<storage, read> order: array<u32>;
 @group(0) @binding(5) var<storage, read> hit_starts: array<u32>;
@@ -7,13 +10,7 @@
 @group(0) @binding(7) var<storage, read_write> hit_ranks: array<u32>;
 @group(0) @binding(8) var<storage, read_write> length: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let rank = flat_group(group, groups) * 256u + local;
+fn run(rank: u32) {
     if (rank == 0u) {
         write_length(hit_starts[grid.count], grid.capacity);
     }

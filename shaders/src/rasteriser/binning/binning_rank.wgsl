@@ -1,5 +1,7 @@
 // From the depth order of the splats: the rank of each splat, the number of visible splats (those that intersect a
 // tile), and the input of the prefix sum: the number of tiles of each rank, then 0.
+#import arrays::sort::scan
+#import gpu::nowhere
 
 @group(0) @binding(3) var<storage, read> sorted_keys: array<u32>;
 @group(0) @binding(4) var<storage, read> order: array<u32>;

@@ -3,16 +3,15 @@
 use std::sync::Arc;
 
 use super::{Grid, MAX_INTERSECTIONS};
-use crate::arrays::sort::{SCAN_TEXT, SUM_CAP, sort, sort_first, sums_of};
+use crate::arrays::sort::{SUM_CAP, sort, sort_first, sums_of};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, Length, uniforms};
 use crate::tape::{Real, Tensor};
 
 const GROUP: usize = Length::GROUP;
-const SPANS: &str = concat!(include_str!("ellipse.wgsl"), include_str!("tile_spans.wgsl"));
-const COUNT: Kernel = Kernel { name: "binning, counts", text: &[SPANS, include_str!("binning_count.wgsl")] };
-const RANK: Kernel = Kernel { name: "binning, ranks", text: &[include_str!("binning_rank.wgsl"), SCAN_TEXT] };
-const HITS: Kernel = Kernel { name: "binning, hits", text: &[SPANS, Length::WGSL, include_str!("binning_hits.wgsl")] };
-const ENTRIES: Kernel = Kernel { name: "binning, entries", text: &[include_str!("binning_entries.wgsl")] };
+const COUNT: Kernel = Kernel { name: "binning, counts", text: include_str!("binning_count.wgsl") };
+const RANK: Kernel = Kernel { name: "binning, ranks", text: include_str!("binning_rank.wgsl") };
+const HITS: Kernel = Kernel { name: "binning, hits", text: include_str!("binning_hits.wgsl") };
+const ENTRIES: Kernel = Kernel { name: "binning, entries", text: include_str!("binning_entries.wgsl") };
 
 // A sum that saturates must count as too many.
 const _: () = assert!(SUM_CAP as u64 > MAX_INTERSECTIONS);

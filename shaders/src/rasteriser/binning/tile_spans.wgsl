@@ -1,4 +1,5 @@
 // The tiles that intersect the ellipse of a splat.
+#import rasteriser::binning::ellipse
 
 struct Grid {
     width: u32,

@@ -1,5 +1,9 @@
 // Forward blending: the images, the final transmittance, and per pixel the index after the last blended entry of its
 // tile. One workgroup per tile, one invocation per pixel.
+#import gpu::flat_group
+#import rasteriser::blending::splat_at_pixel
+#import rasteriser::blending::staged_entries
+#const BATCH, DEPTH, EXTRAS
 
 @group(0) @binding(5) var<storage, read_write> color: array<f32>;
 @group(0) @binding(6) var<storage, read_write> alpha: array<f32>;

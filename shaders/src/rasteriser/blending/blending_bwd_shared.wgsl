@@ -1,6 +1,11 @@
 // Backward blending without subgroup operations: the rows of a tile's entries. One workgroup per tile. In each round of
 // a few entries, an invocation first acts as a pixel and stores its shares, then sums four columns of one entry over
 // some of the pixels. Then the parts are added in order.
+#import gpu::flat_group
+#import rasteriser::blending::pixel_share
+#import rasteriser::blending::splat_at_pixel
+#import rasteriser::blending::staged_entries
+#const BATCH
 
 // Entries of a round.
 const ROUND: u32 = 4u;

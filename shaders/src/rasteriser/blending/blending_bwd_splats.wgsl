@@ -3,6 +3,12 @@
 // place while the tile's pixels stream past it: in each step a pixel moves to the next invocation, which adds the
 // pixel's contribution to its own row. Between buckets the pixels are in workgroup memory. Each pixel visits each entry
 // once.
+#import gpu::flat_group
+#import gpu::nowhere
+#import rasteriser::blending::pixel_share
+#import rasteriser::blending::splat_at_pixel
+#import rasteriser::blending::tile_cells
+#const EXTRAS, SUBGROUP
 
 // The entry of an invocation: a batch of one.
 var<private> places: array<vec4<f32>, 1>;

@@ -1,6 +1,13 @@
 // Backward blending with subgroups of SUBGROUP invocations: the rows of a tile's entries. One workgroup per tile, one
 // invocation per pixel. Shuffles sum the contributions of a subgroup's pixels; the sums of the subgroups are added in
 // order.
+#import gpu::flat_group
+#import rasteriser::blending::pixel_share
+#import rasteriser::blending::splat_at_pixel
+#import rasteriser::blending::staged_entries
+#import rasteriser::blending::subgroup_exchange
+#import rasteriser::blending::subgroup_sum
+#const BATCH, SUBGROUP
 
 const SUBGROUPS: u32 = PIXELS / SUBGROUP;
 // Number of invocations that end up with the same one of eight sums, and of four sums.

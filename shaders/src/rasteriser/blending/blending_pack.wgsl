@@ -1,5 +1,7 @@
 // Packs the splats front to back, those that intersect no tile last: per rank one record of three vectors, and depth
 // and features. One invocation per rank.
+#import gpu::flat_group
+#const DEPTH
 
 struct Pack {
     // Splats.

@@ -1,5 +1,8 @@
 // The gradients of every splat: sums its rows in the order of its hits, then converts the moments to gradients of
 // means, conics and opacities. LANES invocations share a splat; each sums one column at a time.
+#import gpu::flat_group
+#import gpu::nowhere
+#const DEPTH, EXTRAS, LANES
 
 struct Sum {
     // Splats.

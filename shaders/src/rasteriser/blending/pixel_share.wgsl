@@ -3,6 +3,10 @@
 // e², e·dy, dy, dy²), with v the gradient of σ, then of the weight times the gradient of each channel. ARRIVING is a
 // bit mask of the upstream gradients that exist: colour, alpha, depth, features. The placeholder for a missing one is
 // never read.
+#import rasteriser::blending::splat_at_pixel
+#const ARRIVING, DEPTH, EXTRAS
+#extern var<private> colors: array<vec4<f32>, 1>
+#extern fn extra_value(entry: u32, extra: u32) -> f32
 
 @group(0) @binding(5) var<storage, read> transmittances: array<f32>;
 @group(0) @binding(6) var<storage, read> last_entries: array<u32>;

@@ -1,5 +1,8 @@
 // Stages the entries of a tile in workgroup memory, one batch at a time, with bit masks of the entries that intersect
 // each cell. BATCH is at most the number of invocations.
+#import rasteriser::blending::splat_at_pixel
+#import rasteriser::blending::tile_cells
+#const BATCH, EXTRAS
 
 // Words of 32 entries.
 const WORDS: u32 = (BATCH + 31u) / 32u;

@@ -1,6 +1,10 @@
 // Several sums at once over the SUBGROUP invocations of a subgroup. In each step an invocation keeps half of its
 // partial sums and passes the other half to the invocation whose index differs in one bit. The order of additions
 // depends on SUBGROUP alone.
+#const SUBGROUP
+#extern fn exchanged(value: f32, distance: u32) -> f32
+#extern fn exchanged2(value: vec2<f32>, distance: u32) -> vec2<f32>
+#extern fn exchanged4(value: vec4<f32>, distance: u32) -> vec4<f32>
 
 // Returns one of four sums, selected by two bits of `lane`: that of `distance` and the next lower one. The sum is over
 // all invocations whose indices differ in these bits and lower ones.

@@ -1,6 +1,9 @@
 // The cells of a tile that an entry intersects, by the same test as for tiles: the ellipse σ ≤ cutoff, enlarged by more
 // than the rounding error. So no pixel sees a splat that its cell does not intersect. If CULLED is 0, every entry
 // counts as intersecting every cell.
+#import rasteriser::binning::ellipse
+#import rasteriser::blending::splat_at_pixel
+#const CULLED
 
 // Bit mask of the cells of a tile that intersect an entry, from the first two vectors of its record.
 fn cells_meeting(place: vec4<f32>, shape: vec4<f32>, corner: vec2<u32>) -> u32 {

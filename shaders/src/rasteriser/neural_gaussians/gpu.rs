@@ -8,14 +8,10 @@ use super::{Chosen, Spawn};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
-const SPAWN: &str = include_str!("spawned_parameters.wgsl");
-const FORWARD: Kernel = Kernel { name: "neural gaussians", text: &[SPAWN, include_str!("neural_gaussians.wgsl")] };
-const BACKWARD: Kernel =
-    Kernel { name: "neural gaussians backward", text: &[SPAWN, include_str!("neural_gaussians_bwd.wgsl")] };
-const ANCHORS_BACKWARD: Kernel = Kernel {
-    name: "neural gaussians backward, anchors",
-    text: &[SPAWN, include_str!("neural_gaussians_anchors_bwd.wgsl")],
-};
+const FORWARD: Kernel = Kernel { name: "neural gaussians", text: include_str!("neural_gaussians.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "neural gaussians backward", text: include_str!("neural_gaussians_bwd.wgsl") };
+const ANCHORS_BACKWARD: Kernel =
+    Kernel { name: "neural gaussians backward, anchors", text: include_str!("neural_gaussians_anchors_bwd.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

@@ -1,4 +1,6 @@
 // The Gaussians that anchors spawn, in the order of the anchors. One invocation per Gaussian.
+#import gpu::elements
+#import rasteriser::neural_gaussians::spawned_parameters
 
 @group(0) @binding(1) var<storage, read> positions: array<f32>;
 @group(0) @binding(2) var<storage, read> log_scales: array<f32>;
@@ -12,13 +14,7 @@
 @group(0) @binding(10) var<storage, read_write> out_logits: array<f32>;
 @group(0) @binding(11) var<storage, read_write> out_sh: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let gaussian = flat_group(group, groups) * 256u + local;
+fn run(gaussian: u32) {
     if (gaussian >= sizes.anchors * sizes.per_anchor) {
         return;
     }

@@ -1,6 +1,9 @@
 // The gradients of the anchors' positions and scales: sums over each anchor's Gaussians in order. One invocation per
 // anchor. ARRIVING is a bit mask of the upstream gradients that exist: positions, scales. The placeholder for a missing
 // one is never read.
+#import gpu::elements
+#import rasteriser::neural_gaussians::spawned_parameters
+#const ARRIVING
 
 @group(0) @binding(1) var<storage, read> log_scales: array<f32>;
 @group(0) @binding(2) var<storage, read> offsets: array<f32>;
@@ -9,13 +12,7 @@
 @group(0) @binding(5) var<storage, read_write> g_positions: array<f32>;
 @group(0) @binding(6) var<storage, read_write> g_log_scales: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let anchor = flat_group(group, groups) * 256u + local;
+fn run(anchor: u32) {
     if (anchor >= sizes.anchors) {
         return;
     }

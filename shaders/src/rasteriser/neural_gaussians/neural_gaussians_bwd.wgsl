@@ -1,6 +1,9 @@
 // The gradients of offsets, opacities, shapes and colours. One invocation per Gaussian. ARRIVING is a bit mask of the
 // upstream gradients that exist: positions, scales, rotations, logits, harmonics. The placeholder for a missing one is
 // never read.
+#import gpu::elements
+#import rasteriser::neural_gaussians::spawned_parameters
+#const ARRIVING
 
 @group(0) @binding(1) var<storage, read> log_scales: array<f32>;
 @group(0) @binding(2) var<storage, read> opacities: array<f32>;
@@ -19,13 +22,7 @@ fn arrives(bit: u32) -> bool {
     return (ARRIVING & (1u << bit)) != 0u;
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let gaussian = flat_group(group, groups) * 256u + local;
+fn run(gaussian: u32) {
     if (gaussian >= sizes.anchors * sizes.per_anchor) {
         return;
     }

@@ -31,4 +31,3 @@ fn inside(opacity: f32) -> f32 {
     }
     return opacity;
 }
-

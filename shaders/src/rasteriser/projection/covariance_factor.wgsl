@@ -1,4 +1,5 @@
 // The factor F = R_q·diag(eˢ) of a splat's covariance FFᵀ, for both directions: the same definitions as on the CPU.
+#import geometry::algebra
 
 // Larger standard deviations are out of range, because they are about to overflow.
 const MAX_SCALE: f32 = 1e9;
@@ -36,4 +37,3 @@ fn scaled_rotation_backward(factor: Factor, g: Rows) -> ShapeGradient {
     let g_unit = rotation_backward(factor.unit.quaternion, scale_columns(g, factor.scales));
     return ShapeGradient(factor.scales * along, normalised_backward(factor.unit, g_unit));
 }
-

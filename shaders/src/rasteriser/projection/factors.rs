@@ -1,7 +1,5 @@
-use super::gpu::FACTOR;
 use super::shape::{Factor, Shape};
 use crate::arrays::rows::{RowMap, RowWgsl, map_rows, reshape};
-use crate::geometry::algebra;
 use crate::tape::{Real, Tape, Var};
 
 /// F = R_q·diag(eˢ) [N, 3, 3] of logarithms of standard deviations [N, 3] and quaternions [N, 4]: for splats that are
@@ -50,10 +48,9 @@ impl RowMap<2> for Factors {
     }
 
     fn wgsl(&self, _input_columns: [usize; 2]) -> Option<RowWgsl> {
-        const ROWS: &str = include_str!("factors.wgsl");
         Some(RowWgsl {
-            value: &[algebra::WGSL, FACTOR, ROWS, include_str!("factors_value.wgsl")],
-            gradients: &[algebra::WGSL, FACTOR, ROWS, include_str!("factors_bwd.wgsl")],
+            value: include_str!("factors_value.wgsl"),
+            gradients: include_str!("factors_bwd.wgsl"),
             specialisation: Vec::new(),
             numbers: Vec::new(),
         })

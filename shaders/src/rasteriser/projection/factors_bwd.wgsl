@@ -1,4 +1,8 @@
 // The gradients of rows of logarithmic scales and quaternions, from those of their covariance factors.
+#import geometry::algebra
+#import rasteriser::projection::covariance_factor
+#import rasteriser::projection::factors
+#extern var<storage, read> dy: array<f32>
 
 // Zero if the factor is out of range.
 fn shape_gradient(row: u32) -> ShapeGradient {

@@ -1,4 +1,5 @@
 // One element of the covariance factor of a row, [9] by rows.
+#import rasteriser::projection::factors
 
 fn value(row: u32, column: u32) -> f32 {
     let factor = factor_at(row);

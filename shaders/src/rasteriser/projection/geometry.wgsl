@@ -1,5 +1,8 @@
 // Projects one splat with one camera, for both directions: the same definitions as the CPU reference. SH_DEGREE is the
 // degree of the harmonics. GIVEN_FACTORS is 1 if the inputs are the factors of the covariances.
+#import geometry::algebra
+#import rasteriser::projection::covariance_factor
+#const GIVEN_FACTORS, SH_DEGREE
 
 struct View {
     // Rows of camera_from_world, with the translation last.
@@ -204,4 +207,3 @@ fn color_of(splat: u32) -> Color {
     }
     return color;
 }
-

@@ -2,7 +2,6 @@
 
 use super::reference::View;
 use super::{Projection, ShapeInputs};
-use crate::geometry::algebra;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
@@ -10,14 +9,8 @@ use crate::tape::{Real, Tensor, upstream};
 const GROUP: usize = 64;
 
 /// F = R_q·diag(eˢ), after the algebra.
-pub(super) const FACTOR: &str = include_str!("covariance_factor.wgsl");
-const GEOMETRY: &str = include_str!("geometry.wgsl");
-pub(super) const FORWARD: Kernel =
-    Kernel { name: "projection", text: &[algebra::WGSL, FACTOR, GEOMETRY, include_str!("projection.wgsl")] };
-pub(super) const BACKWARD: Kernel = Kernel {
-    name: "projection backward",
-    text: &[algebra::WGSL, FACTOR, GEOMETRY, include_str!("projection_bwd.wgsl")],
-};
+pub(super) const FORWARD: Kernel = Kernel { name: "projection", text: include_str!("projection.wgsl") };
+pub(super) const BACKWARD: Kernel = Kernel { name: "projection backward", text: include_str!("projection_bwd.wgsl") };
 
 uniforms! {
     /// As the `View` of the kernels.

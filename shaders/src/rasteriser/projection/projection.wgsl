@@ -1,5 +1,9 @@
 // Projects every splat. A culled splat gets zeros and a negative cutoff that encodes the reason. Also counts splats
 // culled because of their values, and clamped values. One invocation per splat.
+#import geometry::algebra
+#import gpu::flat_group
+#import rasteriser::projection::geometry
+#const GIVEN_FACTORS
 
 @group(0) @binding(6) var<storage, read_write> means2d: array<f32>;
 @group(0) @binding(7) var<storage, read_write> conics: array<f32>;

@@ -1,6 +1,11 @@
 // The gradients of every splat's parameters, from those of its projection. One invocation per splat. ARRIVING is a bit
 // mask of the upstream gradients that exist: means, conics, depths, opacities, colours. The placeholder for a missing
 // one is never read.
+#import geometry::algebra
+#import gpu::elements_64
+#import rasteriser::projection::covariance_factor
+#import rasteriser::projection::geometry
+#const ARRIVING, GIVEN_FACTORS, SH_DEGREE
 
 @group(0) @binding(6) var<storage, read> cutoffs: array<f32>;
 @group(0) @binding(7) var<storage, read> g_means2d: array<f32>;
@@ -198,13 +203,7 @@ fn write_zeros(splat: u32) {
     }
 }
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let splat = flat_group(group, groups) * 64u + local;
+fn run(splat: u32) {
     if (splat >= view.count) {
         return;
     }

@@ -5,7 +5,7 @@ use crate::rasteriser::binning::Lists;
 use crate::rasteriser::render::Rendered;
 use crate::tape::{Real, Tape, Tensor};
 
-const COVERED: Kernel = Kernel { name: "covered centres", text: &[include_str!("covered.wgsl")] };
+const COVERED: Kernel = Kernel { name: "covered centres", text: include_str!("covered.wgsl") };
 
 /// Splats per workgroup.
 const GROUP: usize = 256;

@@ -1,4 +1,6 @@
 // Whether each splat is visible with its centre in a pixel of the mask. One invocation per splat.
+#import gpu::elements
+#import gpu::nowhere
 
 struct Mask {
     // Number of splats.
@@ -25,13 +27,7 @@ fn is_covered(splat: u32) -> bool {
     return ((bits[at / 32u] >> (at % 32u)) & 1u) == 1u;
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let splat = flat_group(group, groups) * 256u + local;
+fn run(splat: u32) {
     if (splat < mask.count) {
         covered[splat] = f32(is_covered(splat));
     }

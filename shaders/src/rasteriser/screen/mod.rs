@@ -12,7 +12,7 @@ use crate::rasteriser::binning::Lists;
 use crate::rasteriser::render::Rendered;
 use crate::tape::{Gradients, Tape, Tensor};
 
-const SCREEN: Kernel = Kernel { name: "screen statistics", text: &[include_str!("screen.wgsl")] };
+const SCREEN: Kernel = Kernel { name: "screen statistics", text: include_str!("screen.wgsl") };
 /// Splats per workgroup.
 const GROUP: usize = 256;
 /// Columns of the statistics.

@@ -2,6 +2,9 @@
 // coordinates, whether it was visible, and its radius in pixels. FIRST starts a step; LAST ends it and adds it to the
 // statistics. The sums of a step with several renders pass from one launch to the next. If ROWS is 1, the splats are a
 // subset of the rows. One invocation per row.
+#import gpu::elements
+#import gpu::nowhere
+#const FIRST, LAST, ROWS
 
 struct View {
     count: u32,
@@ -35,13 +38,7 @@ fn radius_px(splat: u32) -> f32 {
     return 3.0 * sqrt(0.5 * (variance_x + variance_y) + gap);
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let row = flat_group(group, groups) * 256u + local;
+fn run(row: u32) {
     if (row >= view.count) {
         return;
     }

@@ -5,17 +5,12 @@
 mod tests;
 
 use super::Slicing;
-use crate::geometry::algebra;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::rasteriser::splats::HIDDEN_LOGIT;
 use crate::tape::{Real, Tensor, upstream};
 
-const CUT: &str = include_str!("time_slice.wgsl");
-const GAUSSIAN: &str = include_str!("stored_gaussian.wgsl");
-const FORWARD: Kernel =
-    Kernel { name: "slicing4d", text: &[algebra::WGSL, CUT, GAUSSIAN, include_str!("slicing4d.wgsl")] };
-const BACKWARD: Kernel =
-    Kernel { name: "slicing4d backward", text: &[algebra::WGSL, CUT, GAUSSIAN, include_str!("slicing4d_bwd.wgsl")] };
+const FORWARD: Kernel = Kernel { name: "slicing4d", text: include_str!("slicing4d.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "slicing4d backward", text: include_str!("slicing4d_bwd.wgsl") };
 
 /// Gaussians per workgroup: few, because each invocation holds many numbers.
 const GROUP: usize = 64;

@@ -1,5 +1,9 @@
 // Slices every 4D Gaussian at the instant. An absent Gaussian gets zeros and a hidden opacity. One invocation per
 // Gaussian.
+#import geometry::algebra
+#import gpu::elements_64
+#import rasteriser::slicing4d::stored_gaussian
+#import rasteriser::slicing4d::time_slice
 
 @group(0) @binding(7) var<storage, read_write> displacements: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocities: array<f32>;
@@ -17,13 +21,7 @@ fn write(row: u32, offset_time: f32, velocity: vec3<f32>, factor: Rows) {
     }
 }
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let row = flat_group(group, groups) * 64u + local;
+fn run(row: u32) {
     if (row >= slicing.count) {
         return;
     }

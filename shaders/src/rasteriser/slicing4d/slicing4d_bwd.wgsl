@@ -1,6 +1,11 @@
 // The gradients of every 4D Gaussian's parameters; zero for an absent Gaussian. One invocation per Gaussian. ARRIVING
 // is a bit mask of the upstream gradients that exist: displacements, velocities, factors, opacities. The placeholder
 // for a missing one is never read.
+#import geometry::algebra
+#import gpu::elements_64
+#import rasteriser::slicing4d::stored_gaussian
+#import rasteriser::slicing4d::time_slice
+#const ARRIVING
 
 @group(0) @binding(7) var<storage, read> g_displacements: array<f32>;
 @group(0) @binding(8) var<storage, read> g_velocities: array<f32>;
@@ -127,13 +132,7 @@ fn write_zeros(row: u32) {
     g_opacity_logits[row] = 0.0;
 }
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let row = flat_group(group, groups) * 64u + local;
+fn run(row: u32) {
     if (row >= slicing.count) {
         return;
     }

@@ -1,4 +1,5 @@
 // The stored parameters of the 4D Gaussians.
+#import rasteriser::slicing4d::time_slice
 
 struct Slicing {
     time: f32,

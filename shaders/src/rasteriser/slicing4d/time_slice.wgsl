@@ -1,5 +1,6 @@
 // Slices one 4D Gaussian at an instant: the same definitions as the CPU reference. A matrix is stored as the list of
 // its rows, so the product of a and b is written b * a, and that of a row v and b is written b * v.
+#import geometry::algebra
 
 // The smallest standard deviation in time, in units of time.
 const MIN_DEVIATION_TIME: f32 = 1e-4;
@@ -133,4 +134,3 @@ fn faded(logit: f32, log_share: f32) -> Faded {
     let sum = 1.0 + e * rest;
     return Faded(log_share + logit - log(sum), 1.0 / sum, 1.0 + e * share / sum);
 }
-

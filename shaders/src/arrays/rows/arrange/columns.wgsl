@@ -1,4 +1,5 @@
 // Copies columns of rows to columns of other rows; 0 for a missing source column. One invocation per element.
+#import gpu::elements
 
 struct Columns {
     // Rows and columns of the destination. The strides between rows are `from_stride` and `to_stride` elements.
@@ -16,13 +17,7 @@ struct Columns {
 @group(0) @binding(1) var<storage, read> x: array<f32>;
 @group(0) @binding(2) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= sizes.rows * sizes.width) {
         return;
     }

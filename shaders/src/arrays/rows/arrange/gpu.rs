@@ -6,7 +6,7 @@ use crate::arrays::sums;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const COLUMNS: Kernel = Kernel { name: "columns", text: &[include_str!("columns.wgsl")] };
+const COLUMNS: Kernel = Kernel { name: "columns", text: include_str!("columns.wgsl") };
 
 /// Elements per workgroup.
 const GROUP: usize = 256;

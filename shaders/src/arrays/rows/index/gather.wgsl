@@ -1,4 +1,6 @@
 // Gathers the row of every item; if MEAN is 1, divided by the number of items of that row. One invocation per element.
+#import gpu::elements
+#const MEAN
 
 struct Items {
     columns: u32,
@@ -10,13 +12,7 @@ struct Items {
 @group(0) @binding(3) var<storage, read> starts: array<u32>;
 @group(0) @binding(4) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= arrayLength(&y)) {
         return;
     }

@@ -8,8 +8,8 @@ use crate::arrays::sort;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const GATHER: Kernel = Kernel { name: "gather", text: &[include_str!("gather.wgsl")] };
-const SEGMENT_SUM: Kernel = Kernel { name: "segment_sum", text: &[include_str!("segment_sum.wgsl")] };
+const GATHER: Kernel = Kernel { name: "gather", text: include_str!("gather.wgsl") };
+const SEGMENT_SUM: Kernel = Kernel { name: "segment_sum", text: include_str!("segment_sum.wgsl") };
 
 /// Elements per workgroup.
 const GROUP: usize = 256;

@@ -1,5 +1,7 @@
 // The sum of every segment of a list of rows: of the rows themselves, or of those that `items` indexes if INDIRECT is
 // 1. If MEAN is 1, the sum is divided by the number of items of the segment. One invocation per segment and column.
+#import gpu::elements
+#const INDIRECT, MEAN
 
 struct Segments {
     columns: u32,
@@ -12,13 +14,7 @@ struct Segments {
 @group(0) @binding(4) var<storage, read> item_starts: array<u32>;
 @group(0) @binding(5) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= arrayLength(&y)) {
         return;
     }

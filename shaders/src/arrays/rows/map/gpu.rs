@@ -5,7 +5,7 @@ use std::array::from_fn;
 use std::fmt::Write;
 
 use super::RowMap;
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, specialised, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Launch, uniforms, wgsl};
 use crate::tape::{Real, Tensor};
 
 /// Invocations per workgroup.
@@ -16,10 +16,10 @@ const GROUP: usize = 256;
 /// They see the inputs as `x0`, `x1`, … (arrays of rows with `COLUMNS_0`, `COLUMNS_1`, … columns), the numbers below as
 /// `map.values[0].x`, … and, in gradients, the output and its gradient as `y` and `dy` (`COLUMNS_Y` columns).
 pub struct RowWgsl {
-    /// Parts of the text that defines `fn value(row: u32, column: u32) -> f32`.
-    pub value: &'static [&'static str],
-    /// Parts of the text that defines, for every input, `fn gradient_0(row: u32, column: u32) -> f32`, …
-    pub gradients: &'static [&'static str],
+    /// Defines `fn value(row: u32, column: u32) -> f32`.
+    pub value: &'static str,
+    /// Defines `fn gradient_0(row: u32, column: u32) -> f32`, …, one function per input.
+    pub gradients: &'static str,
     /// Constants of both texts.
     pub specialisation: Vec<(&'static str, u32)>,
     /// At most eight.
@@ -36,10 +36,8 @@ uniforms! {
     }
 }
 
-const BLOCK: &str =
-    "struct Map { values: array<vec4<f32>, 2>, rows: u32, padding_0: u32, padding_1: u32, padding_2: u32 }
-@group(0) @binding(0) var<uniform> map: Map;
-";
+/// The files that every map imports.
+const IMPORTS: &str = "#import gpu::elements\n#import arrays::rows::map::map_block\n";
 
 /// The kernels of a map for certain numbers of columns.
 pub struct RowKernel<const I: usize> {
@@ -139,22 +137,19 @@ impl<const I: usize> RowKernel<I> {
     }
 
     /// A kernel whose invocations each have a row and one of `columns` columns.
-    fn text(&self, arrays: &[(String, &str)], functions: &[&str], columns: usize, body: &str) -> String {
+    fn text(&self, arrays: &[(String, &str)], functions: &str, columns: usize, body: &str) -> String {
         let line = |(at, (name, access)): (usize, &(String, &str))| {
             format!("@group(0) @binding({}) var<storage, {access}> {name}: array<f32>;\n", at + 1)
         };
         let arrays: String = arrays.iter().enumerate().map(line).collect();
-        let main = format!(
-            "@compute @workgroup_size({GROUP})\n\
-             fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, \
-             @builtin(local_invocation_index) local: u32) {{\n    \
-             let index = flat_group(group, groups) * {GROUP}u + local;\n    \
+        let run = format!(
+            "fn run(index: u32) {{\n    \
              let row = index / {columns}u;\n    var column = index % {columns}u;\n    \
              if (row < map.rows) {{\n{body}    }}\n}}\n"
         );
         let specialisation = self.specialisation();
         let specialisation: Vec<_> = specialisation.iter().map(|(name, value)| (name.as_str(), *value)).collect();
-        specialised(&[BLOCK, &arrays, &functions.concat(), "\n", &main].concat(), &specialisation)
+        wgsl::assemble(&[IMPORTS, &arrays, functions, "\n", &run].concat(), &specialisation)
     }
 }
 

@@ -1,11 +1,11 @@
 //! The median of some elements on a GPU, by sorting them.
 
-use crate::arrays::sort::{SOMEWHERE, sort};
+use crate::arrays::sort::sort;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const KEYS: Kernel = Kernel { name: "median, keys", text: &[include_str!("median_keys.wgsl")] };
-const MEDIAN: Kernel = Kernel { name: "median", text: &[SOMEWHERE, include_str!("median.wgsl")] };
+const KEYS: Kernel = Kernel { name: "median, keys", text: include_str!("median_keys.wgsl") };
+const MEDIAN: Kernel = Kernel { name: "median", text: include_str!("median.wgsl") };
 
 /// Elements per workgroup.
 const GROUP: usize = 256;

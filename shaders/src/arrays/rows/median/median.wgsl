@@ -1,4 +1,5 @@
 // The median of the sorted keys that belong to an element. One invocation.
+#import arrays::sort::present_count
 
 struct Median {
     len: u32,

@@ -1,5 +1,7 @@
 // Sort keys of non-negative elements: their bits, which sort as their values do. Elements without a flag sort last. One
 // invocation per element.
+#import gpu::elements
+#import gpu::nowhere
 
 struct Median {
     len: u32,
@@ -10,13 +12,7 @@ struct Median {
 @group(0) @binding(2) var<storage, read> flags: array<f32>;
 @group(0) @binding(3) var<storage, read_write> keys: array<u32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let at = flat_group(group, groups) * 256u + local;
+fn run(at: u32) {
     if (at < sizes.len) {
         // Clears the sign, which a zero or a NaN may have.
         keys[at] = select(NOWHERE, x[at] & 0x7fffffffu, flags[at] > 0.0);

@@ -1,4 +1,9 @@
 // The gradients of rows divided by max(divisor, floor).
+#import arrays::rows::map::map_block
+#const COLUMNS_0
+#extern var<storage, read> x1: array<f32>
+#extern var<storage, read> y: array<f32>
+#extern var<storage, read> dy: array<f32>
 
 fn gradient_0(row: u32, column: u32) -> f32 {
     let floor = map.values[0].x;

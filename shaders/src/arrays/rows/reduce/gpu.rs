@@ -1,12 +1,10 @@
 //! Rows of length one on a GPU, however wide.
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
-const LENGTH: &str = include_str!("row_norm.wgsl");
-const FORWARD: Kernel = Kernel { name: "normalize", text: &[ROW_SUM, LENGTH, include_str!("normalize.wgsl")] };
-const BACKWARD: Kernel =
-    Kernel { name: "normalize backward", text: &[ROW_SUM, LENGTH, include_str!("normalize_bwd.wgsl")] };
+const FORWARD: Kernel = Kernel { name: "normalize", text: include_str!("normalize.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "normalize backward", text: include_str!("normalize_bwd.wgsl") };
 
 /// Invocations per workgroup.
 const GROUP: usize = 256;

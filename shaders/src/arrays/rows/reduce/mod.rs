@@ -75,8 +75,8 @@ impl RowMap<1> for RowSum {
 
     fn wgsl(&self, _columns: [usize; 1]) -> Option<RowWgsl> {
         Some(RowWgsl {
-            value: &[include_str!("row_sum.wgsl")],
-            gradients: &[include_str!("row_sum_bwd.wgsl")],
+            value: include_str!("row_sum.wgsl"),
+            gradients: include_str!("row_sum_bwd.wgsl"),
             specialisation: Vec::new(),
             numbers: Vec::new(),
         })
@@ -104,8 +104,8 @@ impl RowMap<2> for RowDot {
 
     fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
         Some(RowWgsl {
-            value: &[include_str!("row_dot.wgsl")],
-            gradients: &[include_str!("row_dot_bwd.wgsl")],
+            value: include_str!("row_dot.wgsl"),
+            gradients: include_str!("row_dot_bwd.wgsl"),
             specialisation: Vec::new(),
             numbers: Vec::new(),
         })
@@ -134,8 +134,8 @@ impl RowMap<1> for Norm {
 
     fn wgsl(&self, _columns: [usize; 1]) -> Option<RowWgsl> {
         Some(RowWgsl {
-            value: &[include_str!("norm.wgsl")],
-            gradients: &[include_str!("norm_bwd.wgsl")],
+            value: include_str!("norm.wgsl"),
+            gradients: include_str!("norm_bwd.wgsl"),
             specialisation: Vec::new(),
             numbers: Vec::new(),
         })
@@ -209,8 +209,8 @@ impl RowMap<2> for ScaleRows {
 
     fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
         Some(RowWgsl {
-            value: &[include_str!("scale_rows.wgsl")],
-            gradients: &[include_str!("scale_rows_bwd.wgsl")],
+            value: include_str!("scale_rows.wgsl"),
+            gradients: include_str!("scale_rows_bwd.wgsl"),
             specialisation: Vec::new(),
             numbers: Vec::new(),
         })
@@ -252,8 +252,8 @@ impl RowMap<2> for DivideRows {
 
     fn wgsl(&self, _columns: [usize; 2]) -> Option<RowWgsl> {
         Some(RowWgsl {
-            value: &[include_str!("divide_rows.wgsl")],
-            gradients: &[include_str!("divide_rows_bwd.wgsl")],
+            value: include_str!("divide_rows.wgsl"),
+            gradients: include_str!("divide_rows_bwd.wgsl"),
             specialisation: Vec::new(),
             numbers: vec![self.floor as f32],
         })

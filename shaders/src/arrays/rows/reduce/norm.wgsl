@@ -1,4 +1,6 @@
 // The norm ‖x‖ of every row.
+#const COLUMNS_0
+#extern var<storage, read> x0: array<f32>
 
 fn value(row: u32, column: u32) -> f32 {
     var squares = 0.0;

@@ -1,4 +1,7 @@
 // x / max(‖x‖, ε) of every row. LANES invocations per row.
+#import arrays::rows::reduce::row_norm
+#import gpu::flat_group
+#const LANES
 
 @group(0) @binding(2) var<storage, read_write> y: array<f32>;
 

@@ -1,5 +1,9 @@
 // The gradient of x / max(‖x‖, ε): for norms of at least ε, only the tangential component passes. LANES invocations per
 // row.
+#import arrays::rows::reduce::row_norm
+#import gpu::flat_group
+#import gpu::row_sum
+#const LANES
 
 @group(0) @binding(2) var<storage, read> y: array<f32>;
 @group(0) @binding(3) var<storage, read> dy: array<f32>;

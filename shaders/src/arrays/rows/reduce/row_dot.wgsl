@@ -1,4 +1,7 @@
 // The dot product Σₖ aₖbₖ of every row.
+#const COLUMNS_0
+#extern var<storage, read> x0: array<f32>
+#extern var<storage, read> x1: array<f32>
 
 fn value(row: u32, column: u32) -> f32 {
     var sum = 0.0;

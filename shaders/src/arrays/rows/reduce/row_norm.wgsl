@@ -1,4 +1,6 @@
 // The norms of rows, with LANES invocations per row.
+#import gpu::row_sum
+#const LANES
 
 struct Lengths {
     rows: u32,
@@ -20,4 +22,3 @@ fn norm_of(row: u32, local: u32) -> f32 {
     }
     return sqrt(row_sum(local, own));
 }
-

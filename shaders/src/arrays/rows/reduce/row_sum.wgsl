@@ -1,4 +1,6 @@
 // The sum Σₖ xₖ of every row.
+#const COLUMNS_0
+#extern var<storage, read> x0: array<f32>
 
 fn value(row: u32, column: u32) -> f32 {
     var sum = 0.0;

@@ -1,4 +1,8 @@
 // The gradients of rows and of their factors.
+#const COLUMNS_0
+#extern var<storage, read> x0: array<f32>
+#extern var<storage, read> x1: array<f32>
+#extern var<storage, read> dy: array<f32>
 
 fn gradient_0(row: u32, column: u32) -> f32 {
     return x1[row] * dy[row * COLUMNS_0 + column];

@@ -1,15 +1,12 @@
 //! The weighted mean of squared differences on a GPU.
 
 use crate::arrays::sums::{GROUP, LANES, over_rows};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const SIZES: &str = include_str!("weighted_mean_factor.wgsl");
-const TERMS: Kernel =
-    Kernel { name: "weighted mean, terms", text: &[ROW_SUM, SIZES, include_str!("weighted_terms.wgsl")] };
-const MEAN: Kernel = Kernel { name: "weighted mean", text: &[SIZES, include_str!("weighted_mean.wgsl")] };
-const BACKWARD: Kernel =
-    Kernel { name: "weighted mean backward", text: &[SIZES, include_str!("weighted_mean_bwd.wgsl")] };
+const TERMS: Kernel = Kernel { name: "weighted mean, terms", text: include_str!("weighted_terms.wgsl") };
+const MEAN: Kernel = Kernel { name: "weighted mean", text: include_str!("weighted_mean.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "weighted mean backward", text: include_str!("weighted_mean_bwd.wgsl") };
 
 uniforms! {
     struct WeightedBlock as "Weighted" {

@@ -1,4 +1,5 @@
 // The weighted mean, from both sums. One invocation.
+#import arrays::rows::weighted_mean::weighted_mean_factor
 
 @group(0) @binding(1) var<storage, read> sums: array<f32>;
 @group(0) @binding(2) var<storage, read_write> mean: array<f32>;

@@ -1,5 +1,7 @@
 // The gradients of the weighted mean. One invocation per element of `a`; the first of a row also computes that of the
 // weight.
+#import arrays::rows::weighted_mean::weighted_mean_factor
+#import gpu::elements
 
 @group(0) @binding(1) var<storage, read> a: array<f32>;
 @group(0) @binding(2) var<storage, read> b: array<f32>;
@@ -11,13 +13,7 @@
 @group(0) @binding(8) var<storage, read_write> g_b: array<f32>;
 @group(0) @binding(9) var<storage, read_write> g_weights: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= sizes.rows * sizes.columns) {
         return;
     }

@@ -14,4 +14,3 @@ fn factor_of(weight_sum: f32) -> f32 {
     }
     return 1.0 / (f32(sizes.columns) * weight_sum);
 }
-

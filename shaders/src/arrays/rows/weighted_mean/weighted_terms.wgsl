@@ -1,4 +1,7 @@
 // Σ w and Σ w‖a − b‖² over the 256 rows of every workgroup. One invocation per row.
+#import arrays::rows::weighted_mean::weighted_mean_factor
+#import gpu::flat_group
+#import gpu::row_sum
 
 @group(0) @binding(1) var<storage, read> a: array<f32>;
 @group(0) @binding(2) var<storage, read> b: array<f32>;

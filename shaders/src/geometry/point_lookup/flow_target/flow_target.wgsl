@@ -1,5 +1,9 @@
 // Lifts optical flow to 3D targets for the points that a view sees. One invocation per point. KNOWS_ARRIVAL is 1 if
 // there is a depth map of the view where the flow arrives.
+#import geometry::algebra
+#import gpu::elements
+#import gpu::nowhere
+#const KNOWS_ARRIVAL
 
 struct Flow {
     // Rows of camera_from_world, with the translation last: of the source view, and of the arrival view.
@@ -88,13 +92,7 @@ fn target_of(point: vec3<f32>) -> Target {
     return found;
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let row = flat_group(group, groups) * 256u + local;
+fn run(row: u32) {
     if (row >= view.count) {
         return;
     }

@@ -1,13 +1,11 @@
 //! The kernel of targets.
 
 use super::{DEPTH_TOLERANCE, FlowMaps};
-use crate::geometry::algebra;
 use crate::geometry::point_lookup::PinholeCamera;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-pub(super) const TARGETS: Kernel =
-    Kernel { name: "flow targets", text: &[algebra::WGSL, include_str!("flow_target.wgsl")] };
+pub(super) const TARGETS: Kernel = Kernel { name: "flow targets", text: include_str!("flow_target.wgsl") };
 
 /// Points per workgroup.
 const GROUP: usize = 256;

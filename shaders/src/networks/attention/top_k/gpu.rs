@@ -5,18 +5,14 @@
 mod tests;
 
 use super::TopK;
-use crate::gpu::{Binding, COLUMN_SUM, Gpu, GpuArray, Kernel, ROW_SUM, columns_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
-const TOP_K: &str = include_str!("top_k_sizes.wgsl");
-const FIND: &str = include_str!("kept_key_search.wgsl");
-const CHOOSE: Kernel =
-    Kernel { name: "top-k attention", text: &[ROW_SUM, COLUMN_SUM, TOP_K, include_str!("top_k_attention.wgsl")] };
-const MEAN: Kernel = Kernel { name: "top-k attention, mean", text: &[TOP_K, FIND, include_str!("top_k_attention_mean.wgsl")] };
-const BACKWARD: Kernel =
-    Kernel { name: "top-k attention backward", text: &[ROW_SUM, COLUMN_SUM, TOP_K, include_str!("top_k_attention_bwd.wgsl")] };
+const CHOOSE: Kernel = Kernel { name: "top-k attention", text: include_str!("top_k_attention.wgsl") };
+const MEAN: Kernel = Kernel { name: "top-k attention, mean", text: include_str!("top_k_attention_mean.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "top-k attention backward", text: include_str!("top_k_attention_bwd.wgsl") };
 const KEYS_BACKWARD: Kernel =
-    Kernel { name: "top-k attention backward, keys", text: &[TOP_K, FIND, include_str!("top_k_attention_keys_bwd.wgsl")] };
+    Kernel { name: "top-k attention backward, keys", text: include_str!("top_k_attention_keys_bwd.wgsl") };
 
 /// Invocations per workgroup of the kernels over queries, and of that over keys.
 const GROUP: usize = 256;

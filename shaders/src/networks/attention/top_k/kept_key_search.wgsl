@@ -1,5 +1,9 @@
 // Binary search for `key` among the kept keys of one query and head, which start at `chosen[first]` in ascending order.
 // Returns NOWHERE if the query does not keep the key.
+#import gpu::nowhere
+#import networks::attention::top_k::top_k_sizes
+#extern var<storage, read> chosen: array<u32>
+
 fn place_of(first: u32, key: u32) -> u32 {
     var low = first;
     var high = first + sizes.kept;
@@ -16,4 +20,3 @@ fn place_of(first: u32, key: u32) -> u32 {
     }
     return NOWHERE;
 }
-

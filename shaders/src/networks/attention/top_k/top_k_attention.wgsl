@@ -2,6 +2,11 @@
 // query and head.
 //
 // The score threshold is found by radix selection. Of the keys whose score equals it, the first ones are kept.
+#import gpu::column_sum
+#import gpu::flat_group
+#import gpu::row_sum
+#import networks::attention::top_k::top_k_sizes
+#const COLUMNS
 
 @group(0) @binding(1) var<storage, read> query: array<f32>;
 @group(0) @binding(2) var<storage, read> key: array<f32>;

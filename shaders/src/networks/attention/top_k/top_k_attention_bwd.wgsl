@@ -1,6 +1,11 @@
 // Gradients of the kept scores, times the scale, and of the queries. One workgroup per query and head. ARRIVING is a
 // bit mask of the upstream gradients that exist: the attention output, then the mean probabilities. The placeholder for
 // a missing one is never read.
+#import gpu::column_sum
+#import gpu::flat_group
+#import gpu::row_sum
+#import networks::attention::top_k::top_k_sizes
+#const ARRIVING, COLUMNS
 
 @group(0) @binding(1) var<storage, read> key: array<f32>;
 @group(0) @binding(2) var<storage, read> value: array<f32>;

@@ -3,6 +3,11 @@
 //
 // In each round of 64 queries, an invocation first looks up one query's score gradient and probability for the key,
 // then acts as one column.
+#import gpu::flat_group
+#import gpu::nowhere
+#import networks::attention::top_k::kept_key_search
+#import networks::attention::top_k::top_k_sizes
+#const ARRIVING
 
 @group(0) @binding(1) var<storage, read> query: array<f32>;
 @group(0) @binding(2) var<storage, read> chosen: array<u32>;

@@ -1,16 +1,14 @@
 // Attention probability of every query and key, averaged over the heads. One invocation per query and key.
+#import gpu::elements
+#import gpu::nowhere
+#import networks::attention::top_k::kept_key_search
+#import networks::attention::top_k::top_k_sizes
 
 @group(0) @binding(1) var<storage, read> chosen: array<u32>;
 @group(0) @binding(2) var<storage, read> probabilities: array<f32>;
 @group(0) @binding(3) var<storage, read_write> mean: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 256u + local;
+fn run(index: u32) {
     if (index >= sizes.queries * sizes.keys) {
         return;
     }

@@ -23,4 +23,3 @@ fn columns_of(row: u32, head: u32) -> u32 {
 fn kept_of(query: u32, head: u32) -> u32 {
     return (query * sizes.heads + head) * sizes.kept;
 }
-

@@ -8,22 +8,12 @@ use super::WindowAttention;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
-const REGISTERS: &str = include_str!("window_registers.wgsl");
-const STORAGE: &str = include_str!("window_storage.wgsl");
-const WINDOW: &str = include_str!("window_weights.wgsl");
-const FORWARD_TEXT: &str = include_str!("window_attention_body.wgsl");
-const BACKWARD_TEXT: &str = include_str!("window_attention_bwd_body.wgsl");
-
-const FORWARD: Kernel = Kernel { name: "window attention", text: &[REGISTERS, WINDOW, FORWARD_TEXT] };
-const BACKWARD: Kernel = Kernel { name: "window attention backward", text: &[REGISTERS, WINDOW, BACKWARD_TEXT] };
-const LONG_FORWARD: Kernel = Kernel {
-    name: "attention to long windows",
-    text: &["@group(0) @binding(5) var<storage, read_write> held: array<f32>;\n", STORAGE, WINDOW, FORWARD_TEXT],
-};
-const LONG_BACKWARD: Kernel = Kernel {
-    name: "attention to long windows backward",
-    text: &["@group(0) @binding(8) var<storage, read_write> held: array<f32>;\n", STORAGE, WINDOW, BACKWARD_TEXT],
-};
+const FORWARD: Kernel = Kernel { name: "window attention", text: include_str!("window_attention.wgsl") };
+const BACKWARD: Kernel = Kernel { name: "window attention backward", text: include_str!("window_attention_bwd.wgsl") };
+const LONG_FORWARD: Kernel =
+    Kernel { name: "attention to long windows", text: include_str!("long_window_attention.wgsl") };
+const LONG_BACKWARD: Kernel =
+    Kernel { name: "attention to long windows backward", text: include_str!("long_window_attention_bwd.wgsl") };
 
 /// Invocations per workgroup: few, because each holds the probabilities of its window.
 const GROUP: usize = 64;

@@ -1,14 +1,13 @@
 // Window attention: the weighted mean of the values. One invocation per query and head.
+#import gpu::elements_64
+#import networks::attention::window::window_weights
+#const WINDOW
+#extern fn hold_for(index: u32, invocations: u32)
+#extern fn weight_at(at: u32) -> f32
 
 @group(0) @binding(4) var<storage, read_write> y: array<f32>;
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 64u + local;
+fn run(index: u32) {
     if (index >= sizes.rows * sizes.queries * sizes.heads) {
         return;
     }

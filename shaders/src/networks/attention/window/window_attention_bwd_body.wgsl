@@ -1,4 +1,11 @@
 // Gradients of queries, keys and values. One invocation per row and head, which visits the row's queries in order.
+#import gpu::elements_64
+#import networks::attention::window::window_weights
+#const WINDOW
+#extern fn hold_for(index: u32, invocations: u32)
+#extern fn weight_at(at: u32) -> f32
+#extern fn hold_gradient(at: u32, value: f32)
+#extern fn gradient_at(at: u32) -> f32
 
 @group(0) @binding(4) var<storage, read> dy: array<f32>;
 @group(0) @binding(5) var<storage, read_write> g_queries: array<f32>;
@@ -23,13 +30,7 @@ fn differentiate(row: u32, token: u32, head: u32) {
     }
 }
 
-@compute @workgroup_size(64)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = flat_group(group, groups) * 64u + local;
+fn run(index: u32) {
     if (index >= sizes.rows * sizes.heads) {
         return;
     }

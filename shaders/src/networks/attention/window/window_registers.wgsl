@@ -1,4 +1,5 @@
 // Per-invocation storage of a window's attention weights and gradients, in private memory.
+#const WINDOW
 
 var<private> weights: array<f32, WINDOW>;
 var<private> gradients: array<f32, WINDOW>;
@@ -21,4 +22,3 @@ fn gradient_at(at: u32) -> f32 {
 fn hold_gradient(at: u32, value: f32) {
     gradients[at] = value;
 }
-

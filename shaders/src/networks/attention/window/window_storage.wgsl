@@ -1,6 +1,8 @@
 // Per-invocation storage of a window's attention weights and gradients, for windows that are too long for private
 // memory. The array `held` has [WINDOW, invocations] weights, then as many gradients, so that neighbouring invocations
 // access neighbouring elements.
+#const WINDOW
+#extern var<storage, read_write> held: array<f32>
 
 var<private> own: u32;
 var<private> stride: u32;
@@ -26,4 +28,3 @@ fn gradient_at(at: u32) -> f32 {
 fn hold_gradient(at: u32, value: f32) {
     held[(WINDOW + at) * stride + own] = value;
 }
-

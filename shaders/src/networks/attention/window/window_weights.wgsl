@@ -1,4 +1,7 @@
 // Attention of one query of one head to its window of WINDOW tokens: the same definitions as on the CPU.
+#const WINDOW
+#extern fn hold_weight(at: u32, value: f32)
+#extern fn weight_at(at: u32) -> f32
 
 struct Window {
     rows: u32,
@@ -50,4 +53,3 @@ fn look(row: u32, token: u32, head: u32) {
         hold_weight(at, weight_at(at) / sum);
     }
 }
-

@@ -3,25 +3,23 @@
 use super::{PlaneMean, Term};
 use crate::arrays::sums::{BLOCK, GROUP, LANES};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, ROW_SUM, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
-const PLANE: &str = include_str!("second_difference.wgsl");
-
 const SUMS: Grouped = Grouped {
-    kernel: Kernel { name: "plane means", text: &[ROW_SUM, PLANE, include_str!("plane_sums.wgsl")] },
+    kernel: Kernel { name: "plane means", text: include_str!("plane_sums.wgsl") },
     shared: 1,
     arrays: &[ItemArray::read("values")],
 };
 
 const TOTALS: Grouped = Grouped {
-    kernel: Kernel { name: "plane means, totals", text: &[ROW_SUM, include_str!("plane_totals.wgsl")] },
+    kernel: Kernel { name: "plane means, totals", text: include_str!("plane_totals.wgsl") },
     shared: 1,
     arrays: &[ItemArray::write("total")],
 };
 
 const GRADIENTS: Grouped = Grouped {
-    kernel: Kernel { name: "plane means backward", text: &[PLANE, include_str!("plane_gradient.wgsl")] },
+    kernel: Kernel { name: "plane means backward", text: include_str!("plane_gradient.wgsl") },
     shared: 0,
     arrays: &[
         ItemArray::read("values"),

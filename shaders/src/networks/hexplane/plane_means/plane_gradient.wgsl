@@ -1,4 +1,12 @@
 // The gradient of every element of every plane, through all means that it contributes to. One invocation per element.
+#import gpu::grouped::elements
+#import gpu::grouped::grouped
+#import networks::hexplane::plane_means::second_difference
+#extern fn values(item: u32, at: u32) -> f32
+#extern fn dy_difference(item: u32, at: u32) -> f32
+#extern fn dy_distance(item: u32, at: u32) -> f32
+#extern fn gradient(item: u32, at: u32) -> f32
+#extern fn set_gradient(item: u32, at: u32, value: f32)
 
 struct Item {
     rows: u32,
@@ -31,16 +39,8 @@ fn distance_derivative(item: u32, at: u32) -> f32 {
     return select(0.0, 1.0, value > 1.0) - select(0.0, 1.0, value < 1.0);
 }
 
-@compute @workgroup_size(256)
-fn main(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let flat = flat_group(group, groups);
-    let item = item_of(flat);
+fn run(item: u32, at: u32) {
     let plane = constants_of(item);
-    let at = (flat - first_group(item)) * 256u + local;
     if (at >= plane.rows * plane.row_len) {
         return;
     }

@@ -1,4 +1,9 @@
 // Partial sums of a mean over a plane. One workgroup per 4096 terms.
+#import gpu::flat_group
+#import gpu::grouped::grouped
+#import gpu::row_sum
+#import networks::hexplane::plane_means::second_difference
+#extern fn values(item: u32, at: u32) -> f32
 
 struct Item {
     row_len: u32,

@@ -1,4 +1,8 @@
 // The sums of ranges of a list. One workgroup per range.
+#import gpu::flat_group
+#import gpu::grouped::grouped
+#import gpu::row_sum
+#extern fn set_total(item: u32, at: u32, value: f32)
 
 struct Item {
     first: u32,

@@ -1,39 +1,22 @@
 //! The kernels of the backward pass.
 
 use super::plan::Plan;
-use super::{Blend, BlendBlock, CELLS, ELLIPSE, Kept, SAMPLE, STAGE};
+use super::{Blend, BlendBlock, Kept};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::rasteriser::binning::GpuLists;
 use crate::rasteriser::blending::ROW_COLORS;
 use crate::tape::{Real, Tensor, upstream};
 
-const SHARES: &str = include_str!("../pixel_share.wgsl");
-pub(super) const SUBGROUP_SUM: &str = include_str!("../subgroup_sum.wgsl");
 /// Pixels are added up by shuffles in subgroups.
-pub(super) const IN_SUBGROUPS: Kernel = Kernel {
-    name: "blending backward",
-    text: &[
-        ELLIPSE,
-        SAMPLE,
-        CELLS,
-        STAGE,
-        SHARES,
-        include_str!("../subgroup_exchange.wgsl"),
-        SUBGROUP_SUM,
-        include_str!("../blending_bwd_subgroups.wgsl"),
-    ],
-};
+pub(super) const IN_SUBGROUPS: Kernel =
+    Kernel { name: "blending backward", text: include_str!("../blending_bwd_subgroups.wgsl") };
 /// Pixels are added up in workgroup memory.
-pub(super) const IN_WORKGROUPS: Kernel = Kernel {
-    name: "blending backward",
-    text: &[ELLIPSE, SAMPLE, CELLS, STAGE, SHARES, include_str!("../blending_bwd_shared.wgsl")],
-};
+pub(super) const IN_WORKGROUPS: Kernel =
+    Kernel { name: "blending backward", text: include_str!("../blending_bwd_shared.wgsl") };
 /// Splats add up pixels that stream through their subgroup.
-pub(super) const BY_SPLATS: Kernel = Kernel {
-    name: "blending backward",
-    text: &[ELLIPSE, SAMPLE, CELLS, SHARES, include_str!("../blending_bwd_splats.wgsl")],
-};
-pub(super) const SUM: Kernel = Kernel { name: "blending, sums", text: &[include_str!("../blending_sum.wgsl")] };
+pub(super) const BY_SPLATS: Kernel =
+    Kernel { name: "blending backward", text: include_str!("../blending_bwd_splats.wgsl") };
+pub(super) const SUM: Kernel = Kernel { name: "blending, sums", text: include_str!("../blending_sum.wgsl") };
 
 /// Invocations per workgroup.
 const WORKGROUP_SIZE: usize = 256;

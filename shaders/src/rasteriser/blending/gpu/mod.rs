@@ -12,13 +12,8 @@ use crate::rasteriser::settings::RasterSettings;
 use crate::tape::{Real, Tensor};
 use plan::Plan;
 
-const ELLIPSE: &str = include_str!("../../binning/ellipse.wgsl");
-const SAMPLE: &str = include_str!("../splat_at_pixel.wgsl");
-const CELLS: &str = include_str!("../tile_cells.wgsl");
-const STAGE: &str = include_str!("../staged_entries.wgsl");
-const PACK: Kernel = Kernel { name: "blending, records", text: &[include_str!("../blending_pack.wgsl")] };
-const FORWARD: Kernel =
-    Kernel { name: "blending", text: &[ELLIPSE, SAMPLE, CELLS, STAGE, include_str!("../blending.wgsl")] };
+const PACK: Kernel = Kernel { name: "blending, records", text: include_str!("../blending_pack.wgsl") };
+const FORWARD: Kernel = Kernel { name: "blending", text: include_str!("../blending.wgsl") };
 
 /// Splats per workgroup.
 const PACK_GROUP: usize = 256;

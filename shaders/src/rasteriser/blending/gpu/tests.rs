@@ -1,6 +1,4 @@
-use super::backward::{
-    BY_SPLATS, IN_SUBGROUPS, IN_WORKGROUPS, LARGEST_ROW_BY_SPLATS, SUBGROUP_SUM, SUM, SumBlock, subgroup_batch,
-};
+use super::backward::{BY_SPLATS, IN_SUBGROUPS, IN_WORKGROUPS, LARGEST_ROW_BY_SPLATS, SUM, SumBlock, subgroup_batch};
 use super::*;
 use crate::check::conformance::{Disagreement, Tolerance, compare, run};
 use crate::check::{agree, noise};
@@ -216,8 +214,10 @@ fn every_way_of_adding_up_gives_equal_bytes_twice() {
     }
 }
 
-/// Subgroups of any size, made of workgroup memory: what the sums rest on where an adapter has subgroups of that size.
-const EXCHANGE: &str = "
+/// Eight sums and four sums over each subgroup of a workgroup. Subgroups of any size are emulated in workgroup memory, so
+/// that the sums are tested for sizes that the adapter lacks.
+const SUMS: &str = "
+#import rasteriser::blending::subgroup_sum
 var<private> invocation: u32;
 var<workgroup> given: array<vec4<f32>, 256>;
 fn exchanged4(value: vec4<f32>, distance: u32) -> vec4<f32> {
@@ -232,10 +232,7 @@ fn exchanged2(value: vec2<f32>, distance: u32) -> vec2<f32> {
 fn exchanged(value: f32, distance: u32) -> f32 {
     return exchanged4(vec4<f32>(value), distance).x;
 }
-";
 
-/// Eight sums and four sums over each subgroup of a workgroup.
-const SUMS: &str = "
 struct Sums { invocations: u32 }
 @group(0) @binding(0) var<uniform> sizes: Sums;
 @group(0) @binding(1) var<storage, read> values: array<vec4<f32>>;
@@ -251,7 +248,7 @@ fn main(@builtin(local_invocation_index) local: u32) {
     sums[local % sizes.invocations] = vec2<f32>(eighth, added4(lane, values[3u * local + 2u], SUBGROUP / 2u));
 }
 ";
-const ADDING: Kernel = Kernel { name: "sums over subgroups", text: &[EXCHANGE, SUBGROUP_SUM, SUMS] };
+const ADDING: Kernel = Kernel { name: "sums over subgroups", text: SUMS };
 
 uniforms! {
     struct SumsBlock as "Sums" { invocations: u32 }

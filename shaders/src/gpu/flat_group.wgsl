@@ -1,8 +1,4 @@
-// The index that stands for a missing element.
-const NOWHERE: u32 = 0xffffffffu;
-
 // The linear index of a workgroup in a dispatch that was folded into two dimensions.
 fn flat_group(group: vec3<u32>, groups: vec3<u32>) -> u32 {
     return group.x + group.y * groups.x;
 }
-

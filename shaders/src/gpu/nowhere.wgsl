@@ -1,0 +1,2 @@
+// The index that stands for a missing element.
+const NOWHERE: u32 = 0xffffffffu;

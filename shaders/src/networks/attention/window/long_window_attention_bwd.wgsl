@@ -1,0 +1,5 @@
+// The gradients of window attention, with the weights of a long window in storage.
+#import networks::attention::window::window_attention_bwd_body
+#import networks::attention::window::window_storage
+
+@group(0) @binding(8) var<storage, read_write> held: array<f32>;
