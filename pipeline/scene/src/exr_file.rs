@@ -17,13 +17,13 @@ const MAX_PIXELS: usize = 1 << 28;
 
 /// The header of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ExrHeader {
+pub(crate) struct ExrHeader {
     /// Number of columns.
-    pub width: u32,
+    pub(crate) width: u32,
     /// Number of rows.
-    pub height: u32,
+    pub(crate) height: u32,
     /// Channel names in the order of the file, which is alphabetic.
-    pub channels: Vec<String>,
+    pub(crate) channels: Vec<String>,
 }
 
 /// A decoded file.
@@ -46,7 +46,7 @@ impl ExrImage {
 }
 
 /// Reads size and channel names without decoding pixels.
-pub fn read_header(path: &Path) -> Result<ExrHeader> {
+pub(crate) fn read_header(path: &Path) -> Result<ExrHeader> {
     let file = std::fs::File::open(path);
     let file = file.map_err(|error| Error::new(format!("cannot read the file ({error})")).at(path))?;
     guarded(path, || parse_header(std::io::BufReader::new(file)))

@@ -11,7 +11,7 @@ pub use image::{GrayImage, Rgb, RgbImage, RgbaImage};
 use crate::{Error, Result};
 
 /// Reads width and height from the header of a file.
-pub fn read_size(path: &Path) -> Result<(u32, u32)> {
+pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
     let reader = reader.map_err(|error| Error::new(format!("cannot read the image ({error})")).at(path))?;
     reader.into_dimensions().map_err(|error| not_readable(&error, path))
@@ -28,7 +28,7 @@ pub fn read_rgb(path: &Path) -> Result<RgbImage> {
 }
 
 /// Reads an 8-bit image with one channel, without any conversion.
-pub fn read_grey(path: &Path) -> Result<GrayImage> {
+pub(crate) fn read_grey(path: &Path) -> Result<GrayImage> {
     match read(path)? {
         DynamicImage::ImageLuma8(image) => Ok(image),
         other => Err(Error::new(format!("expected 8-bit grey, found {:?}", other.color())).at(path)),
@@ -41,7 +41,7 @@ pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<()> {
 }
 
 /// Writes a one-channel image as PNG. Fixed settings make equal pixels give equal bytes.
-pub fn write_grey(path: &Path, image: &GrayImage) -> Result<()> {
+pub(crate) fn write_grey(path: &Path, image: &GrayImage) -> Result<()> {
     write_file(path, &encode_png(image.as_raw(), image.width(), image.height(), ExtendedColorType::L8)?)
 }
 

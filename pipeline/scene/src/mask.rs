@@ -59,7 +59,7 @@ impl Mask {
     }
 
     /// Erosion by a square with a side of `2 · radius_px + 1` pixels; pixels outside the image count as set.
-    pub fn eroded(&self, radius_px: u32) -> Self {
+    fn eroded(&self, radius_px: u32) -> Self {
         self.complement().dilated(radius_px).complement()
     }
 

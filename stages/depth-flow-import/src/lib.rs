@@ -9,11 +9,11 @@ mod from_capture;
 mod from_files;
 mod from_points;
 mod normals;
-pub mod params;
+mod params;
 mod run;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::{FlowPrior, FlowRecord, PriorView, Priors, ViewMaps};
+pub use artifact::{FlowPrior, PriorView, Priors, ViewMaps};
 pub use params::Params;
 pub use run::DepthFlowImport;

@@ -12,5 +12,5 @@ mod tensor_file;
 mod tests;
 
 pub use artifact::{Features, TokenGrid};
-pub use params::{FeatureSource, Params};
-pub use run::{FeatureImport, from_files, from_labels};
+pub use params::Params;
+pub use run::FeatureImport;

@@ -10,7 +10,8 @@ use scene::{Capture, View};
 use crate::artifact::{TokenGrid, TokenView};
 use crate::files::FeatureFiles;
 use crate::labels::Vocabulary;
-use crate::{FeatureSource, Features, Params};
+use crate::params::FeatureSource;
+use crate::{Features, Params};
 
 /// Name of the source folder of features.
 const FOLDER: &str = "folder";
@@ -64,7 +65,7 @@ impl Stage for FeatureImport {
 }
 
 /// Writes exact features from the instance labels of every view of `capture` into the folder `dir`.
-pub fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Features> {
+pub(crate) fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Features> {
     let vocabulary = Vocabulary::of(capture, params)?;
     let tokens = |view: &View| Ok(Some(vocabulary.tokens(capture, view, params.grid)?));
     let text = Text { prompts: &vocabulary.prompts, embeddings: &vocabulary.embeddings, dimension: params.dimension };
@@ -72,7 +73,7 @@ pub fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Re
 }
 
 /// Imports the features of `capture` from the files below `folder` into the folder `dir`.
-pub fn from_files(capture: &Capture, folder: &Path, dir: &Path) -> anyhow::Result<Features> {
+pub(crate) fn from_files(capture: &Capture, folder: &Path, dir: &Path) -> anyhow::Result<Features> {
     let files = FeatureFiles::open(folder, capture)?;
     let text = Text { prompts: &files.prompts, embeddings: &files.text, dimension: files.dimension };
     write(capture, "files", text, |view| files.tokens(view), dir)

@@ -4,7 +4,8 @@ use engine::Artifact as _;
 use scene::Capture;
 use scene_synthesis::{Params as SceneParams, SceneKind, Truth};
 
-use crate::{Features, Params, from_files, from_labels, tensor_file};
+use crate::run::{from_files, from_labels};
+use crate::{Features, Params, tensor_file};
 
 /// Six small views of a scene, with instance labels.
 fn capture(dir: &std::path::Path, scene: SceneKind) -> Capture {

@@ -77,7 +77,7 @@ impl Background {
     }
 
     /// Mean share of unfilled pixels over the filled views.
-    pub fn unfilled_share(&self) -> f64 {
+    pub(crate) fn unfilled_share(&self) -> f64 {
         let shares: Vec<f64> =
             self.views.iter().filter_map(|view| Some(view.filled.as_ref()?.unfilled_share)).collect();
         shares.iter().sum::<f64>() / shares.len().max(1) as f64

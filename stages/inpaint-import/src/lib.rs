@@ -10,6 +10,6 @@ mod static_view;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::{Background, BackgroundView, FilledFiles, FilledView};
+pub use artifact::{Background, FilledView};
 pub use params::Params;
 pub use run::InpaintImport;

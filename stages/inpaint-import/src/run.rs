@@ -6,11 +6,12 @@ use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Res
 use layer_split::Layers;
 use scene::{Capture, Split, facts};
 
+use crate::artifact::BackgroundView;
 use crate::imported::Frames;
 use crate::params::FillSource;
 use crate::propagate;
 use crate::static_view::StaticView;
-use crate::{Background, BackgroundView, FilledView, Params};
+use crate::{Background, FilledView, Params};
 
 /// Name of the source folder of inpainted frames.
 const FOLDER: &str = "folder";

@@ -8,6 +8,6 @@ mod run;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::{LayerView, Layers};
+pub use artifact::Layers;
 pub use params::Params;
 pub use run::LayerSplit;

@@ -11,6 +11,6 @@ mod sampling;
 #[cfg(test)]
 mod tests;
 
-pub use artifact::{CanonicalView, Particles};
+pub use artifact::Particles;
 pub use params::Params;
-pub use run::{MomentumSampling, Sampled, sample};
+pub use run::MomentumSampling;

@@ -51,20 +51,20 @@ impl Stage for MomentumSampling {
 }
 
 /// Sampled particles, and how well they cover what moves.
-pub struct Sampled {
+pub(crate) struct Sampled {
     /// The artifact.
-    pub particles: Particles,
+    pub(crate) particles: Particles,
     /// Shares of moving pixels, if the capture has velocity or instance labels.
-    pub moving: Option<MovingShares>,
+    pub(crate) moving: Option<MovingShares>,
 }
 
 /// Share of moving pixels among the candidates and among the particles, both in [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MovingShares {
+pub(crate) struct MovingShares {
     /// Share of the pixels with depth in the canonical views.
-    pub of_area: f64,
+    pub(crate) of_area: f64,
     /// Share of the particles.
-    pub of_particles: f64,
+    pub(crate) of_particles: f64,
 }
 
 /// A pixel that may become a particle.
@@ -79,7 +79,7 @@ struct Candidate {
 
 /// Samples particles from the training views of the first instant, with the depth and flow of `priors`, and writes them
 /// into the folder `dir`.
-pub fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
+pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
     priors.check_against(capture)?;
     let (start_secs, canonical) = canonical_views(capture)?;
     let found: Vec<_> =

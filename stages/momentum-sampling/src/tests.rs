@@ -8,7 +8,8 @@ use scene_synthesis::{CameraPath, Params as SceneParams, SceneKind, Truth};
 
 use crate::maps::MotionView;
 use crate::momentum::{momentum, surface_point};
-use crate::{Params, Particles, sample, sampling};
+use crate::run::sample;
+use crate::{Params, Particles, sampling};
 
 const WIDTH: u32 = 20;
 const HEIGHT: u32 = 12;

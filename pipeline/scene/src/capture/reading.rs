@@ -62,11 +62,6 @@ impl Capture {
         Ok(image)
     }
 
-    /// Reads the image of a view as [H, W, 3] sRGB-encoded colours in [0, 1].
-    pub fn load_image_f32(&self, view: &View) -> Result<Vec<f32>> {
-        Ok(self.load_image(view)?.as_raw().iter().map(|value| f32::from(*value) / 255.0).collect())
-    }
-
     /// Reads the coverage of a view before compositing, if it has any.
     pub fn load_alpha(&self, view: &View) -> Result<Option<GrayImage>> {
         self.files(view).load(view.alpha.as_deref(), image_file::read_grey, GrayImage::dimensions)

@@ -70,7 +70,7 @@ impl Property {
     }
 
     /// Whether the values have a floating-point type.
-    pub fn is_float(&self) -> bool {
+    pub(crate) fn is_float(&self) -> bool {
         matches!(self.value, Scalar::F32 | Scalar::F64)
     }
 }
@@ -85,7 +85,7 @@ impl Ply {
     }
 
     /// The number of vertices according to the header.
-    pub fn vertex_count(&self) -> usize {
+    fn vertex_count(&self) -> usize {
         self.vertex_element().map_or(0, |element| element.count)
     }
 
