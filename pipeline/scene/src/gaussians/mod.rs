@@ -20,7 +20,7 @@ pub struct Gaussians {
     pub log_scales: Vec<f32>,
     /// [N, 4] quaternions (w, x, y, z), not necessarily of unit length.
     pub rotations: Vec<f32>,
-    /// [N] opacities before the logistic function.
+    /// N opacities before the logistic function.
     pub opacity_logits: Vec<f32>,
     /// [N, (sh_degree + 1)², 3] coefficients of spherical harmonics.
     pub sh: Vec<f32>,
