@@ -1,9 +1,7 @@
 //! Hashes the sources that this binary is built from into a table, which becomes part of every key.
 
-#[path = "../engine/src/fingerprint/scan.rs"]
+#[path = "../engine/src/fingerprint/scan/mod.rs"]
 mod scan;
-#[path = "../engine/src/fingerprint/tokens.rs"]
-mod tokens;
 
 use std::error::Error;
 use std::path::PathBuf;

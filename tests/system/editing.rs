@@ -1,12 +1,13 @@
 //! An edit reruns what it can influence, and nothing else.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use engine::{CodeTable, Plan};
+use walkdir::WalkDir;
 
 use crate::product::root;
-use crate::sources::{Sources, read};
+use crate::sources::{ScannedCrate, Sources, read};
 
 /// The quickstart with this code and these overrides.
 fn quickstart(code: CodeTable, overrides: &[&str]) -> Plan {
@@ -56,6 +57,53 @@ fn a_comment_reruns_nothing() {
         std::fs::write(&file, read(&file) + "\nMore to read.\n").unwrap();
     }
     assert_eq!(rerun(&before, &quickstart(sources.code(), &[])), BTreeSet::new());
+}
+
+/// The Rust files below the crates' `src` folders that the code table leaves out.
+fn test_files(sources: &Sources) -> Vec<PathBuf> {
+    let left_out = |scanned: ScannedCrate| {
+        let files =
+            WalkDir::new(scanned.root.join("src")).into_iter().map(|entry| entry.expect("readable").into_path());
+        let relative =
+            move |path: &Path| path.strip_prefix(&scanned.root).expect("below the root").to_str().map(str::to_owned);
+        let counts = move |path: &PathBuf| relative(path).is_some_and(|name| scanned.files.contains_key(&name));
+        files.filter(move |path| path.extension().is_some_and(|it| it == "rs") && !counts(path))
+    };
+    sources.scan().into_values().flat_map(left_out).collect()
+}
+
+/// The names of modules that a file declares for its tests only, read line by line.
+fn test_modules(text: &str) -> impl Iterator<Item = &str> {
+    let declared = text.lines().zip(text.lines().skip(1)).filter(|(above, _)| *above == "#[cfg(test)]");
+    declared.filter_map(|(_, line)| line.rsplit_once("mod ").and_then(|(_, name)| name.strip_suffix(';')))
+}
+
+#[test]
+fn edits_of_test_files_rerun_nothing() {
+    let sources = Sources::copy();
+    let before = sources.scan();
+    let edited = test_files(&sources);
+    assert!(edited.len() > 100, "{} files", edited.len());
+    for file in &edited {
+        std::fs::write(file, more_code(&read(file))).unwrap();
+    }
+    assert_eq!(sources.scan(), before);
+
+    // Every module that is declared for tests only was among them, whatever its name.
+    let counted = before.values().flat_map(|scanned| scanned.files.keys().map(|file| scanned.root.join(file)));
+    for file in counted.filter(|file| file.extension().is_some_and(|it| it == "rs")) {
+        for name in test_modules(&read(&file)) {
+            let is_module = |path: &&PathBuf| {
+                let stem = if path.ends_with("mod.rs") { path.parent() } else { Some(path.as_path()) };
+                stem.and_then(Path::file_stem).is_some_and(|stem| stem == name)
+            };
+            assert!(edited.iter().any(|path| is_module(&path)), "{name} of {} is hashed", file.display());
+        }
+    }
+    // The planted fault: an edit of a file that is not a test's is seen.
+    let trainer = sources.path("stages/training/src/lib.rs");
+    std::fs::write(&trainer, more_code(&read(&trainer))).unwrap();
+    assert_ne!(sources.scan(), before);
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod evidence;
 mod numerics;
 mod product;
 mod readings;
+mod recipe_keys;
 mod recipes;
 mod repetition;
 mod sources;

@@ -9,14 +9,12 @@ use walkdir::WalkDir;
 
 use crate::product::root;
 
-// The part that writes Rust is only for the build script.
+// Only the build script uses the part that writes Rust.
 #[allow(dead_code)]
-#[path = "../../pipeline/engine/src/fingerprint/scan.rs"]
+#[path = "../../pipeline/engine/src/fingerprint/scan/mod.rs"]
 mod scan;
-#[path = "../../pipeline/engine/src/fingerprint/tokens.rs"]
-pub mod tokens;
 
-pub use scan::ScannedCrate;
+pub(crate) use scan::{ScannedCrate, tokens};
 
 /// What the product is built from, in a folder of its own.
 pub struct Sources {
@@ -54,7 +52,7 @@ impl Sources {
     }
 
     /// All crates of the product, hashed.
-    pub fn scan(&self) -> BTreeMap<String, ScannedCrate> {
+    pub(crate) fn scan(&self) -> BTreeMap<String, ScannedCrate> {
         scan::scan_workspace(self.dir.path(), &self.path("pipeline/cli")).expect("the sources are sound")
     }
 

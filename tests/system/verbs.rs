@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use crate::product::{Ended, TINY_JOBS, World, program};
 
+const STATIC: &str = "train/bouncing-spheres/static3dgs/0";
 const TRAINING: &str = "train/bouncing-spheres/deformable4dgs/0";
 
 #[test]
@@ -143,6 +144,13 @@ fn judging_exporting_and_filming(world: &World) {
     assert!(frame(0).starts_with(b"\x89PNG") && frame(0) != frame(2), "time stands still, the camera does not");
     let again = world.call("render", &shot);
     assert!(again.code == 3 && again.stderr.contains("the folder is not empty"), "{}", again.stderr);
+
+    let gif = world.path("film.gif").display().to_string();
+    let side_by_side = [STATIC, TRAINING, "--views", "test", "--truth", "--gif", &gif];
+    assert!(world.call("render", &side_by_side).ok().starts_with("2 frames of "));
+    assert!(std::fs::read(&gif).unwrap().starts_with(b"GIF89a"));
+    let frames_of_two = world.call("render", &[STATIC, TRAINING, "--views", "test", "--out", &gif]);
+    assert!(frames_of_two.code == 3 && frames_of_two.stderr.contains("one job only"), "{}", frames_of_two.stderr);
 
     let unknown = Ended::of(program(&["inspect", &out]));
     let told = unknown.stdout + &unknown.stderr;

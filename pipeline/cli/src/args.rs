@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::builder::NonEmptyStringValueParser;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand, ValueEnum, value_parser};
 use engine::DeviceClass;
 use table_generation::Column;
 
@@ -330,20 +330,35 @@ pub struct ExportArgs {
 pub struct RenderArgs {
     #[command(flatten)]
     pub recipe: RecipeArgs,
-    /// The training job, as train/lego/deformable4dgs/0
-    pub node: String,
-    /// Times in seconds of the capture, as FIRST:LAST:COUNT; 0.5:0.5:60 lets time stand still
+    /// Training jobs, e.g. train/lego/deformable4dgs/0; several with --gif
+    #[arg(required = true, value_name = "JOB")]
+    pub jobs: Vec<String>,
+    /// Times in seconds of the capture; 0.5:0.5:60 freezes the motion (default with --views: the times of these views)
     #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT", allow_hyphen_values = true)]
-    pub times: Times,
-    /// Views of the capture that the camera moves through, as test_0000,test_0004 (default: it stands at the first test view)
+    #[arg(required_unless_present = "views")]
+    pub times: Option<Times>,
+    /// Capture views that the camera moves through, e.g. test_0000,test_0004, or all views of a split: train, val or test
+    /// (default: the camera stands at the first test view)
     #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
     pub views: Vec<String>,
-    /// Dim what is not what one of the model's prompts means, as ball; for l4dgs
+    /// Highlight the region that matches a prompt of the model (e.g. ball); l4dgs only
     #[arg(long)]
     pub prompt: Option<String>,
-    /// The folder to write into
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    /// Write PNG frames into this folder, which must be new or empty
+    #[arg(long, value_name = "DIR", required_unless_present = "gif", conflicts_with = "gif")]
+    pub out: Option<PathBuf>,
+    /// Write a looping animated GIF with the jobs side by side
+    #[arg(long, value_name = "FILE")]
+    pub gif: Option<PathBuf>,
+    /// Start the GIF with the capture's own images; the film must follow views of the capture
+    #[arg(long, requires = "gif")]
+    pub truth: bool,
+    /// Enlarge every panel of the GIF by this factor
+    #[arg(long, requires = "gif", value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=16))]
+    pub scale: u32,
+    /// Frames per second of the GIF, rounded to hundredths of a second per frame
+    #[arg(long, requires = "gif", value_name = "N", default_value_t = 10, value_parser = value_parser!(u32).range(1..=50))]
+    pub fps: u32,
 }
 
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]

@@ -1,12 +1,10 @@
 //! What the code that makes an artifact looks like: hashes of sources without comments, Merkle over the crate graph.
 
-// The build script of the binary includes these two; here they are only tested.
+// The build script of the binary includes the scan; here it is only tested.
 #[cfg(test)]
 mod scan;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod tokens;
 
 use std::collections::BTreeMap;
 

@@ -39,6 +39,8 @@ pub trait AnyStage: Send + Sync {
     fn ports(&self) -> Vec<Port>;
     /// Name and schema version of the artifact type that the stage makes.
     fn output(&self) -> (&'static str, u32);
+    /// The default parameters, whether or not they are complete enough to run.
+    fn default_params(&self) -> Value;
     /// The parameters as the stage's type writes them, with defaults filled in; or every problem that was found.
     fn canonical_params(&self, raw: &Value) -> Result<Value, Vec<ParamProblem>>;
     /// [`Stage::sources`].
@@ -130,6 +132,10 @@ impl<S: Stage> AnyStage for Erased<S> {
 
     fn output(&self) -> (&'static str, u32) {
         (S::Output::NAME, S::Output::SCHEMA)
+    }
+
+    fn default_params(&self) -> Value {
+        serde_json::to_value(S::Params::default()).expect("parameters are JSON")
     }
 
     fn canonical_params(&self, raw: &Value) -> Result<Value, Vec<ParamProblem>> {

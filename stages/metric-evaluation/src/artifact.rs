@@ -1,4 +1,4 @@
-//! The artifact: per-image scores and their means, in `metrics.json`.
+//! The artifact: scores per image and their means, in `metrics.json`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -8,86 +8,91 @@ use engine::{Artifact, Failure, FailureKind};
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::judges::language::mean_overlaps;
-use crate::metrics::{MovingError, psnr_from_mse};
-use crate::{Keep, MaskSource, Metric, Quantise, Score};
+use crate::image_file::Quantise;
+use crate::metrics::metric::Metric;
+use crate::metrics::psnr::psnr_from_mse;
+use crate::metrics::score::Score;
+use crate::metrics::surfaces::MovingError;
+use crate::params::{Keep, MaskSource};
 
-/// The version of the metrics' definitions: numbers of different versions share no column.
-pub const METRIC_VERSION: u32 = 2;
+/// Version of the metric definitions; values of different versions do not share a column.
+pub(crate) const METRIC_VERSION: u32 = 2;
 
 const FILE: &str = "metrics.json";
 
 /// Scores of a set of images under one protocol.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
-    /// The method that made the images; `external` for images by anybody.
+    /// The method that made the images; `external` for folders of images.
     pub method: String,
-    /// How the images came to be what they are.
+    /// The protocol of the images.
     pub protocol: Protocol,
-    /// Which split was judged.
+    /// The evaluated split.
     pub split: Split,
-    /// [`METRIC_VERSION`] of the code that judged.
+    /// Version of the metric definitions.
     pub metric_version: u32,
-    /// Levels that colours were brought to before they were compared.
+    /// Quantisation of colours before the comparison.
     pub quantise: Quantise,
-    /// Which pixels the masked figures are over.
+    /// Source of the masks for masked metrics.
     #[serde(default)]
     pub mask: MaskSource,
-    /// Which values of the masks are kept.
+    /// Mask values that select pixels.
     #[serde(default)]
     pub mask_keeps: Keep,
     /// One entry per image, in the order of the capture.
     pub images: Vec<ImageMetrics>,
-    /// Means over the images, and the figures that only a set has.
+    /// Means over the images, and metrics that are defined for a set only.
     pub means: BTreeMap<Metric, Score>,
-    /// [`Metric::PromptIou`] by prompt, over the images that show what the prompt means; a prompt that is no class says so.
+    /// Mean [`Metric::PromptIou`] per prompt over the images with visible classes of that prompt; undefined for a prompt
+    /// without a class.
     #[serde(default)]
     pub prompts: BTreeMap<String, Score>,
-    /// How many images were judged.
+    /// Number of evaluated images.
     pub n_images: usize,
 }
 
 /// Scores of one image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImageMetrics {
-    /// The view's name, or the file's stem.
+    /// Name of the view, or stem of the file.
     pub name: String,
-    /// When the image was taken, where that is known.
+    /// Time of the view in seconds, if known.
     pub time_secs: Option<f64>,
-    /// Which camera of the rig, where that is known.
+    /// Index of the camera in a rig, if known.
     pub camera_index: Option<u32>,
-    /// Mean squared error over pixels and channels, colours in [0, 1].
+    /// Mean squared error over pixels and channels, for colours in [0, 1].
     pub mse: f64,
-    /// The per-image metrics.
+    /// Metrics of this image.
     pub values: BTreeMap<Metric, Score>,
-    /// The error on moving surfaces, where the capture knows them.
+    /// The error on moving surfaces, if the capture has their velocity.
     #[serde(default)]
     pub moving: Option<MovingError>,
-    /// Intersection over union by prompt in sight, where the model answers prompts and the capture has labels.
+    /// Intersection over union per prompt with visible classes, if the model has prompts and the capture has labels.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub prompt_ious: BTreeMap<String, f64>,
-    /// What a reader should know before trusting the values.
+    /// Caveats for the reader of the values.
     pub remarks: BTreeSet<Remark>,
 }
 
-/// A reason to look at an image before trusting its scores.
+/// A caveat about the scores of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Remark {
     /// The render has the same colour everywhere.
     ConstantRender,
-    /// The truth has the same colour everywhere.
+    /// The ground truth has the same colour everywhere.
     ConstantTruth,
-    /// The images are equal; the PSNR is the cap.
+    /// Render and ground truth are equal; the PSNR is capped.
     Identical,
 }
 
 impl Metrics {
-    /// Means of the per-image values, and the pooled figures that are in `wanted`.
+    /// Computes the means of the per-image values and the pooled metrics in `wanted`.
     ///
-    /// An image metric that is undefined for any image has no mean: a mean over the others would be one over another
-    /// set. A figure of surfaces is a mean over the images that show such surfaces, and absent where no truth is known.
-    pub fn means_of(images: &[ImageMetrics], wanted: &BTreeSet<Metric>) -> BTreeMap<Metric, Score> {
+    /// An image metric that is undefined for any image has no mean, because a mean over the others would belong to another
+    /// set. A conditional metric ([`Metric::is_conditional`]) is averaged over the images that define it, and is absent if
+    /// its inputs are.
+    pub(crate) fn means_of(images: &[ImageMetrics], wanted: &BTreeSet<Metric>) -> BTreeMap<Metric, Score> {
         let mean = |metric: &Metric| {
             let score = match metric {
                 Metric::PsnrPooled => pooled_psnr(images),
@@ -100,7 +105,7 @@ impl Metrics {
         wanted.iter().filter_map(mean).collect()
     }
 
-    /// Who judged what: numbers share a column only if their protocols and these lines are equal.
+    /// Describes the conditions of the evaluation. Values share a column only if their protocols and these lines are equal.
     pub fn judged_by(&self) -> String {
         let split = match self.split {
             Split::Train => "train",
@@ -123,11 +128,11 @@ impl Metrics {
     }
 
     /// The JSON text of `metrics.json`.
-    pub fn to_json(&self) -> anyhow::Result<String> {
+    pub(crate) fn to_json(&self) -> anyhow::Result<String> {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 
-    /// Checks the value and writes it into `dir`.
+    /// Checks the metrics and writes `metrics.json` into `dir`.
     pub fn write(&self, dir: &Path) -> anyhow::Result<()> {
         self.check()?;
         let path = dir.join(FILE);
@@ -142,33 +147,43 @@ impl Artifact for Metrics {
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(FILE);
         let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        serde_json::from_str(&text).with_context(|| format!("{} is not a set of metrics", path.display()))
+        serde_json::from_str(&text).with_context(|| format!("not a valid metrics file: {}", path.display()))
     }
 
     fn check(&self) -> anyhow::Result<()> {
-        ensure!(!self.images.is_empty(), "metrics of no image");
-        ensure!(self.n_images == self.images.len(), "{} images, but n_images = {}", self.images.len(), self.n_images);
+        ensure!(!self.images.is_empty(), "the metrics contain no image");
+        ensure!(
+            self.n_images == self.images.len(),
+            "there are {} images, but n_images is {}",
+            self.images.len(),
+            self.n_images
+        );
         let names: BTreeSet<_> = self.images.iter().map(|image| &image.name).collect();
         ensure!(names.len() == self.images.len(), "two images have the same name");
         for image in &self.images {
             let moving_is_finite = image.moving.is_none_or(|moving| moving.mse.is_finite() && moving.pixels > 0);
             ensure!(moving_is_finite, "the error on moving surfaces of {} is not finite", image.name);
-            ensure!(image.mse.is_finite() && image.mse >= 0.0, "mean squared error of {} is {}", image.name, image.mse);
+            ensure!(
+                image.mse.is_finite() && image.mse >= 0.0,
+                "the mean squared error of {} is {}",
+                image.name,
+                image.mse
+            );
             let overlaps_are_shares = image.prompt_ious.values().all(|overlap| (0.0..=1.0).contains(overlap));
-            ensure!(overlaps_are_shares, "an overlap of prompts in {} is no share", image.name);
+            ensure!(overlaps_are_shares, "a prompt overlap of {} is outside of [0, 1]", image.name);
             check_scores(&image.values).with_context(|| format!("image {}", image.name))?;
         }
         check_scores(&self.means).context("means")?;
         let recomputed = Self::means_of(&self.images, &self.means.keys().copied().collect());
-        ensure!(recomputed == self.means, "means are not the means of the images");
+        ensure!(recomputed == self.means, "the means differ from those of the images");
         let mut prompts = self.prompts.clone();
         prompts.retain(|_, score| score.value().is_some());
-        ensure!(mean_overlaps(&self.images) == prompts, "overlaps of prompts are not the means of the images");
+        ensure!(mean_overlaps(&self.images) == prompts, "the prompt overlaps differ from the means of the images");
         Ok(())
     }
 }
 
-/// Every number must be finite: an undefined metric is a typed outcome, never NaN.
+/// Checks that every value is finite: an undefined metric has its own variant and is never NaN.
 fn check_scores(scores: &BTreeMap<Metric, Score>) -> anyhow::Result<()> {
     for (metric, score) in scores {
         ensure!(score.value().is_none_or(f64::is_finite), "{} is not finite", metric.key());
@@ -200,14 +215,14 @@ fn mean_where_defined(images: &[ImageMetrics], metric: Metric) -> Option<Score> 
     })
 }
 
-/// PSNR on moving surfaces over the images that see less than half as much of them as the one that sees most.
+/// PSNR on moving surfaces, pooled over images with less than half as many moving pixels as the image with most of them.
 fn emerging_psnr(images: &[ImageMetrics]) -> Option<Score> {
     let moving: Vec<&MovingError> = images.iter().filter_map(|image| image.moving.as_ref()).collect();
     let most = moving.iter().map(|error| error.pixels).max()?;
     let hidden: Vec<_> = moving.iter().filter(|error| 2 * error.pixels < most).collect();
     let pixels: usize = hidden.iter().map(|error| error.pixels).sum();
     if pixels == 0 {
-        return Some(Score::undefined("nothing that moves is ever half hidden"));
+        return Some(Score::undefined("no moving surface is ever half hidden"));
     }
     let sum: f64 = hidden.iter().map(|error| error.mse * error.pixels as f64).sum();
     Some(Score::Value(psnr_from_mse(sum / pixels as f64)))
@@ -220,7 +235,19 @@ fn pooled_psnr(images: &[ImageMetrics]) -> Score {
     Score::Value(psnr_from_mse(images.iter().map(|image| image.mse).sum::<f64>() / images.len() as f64))
 }
 
+/// The mean overlap per prompt, over the images with visible classes of that prompt.
+pub(crate) fn mean_overlaps(images: &[ImageMetrics]) -> BTreeMap<String, Score> {
+    let mut values = BTreeMap::<&str, Vec<f64>>::new();
+    for (prompt, overlap) in images.iter().flat_map(|image| &image.prompt_ious) {
+        values.entry(prompt).or_default().push(*overlap);
+    }
+    let mean = |(prompt, values): (&str, Vec<f64>)| {
+        (prompt.to_owned(), Score::Value(values.iter().sum::<f64>() / values.len() as f64))
+    };
+    values.into_iter().map(mean).collect()
+}
+
 /// The failure for a set without images.
 pub(crate) fn empty_set(what: &str) -> Failure {
-    Failure::new(FailureKind::BadInput, format!("{what} has no images to judge"))
+    Failure::new(FailureKind::BadInput, format!("the {what} has no images"))
 }

@@ -1,4 +1,4 @@
-//! Judging two folders of images, whoever made them.
+//! Evaluation of a folder of images against a folder of ground truth.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -6,26 +6,28 @@ use std::path::{Path, PathBuf};
 use engine::{Failure, FailureKind};
 use scene::{Protocol, Split};
 
-use crate::artifact::empty_set;
-use crate::judges::perceptual::{self, Networks};
-use crate::{Background, Keep, METRIC_VERSION, MaskSource, MetricEvaluationParams, Metrics, Pair, evaluate_pairs};
+use crate::artifact::{METRIC_VERSION, Metrics, empty_set};
+use crate::image_file::Background;
+use crate::pairs::{Pair, evaluate_pairs};
+use crate::params::{Keep, MaskSource, MetricEvaluationParams};
+use crate::scoring::perceptual::{self, Networks};
 
-/// File name extensions that are read, in lower case.
+/// Extensions of image files, in lower case.
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
-/// Names listed in one message about missing counterparts; more would bury the point.
+/// Maximum number of names in a message about missing counterparts.
 const LISTED: usize = 5;
 
-/// Judges every image in `renders` against the one with the same stem in `truth`, by all metrics.
+/// Compares every image in `renders` with the image of the same stem in `truth`, by all metrics.
 ///
 /// # Errors
 /// An empty folder, a missing counterpart on either side, images of different sizes, transparent images (see
-/// [`evaluate_folders_with`]), an unreadable file.
+/// [`evaluate_folders_with`]), or an unreadable file.
 pub fn evaluate_folders(renders: &Path, truth: &Path) -> anyhow::Result<Metrics> {
     evaluate_folders_with(renders, truth, &MetricEvaluationParams::default(), None, None)
 }
 
-/// [`evaluate_folders`] with chosen metrics and the folder of LPIPS's weights; transparent images are composited on
-/// `background`.
+/// Compares two folders like [`evaluate_folders`], with chosen metrics, LPIPS weights from a folder, and transparent images
+/// composited on `background`.
 pub fn evaluate_folders_with(
     renders: &Path,
     truth: &Path,
@@ -67,7 +69,7 @@ pub fn evaluate_folders_with(
     })
 }
 
-/// Pairs by file stem; every image must have its counterpart, since a chosen subset is another test set.
+/// Pairs images by file stem. Every image needs a counterpart, because a subset would be another test set.
 fn paired(renders: &Path, truth: &Path) -> Result<Vec<Pair>, Failure> {
     let (rendered, mut true_images) = (images_in(renders)?, images_in(truth)?);
     let without = |those: &BTreeMap<String, PathBuf>, others: &BTreeMap<String, PathBuf>| {
@@ -75,10 +77,10 @@ fn paired(renders: &Path, truth: &Path) -> Result<Vec<Pair>, Failure> {
     };
     let (no_truth, no_render) = (without(&rendered, &true_images), without(&true_images, &rendered));
     if !no_truth.is_empty() {
-        return Err(missing("renders", &no_truth, "true image", truth));
+        return Err(missing("renders", &no_truth, "ground truth", truth));
     }
     if !no_render.is_empty() {
-        return Err(missing("true images", &no_render, "render", renders));
+        return Err(missing("ground-truth images", &no_render, "render", renders));
     }
     let pair = |(name, render): (String, PathBuf)| {
         let truth = true_images.remove(&name)?;
@@ -92,14 +94,14 @@ fn missing(whose: &str, stems: &[String], counterpart: &str, folder: &Path) -> F
     let listed = stems[..stems.len().min(LISTED)].join(", ");
     let message = format!("{} {whose} have no {counterpart} of the same name: {listed}{more}", stems.len());
     Failure::new(FailureKind::BadInput, message)
-        .hint("images are paired by file name without extension; remove or rename what is not to be judged")
+        .hint("images are paired by file name without extension; remove or rename the others")
         .at(folder)
 }
 
-/// PNG and JPEG files of a folder by stem.
+/// The PNG and JPEG files of a folder, by stem.
 fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Failure> {
     let unreadable = |error: std::io::Error| {
-        Failure::new(FailureKind::MissingData, format!("cannot list folder: {error}")).at(folder)
+        Failure::new(FailureKind::MissingData, format!("cannot list the folder: {error}")).at(folder)
     };
     let mut images = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
@@ -115,7 +117,7 @@ fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Failure> {
         }
     }
     if images.is_empty() {
-        return Err(empty_set("folder").hint("PNG and JPEG files are read").at(folder));
+        return Err(empty_set("folder").hint("it needs PNG or JPEG files").at(folder));
     }
     Ok(images)
 }

@@ -1,4 +1,4 @@
-//! Reading images to be judged.
+//! Images in memory: reading, compositing and quantisation.
 
 use std::path::Path;
 
@@ -6,37 +6,35 @@ use engine::{Failure, FailureKind};
 use image::DynamicImage;
 use serde::{Deserialize, Serialize};
 
-use crate::Quantise;
-
-/// An RGB image: three planes (red, green, blue), row-major, sRGB-encoded colours in [0, 1].
+/// An RGB image: three row-major planes (red, green, blue) of sRGB-encoded colours in [0, 1].
 #[derive(Clone, Debug, PartialEq)]
-pub struct Image {
-    /// Pixels per row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// One plane per channel, `width * height` each.
-    pub planes: [Vec<f64>; 3],
+pub(crate) struct Image {
+    /// Width in pixels.
+    pub(crate) width: usize,
+    /// Height in pixels.
+    pub(crate) height: usize,
+    /// One plane per channel, [H·W] each.
+    pub(crate) planes: [Vec<f64>; 3],
 }
 
-/// What transparent images are composited on.
+/// The background for compositing transparent images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Background {
-    /// Every channel 1.
+    /// White: every channel is 1.
     White,
-    /// Every channel 0.
+    /// Black: every channel is 0.
     Black,
 }
 
 impl Image {
-    /// Reads a PNG or JPEG of 8 or 16 bits; grey images become three equal channels.
+    /// Reads a PNG or JPEG of 8 or 16 bits per channel; a grey image gets three equal channels.
     ///
-    /// Straight alpha is composited on `background` and rounded to 8 bits, unless `quantise` says otherwise; without a
-    /// background a transparent image is refused, because what lies behind it decides the score.
-    pub fn read(path: &Path, quantise: Quantise, background: Option<Background>) -> Result<Self, Failure> {
+    /// Straight alpha is composited on `background`, then colours are quantised. Without a background, a transparent image
+    /// is refused, because the background would decide the score.
+    pub(crate) fn read(path: &Path, quantise: Quantise, background: Option<Background>) -> Result<Self, Failure> {
         let unreadable = |error: image::ImageError| {
-            Failure::new(FailureKind::BadInput, format!("cannot read image: {error}")).at(path)
+            Failure::new(FailureKind::BadInput, format!("cannot read the image: {error}")).at(path)
         };
         let pixels = scene::image_file::decode(path).map_err(unreadable)?;
         let has_alpha = pixels.color().has_alpha();
@@ -47,8 +45,8 @@ impl Image {
                 Some(Background::White) => 1.0,
                 Some(Background::Black) => 0.0,
                 None if has_alpha && alpha < 1.0 => {
-                    return Err(Failure::new(FailureKind::BadInput, "image is transparent")
-                        .hint("say what it lies on: background white or black, the one of the other images")
+                    return Err(Failure::new(FailureKind::BadInput, "the image is transparent")
+                        .hint("composite it on the background (white or black) of the other images")
                         .at(path));
                 }
                 None => 0.0,
@@ -61,12 +59,41 @@ impl Image {
     }
 
     /// Whether every pixel has the same colour.
-    pub fn is_constant(&self) -> bool {
+    pub(crate) fn is_constant(&self) -> bool {
         self.planes.iter().all(|plane| plane.iter().all(|value| *value == plane[0]))
     }
 }
 
-/// Straight RGBA in [0, 1], from the 8 or 16 bits of the file.
+/// Quantisation of colours before the comparison.
+///
+/// Papers on splatting evaluate the 8-bit files that they saved. The choice does not affect opaque 8-bit images; it affects
+/// 16-bit images and composited transparency.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Quantise {
+    /// Rounds to the nearest of 256 levels, halves up (`torchvision.utils.save_image`).
+    #[default]
+    Round8,
+    /// Truncates to the next lower of 256 levels (an integer cast, as in 4DGaussians' compositing of the ground truth).
+    Trunc8,
+    /// Keeps the stored values.
+    None,
+}
+
+impl Quantise {
+    /// Quantises a colour in [0, 1].
+    pub(crate) fn apply(self, colour: f64) -> f64 {
+        // Truncation must not change a colour that is a whole level up to rounding error.
+        const ROUNDING: f64 = 1e-9;
+        match self {
+            Self::Round8 => (colour * 255.0 + 0.5).floor() / 255.0,
+            Self::Trunc8 => (colour * 255.0 + ROUNDING).floor() / 255.0,
+            Self::None => colour,
+        }
+    }
+}
+
+/// Straight RGBA in [0, 1], from 8 or 16 bits per channel.
 fn straight_rgba(pixels: DynamicImage) -> Box<dyn Iterator<Item = [f64; 4]>> {
     match pixels {
         DynamicImage::ImageLuma16(_)

@@ -1,27 +1,29 @@
-//! The stage: pairs rendered views with the capture's images and judges them.
+//! The stage: compares the rendered views of a split with the capture.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use captures::CaptureArtifact;
 use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
-use rayon::prelude::*;
 use rendering::Renders;
 
-use crate::artifact::empty_set;
-use crate::judges::perceptual::Networks;
-use crate::judges::{language, masked, perceptual, surfaces, video};
-use crate::metrics::{judge, mean_squared_error};
+use crate::artifact::{ImageMetrics, METRIC_VERSION, Metrics};
+use crate::metrics::score::Score;
+use crate::pairs::evaluate_pairs;
+use crate::params::MetricEvaluationParams;
+use crate::scoring::perceptual::Networks;
+use crate::scoring::{language, masked, perceptual, surfaces, video};
 use crate::test_set::TestSet;
-use crate::{Background, Image, ImageMetrics, METRIC_VERSION, MetricEvaluationParams, Metrics, Remark, Score};
 
-/// Names under which the engine hands over folders.
+/// The engine's name for the folder of LPIPS weights.
 const LPIPS_WEIGHTS: &str = "lpips_weights";
+/// The engine's name for the folder of masks.
 const MASK_FOLDER: &str = "mask_folder";
+/// The engine's name for the folder of features and flows.
 const FRAME_FEATURES: &str = "frame_features";
 
-/// The stage `metric-evaluation`.
+/// The stage that evaluates renders.
 pub struct MetricEvaluation;
 
 impl Stage for MetricEvaluation {
@@ -29,7 +31,7 @@ impl Stage for MetricEvaluation {
     type Output = Metrics;
 
     const ID: &'static str = "metric-evaluation";
-    const ABOUT: &'static str = "judges rendered views against the capture's images (PSNR, SSIM, MS-SSIM, LPIPS), exact maps (velocity, flow, depth) and labels (prompts)";
+    const ABOUT: &'static str = "compares rendered views with the capture's images (PSNR, SSIM, MS-SSIM, LPIPS), exact maps (velocity, flow, depth) and labels (prompts)";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<Renders>("renders"), Port::one::<CaptureArtifact>("capture")]
@@ -59,7 +61,7 @@ impl Stage for MetricEvaluation {
         let set = TestSet::new(&renders, &capture)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let watch = Watch { stop: &context.stop, on_progress: &*context.on_progress, folders: &context.sources };
-        let (images, prompts) = pool.install(|| judge_all(&set, params, &watch))?;
+        let (images, prompts) = pool.install(|| evaluate(&set, params, &watch))?;
         let metrics = Metrics {
             method: renders.method.clone(),
             protocol: renders.protocol.clone(),
@@ -78,7 +80,7 @@ impl Stage for MetricEvaluation {
     }
 }
 
-/// Whom a judgement asks and tells while it runs.
+/// The connection of a running evaluation to its job: stop requests, progress, and input folders.
 struct Watch<'a> {
     stop: &'a AtomicBool,
     on_progress: &'a (dyn Fn(Progress) + Send + Sync),
@@ -91,25 +93,26 @@ impl Watch<'_> {
         self.folders.get(name).map(PathBuf::as_path)
     }
 
-    fn go_on(&self, done: usize, total: usize, message: &str) -> Result<(), Failure> {
+    /// Reports progress; fails if the job has to stop.
+    fn checkpoint(&self, done: usize, total: usize, message: &str) -> Result<(), Failure> {
         (self.on_progress)(Progress { done: done as u64, total: total as u64, message: message.into() });
         let stopped = || Failure::new(FailureKind::Interrupted, "stopped on request");
         if self.stop.load(Ordering::Relaxed) { Err(stopped()) } else { Ok(()) }
     }
 }
 
-/// Every figure of every image of the set, and the overlaps of prompts ([`Metrics::prompts`]).
-fn judge_all(
+/// Computes all metrics of all images, and the overlaps per prompt ([`Metrics::prompts`]).
+fn evaluate(
     set: &TestSet<'_>,
     params: &MetricEvaluationParams,
     watch: &Watch<'_>,
 ) -> anyhow::Result<(Vec<ImageMetrics>, BTreeMap<String, Score>)> {
     let pairs = set.pairs();
     let mut images = Vec::with_capacity(pairs.len());
-    // Between batches the job reports and may stop; a batch keeps every thread busy.
+    // The job reports and may stop between batches. A batch is large enough to keep all threads busy.
     for batch in pairs.chunks(4 * rayon::current_num_threads()) {
         images.extend(evaluate_pairs(batch, params, None)?.0);
-        watch.go_on(images.len(), pairs.len(), "images judged")?;
+        watch.checkpoint(images.len(), pairs.len(), "images evaluated")?;
     }
     surfaces::add(&mut images, set, params)?;
     video::add(&mut images, set, watch.folder(FRAME_FEATURES), params)?;
@@ -120,77 +123,7 @@ fn judge_all(
         if masked::is_wanted(params) {
             masked::add(image, index, set, watch.folder(MASK_FOLDER), &networks, params)?;
         }
-        watch.go_on(index + 1, pairs.len(), "images judged by networks and masks")?;
+        watch.checkpoint(index + 1, pairs.len(), "images evaluated by networks and masks")?;
     }
     Ok((images, prompts))
-}
-
-/// A render and the image that it should be.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pair {
-    /// The view's name.
-    pub name: String,
-    /// When the image was taken, where that is known.
-    pub time_secs: Option<f64>,
-    /// Which camera of the rig, where that is known.
-    pub camera_index: Option<u32>,
-    /// The image to judge.
-    pub render: PathBuf,
-    /// The image that it should be.
-    pub truth: PathBuf,
-}
-
-/// Judges every pair, in parallel; returns the scores in the given order and the images' common width and height.
-///
-/// # Errors
-/// No pairs; an unreadable or transparent image; sizes that differ within a pair or between pairs (a protocol has one
-/// size).
-pub fn evaluate_pairs(
-    pairs: &[Pair],
-    params: &MetricEvaluationParams,
-    background: Option<Background>,
-) -> Result<(Vec<ImageMetrics>, [u32; 2]), Failure> {
-    let judged: Vec<_> =
-        pairs.par_iter().map(|pair| evaluate_pair(pair, params, background)).collect::<Result<_, _>>()?;
-    let (_, size) = judged.first().ok_or_else(|| empty_set("set"))?;
-    let size = *size;
-    for ((_, other), pair) in judged.iter().zip(pairs) {
-        if *other != size {
-            let [width, height] = size;
-            let message = format!("image is {}×{} px, but {} is {width}×{height}", other[0], other[1], pairs[0].name);
-            let hint = "a protocol has one size: judge images of different sizes separately";
-            return Err(Failure::new(FailureKind::BadInput, message).hint(hint).at(&pair.render));
-        }
-    }
-    Ok((judged.into_iter().map(|(image, _)| image).collect(), size))
-}
-
-fn evaluate_pair(
-    pair: &Pair,
-    params: &MetricEvaluationParams,
-    background: Option<Background>,
-) -> Result<(ImageMetrics, [u32; 2]), Failure> {
-    let render = Image::read(&pair.render, params.quantise, background)?;
-    let truth = Image::read(&pair.truth, params.quantise, background)?;
-    if (render.width, render.height) != (truth.width, truth.height) {
-        let message =
-            format!("render is {}×{} px, its true image {}×{}", render.width, render.height, truth.width, truth.height);
-        let hint = "render at the size of the true images; resizing here would change the protocol";
-        return Err(Failure::new(FailureKind::BadInput, message).hint(hint).at(&pair.render));
-    }
-    let mut remarks = BTreeSet::new();
-    remarks.extend(render.is_constant().then_some(Remark::ConstantRender));
-    remarks.extend(truth.is_constant().then_some(Remark::ConstantTruth));
-    remarks.extend((render == truth).then_some(Remark::Identical));
-    let scored = ImageMetrics {
-        name: pair.name.clone(),
-        time_secs: pair.time_secs,
-        camera_index: pair.camera_index,
-        mse: mean_squared_error(&render, &truth),
-        values: judge(&render, &truth, &params.metrics),
-        moving: None,
-        prompt_ious: BTreeMap::new(),
-        remarks,
-    };
-    Ok((scored, [render.width as u32, render.height as u32]))
 }

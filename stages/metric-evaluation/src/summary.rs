@@ -1,13 +1,15 @@
-//! Metrics as text for a terminal.
+//! The metrics as text for the terminal.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use crate::metrics::PSNR_CAP_DB;
-use crate::{Metric, Metrics, Remark, Score};
+use crate::artifact::{Metrics, Remark};
+use crate::metrics::metric::Metric;
+use crate::metrics::psnr::PSNR_CAP_DB;
+use crate::metrics::score::Score;
 
 impl Metrics {
-    /// An aligned table: mean, worst value and worst image per metric, then what a reader should know.
+    /// An aligned table with the mean, the worst value and the worst image of every metric, followed by caveats.
     pub fn summary(&self) -> String {
         let mut rows = vec![["metric", "mean", "worst", "worst image"].map(String::from)];
         let defined = self.means.iter().filter(|(_, mean)| mean.value().is_some());
@@ -22,7 +24,7 @@ impl Metrics {
         text + &self.undefined_lines() + &self.remark_lines()
     }
 
-    /// One line per reason.
+    /// One line per reason why metrics are undefined.
     fn undefined_lines(&self) -> String {
         let mut by_reason = BTreeMap::<&str, Vec<&str>>::new();
         for (metric, mean) in &self.means {
@@ -51,9 +53,9 @@ impl Metrics {
 
     fn remark_lines(&self) -> String {
         let explained = [
-            (Remark::Identical, format!("equal to the truth (PSNR capped at {PSNR_CAP_DB} dB)")),
+            (Remark::Identical, format!("equal to the ground truth (PSNR capped at {PSNR_CAP_DB} dB)")),
             (Remark::ConstantRender, "rendered in a single colour".into()),
-            (Remark::ConstantTruth, "compared with a truth of a single colour".into()),
+            (Remark::ConstantTruth, "compared with a ground truth of a single colour".into()),
         ];
         let line = |(remark, what): (Remark, String)| {
             let names: Vec<_> = self.images.iter().filter(|image| image.remarks.contains(&remark)).collect();

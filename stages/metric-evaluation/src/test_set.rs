@@ -1,4 +1,4 @@
-//! The rendered views of one split, each beside the capture's view that it should show.
+//! The rendered views of one split, each with its view of the capture.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,23 +8,25 @@ use rendering::{RenderedView, Renders};
 use scene::{Capture, View};
 
 use crate::artifact::empty_set;
-use crate::{Image, MetricEvaluationParams, Pair};
+use crate::image_file::Image;
+use crate::pairs::Pair;
+use crate::params::MetricEvaluationParams;
 
-/// Every view of a split with its render, in the order of the capture.
-pub struct TestSet<'a> {
-    /// Where the renders lie.
-    pub renders: &'a Renders,
-    /// Where the truth lies.
-    pub capture: &'a Capture,
-    /// What was rendered, and what should have been.
-    pub views: Vec<(&'a RenderedView, &'a View)>,
+/// The views of a split with their renders, in the order of the capture.
+pub(crate) struct TestSet<'a> {
+    /// The renders.
+    pub(crate) renders: &'a Renders,
+    /// The capture with the ground truth.
+    pub(crate) capture: &'a Capture,
+    /// The rendered views and their views of the capture.
+    pub(crate) views: Vec<(&'a RenderedView, &'a View)>,
 }
 
 impl<'a> TestSet<'a> {
-    /// Pairs every view of the rendered split with its render; none may be missing, since means are over the split.
-    pub fn new(renders: &'a Renders, capture: &'a Capture) -> Result<Self, Failure> {
+    /// Pairs every view of the rendered split with its render. No view may be missing, because means are over the split.
+    pub(crate) fn new(renders: &'a Renders, capture: &'a Capture) -> Result<Self, Failure> {
         if renders.protocol != capture.protocol {
-            let message = format!("renders belong to another capture: {}", renders.protocol.line());
+            let message = format!("the renders belong to another capture: {}", renders.protocol.line());
             let hint = format!("the capture is {}", capture.protocol.line());
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
         }
@@ -32,7 +34,7 @@ impl<'a> TestSet<'a> {
         let mut views = Vec::new();
         for (_, view) in capture.views_of(renders.split) {
             let Some(render) = rendered.remove(view.name.as_str()) else {
-                let message = format!("view {} of the capture was not rendered", view.name);
+                let message = format!("view {} of the capture has no render", view.name);
                 return Err(Failure::new(FailureKind::BadInput, message).at(&renders.dir));
             };
             views.push((render, view));
@@ -43,14 +45,14 @@ impl<'a> TestSet<'a> {
         match rendered.keys().next() {
             None => Ok(Self { renders, capture, views }),
             Some(name) => {
-                let message = format!("rendered view {name} is not in the split of the capture");
+                let message = format!("the rendered view {name} is not in this split of the capture");
                 Err(Failure::new(FailureKind::BadInput, message).at(&renders.dir))
             }
         }
     }
 
-    /// The images to compare, in the same order.
-    pub fn pairs(&self) -> Vec<Pair> {
+    /// The image files to compare, in the order of the views.
+    pub(crate) fn pairs(&self) -> Vec<Pair> {
         let pair = |(rendered, view): &(&RenderedView, &View)| Pair {
             name: view.name.clone(),
             time_secs: Some(view.time_secs),
@@ -61,20 +63,21 @@ impl<'a> TestSet<'a> {
         self.views.iter().map(pair).collect()
     }
 
-    /// The render and the truth at `index`, at the levels that are compared.
-    pub fn images(&self, index: usize, params: &MetricEvaluationParams) -> Result<[Image; 2], Failure> {
+    /// The quantised render and ground truth of the view at `index`.
+    pub(crate) fn images(&self, index: usize, params: &MetricEvaluationParams) -> Result<[Image; 2], Failure> {
         let (rendered, view) = self.views[index];
         let read = |path: &Path| Image::read(path, params.quantise, None);
         Ok([read(&self.renders.image_path(rendered))?, read(&self.capture.dir.join(&view.image))?])
     }
 
-    /// Refuses maps of a render that have another size than the capture's view.
-    pub fn check_size(&self, view: &View, found: (u32, u32)) -> Result<(), Failure> {
+    /// Refuses rendered maps whose size differs from that of the view.
+    pub(crate) fn check_size(&self, view: &View, found: (u32, u32)) -> Result<(), Failure> {
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         if found == size {
             return Ok(());
         }
-        let message = format!("maps of {} are {}×{} px instead of {}×{}", view.name, found.0, found.1, size.0, size.1);
+        let message =
+            format!("the maps of {} are {}×{} px instead of {}×{}", view.name, found.0, found.1, size.0, size.1);
         Err(Failure::new(FailureKind::BadInput, message).at(&self.renders.dir))
     }
 }

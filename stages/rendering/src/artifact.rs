@@ -1,4 +1,4 @@
-//! The artifact of rendering: images of one split, by whatever model.
+//! The artifact of rendering: images of the views of one split, rendered from one model.
 
 mod semantic_maps;
 mod surface_maps;
@@ -20,23 +20,23 @@ const HEADER: &str = "renders.json";
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Renders {
-    /// The folder; not stored.
+    /// The artifact's folder; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// The method that made the model.
+    /// The method that trained the model.
     pub method: String,
     /// The protocol of the capture that the views belong to.
     pub protocol: Protocol,
-    /// Which of the capture's views were rendered.
+    /// The split whose views were rendered.
     pub split: Split,
-    /// The prompts that the model was trained with, in the order of [`SemanticMaps::relevancy`]; none where it reads no
-    /// words.
+    /// The prompts that the model was trained with, in the order of [`SemanticMaps::relevancy`]; empty if the method
+    /// uses no prompts.
     pub prompts: Vec<String>,
-    /// In the capture's order.
+    /// The rendered views, in the capture's order.
     pub views: Vec<RenderedView>,
-    /// Gaussians in the model.
+    /// Number of Gaussians in the model.
     pub n_gaussians: u64,
-    /// Bytes of the model's tensors.
+    /// Size of the model's tensors in bytes.
     pub model_size_bytes: u64,
 }
 
@@ -46,22 +46,23 @@ pub struct Renders {
 pub struct RenderedView {
     /// The name of the capture's view.
     pub name: String,
-    /// Which camera of a rig.
+    /// Index of the camera in a rig.
     pub camera_index: u32,
     /// Frame number within that camera's video.
     pub frame_index: u32,
-    /// When the view was taken.
+    /// Time of the view, in seconds of the capture.
     pub time_secs: f64,
-    /// 8-bit RGB PNG, relative to the folder.
+    /// Path of the 8-bit RGB PNG, relative to the folder.
     pub image: PathBuf,
-    /// The surfaces that the render shows ([`SurfaceMaps`]), relative to the folder; where they were asked for.
+    /// Path of the rendered surfaces ([`SurfaceMaps`]), relative to the folder; present if requested.
     pub maps: Option<PathBuf>,
-    /// What the render means ([`SemanticMaps`]), relative to the folder; where it was asked for and the model knows.
+    /// Path of the rendered semantics ([`SemanticMaps`]), relative to the folder; present if requested and the model
+    /// has semantic features.
     pub semantics: Option<PathBuf>,
 }
 
 impl Renders {
-    /// Writes `renders.json`; the images must already lie in `dir`.
+    /// Writes `renders.json`; the images must already be in `dir`.
     pub fn save(&self, dir: &Path) -> anyhow::Result<()> {
         let path = dir.join(HEADER);
         let text = serde_json::to_string_pretty(self)? + "\n";
@@ -73,21 +74,17 @@ impl Renders {
         self.dir.join(&view.image)
     }
 
-    /// The surfaces that a view's render shows, where they were rendered.
+    /// Loads the surfaces of a view, if they were rendered.
     pub fn load_maps(&self, view: &RenderedView) -> anyhow::Result<Option<SurfaceMaps>> {
         view.maps.as_ref().map(|maps| SurfaceMaps::read(&self.dir.join(maps))).transpose()
     }
 
-    /// What a view's render means, where that was rendered; there is one relevancy per prompt, or none.
+    /// Loads the semantics of a view, if they were rendered. There is one relevancy plane per prompt, or none at all.
     pub fn load_semantics(&self, view: &RenderedView) -> anyhow::Result<Option<SemanticMaps>> {
         let Some(path) = view.semantics.as_ref().map(|file| self.dir.join(file)) else { return Ok(None) };
         let maps = SemanticMaps::read(&path)?;
         let (found, prompts) = (maps.relevancy.len(), self.prompts.len());
-        ensure!(
-            found == prompts || found == 0,
-            "relevancies of {found} prompts instead of {prompts}: {}",
-            path.display()
-        );
+        ensure!(found == prompts || found == 0, "{found} relevancy planes for {prompts} prompts: {}", path.display());
         Ok(Some(maps))
     }
 }
@@ -173,12 +170,12 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sizes_missing_images_and_doubled_names_are_refused() {
+    fn wrong_sizes_missing_images_and_duplicate_names_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let renders = write_renders(dir.path());
-        let mut doubled = renders.clone();
-        doubled.views.push(doubled.views[0].clone());
-        assert!(doubled.check().unwrap_err().to_string().contains("twice"));
+        let mut duplicate = renders.clone();
+        duplicate.views.push(duplicate.views[0].clone());
+        assert!(duplicate.check().unwrap_err().to_string().contains("twice"));
         let mut resized = renders.clone();
         resized.protocol.width = 7;
         assert!(resized.check().is_err());

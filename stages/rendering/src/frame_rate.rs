@@ -1,4 +1,4 @@
-//! The three frame rates: rasterisation alone, with the motion model, and delivered as encoded 8-bit images.
+//! Three frame rates: rasterisation alone, with the motion model, and delivered as encoded 8-bit images.
 
 use std::time::{Duration, Instant};
 
@@ -7,41 +7,41 @@ use serde::{Deserialize, Serialize};
 use shaders::geometry::camera::PinholeCamera;
 use training::Player;
 
-use crate::run::to_image;
+use crate::quantize::to_image;
 
-/// Frames that fill caches and are not counted.
+/// Uncounted frames that warm the caches.
 const WARM_UP: usize = 2;
-/// Frames that are counted, if the time allows.
+/// Maximum number of counted frames.
 const MAX_FRAMES: usize = 60;
-/// No frame is begun after this time, so that large images do not hold up a recipe.
+/// No frame starts after this time, so that large images do not delay a recipe.
 const TIME_LIMIT: Duration = Duration::from_secs(4);
 
-/// Seconds of one frame, part by part.
+/// Seconds of one frame, by part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrameTimes {
-    /// The motion model.
-    pub motion_secs: f64,
+pub(crate) struct FrameTimes {
+    /// Motion model.
+    pub(crate) motion_secs: f64,
     /// Projection, binning, blending.
-    pub raster_secs: f64,
-    /// Conversion to 8 bit and PNG encoding.
-    pub delivery_secs: f64,
+    pub(crate) raster_secs: f64,
+    /// Conversion to 8 bits and PNG encoding.
+    pub(crate) delivery_secs: f64,
 }
 
-/// One frame rate.
+/// Statistics of one frame rate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FrameRate {
+pub(crate) struct FrameRate {
     /// Frames per second of the median frame.
-    pub median: f64,
-    /// Frames per second over all frames.
-    pub mean: f64,
-    /// 95 % of the frames took at most so long.
-    pub p95_ms: f64,
-    /// Frames counted.
-    pub frames: usize,
+    pub(crate) median: f64,
+    /// Mean frames per second over all frames.
+    pub(crate) mean: f64,
+    /// 95th percentile of the time per frame, in milliseconds.
+    pub(crate) p95_ms: f64,
+    /// Number of counted frames.
+    pub(crate) frames: usize,
 }
 
-/// Renders the moments in turn (time in seconds, camera) and times the parts of every frame.
-pub fn measure(player: &Player, moments: &[(f64, PinholeCamera)]) -> anyhow::Result<Vec<FrameTimes>> {
+/// Renders the given times (seconds) and cameras in turn and times the parts of every frame.
+pub(crate) fn measure(player: &Player, moments: &[(f64, PinholeCamera)]) -> anyhow::Result<Vec<FrameTimes>> {
     let start = Instant::now();
     let mut times = Vec::new();
     for (time_secs, camera) in moments.iter().cycle().take(WARM_UP + MAX_FRAMES) {
@@ -70,8 +70,8 @@ fn time_frame(player: &Player, time_secs: f64, camera: &PinholeCamera) -> anyhow
 }
 
 impl FrameRate {
-    /// The rate of frames whose cost is `secs` of their parts; `times` is not empty.
-    pub fn of(times: &[FrameTimes], secs: impl Fn(&FrameTimes) -> f64) -> Self {
+    /// The rate of frames that cost `secs` each; `times` must not be empty.
+    pub(crate) fn of(times: &[FrameTimes], secs: impl Fn(&FrameTimes) -> f64) -> Self {
         let mut sorted: Vec<f64> = times.iter().map(secs).collect();
         sorted.sort_by(f64::total_cmp);
         let frames = sorted.len();
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn median_mean_and_tail_of_known_times() {
+    fn statistics_of_known_times_are_exact() {
         let times: Vec<FrameTimes> = (1..=20)
             .map(|at| FrameTimes { motion_secs: 0.0, raster_secs: at as f64 * 0.01, delivery_secs: 9.0 })
             .collect();

@@ -1,17 +1,19 @@
-//! Rendering: a trained model becomes images of a capture's views, with measured frame rates.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
-pub mod artifact;
+mod artifact;
 pub mod export;
 pub mod film;
-pub mod frame_rate;
-pub mod params;
-pub mod run;
-pub mod semantics;
-pub mod surfaces;
+mod frame_rate;
+mod inputs;
+mod params;
+mod quantize;
+mod run;
+mod semantics;
+mod surfaces;
 #[cfg(test)]
 mod tests;
 
 pub use artifact::{RenderedView, Renders, SemanticMaps, SurfaceMaps};
-pub use frame_rate::FrameRate;
 pub use params::{Maps, RenderingParams};
 pub use run::Rendering;

@@ -1,29 +1,29 @@
-//! What a recipe may say about rendering.
+//! The parameters of the stage.
 
 use scene::Split;
 use serde::{Deserialize, Serialize};
 
-/// The parameters of one rendering.
+/// The parameters of a rendering job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderingParams {
-    /// Which of the capture's views are rendered.
+    /// The split whose views are rendered.
     pub split: Split,
-    /// Whether coverage, depth, velocity and flow of the surfaces are written too, and semantic features and the relevancy
-    /// of prompts where the model has them.
+    /// When to write surfaces (coverage, depth, velocity and flow) and semantics (features and the relevancy of prompts,
+    /// if the model has them).
     pub maps: Maps,
 }
 
-/// When surfaces and semantics are rendered beside colours.
+/// The views whose surfaces and semantics are rendered beside their colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Maps {
-    /// For views of which the capture knows what they can be measured by: surfaces by exact maps, semantics by labels.
+    /// Views with ground truth to measure against: exact maps for surfaces, labels for semantics.
     #[default]
     Known,
-    /// For every view.
+    /// Every view.
     All,
-    /// For none.
+    /// No view.
     None,
 }
 

@@ -1,22 +1,22 @@
-//! The stage: a model and a capture in, images out.
+//! The stage: renders the views of a capture from a trained model.
 
 use std::path::{Path, PathBuf};
 
 use captures::CaptureArtifact;
 use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
-use image::RgbImage;
 use scene::{Capture, View, image_file};
 use shaders::geometry::camera::PinholeCamera;
-use shaders::tape::{Device, Tensor};
+use shaders::tape::Device;
 use training::{Model, Player, compute_on};
 
 use crate::artifact::{RenderedView, Renders};
 use crate::frame_rate::{self, FrameRate, FrameTimes};
 use crate::params::{Maps, RenderingParams};
+use crate::quantize::to_image;
 use crate::semantics::semantics;
 use crate::surfaces::surfaces;
 
-/// The stage that renders.
+/// The stage that renders views from a model and measures frame rates.
 pub struct Rendering;
 
 impl Stage for Rendering {
@@ -53,8 +53,8 @@ impl Stage for Rendering {
     }
 }
 
-/// Renders the views of a split into `out` and measures frame rates on them.
-pub fn render(
+/// Renders the views of a split into `out` and times frames of them.
+pub(crate) fn render(
     model: &Model,
     capture: &Capture,
     params: &RenderingParams,
@@ -100,7 +100,7 @@ pub fn render(
     Ok((renders, times))
 }
 
-/// Whether maps of a view are rendered whose truth is known or not.
+/// Whether to render the maps of a view, given whether their ground truth is known.
 fn wanted(maps: Maps, is_known: bool) -> bool {
     match maps {
         Maps::Known => is_known,
@@ -109,7 +109,7 @@ fn wanted(maps: Maps, is_known: bool) -> bool {
     }
 }
 
-/// The file for maps of a kind, relative to `out`, in a folder that exists.
+/// The file for maps of one kind, relative to `out`; its folder is created.
 fn map_file(out: &Path, kind: &str, view: &View) -> anyhow::Result<PathBuf> {
     std::fs::create_dir_all(out.join(kind))?;
     Ok(Path::new(kind).join(format!("{}.exr", view.name)))
@@ -122,18 +122,11 @@ fn render_view(player: &Player, view: &View, out: &Path) -> anyhow::Result<Rende
     let rendered = player.rasterize(&mut tape, &splats, None, &camera, &player.raster_settings())?;
     let color = tape.value(rendered.color);
     if !color.is_finite() {
-        let message = format!("the render of view {} has values that are not finite", view.name);
+        let message = format!("the render of view {} has non-finite values", view.name);
         return Err(Failure::new(FailureKind::Diverged, message).into());
     }
     let image = Path::new("images").join(format!("{}.png", view.name));
     image_file::write_rgb(&out.join(&image), &to_image(color))?;
     let View { name, camera_index, frame_index, time_secs, .. } = view.clone();
     Ok(RenderedView { name, camera_index, frame_index, time_secs, image, maps: None, semantics: None })
-}
-
-/// [H, W, 3] to 8 bit: clamped to [0, 1], rounded half up.
-pub(crate) fn to_image(color: &Tensor<f32>) -> RgbImage {
-    let &[height, width, 3] = color.shape() else { unreachable!("colours have shape [H, W, 3]") };
-    let bytes = training::to_bytes(color);
-    RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes as the shape says")
 }

@@ -1,14 +1,14 @@
-//! What a render means: semantic features, and where the prompts are that the model was trained with.
+//! Rendered semantics: semantic features, and the relevancy of the prompts that the model was trained with.
 
 use scene::View;
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Tensor;
 use training::Player;
 
-use crate::SemanticMaps;
+use crate::artifact::SemanticMaps;
 
-/// Renders what a view means; none where the model has no semantic features.
-pub fn semantics(player: &Player, view: &View) -> anyhow::Result<Option<SemanticMaps>> {
+/// Renders the semantics of a view; `None` if the model has no semantic features.
+pub(crate) fn semantics(player: &Player, view: &View) -> anyhow::Result<Option<SemanticMaps>> {
     let camera = PinholeCamera::from(&view.camera);
     let Some(image) = player.render_semantics(view.time_secs, &camera)? else { return Ok(None) };
     let relevancy = match player.prompts() {
@@ -26,7 +26,7 @@ pub fn semantics(player: &Player, view: &View) -> anyhow::Result<Option<Semantic
     }))
 }
 
-/// [H, W, C] as C planes.
+/// Splits [H, W, C] into C planes.
 fn planes(image: &Tensor<f32>) -> Vec<Vec<f32>> {
     let channels = image.shape()[2];
     (0..channels).map(|channel| image.as_slice().iter().skip(channel).step_by(channels).copied().collect()).collect()

@@ -1,7 +1,7 @@
-//! What a render says of surfaces: coverage, depth, velocity and optical flow, for comparison with exact maps.
+//! Rendered surfaces: coverage, depth, velocity and optical flow, for comparison with exact maps.
 //!
-//! Velocity and flow are differences of the model's own positions over time, blended with the weights of the colours:
-//! they are defined for every method, whatever its motion model is.
+//! Velocity and flow are finite differences over time of the Gaussians' positions, blended with the weights of the
+//! colours. They are therefore defined for every method, independently of its motion model.
 
 use anyhow::Context as _;
 use scene::{Camera, View};
@@ -10,13 +10,13 @@ use shaders::rasteriser::RasterSettings;
 use shaders::tape::Tensor;
 use training::Player;
 
-use crate::SurfaceMaps;
+use crate::artifact::SurfaceMaps;
 
-/// Values per Gaussian that are blended: velocity (x, y, z) and flow (right, down).
+/// Blended values per Gaussian: velocity (x, y, z) and flow (right, down).
 const BLENDED: usize = 5;
 
 /// Renders the surfaces of a view; `frame_secs` is the time between two frames of the capture.
-pub fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result<SurfaceMaps> {
+pub(crate) fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result<SurfaceMaps> {
     let camera = PinholeCamera::from(&view.camera);
     let mut tape = player.tape();
     let splats = player.splats(&mut tape, view.time_secs, &camera)?;
@@ -26,7 +26,7 @@ pub fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result
     let rendered = player.rasterize(&mut tape, &splats, Some(features), &camera, &settings)?;
     let values = |var| tape.value(var).as_slice();
     let alpha = values(rendered.alpha);
-    let depth = values(rendered.depth.context("depth was asked for")?);
+    let depth = values(rendered.depth.context("depth was requested")?);
     let blended = values(rendered.features.context("features were given")?);
     let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
     let mut maps = SurfaceMaps { width, height, alpha: alpha.to_vec(), ..SurfaceMaps::default() };
@@ -40,7 +40,7 @@ pub fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result
     Ok(maps)
 }
 
-/// [N, 5]: velocity and flow of every splat of the view.
+/// [N, 5]: velocity and flow of every splat in the view.
 fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result<Vec<f32>> {
     let camera = PinholeCamera::from(&view.camera);
     let range = player.time_range_secs();
@@ -52,7 +52,7 @@ fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Resu
     let mut motion = Vec::with_capacity(BLENDED * now.world.len());
     for (index, position) in now.world.iter().enumerate() {
         let row = now.row(index);
-        // A splat that is not there at another instant has no velocity of its own.
+        // A splat that is absent at one of the two times has no velocity.
         let velocity = match (before.of_row(row), after.of_row(row)) {
             (Some(from), Some(to)) => [0, 1, 2].map(|axis| ((to[axis] - from[axis]) as f64 / duration) as f32),
             _ => [0.0; 3],
@@ -64,7 +64,7 @@ fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Resu
     Ok(motion)
 }
 
-/// From where a camera sees one point to where it sees another; `None` if one lies behind it.
+/// Image displacement between two points; `None` if one of them is behind the camera.
 fn displacement_px(camera: &Camera, from: [f32; 3], to: [f32; 3]) -> Option<[f32; 2]> {
     let project = |point: [f32; 3]| Some(camera.project(glam::Vec3::from(point).as_dvec3())?.0);
     Some((project(to)? - project(from)?).as_vec2().to_array())

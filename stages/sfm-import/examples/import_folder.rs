@@ -1,5 +1,5 @@
-//! Imports a capture without recipe, engine or cache: `import_folder SOURCE OUTPUT [key=value …]`, values as JSON
-//! (`width=200 'background="black"'`).
+//! Imports a capture without a recipe, the engine or a cache: `import_folder SOURCE OUTPUT [key=value …]`, with values in
+//! JSON (e.g. `width=200 'background="black"'`).
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! What is known of a capture before it is imported: what its files say in passing, without a pixel.
+//! Static facts about a capture before its import, from its files without decoding an image.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -6,22 +6,21 @@ use std::path::Path;
 use engine::Facts;
 use scene::{Split, facts};
 
-use crate::params::Format;
-use crate::recognise::recognise;
-use crate::{Params, source};
+use crate::params::{Format, Params};
+use crate::recognise::{read, recognise};
 
-/// What is known of the capture in `dir`. COLMAP models are not read for it: their points can take seconds.
-pub fn of_capture(dir: &Path, params: &Params) -> Facts {
-    let never = [facts::DEPTH, facts::FLOW, facts::NORMALS, facts::VELOCITY];
-    let known = never.iter().fold(Facts::default(), |known, map| known.with(map, false));
+/// Static facts about the capture in `dir`. COLMAP models are not read, because their points can take seconds.
+pub(crate) fn of_capture(dir: &Path, params: &Params) -> Facts {
+    let absent = [facts::DEPTH, facts::FLOW, facts::NORMALS, facts::VELOCITY];
+    let known = absent.iter().fold(Facts::default(), |known, map| known.with(map, false));
     if params.static_scene {
         return with_times(known, 1);
     }
     if !matches!(recognise(dir, params.format), Ok(Format::Blender | Format::Nerfies | Format::N3v)) {
         return known;
     }
-    // What is wrong with the files is said when they are imported.
-    let Ok(capture) = source::read(dir, params) else { return known };
+    // Problems with the files are reported by the import.
+    let Ok(capture) = read(dir, params) else { return known };
     let training = || capture.frames.iter().filter(|frame| frame.split == Split::Train);
     let times: BTreeSet<u64> = training().map(|frame| frame.time_secs.to_bits()).collect();
     with_times(known, times.len())
@@ -29,7 +28,7 @@ pub fn of_capture(dir: &Path, params: &Params) -> Facts {
         .with(facts::MASKS, training().any(|frame| frame.mask.is_some()))
 }
 
-/// Nothing is seen to move at a single instant.
+/// Adds the number of times. A single instant shows no motion.
 fn with_times(known: Facts, times: usize) -> Facts {
     let known = known.with(facts::TIMES, times);
     if times > 1 { known } else { known.with(facts::MOVING, false) }
@@ -41,7 +40,7 @@ mod tests {
     use crate::tests::support::{Workspace, blender_scene, colmap_params};
 
     #[test]
-    fn blender_files_tell_times_and_points() {
+    fn blender_files_state_times_and_points() {
         let dir = blender_scene();
         let known = of_capture(dir.path(), &Params::default());
         assert_eq!(known.count(facts::TIMES), Some(5));
@@ -52,12 +51,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_or_slow_to_read_is_unknown() {
+    fn missing_and_slow_files_leave_facts_unknown() {
         let nowhere = of_capture(Path::new("nowhere"), &Params::default());
         assert_eq!((nowhere.count(facts::TIMES), nowhere.flag(facts::DEPTH)), (None, Some(false)));
         let dir = Workspace::video(4).write();
         assert_eq!(of_capture(dir.path(), &colmap_params()).count(facts::TIMES), None);
-        let at_rest = Params { static_scene: true, ..colmap_params() };
-        assert_eq!(of_capture(dir.path(), &at_rest).flag(facts::MOVING), Some(false));
+        let static_scene = Params { static_scene: true, ..colmap_params() };
+        assert_eq!(of_capture(dir.path(), &static_scene).flag(facts::MOVING), Some(false));
     }
 }

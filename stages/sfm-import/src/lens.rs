@@ -1,49 +1,49 @@
-//! Lens distortion: the Brown–Conrady model of OpenCV and COLMAP, and the pinhole that replaces it.
+//! Lens distortion: the Brown–Conrady model of OpenCV and COLMAP, and the pinhole that undistortion produces.
 
 use engine::{Failure, FailureKind};
 use glam::DVec2;
 use scene::Intrinsics;
 
-/// The largest zoom spent on hiding unseen borders; beyond it the coefficients are not those of a real lens.
+/// Largest zoom for cropping unseen borders; coefficients that need more do not describe a real lens.
 const MAX_ZOOM: f64 = 4.0;
-/// Bisection steps of the zoom: 40 halvings of [1, `MAX_ZOOM`] are below f64 pixel rounding.
+/// Bisection steps for the zoom: 40 halvings of [1, `MAX_ZOOM`] reach the rounding of pixel positions.
 const ZOOM_STEPS: usize = 40;
 
-/// Radial (`k1`, `k2`, `k3`) and tangential (`p1`, `p2`) coefficients on the plane z = 1.
+/// Radial (`k1`, `k2`, `k3`) and tangential (`p1`, `p2`) distortion coefficients on the plane z = 1.
 ///
 /// With d = 1 + k1 r² + k2 r⁴ + k3 r⁶: x' = x d + 2 p1 x y + p2 (r² + 2 x²), y' = y d + p1 (r² + 2 y²) + 2 p2 x y
-/// (Brown 1966; COLMAP's `OPENCV`, of which `RADIAL` and `SIMPLE_RADIAL` are special cases, has no k3).
+/// (Brown 1966; COLMAP's `OPENCV`, which includes `RADIAL` and `SIMPLE_RADIAL`, has no k3).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Distortion {
+pub(crate) struct Distortion {
     /// Coefficient of r².
-    pub k1: f64,
+    pub(crate) k1: f64,
     /// Coefficient of r⁴.
-    pub k2: f64,
+    pub(crate) k2: f64,
     /// Coefficient of r⁶.
-    pub k3: f64,
+    pub(crate) k3: f64,
     /// First tangential coefficient.
-    pub p1: f64,
+    pub(crate) p1: f64,
     /// Second tangential coefficient.
-    pub p2: f64,
+    pub(crate) p2: f64,
 }
 
-/// A pinhole with distortion: how a photograph was taken.
+/// The pinhole and the distortion of a real camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lens {
+pub(crate) struct Lens {
     /// Image size, focal lengths and principal point.
-    pub intrinsics: Intrinsics,
-    /// What bends the rays.
-    pub distortion: Distortion,
+    pub(crate) intrinsics: Intrinsics,
+    /// Distortion of the rays.
+    pub(crate) distortion: Distortion,
 }
 
 impl Distortion {
-    /// Whether this is a pinhole.
-    pub fn is_none(&self) -> bool {
+    /// Whether all coefficients are zero.
+    pub(crate) fn is_none(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Where the ray through `point` (plane z = 1) lands on that plane.
-    pub fn apply(&self, point: DVec2) -> DVec2 {
+    /// Distorts a point of the plane z = 1.
+    pub(crate) fn apply(&self, point: DVec2) -> DVec2 {
         let Self { k1, k2, k3, p1, p2 } = *self;
         let (r2, xy) = (point.length_squared(), point.x * point.y);
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
@@ -54,46 +54,47 @@ impl Distortion {
         point * radial + tangential
     }
 
-    /// Whether the radial part still grows at radius² `r2`: d(r + k1 r³ + k2 r⁵ + k3 r⁷)/dr > 0.
+    /// Whether the radial part increases at squared radius `r2`: d(r + k1 r³ + k2 r⁵ + k3 r⁷)/dr > 0.
     fn grows_at(&self, r2: f64) -> bool {
         1.0 + r2 * (3.0 * self.k1 + r2 * (5.0 * self.k2 + r2 * 7.0 * self.k3)) > 0.0
     }
 }
 
 impl Lens {
-    /// A lens that bends nothing.
-    pub fn pinhole(intrinsics: Intrinsics) -> Self {
+    /// A lens without distortion.
+    pub(crate) fn pinhole(intrinsics: Intrinsics) -> Self {
         Self { intrinsics, distortion: Distortion::default() }
     }
 
-    /// Pixel position of a point on the plane z = 1.
-    pub fn pixel(&self, point: DVec2) -> DVec2 {
+    /// Projects a point of the plane z = 1 to a pixel position.
+    pub(crate) fn pixel(&self, point: DVec2) -> DVec2 {
         let k = self.intrinsics;
         self.distortion.apply(point) * DVec2::new(k.focal_x, k.focal_y) + DVec2::new(k.center_x, k.center_y)
     }
 
-    /// The pinhole that undistorted images have: the same size and principal point, focal lengths multiplied by the
-    /// smallest factor ≥ 1 for which every pixel centre of the new image lies between pixel centres of the old one, so
-    /// that no pixel is invented. A pinhole is returned as it is.
-    pub fn undistorted(&self) -> Result<Intrinsics, Failure> {
+    /// The pinhole of undistorted images. It keeps the size and the principal point; focal lengths are multiplied by the
+    /// smallest factor ≥ 1 for which every pixel centre of the new image is inside the pixel centres of the old one, so
+    /// that no pixel is extrapolated. A lens without distortion is returned unchanged.
+    pub(crate) fn undistorted(&self) -> Result<Intrinsics, Failure> {
         if self.distortion.is_none() {
             return Ok(self.intrinsics);
         }
         if !self.sees_border_of(&self.zoomed(MAX_ZOOM)) {
-            let message = format!("lens distortion {:?} folds the image over", self.distortion);
-            let hint = "the calibration is wrong: calibrate again, or undistort with `colmap image_undistorter`";
+            let Distortion { k1, k2, k3, p1, p2 } = self.distortion;
+            let message = format!("lens distortion (k1 {k1}, k2 {k2}, k3 {k3}, p1 {p1}, p2 {p2}) folds the image over");
+            let hint = "calibrate again, or undistort the images with `colmap image_undistorter`";
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
         }
-        let (mut too_small, mut enough) = (1.0, MAX_ZOOM);
+        let (mut too_small, mut sufficient) = (1.0, MAX_ZOOM);
         if self.sees_border_of(&self.zoomed(1.0)) {
-            enough = 1.0;
+            sufficient = 1.0;
         }
         for _ in 0..ZOOM_STEPS {
-            let middle = 0.5 * (too_small + enough);
+            let middle = 0.5 * (too_small + sufficient);
             let seen = self.sees_border_of(&self.zoomed(middle));
-            *(if seen { &mut enough } else { &mut too_small }) = middle;
+            *(if seen { &mut sufficient } else { &mut too_small }) = middle;
         }
-        Ok(self.zoomed(enough))
+        Ok(self.zoomed(sufficient))
     }
 
     fn zoomed(&self, zoom: f64) -> Intrinsics {
@@ -101,8 +102,8 @@ impl Lens {
         Intrinsics { focal_x: k.focal_x * zoom, focal_y: k.focal_y * zoom, ..k }
     }
 
-    /// Whether every border pixel of the pinhole `target` is seen by this lens; the inside follows, because the
-    /// distortion grows outwards.
+    /// Whether this lens sees every border pixel of the pinhole `target`. The interior follows, because the distortion
+    /// increases outwards.
     fn sees_border_of(&self, target: &Intrinsics) -> bool {
         let (width, height) = (target.width, target.height);
         let (last_x, last_y) = (f64::from(width) - 0.5, f64::from(height) - 0.5);
@@ -117,8 +118,8 @@ impl Lens {
     }
 }
 
-/// The point on the plane z = 1 that the centre of a pixel shows.
-pub fn plane_point(pinhole: &Intrinsics, column: u32, row: u32) -> DVec2 {
+/// The point of the plane z = 1 at the centre of a pixel.
+pub(crate) fn plane_point(pinhole: &Intrinsics, column: u32, row: u32) -> DVec2 {
     let pixel = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
     (pixel - DVec2::new(pinhole.center_x, pinhole.center_y)) / DVec2::new(pinhole.focal_x, pinhole.focal_y)
 }

@@ -1,4 +1,4 @@
-//! What a recipe may say about an import.
+//! The parameters of the stage.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -6,58 +6,58 @@ use engine::ParamProblem;
 use scene::protocol::{PRESETS, Preset};
 use serde::{Deserialize, Serialize};
 
-/// Parameters of the stage `sfm-import`.
+/// The parameters of an import.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// The capture's folder, relative to the data root, as `dnerf/lego`. Required.
+    /// The capture's folder, relative to the data root, e.g. `dnerf/lego`. Required.
     pub source: PathBuf,
-    /// What the folder holds.
+    /// The format of the folder; `auto` recognises it by its files.
     pub format: Format,
-    /// Pixels per row of the imported images; the height follows the aspect ratio. Unset keeps the native size. Nerfies: the
-    /// smallest stored images that are as wide are read, so that one of their widths resizes nothing.
+    /// Width of the imported images in pixels; the height follows the aspect ratio. If unset, images keep their native
+    /// size. Nerfies: the smallest stored images of at least this width are read, so that a stored width needs no resizing.
     pub width: Option<u32>,
-    /// How images get to `width`: `area` (the default where `width` is set) or `lanczos3`.
+    /// The filter for resizing to `width`: `area` (the default) or `lanczos3`.
     pub resize: Option<Resize>,
-    /// What transparent images are composited on, and what models of this capture render on.
+    /// The background for compositing transparent images and for rendering models of this capture.
     pub background: Background,
-    /// Blender: which official split is tested on; `val` is what the literature does for D-NeRF's Lego.
+    /// Blender: the official split that serves as the test split. The literature uses `val` for D-NeRF's Lego.
     pub test_split: TestSplit,
-    /// The name of the protocol that the capture must come to have, as `dnerf-800-white` (`scene::protocol::PRESETS`); anything
-    /// else is then refused. Empty: any.
+    /// The name of the protocol that the capture must have after the import, e.g. `dnerf-800-white`
+    /// (`scene::protocol::PRESETS`). Captures with another protocol are refused. Empty accepts every protocol.
     pub protocol: String,
-    /// COLMAP: every n-th image, from the first, is a test view; 0 makes none.
+    /// COLMAP: every n-th image, starting with the first, is a test view; 0 makes no test views.
     pub every_nth: u32,
-    /// Validation views. Unset: Blender's official val split unless it is tested on, none elsewhere. A number: so
-    /// many, evenly spread, of that split, or held out of the training views where there is no such split.
+    /// Number of validation views, evenly spread over the official val split, or held out of the training views if there is
+    /// no such split. If unset: Blender's official val split, unless it serves as the test split; otherwise none.
     pub val_count: Option<u32>,
     /// Keeps every n-th training view.
     pub frame_step: u32,
-    /// Keeps at most so many training views (after `frame_step`), evenly spread.
+    /// Maximum number of training views, evenly spread, after `frame_step`.
     pub train_limit: Option<u32>,
-    /// COLMAP, Nerfies and Neural 3D Video: frames per second of the video whose frames the images are.
+    /// COLMAP, Nerfies and Neural 3D Video: frames per second of the video that the images come from.
     pub fps: f64,
-    /// Every image shows the same instant (a photo collection of a scene at rest).
+    /// Whether all images show the same instant (photos of a static scene).
     #[serde(rename = "static")]
     pub static_scene: bool,
-    /// COLMAP: refuse when a smaller share of the images has a pose; 0 accepts anything.
+    /// COLMAP: minimum share of images with a pose; 0 accepts every model.
     pub min_registered_share: f64,
 }
 
-/// What a folder holds.
+/// The format of a capture's folder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
     /// Recognised by its files.
     #[default]
     Auto,
-    /// `transforms_{train,val,test}.json`, as D-NeRF and synthetic NeRF scenes.
+    /// `transforms_{train,val,test}.json`: D-NeRF and the synthetic scenes of NeRF.
     Blender,
     /// A COLMAP sparse model (`sparse/0/{cameras,images,points3D}.{bin,txt}`) beside its images.
     Colmap,
-    /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`, as Nerfies, HyperNeRF and DyCheck.
+    /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`: Nerfies, HyperNeRF and DyCheck.
     Nerfies,
-    /// `poses_bounds.npy` and the frames of every camera in `camNN/images` or `camNN`, as Neural 3D Video.
+    /// `poses_bounds.npy` and the frames of each camera in `camNN/images` or `camNN`: Neural 3D Video.
     N3v,
 }
 
@@ -67,22 +67,22 @@ pub enum Format {
 pub enum Resize {
     /// Box average.
     Area,
-    /// Windowed sinc of three lobes.
+    /// Windowed sinc with three lobes.
     Lanczos3,
 }
 
-/// What transparent pixels become.
+/// The colour behind transparent pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Background {
-    /// (1, 1, 1), the default of most of the literature on D-NeRF.
+    /// White (1, 1, 1), as in most of the literature on D-NeRF.
     #[default]
     White,
-    /// (0, 0, 0).
+    /// Black (0, 0, 0).
     Black,
 }
 
-/// An official split that may be tested on.
+/// An official split that can serve as the test split.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TestSplit {
@@ -109,14 +109,14 @@ impl Default for Params {
             train_limit: None,
             fps: 30.0,
             static_scene: false,
-            min_registered_share: 0.5, // below, structure from motion has lost the scene
+            min_registered_share: 0.5, // below this share, structure from motion has failed
         }
     }
 }
 
 impl Format {
-    /// As protocols and captures spell it.
-    pub fn name(self) -> &'static str {
+    /// The name in protocols and captures.
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
             Self::Blender => "blender",
@@ -128,16 +128,16 @@ impl Format {
 }
 
 impl Background {
-    /// As recipes and protocols spell it.
-    pub fn name(self) -> &'static str {
+    /// The name in recipes and protocols.
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::White => "white",
             Self::Black => "black",
         }
     }
 
-    /// As a colour in [0, 1].
-    pub fn rgb(self) -> [f32; 3] {
+    /// The colour, with components in [0, 1].
+    pub(crate) fn rgb(self) -> [f32; 3] {
         match self {
             Self::White => [1.0; 3],
             Self::Black => [0.0; 3],
@@ -146,48 +146,43 @@ impl Background {
 }
 
 impl Params {
-    /// The filter that images are resized with, if they are.
-    pub fn filter(&self) -> Resize {
+    /// The resize filter.
+    pub(crate) fn filter(&self) -> Resize {
         self.resize.unwrap_or(Resize::Area)
     }
 
-    /// Every problem that the types cannot see.
-    pub fn problems(&self) -> Vec<ParamProblem> {
+    /// All problems that the types do not exclude.
+    pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
         let checks = [
-            (self.source.as_os_str().is_empty(), "source", "no source folder", "source = \"dnerf/bouncingballs\""),
-            (!relative(&self.source), "source", "the source must lie below the data root", "use a relative path"),
             (
-                self.width == Some(0),
-                "width",
-                "an image needs at least one pixel per row",
-                "leave it out to keep the size",
+                self.source.as_os_str().is_empty(),
+                "source",
+                "the source folder is missing",
+                "e.g. source = \"dnerf/bouncingballs\"",
             ),
+            (!relative(&self.source), "source", "the source must be below the data root", "use a relative path"),
+            (self.width == Some(0), "width", "must be at least 1 pixel", "omit it to keep the native size"),
             (
                 self.resize.is_some() && self.width.is_none(),
                 "resize",
-                "nothing is resized",
+                "has no effect without width",
                 "set width, or remove resize",
             ),
             (self.frame_step == 0, "frame_step", "must be at least 1", "1 keeps every training view"),
-            (
-                self.train_limit == Some(0),
-                "train_limit",
-                "must be at least 1",
-                "leave it out to keep every training view",
-            ),
+            (self.train_limit == Some(0), "train_limit", "must be at least 1", "omit it to keep every training view"),
             (
                 self.every_nth == 1,
                 "every_nth",
                 "every image would be a test view",
-                "8 is the usual choice, 0 tests on none",
+                "use 8 (the usual choice), or 0 for no test views",
             ),
             (!(self.fps > 0.0 && self.fps.is_finite()), "fps", "must be positive and finite", "30 is a common rate"),
             (
                 !(0.0..=1.0).contains(&self.min_registered_share),
                 "min_registered_share",
                 "must lie in [0, 1]",
-                "0 accepts anything",
+                "0 accepts every model",
             ),
         ];
         let problem = |(_, key, message, hint): (bool, &str, &str, &str)| ParamProblem {
@@ -206,8 +201,8 @@ impl Params {
         let names: Vec<_> = PRESETS.iter().map(|preset| preset.name).collect();
         Some(ParamProblem {
             key: "protocol".into(),
-            message: format!("no protocol is called {:?}", self.protocol),
-            hint: Some(format!("one of {}", names.join(", "))),
+            message: format!("there is no protocol {:?}", self.protocol),
+            hint: Some(format!("use one of {}", names.join(", "))),
         })
     }
 }

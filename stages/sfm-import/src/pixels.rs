@@ -1,4 +1,4 @@
-//! Pixels of one image on their way from its file into the capture: composite, undistort, resize, round.
+//! Pixel operations of the import: compositing, undistortion, and labels from masks.
 
 use std::path::Path;
 
@@ -6,14 +6,15 @@ use image::{DynamicImage, ImageDecoder, ImageReader};
 use scene::float_image::FloatImage;
 use scene::{Intrinsics, LabelMap, image_file};
 
+use crate::error::{Result, bad};
+use crate::files::image_size;
 use crate::lens::{Lens, plane_point};
-use crate::source::{Result, bad, image_size};
 
-/// More distinct values than instances in one scene: the edges of such masks are blurred.
+/// Masks with more distinct non-zero values than this are assumed to have blurred edges.
 const MAX_INSTANCES: usize = 16;
 
-/// Whether an image file has an alpha channel, from its header.
-pub fn has_alpha(path: &Path) -> Result<bool> {
+/// Whether an image file has an alpha channel, according to its header.
+pub(crate) fn has_alpha(path: &Path) -> Result<bool> {
     image_size(path)?;
     let decoder = ImageReader::open(path).map_err(image::ImageError::from).and_then(|reader| {
         let reader = reader.with_guessed_format()?;
@@ -23,14 +24,15 @@ pub fn has_alpha(path: &Path) -> Result<bool> {
     Ok(decoder.color_type().has_alpha())
 }
 
-pub(crate) fn decode(path: &Path) -> Result<DynamicImage> {
+/// Decodes an image file.
+fn decode(path: &Path) -> Result<DynamicImage> {
     image_file::decode(path)
         .map_err(|error| bad(format!("image cannot be read ({error})")).hint("the file may be damaged").at(path))
 }
 
-/// The colours of a file, composited on `background` and rounded to 8 bits, and its alpha where it has some:
-/// round(rgb · a + background · (1 − a)), once, at native size.
-pub fn composited(path: &Path, background: [f32; 3]) -> Result<(FloatImage, Option<FloatImage>)> {
+/// Composites an image file on `background` at native size and rounds to 8 bits: round(rgb · a + background · (1 − a)).
+/// Returns the colours, and the alpha channel if the file has one.
+pub(crate) fn composited(path: &Path, background: [f32; 3]) -> Result<(FloatImage, Option<FloatImage>)> {
     let image = decode(path)?;
     if !image.color().has_alpha() {
         return Ok((FloatImage::from_rgb(&image.into_rgb8()), None));
@@ -40,9 +42,8 @@ pub fn composited(path: &Path, background: [f32; 3]) -> Result<(FloatImage, Opti
     Ok((FloatImage::from_rgb(&rounded), Some(FloatImage::alpha_of(&rgba))))
 }
 
-/// The image that the pinhole `target` of the same size sees, looked up bilinearly; the image itself for a lens
-/// without distortion.
-pub fn undistorted(image: FloatImage, lens: &Lens, target: &Intrinsics) -> FloatImage {
+/// Resamples an image bilinearly to the pinhole `target` of the same size. A lens without distortion leaves it unchanged.
+pub(crate) fn undistorted(image: FloatImage, lens: &Lens, target: &Intrinsics) -> FloatImage {
     if lens.distortion.is_none() {
         return image;
     }
@@ -56,7 +57,7 @@ pub fn undistorted(image: FloatImage, lens: &Lens, target: &Intrinsics) -> Float
     FloatImage { values, ..image }
 }
 
-/// Appends the value of every channel at (x, y) columns and rows from the centre of the first pixel.
+/// Appends the interpolated value of every channel at (x, y), measured in pixels from the centre of the first pixel.
 fn append_bilinear(image: &FloatImage, x: f64, y: f64, out: &mut Vec<f32>) {
     let axis = |value: f64, length: u32| {
         let last = length as usize - 1;
@@ -74,18 +75,18 @@ fn append_bilinear(image: &FloatImage, x: f64, y: f64, out: &mut Vec<f32>) {
     }
 }
 
-/// How grey values of mask files become labels: one table for a whole capture.
+/// The mapping from grey values of mask files to labels, shared by a whole capture.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Labels {
+pub(crate) struct Labels {
     table: Vec<u8>,
-    /// Names of labels 1, 2, …
-    pub class_names: Vec<String>,
+    /// Names of the labels 1, 2, …
+    pub(crate) class_names: Vec<String>,
 }
 
 impl Labels {
-    /// From all values that occur: every non-zero value is an instance, numbered in order; blurred masks, which have
-    /// more values than a scene has instances, are cut at one half.
-    pub fn of_values(values: &[bool; 256]) -> Self {
+    /// Builds the mapping from all values that occur. Every non-zero value is an instance, numbered in order. Masks with
+    /// blurred edges (more than [`MAX_INSTANCES`] values) are thresholded at one half.
+    pub(crate) fn of_values(values: &[bool; 256]) -> Self {
         let instances: Vec<usize> = (1..256).filter(|&value| values[value]).collect();
         let mut table = vec![0; 256];
         if instances.len() > MAX_INSTANCES {
@@ -100,8 +101,8 @@ impl Labels {
         Self { table, class_names }
     }
 
-    /// The labels of one file as the pinhole `target` sees them at `size`: nearest pixel, because labels do not mix.
-    pub fn read(&self, path: &Path, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<LabelMap> {
+    /// Resamples the labels of one file to the pinhole `target` at `size`, by nearest pixel because labels cannot be mixed.
+    pub(crate) fn read(&self, path: &Path, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<LabelMap> {
         let mask = decode(path)?.into_luma8();
         let (width, height) = size;
         let scaled = scene::Camera { intrinsics: *target, camera_from_world: scene::RigidTransform::IDENTITY }
@@ -120,8 +121,8 @@ impl Labels {
     }
 }
 
-/// Which grey values a mask file has.
-pub fn mask_values(path: &Path) -> Result<[bool; 256]> {
+/// The set of grey values in a mask file.
+pub(crate) fn mask_values(path: &Path) -> Result<[bool; 256]> {
     let mut values = [false; 256];
     decode(path)?.into_luma8().iter().for_each(|value| values[usize::from(*value)] = true);
     Ok(values)

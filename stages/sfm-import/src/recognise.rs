@@ -1,27 +1,41 @@
-//! Which of the formats a folder holds.
+//! Recognises the format of a folder and reads it.
 
 use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 
-use crate::params::Format;
-use crate::source::{Result, bad};
+use crate::error::{Result, bad};
+use crate::files::children;
+use crate::params::{Format, Params};
+use crate::source::SourceCapture;
 use crate::{blender, colmap, n3v, nerfies};
 
-/// The format of `dir`: what its files say, which must be `wanted` unless that is [`Format::Auto`].
-pub fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
+/// Reads the capture in `dir`; opens images no further than their headers.
+pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    match recognise(dir, params.format)? {
+        Format::Colmap => colmap::read(dir, params),
+        Format::Nerfies => nerfies::read(dir, params),
+        Format::N3v => n3v::read(dir, params),
+        _ => blender::read(dir, params),
+    }
+}
+
+/// The format of the files in `dir`. It must be `wanted`, unless that is [`Format::Auto`].
+pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
     if dir.is_file() {
-        return Err(bad("a capture is a folder, this is a file").hint("name the folder that the file lies in").at(dir));
+        return Err(bad("a capture is a folder, but this is a file")
+            .hint("name the folder that contains the file")
+            .at(dir));
     }
     if !dir.is_dir() {
-        let hint = "is --data-root right, and is the data downloaded?";
+        let hint = "check --data-root, and download the data";
         return Err(Failure::new(FailureKind::MissingData, "no such data folder").hint(hint).at(dir));
     }
     let found = formats_of(dir);
     match (wanted, found.as_slice()) {
         (Format::Auto, [format]) => Ok(*format),
         (Format::Auto, [first, second, ..]) => {
-            let message = format!("the folder holds both a {} and a {} capture", first.name(), second.name());
+            let message = format!("the folder contains both a {} and a {} capture", first.name(), second.name());
             let hint = format!("set format = \"{}\" or format = \"{}\"", first.name(), second.name());
             Err(bad(message).hint(hint).at(dir))
         }
@@ -30,18 +44,18 @@ pub fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
     }
 }
 
-/// Every format whose files `dir` holds.
+/// Every format whose files are in `dir`.
 fn formats_of(dir: &Path) -> Vec<Format> {
     let present = [
-        (Format::Blender, blender::is_here(dir)),
+        (Format::Blender, blender::is_present(dir)),
         (Format::Colmap, colmap::layout::sparse_dir(dir).is_some()),
-        (Format::Nerfies, nerfies::is_here(dir)),
-        (Format::N3v, n3v::is_here(dir)),
+        (Format::Nerfies, nerfies::is_present(dir)),
+        (Format::N3v, n3v::is_present(dir)),
     ];
-    present.into_iter().filter(|(_, is_here)| *is_here).map(|(format, _)| format).collect()
+    present.into_iter().filter(|(_, is_present)| *is_present).map(|(format, _)| format).collect()
 }
 
-/// The error for a folder that is not what was wanted: what was found, and what is supported.
+/// The error for a folder without the wanted format: it lists the files found and the supported layouts.
 fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     let what = match wanted {
         Format::Auto => "not a Blender/D-NeRF, COLMAP, Nerfies/HyperNeRF or Neural 3D Video capture",
@@ -53,21 +67,25 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     let mut found: Vec<String> = children(dir);
     let has = |name: &str| found.iter().any(|entry| entry == name);
     let hint = if found.is_empty() {
-        "the folder is empty: is the data downloaded?".to_owned()
+        "the folder is empty: download the data".to_owned()
     } else if let Some(child) = captures_below(dir).first() {
-        format!("it is a folder of captures: choose one, as {}", child.file_name().unwrap_or_default().display())
+        format!(
+            "this is a folder of captures: name one of them, e.g. {}",
+            child.file_name().unwrap_or_default().display()
+        )
     } else if has("cameras.bin") || has("cameras.txt") {
-        "this looks like part of a COLMAP model: name the folder that holds both the model and the images".into()
+        "this looks like a part of a COLMAP model: name the folder that contains both the model and the images".into()
     } else if has("transforms.json") {
-        "a single transforms.json (nerfstudio) is not read: split it into transforms_{train,val,test}.json".into()
+        "a single transforms.json (nerfstudio) is not supported: split it into transforms_{train,val,test}.json".into()
     } else if has("dataset.json") || has("camera") {
-        "the Nerfies/HyperNeRF layout needs camera/, metadata.json and dataset.json: is the data complete?".into()
+        "the Nerfies/HyperNeRF layout needs camera/, metadata.json and dataset.json: check that the download is complete".into()
     } else if has("poses_bounds.npy") {
-        "poses_bounds.npy is read beside cameras (cam00/images, cam01/images, …, as Neural 3D Video has them), not beside \
-         one folder of images (LLFF); a COLMAP model would be"
+        "poses_bounds.npy is supported beside one folder per camera (cam00/images, cam01/images, …, as in Neural 3D \
+         Video), not beside a single folder of images (LLFF): add a COLMAP model of the images"
             .into()
     } else if !n3v::camera_names(dir).is_empty() {
-        "the Neural 3D Video layout needs poses_bounds.npy beside its cameras: is the data complete?".into()
+        "the Neural 3D Video layout needs poses_bounds.npy beside its cameras: check that the download is complete"
+            .into()
     } else {
         "supported: transforms_{train,val,test}.json (Blender, D-NeRF), images/ beside \
          sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
@@ -81,17 +99,9 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     bad(format!("{what} (found {listed})")).hint(hint).at(dir)
 }
 
-/// The folders directly below `dir` that are recognised as captures, sorted.
-pub fn captures_below(dir: &Path) -> Vec<PathBuf> {
+/// The sorted folders directly below `dir` that are recognised as captures.
+pub(crate) fn captures_below(dir: &Path) -> Vec<PathBuf> {
     let mut captures: Vec<PathBuf> = children(dir).iter().map(|name| dir.join(name)).collect();
     captures.retain(|path| path.is_dir() && !formats_of(path).is_empty());
     captures
-}
-
-/// Names of the entries of `dir`, sorted; none where it is no folder.
-pub fn children(dir: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
-    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
 }

@@ -1,4 +1,4 @@
-//! The stage: reads, refuses or converts.
+//! The stage: reads a capture, refuses it or converts its images.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,15 +12,17 @@ use scene::float_image::{FloatImage, ResizeFilter};
 use scene::protocol::Preset;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 
-use crate::params::Resize;
+use crate::error::{Result, bad};
+use crate::facts;
+use crate::params::{Params, Resize};
 use crate::pixels::{self, Labels};
-use crate::source::{self, Frame, Result, SourceCapture, bad};
-use crate::{Params, facts};
+use crate::recognise::read;
+use crate::source::{Frame, SourceCapture};
 
-/// The name under which the engine hands over the capture's folder.
+/// The engine's name for the capture's folder.
 const SOURCE: &str = "source";
 
-/// The stage `sfm-import`.
+/// The stage that imports captures.
 pub struct SfmImport;
 
 impl Stage for SfmImport {
@@ -48,11 +50,11 @@ impl Stage for SfmImport {
     }
 
     fn resources(_params: &Params) -> Resources {
-        Resources { threads: 0 } // decoding images is all there is to do, and it scales
+        Resources { threads: 0 } // image decoding dominates and scales with threads
     }
 
     fn run(context: &JobContext, params: &Params) -> anyhow::Result<CaptureArtifact> {
-        let source = source::read(context.source(SOURCE)?, params)?;
+        let source = read(context.source(SOURCE)?, params)?;
         refuse(&source)?;
         for warning in &source.warnings {
             tracing::warn!("{}: {warning}", source.name);
@@ -70,14 +72,14 @@ impl Stage for SfmImport {
     }
 }
 
-/// Imports the capture in `dir` into the folder `output_dir`, outside of any job.
+/// Imports the capture in `dir` into the folder `output_dir`, without a job.
 pub fn import(dir: &Path, params: &Params, output_dir: &Path) -> anyhow::Result<Capture> {
-    let source = source::read(dir, params)?;
+    let source = read(dir, params)?;
     refuse(&source)?;
     convert(&source, params, output_dir, &|_, _| true)
 }
 
-/// Fails with the first problem and the number of others.
+/// Fails with the first problem and the number of other problems.
 fn refuse(source: &SourceCapture) -> Result<()> {
     let mut problems = source.problems();
     if problems.is_empty() {
@@ -86,12 +88,12 @@ fn refuse(source: &SourceCapture) -> Result<()> {
     let others = problems.len() - 1;
     let mut first = problems.swap_remove(0);
     if others > 0 {
-        first.message = format!("{} (and {others} more problems; `pipeline inspect` lists them)", first.message);
+        first.message = format!("{} (and {others} more; `pipeline inspect` lists all problems)", first.message);
     }
     Err(first)
 }
 
-/// Writes all views and points; interrupted once `on_view(done, total)` says no.
+/// Writes all views and points. It stops as soon as `on_view(done, total)` returns false.
 fn convert(
     source: &SourceCapture,
     params: &Params,
@@ -117,23 +119,23 @@ fn convert(
     Ok(writer.finish()?)
 }
 
-/// Refuses a capture that has not the protocol by the name that the recipe wants.
+/// Refuses a capture whose protocol differs from the one that the recipe names.
 fn check_protocol(protocol: &Protocol, params: &Params) -> Result<()> {
     let Some(preset) = Preset::named(&params.protocol) else { return Ok(()) };
     let differences = protocol.differences(&preset.protocol());
     if differences.is_empty() {
         return Ok(());
     }
-    let message = format!("the capture has not the protocol {}: {}", preset.name, differences.join(", "));
+    let message = format!("the capture does not have the protocol {}: {}", preset.name, differences.join(", "));
     Err(bad(message).hint("change width, resize, background, test_split or protocol"))
 }
 
-/// What was read is good, so what cannot be written is the machine's fault.
+/// Blames a failed write on the machine, because the input has been checked.
 fn not_written(error: scene::Error) -> Failure {
     Failure { kind: FailureKind::World, message: error.message, hint: error.hint, path: error.path }
 }
 
-/// What is the same for every image of a capture.
+/// The settings that all images of a capture share.
 struct Conversion {
     native: (u32, u32),
     size: (u32, u32),
@@ -184,7 +186,7 @@ impl Conversion {
         }
     }
 
-    /// One image: composited and rounded at native size, then undistorted, then resized, then rounded.
+    /// Converts one image: composites and rounds at native size, undistorts, resizes, and rounds again.
     fn view(&self, frame: &Frame) -> Result<scene::Frame> {
         let native = frame.camera()?;
         let (width, height) = self.size;
@@ -216,12 +218,12 @@ impl Conversion {
     }
 }
 
-/// The size at `width` pixels per row; images are never enlarged.
+/// The output size for `width`; images are never enlarged.
 fn target_size(native: (u32, u32), width: Option<u32>) -> Result<(u32, u32)> {
     let Some(width) = width else { return Ok(native) };
     if width > native.0 {
         let message = format!("width = {width} would enlarge images of {}×{} pixels", native.0, native.1);
-        return Err(bad(message).hint(format!("use at most {}, or leave width out", native.0)));
+        return Err(bad(message).hint(format!("use at most {}, or omit width", native.0)));
     }
     let height = (f64::from(native.1) * f64::from(width) / f64::from(native.0)).round().max(1.0);
     Ok((width, height as u32))

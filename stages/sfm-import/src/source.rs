@@ -1,104 +1,125 @@
-//! A recognised capture before any pixel is read: posed, timed and split frames, and what is wrong with them.
+//! A capture before any pixel is decoded: frames with poses, times and splits, and the problems of these.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use engine::{Failure, FailureKind};
+use engine::Failure;
 use rayon::prelude::*;
 use scene::{Camera, RigidTransform, Split, TimeMap};
 use serde::Serialize;
 
-use crate::colmap::model::ReprojectionError;
+use crate::error::{Result, bad};
+use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::Format;
-use crate::recognise::recognise;
-use crate::{Params, blender, colmap, n3v, nerfies};
 
-/// Units from the origin beyond which neighbouring numbers of single precision lie more than 1/16 apart.
+/// Largest distance of a camera from the origin: beyond it, neighbouring single-precision numbers are more than 1/16
+/// apart.
 const MAX_DISTANCE: f64 = 1e6;
-/// Fields of view of pinholes: a telescope's to the widest lenses without a fisheye's distortion (150°) and some room.
+/// Plausible fields of view of a pinhole: from a telescope to some margin above the widest rectilinear lenses (150°).
 const VIEW_DEGREES: std::ops::RangeInclusive<f64> = 0.01..=170.0;
 
-/// Results of this crate: every error has a kind, a message, a hint and a file.
-pub type Result<T> = std::result::Result<T, Failure>;
-
-/// Everything that the files say, except pixels.
-pub struct SourceCapture {
+/// Everything that the files of a capture state, except pixels.
+pub(crate) struct SourceCapture {
     /// The folder's name.
-    pub name: String,
-    /// What the folder was recognised as; never [`Format::Auto`].
-    pub format: Format,
+    pub(crate) name: String,
+    /// The recognised format; never [`Format::Auto`].
+    pub(crate) format: Format,
     /// The benchmark, for the protocol: `dnerf`, `blender`, `colmap`, `nerfies`, `dycheck` or `n3v`.
-    pub dataset: &'static str,
-    /// How views became train, val and test.
-    pub split_rule: String,
-    /// Whether test views are wanted.
-    pub wants_test: bool,
-    /// How times became [0, 1].
-    pub time_rule: String,
-    /// Over all splits, before any subsampling.
-    pub time_map: TimeMap,
-    /// Every image that is imported.
-    pub frames: Vec<Frame>,
-    /// World positions and sRGB colours of a sparse cloud; empty where there is none.
-    pub points: Vec<([f64; 3], [u8; 3])>,
-    /// The box that holds the scene, where the literature fixes it.
-    pub bounds_world: Option<[[f64; 3]; 2]>,
-    /// How well structure from motion went, where it was run.
-    pub quality: Option<Quality>,
-    /// Odd, but not wrong.
-    pub warnings: Vec<String>,
+    pub(crate) dataset: &'static str,
+    /// The rule that split the views into train, val and test, for the protocol.
+    pub(crate) split_rule: String,
+    /// Whether the parameters ask for test views.
+    pub(crate) wants_test: bool,
+    /// The rule that maps times to [0, 1], for the protocol.
+    pub(crate) time_rule: String,
+    /// The time range over all splits, before any subsampling.
+    pub(crate) time_map: TimeMap,
+    /// The frames to import.
+    pub(crate) frames: Vec<Frame>,
+    /// World positions and sRGB colours of the sparse cloud; empty if there is none.
+    pub(crate) points: Vec<([f64; 3], [u8; 3])>,
+    /// The bounding box of the scene, if the literature fixes one.
+    pub(crate) bounds_world: Option<[[f64; 3]; 2]>,
+    /// The quality of structure from motion, for COLMAP models.
+    pub(crate) quality: Option<Quality>,
+    /// Oddities that do not prevent an import.
+    pub(crate) warnings: Vec<String>,
 }
 
-/// How well structure from motion went.
+/// The quality of structure from motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Quality {
-    /// Images with a pose.
+    /// Number of images with a pose.
     pub registered: usize,
-    /// Images.
+    /// Number of images.
     pub images: usize,
-    /// Of the points, where there are any.
+    /// Reprojection error of the points, if there are any.
     pub reprojection: Option<ReprojectionError>,
+}
+
+/// Reprojection error in pixels: recomputed from poses and observations, and as stored by COLMAP.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ReprojectionError {
+    /// Mean over points of the mean distance over their tracks.
+    pub recomputed_px: f64,
+    /// Mean over points of the stored error.
+    pub stored_px: f64,
+}
+
+impl ReprojectionError {
+    /// Larger than any image is wide.
+    const IMPLAUSIBLE_PX: f64 = 1e6;
+
+    /// Whether the error is below any plausible image size; a larger error has no meaning.
+    pub(crate) fn is_plausible(&self) -> bool {
+        self.recomputed_px < Self::IMPLAUSIBLE_PX
+    }
 }
 
 /// One image file with its camera and time.
 #[derive(Clone, Debug)]
-pub struct Frame {
-    /// Unique, safe as a file name.
-    pub name: String,
-    /// What the view may be used for.
-    pub split: Split,
+pub(crate) struct Frame {
+    /// Unique name, safe as a file name.
+    pub(crate) name: String,
+    /// The split that the view belongs to.
+    pub(crate) split: Split,
     /// The image file.
-    pub image: PathBuf,
-    /// Its instance mask, where there is one.
-    pub mask: Option<PathBuf>,
-    /// How it was taken.
-    pub lens: Lens,
-    /// World to view coordinates (OpenCV axes).
-    pub camera_from_world: RigidTransform,
-    /// Which camera of a rig.
-    pub camera_index: u32,
+    pub(crate) image: PathBuf,
+    /// The instance mask, if there is one.
+    pub(crate) mask: Option<PathBuf>,
+    /// Intrinsics and distortion.
+    pub(crate) lens: Lens,
+    /// World to view coordinates, with OpenCV's axes (x right, y down, z forward).
+    pub(crate) camera_from_world: RigidTransform,
+    /// Index of the camera in a rig.
+    pub(crate) camera_index: u32,
     /// Frame number within that camera's video.
-    pub frame_index: u32,
-    /// When it was taken.
-    pub time_secs: f64,
+    pub(crate) frame_index: u32,
+    /// Time in seconds.
+    pub(crate) time_secs: f64,
     /// The file that states pose and time.
-    pub stated_in: PathBuf,
+    pub(crate) stated_in: PathBuf,
 }
 
-/// Reads the capture in `dir` as `params` say; opens no image beyond its header.
-pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
-    match recognise(dir, params.format)? {
-        Format::Colmap => colmap::read(dir, params),
-        Format::Nerfies => nerfies::read(dir, params),
-        Format::N3v => n3v::read(dir, params),
-        _ => blender::read(dir, params),
+/// The time map from the first to the last frame, at `fps` frames per second; one instant for a static capture.
+pub(crate) fn time_map(frames: &[Frame], is_static: bool, fps: f64) -> TimeMap {
+    if is_static || frames.is_empty() {
+        return TimeMap { start_secs: 0.0, end_secs: 0.0, frame_secs: 1.0 };
     }
+    let [start_secs, end_secs] = time_range_secs(frames);
+    TimeMap { start_secs, end_secs, frame_secs: 1.0 / fps }
+}
+
+/// The first and the last time; infinite if there are no frames.
+pub(crate) fn time_range_secs(frames: &[Frame]) -> [f64; 2] {
+    let times = frames.iter().map(|frame| frame.time_secs);
+    times.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], time| [low.min(time), high.max(time)])
 }
 
 impl SourceCapture {
-    /// Everything that makes the capture unusable, in a fixed order; empty for a good one.
-    pub fn problems(&self) -> Vec<Failure> {
+    /// Everything that makes the capture unusable, in a fixed order; empty for a usable capture.
+    pub(crate) fn problems(&self) -> Vec<Failure> {
         let mut problems = self.split_problems();
         problems.extend(self.frames.par_iter().filter_map(|frame| frame.check().err()).collect::<Vec<_>>());
         problems.extend(self.name_problems());
@@ -107,13 +128,13 @@ impl SourceCapture {
         problems
     }
 
-    /// Frames of one split.
-    pub fn count(&self, split: Split) -> usize {
+    /// Number of frames of one split.
+    pub(crate) fn count(&self, split: Split) -> usize {
         self.frames.iter().filter(|frame| frame.split == split).count()
     }
 
-    /// Number of cameras that move or stand on their own.
-    pub fn camera_count(&self) -> usize {
+    /// Number of distinct cameras.
+    pub(crate) fn camera_count(&self) -> usize {
         self.frames.iter().map(|frame| frame.camera_index).collect::<BTreeSet<_>>().len()
     }
 
@@ -122,8 +143,8 @@ impl SourceCapture {
             let message = format!("the {} split of {} is empty", format!("{split:?}").to_lowercase(), self.name);
             (self.count(split) == 0).then(|| bad(message).hint(hint))
         };
-        let train = empty(Split::Train, "nothing can be trained: change every_nth, val_count or the split files");
-        let test = empty(Split::Test, "nothing could be measured: change every_nth or test_split");
+        let train = empty(Split::Train, "training needs views: change every_nth, val_count or the split files");
+        let test = empty(Split::Test, "metrics need test views: change every_nth or test_split");
         train.into_iter().chain(test.filter(|_| self.wants_test)).collect()
     }
 
@@ -132,14 +153,14 @@ impl SourceCapture {
         let mut problems = Vec::new();
         for frame in &self.frames {
             if let Some(other) = seen.insert(&frame.name, &frame.image) {
-                let message = format!("two images would both be called {}: {} and this", frame.name, other.display());
+                let message = format!("two images would be named {}: {} and this one", frame.name, other.display());
                 problems.push(bad(message).at(&frame.image));
             }
         }
         problems
     }
 
-    /// One camera has one view per instant; importers list them in order of time.
+    /// Reports frames whose time does not increase. Each camera has one view per instant, and readers sort them by time.
     fn time_problems(&self) -> Vec<Failure> {
         let mut last: BTreeMap<(Split, u32), &Frame> = BTreeMap::new();
         let mut problems = Vec::new();
@@ -152,13 +173,13 @@ impl SourceCapture {
                 "{} (time {}) does not come after {} (time {})",
                 frame.name, frame.time_secs, before.name, before.time_secs
             );
-            let hint = "one camera has one view per instant: remove the others, or correct the times";
+            let hint = "a camera has one view per instant: remove the duplicates, or correct the times";
             problems.push(bad(message).hint(hint).at(&frame.stated_in));
         }
         problems
     }
 
-    /// Views of one capture have one size.
+    /// Reports the first view whose size differs from that of the first view.
     fn size_problem(&self) -> Option<Failure> {
         let first = self.frames.first()?;
         let (width, height) = (first.lens.intrinsics.width, first.lens.intrinsics.height);
@@ -173,13 +194,13 @@ impl SourceCapture {
 }
 
 impl Frame {
-    /// The camera at native size, without distortion.
-    pub fn camera(&self) -> Result<Camera> {
+    /// The undistorted camera at native size.
+    pub(crate) fn camera(&self) -> Result<Camera> {
         let intrinsics = self.lens.undistorted().map_err(|failure| failure.at(&self.stated_in))?;
         Ok(Camera { intrinsics, camera_from_world: self.camera_from_world })
     }
 
-    /// A finite pose and time, an image file of the stated size, and a distortion that can be undone.
+    /// Checks for a finite pose and time, an image file of the stated size, and an invertible distortion.
     fn check(&self) -> Result<()> {
         let pinhole = Camera { intrinsics: self.lens.intrinsics, camera_from_world: self.camera_from_world };
         pinhole.check().map_err(|error| bad(format!("{}: {}", self.name, error.message)).at(&self.stated_in))?;
@@ -191,7 +212,7 @@ impl Frame {
         let found = image_size(&self.image)?;
         if found != stated {
             let message = format!(
-                "image is {}×{} where {}×{} is expected from the other views or the camera file",
+                "image is {}×{}, but {}×{} is expected from the other views or the camera file",
                 found.0, found.1, stated.0, stated.1
             );
             return Err(bad(message).hint("use the images that the poses were computed from").at(&self.image));
@@ -199,13 +220,13 @@ impl Frame {
         self.camera().map(|_| ())
     }
 
-    /// Whether splats can be computed in single precision from here.
+    /// Checks that single precision suffices for splats at this distance and field of view.
     fn check_range(&self) -> Result<()> {
         let distance = self.camera_from_world.translation.length();
         if !(distance <= MAX_DISTANCE) {
             let message = format!("{}: the camera is {distance:e} units from the origin", self.name);
             let hint =
-                format!("centre and scale the poses: single precision is too coarse beyond {MAX_DISTANCE:e} units");
+                format!("centre and rescale the poses: single precision is too coarse beyond {MAX_DISTANCE:e} units");
             return Err(bad(message).hint(hint).at(&self.stated_in));
         }
         let k = self.lens.intrinsics;
@@ -214,35 +235,10 @@ impl Frame {
         match views.into_iter().find(|view| !VIEW_DEGREES.contains(view)) {
             None => Ok(()),
             Some(view) => {
-                let message = format!("{}: the camera sees {view:.2e}°, which no pinhole does", self.name);
-                let hint = "angles are in radians, focal lengths in pixels of these images";
+                let message = format!("{}: a field of view of {view:.2e}° is impossible for a pinhole", self.name);
+                let hint = "state angles in radians and focal lengths in pixels of these images";
                 Err(bad(message).hint(hint).at(&self.stated_in))
             }
         }
     }
-}
-
-/// Width and height from the file's header.
-pub fn image_size(path: &Path) -> Result<(u32, u32)> {
-    if !path.is_file() {
-        let hint = "download the capture again, or remove the frame from the file that names it";
-        return Err(Failure::new(FailureKind::MissingData, "image file is missing").hint(hint).at(path));
-    }
-    image::image_dimensions(path).map_err(|error| bad(format!("image cannot be read ({error})")).at(path))
-}
-
-/// Bad input with a message.
-pub fn bad(message: impl Into<String>) -> Failure {
-    Failure::new(FailureKind::BadInput, message)
-}
-
-/// Reads a whole file.
-pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|error| {
-        let kind = match error.kind() {
-            std::io::ErrorKind::NotFound => FailureKind::MissingData,
-            _ => FailureKind::World,
-        };
-        Failure::new(kind, format!("cannot read the file ({error})")).at(path)
-    })
 }

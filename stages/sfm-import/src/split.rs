@@ -1,12 +1,12 @@
-//! Which views are trained on, watched and tested on.
+//! Selection of training and validation views beyond the split of the format.
 
 use scene::Split;
 
-use crate::Params;
+use crate::params::Params;
 use crate::source::Frame;
 
-/// `count` indices of `0..length`, evenly spread with both ends where there are two or more; all of them if `count`
-/// is not smaller.
+/// Spreads `count` indices evenly over `0..length`, including both ends if `count` is at least two. Returns all indices if
+/// `count` is not smaller than `length`.
 fn spread_with_ends(count: usize, length: usize) -> Vec<usize> {
     match count {
         _ if count >= length => (0..length).collect(),
@@ -16,14 +16,14 @@ fn spread_with_ends(count: usize, length: usize) -> Vec<usize> {
     }
 }
 
-/// `count` indices of `0..length`, evenly spread inside, so that neither end is held out.
+/// Spreads `count` indices evenly over the interior of `0..length`, so that the ends stay training views.
 fn spread_inside(count: usize, length: usize) -> Vec<usize> {
     (0..count.min(length)).map(|i| (2 * i + 1) * length / (2 * count)).collect()
 }
 
-/// Applies `val_count`, `frame_step` and `train_limit` to frames that are already split as their format says; returns
-/// what was done, for the protocol.
-pub fn refine(frames: &mut Vec<Frame>, params: &Params) -> Vec<String> {
+/// Applies `val_count`, `frame_step` and `train_limit` to frames that are already split by the rule of their format.
+/// Returns the applied rules, for the protocol.
+pub(crate) fn refine(frames: &mut Vec<Frame>, params: &Params) -> Vec<String> {
     let mut rules = Vec::new();
     if let Some(count) = params.val_count {
         rules.extend(choose_validation(frames, count as usize));
@@ -42,27 +42,27 @@ pub fn refine(frames: &mut Vec<Frame>, params: &Params) -> Vec<String> {
     rules
 }
 
-/// Thins the official validation views to `count`, or holds `count` training views out where there are none.
+/// Reduces the official validation views to `count`, or holds out `count` training views if there are none.
 fn choose_validation(frames: &mut Vec<Frame>, count: usize) -> Option<String> {
     let official = indices(frames, Split::Val);
     if official.is_empty() {
         let train = indices(frames, Split::Train);
-        // One training view has to remain.
+        // At least one training view must remain.
         let held_out = spread_inside(count.min(train.len().saturating_sub(1)), train.len());
         held_out.iter().for_each(|&at| frames[train[at]].split = Split::Val);
         return (!held_out.is_empty()).then(|| format!("{} training views held out for validation", held_out.len()));
     }
     let kept: Vec<usize> = spread_with_ends(count, official.len()).into_iter().map(|at| official[at]).collect();
     keep(frames, Split::Val, &kept);
-    None // the training and test views are those of the official split
+    None // training and test views stay those of the official split
 }
 
-/// Positions of the frames of one split.
+/// The indices of the frames of one split.
 fn indices(frames: &[Frame], split: Split) -> Vec<usize> {
     (0..frames.len()).filter(|&at| frames[at].split == split).collect()
 }
 
-/// Drops the frames of `split` that are not in `kept` (sorted positions).
+/// Drops the frames of `split` whose indices are not in `kept`, which must be sorted.
 fn keep(frames: &mut Vec<Frame>, split: Split, kept: &[usize]) {
     let mut at = 0;
     frames.retain(|frame| {

@@ -1,4 +1,4 @@
-//! The artifact: a folder with the report in every format.
+//! The artifact: a folder that holds the report in every format.
 
 use std::path::{Path, PathBuf};
 
@@ -6,8 +6,10 @@ use anyhow::{Context as _, ensure};
 use engine::Artifact;
 
 use crate::document::Block;
+use crate::params::TableGenerationParams;
 use crate::pictures::Sheet;
-use crate::{Report, TableGenerationParams, csv_file, html, latex, markdown, sections, svg};
+use crate::report::Report;
+use crate::{csv_file, html, latex, markdown, sections, svg_file};
 
 const JSON: &str = "report.json";
 const MARKDOWN: &str = "report.md";
@@ -16,18 +18,18 @@ const CSV: &str = "report.csv";
 const FRAMES: &str = "frames.csv";
 const HTML: &str = "index.html";
 
-/// A report's folder: `report.{json,md,tex,csv}`, `frames.csv`, `index.html` and one SVG per figure.
+/// A folder with a report: `report.{json,md,tex,csv}`, `frames.csv`, `index.html` and one SVG file per figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReportFolder {
-    /// The folder.
+    /// Path of the folder.
     pub dir: PathBuf,
-    /// The content of `report.json`, from which every other file was made.
-    pub report: Report,
+    /// The content of `report.json`; all other files derive from it.
+    pub(crate) report: Report,
 }
 
 impl ReportFolder {
-    /// Checks `report` and writes every format into `dir`; equal reports give equal bytes.
-    pub fn write(
+    /// Checks `report` and writes every format into `dir`. Equal reports yield equal bytes.
+    pub(crate) fn write(
         report: Report,
         sheets: Vec<Sheet>,
         params: &TableGenerationParams,
@@ -45,7 +47,7 @@ impl ReportFolder {
         ];
         for block in document.sections.iter().flat_map(|section| &section.blocks) {
             if let Block::Figure(figure) = block {
-                files.push((figure.file.clone(), svg::file(figure)));
+                files.push((figure.file.clone(), svg_file::file(figure)));
             }
         }
         for (name, text) in files {
@@ -55,7 +57,7 @@ impl ReportFolder {
         Ok(Self { dir: dir.into(), report })
     }
 
-    /// The report as Markdown, for a terminal.
+    /// The report as Markdown.
     pub fn markdown(&self) -> anyhow::Result<String> {
         let path = self.dir.join(MARKDOWN);
         std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))

@@ -1,17 +1,17 @@
-//! The figures that tables are made of: name, unit, direction and decimals of each, once.
+//! The columns of tables: name, unit, direction and decimals of every measured value.
 
 use metric_evaluation::Metric;
 use serde::{Deserialize, Serialize};
 
-/// One figure of a run.
+/// A measured value of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Column {
-    /// Seconds of training without evaluation.
+    /// Seconds of training, evaluation excluded.
     TrainingSecs,
-    /// Gaussians in the model.
+    /// Number of Gaussians in the model.
     Gaussians,
-    /// Bytes of the model's tensors / 10⁶.
+    /// Size of the model's tensors, 10⁶ bytes.
     SizeMb,
     /// Frames per second of the rasteriser alone (median).
     FpsRaster,
@@ -22,46 +22,46 @@ pub enum Column {
     /// Seconds of training until the PSNR of the curve (in dB) first reached 90 % of its last value.
     #[serde(rename = "secs_to_90")]
     SecsTo90,
-    /// The same for 95 %.
+    /// Seconds of training until the PSNR of the curve (in dB) first reached 95 % of its last value.
     #[serde(rename = "secs_to_95")]
     SecsTo95,
-    /// The same for 99 %.
+    /// Seconds of training until the PSNR of the curve (in dB) first reached 99 % of its last value.
     #[serde(rename = "secs_to_99")]
     SecsTo99,
     /// Seconds of training until the PSNR of the curve first reached 25 dB.
     #[serde(rename = "secs_to_25_db")]
     SecsTo25Db,
-    /// The same for 30 dB.
+    /// Seconds of training until the PSNR of the curve first reached 30 dB.
     #[serde(rename = "secs_to_30_db")]
     SecsTo30Db,
-    /// The same for 35 dB.
+    /// Seconds of training until the PSNR of the curve first reached 35 dB.
     #[serde(rename = "secs_to_35_db")]
     SecsTo35Db,
-    /// PSNR of the curve after 10 seconds of training: what a deadline would have got.
+    /// PSNR of the last evaluation within 10 seconds of training.
     #[serde(rename = "psnr_at_10s")]
     PsnrAt10s,
-    /// The same after a minute.
+    /// PSNR of the last evaluation within one minute of training.
     #[serde(rename = "psnr_at_60s")]
     PsnrAt60s,
-    /// The same after five minutes.
+    /// PSNR of the last evaluation within five minutes of training.
     #[serde(rename = "psnr_at_300s")]
     PsnrAt300s,
-    /// PSNR of the curve at its end.
+    /// PSNR of the last evaluation of the curve.
     PsnrAtEnd,
     /// Milliseconds per training iteration.
     MsPerIteration,
-    /// Largest resident memory of the training process / 10⁶ bytes.
+    /// Peak resident memory of the training process, 10⁶ bytes.
     PeakMemoryMb,
-    /// What metric-evaluation measured.
+    /// A metric of the stage `metric-evaluation`.
     #[serde(untagged)]
     Metric(Metric),
 }
 
 impl Column {
-    /// The figure that ranks methods and that papers print.
+    /// PSNR: the value that ranks methods and that papers print.
     pub const PSNR: Self = Self::Metric(Metric::Psnr);
 
-    /// What a run is measured by beside metrics, in the order of the CSV file.
+    /// All columns other than metrics, in the order of the CSV file.
     const COSTS: [Self; 18] = [
         Self::TrainingSecs,
         Self::Gaussians,
@@ -84,7 +84,7 @@ impl Column {
     ];
 
     /// The columns of the headline table.
-    pub const HEADLINE: [Self; 10] = [
+    pub(crate) const HEADLINE: [Self; 10] = [
         Self::PSNR,
         Self::Metric(Metric::Ssim),
         Self::Metric(Metric::MsSsim),
@@ -97,22 +97,22 @@ impl Column {
         Self::FpsDelivered,
     ];
 
-    /// Seconds to a share of the run's own last PSNR.
-    pub const TIME_TO_SHARE: [Self; 3] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99];
+    /// Seconds to a share of the run's last PSNR.
+    pub(crate) const TIME_TO_SHARE: [Self; 3] = [Self::SecsTo90, Self::SecsTo95, Self::SecsTo99];
 
     /// Seconds to a fixed PSNR.
-    pub const TIME_TO_DB: [Self; 3] = [Self::SecsTo25Db, Self::SecsTo30Db, Self::SecsTo35Db];
+    pub(crate) const TIME_TO_DB: [Self; 3] = [Self::SecsTo25Db, Self::SecsTo30Db, Self::SecsTo35Db];
 
-    /// PSNR under a deadline, and without one.
-    pub const BUDGETS: [Self; 4] = [Self::PsnrAt10s, Self::PsnrAt60s, Self::PsnrAt300s, Self::PsnrAtEnd];
+    /// PSNR within a deadline, and without one.
+    pub(crate) const BUDGETS: [Self; 4] = [Self::PsnrAt10s, Self::PsnrAt60s, Self::PsnrAt300s, Self::PsnrAtEnd];
 
-    /// Every column, in the order of the CSV file.
+    /// All columns, in the order of the CSV file.
     pub fn all() -> impl Iterator<Item = Self> {
         Metric::ALL.into_iter().map(Self::Metric).chain(Self::COSTS)
     }
 
-    /// Figures that need more than images (exact maps, labels, masks, a camera at rest), which few captures have.
-    pub fn conditional() -> impl Iterator<Item = Self> {
+    /// Metrics that need more than images (exact maps, labels, masks, a static camera), which few captures provide.
+    pub(crate) fn conditional() -> impl Iterator<Item = Self> {
         Metric::ALL.into_iter().filter(|metric| metric.is_conditional()).map(Self::Metric)
     }
 
@@ -123,7 +123,7 @@ impl Column {
         }
     }
 
-    /// The name in files.
+    /// The column's name in files, e.g. `training_secs`.
     pub fn key(self) -> &'static str {
         match self {
             Self::TrainingSecs => "training_secs",
@@ -148,7 +148,7 @@ impl Column {
         }
     }
 
-    /// The name and unit in tables.
+    /// The column's name and unit in tables, e.g. `training (s)`.
     pub fn heading(self) -> String {
         let (name, unit) = match self {
             Self::TrainingSecs => ("training", "s"),
@@ -166,7 +166,7 @@ impl Column {
             Self::PsnrAt10s => ("at 10 s", "dB"),
             Self::PsnrAt60s => ("at 1 min", "dB"),
             Self::PsnrAt300s => ("at 5 min", "dB"),
-            Self::PsnrAtEnd => ("full", "dB"),
+            Self::PsnrAtEnd => ("at the end", "dB"),
             Self::MsPerIteration => ("iteration", "ms"),
             Self::PeakMemoryMb => ("peak memory", "MB"),
             Self::Metric(metric) => (metric.heading(), metric.unit()),
@@ -174,7 +174,7 @@ impl Column {
         if unit.is_empty() { name.into() } else { format!("{name} ({unit})") }
     }
 
-    /// Decimals in tables; ranks are decided on values rounded to them.
+    /// Number of decimals in tables; ranks compare values rounded to them.
     pub fn decimals(self) -> usize {
         match self {
             Self::Gaussians => 0,
@@ -185,13 +185,13 @@ impl Column {
         }
     }
 
-    /// Whether more is better.
+    /// Whether a higher value is better.
     pub fn higher_is_better(self) -> bool {
         let is_rate = matches!(self, Self::FpsRaster | Self::FpsModel | Self::FpsDelivered);
         self.metric().map_or(is_rate || Self::BUDGETS.contains(&self), Metric::higher_is_better)
     }
 
-    /// Whether the value depends on the machine, so that ranks need one machine.
+    /// Whether the value depends on the machine; such values are ranked only if one machine measured all of them.
     pub fn is_timing(self) -> bool {
         self.metric().is_none() && !matches!(self, Self::Gaussians | Self::SizeMb | Self::PsnrAtEnd)
     }

@@ -1,35 +1,35 @@
-//! Every run and every judged image as a line of CSV, unrounded.
+//! CSV files of all runs and of all judged images, unrounded.
 
 use metric_evaluation::Score;
 
-use crate::report::failure_mark;
-use crate::{Column, Report};
+use crate::column::Column;
+use crate::report::{Report, failure_mark};
 
-/// One line per run: where it belongs, every figure unrounded (empty where there is none), what failed, and its keys.
-pub fn runs(report: &Report) -> anyhow::Result<String> {
+/// One line per run: protocol, method, scene and seed, all values (empty if missing), the failure, and the action keys.
+pub(crate) fn runs(report: &Report) -> anyhow::Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let ports = ["model", "renders", "metrics"];
     let lead = ["protocol", "protocol_hash", "method", "scene", "seed"].into_iter().map(String::from);
-    let figures = Column::all().map(|column| column.key().to_owned());
+    let values = Column::all().map(|column| column.key().to_owned());
     let trail = ["failure".to_owned()].into_iter().chain(ports.map(|port| format!("{port}_key")));
-    writer.write_record(lead.chain(figures).chain(trail))?;
+    writer.write_record(lead.chain(values).chain(trail))?;
     for run in &report.runs {
         let protocol = report.group_of(run).map(|group| group.name.clone()).unwrap_or_default();
         let hash = run.protocol.as_ref().map(scene::Protocol::hash).unwrap_or_default();
         let lead = [protocol, hash, run.row.clone(), run.scene.clone(), run.seed.clone()].into_iter();
-        let figures = Column::all().map(|column| {
+        let values = Column::all().map(|column| {
             let value = run.figures.get(&column).and_then(Score::value).filter(|value| value.is_finite());
             value.map(|value| value.to_string()).unwrap_or_default()
         });
         let failure = run.failure.as_ref().map(|failure| failure_mark(failure.kind).to_owned()).unwrap_or_default();
         let keys = ports.map(|port| run.jobs.get(port).map(|job| job.key.clone()).unwrap_or_default());
-        writer.write_record(lead.chain(figures).chain([failure]).chain(keys))?;
+        writer.write_record(lead.chain(values).chain([failure]).chain(keys))?;
     }
     Ok(String::from_utf8(writer.into_inner()?)?)
 }
 
-/// One line per judged image.
-pub fn frames(report: &Report) -> anyhow::Result<String> {
+/// One line per judged image: protocol, method, scene, seed, view, time and PSNR.
+pub(crate) fn frames(report: &Report) -> anyhow::Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(["protocol", "method", "scene", "seed", "view", "time_secs", "psnr"])?;
     for run in &report.runs {

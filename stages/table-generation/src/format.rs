@@ -1,9 +1,10 @@
-//! How a number looks: the one place that rounds.
+//! Formats numbers; all rounding of printed values happens here.
 
-/// What stands where there is no number.
-pub const NONE: &str = "–";
+/// Placeholder for a missing number.
+pub(crate) const NONE: &str = "–";
 
-/// `value` with `decimals` decimals; never `-0.00`, and a dash for what is not finite (which [`crate::Report`] refuses).
+/// Formats `value` with `decimals` decimals. Values that round to zero have no minus sign; values that are not finite
+/// become a dash.
 pub fn number(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return NONE.into();
@@ -13,12 +14,12 @@ pub fn number(value: f64, decimals: usize) -> String {
     if is_zero { text.trim_start_matches('-').into() } else { text }
 }
 
-/// `1 scene`, `2 scenes`.
-pub fn scenes(count: usize) -> String {
+/// Formats a number of scenes: `1 scene`, `2 scenes`.
+pub(crate) fn scenes(count: usize) -> String {
     format!("{count} scene{}", if count == 1 { "" } else { "s" })
 }
 
-/// `value` with a sign, for differences.
+/// Formats a difference with an explicit sign, e.g. `+0.10` or `−0.10`.
 pub fn signed(value: f64, decimals: usize) -> String {
     let text = number(value, decimals);
     if text.starts_with('-') { text.replacen('-', "−", 1) } else { format!("+{text}") }

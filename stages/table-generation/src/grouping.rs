@@ -1,24 +1,48 @@
-//! From runs to groups of rows: what may be compared, and means over scenes and seeds.
+//! Builds reports: groups comparable runs and computes means over scenes and seeds.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use metric_evaluation::Score;
 use scene::Protocol;
 
-use crate::claims::{Claim, ClaimTable};
-use crate::collect::Run;
-use crate::collect::costs::Costs;
+use crate::cell::{Cell, Cells};
+use crate::claims::Claim;
+use crate::collect::{Costs, Run};
+use crate::column::Column;
+use crate::comparison::claim_table;
 use crate::format::number;
+use crate::params::TableGenerationParams;
 use crate::ranks::rank;
-use crate::report::{Cell, Cells, Group, Row, ScenePart, failure_mark};
+use crate::report::{FailedRun, Group, Report, Row, ScenePart, failure_mark};
 use crate::statistics::{mean, sample_std};
-use crate::{Column, TableGenerationParams};
 
-/// Share of a budget by which a training may miss it unmarked.
+/// Relative overrun of a budget up to which it counts as met; prices of steps vary by about this much.
 const BUDGET_TOLERANCE: f64 = 0.15;
 
+impl Report {
+    /// Groups `runs` by protocol and metric definitions, aggregates them, and looks up published values.
+    pub(crate) fn new(runs: Vec<Run>, claims: &[Claim], params: &TableGenerationParams) -> Self {
+        let missing_data = runs
+            .iter()
+            .filter(|run| run.misses_data())
+            .filter_map(|run| run.failure.as_ref().map(|failure| (run.scene.clone(), failure.message.clone())));
+        let failed = runs.iter().filter(|run| !run.misses_data()).filter_map(|run| {
+            let (scene, row, seed) = (run.scene.clone(), run.row.clone(), run.seed.clone());
+            run.failure.clone().map(|failure| FailedRun { scene, row, seed, failure })
+        });
+        let present: Vec<&Run> = runs.iter().filter(|run| !run.misses_data()).collect();
+        Self {
+            title: params.title.clone(),
+            groups: groups(&present, claims, params),
+            failures: failed.collect(),
+            missing_data: missing_data.collect(),
+            runs,
+        }
+    }
+}
+
 /// One group per protocol and metric definition among the measured runs, in order of appearance.
-pub fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -> Vec<Group> {
+fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -> Vec<Group> {
     let key = |run: &Run| Some((run.protocol.as_ref()?.line(), run.judged_by.clone()?));
     let mut keys = Vec::new();
     for run in runs {
@@ -29,14 +53,14 @@ pub fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -
     let in_group = |name: usize, wanted: &(String, String)| {
         let members: Vec<&Run> = runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted)).collect();
         let member_scenes: BTreeSet<&str> = members.iter().map(|run| run.scene.as_str()).collect();
-        // A failed run leaves a hole wherever its scene is tabulated, or, where its scene failed for every method, in the
-        // groups of its capture's protocol, so that no mean silently skips that scene. A scene that was not even
+        // No mean may silently skip a scene, so a failed run leaves a hole in every group that tabulates its scene. If
+        // the scene failed for every method, the hole is in the groups of its capture's protocol. A scene that was not
         // imported has no protocol and belongs to no group.
-        let is_shown_alike = |run: &Run| run.protocol.as_ref().is_some_and(|protocol| protocol.line() == wanted.0);
+        let shares_protocol = |run: &Run| run.protocol.as_ref().is_some_and(|protocol| protocol.line() == wanted.0);
         let leaves_hole = |run: &Run| {
             key(run).is_none()
                 && (member_scenes.contains(run.scene.as_str())
-                    || !measured_scenes.contains(run.scene.as_str()) && is_shown_alike(run))
+                    || !measured_scenes.contains(run.scene.as_str()) && shares_protocol(run))
         };
         let relevant: Vec<&Run> =
             runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted) || leaves_hole(run)).collect();
@@ -45,7 +69,7 @@ pub fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -
     keys.iter().enumerate().filter_map(|(name, wanted)| in_group(name, wanted)).collect()
 }
 
-/// The group of the measured runs `members`; `relevant` adds the failed ones.
+/// The group of the measured runs `members`; `relevant` holds them and the failed runs of the group.
 fn group(
     index: usize,
     members: &[&Run],
@@ -60,7 +84,7 @@ fn group(
     let mut rows: Vec<Row> = names.iter().map(|name| row(name, &scenes, &parts, relevant)).collect();
     let works = || members.iter().flat_map(|run| &run.machines).map(|(work, machine)| (work, machine.line()));
     let machines: BTreeSet<(&String, String)> = works().collect();
-    // Times of different machines do not compare.
+    // Times of different machines are not comparable.
     let one_machine = machines.len() == works().map(|(work, _)| work).collect::<BTreeSet<_>>().len();
     rank(&mut rows, &scenes, one_machine);
     let mut group = Group {
@@ -73,11 +97,13 @@ fn group(
         rows,
         claims: Vec::new(),
     };
-    group.claims = group.rows.iter().filter_map(|row| ClaimTable::new(row, &group, claims, params)).collect();
+    let tolerance_db = params.reproduced_within_db;
+    group.claims = group.rows.iter().filter_map(|row| claim_table(row, &group, claims, tolerance_db)).collect();
     Some(group)
 }
 
-/// The parts of the scenes that the literature has means of, as D-NeRF without Lego, named by what they leave out.
+/// The subsets of the scenes for which the literature prints means (e.g. D-NeRF without Lego), named by the scenes that
+/// they leave out.
 fn parts_of(protocol: &Protocol, scenes: &[String]) -> Vec<ScenePart> {
     let mut parts = Vec::new();
     for quoted in protocol.quoted_means() {
@@ -91,8 +117,8 @@ fn parts_of(protocol: &Protocol, scenes: &[String]) -> Vec<ScenePart> {
     parts
 }
 
-/// The distinct values in order of appearance, which is that of the recipe.
-pub fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<String> {
+/// The distinct values in order of appearance, which is the order of the recipe.
+pub(crate) fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut seen = Vec::new();
     for value in values {
         if !seen.iter().any(|other| other == value) {
@@ -125,7 +151,7 @@ fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row
     }
 }
 
-/// Seconds per phase, mean over the runs that measured any.
+/// Seconds by activity, mean over the runs that measured any.
 fn mean_phases(runs: &[&Run]) -> BTreeMap<String, f64> {
     let n_measured = runs.iter().filter(|run| !run.phases.is_empty()).count();
     let mut phases = BTreeMap::<String, f64>::new();
@@ -135,13 +161,13 @@ fn mean_phases(runs: &[&Run]) -> BTreeMap<String, f64> {
     phases
 }
 
-/// How the runs' schedules differ from the method's own.
+/// Describes how the runs' schedules differ from the method's own; none where they do not.
 fn shortened(runs: &[&Run]) -> Option<String> {
     let scales = || runs.iter().filter_map(|run| run.schedule_scale).filter(|scale| *scale != 1.0);
     let (shortest, longest) = (scales().reduce(f64::min)?, scales().reduce(f64::max)?);
     let length = match (short(shortest), short(longest)) {
-        (one, other) if one == other => format!("schedule at {one} of its length"),
-        (one, other) => format!("schedule at {one} to {other} of its length"),
+        (one, other) if one == other => format!("schedule scaled by {one}"),
+        (one, other) => format!("schedule scaled by {one} to {other}"),
     };
     let budgets: Vec<String> = runs.iter().filter_map(|run| run.budget_secs).map(short).collect();
     let budgets = distinct(budgets.iter().map(String::as_str));
@@ -151,17 +177,17 @@ fn shortened(runs: &[&Run]) -> Option<String> {
     Some(format!("{length}, to fit a budget of {} s{}", budgets.join(", "), missed_budget(runs)))
 }
 
-/// The seconds that trainings took which missed their budgets by more than prices of steps vary.
+/// Lists the seconds of the trainings that exceeded their budgets by more than [`BUDGET_TOLERANCE`].
 fn missed_budget(runs: &[&Run]) -> String {
     let missed = runs.iter().filter_map(|run| {
-        let (budget, took) = (run.budget_secs?, figure(run, Column::TrainingSecs).ok()?);
+        let (budget, took) = (run.budget_secs?, value(run, Column::TrainingSecs).ok()?);
         (took > budget * (1.0 + BUDGET_TOLERANCE)).then_some(took)
     });
     let missed: Vec<String> = missed.map(|took| format!("{} s", number(took, 1))).collect();
-    if missed.is_empty() { String::new() } else { format!(" which was missed: {}", missed.join(", ")) }
+    if missed.is_empty() { String::new() } else { format!(" (exceeded: {})", missed.join(", ")) }
 }
 
-/// The number with up to four decimals, or in powers of ten where these would say 0.
+/// The number with up to four decimals; in scientific notation if these would round it to 0.
 fn short(value: f64) -> String {
     let text = number(value, 4);
     match text.trim_end_matches('0').trim_end_matches('.') {
@@ -170,8 +196,8 @@ fn short(value: f64) -> String {
     }
 }
 
-/// A figure of a run, or why it has none.
-fn figure(run: &Run, column: Column) -> Result<f64, String> {
+/// A value of a run, or why it is missing.
+fn value(run: &Run, column: Column) -> Result<f64, String> {
     match run.figures.get(&column) {
         Some(Score::Value(value)) if value.is_finite() => Ok(*value),
         Some(Score::Value(_)) => Err("not finite".into()),
@@ -182,19 +208,19 @@ fn figure(run: &Run, column: Column) -> Result<f64, String> {
 
 /// Mean over the seeds of one scene.
 fn scene_cell(runs: &[&Run], n_expected: usize, column: Column) -> Cell {
-    let figures: Vec<_> = runs.iter().map(|run| figure(run, column)).collect();
-    let values: Vec<f64> = figures.iter().filter_map(|figure| figure.clone().ok()).collect();
-    let reason = figures.into_iter().find_map(Result::err);
+    let results: Vec<_> = runs.iter().map(|run| value(run, column)).collect();
+    let values: Vec<f64> = results.iter().filter_map(|result| result.clone().ok()).collect();
+    let reason = results.into_iter().find_map(Result::err);
     cell(values, n_expected, if runs.is_empty() { Some("not run".into()) } else { reason })
 }
 
-/// Mean over scenes for each seed, then mean and spread over the seeds for which no scene is missing.
+/// Mean over scenes for each seed, then mean and spread over the seeds with values for all scenes.
 fn mean_cell(runs: &[&Run], scenes: &[String], seeds: &[String], column: Column) -> Cell {
     let mut reason = None;
     let mut replicate = |seed: &String| {
         let value_in = |scene: &String| {
             let run = runs.iter().find(|run| run.scene == *scene && run.seed == *seed);
-            run.map_or(Err("not run".into()), |run| figure(run, column)).map_err(|why| format!("{scene}: {why}"))
+            run.map_or(Err("not run".into()), |run| value(run, column)).map_err(|why| format!("{scene}: {why}"))
         };
         let values: Result<Vec<f64>, String> = scenes.iter().map(value_in).collect();
         values.map_err(|why| reason.get_or_insert(why).clone()).ok().and_then(|values| mean(&values))

@@ -1,11 +1,11 @@
-//! Documents as LaTeX tables, to be read with `\input` in a document that loads `booktabs`.
+//! Typesets documents as LaTeX, to be included with `\input` in a document that loads `booktabs`.
 
 use crate::document::{Block, Document, Figure, Table, Text};
 
-/// The document's tables as LaTeX; figures stay in their SVG files.
-pub fn latex(document: &Document) -> String {
+/// The document as LaTeX, without the sections that only the page contains; figures are comments that name their files.
+pub(crate) fn latex(document: &Document) -> String {
     let mut text = String::from(
-        "% Needs \\usepackage{booktabs}. Redefine these to change how ranks look.\n\
+        "% Requires \\usepackage{booktabs}. Redefine these commands to change the emphasis of ranks.\n\
          \\providecommand{\\best}[1]{\\textbf{#1}}\n\
          \\providecommand{\\second}[1]{\\underline{#1}}\n\
          \\providecommand{\\third}[1]{\\textit{#1}}\n",
@@ -58,14 +58,14 @@ fn cell(cell: &Text) -> String {
     }
 }
 
-/// Characters that LaTeX reads as commands, and symbols that need one.
+/// Escapes characters that LaTeX interprets, and replaces symbols by commands.
 fn escape(text: &str) -> String {
     let escaped = |c: char| match c {
         '&' | '%' | '$' | '#' | '_' | '{' | '}' => format!("\\{c}"),
         '\\' => "\\textbackslash{}".into(),
         '~' => "\\textasciitilde{}".into(),
         '^' => "\\textasciicircum{}".into(),
-        // A bracket after a line's end would be read as its optional argument.
+        // LaTeX would read a bracket after `\\\\` as the optional argument of the line break.
         '[' | ']' => format!("{{{c}}}"),
         '±' => "$\\pm$".into(),
         '×' => "$\\times$".into(),

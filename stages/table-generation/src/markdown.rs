@@ -1,9 +1,9 @@
-//! Documents as Markdown with pipe tables.
+//! Typesets documents as Markdown with pipe tables.
 
 use crate::document::{Block, Document, Figure, Table, Text};
 
-/// The document as Markdown, without the details that the page has.
-pub fn markdown(document: &Document) -> String {
+/// The document as Markdown, without the sections that only the page contains.
+pub(crate) fn markdown(document: &Document) -> String {
     let mut text = format!("# {}\n", escape(&document.title));
     for section in document.sections.iter().filter(|section| !section.page_only) {
         text += &format!("\n## {}\n", escape(section.heading));
@@ -41,7 +41,7 @@ fn cell(cell: &Text) -> String {
     if cell.rank == 1 { format!("**{text}**") } else { text }
 }
 
-/// Characters that would end a cell or start markup.
+/// Escapes characters that would end a cell or start markup.
 fn escape(text: &str) -> String {
     let special = |c: char| matches!(c, '|' | '*' | '_' | '`' | '<' | '\\');
     text.chars().fold(String::new(), |mut escaped, c| {

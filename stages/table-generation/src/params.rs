@@ -3,33 +3,34 @@
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use crate::papers;
+use crate::library::paper_names;
 
-/// How the report looks and when a published value counts as reproduced.
+/// Content and layout of the report, and the criterion for reproduction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TableGenerationParams {
-    /// The report's title.
+    /// Title of the report.
     pub title: String,
-    /// The recipe's file, as `recipes/dnerf.toml`, for the commands that the report names.
+    /// Path of the recipe, e.g. `recipes/dnerf.toml`; the report prints it in its commands.
     pub recipe: String,
-    /// What the command line changes in the recipe, as the arguments of `pipeline run`, for the same commands; the command
-    /// line sets it itself.
+    /// Arguments of `pipeline run` that change the recipe; the report prints them in its commands. Set by the command
+    /// line, not by recipes.
     pub arguments: Vec<String>,
-    /// Papers whose tables are set beside our figures: `l4dgs`, `phys4dgs`, `kineticgs`, `mcgs`, `vcgs`.
+    /// Papers whose tables the report compares with its own numbers: file stems of `claims/papers`, e.g. `mcgs`.
     pub papers: Vec<String>,
-    /// Whether the seconds of the curves are on a logarithmic axis.
+    /// Whether the time axis of the curves is logarithmic.
     pub log_time: bool,
-    /// Largest difference in dB at which a published PSNR counts as reproduced; independent groups that re-ran the
-    /// 4DGaussians code on D-NeRF came within 0.3 dB of its paper on every scene.
+    /// Largest difference in dB at which a published PSNR counts as reproduced. The default is the agreement of
+    /// independent groups: those that re-ran the 4DGaussians code on D-NeRF came within 0.3 dB of its paper on every
+    /// scene.
     pub reproduced_within_db: f64,
-    /// The method that every other one is compared with, scene by scene.
+    /// Method with which every other method is compared, scene by scene.
     pub baseline: String,
-    /// Whether there is a table of what became of every run; it is there in any case where one diverged.
+    /// Whether the report lists the outcome of every run; it does so in any case if a run diverged.
     pub hard_cases: bool,
-    /// Per scene, how many of the worst views are shown beside the median one; 0 shows none.
+    /// Number of worst views per scene that the page shows beside the median view; 0 shows no images.
     pub shown_views: usize,
-    /// Pixels per row of the images in the page, at most.
+    /// Largest width of the images in the page, px.
     pub image_width: u32,
 }
 
@@ -45,31 +46,31 @@ impl Default for TableGenerationParams {
             baseline: "static3dgs".into(),
             hard_cases: false,
             shown_views: 2,
-            image_width: 200, // a render and its error side by side on a phone; some 10 kB a pair
+            image_width: 200, // a render and its error fit side by side on a phone; about 10 kB per pair
         }
     }
 }
 
 impl TableGenerationParams {
-    /// Every problem that the types cannot see.
-    pub fn problems(&self) -> Vec<ParamProblem> {
+    /// Problems that the types do not rule out.
+    pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let tolerance_db = self.reproduced_within_db;
         let no_tolerance = !(tolerance_db.is_finite() && tolerance_db > 0.0);
         let tolerance = no_tolerance.then(|| ParamProblem {
             key: "reproduced_within_db".into(),
-            message: format!("a tolerance of {tolerance_db} dB"),
-            hint: Some("use a positive number, as 0.3".into()),
+            message: format!("{tolerance_db} dB is not a tolerance"),
+            hint: Some("use a positive number, e.g. 0.3".into()),
         });
         let no_width = (self.image_width == 0).then(|| ParamProblem {
             key: "image_width".into(),
-            message: "an image needs at least one pixel per row".into(),
+            message: "images need a width of at least one pixel".into(),
             hint: Some("set shown_views = 0 to show no images".into()),
         });
-        let is_unknown = |name: &&String| !papers::names().any(|known| known == name.as_str());
+        let is_unknown = |name: &&String| !paper_names().any(|known| known == name.as_str());
         let unknown = self.papers.iter().filter(is_unknown).map(|name| ParamProblem {
             key: "papers".into(),
             message: format!("no paper called `{name}`"),
-            hint: Some(format!("papers: {}", papers::names().collect::<Vec<_>>().join(", "))),
+            hint: Some(format!("known papers: {}", paper_names().collect::<Vec<_>>().join(", "))),
         });
         tolerance.into_iter().chain(no_width).chain(unknown).collect()
     }

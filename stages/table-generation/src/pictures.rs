@@ -1,4 +1,4 @@
-//! Which views are shown, and their images: small enough to lie in the page.
+//! Chooses the views that the page shows, and encodes their images small enough to be embedded.
 
 mod errors;
 #[cfg(test)]
@@ -13,52 +13,52 @@ use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use scene::image_file;
 
-pub use errors::{ERROR_SCALE, FULL_ERROR};
+pub(crate) use errors::{ERROR_SCALE, FULL_ERROR};
 
-use crate::TableGenerationParams;
 use crate::collect::{Inputs, Run};
+use crate::params::TableGenerationParams;
 use crate::report::{Group, Report};
 use crate::statistics::mean;
 
-/// The quality of the images in the page: at 85 of 100 no artefacts are seen at this size.
+/// JPEG quality of the images in the page, of 100; at 85 no artefacts are visible at this size.
 const JPEG_QUALITY: u8 = 85;
 
-/// Renders of one view by every method, beside its true image.
+/// Renders of one view by all methods, beside the ground truth.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sheet {
-    /// The group that the renders were measured in.
+pub(crate) struct Sheet {
+    /// Name of the group in which the renders were measured.
     pub group: String,
     /// The scene.
     pub scene: String,
     /// The view's name.
     pub view: String,
-    /// Why it is shown, as `worst of 20 views, mean over methods 24.1 dB`.
+    /// Why the view was chosen, e.g. `worst of 20 views, 24.1 dB on average`.
     pub why: String,
-    /// The image that the renders should be.
+    /// The ground truth.
     pub truth: Picture,
-    /// One per row of the group that has the view.
+    /// One render per row of the group that has the view.
     pub comparisons: Vec<Comparison>,
 }
 
 /// A render and its error.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Comparison {
-    /// The row that it belongs to.
+pub(crate) struct Comparison {
+    /// The row of the render.
     pub row: String,
-    /// PSNR of the render, dB.
+    /// PSNR of the render in dB.
     pub psnr: f64,
     /// The render.
     pub render: Picture,
-    /// The error in the colours of [`ERROR_SCALE`].
+    /// The error in colours of [`ERROR_SCALE`].
     pub error: Picture,
 }
 
-/// A JPEG file.
+/// A JPEG image.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Picture {
-    /// Pixels per row.
+pub(crate) struct Picture {
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
     bytes: Vec<u8>,
 }
@@ -72,15 +72,15 @@ impl Picture {
         Ok(Self { width: image.width(), height: image.height(), bytes })
     }
 
-    /// The file as the address of an image.
-    pub fn data_uri(&self) -> String {
+    /// The image as a data URI.
+    pub(crate) fn data_uri(&self) -> String {
         format!("data:image/jpeg;base64,{}", base64::engine::general_purpose::STANDARD.encode(&self.bytes))
     }
 }
 
-/// The sheets of a report: per scene the worst views and the median one, by the mean PSNR over methods. Empty where the
-/// parameters ask for none, and without the scenes whose captures are not among the inputs.
-pub fn sheets(report: &Report, inputs: &Inputs, params: &TableGenerationParams) -> anyhow::Result<Vec<Sheet>> {
+/// The sheets of a report: the worst views and the median view of every scene, by mean PSNR over methods. Scenes
+/// without a capture among the inputs are left out; there are no sheets if `shown_views` is 0.
+pub(crate) fn sheets(report: &Report, inputs: &Inputs, params: &TableGenerationParams) -> anyhow::Result<Vec<Sheet>> {
     let mut sheets = Vec::new();
     for group in &report.groups {
         for scene in &group.scenes {
@@ -93,7 +93,7 @@ pub fn sheets(report: &Report, inputs: &Inputs, params: &TableGenerationParams) 
     Ok(sheets)
 }
 
-/// The first run of every row on a scene whose images are there.
+/// The first run of every row on the scene that has images.
 fn shown_runs<'a>(report: &'a Report, group: &Group, scene: &str, inputs: &Inputs) -> Vec<&'a Run> {
     let first = |row: &str| {
         let mut runs = report.runs.iter().filter(|run| run.row == row && run.scene == scene && group.holds(run));
@@ -102,7 +102,7 @@ fn shown_runs<'a>(report: &'a Report, group: &Group, scene: &str, inputs: &Input
     group.rows.iter().filter_map(|row| first(&row.name)).collect()
 }
 
-/// The `n_worst` worst views and the median one among those that every run has, with the reason.
+/// The `n_worst` worst views and the median view among the views that all runs have, each with the reason.
 fn chosen_views(runs: &[&Run], n_worst: usize) -> Vec<(String, String)> {
     let mut by_view: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for frame in runs.iter().flat_map(|run| &run.frames) {
@@ -115,7 +115,7 @@ fn chosen_views(runs: &[&Run], n_worst: usize) -> Vec<(String, String)> {
     let reason = |rank: usize, psnr: f64| {
         let which = match rank {
             0 => "worst".into(),
-            at if at < n_worst => format!("number {} of the worst", at + 1),
+            at if at < n_worst => format!("worst no. {}", at + 1),
             _ => "median".into(),
         };
         format!("{which} of {n_views} views, {psnr:.1} dB on average")
@@ -156,11 +156,11 @@ fn sheet(
             truth = Some(Picture::new(&small(true_image, width))?);
         }
     }
-    let truth = truth.with_context(|| format!("view {view_name} of {scene} has no true image"))?;
+    let truth = truth.with_context(|| format!("view {view_name} of {scene} has no ground truth"))?;
     Ok(Sheet { group: group.name.clone(), scene: scene.into(), view: view_name.into(), why, truth, comparisons })
 }
 
-/// The image, made smaller where it is wider than `width`.
+/// Scales the image down to `width` if it is wider.
 fn small(image: RgbImage, width: u32) -> RgbImage {
     if image.width() <= width {
         return image;

@@ -1,12 +1,14 @@
-//! Which values of a column are best, and which cannot be told from it.
+//! Ranks the values of every column, and marks those that are within noise of the best.
 
-use crate::report::{Cell, Row};
+use crate::cell::Cell;
+use crate::column::Column;
+use crate::format;
+use crate::report::Row;
 use crate::statistics::welch_half_width;
-use crate::{Column, format};
 
-/// Ranks every column on rounded values: equal roundings share a rank; a single value has none. Times of several
-/// machines have none either.
-pub fn rank(rows: &mut [Row], scenes: &[String], one_machine: bool) {
+/// Ranks every column by rounded values, so that equal printed values share a rank. A single value has no rank, and
+/// times are ranked only if `one_machine`.
+pub(crate) fn rank(rows: &mut [Row], scenes: &[String], one_machine: bool) {
     let n_parts = rows.first().map_or(0, |row| row.parts.len());
     for column in Column::all().filter(|column| one_machine || !column.is_timing()) {
         rank_cells(rows.iter_mut().filter_map(|row| row.headline.get_mut(&column)).collect(), column);
@@ -38,7 +40,7 @@ fn rank_cells(mut cells: Vec<&mut Cell>, column: Column) {
     mark_noise(&mut cells);
 }
 
-/// Marks what the spread over seeds does not tell from the best: the 95 % interval of the difference holds 0.
+/// Marks the values whose difference from the best has a 95 % interval over seeds that contains 0.
 fn mark_noise(cells: &mut [&mut Cell]) {
     let Some(best) = cells.iter().find(|cell| cell.rank == Some(1)).map(|cell| (**cell).clone()) else { return };
     let (Some(best_mean), Some(best_std)) = (best.mean, best.std) else { return };

@@ -1,4 +1,4 @@
-//! The stage: collects the runs of a recipe and writes their report.
+//! The stage: collects the runs of a recipe and writes a report.
 
 use captures::CaptureArtifact;
 use engine::{JobContext, ParamProblem, Port, Stage};
@@ -6,8 +6,11 @@ use metric_evaluation::Metrics;
 use rendering::Renders;
 use training::Model;
 
+use crate::artifact::ReportFolder;
 use crate::collect::Inputs;
-use crate::{Report, ReportFolder, TableGenerationParams, built_in_claims, pictures};
+use crate::params::TableGenerationParams;
+use crate::report::Report;
+use crate::{library, pictures};
 
 /// The stage `table-generation`.
 pub struct TableGeneration;
@@ -17,7 +20,7 @@ impl Stage for TableGeneration {
     type Output = ReportFolder;
 
     const ID: &'static str = "table-generation";
-    const ABOUT: &'static str = "writes tables, curves and a page of all runs, beside published values";
+    const ABOUT: &'static str = "writes tables, curves and an HTML page of all runs beside published values";
 
     fn ports() -> Vec<Port> {
         vec![
@@ -34,7 +37,7 @@ impl Stage for TableGeneration {
 
     fn run(context: &JobContext, params: &Self::Params) -> anyhow::Result<ReportFolder> {
         let inputs = Inputs::open(context)?;
-        let report = Report::new(inputs.runs()?, &built_in_claims()?, params);
+        let report = Report::new(inputs.runs()?, &library::claims()?, params);
         let sheets = pictures::sheets(&report, &inputs, params)?;
         ReportFolder::write(report, sheets, params, context.output_dir())
     }

@@ -1,21 +1,21 @@
-//! Mean, spread, and what a spread lets one say about a difference.
+//! Mean, spread, and confidence intervals of means and of their differences.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Mean of at least one number.
-pub fn mean(values: &[f64]) -> Option<f64> {
+/// Arithmetic mean; none for an empty slice.
+pub(crate) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Sample standard deviation (n − 1); none below two values.
-pub fn sample_std(values: &[f64]) -> Option<f64> {
+/// Sample standard deviation (divisor n − 1); none for fewer than two values.
+pub(crate) fn sample_std(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
 }
 
-/// Median of at least one number (mean of the middle two).
-pub fn median(values: &[f64]) -> Option<f64> {
+/// Median (the mean of the middle two for an even count); none for an empty slice.
+pub(crate) fn median(values: &[f64]) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let middle = sorted.len() / 2;
@@ -26,14 +26,15 @@ pub fn median(values: &[f64]) -> Option<f64> {
     }
 }
 
-/// Half the width of the 95 % interval of a mean of `n` values with this standard deviation; none below two values.
-pub fn half_width(std: f64, n: usize) -> Option<f64> {
+/// Half the width of the 95 % interval of the mean of `n` values with standard deviation `std`; none for fewer than
+/// two.
+pub(crate) fn half_width(std: f64, n: usize) -> Option<f64> {
     (n > 1).then(|| t_quantile((n - 1) as f64) * std / (n as f64).sqrt())
 }
 
-/// Half the width of the 95 % interval of a difference of two means of independent values (Welch 1947), each given by
-/// its standard deviation and count; none below two values on either side.
-pub fn welch_half_width((std_a, n_a): (f64, usize), (std_b, n_b): (f64, usize)) -> Option<f64> {
+/// Half the width of the 95 % interval of the difference of two independent means (Welch 1947), each given by its
+/// standard deviation and count; none for fewer than two values on either side.
+pub(crate) fn welch_half_width((std_a, n_a): (f64, usize), (std_b, n_b): (f64, usize)) -> Option<f64> {
     if n_a < 2 || n_b < 2 {
         return None;
     }
@@ -45,9 +46,9 @@ pub fn welch_half_width((std_a, n_a): (f64, usize), (std_b, n_b): (f64, usize)) 
     Some(t_quantile(freedom) * (a + b).sqrt())
 }
 
-/// The 97.5 % quantile of Student's t.
+/// The 97.5 % quantile of Student's t distribution.
 fn t_quantile(freedom: f64) -> f64 {
-    // Degrees of freedom of at least one value are positive, which is all that the distribution asks for.
+    // `new` fails only if `freedom` is not positive, and callers pass at least one degree of freedom.
     StudentsT::new(0.0, 1.0, freedom).map_or(f64::INFINITY, |t| t.inverse_cdf(0.975))
 }
 
@@ -56,14 +57,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intervals_follow_student_and_welch() {
+    fn intervals_match_student_and_welch() {
         // Three values 1, 2, 3: standard deviation 1, t(2) = 4.303.
         let width = half_width(1.0, 3).expect("three values");
         assert!((width - 4.303 / 3.0_f64.sqrt()).abs() <= 1e-3);
         // Equal spreads and counts: 2 (n - 1) degrees of freedom.
         let equal = welch_half_width((1.0, 3), (1.0, 3)).expect("three each");
         assert!((equal - 2.776 * (2.0_f64 / 3.0).sqrt()).abs() <= 1e-3);
-        // One side without spread leaves the other's degrees of freedom.
+        // If one side has no spread, the degrees of freedom are those of the other side.
         let one_sided = welch_half_width((1.0, 3), (0.0, 5)).expect("both sides");
         assert!((one_sided - 4.303 / 3.0_f64.sqrt()).abs() <= 1e-3);
         assert_eq!((welch_half_width((1.0, 1), (1.0, 3)), half_width(1.0, 1)), (None, None));

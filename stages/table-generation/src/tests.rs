@@ -1,4 +1,4 @@
-//! Reports of synthetic runs: structure, rules and planted faults.
+//! Reports of synthetic runs: structure, rules, snapshots of the text, and planted faults.
 
 mod content;
 mod formats;
@@ -12,10 +12,13 @@ use engine::FailureKind;
 use metric_evaluation::{Metric, Score};
 use scene::Protocol;
 
-use crate::collect::RunFailure;
-use crate::{Column, CurvePoint, FrameScore, Job, Machine, Report, Run, TableGenerationParams, built_in_claims};
+use crate::collect::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure};
+use crate::column::Column;
+use crate::library;
+use crate::params::TableGenerationParams;
+use crate::report::Report;
 
-/// The protocol of D-NeRF at a size, as the importer names it.
+/// The protocol of D-NeRF with images of `size` px.
 fn protocol(size: u32) -> Protocol {
     Protocol {
         dataset: "dnerf".into(),
@@ -28,9 +31,9 @@ fn protocol(size: u32) -> Protocol {
     }
 }
 
-/// A measured run at 800 px.
+/// A run with measurements at 800 px.
 fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
-    let figures = [
+    let values = [
         (Column::PSNR, psnr),
         (Column::Metric(Metric::Ssim), 0.9 + psnr / 1000.0),
         (Column::TrainingSecs, 100.0 + psnr),
@@ -45,7 +48,7 @@ fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
         seed: seed.to_string(),
         protocol: Some(protocol(800)),
         judged_by: Some("test images · 8-bit levels (rounded) · per-image means · metric version 1".into()),
-        figures: figures.into_iter().map(|(column, value)| (column, Score::Value(value))).collect(),
+        figures: values.into_iter().map(|(column, value)| (column, Score::Value(value))).collect(),
         phases: [("blend".to_owned(), 30.0), ("custom".to_owned(), 2.0)].into(),
         machines: [("training".to_owned(), machine("Processor 1"))].into(),
         jobs: [("model".to_owned(), job("train", scene, method, seed))].into(),
@@ -59,7 +62,7 @@ fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
     run
 }
 
-/// A machine with this processor.
+/// A machine with a processor of this name.
 fn machine(cpu: &str) -> Machine {
     Machine { device: "cpu".into(), threads: Some(2), cpu: Some(cpu.into()), ..Machine::default() }
 }
@@ -69,13 +72,13 @@ fn job(node: &str, scene: &str, method: &str, seed: u32) -> Job {
     Job { name: format!("{node}/{scene}/{method}/{seed}"), key, wall_secs: Some(12.0) }
 }
 
-/// The third frame is 3 dB below `psnr`, the others 1 dB above.
+/// Frame `i`; the third frame is 3 dB below `psnr`, all others 1 dB above it.
 fn frame(i: u32, psnr: f64) -> FrameScore {
     let psnr = if i == 2 { psnr - 3.0 } else { psnr + 1.0 };
     FrameScore { name: format!("test_{i}"), time_secs: Some(f64::from(i) / 4.0), psnr }
 }
 
-/// A curve that approaches `psnr`.
+/// Point `i` of a curve that approaches `psnr`.
 fn point(i: f64, psnr: f64) -> CurvePoint {
     let psnr_val = Some(psnr * (1.0 - 0.5 * (-i).exp()));
     CurvePoint { seconds: 20.0 * i, iteration: 100 * i as u64, n_gaussians: 10, psnr_val }
@@ -90,7 +93,7 @@ fn failed(scene: &str, method: &str, seed: u32, kind: FailureKind) -> Run {
 }
 
 fn report(runs: Vec<Run>) -> Report {
-    let report = Report::new(runs, &built_in_claims().expect("valid claims"), &TableGenerationParams::default());
+    let report = Report::new(runs, &library::claims().expect("valid claims"), &TableGenerationParams::default());
     report.check().expect("a valid report");
     report
 }

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use engine::Digest;
-use rendering::film::{self, Film};
+use engine::{Digest, Failure, FailureKind};
+use rendering::film::{Film, Gif, film_to_folder, film_to_gif};
 use serde_json::json;
 use training::compute_on;
 
@@ -87,9 +87,34 @@ pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
 pub fn render(store: &Path, args: &RenderArgs) -> Result<u8, CliError> {
     let session = Session::look(store, &args.recipe)?;
     session.device.check()?;
-    let [model, capture] = model_and_capture(&session, &args.node)?;
-    let film = Film { times: &args.times.0, views: &args.views, prompt: args.prompt.as_deref() };
-    let report = compute_on(&session.device.id(), |device| film::film(&model, &capture, &film, device, &args.out));
-    print_line(&report.map_err(CliError::of_input)?)?;
+    let (models, capture) = models_and_capture(&session, &args.jobs)?;
+    let times = args.times.as_ref().map_or(&[][..], |times| &times.0);
+    let film = Film { times, views: &args.views, prompt: args.prompt.as_deref() };
+    let gif = Gif { truth: args.truth, scale: args.scale, fps: args.fps };
+    let summary = compute_on(&session.device.id(), |device| match (&args.gif, &args.out, &models[..]) {
+        (Some(file), ..) => film_to_gif(&models, &capture, &film, gif, device, file),
+        (None, Some(out), [model]) => film_to_folder(model, &capture, &film, device, out),
+        _ => {
+            let failure = Failure::new(FailureKind::BadInput, "--out writes the frames of one job only");
+            Err(failure.hint("use --gif FILE for several jobs side by side").into())
+        }
+    });
+    print_line(&summary.map_err(CliError::of_input)?)?;
     Ok(engine::exit::OK)
+}
+
+/// The folders of the models that training jobs made, and of the one capture that all of them were trained on.
+fn models_and_capture(session: &Session, jobs: &[String]) -> Result<(Vec<PathBuf>, PathBuf), CliError> {
+    let mut models = Vec::new();
+    let mut first: Option<PathBuf> = None;
+    for job in jobs {
+        let [model, capture] = model_and_capture(session, job)?;
+        if first.as_ref().is_some_and(|first| *first != capture) {
+            let message = format!("{} and {job} were trained on different captures", jobs[0]);
+            return Err(CliError::nothing(message, "name jobs of one scene"));
+        }
+        models.push(model);
+        first = Some(capture);
+    }
+    Ok((models, first.context("no job was named")?))
 }

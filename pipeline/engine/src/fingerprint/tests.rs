@@ -86,32 +86,68 @@ fn wgsl_counts_without_comments_and_spacing() {
     assert_ne!(wgsl("a */ b"), wgsl("a b"));
 }
 
-#[test]
-fn files_that_cannot_matter_are_left_out() {
+/// The files that count in a crate of the files `files`, by path and text.
+fn counted(files: &[(&str, &str)]) -> Vec<String> {
     let folder = TempDir::new().unwrap();
-    let write = |path: &str, text: &str| {
+    for (path, text) in files {
         let path = folder.path().join(path);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(path, text).unwrap();
-    };
-    for path in [
-        "src/lib.rs",
-        "src/a/mod.rs",
-        "build.rs",
-        "src/a/tests.rs",
-        "src/tests/x.rs",
-        "benches/b.rs",
-        "src/run_tests.rs",
-    ] {
-        write(path, "fn f() {}");
     }
-    for path in ["README.md", "Cargo.toml", "src/.lib.rs.swp", "src/lib.rs~", "src/a/paper.toml", "src/a/k.wgsl"] {
-        write(path, "x = 1");
-    }
-    let paths: Vec<String> = hash_files(folder.path()).unwrap().into_keys().collect();
-    assert_eq!(paths, ["build.rs", "src/a/k.wgsl", "src/a/mod.rs", "src/a/paper.toml", "src/lib.rs"]);
-    write("src/lib.rs", "fn f( {}");
+    hash_files(folder.path()).unwrap().into_keys().collect()
+}
+
+#[test]
+fn names_of_tests_and_documents_are_left_out() {
+    let rust = ["src/lib.rs", "src/a/mod.rs", "build.rs", "src/a/tests.rs", "src/tests/x.rs", "benches/b.rs"];
+    let other = ["README.md", "Cargo.toml", "src/.lib.rs.swp", "src/lib.rs~", "src/a/data.toml", "src/a/k.wgsl"];
+    let more = [("src/run_tests.rs", "fn f() {}"), ("src/snapshots/a.snap", "x")];
+    let files: Vec<_> =
+        rust.map(|path| (path, "fn f() {}")).into_iter().chain(other.map(|path| (path, "x = 1"))).chain(more).collect();
+    assert_eq!(counted(&files), ["build.rs", "src/a/data.toml", "src/a/k.wgsl", "src/a/mod.rs", "src/lib.rs"]);
+}
+
+#[test]
+fn a_file_that_does_not_parse_is_named() {
+    let folder = TempDir::new().unwrap();
+    std::fs::write(folder.path().join("lib.rs"), "fn f( {}").unwrap();
     assert!(hash_files(folder.path()).unwrap_err().to_string().contains("lib.rs"));
+}
+
+#[test]
+fn modules_that_only_tests_contain_are_left_out() {
+    let lib = "#[cfg(test)] mod probe;\n#[cfg(test)] #[allow(unused)] pub(crate) mod grid;\nmod a;\nmod b;";
+    let files = [
+        ("src/lib.rs", lib),
+        ("src/probe.rs", "mod inner; include_str!(\"data.txt\");"),
+        ("src/probe/inner.rs", ""),
+        ("src/probe/data.txt", ""),
+        ("src/grid/mod.rs", "mod cell;"),
+        ("src/grid/cell.rs", ""),
+        ("src/a.rs", "#[cfg(test)] mod help;\n#[cfg(test)]\n#[path = \"elsewhere.rs\"]\nmod moved;"),
+        ("src/a/help.rs", ""),
+        ("src/help.rs", "fn not_the_module_of_a() {}"),
+        ("src/elsewhere.rs", ""),
+        ("src/b/mod.rs", "mod c { #[cfg(test)] mod deep; }"),
+        ("src/b/c/deep.rs", ""),
+    ];
+    assert_eq!(counted(&files), ["src/a.rs", "src/b/mod.rs", "src/help.rs", "src/lib.rs"]);
+}
+
+/// In doubt a file counts: anything outside of tests that refers to it keeps it.
+#[test]
+fn a_test_module_that_other_code_refers_to_counts() {
+    let keeps = |lib: &str| {
+        let lib = format!("#[cfg(test)] mod probe;\n{lib}");
+        counted(&[("src/lib.rs", &lib), ("src/probe.rs", "mod inner;"), ("src/probe/inner.rs", "")]).len() == 3
+    };
+    assert!(!keeps(""));
+    assert!(keeps("#[cfg(not(test))] mod probe;"));
+    assert!(keeps("#[path = \"probe.rs\"] mod other;"));
+    assert!(keeps("const TEXT: &str = include_str!(r#\"probe.rs\"#);"));
+    assert!(keeps("const TEXT: &str = include_str!(concat!(env!(\"CARGO_MANIFEST_DIR\"), \"/src/probe.rs\"));"));
+    assert!(!keeps("#[cfg(test)] const TEXT: &str = include_str!(\"probe.rs\");"));
+    assert!(!keeps("// mod probe;\n/// include_str!(\"probe.rs\")\nfn f() {}"));
 }
 
 const fn crate_code(

@@ -1,48 +1,48 @@
-//! The layers of image classifiers: convolution with ReLU, and maximum pooling, forward only, in f32.
+//! Layers of image classifiers: convolution with ReLU, and max pooling; forward only, in f32.
 
 use rayon::prelude::*;
 
-/// Values per chunk of gathered patches: 4 MB, about what a core's second- and third-level caches hold.
+/// Values per chunk of gathered patches: 4 MB, about the second- and third-level cache of one core.
 const PATCH_VALUES: usize = 1 << 20;
 
-/// [H, W, C] values, channels fastest.
+/// Features [H, W, C], with channels contiguous.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Activation {
-    /// Rows.
-    pub height: usize,
-    /// Pixels per row.
-    pub width: usize,
-    /// C.
-    pub channels: usize,
-    /// [H, W, C].
-    pub values: Vec<f32>,
+pub(crate) struct Activation {
+    /// Height in pixels.
+    pub(crate) height: usize,
+    /// Width in pixels.
+    pub(crate) width: usize,
+    /// Number of channels.
+    pub(crate) channels: usize,
+    /// The values, [H, W, C].
+    pub(crate) values: Vec<f32>,
 }
 
-/// A square convolution window or pooling window.
+/// A square window of a convolution or a pooling layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Window {
-    /// Pixels per side.
-    pub size: usize,
-    /// Pixels from one output to the next.
-    pub stride: usize,
-    /// Zeros on each side of the input.
-    pub padding: usize,
-    /// Whether windows that begin inside the input and end outside of it count too (`ceil_mode`).
-    pub partial: bool,
+pub(crate) struct Window {
+    /// Side length in pixels.
+    pub(crate) size: usize,
+    /// Distance between windows in pixels.
+    pub(crate) stride: usize,
+    /// Zero padding on each side of the input.
+    pub(crate) padding: usize,
+    /// Whether windows may end outside of the input (`ceil_mode`).
+    pub(crate) partial: bool,
 }
 
 impl Window {
-    /// The output's length along an input side; none where no window fits.
-    pub fn outputs(self, input: usize) -> Option<usize> {
+    /// Number of windows along an input side; `None` if no window fits.
+    pub(crate) fn outputs(self, input: usize) -> Option<usize> {
         let beyond = (input + 2 * self.padding).checked_sub(self.size)?;
         let steps = if self.partial { beyond.div_ceil(self.stride) } else { beyond / self.stride };
         Some(steps + 1)
     }
 }
 
-/// A convolution (as the literature calls correlation), then ReLU.
+/// A convolution (mathematically a correlation) followed by ReLU.
 #[derive(Clone, Debug)]
-pub struct Convolution {
+pub(crate) struct Convolution {
     window: Window,
     inputs: usize,
     outputs: usize,
@@ -52,10 +52,10 @@ pub struct Convolution {
 }
 
 impl Convolution {
-    /// From weights [outputs, inputs, window, window] and a bias [outputs].
-    pub fn new(window: Window, inputs: usize, weights: &[f32], bias: Vec<f32>) -> Self {
+    /// Takes weights [outputs, inputs, window, window] and a bias [outputs].
+    pub(crate) fn new(window: Window, inputs: usize, weights: &[f32], bias: Vec<f32>) -> Self {
         let (outputs, taps) = (bias.len(), window.size * window.size);
-        assert_eq!(weights.len(), outputs * inputs * taps, "weights of another shape");
+        assert_eq!(weights.len(), outputs * inputs * taps, "the weights have another shape");
         let at = |index: usize| {
             let (output, patch) = (index % outputs, index / outputs);
             weights[(output * inputs + patch % inputs) * taps + patch / inputs]
@@ -63,9 +63,10 @@ impl Convolution {
         Self { window, inputs, outputs, weights: (0..weights.len()).map(at).collect(), bias }
     }
 
-    /// max(0, W ∗ x + b); the image must be large enough for one window. The same bits for any number of threads.
-    pub fn forward(&self, x: &Activation) -> Activation {
-        assert_eq!(x.channels, self.inputs, "an image of another depth");
+    /// max(0, W ∗ x + b). The image must be large enough for one window. The result does not depend on the number of
+    /// threads.
+    pub(crate) fn forward(&self, x: &Activation) -> Activation {
+        assert_eq!(x.channels, self.inputs, "the image has another number of channels");
         let side = |input| self.window.outputs(input).expect("an image of at least one window");
         let (height, width) = (side(x.height), side(x.width));
         let mut values = vec![0.0; height * width * self.outputs];
@@ -84,7 +85,7 @@ impl Convolution {
         Activation { height, width, channels: self.outputs, values }
     }
 
-    /// Appends the input that the output at (row, column) sees, zeros where it looks beyond the border.
+    /// Appends the input patch of the output at (row, column), with zeros beyond the border.
     fn gather(&self, x: &Activation, row: usize, column: usize, patches: &mut Vec<f32>) {
         let Window { size, stride, padding, .. } = self.window;
         for window_row in 0..size {
@@ -102,11 +103,11 @@ impl Convolution {
     }
 }
 
-/// out [M, N] = lhs [M, K] · rhs [K, N] with `[K, N]` given, all row-major, on one thread.
+/// out [M, N] = lhs [M, K] · rhs [K, N], all row-major, on one thread; the third argument is [K, N].
 fn multiply(lhs: &[f32], rhs: &[f32], [inner, columns]: [usize; 2], out: &mut [f32]) {
     let rows = lhs.len() / inner;
     assert!(lhs.len() == rows * inner && rhs.len() == inner * columns && out.len() == rows * columns);
-    // SAFETY: the strides are those of row-major matrices whose sizes were asserted; `out` is exclusively borrowed.
+    // SAFETY: the strides are those of row-major matrices with the asserted sizes, and `out` is exclusively borrowed.
     unsafe {
         gemm::gemm(
             rows,
@@ -132,8 +133,8 @@ fn multiply(lhs: &[f32], rhs: &[f32], [inner, columns]: [usize; 2], out: &mut [f
     }
 }
 
-/// The largest value in every window, channel by channel; what lies beyond the border does not count.
-pub fn max_pool(x: &Activation, window: Window) -> Activation {
+/// Max pooling per channel; pixels beyond the border are ignored.
+pub(crate) fn max_pool(x: &Activation, window: Window) -> Activation {
     let side = |input| window.outputs(input).expect("an image of at least one window");
     let (height, width, channels) = (side(x.height), side(x.width), x.channels);
     let mut values = vec![f32::NEG_INFINITY; height * width * channels];
@@ -150,8 +151,8 @@ pub fn max_pool(x: &Activation, window: Window) -> Activation {
     Activation { height, width, channels, values }
 }
 
-/// Two images of one size as one with the channels of both.
-pub fn join(a: &Activation, b: &Activation) -> Activation {
+/// Concatenates the channels of two images of equal size.
+pub(crate) fn join(a: &Activation, b: &Activation) -> Activation {
     let channels = a.channels + b.channels;
     let pixels = a.values.chunks_exact(a.channels).zip(b.values.chunks_exact(b.channels));
     let mut values = Vec::with_capacity(a.values.len() + b.values.len());
@@ -166,13 +167,13 @@ pub fn join(a: &Activation, b: &Activation) -> Activation {
 mod tests {
     use super::*;
 
-    /// [H, W, C] with small whole numbers, so that sums are exact.
+    /// An image [H, W, C] of small integers, so that sums are exact.
     fn image(height: usize, width: usize, channels: usize) -> Activation {
         let values = (0..height * width * channels).map(|at| ((7 * at) % 11) as f32 - 3.0).collect();
         Activation { height, width, channels, values }
     }
 
-    /// The definition, one output at a time.
+    /// Computes the convolution by its definition, one output at a time.
     fn by_definition(x: &Activation, window: Window, weights: &[f32], bias: &[f32]) -> Vec<f32> {
         let (height, width) = (window.outputs(x.height).unwrap(), window.outputs(x.width).unwrap());
         let mut out = Vec::new();
@@ -194,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn convolutions_are_what_the_definition_says() {
+    fn convolutions_equal_their_definition() {
         for (size, stride, padding) in [(1, 1, 0), (3, 1, 1), (3, 2, 0), (5, 1, 2), (11, 4, 2)] {
             let window = Window { size, stride, padding, partial: false };
             let x = image(13, 17, 3);
@@ -206,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn pooling_with_and_without_partial_windows() {
+    fn pooling_handles_partial_windows() {
         let x = Activation { height: 4, width: 4, channels: 1, values: (0..16).map(|at| at as f32).collect() };
         let whole = Window { size: 3, stride: 2, padding: 0, partial: false };
         assert_eq!(max_pool(&x, whole).values, [10.0]);

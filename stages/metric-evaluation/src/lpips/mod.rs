@@ -1,52 +1,53 @@
 //! LPIPS (Zhang et al., "The unreasonable effectiveness of deep features as a perceptual metric", CVPR 2018), version 0.1.
 //!
-//! Both images go through a classifier; at each of its taps features are scaled to unit length per pixel, and their
-//! squared differences are added with weights that were fitted to human judgements. The distance is the sum over taps of
-//! the mean over pixels: 0 for equal images, larger is worse. Weights are not part of this project: they are read from
+//! Both images pass through a classifier. At each of its taps, features are scaled to unit length per pixel, and their
+//! squared differences are summed with weights that were fitted to human judgements. The distance is the sum over taps of
+//! the mean over pixels: 0 for equal images, larger is worse. The weights are not part of this project: they are read from
 //! the files that their authors publish ([`weights`]).
 
 mod layers;
 mod network;
 mod pickle;
 mod torch_file;
-pub mod weights;
+pub(crate) mod weights;
 
 #[cfg(test)]
 pub(crate) mod tests;
 
 use std::collections::BTreeMap;
 
-pub use network::Backbone;
-pub use torch_file::Tensor;
+pub(crate) use self::network::Backbone;
 
-use crate::Image;
-use layers::Activation;
-use network::{Network, tensor};
+use self::layers::Activation;
+use self::network::{Network, tensor};
+use self::torch_file::Tensor;
+use crate::image_file::Image;
 
-/// What ImageNet's colours (in [-1, 1]) are shifted and divided by: its mean and standard deviation for 2v − 1.
+/// Mean of ImageNet's colours in [-1, 1], which is subtracted.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+/// Standard deviation of ImageNet's colours in [-1, 1], by which the difference is divided.
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
-/// Keeps features of length 0 where they are.
+/// Added to feature lengths, so that features of length 0 stay 0.
 const MIN_LENGTH: f64 = 1e-10;
 
-/// What colours in [0, 1] become before they enter the network.
+/// The range that colours v in [0, 1] are mapped to before they enter the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum InputRange {
-    /// 2v − 1, as the networks and weights were trained.
+pub(crate) enum InputRange {
+    /// 2v − 1, as in the training of the networks and weights.
     Signed,
-    /// v, as the code released with 3D Gaussian Splatting has it (and 4DGaussians after it); distances come out smaller.
+    /// v, as in the code of 3D Gaussian Splatting and 4DGaussians; it gives smaller distances.
     Unsigned,
 }
 
-/// A classifier and the weights of its features.
-pub struct Lpips {
+/// A classifier with the weights of its features.
+pub(crate) struct Lpips {
     backbone: Backbone,
     network: Network,
-    /// Per tap, one weight per channel.
+    /// One weight per channel, for each tap.
     heads: Vec<Vec<f32>>,
 }
 
-/// The weighted squared distance at one tap, per pixel of its features.
+/// The weighted squared distance per feature pixel of one tap.
 struct DistanceMap {
     height: usize,
     width: usize,
@@ -54,11 +55,11 @@ struct DistanceMap {
 }
 
 impl Lpips {
-    /// From the tensors of a classifier and of LPIPS's heads (`linN.model.1.weight`, or `linN.weight`).
+    /// Builds the metric from the tensors of a classifier and of LPIPS's heads (`linN.model.1.weight`).
     ///
     /// # Errors
-    /// A tensor that is missing, has another shape, or is not finite, by name.
-    pub fn new(
+    /// The name of a tensor that is missing, has another shape, or is not finite.
+    pub(crate) fn new(
         backbone: Backbone,
         body: &BTreeMap<String, Tensor>,
         heads: &BTreeMap<String, Tensor>,
@@ -71,14 +72,14 @@ impl Lpips {
         Ok(Self { backbone, network: Network::new(backbone, body)?, heads })
     }
 
-    /// The distance of two equally large images; none where they are too small for the network.
-    pub fn distance(&self, images: [&Image; 2], range: InputRange) -> Option<f64> {
+    /// The distance of two images of equal size; `None` if they are too small for the network.
+    pub(crate) fn distance(&self, images: [&Image; 2], range: InputRange) -> Option<f64> {
         let maps = self.maps(images, range)?;
         Some(maps.iter().map(|map| map.values.iter().sum::<f64>() / map.values.len() as f64).sum())
     }
 
-    /// The distance around every pixel [H, W]: the maps of all taps, enlarged bilinearly (pixel centres at ½) and added.
-    pub fn distance_by_pixel(&self, images: [&Image; 2], range: InputRange) -> Option<Vec<f64>> {
+    /// The distance per pixel [H, W]: the sum of the maps of all taps, upsampled bilinearly (pixel centres at ½).
+    pub(crate) fn distance_by_pixel(&self, images: [&Image; 2], range: InputRange) -> Option<Vec<f64>> {
         let (width, height) = (images[0].width, images[0].height);
         let mut total = vec![0.0; width * height];
         for map in self.maps(images, range)? {
@@ -101,7 +102,7 @@ impl Lpips {
     }
 }
 
-/// What enters the network.
+/// Normalises an image for the network.
 fn input(image: &Image, range: InputRange) -> Activation {
     let (gain, offset) = match range {
         InputRange::Signed => (2.0, -1.0),
@@ -129,7 +130,7 @@ impl DistanceMap {
         Self { height: a.height, width: a.width, values: pixels.map(distance).collect() }
     }
 
-    /// [height, width], row-major; pixels beyond the outermost centres repeat.
+    /// Upsamples to [height, width], row-major; beyond the outermost pixel centres values are repeated.
     fn enlarged(&self, width: usize, height: usize) -> Vec<f64> {
         let (columns, rows) = (neighbours(self.width, width), neighbours(self.height, height));
         let mut out = Vec::with_capacity(width * height);
@@ -145,7 +146,7 @@ impl DistanceMap {
     }
 }
 
-/// For each of `new` samples: the two of `old` samples between whose centres it lies, and how far along.
+/// For each of `new` samples, the two neighbouring samples of `old`, and the interpolation weight of the second.
 fn neighbours(old: usize, new: usize) -> Vec<(usize, usize, f64)> {
     let between = |at: usize| {
         let place = ((at as f64 + 0.5) * old as f64 / new as f64 - 0.5).max(0.0);

@@ -1,13 +1,13 @@
-//! The three image classifiers whose features LPIPS compares, up to the last feature that it reads.
+//! The three image classifiers whose features LPIPS compares, up to the last compared layer.
 
 use std::collections::BTreeMap;
 
 use super::layers::{Activation, Convolution, Window, join, max_pool};
 use super::torch_file::Tensor;
 
-/// A classifier that was trained on ImageNet.
+/// A classifier trained on ImageNet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Backbone {
+pub(crate) enum Backbone {
     /// AlexNet ("One weird trick", Krizhevsky 2014).
     Alex,
     /// VGG-16 (Simonyan and Zisserman 2015).
@@ -16,23 +16,16 @@ pub enum Backbone {
     Squeeze,
 }
 
-/// One layer by the number that torchvision gives it (`features.N`).
+/// One layer, with its number in torchvision (`features.N`).
 #[derive(Clone, Copy, Debug)]
 enum Plan {
     /// A convolution and its ReLU.
-    Convolution {
-        number: usize,
-        outputs: usize,
-        window: Window,
-    },
-    /// SqueezeNet's: 1×1 to `squeezed` channels, then 1×1 and 3×3 to `expanded` each.
-    Fire {
-        number: usize,
-        squeezed: usize,
-        expanded: usize,
-    },
+    Convolution { number: usize, outputs: usize, window: Window },
+    /// SqueezeNet's fire module: 1×1 to `squeezed` channels, then 1×1 and 3×3 to `expanded` channels each.
+    Fire { number: usize, squeezed: usize, expanded: usize },
+    /// Max pooling.
     Pool(Window),
-    /// What comes out here is compared.
+    /// The features at this point are compared.
     Tap,
 }
 
@@ -123,8 +116,8 @@ impl Backbone {
         }
     }
 
-    /// Channels of the features that are compared, in order.
-    pub fn tap_channels(self) -> Vec<usize> {
+    /// Number of channels at each tap.
+    pub(crate) fn tap_channels(self) -> Vec<usize> {
         let mut channels = 3;
         let mut taps = Vec::new();
         for plan in self.plan() {
@@ -138,9 +131,9 @@ impl Backbone {
         taps
     }
 
-    /// Names and shapes [outputs, inputs, window, window] of all convolutions, in order.
+    /// Names and shapes [outputs, inputs, window, window] of all convolutions.
     #[cfg(test)]
-    pub fn convolutions(self) -> Vec<(String, [usize; 4])> {
+    pub(crate) fn convolutions(self) -> Vec<(String, [usize; 4])> {
         let mut channels = 3;
         let mut found = Vec::new();
         for plan in self.plan() {
@@ -165,8 +158,8 @@ impl Backbone {
         found
     }
 
-    /// Whether an image of this size gets through the network.
-    pub fn fits(self, width: usize, height: usize) -> bool {
+    /// Whether an image of this size is large enough for all layers.
+    pub(crate) fn fits(self, width: usize, height: usize) -> bool {
         let side = |input: usize| {
             self.plan().iter().try_fold(input, |side, plan| match plan {
                 Plan::Convolution { window, .. } | Plan::Pool(window) => window.outputs(side),
@@ -186,14 +179,14 @@ enum Layer {
 }
 
 /// The convolutional part of a classifier.
-pub struct Network(Vec<Layer>);
+pub(crate) struct Network(Vec<Layer>);
 
 impl Network {
-    /// From the tensors of a torchvision file (`features.N.weight` and so on; the classifier's head is not read).
+    /// Builds the network from the tensors of a torchvision file (`features.N.weight`, …) without the classifier's head.
     ///
     /// # Errors
-    /// A tensor that is missing, has another shape, or is not finite, by name.
-    pub fn new(backbone: Backbone, tensors: &BTreeMap<String, Tensor>) -> Result<Self, String> {
+    /// The name of a tensor that is missing, has another shape, or is not finite.
+    pub(crate) fn new(backbone: Backbone, tensors: &BTreeMap<String, Tensor>) -> Result<Self, String> {
         let mut channels = 3;
         let layer = |plan: &Plan| match *plan {
             Plan::Convolution { number, outputs, window } => {
@@ -218,9 +211,9 @@ impl Network {
         backbone.plan().iter().map(layer).collect::<Result<_, String>>().map(Self)
     }
 
-    /// Sends two images through and hands both features to `compare` at every tap. Both go side by side, so that no more
-    /// than two layers of each are in memory.
-    pub fn compare(&self, mut pair: [Activation; 2], mut compare: impl FnMut(&[Activation; 2])) {
+    /// Passes two images through the network and calls `compare` with both features at every tap. The images advance
+    /// together, so that at most two layers of each are in memory.
+    pub(crate) fn compare(&self, mut pair: [Activation; 2], mut compare: impl FnMut(&[Activation; 2])) {
         for layer in &self.0 {
             match layer {
                 Layer::Convolution(convolution) => pair = pair.map(|x| convolution.forward(&x)),
@@ -249,9 +242,13 @@ fn read(
     Ok(Convolution::new(window, inputs, weights, bias.to_vec()))
 }
 
-/// The finite values of a tensor that must have this shape.
-pub fn tensor<'a>(tensors: &'a BTreeMap<String, Tensor>, name: &str, shape: &[usize]) -> Result<&'a [f32], String> {
-    let found = tensors.get(name).ok_or_else(|| format!("no tensor {name}"))?;
+/// The values of a tensor, which must be finite and have this shape.
+pub(crate) fn tensor<'a>(
+    tensors: &'a BTreeMap<String, Tensor>,
+    name: &str,
+    shape: &[usize],
+) -> Result<&'a [f32], String> {
+    let found = tensors.get(name).ok_or_else(|| format!("tensor {name} is missing"))?;
     if found.shape != shape {
         return Err(format!("{name} has shape {:?} instead of {shape:?}", found.shape));
     }

@@ -1,5 +1,5 @@
-//! The part of Python's pickle language that files of weights are written in: a machine with a stack that makes numbers,
-//! texts, lists, tables and descriptions of tensors. Nothing is ever executed; whatever else a pickle asks for is refused.
+//! The subset of Python's pickle language in files of weights: a stack machine that builds numbers, strings, lists,
+//! dictionaries and descriptions of tensors. No code of the pickle is executed, and all other instructions are refused.
 //!
 //! Reference: the comments of `pickletools.py` in Python's standard library, protocols 2 to 4.
 
@@ -7,51 +7,51 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-/// What a pickle makes. Lists and tables are shared: they are filled after they were remembered.
+/// A value of a pickle. Lists and dictionaries are shared, because the pickle fills them after storing them in its memo.
 #[derive(Clone, Debug)]
-pub enum Value {
-    /// `None`, and whatever a file of weights says that is of no interest here.
+pub(crate) enum Value {
+    /// `None`, and values that are irrelevant for weights.
     Nothing,
-    /// A truth value or an integer.
+    /// A boolean or an integer.
     Int(i64),
-    /// A text.
+    /// A string.
     Text(String),
-    /// A module and a name in it.
+    /// A global: a module and a name in it.
     Global(String, String),
-    /// An immutable list.
+    /// A tuple.
     Tuple(Rc<[Value]>),
     /// A list.
     List(Rc<RefCell<Vec<Value>>>),
-    /// Pairs in the order of the file.
+    /// A dictionary, as pairs in the order of the file.
     Table(Rc<RefCell<Vec<(Value, Value)>>>),
-    /// Numbers that lie elsewhere in the file, under a key.
+    /// A storage: numbers elsewhere in the file.
     Storage(Storage),
-    /// A view of a storage.
+    /// A tensor, as a view of a storage.
     Tensor(TensorView),
 }
 
-/// f32 values that lie elsewhere in the file.
+/// f32 values elsewhere in the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Storage {
-    /// The name of the storage.
-    pub key: String,
-    /// How many values it has.
-    pub len: usize,
+pub(crate) struct Storage {
+    /// The key of the storage.
+    pub(crate) key: String,
+    /// Number of values.
+    pub(crate) len: usize,
 }
 
 /// A row-major part of a storage.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TensorView {
-    /// Where the values lie.
-    pub storage: Storage,
-    /// The first of them.
-    pub offset: usize,
+pub(crate) struct TensorView {
+    /// The storage of the values.
+    pub(crate) storage: Storage,
+    /// Index of the first value.
+    pub(crate) offset: usize,
     /// Sizes, outermost first.
-    pub shape: Vec<usize>,
+    pub(crate) shape: Vec<usize>,
 }
 
-/// Reads one pickle from the beginning of `bytes`; returns its value and what follows it.
-pub fn read(bytes: &[u8]) -> Result<(Value, &[u8]), String> {
+/// Reads one pickle at the beginning of `bytes`; returns its value and the remaining bytes.
+pub(crate) fn read(bytes: &[u8]) -> Result<(Value, &[u8]), String> {
     let mut machine = Machine { rest: bytes, stack: Vec::new(), marks: Vec::new(), memo: BTreeMap::new() };
     loop {
         if let Some(value) = machine.step()? {
@@ -63,13 +63,13 @@ pub fn read(bytes: &[u8]) -> Result<(Value, &[u8]), String> {
 struct Machine<'a> {
     rest: &'a [u8],
     stack: Vec<Value>,
-    /// Heights of the stack at open marks.
+    /// Heights of the stack at the open marks.
     marks: Vec<usize>,
     memo: BTreeMap<u32, Value>,
 }
 
 impl<'a> Machine<'a> {
-    /// Executes one instruction; the last one gives the value.
+    /// Executes one instruction; the last instruction returns the value.
     fn step(&mut self) -> Result<Option<Value>, String> {
         let [opcode] = self.array()?;
         match opcode {
@@ -81,11 +81,11 @@ impl<'a> Machine<'a> {
             0x88 => self.stack.push(Value::Int(1)),
             0x89 => self.stack.push(Value::Int(0)),
             b'J' | b'K' | b'M' | 0x8a => self.integer(opcode)?,
-            b'G' => self.ignored(8)?, // a float: no shape or offset is one
+            b'G' => self.ignored(8)?, // a float, which is never a shape or an offset
             b'T' | b'U' | b'X' | 0x8c => self.text(opcode)?,
             b'c' | 0x93 => self.global(opcode)?,
-            b'q' | b'r' | 0x94 => self.remember(opcode)?,
-            b'h' | b'j' => self.recall(opcode)?,
+            b'q' | b'r' | 0x94 => self.put_memo(opcode)?,
+            b'h' | b'j' => self.get_memo(opcode)?,
             b')' | b't' | 0x85..=0x87 => self.tuple(opcode)?,
             b']' => self.stack.push(Value::List(Rc::default())),
             b'}' => self.stack.push(Value::Table(Rc::default())),
@@ -93,9 +93,9 @@ impl<'a> Machine<'a> {
             b's' | b'u' => self.set(opcode)?,
             b'Q' => self.persistent()?,
             b'R' => self.call()?,
-            // Attributes of an object, as the versions that torch notes beside a table: of no interest.
+            // Attributes of an object, e.g. the versions that torch stores with a dictionary; they are not needed.
             b'b' => drop(self.pop()?),
-            _ => return Err(format!("instruction {opcode:#04x}, which no file of weights needs")),
+            _ => return Err(format!("pickle instruction {opcode:#04x} is not supported")),
         }
         Ok(None)
     }
@@ -113,12 +113,12 @@ impl<'a> Machine<'a> {
     fn pop(&mut self) -> Result<Value, String> {
         let bottom = self.marks.last().copied().unwrap_or(0);
         let value = if self.stack.len() > bottom { self.stack.pop() } else { None };
-        value.ok_or_else(|| "the pickle takes more than it has".into())
+        value.ok_or_else(|| "the stack of the pickle is empty".into())
     }
 
-    /// What was pushed since the last mark.
+    /// Pops the values since the last mark.
     fn pop_to_mark(&mut self) -> Result<Vec<Value>, String> {
-        let mark = self.marks.pop().ok_or("the pickle has no mark to go back to")?;
+        let mark = self.marks.pop().ok_or("the pickle has no open mark")?;
         Ok(self.stack.split_off(mark))
     }
 
@@ -137,9 +137,9 @@ impl<'a> Machine<'a> {
                 let [len] = self.array()?;
                 let digits = self.take(usize::from(len))?;
                 if digits.len() > 8 {
-                    return Err("an integer of more than 64 bits".into());
+                    return Err("an integer has more than 64 bits".into());
                 }
-                // Little-endian two's complement: the last byte has the sign.
+                // Little-endian two's complement: the last byte contains the sign.
                 let fill = if digits.last().is_some_and(|last| last & 0x80 != 0) { 0xff } else { 0 };
                 let mut bytes = [fill; 8];
                 bytes[..digits.len()].copy_from_slice(digits);
@@ -156,7 +156,7 @@ impl<'a> Machine<'a> {
             _ => u32::from_le_bytes(self.array()?),
         };
         let bytes = self.take(len as usize)?;
-        let text = std::str::from_utf8(bytes).map_err(|_| "a text that is not UTF-8")?;
+        let text = std::str::from_utf8(bytes).map_err(|_| "a string is not UTF-8")?;
         self.stack.push(Value::Text(text.into()));
         Ok(())
     }
@@ -179,23 +179,23 @@ impl<'a> Machine<'a> {
         Ok(line)
     }
 
-    fn remember(&mut self, opcode: u8) -> Result<(), String> {
+    fn put_memo(&mut self, opcode: u8) -> Result<(), String> {
         let place = match opcode {
             b'q' => u32::from(u8::from_le_bytes(self.array()?)),
             b'r' => u32::from_le_bytes(self.array()?),
             _ => self.memo.len() as u32,
         };
-        let value = self.stack.last().ok_or("the pickle has nothing to remember")?.clone();
+        let value = self.stack.last().ok_or("the pickle stores an empty stack in its memo")?.clone();
         self.memo.insert(place, value);
         Ok(())
     }
 
-    fn recall(&mut self, opcode: u8) -> Result<(), String> {
+    fn get_memo(&mut self, opcode: u8) -> Result<(), String> {
         let place = match opcode {
             b'h' => u32::from(u8::from_le_bytes(self.array()?)),
             _ => u32::from_le_bytes(self.array()?),
         };
-        let value = self.memo.get(&place).ok_or("the pickle recalls what it never remembered")?.clone();
+        let value = self.memo.get(&place).ok_or("the pickle reads a missing memo entry")?.clone();
         self.stack.push(value);
         Ok(())
     }
@@ -218,7 +218,7 @@ impl<'a> Machine<'a> {
         let items = if opcode == b'a' { vec![self.pop()?] } else { self.pop_to_mark()? };
         match self.stack.last() {
             Some(Value::List(list)) => list.borrow_mut().extend(items),
-            _ => return Err("the pickle appends to what is no list".into()),
+            _ => return Err("the pickle appends to a value that is not a list".into()),
         }
         Ok(())
     }
@@ -237,30 +237,30 @@ impl<'a> Machine<'a> {
                 table.borrow_mut().extend(pairs.iter().map(|[key, value]| (key.clone(), value.clone())));
                 Ok(())
             }
-            _ => Err("the pickle sets items of what is no table".into()),
+            _ => Err("the pickle sets items of a value that is not a dictionary".into()),
         }
     }
 
-    /// `("storage", type, key, place, length, …)`: numbers elsewhere in the file.
+    /// Reads a persistent id `("storage", type, key, location, length, …)`.
     fn persistent(&mut self) -> Result<(), String> {
         let id = self.pop()?;
-        let Value::Tuple(parts) = &id else { return Err("a reference that is no storage".into()) };
+        let Value::Tuple(parts) = &id else { return Err("a persistent id is not a storage".into()) };
         let [Value::Text(what), Value::Global(_, kind), Value::Text(key), _, Value::Int(len), ..] = &parts[..] else {
-            return Err("a reference that is no storage".into());
+            return Err("a persistent id is not a storage".into());
         };
         if what != "storage" || kind != "FloatStorage" {
-            return Err(format!("a {what} of type {kind} where 32-bit floats are expected"));
+            return Err(format!("a {what} has the type {kind} instead of 32-bit floats"));
         }
-        let len = usize::try_from(*len).map_err(|_| "a storage of negative length")?;
+        let len = usize::try_from(*len).map_err(|_| "a storage has a negative length")?;
         self.stack.push(Value::Storage(Storage { key: key.clone(), len }));
         Ok(())
     }
 
-    /// The few calls that describe tables and tensors.
+    /// Evaluates the supported calls, which build dictionaries and tensors.
     fn call(&mut self) -> Result<(), String> {
         let (arguments, function) = (self.pop()?, self.pop()?);
         let (Value::Global(module, name), Value::Tuple(arguments)) = (&function, &arguments) else {
-            return Err("a call of what is no function".into());
+            return Err("the pickle calls a value that is not a function".into());
         };
         let value = match (module.as_str(), name.as_str(), &arguments[..]) {
             ("collections", "OrderedDict", []) => Value::Table(Rc::default()),
@@ -270,29 +270,29 @@ impl<'a> Machine<'a> {
             }
             ("torch._utils", "_rebuild_parameter", [data @ Value::Tensor(_), ..])
             | ("torch.nn.parameter", "Parameter", [data @ Value::Tensor(_), ..]) => data.clone(),
-            _ => return Err(format!("a call of {module}.{name}, which no file of weights needs")),
+            _ => return Err(format!("a call of {module}.{name} is not supported")),
         };
         self.stack.push(value);
         Ok(())
     }
 }
 
-/// A table from a list of lists of two.
+/// Builds a dictionary from a list of pairs.
 fn table(pairs: &[Value]) -> Result<Value, String> {
     let pair = |pair: &Value| match pair {
         Value::List(items) => match items.borrow().as_slice() {
             [key, value] => Ok((key.clone(), value.clone())),
-            _ => Err("a table of what are no pairs".to_owned()),
+            _ => Err("a dictionary entry is not a pair".to_owned()),
         },
-        _ => Err("a table of what are no pairs".to_owned()),
+        _ => Err("a dictionary entry is not a pair".to_owned()),
     };
     Ok(Value::Table(Rc::new(RefCell::new(pairs.iter().map(pair).collect::<Result<_, _>>()?))))
 }
 
-/// From offset, shape and strides, of which only row-major ones are known.
+/// Builds a tensor from its offset, shape and strides; only row-major strides are supported.
 fn tensor(storage: &Storage, arguments: &[Value]) -> Result<Value, String> {
     let [Value::Int(offset), Value::Tuple(shape), Value::Tuple(strides), ..] = arguments else {
-        return Err("a tensor without offset, shape and strides".into());
+        return Err("a tensor lacks its offset, shape or strides".into());
     };
     let size = |value: &Value| match value {
         Value::Int(size) => usize::try_from(*size).ok(),
@@ -301,17 +301,17 @@ fn tensor(storage: &Storage, arguments: &[Value]) -> Result<Value, String> {
     let sizes = |values: &[Value]| values.iter().map(size).collect::<Option<Vec<_>>>();
     let (Some(offset), Some(shape), Some(strides)) = (usize::try_from(*offset).ok(), sizes(shape), sizes(strides))
     else {
-        return Err("a tensor with a negative size".into());
+        return Err("a tensor has a negative size".into());
     };
     let mut row_major = 1_usize;
     for (size, stride) in shape.iter().zip(&strides).rev() {
         if *size > 1 && *stride != row_major {
             return Err(format!("a tensor of shape {shape:?} with strides {strides:?} is not row-major"));
         }
-        row_major = row_major.checked_mul(*size).ok_or("a tensor larger than memory")?;
+        row_major = row_major.checked_mul(*size).ok_or("a tensor is larger than memory")?;
     }
     if shape.len() != strides.len() || offset.checked_add(row_major).is_none_or(|end| end > storage.len) {
-        return Err(format!("a tensor of shape {shape:?} at {offset} in a storage of {}", storage.len));
+        return Err(format!("a tensor of shape {shape:?} at offset {offset} exceeds its storage of {}", storage.len));
     }
     Ok(Value::Tensor(TensorView { storage: storage.clone(), offset, shape }))
 }

@@ -1,16 +1,16 @@
-//! Golden values from `tests/expected.py`: weights and images come from formulas that both sides compute. The values of
-//! AlexNet and VGG agree with a second independent implementation to 1e-15.
+//! Golden values from `tests/expected.py`, which computes weights and images by the same formulas. The values of AlexNet and
+//! VGG agree with a second independent implementation to 1e-15.
 
-pub mod torch_bytes;
+pub(super) mod torch_bytes;
 
 use super::weights::Weights;
 use super::*;
-use crate::test_images::{image, noise, perturbed};
+use crate::tests::images::{image, noise, perturbed};
 
-/// Relative difference allowed between our f32 network and the f64 one.
+/// Relative tolerance between the f32 network and the f64 one.
 const TOLERANCE: f64 = 1e-5;
 
-/// `count` numbers in [0, 1) with 24 bits each: a hash of the index and the seed.
+/// `count` numbers in [0, 1) with 24 bits each, from a hash of the index and the seed.
 fn uniform(count: usize, seed: u32) -> impl Iterator<Item = f64> {
     (0..count as u32).map(move |at| {
         let mut bits = at.wrapping_add(seed.wrapping_mul(0x9E37_79B9));
@@ -21,8 +21,8 @@ fn uniform(count: usize, seed: u32) -> impl Iterator<Item = f64> {
     })
 }
 
-/// The tensors of a classifier whose weights are made by the formula.
-pub fn generated(backbone: Backbone) -> [BTreeMap<String, Tensor>; 2] {
+/// The tensors of a classifier and its heads, with weights from the formula.
+fn generated(backbone: Backbone) -> [BTreeMap<String, Tensor>; 2] {
     let mut body = BTreeMap::new();
     for ((name, shape), layer) in backbone.convolutions().into_iter().zip(1..) {
         let [outputs, inputs, size, _] = shape;
@@ -97,14 +97,14 @@ fn wrong_tensors_are_named() {
         let error = Lpips::new(Backbone::Alex, &body, &heads).err().expect("must be refused");
         assert!(error.contains(expected), "{error}");
     };
-    refused(&|body, _| drop(body.remove("features.6.bias")), "no tensor features.6.bias");
+    refused(&|body, _| drop(body.remove("features.6.bias")), "tensor features.6.bias is missing");
     refused(&|body, _| body.get_mut("features.3.weight").unwrap().shape.reverse(), "features.3.weight has shape");
     refused(&|body, _| body.get_mut("features.0.bias").unwrap().values[5] = f32::NAN, "features.0.bias[5] is NaN");
-    refused(&|_, heads| drop(heads.remove("lin4.model.1.weight")), "no tensor lin4.model.1.weight");
+    refused(&|_, heads| drop(heads.remove("lin4.model.1.weight")), "tensor lin4.model.1.weight is missing");
 }
 
 #[test]
-fn files_that_are_not_there_are_missing_and_others_under_their_name_are_refused() {
+fn missing_files_are_named_and_altered_ones_refused() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let open = |backbone| Weights::open(dir.path(), backbone);
     assert!(matches!(open(Backbone::Alex), Ok(Weights::Missing(file)) if file.contains("alexnet-owt-7be5be79.pth")));
@@ -113,10 +113,10 @@ fn files_that_are_not_there_are_missing_and_others_under_their_name_are_refused(
     assert!(matches!(open(Backbone::Alex), Ok(Weights::Missing(file)) if file.contains("alex.pth")));
     std::fs::write(dir.path().join("alex.pth"), torch_bytes::sequence(&heads)).expect("written");
     let error = open(Backbone::Alex).err().expect("must be refused").to_string();
-    assert!(error.contains("where the published file has 4df8aa71") && error.ends_with(".pth"), "{error}");
+    assert!(error.contains("that of the published file begins with 4df8aa71") && error.ends_with(".pth"), "{error}");
 }
 
-/// The genuine heads, where they are at hand.
+/// Reads the published heads, if they are available.
 #[test]
 fn published_heads_are_read() {
     let Some(folder) = needs::data("lpips/lpips/weights/v0.1") else { return };

@@ -1,32 +1,32 @@
-//! Tables of tensors in the files of `torch.save`, which published weights come in: the archive that PyTorch writes since
-//! version 1.6, and the sequence of pickles that it wrote before.
+//! Reader of tensor dictionaries in files of `torch.save`: the archive format since PyTorch 1.6, and the older sequence of
+//! pickles. Published weights use both.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read as _};
 
 use super::pickle::{self, Storage, TensorView, Value};
 
-/// What a file of the older layout begins with: a pickle of a magic number, then one of the version (1001).
+/// The beginning of the older format: a pickle of a magic number, then a pickle of the version (1001).
 const MAGIC: &[u8] = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.";
-/// What an archive begins with.
+/// The beginning of an archive.
 const ARCHIVE: &[u8] = b"PK\x03\x04";
-/// Bytes of an f32.
+/// Size of an f32 in bytes.
 const VALUE_BYTES: usize = 4;
 
 /// A row-major tensor.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tensor {
+pub(crate) struct Tensor {
     /// Sizes, outermost first.
-    pub shape: Vec<usize>,
-    /// The values.
-    pub values: Vec<f32>,
+    pub(crate) shape: Vec<usize>,
+    /// The values, row-major.
+    pub(crate) values: Vec<f32>,
 }
 
-/// The named f32 tensors of a file.
+/// Reads the named f32 tensors of a file.
 ///
 /// # Errors
-/// What is wrong with the file, or which of its parts are not known here.
-pub fn read(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, String> {
+/// A description of the damaged or unsupported part of the file.
+pub(crate) fn read(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, String> {
     if let Some(rest) = bytes.strip_prefix(MAGIC) {
         read_sequence(rest)
     } else if bytes.starts_with(ARCHIVE) {
@@ -36,21 +36,22 @@ pub fn read(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, String> {
     }
 }
 
-/// Facts about the machine that wrote, the table, the keys of its storages, then each storage: its length and its values.
+/// Reads the older format: properties of the writing machine, the dictionary, the keys of its storages, then the length and
+/// the values of each storage.
 fn read_sequence(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, String> {
     let (machine, rest) = pickle::read(bytes)?;
     let little_endian = entries(&machine)?
         .iter()
         .any(|(key, value)| matches!((key, value), (Value::Text(key), Value::Int(1)) if key == "little_endian"));
     if !little_endian {
-        return Err("written by a machine with another byte order".into());
+        return Err("the file was written with another byte order".into());
     }
     let (table, rest) = pickle::read(rest)?;
     let (keys, mut rest) = pickle::read(rest)?;
-    let Value::List(keys) = keys else { return Err("no list of storages".into()) };
+    let Value::List(keys) = keys else { return Err("the list of storages is missing".into()) };
     let mut storages = BTreeMap::new();
     for key in keys.borrow().iter() {
-        let Value::Text(key) = key else { return Err("a storage without a name".into()) };
+        let Value::Text(key) = key else { return Err("a storage has no name".into()) };
         let (len, values) = rest.split_first_chunk::<8>().ok_or("the file ends early")?;
         let bytes = usize::try_from(i64::from_le_bytes(*len)).ok().and_then(|len| len.checked_mul(VALUE_BYTES));
         let (values, after) = bytes.and_then(|bytes| values.split_at_checked(bytes)).ok_or("the file ends early")?;
@@ -60,23 +61,23 @@ fn read_sequence(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, String> {
     tensors(&table, |storage| storages.get(&storage.key).cloned().ok_or_else(|| missing(storage)))
 }
 
-/// `NAME/data.pkl` is the table, `NAME/data/KEY` are the storages.
+/// Reads the archive format: the dictionary is `NAME/data.pkl`, the storages are `NAME/data/KEY`.
 fn read_archive(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, String> {
-    let damaged = |error: zip::result::ZipError| format!("damaged archive ({error})");
+    let damaged = |error: zip::result::ZipError| format!("the archive is damaged ({error})");
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
     let names = archive.file_names().collect::<Result<Vec<_>, _>>().map_err(damaged)?;
-    let table_file = names.iter().find(|name| name.ends_with("/data.pkl")).ok_or("an archive without data.pkl")?;
+    let table_file = names.iter().find(|name| name.ends_with("/data.pkl")).ok_or("the archive has no data.pkl")?;
     let folder = table_file.trim_end_matches("data.pkl").to_owned();
     drop(names);
     let mut file = |name: &str| {
         let file = archive.by_name(&format!("{folder}{name}")).map_err(damaged)?;
         let mut content = Vec::new();
-        // What torch.save stores is not compressed: no part is larger than the file.
+        // torch.save does not compress, so no part is larger than the file.
         file.take(bytes.len() as u64).read_to_end(&mut content).map_err(|error| error.to_string())?;
         Ok::<_, String>(content)
     };
     if file("byteorder").is_ok_and(|order| order != b"little") {
-        return Err("written by a machine with another byte order".into());
+        return Err("the file was written with another byte order".into());
     }
     let table = file("data.pkl")?;
     let (table, _) = pickle::read(&table)?;
@@ -84,10 +85,10 @@ fn read_archive(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, String> {
 }
 
 fn missing(storage: &Storage) -> String {
-    format!("the storage {} is not in the file", storage.key)
+    format!("storage {} is missing in the file", storage.key)
 }
 
-/// The tensors of a table whose storages `load` finds.
+/// The tensors of a dictionary; `load` returns the bytes of a storage.
 fn tensors(
     table: &Value,
     mut load: impl FnMut(&Storage) -> Result<Vec<u8>, String>,
@@ -95,7 +96,7 @@ fn tensors(
     let mut found = BTreeMap::new();
     for (key, value) in entries(table)? {
         let (Value::Text(name), Value::Tensor(view)) = (&key, value) else {
-            return Err(format!("an entry that is no named tensor: {key:?}"));
+            return Err(format!("an entry is not a named tensor: {key:?}"));
         };
         let TensorView { storage, offset, shape } = view;
         let bytes = load(&storage)?;
@@ -111,7 +112,7 @@ fn tensors(
 }
 
 fn entries(table: &Value) -> Result<Vec<(Value, Value)>, String> {
-    let Value::Table(entries) = table else { return Err("not a table of tensors".into()) };
+    let Value::Table(entries) = table else { return Err("the file is not a dictionary of tensors".into()) };
     Ok(entries.borrow().clone())
 }
 
@@ -130,13 +131,13 @@ mod tests {
     }
 
     #[test]
-    fn both_layouts_give_the_tensors_back() {
+    fn both_formats_read_back_equal() {
         assert_eq!(read(&torch_bytes::sequence(&table())).unwrap(), table());
         assert_eq!(read(&torch_bytes::archive(&table())).unwrap(), table());
     }
 
     #[test]
-    fn what_is_no_table_of_tensors_is_refused() {
+    fn other_files_are_refused() {
         let sequence = torch_bytes::sequence(&table());
         let replaced = |from: &[u8], to: &[u8]| {
             let at = sequence.windows(from.len()).position(|window| window == from).unwrap();
@@ -144,16 +145,16 @@ mod tests {
             bytes[at..at + from.len()].copy_from_slice(to);
             read(&bytes).unwrap_err()
         };
-        assert!(replaced(b"_rebuild_tensor_v2", b"_rebuild_sensor_v2").contains("which no file of weights needs"));
-        assert!(replaced(b"FloatStorage", b"FloatStorags").contains("where 32-bit floats are expected"));
+        assert!(replaced(b"_rebuild_tensor_v2", b"_rebuild_sensor_v2").contains("is not supported"));
+        assert!(replaced(b"FloatStorage", b"FloatStorags").contains("instead of 32-bit floats"));
         assert!(replaced(b"little_endian", b"little_indian").contains("byte order"));
         assert!(read(b"no torch").unwrap_err().contains("torch.save"));
         let mut longer = table();
         longer.get_mut("features.0.bias").unwrap().shape = vec![3];
-        assert!(read(&torch_bytes::sequence(&longer)).unwrap_err().contains("in a storage of 2"));
+        assert!(read(&torch_bytes::sequence(&longer)).unwrap_err().contains("exceeds its storage of 2"));
     }
 
-    /// Every prefix, and every byte changed: an error or other numbers, never a panic.
+    /// Truncation at every byte and a change of every byte give an error or other numbers, never a panic.
     #[test]
     fn damaged_files_never_panic() {
         for bytes in [torch_bytes::sequence(&table()), torch_bytes::archive(&table())] {
@@ -161,7 +162,7 @@ mod tests {
                 let mut changed = bytes.clone();
                 changed[len] ^= 0x15;
                 let _ = read(&changed);
-                // An archive is read from its end: cut anywhere, it has none.
+                // Truncation removes the directory at the end of an archive.
                 assert!(read(&bytes[..len]).is_err(), "{len} of {} bytes were read", bytes.len());
             }
         }

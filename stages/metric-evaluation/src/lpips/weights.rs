@@ -1,4 +1,4 @@
-//! Where the weights of LPIPS come from: the files that torchvision and the authors of LPIPS publish, verified by hash.
+//! The weights of LPIPS: files that torchvision and the authors of LPIPS publish, verified by hash.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use engine::{Digest, Failure, FailureKind};
 use super::torch_file::{self, Tensor};
 use super::{Backbone, Lpips};
 
-/// A published file and what its SHA-256 begins with (torchvision publishes the first eight digits, in the name).
+/// A published file and the beginning of its SHA-256 (torchvision publishes the first eight digits in the file name).
 struct Published {
     file: &'static str,
     sha256: &'static str,
@@ -31,7 +31,7 @@ const SQUEEZE_HEAD: &[Published] =
     &[published("squeeze.pth", "4a5350f23600cb79923ce65bb07cbf57dca461329894153e05a1346bd531cf76")];
 
 impl Backbone {
-    /// The file of the classifier (two names where torchvision published the same weights twice), and that of LPIPS's own
+    /// The file of the classifier (two names if torchvision published the same weights twice), and the file of LPIPS's own
     /// weights, version 0.1.
     fn files(self) -> [&'static [Published]; 2] {
         match self {
@@ -42,11 +42,11 @@ impl Backbone {
     }
 }
 
-/// LPIPS with one classifier, or why there is none.
-pub enum Weights {
-    /// Ready to measure.
+/// LPIPS with one classifier, or the reason why it is unavailable.
+pub(crate) enum Weights {
+    /// The weights are loaded.
     Ready(Box<Lpips>),
-    /// Which file is not there.
+    /// A file is missing; the text names it.
     Missing(String),
 }
 
@@ -54,8 +54,8 @@ impl Weights {
     /// Reads the files of a classifier in `folder`.
     ///
     /// # Errors
-    /// A file of the right name that is not the published one.
-    pub fn open(folder: &Path, backbone: Backbone) -> Result<Self, Failure> {
+    /// A file with a published name and another content.
+    pub(crate) fn open(folder: &Path, backbone: Backbone) -> Result<Self, Failure> {
         let [body, head] = backbone.files().map(|files| find(folder, files));
         let (body, head) = match (body, head) {
             (Ok(body), Ok(head)) => (body, head),
@@ -63,25 +63,27 @@ impl Weights {
         };
         let [body, head] = [read_verified(&body)?, read_verified(&head)?];
         let lpips = Lpips::new(backbone, &body, &head);
-        let refused = |reason| Failure::new(FailureKind::BadInput, format!("weights of another network: {reason}"));
+        let refused =
+            |reason| Failure::new(FailureKind::BadInput, format!("these are weights of another network: {reason}"));
         lpips.map(|lpips| Self::Ready(Box::new(lpips))).map_err(|reason| refused(reason).at(folder))
     }
 }
 
-/// The verified tensors of LPIPS's own weights alone.
+/// Reads and verifies LPIPS's own weights without a classifier.
 #[cfg(test)]
 pub(super) fn read_head(folder: &Path, backbone: Backbone) -> Result<BTreeMap<String, Tensor>, Failure> {
     let missing = |missing| Failure::new(FailureKind::MissingData, missing);
     read_verified(&find(folder, backbone.files()[1]).map_err(missing)?)
 }
 
+/// A file and the beginning of its published hash.
 type Found = (PathBuf, &'static str);
 
-/// The first of the files that is there, and its hash; or what is missing.
+/// The first existing file and its hash; the error names a missing file.
 fn find(folder: &Path, files: &'static [Published]) -> Result<Found, String> {
-    let here = |published: &Published| Some((folder.join(published.file), published.sha256));
-    let found = files.iter().filter_map(here).find(|(path, _)| path.is_file());
-    found.ok_or_else(|| format!("no {} among the weights of LPIPS", files[0].file))
+    let at = |published: &Published| Some((folder.join(published.file), published.sha256));
+    let found = files.iter().filter_map(at).find(|(path, _)| path.is_file());
+    found.ok_or_else(|| format!("{} is missing in the folder of LPIPS weights", files[0].file))
 }
 
 fn read_verified((path, sha256): &Found) -> Result<BTreeMap<String, Tensor>, Failure> {
@@ -89,8 +91,9 @@ fn read_verified((path, sha256): &Found) -> Result<BTreeMap<String, Tensor>, Fai
     let bytes = std::fs::read(path).map_err(|error| failure(FailureKind::World, format!("cannot read: {error}")))?;
     let found = Digest::of(&bytes).to_string();
     if !found.starts_with(sha256) {
-        let message = format!("SHA-256 is {found} where the published file has {sha256}…");
+        let message = format!("the SHA-256 is {found}, but that of the published file begins with {sha256}");
         return Err(failure(FailureKind::BadInput, message).hint("download the file again"));
     }
-    torch_file::read(&bytes).map_err(|reason| failure(FailureKind::BadInput, format!("cannot use weights: {reason}")))
+    torch_file::read(&bytes)
+        .map_err(|reason| failure(FailureKind::BadInput, format!("cannot read the weights: {reason}")))
 }

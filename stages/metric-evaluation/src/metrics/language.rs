@@ -1,22 +1,22 @@
-//! What renders mean, against labels: the region that a prompt selects, and whether features stay what they are.
+//! Metrics of rendered semantics against labels: the region that a prompt selects, and the drift of features over time.
 
 use std::collections::BTreeMap;
 
 use rendering::SemanticMaps;
 
-/// The instance label of each pixel; none where nothing is in sight, which belongs to no class.
-pub type Labels = [Option<u8>];
+/// The instance label of each pixel; `None` for empty pixels, which belong to no class.
+pub(crate) type Labels = [Option<u8>];
 
-/// A mean feature by class, scaled to unit length.
-pub type ClassFeatures = BTreeMap<u8, Vec<f64>>;
+/// The mean feature per class, scaled to unit length.
+pub(crate) type ClassFeatures = BTreeMap<u8, Vec<f64>>;
 
-/// Which labels each prompt stands for.
+/// The labels that each prompt stands for.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PromptLabels(Vec<(String, Vec<u8>)>);
+pub(crate) struct PromptLabels(Vec<(String, Vec<u8>)>);
 
 impl PromptLabels {
-    /// A prompt stands for every label with its name, whatever the case of letters and the spaces around it.
-    pub fn new<'a>(prompts: &[String], label_names: impl Iterator<Item = &'a str>) -> Self {
+    /// A prompt stands for every label with its name, ignoring case and surrounding spaces.
+    pub(crate) fn new<'a>(prompts: &[String], label_names: impl Iterator<Item = &'a str>) -> Self {
         let plain = |text: &str| text.trim().to_lowercase();
         let names: Vec<String> = label_names.map(plain).collect();
         let labels_of = |prompt: &String| {
@@ -26,35 +26,35 @@ impl PromptLabels {
         Self(prompts.iter().map(|prompt| (prompt.clone(), labels_of(prompt))).collect())
     }
 
-    /// The prompts that no label is called like.
-    pub fn without_class(&self) -> impl Iterator<Item = &str> {
+    /// The prompts without a label of their name.
+    pub(crate) fn without_class(&self) -> impl Iterator<Item = &str> {
         self.0.iter().filter(|(_, labels)| labels.is_empty()).map(|(prompt, _)| prompt.as_str())
     }
 }
 
-/// Intersection over union of the pixels that a prompt selects ([`SemanticMaps::RELEVANT`]) and those of its classes, for
-/// every prompt in sight.
+/// Intersection over union of the pixels that a prompt selects ([`SemanticMaps::RELEVANT`]) and the pixels of its classes,
+/// for every prompt with visible classes.
 ///
-/// A pixel that shows nothing belongs to no class: a prompt that selects it loses. A prompt none of whose classes is in
-/// sight is left out, since no answer could be right.
-pub fn prompt_overlaps(maps: &SemanticMaps, labels: &Labels, prompts: &PromptLabels) -> BTreeMap<String, f64> {
+/// Empty pixels belong to no class, so selecting them lowers the overlap. Prompts without visible classes are skipped,
+/// because no selection could be correct.
+pub(crate) fn prompt_overlaps(maps: &SemanticMaps, labels: &Labels, prompts: &PromptLabels) -> BTreeMap<String, f64> {
     let overlap = |classes: &[u8], relevancy: &[f32]| {
-        let (mut in_sight, mut both, mut either) = (false, 0_usize, 0_usize);
+        let (mut is_visible, mut both, mut either) = (false, 0_usize, 0_usize);
         for (label, &relevancy) in labels.iter().zip(relevancy) {
             let is_class = label.is_some_and(|label| classes.contains(&label));
             let is_selected = relevancy > SemanticMaps::RELEVANT;
-            in_sight |= is_class;
+            is_visible |= is_class;
             both += usize::from(is_class && is_selected);
             either += usize::from(is_class || is_selected);
         }
-        in_sight.then(|| both as f64 / either as f64)
+        is_visible.then(|| both as f64 / either as f64)
     };
     let planes = prompts.0.iter().zip(&maps.relevancy);
     planes.filter_map(|((prompt, classes), plane)| Some((prompt.clone(), overlap(classes, plane)?))).collect()
 }
 
-/// The mean rendered feature over the pixels of every class that the render covers at least half.
-pub fn class_features(maps: &SemanticMaps, labels: &Labels) -> ClassFeatures {
+/// The mean rendered feature per class, over pixels with a coverage of at least one half.
+pub(crate) fn class_features(maps: &SemanticMaps, labels: &Labels) -> ClassFeatures {
     let mut sums = ClassFeatures::new();
     for (at, label) in labels.iter().enumerate() {
         let Some(label) = label.filter(|_| maps.alpha[at] >= SemanticMaps::COVERED) else { continue };
@@ -65,14 +65,14 @@ pub fn class_features(maps: &SemanticMaps, labels: &Labels) -> ClassFeatures {
     sums
 }
 
-/// Per image: the mean over its classes of 1 − cos(f, m), where f is the class's feature in the image and m the mean of
-/// its features over all images; none for an image without a class that other images show too.
+/// For each image, the mean over its classes of 1 − cos(f, m), where f is the feature of the class in the image and m is the
+/// mean of its features over all images; `None` for an image without a class that other images show, too.
 ///
-/// 0 where every class looks the same at every time, 1 where features have nothing in common, 2 at most. Against the mean
-/// and not against the first image, so that no image decides; by angle, because only the angle answers a prompt; by
-/// class, because a mean over the image would change with what is in sight. Features that are the same everywhere do not
-/// drift either: the figure says something only beside the overlap of prompts.
-pub fn feature_drifts(images: &[ClassFeatures]) -> Vec<Option<f64>> {
+/// The drift is 0 if every class has constant features, 1 if features are unrelated, and at most 2. The reference is the
+/// mean rather than the first image, so that no single image decides. The angle is used because prompts depend only on it.
+/// Classes are separate because a mean over the image would change with its content. Features that are equal everywhere
+/// have no drift either, so the metric is meaningful only together with the prompt overlap.
+pub(crate) fn feature_drifts(images: &[ClassFeatures]) -> Vec<Option<f64>> {
     let mut means = BTreeMap::<u8, (usize, Vec<f64>)>::new();
     for (class, feature) in images.iter().flatten() {
         let (count, sum) = means.entry(*class).or_insert_with(|| (0, vec![0.0; feature.len()]));
@@ -89,16 +89,16 @@ pub fn feature_drifts(images: &[ClassFeatures]) -> Vec<Option<f64>> {
     images.iter().map(drift).collect()
 }
 
-/// A vector without direction stays 0: it has nothing in common with any other.
+/// Scales a vector to unit length. A vanishing vector becomes 0, which is unrelated to every other vector.
 fn scale_to_unit(vector: &mut [f64]) {
-    // Features are of order 1; what is left of such values after they cancel has no direction.
+    // Features are of order 1; a remainder after cancellation has no meaningful direction.
     const VANISHES: f64 = 1e-9;
     let length = dot(vector, vector).sqrt();
     let scale = if length > VANISHES { 1.0 / length } else { 0.0 };
     vector.iter_mut().for_each(|value| *value *= scale);
 }
 
-/// 1 − cos, without the last bits of a cosine above 1.
+/// 1 − cos, clamped for cosines that exceed 1 by rounding.
 fn one_less(cosine: f64) -> f64 {
     if cosine > 1.0 { 0.0 } else { 1.0 - cosine }
 }
@@ -111,7 +111,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Two pixels of the background, two of class 1, one of class 2, one that shows nothing.
+    /// Two pixels of the background, two of class 1, one of class 2, and an empty one.
     const LABELS: [Option<u8>; 6] = [Some(0), Some(0), Some(1), Some(1), Some(2), None];
 
     fn prompts() -> PromptLabels {
@@ -119,7 +119,7 @@ mod tests {
         PromptLabels::new(&prompts, ["background", "ball", "cube"].into_iter())
     }
 
-    /// Maps of a model that is right everywhere: prompts select their classes, each class has a feature of its own.
+    /// Maps of a perfect model: prompts select their classes, and each class has its own feature.
     fn perfect() -> SemanticMaps {
         let is = |class: u8| LABELS.map(|label| f32::from(u8::from(label == Some(class)))).to_vec();
         SemanticMaps {
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn right_answers_overlap_wholly_and_shuffled_labels_lose() {
+    fn correct_selections_overlap_fully_and_shuffled_labels_do_not() {
         let right = prompt_overlaps(&perfect(), &LABELS, &prompts());
         assert_eq!(right, [("Ball ".to_string(), 1.0), ("cube".to_string(), 1.0)].into());
         let mut shuffled = LABELS;
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn selecting_nothingness_loses_and_what_is_out_of_sight_does_not_count() {
+    fn selecting_empty_pixels_lowers_the_overlap() {
         let mut greedy = perfect();
         greedy.relevancy[0] = vec![1.0; 6];
         assert_eq!(prompt_overlaps(&greedy, &LABELS, &prompts())["Ball "], 2.0 / 6.0);
@@ -159,28 +159,28 @@ mod tests {
     }
 
     #[test]
-    fn features_that_stay_do_not_drift_and_features_that_flip_do() {
+    fn constant_features_do_not_drift_and_flipped_ones_do() {
         let same = vec![class_features(&perfect(), &LABELS); 4];
         assert_eq!(feature_drifts(&same), [Some(0.0); 4]);
         let mut flipped = perfect();
         flipped.features[2].iter_mut().for_each(|value| *value = -*value);
         let flipped = class_features(&flipped, &LABELS);
         let views: Vec<_> = same[..2].iter().chain([&flipped, &flipped]).cloned().collect();
-        // The class that flips has no mean direction left; two of three classes stay.
+        // The mean of the flipped class vanishes; the other two classes are constant.
         assert_eq!(feature_drifts(&views), [Some(1.0 / 3.0); 4]);
         let late: Vec<_> = same[..3].iter().chain([&flipped]).cloned().collect();
         let drifts = feature_drifts(&late);
         assert_eq!(drifts[0], Some(0.0));
-        assert_eq!(drifts[3], Some(2.0 / 3.0), "the odd one out");
+        assert_eq!(drifts[3], Some(2.0 / 3.0), "the image with the flipped class");
     }
 
     #[test]
-    fn a_class_that_only_one_image_shows_has_no_drift() {
+    fn a_class_in_a_single_image_has_no_drift() {
         let seen = class_features(&perfect(), &LABELS);
         assert_eq!(feature_drifts(&[seen.clone(), ClassFeatures::new()]), [None, None]);
         let mut hidden = perfect();
         hidden.alpha.fill(0.4);
-        assert!(class_features(&hidden, &LABELS).is_empty(), "a hole has no feature");
+        assert!(class_features(&hidden, &LABELS).is_empty(), "holes have no features");
         assert_eq!(feature_drifts(&[]), []);
     }
 }

@@ -1,15 +1,16 @@
-//! Figures of the part of an image that a mask keeps (Gao et al., "Monocular dynamic view synthesis: a reality check",
-//! NeurIPS 2022, whose code is DyCheck).
+//! Metrics over the pixels of a mask (Gao et al., "Monocular dynamic view synthesis: a reality check", NeurIPS 2022, with
+//! the code DyCheck).
 
-use super::ssim::{TAPS, gaussian_window};
-use super::{Score, psnr_from_mse};
-use crate::Image;
+use super::psnr::psnr_from_mse;
+use super::score::Score;
+use super::ssim::{self, TAPS, gaussian_window};
+use crate::image_file::Image;
 
-/// Why a masked figure has no value.
+/// Reason for an undefined masked metric.
 const EMPTY: &str = "the mask is empty";
 
-/// −10 log₁₀ of the mean squared error over the kept pixels and their channels, dB.
-pub fn masked_psnr(render: &Image, truth: &Image, mask: &[bool]) -> Score {
+/// PSNR in dB over the masked pixels and their channels.
+pub(crate) fn masked_psnr(render: &Image, truth: &Image, mask: &[bool]) -> Score {
     let squared = |at: usize| (0..3).map(|c| (render.planes[c][at] - truth.planes[c][at]).powi(2)).sum::<f64>() / 3.0;
     match masked_mean(mask, squared) {
         Score::Value(mse) => Score::Value(psnr_from_mse(mse)),
@@ -17,25 +18,25 @@ pub fn masked_psnr(render: &Image, truth: &Image, mask: &[bool]) -> Score {
     }
 }
 
-/// The mean of `value` over the kept pixels.
-pub fn masked_mean(mask: &[bool], value: impl Fn(usize) -> f64) -> Score {
+/// The mean of `value` over the masked pixels.
+pub(crate) fn masked_mean(mask: &[bool], value: impl Fn(usize) -> f64) -> Score {
     let kept = (0..mask.len()).filter(|&at| mask[at]);
     let (count, sum) = kept.fold((0_usize, 0.0), |(count, sum), at| (count + 1, sum + value(at)));
     if count == 0 { Score::undefined(EMPTY) } else { Score::Value(sum / count as f64) }
 }
 
-/// SSIM over a mask, as DyCheck has it and without what inflates it.
+/// Two means of SSIM over a mask.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MaskedSsim {
-    /// Mean over all windows inside the image; a window that sees nothing of the mask counts as equal.
-    pub dycheck: Score,
-    /// Mean over the windows that see something of the mask.
-    pub strict: Score,
+pub(crate) struct MaskedSsim {
+    /// DyCheck's mean over all windows inside the image; windows outside of the mask count as equal.
+    pub(crate) dycheck: Score,
+    /// Mean over the windows that intersect the mask.
+    pub(crate) strict: Score,
 }
 
-/// SSIM whose window means are partial convolutions: pixels outside of the mask are left out, and the rest is scaled by
-/// the number of taps over the number of kept ones, along rows first and then along columns.
-pub fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> MaskedSsim {
+/// SSIM with partial convolutions as window means: pixels outside of the mask are skipped, and the sum is scaled by the
+/// number of taps divided by the number of masked pixels, first along rows and then along columns.
+pub(crate) fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> MaskedSsim {
     let (width, height) = (render.width, render.height);
     let undefined =
         |reason: String| MaskedSsim { dycheck: Score::undefined(&reason), strict: Score::undefined(reason) };
@@ -50,7 +51,7 @@ pub fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> MaskedSsim {
         let moments: Vec<Moments> =
             a.iter().zip(b).zip(mask).map(|((&a, &b), &kept)| kept.then_some([a, b, a * a, b * b, a * b])).collect();
         let along_rows = partial_means(&moments, [height, width], [width, 1]);
-        // What is left is shorter by a window along rows; columns come next.
+        // The rows of the result are shorter by one window; columns come next.
         let left = width - TAPS + 1;
         let along_columns = partial_means(&along_rows, [left, height], [1, left]);
         windows += along_columns.len();
@@ -61,17 +62,17 @@ pub fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> MaskedSsim {
     }
     let unseen = (windows - seen) as f64;
     let strict = match seen {
-        0 => Score::undefined("no window of SSIM sees the mask"),
+        0 => Score::undefined("no SSIM window intersects the mask"),
         _ => Score::Value(sum_seen / seen as f64),
     };
     MaskedSsim { dycheck: Score::Value((sum_seen + unseen) / windows as f64), strict }
 }
 
-/// Window means of a, b, a², b² and ab; none where a window sees nothing of the mask.
+/// Window means of a, b, a², b² and ab; `None` for a window outside of the mask.
 type Moments = Option<[f64; 5]>;
 
-/// Window means along the second of two axes with these lengths and strides; windows lie inside the image. The result
-/// keeps the order of the axes in memory.
+/// Window means along the second of two axes with these lengths and strides, for windows inside the image. The result keeps
+/// the memory order of the axes.
 fn partial_means(values: &[Moments], [across, along]: [usize; 2], [line, step]: [usize; 2]) -> Vec<Moments> {
     let window = gaussian_window();
     let windows = along - TAPS + 1;
@@ -97,19 +98,20 @@ fn partial_means(values: &[Moments], [across, along]: [usize; 2], [line, step]: 
     }
 }
 
-/// SSIM with variances cut at 0 and the covariance at their geometric mean, which partial windows can exceed.
+/// SSIM of a window. Partial windows can give negative variances and covariances above the geometric mean of the
+/// variances, so both are clamped.
 fn ssim_of_moments([a, b, squares_a, squares_b, products]: [f64; 5]) -> f64 {
     let (variance_a, variance_b) = ((squares_a - a * a).max(0.0), (squares_b - b * b).max(0.0));
     let largest = (variance_a * variance_b).sqrt();
     let covariance = (products - a * b).clamp(-largest, largest);
-    super::ssim::index([a, b], [variance_a, variance_b], covariance)
+    ssim::index([a, b], [variance_a, variance_b], covariance)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::metrics::tests::TOLERANCE;
-    use crate::test_images::{image, noise, perturbed};
+    use crate::tests::images::{image, noise, perturbed};
 
     const SIZE: [usize; 2] = [64, 48];
 
@@ -132,7 +134,7 @@ mod tests {
 
     /// Values of an independent implementation; its SSIM agrees with DyCheck's own code to 1e-15.
     #[test]
-    fn masked_figures_equal_independent_values() {
+    fn masked_metrics_equal_independent_values() {
         let [a, b] = pair();
         for (mask, psnr) in [
             (mask(ellipse), 18.061575672873694),
@@ -154,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn empty_masks_and_small_images_are_said_to_be_so() {
+    fn empty_masks_and_small_images_are_undefined() {
         let [a, b] = pair();
         let nothing = mask(|_, _| false);
         assert_eq!(masked_psnr(&a, &b, &nothing), Score::undefined(EMPTY));
@@ -165,9 +167,9 @@ mod tests {
         near(&masked_ssim(&constant, &constant, &mask(ellipse)).strict, 1.0);
     }
 
-    /// The planted fault: what the mask hides must not count.
+    /// Planted fault: pixels outside of the mask must not change the result.
     #[test]
-    fn errors_outside_of_the_mask_do_not_count() {
+    fn errors_outside_of_the_mask_are_ignored() {
         let [a, b] = pair();
         let keep = mask(ellipse);
         let mut elsewhere = b.clone();

@@ -1,92 +1,94 @@
-//! The figures of quality: name, unit, direction and decimals of each, once.
+//! The metrics: name, unit, direction and decimals of each.
 
 use serde::{Deserialize, Serialize};
 
-/// A figure of quality.
+/// A quality metric.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Metric {
-    /// Per-image PSNR in dB; a set's value is the mean over its images.
+    /// PSNR per image in dB; the value of a set is the mean over its images.
     Psnr,
-    /// PSNR in dB of the mean squared error over all images (the original NeRF convention); defined for a set only.
+    /// PSNR in dB of the mean squared error over all images (the convention of NeRF); defined for a set only.
     PsnrPooled,
     /// SSIM of 3D Gaussian Splatting: 11-tap Gaussian window, σ = 1.5, zero padding, mean over pixels and channels.
     Ssim,
-    /// The same SSIM over the windows that lie inside the image (scikit-image, D-NeRF, `tf.image.ssim`).
+    /// SSIM with the same window, over windows inside the image (scikit-image, D-NeRF, `tf.image.ssim`).
     SsimValid,
     /// Multi-scale SSIM over five scales (`pytorch_msssim`).
     MsSsim,
-    /// LPIPS 0.1 with AlexNet, colours in [-1, 1] ([`crate::lpips`]).
+    /// LPIPS 0.1 with AlexNet, for colours in [-1, 1].
     LpipsAlex,
-    /// The same with VGG-16.
+    /// LPIPS 0.1 with VGG-16, for colours in [-1, 1].
     LpipsVgg,
-    /// The same with SqueezeNet 1.1.
+    /// LPIPS 0.1 with SqueezeNet 1.1, for colours in [-1, 1].
     LpipsSqueeze,
-    /// With AlexNet and colours in [0, 1], as the code of 3D Gaussian Splatting measures it by mistake: lower than LPIPS.
+    /// LPIPS with AlexNet and colours in [0, 1], a mistake in the code of 3D Gaussian Splatting; lower than LPIPS.
     LpipsAlexLegacy,
-    /// The same with VGG-16.
+    /// LPIPS with VGG-16 and colours in [0, 1], a mistake in the code of 3D Gaussian Splatting; lower than LPIPS.
     LpipsVggLegacy,
     /// PSNR over the pixels of a mask.
     MaskedPsnr,
-    /// SSIM by partial convolution over a mask, mean over all windows as DyCheck has it: windows that see nothing of the
-    /// mask count as equal, so that it rises as the mask shrinks.
+    /// SSIM by partial convolution over a mask, mean over all windows (DyCheck). Windows outside of the mask count as
+    /// equal, so that the value increases as the mask shrinks.
     MaskedSsim,
-    /// The same, mean over the windows that see something of the mask.
+    /// SSIM by partial convolution over a mask, mean over the windows that intersect the mask.
     MaskedSsimStrict,
-    /// LPIPS (AlexNet) by pixel of images that are black outside of a mask, mean over the mask (DyCheck).
+    /// LPIPS (AlexNet) per pixel of images that are black outside of a mask, mean over the mask (DyCheck).
     MaskedLpips,
-    /// Mean absolute change of the error between an image and the one before it of the same camera at rest.
+    /// Mean absolute change of the error between consecutive images of a fixed camera.
     Flicker,
-    /// Mean cosine of what an image shows with the one before it and with the first of its camera (VBench), where features
-    /// of its subject are supplied.
+    /// Mean cosine of an image's subject features with those of the previous and of the first image of its camera (VBench);
+    /// the features are supplied.
     SubjectConsistency,
-    /// The same of features of the background.
+    /// Mean cosine of an image's background features with those of the previous and of the first image of its camera
+    /// (VBench); the features are supplied.
     BackgroundConsistency,
-    /// How much the motion seen in the render's video differs from that in the truth's (tOF), where flows of both are given.
+    /// Difference between the optical flow in the video of the renders and in that of the ground truth (tOF); both flows
+    /// are supplied.
     FlowOfVideo,
     /// PSNR over the pixels whose true surface moves.
     PsnrMoving,
-    /// The same, pooled over the images in which less than half as much of the moving surface is seen as in the image
-    /// that sees most of it: while it goes behind something, and when it comes back. Defined for a set only.
+    /// PSNR over pixels whose true surface moves, pooled over images with less than half as many such pixels as the image
+    /// with most of them, i.e. while the surface is partly occluded. Defined for a set only.
     PsnrEmerging,
     /// Mean distance between rendered and true velocity of moving surfaces, scene units per second.
     VelocityError,
     /// Mean end-point error of the flow to the next frame on moving surfaces, pixels.
     FlowError,
-    /// Mean difference in view-space z where render and truth show a surface, scene units.
+    /// Mean difference in view-space z where render and ground truth show a surface, scene units.
     DepthError,
-    /// Share of the truly covered pixels where the render covers less than half.
+    /// Share of the covered pixels of the ground truth where the render covers less than half.
     HoleArea,
-    /// Share of all pixels where the render shows a surface that is more than a tenth nearer than the true one, or
-    /// where there is none.
+    /// Share of all pixels where the render shows a surface more than a tenth nearer than the true one, or a surface where
+    /// there is none.
     FloaterArea,
-    /// Intersection over union of the pixels that a prompt selects and those labelled with its class, mean over the prompts
-    /// in sight ([`super::prompt_overlaps`]).
+    /// Intersection over union of the pixels that a prompt selects and the pixels labelled with its class, mean over the
+    /// prompts with visible classes.
     PromptIou,
-    /// 1 − cosine between the mean feature of a class in an image and its mean over all images, mean over the classes in
-    /// sight ([`super::feature_drifts`]).
+    /// 1 − cosine between the mean feature of a class in an image and its mean over all images, mean over the visible
+    /// classes.
     FeatureDrift,
 }
 
-/// What a figure is computed from.
+/// The inputs that a metric is computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Family {
-    /// Colours of render and truth.
+pub(crate) enum Family {
+    /// Colours of the render and the ground truth.
     Images,
-    /// What trained networks see in both.
+    /// Network features of both images.
     Perceptual,
-    /// A part of each image.
+    /// The masked part of each image.
     Masked,
-    /// Images of one camera in the order of time.
+    /// The image sequence of one camera.
     Video,
     /// Exact maps of surfaces.
     Surfaces,
-    /// Labels and what the model means.
+    /// Labels and the model's semantics.
     Language,
 }
 
-/// What a metric is called and how it is printed.
+/// Names and format of a metric.
 struct Definition {
     family: Family,
     key: &'static str,
@@ -142,7 +144,7 @@ impl Metric {
             ..more(family, key, heading, unit, decimals)
         };
         use Family::{Images, Language, Masked, Perceptual, Surfaces, Video};
-        // Decimals of images' figures are those that the literature prints.
+        // Image metrics have the decimals of the literature.
         match self {
             Self::Psnr => more(Images, "psnr", "PSNR", "dB", 2),
             Self::PsnrPooled => more(Images, "psnr_pooled", "PSNR pooled", "dB", 2),
@@ -184,27 +186,27 @@ impl Metric {
         self.definition().heading
     }
 
-    /// Decimals in tables, and that ranks are decided on.
+    /// Number of decimals in tables and rankings.
     pub fn decimals(self) -> usize {
         self.definition().decimals
     }
 
-    /// `dB`, `px`, or nothing for an index, a share and scene units.
+    /// The unit, e.g. `dB` or `px`; empty for indices, shares and scene units.
     pub fn unit(self) -> &'static str {
         self.definition().unit
     }
 
-    /// Whether more is better.
+    /// Whether higher values are better.
     pub fn higher_is_better(self) -> bool {
         self.definition().higher_is_better
     }
 
-    /// What the figure is computed from.
-    pub fn family(self) -> Family {
+    /// The inputs that the metric is computed from.
+    pub(crate) fn family(self) -> Family {
         self.definition().family
     }
 
-    /// Whether the figure needs more than pairs of images; it is absent where that is not given, and its mean is over the
+    /// Whether the metric needs more than pairs of images. It is absent without these inputs, and its mean is over the
     /// images that define it.
     pub fn is_conditional(self) -> bool {
         !matches!(self.family(), Family::Images | Family::Perceptual)

@@ -1,64 +1,31 @@
-//! Metrics in f64: of images, each by the definition that the splatting literature uses; of parts of images and of videos;
-//! of surfaces and of what they mean, where a capture knows that exactly.
+//! Metrics in f64: of images, by the definitions of the splatting literature; of masked images and image sequences; of
+//! surfaces and semantics, where a capture has exact maps or labels.
 
-mod language;
-mod masked;
-mod metric;
+pub(crate) mod language;
+pub(crate) mod masked;
+pub(crate) mod metric;
 mod ms_ssim;
-mod psnr;
+pub(crate) mod psnr;
+pub(crate) mod score;
 mod ssim;
-mod surfaces;
+pub(crate) mod surfaces;
 #[cfg(test)]
 mod tests;
-mod video;
+pub(crate) mod video;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use serde::{Deserialize, Serialize};
+use self::metric::Metric;
+use self::ms_ssim::ms_ssim;
+use self::psnr::{mean_squared_error, psnr_from_mse};
+use self::score::Score;
+use self::ssim::{SsimMeans, ssim_means};
+use crate::image_file::Image;
 
-pub use language::{ClassFeatures, PromptLabels, class_features, feature_drifts, prompt_overlaps};
-pub use masked::{MaskedSsim, masked_mean, masked_psnr, masked_ssim};
-pub use metric::{Family, Metric};
-pub use ms_ssim::ms_ssim;
-pub use psnr::{PSNR_CAP_DB, mean_squared_error, psnr_from_mse};
-pub use ssim::{SsimMeans, ssim_means};
-pub use surfaces::{MovingError, Truths, judge_surfaces, psnr_of_moving};
-pub use video::{consistencies, flow_difference, residual_change};
-
-use crate::Image;
-
-/// A metric's outcome: a finite number, or why there is none.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum Score {
-    /// A finite number.
-    Value(f64),
-    /// The metric does not exist for this input.
-    Undefined {
-        /// Why, as `image smaller than 161 px`.
-        undefined: String,
-    },
-}
-
-impl Score {
-    /// An undefined score with its reason.
-    pub fn undefined(reason: impl Into<String>) -> Self {
-        Self::Undefined { undefined: reason.into() }
-    }
-
-    /// The number, if there is one.
-    pub fn value(&self) -> Option<f64> {
-        match self {
-            Self::Value(value) => Some(*value),
-            Self::Undefined { .. } => None,
-        }
-    }
-}
-
-/// Judges one pair of equally large images by every per-image metric in `wanted`.
+/// Computes the wanted metrics of a render and its ground truth, which must have equal sizes.
 ///
-/// The three SSIM figures share the window sums of the full-resolution images.
-pub fn judge(render: &Image, truth: &Image, wanted: &BTreeSet<Metric>) -> BTreeMap<Metric, Score> {
+/// The three SSIM metrics share the window sums of the full-resolution images.
+pub(crate) fn image_scores(render: &Image, truth: &Image, wanted: &BTreeSet<Metric>) -> BTreeMap<Metric, Score> {
     let mut scores = BTreeMap::new();
     if wanted.contains(&Metric::Psnr) {
         scores.insert(Metric::Psnr, Score::Value(psnr_from_mse(mean_squared_error(render, truth))));
@@ -77,9 +44,9 @@ pub fn judge(render: &Image, truth: &Image, wanted: &BTreeSet<Metric>) -> BTreeM
     scores
 }
 
-/// Mean over the three channels of a figure that needs at least one whole window.
-fn mean_of_channels(channels: &[SsimMeans; 3], figure: impl Fn(&SsimMeans) -> Option<f64>) -> Score {
-    match channels.iter().map(figure).sum::<Option<f64>>() {
+/// The mean over three channels of a value that needs at least one window inside the image.
+fn mean_of_channels(channels: &[SsimMeans; 3], value: impl Fn(&SsimMeans) -> Option<f64>) -> Score {
+    match channels.iter().map(value).sum::<Option<f64>>() {
         Some(sum) => Score::Value(sum / 3.0),
         None => Score::undefined(format!("image smaller than {} px", ssim::TAPS)),
     }

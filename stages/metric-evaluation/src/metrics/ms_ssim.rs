@@ -2,20 +2,21 @@
 
 use std::borrow::Cow;
 
-use super::Score;
+use super::score::Score;
 use super::ssim::{SsimMeans, TAPS, ssim_means};
-use crate::Image;
+use crate::image_file::Image;
 
-/// Exponents of the five scales, from the finest.
+/// Exponents of the five scales, beginning with the finest.
 const SCALE_WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
-/// At the coarsest scale, 1/16 of the size, one window must still fit: (11 - 1)·16 + 1.
+/// Minimum side in pixels: one window must fit at the coarsest scale, 1/16 of the size, i.e. (11 − 1)·16 + 1.
 const MIN_SIZE: usize = (TAPS - 1) * 16 + 1;
 
-/// MS-SSIM of a pair whose full-resolution SSIM means per channel are already known.
+/// MS-SSIM of a pair, given its SSIM means per channel at full resolution.
 ///
-/// Windows inside the image; contrast-structure on scales 1 to 4 and SSIM on scale 5, negative means cut to 0; product
-/// per channel, then mean over channels. Halving averages 2×2 pixels; an odd side gets a zero row on both ends first.
-pub fn ms_ssim(render: &Image, truth: &Image, full_scale: &[SsimMeans; 3]) -> Score {
+/// The windows are inside the image. The product over scales takes contrast-structure on scales 1 to 4 and SSIM on scale 5,
+/// with negative means clamped to 0; it is averaged over channels. Downsampling averages 2×2 pixels, after padding an odd
+/// side with zeros on both ends.
+pub(super) fn ms_ssim(render: &Image, truth: &Image, full_scale: &[SsimMeans; 3]) -> Score {
     if render.width.min(render.height) < MIN_SIZE {
         return Score::undefined(format!("image smaller than {MIN_SIZE} px"));
     }
@@ -37,7 +38,7 @@ pub fn ms_ssim(render: &Image, truth: &Image, full_scale: &[SsimMeans; 3]) -> Sc
     Score::Value(product_sum / 3.0)
 }
 
-/// Means of 2×2 pixels; an odd side is padded with one zero on both ends, so that n becomes ⌈n / 2⌉.
+/// Averages 2×2 pixels. An odd side n is padded with one zero on both ends, so that it becomes ⌈n / 2⌉.
 fn halved(plane: &[f64], width: usize) -> Vec<f64> {
     let height = plane.len() / width;
     let (pad_x, pad_y) = (width % 2, height % 2);

@@ -1,10 +1,11 @@
-//! Golden values. The images come from integer formulas; the numbers were computed from the same formulas by an
-//! independent f64 implementation in numpy and scipy, and the SSIM ones agree with scikit-image to 1e-15.
+//! Golden values of an independent f64 implementation in NumPy and SciPy, for images from the same integer formulas. The
+//! SSIM values agree with scikit-image to 1e-15.
 
+use super::psnr::PSNR_CAP_DB;
 use super::*;
-use crate::test_images::{image, noise, perturbed};
+use crate::tests::images::{image, noise, perturbed};
 
-/// Allowed difference from the independent implementation; both work in f64.
+/// Tolerance against the independent implementation; both compute in f64.
 pub(super) const TOLERANCE: f64 = 1e-9;
 
 fn nearly(x: i64, y: i64, c: i64) -> i64 {
@@ -25,7 +26,7 @@ fn smooth_noisy(x: i64, y: i64, c: i64) -> i64 {
 }
 
 fn scores(width: usize, height: usize, pair: [fn(i64, i64, i64) -> i64; 2]) -> BTreeMap<Metric, Score> {
-    judge(&image(width, height, pair[0]), &image(width, height, pair[1]), &Metric::ALL.into())
+    image_scores(&image(width, height, pair[0]), &image(width, height, pair[1]), &Metric::ALL.into())
 }
 
 fn assert_score(scores: &BTreeMap<Metric, Score>, metric: Metric, expected: f64) {
@@ -34,7 +35,7 @@ fn assert_score(scores: &BTreeMap<Metric, Score>, metric: Metric, expected: f64)
 }
 
 #[test]
-fn images_are_those_of_the_formulas() {
+fn generated_images_have_the_expected_sums() {
     let sum = |image: Image| image.planes.iter().flatten().map(|value| (value * 255.0).round() as u64).sum::<u64>();
     assert_eq!(sum(image(64, 48, noise)), 1_166_592);
     assert_eq!(sum(image(64, 48, perturbed)), 1_124_948);
@@ -42,7 +43,7 @@ fn images_are_those_of_the_formulas() {
 }
 
 #[test]
-fn psnr_per_image_and_pooled() {
+fn psnr_equals_independent_values() {
     let [a, b, c] = [image(64, 48, noise), image(64, 48, perturbed), image(64, 48, nearly)];
     let (mse_ab, mse_ac) = (mean_squared_error(&a, &b), mean_squared_error(&a, &c));
     assert!((psnr_from_mse(mse_ab) - 22.732017174683882).abs() <= TOLERANCE);
@@ -52,7 +53,7 @@ fn psnr_per_image_and_pooled() {
 }
 
 #[test]
-fn ssim_zero_padded_and_valid() {
+fn ssim_equals_independent_values() {
     let small = scores(64, 48, [noise, perturbed]);
     assert_score(&small, Metric::Ssim, 0.9010769626555261);
     assert_score(&small, Metric::SsimValid, 0.8770442945649521);
@@ -62,15 +63,15 @@ fn ssim_zero_padded_and_valid() {
 }
 
 #[test]
-fn ms_ssim_of_even_and_odd_sizes() {
+fn ms_ssim_equals_independent_values() {
     assert_score(&scores(256, 256, [noise, perturbed]), Metric::MsSsim, 0.9858967019036853);
     assert_score(&scores(256, 256, [smooth, smooth_noisy]), Metric::MsSsim, 0.9905789415898404);
     assert_score(&scores(201, 179, [noise, perturbed]), Metric::MsSsim, 0.985281843921101);
     assert_score(&scores(201, 179, [smooth, smooth_noisy]), Metric::MsSsim, 0.9906819182422573);
 }
 
-/// The comparator must see the difference between the two halvings of an odd side that are in use: the one of
-/// `tf.image.ssim_multiscale` (repeat the last row) gives 0.98526.
+/// The comparator must detect the other common downsampling of odd sides: that of `tf.image.ssim_multiscale`, which repeats
+/// the last row, gives 0.98526.
 #[test]
 fn a_wrong_variant_is_rejected() {
     let odd = scores(201, 179, [noise, perturbed]);
@@ -81,7 +82,7 @@ fn a_wrong_variant_is_rejected() {
 }
 
 #[test]
-fn small_images_have_no_ms_ssim_and_tiny_ones_no_valid_ssim() {
+fn small_images_have_undefined_ssim_variants() {
     let reason = |scores: &BTreeMap<Metric, Score>, metric| scores[&metric].clone();
     let small = scores(160, 400, [noise, perturbed]);
     assert_eq!(reason(&small, Metric::MsSsim), Score::undefined("image smaller than 161 px"));
@@ -105,7 +106,7 @@ fn constant_and_identical_images_have_finite_scores() {
 }
 
 #[test]
-fn an_undefined_error_is_no_perfect_score() {
+fn a_nan_error_is_not_a_perfect_score() {
     assert!(psnr_from_mse(f64::NAN).is_nan());
     assert_eq!(psnr_from_mse(f64::INFINITY), f64::NEG_INFINITY);
     assert_eq!(psnr_from_mse(0.0), PSNR_CAP_DB);

@@ -1,40 +1,40 @@
-//! The file of what a render means: semantic features and the relevancy of prompts, per pixel.
+//! The file of rendered semantics: semantic features and the relevancy of prompts, per pixel.
 
 use std::path::Path;
 
 use anyhow::{Context as _, ensure};
 use scene::exr_file::{self, ExrImage};
 
-/// What a render means; everything but `alpha` is 0 where nothing is in sight.
+/// The semantics of one render. Everything but `alpha` is 0 where no Gaussian covers the pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SemanticMaps {
-    /// Pixels per row.
+    /// Image width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Image height in pixels.
     pub height: u32,
     /// [H, W] coverage in [0, 1].
     pub alpha: Vec<f32>,
-    /// C planes [H, W]: the mean semantic features of the Gaussians in sight, weighted as their colours are.
+    /// C planes [H, W]: mean semantic features of the visible Gaussians, with the blending weights of the colours.
     pub features: Vec<Vec<f32>>,
-    /// P planes [H, W] in [0, 1]: how much a pixel is what a prompt means rather than what another one means; above one
-    /// half for at most one prompt. None where the model does not know what its features mean in words.
+    /// P planes [H, W] in [0, 1]: relevancy of each prompt relative to the other prompts; above one half for at most one
+    /// prompt. Empty if the model cannot decode its features into prompts.
     pub relevancy: Vec<Vec<f32>>,
 }
 
-/// The channel of the coverage.
+/// Channel of the coverage.
 const ALPHA: &str = "A";
-/// What the channels of features begin with; a number follows.
+/// Prefix of feature channels; a three-digit index follows.
 const FEATURE: &str = "feature.";
-/// The same of relevancies.
+/// Prefix of relevancy channels; a three-digit index follows.
 const PROMPT: &str = "prompt.";
 
 impl SemanticMaps {
-    /// Coverage from which on a pixel shows something that can mean something.
+    /// Minimum coverage of a pixel whose semantics are meaningful.
     pub const COVERED: f32 = 0.5;
-    /// Relevancy above which a prompt selects a pixel: more than any other prompt.
+    /// Relevancy above which a prompt selects a pixel; it then exceeds that of every other prompt.
     pub const RELEVANT: f32 = 0.5;
 
-    /// Reads what [`SemanticMaps::write`] wrote; values must be finite.
+    /// Reads a file of [`SemanticMaps::write`]. A missing channel or a non-finite value is an error.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let image = exr_file::read(path)?;
         let alpha =
@@ -43,11 +43,11 @@ impl SemanticMaps {
         ensure!(!features.is_empty(), "no semantic features: {}", path.display());
         let finite = |plane: &Vec<f32>| plane.iter().all(|value| value.is_finite());
         let all_finite = finite(&alpha) && features.iter().chain(&relevancy).all(finite);
-        ensure!(all_finite, "semantic features that are not finite: {}", path.display());
+        ensure!(all_finite, "semantic features are not finite: {}", path.display());
         Ok(Self { width: image.width, height: image.height, alpha, features, relevancy })
     }
 
-    /// Writes an EXR file with the channels A, feature.000 and so on, and prompt.000 and so on.
+    /// Writes an EXR file with the channels `A`, `feature.000`, `feature.001`, …, `prompt.000`, `prompt.001`, …
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         let named = |prefix: &str, planes: &[Vec<f32>]| -> Vec<(String, Vec<f32>)> {
             planes.iter().enumerate().map(|(at, plane)| (channel(prefix, at), plane.clone())).collect()
@@ -61,7 +61,7 @@ impl SemanticMaps {
     }
 }
 
-/// The planes whose channels begin so, in the order of their numbers.
+/// The planes whose channels have this prefix, in the order of their indices.
 fn numbered(image: &ExrImage, prefix: &str) -> Vec<Vec<f32>> {
     (0..).map_while(|at| image.channel(&[&channel(prefix, at)]).map(<[f32]>::to_vec)).collect()
 }
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn written_maps_read_back_equal_and_poisoned_ones_are_refused() {
+    fn written_maps_read_back_equal_and_non_finite_values_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("maps.exr");
         let plane = |seed: usize| (0..6).map(|at| (seed + at) as f32 / 8.0).collect::<Vec<f32>>();
@@ -88,9 +88,9 @@ mod tests {
         };
         maps.write(&path).unwrap();
         assert_eq!(SemanticMaps::read(&path).unwrap(), maps);
-        let mute = SemanticMaps { relevancy: Vec::new(), ..maps.clone() };
-        mute.write(&path).unwrap();
-        assert_eq!(SemanticMaps::read(&path).unwrap(), mute);
+        let without_prompts = SemanticMaps { relevancy: Vec::new(), ..maps.clone() };
+        without_prompts.write(&path).unwrap();
+        assert_eq!(SemanticMaps::read(&path).unwrap(), without_prompts);
         let mut poisoned = maps;
         poisoned.features[11][5] = f32::NAN;
         poisoned.write(&path).unwrap();

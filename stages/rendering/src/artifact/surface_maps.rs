@@ -1,34 +1,34 @@
-//! The file of the surfaces that a render shows: coverage, depth, velocity and flow, per pixel.
+//! The file of rendered surfaces: coverage, depth, velocity and optical flow, per pixel.
 
 use std::path::Path;
 
 use anyhow::Context as _;
 use scene::exr_file;
 
-/// The surfaces that a render shows; everything but `alpha` is 0 where `alpha` is below [`SurfaceMaps::COVERED`].
+/// The surfaces of one render. Everything but `alpha` is 0 where `alpha` is below [`SurfaceMaps::COVERED`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfaceMaps {
-    /// Pixels per row.
+    /// Image width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Image height in pixels.
     pub height: u32,
     /// [H, W] coverage in [0, 1].
     pub alpha: Vec<f32>,
-    /// [H, W] mean view-space z, scene units.
+    /// [H, W] mean view-space z in scene units.
     pub depth_view: Vec<f32>,
-    /// [H, W] mean velocity, world, scene units per second.
+    /// [H, W] mean velocity in world coordinates, scene units per second.
     pub velocity_world: Vec<[f32; 3]>,
-    /// [H, W] mean displacement until the next frame as the same camera sees it, pixels.
+    /// [H, W] mean displacement until the next frame in the image of the same camera, in pixels.
     pub flow_px: Vec<[f32; 2]>,
 }
 
 impl SurfaceMaps {
-    /// Coverage from which on a pixel shows a surface.
+    /// Minimum coverage of a pixel that shows a surface.
     pub const COVERED: f32 = 0.5;
-    /// Names of the channels in files.
+    /// Channel names in files.
     const CHANNELS: [&str; 7] = ["A", "Z", "velocity.X", "velocity.Y", "velocity.Z", "flow.X", "flow.Y"];
 
-    /// Reads what [`SurfaceMaps::write`] wrote.
+    /// Reads a file of [`SurfaceMaps::write`]. A missing channel is an error.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let image = exr_file::read(path)?;
         let channel = |at: usize| {
@@ -43,7 +43,7 @@ impl SurfaceMaps {
         Ok(Self { width, height, alpha, depth_view, velocity_world, flow_px })
     }
 
-    /// Writes an EXR file with the channels A, Z, velocity.X to velocity.Z, flow.X and flow.Y.
+    /// Writes an EXR file with the channels `A`, `Z`, `velocity.X`, `velocity.Y`, `velocity.Z`, `flow.X` and `flow.Y`.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         let velocity = |axis: usize| self.velocity_world.iter().map(|velocity| velocity[axis]).collect();
         let flow = |axis: usize| self.flow_px.iter().map(|flow| flow[axis]).collect();

@@ -1,9 +1,9 @@
 //! `transforms_{train,val,test}.json`: D-NeRF and the synthetic scenes of NeRF (Pumarola et al. 2021, Mildenhall et
 //! al. 2020).
 //!
-//! `camera_angle_x` is the horizontal field of view in radians; `transform_matrix` maps camera to world with Blender's
-//! axes (x right, y up, looking along −z); `time` is in [0, 1] and absent for a scene at rest; `file_path` names a PNG,
-//! its extension left out. Focal lengths, principal point and distortion count where a file or a frame states them.
+//! `camera_angle_x` is the horizontal field of view in radians. `transform_matrix` maps camera to world coordinates with
+//! Blender's axes (x right, y up, looking along −z). `time` is in [0, 1] and missing for a static scene. `file_path` names
+//! a PNG without its extension. Focal lengths, principal point and distortion are used if a file or a frame states them.
 
 mod stated_lens;
 
@@ -14,19 +14,20 @@ use scene::{RigidTransform, Split, TimeMap};
 use serde::Deserialize;
 
 use self::stated_lens::StatedLens;
-use crate::Params;
-use crate::params::{Format, TestSplit};
-use crate::source::{Frame, Result, SourceCapture, bad, image_size, read_bytes};
+use crate::error::{Result, bad};
+use crate::files::{self, image_size, read_bytes};
+use crate::params::{Format, Params, TestSplit};
+use crate::source::{Frame, SourceCapture, time_range_secs};
 use crate::split;
 
-/// Half the side of the cube in which the D-NeRF loaders draw their initial points.
+/// Half the side of the cube in which D-NeRF loaders sample initial points.
 const BOUND: f64 = 1.3;
-/// Rounding of the last row of a homogeneous matrix.
+/// Tolerance for the last row of a homogeneous matrix.
 const LAST_ROW_TOLERANCE: f64 = 1e-6;
 
-/// A flaw of the benchmark; published tables leave the scene out or test it on its validation split.
-const LEGO: &str = "D-NeRF's lego: the test images show another state of the scene than the training images; \
-                    test_split = \"val\" tests on the validation images";
+/// A flaw of the benchmark. Published tables omit the scene or test on its validation split.
+const LEGO: &str = "D-NeRF's lego: the test images show a different state of the scene than the training images; \
+                    set test_split = \"val\" to test on the validation images";
 
 #[derive(Deserialize)]
 struct Transforms {
@@ -44,7 +45,7 @@ struct TransformFrame {
     lens: StatedLens,
 }
 
-/// One split file, read.
+/// One parsed split file.
 struct SplitFile {
     path: PathBuf,
     label: &'static str,
@@ -52,33 +53,34 @@ struct SplitFile {
     transforms: Transforms,
 }
 
-/// Whether `dir` holds this format.
-pub fn is_here(dir: &Path) -> bool {
+/// Whether `dir` has this format.
+pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join("transforms_train.json").is_file()
 }
 
-/// Reads the split files that `params` ask for.
-pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+/// Reads the split files that the parameters ask for.
+pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
-    let files = split_files(dir, params, &mut warnings)?;
-    let times = || files.iter().flat_map(|file| &file.transforms.frames).map(|frame| frame.time);
+    let split_files = split_files(dir, params, &mut warnings)?;
+    let times = || split_files.iter().flat_map(|file| &file.transforms.frames).map(|frame| frame.time);
     let timed = times().filter(Option::is_some).count();
     if timed != 0 && timed != times().count() {
         let untimed = |file: &&SplitFile| file.transforms.frames.iter().any(|frame| frame.time.is_none());
-        let path = files.iter().find(untimed).map_or(dir, |file| &file.path);
-        return Err(bad("some frames have a time and some have none").at(path));
+        let path = split_files.iter().find(untimed).map_or(dir, |file| &file.path);
+        let hint = "add the missing times, or remove all of them for a static scene";
+        return Err(bad("some frames have a time and others do not").hint(hint).at(path));
     }
     let is_static = params.static_scene || timed == 0;
     if timed == 0 && !params.static_scene {
-        warnings.push("no frame has a time: imported as a scene at rest".into());
+        warnings.push("no frame has a time: imported as a static scene".into());
     }
     if timed > 0 && dir.ends_with("lego") && params.test_split == TestSplit::Test {
         warnings.push(LEGO.into());
     }
-    let images = files.iter().map(|file| image_paths(dir, file)).collect::<Result<Vec<_>>>()?;
+    let images = split_files.iter().map(|file| image_paths(dir, file)).collect::<Result<Vec<_>>>()?;
     let size = any_image_size(images.concat())?;
     let mut frames = Vec::new();
-    for (file, images) in files.iter().zip(images) {
+    for (file, images) in split_files.iter().zip(images) {
         let first_camera = if is_static { Some(frames.len()) } else { None };
         frames.extend(file_frames(file, images, size, first_camera)?);
     }
@@ -86,7 +88,7 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let time_map = time_map(&frames, is_static);
     rules.extend(split::refine(&mut frames, params));
     Ok(SourceCapture {
-        name: dir.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        name: files::name(dir),
         format: Format::Blender,
         dataset: if timed > 0 { "dnerf" } else { "blender" },
         wants_test: true,
@@ -101,7 +103,7 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     })
 }
 
-/// The train file, the file that is tested on, and the official validation file unless it is tested on.
+/// Parses the training file, the test file, and the official validation file unless that serves as the test file.
 fn split_files(dir: &Path, params: &Params, warnings: &mut Vec<String>) -> Result<Vec<SplitFile>> {
     let load = |label, split| {
         let path = dir.join(format!("transforms_{label}.json"));
@@ -114,7 +116,10 @@ fn split_files(dir: &Path, params: &Params, warnings: &mut Vec<String>) -> Resul
     if dir.join("transforms_val.json").is_file() {
         return Ok(vec![train, load("val", Split::Val)?, load("test", Split::Test)?]);
     }
-    warnings.push("transforms_val.json is missing: no official validation views (val_count holds some out)".into());
+    warnings.push(
+        "transforms_val.json is missing: no official validation views (set val_count to hold out training views)"
+            .into(),
+    );
     Ok(vec![train, load("test", Split::Test)?])
 }
 
@@ -131,28 +136,28 @@ fn parse(path: &Path) -> Result<Transforms> {
         let failure = bad(format!("not a valid transforms file ({error})")).at(path);
         let text = String::from_utf8_lossy(&bytes);
         match ["NaN", "Infinity"].iter().find(|word| text.contains(**word)) {
-            Some(word) => failure.hint(format!("it contains {word}, which is neither a pose nor JSON")),
+            Some(word) => failure.hint(format!("it contains {word}, which is not valid JSON: correct the pose")),
             None => failure,
         }
     })
 }
 
-/// The image of every frame of one file.
+/// The image path of every frame of one file.
 fn image_paths(dir: &Path, file: &SplitFile) -> Result<Vec<PathBuf>> {
     let path = |frame| image_path(dir, frame).map_err(|failure| failure.at(&file.path));
     file.transforms.frames.iter().map(path).collect()
 }
 
-/// The size of the first image that is there; missing and differing ones are listed later with all other problems.
+/// The size of the first existing image. Missing images and other sizes are reported later with all other problems.
 fn any_image_size(images: Vec<PathBuf>) -> Result<(u32, u32)> {
     match images.iter().find(|image| image.is_file()).or(images.first()) {
         Some(image) => image_size(image),
-        None => Ok((1, 1)), // no frames at all, which is a problem of its own
+        None => Ok((1, 1)), // a capture without frames is reported as a problem of its own
     }
 }
 
-/// The frames of one file in order of time, which the file need not have; of a scene at rest each is a camera of its own,
-/// counted from `first_camera`.
+/// The frames of one file, sorted by time. In a static scene each frame is a separate camera, numbered from
+/// `first_camera`.
 fn file_frames(
     file: &SplitFile,
     images: Vec<PathBuf>,
@@ -186,11 +191,11 @@ fn file_frames(
     Ok(frames)
 }
 
-/// `file_path` with `.png` unless it names a PNG or JPEG itself; must stay inside the capture.
+/// The image of a frame: `file_path`, with `.png` appended unless it names a PNG or JPEG. It must be inside the capture.
 fn image_path(dir: &Path, frame: &TransformFrame) -> Result<PathBuf> {
     let stated = Path::new(&frame.file_path);
     if !stated.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
-        return Err(bad(format!("file_path {} leads out of the capture's folder", frame.file_path)));
+        return Err(bad(format!("file_path {} points outside of the capture's folder", frame.file_path)));
     }
     let extension = stated.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     let has_extension = matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg"));
@@ -199,11 +204,11 @@ fn image_path(dir: &Path, frame: &TransformFrame) -> Result<PathBuf> {
     Ok(dir.join(name))
 }
 
-/// Camera-to-world with y up and z backwards to world-to-camera with y down and z forwards.
+/// Converts camera-to-world (y up, z backward) to world-to-camera (y down, z forward).
 fn camera_from_world(rows: &[[f64; 4]; 4]) -> Result<RigidTransform> {
     let last_row = DVec4::from(rows[3]);
     if !(last_row.abs_diff_eq(DVec4::W, LAST_ROW_TOLERANCE)) {
-        return Err(bad(format!("last row of transform_matrix is {last_row} instead of [0, 0, 0, 1]")));
+        return Err(bad(format!("the last row of transform_matrix is {last_row} instead of [0, 0, 0, 1]")));
     }
     let blender = DMat4::from_cols_array_2d(rows).transpose();
     let flip = DMat4::from_diagonal(DVec4::new(1.0, -1.0, -1.0, 1.0));
@@ -212,11 +217,9 @@ fn camera_from_world(rows: &[[f64; 4]; 4]) -> Result<RigidTransform> {
     Ok(world_from_camera.inverse())
 }
 
-/// One map over all splits; a frame lasts 1 / (training frames − 1) of it.
+/// The time map over all splits; a frame lasts 1 / (training frames − 1) of the range.
 fn time_map(frames: &[Frame], is_static: bool) -> TimeMap {
-    let times = || frames.iter().map(|frame| frame.time_secs);
-    let (start_secs, end_secs) =
-        times().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+    let [start_secs, end_secs] = time_range_secs(frames);
     let train = frames.iter().filter(|frame| frame.split == Split::Train).count();
     if is_static || !(end_secs > start_secs) {
         let instant_secs = if start_secs.is_finite() { start_secs } else { 0.0 };

@@ -1,18 +1,18 @@
-//! What transforms files say of the lens, once for all frames or frame by frame: `camera_angle_x` in the files of NeRF, and
-//! the keys that instant-ngp and nerfstudio add.
+//! The lens in transforms files, stated per file or per frame: `camera_angle_x` of NeRF and the keys that instant-ngp and
+//! nerfstudio add.
 
 use scene::Intrinsics;
 use serde::Deserialize;
 
+use crate::error::{Result, bad};
 use crate::lens::{Distortion, Lens};
-use crate::source::{Result, bad};
 
-/// Camera models (of COLMAP, by name) that the coefficients here describe.
+/// COLMAP's names of the supported camera models.
 const MODELS: [&str; 5] = ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"];
 
-/// The keys of one file, or of one frame, which count before those of its file. Lengths are in pixels, angles in radians.
+/// The lens keys of a file or a frame; those of a frame take precedence. Lengths are in pixels, angles in radians.
 #[derive(Clone, Debug, Default, Deserialize)]
-pub struct StatedLens {
+pub(super) struct StatedLens {
     camera_model: Option<String>,
     #[serde(default)]
     is_fisheye: bool,
@@ -33,9 +33,9 @@ pub struct StatedLens {
 }
 
 impl StatedLens {
-    /// What a frame states, and what its file states beyond that. A frame's horizontal focal length is also its vertical one
-    /// where it states no other.
-    pub fn or(&self, file: &Self) -> Self {
+    /// Fills the keys that a frame omits from its file. A horizontal focal length of the frame also replaces the file's
+    /// vertical one.
+    pub(super) fn or(&self, file: &Self) -> Self {
         let states_x = self.fl_x.or(self.camera_angle_x).is_some();
         let states_y = self.fl_y.or(self.camera_angle_y).is_some();
         let [of_x, of_y] = [states_x, states_x || states_y].map(|stated| if stated { self } else { file });
@@ -59,13 +59,15 @@ impl StatedLens {
         }
     }
 
-    /// The lens of images whose size is stated, or is `found`. Unstated focal lengths are width / (2 tan(angle / 2)), pixels
-    /// are square and the principal point is the image's centre.
-    pub fn lens(&self, found: (u32, u32)) -> Result<Lens> {
+    /// The lens for images of the stated size, or of the size `found` in the image file. Defaults: a focal length of
+    /// width / (2 tan(angle / 2)), square pixels, and the principal point at the image centre.
+    pub(super) fn lens(&self, found: (u32, u32)) -> Result<Lens> {
         self.refuse_other_models()?;
         let (width, height) = (pixels("w", self.w, found.0)?, pixels("h", self.h, found.1)?);
         let Some(focal_x) = focal(["fl_x", "camera_angle_x"], self.fl_x, self.camera_angle_x, width)? else {
-            return Err(bad("neither fl_x nor camera_angle_x says how wide the camera sees"));
+            let hint =
+                "state the horizontal field of view (camera_angle_x, radians) or the focal length (fl_x, pixels)";
+            return Err(bad("neither fl_x nor camera_angle_x is stated").hint(hint));
         };
         let focal_y = focal(["fl_y", "camera_angle_y"], self.fl_y, self.camera_angle_y, height)?.unwrap_or(focal_x);
         let center_x = self.cx.unwrap_or(0.5 * f64::from(width));
@@ -76,37 +78,39 @@ impl StatedLens {
     }
 
     fn refuse_other_models(&self) -> Result<()> {
-        let hint = "undistort the images first, as with `colmap image_undistorter`";
+        let hint = "undistort the images first, e.g. with `colmap image_undistorter`";
         let other = self.camera_model.as_deref().filter(|model| !MODELS.contains(model));
         if let Some(model) = other.or(self.is_fisheye.then_some("is_fisheye")) {
             let message = format!("camera model {model} is not supported (one of {})", MODELS.join(", "));
             return Err(bad(message).hint(hint));
         }
         match self.k4 {
-            Some(k4) if k4 != 0.0 => Err(bad(format!("k4 is {k4}: lens distortion of r⁸ is not supported")).hint(hint)),
+            Some(k4) if k4 != 0.0 => {
+                Err(bad(format!("k4 is {k4}, but distortion of order r⁸ is not supported")).hint(hint))
+            }
             _ => Ok(()),
         }
     }
 }
 
-/// A number of pixels that files may write as 800.0.
+/// An image side in pixels, which files may write as 800.0; `found` if the key is missing.
 fn pixels(key: &str, stated: Option<f64>, found: u32) -> Result<u32> {
     match stated {
         None => Ok(found),
         Some(value) if value >= 1.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0 => Ok(value as u32),
-        Some(value) => Err(bad(format!("{key} is {value}, not a number of pixels"))),
+        Some(value) => Err(bad(format!("{key} is {value}, but must be a whole number of pixels"))),
     }
 }
 
-/// The stated focal length, or that of the stated angle over `length` pixels.
+/// The focal length in pixels, from the key itself or from a field of view over `length` pixels.
 fn focal(keys: [&str; 2], stated: Option<f64>, angle: Option<f64>, length: u32) -> Result<Option<f64>> {
     match (stated, angle) {
         (Some(focal), _) if focal > 0.0 && focal.is_finite() => Ok(Some(focal)),
-        (Some(focal), _) => Err(bad(format!("{} is {focal}, not a focal length in pixels", keys[0]))),
+        (Some(focal), _) => Err(bad(format!("{} is {focal}, but a focal length must be positive", keys[0]))),
         (None, Some(angle)) if angle > 0.0 && angle < std::f64::consts::PI => {
             Ok(Some(0.5 * f64::from(length) / (0.5 * angle).tan()))
         }
-        (None, Some(angle)) => Err(bad(format!("{} is {angle}, not an angle between 0 and π radians", keys[1]))),
+        (None, Some(angle)) => Err(bad(format!("{} is {angle}, but must be between 0 and π radians", keys[1]))),
         (None, None) => Ok(None),
     }
 }

@@ -1,4 +1,4 @@
-//! The little-endian binary files.
+//! Readers of the little-endian binary files.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,14 +6,15 @@ use std::path::Path;
 use glam::{DVec2, DVec3};
 
 use crate::colmap::model::{CAMERA_MODELS, Point, RegisteredImage, lens};
+use crate::error::{Result, bad};
+use crate::files::read_bytes;
 use crate::lens::Lens;
-use crate::source::{Result, bad, read_bytes};
 
-/// What COLMAP writes for a keypoint without a point.
+/// The point id of a keypoint without a point.
 const NO_POINT: u64 = u64::MAX;
 
-/// `cameras.bin`: count, then id, model, width, height, parameters.
-pub fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
+/// Reads `cameras.bin`: count, then per camera id, model, width, height, parameters.
+pub(super) fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
     records(path, |file| {
         let (id, model) = (file.u32()?, file.u32()?);
         let (width, height) = (file.u64()?, file.u64()?);
@@ -25,8 +26,8 @@ pub fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
     })
 }
 
-/// `images.bin`: count, then id, quaternion (w, x, y, z), translation, camera id, name, keypoints.
-pub fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
+/// Reads `images.bin`: count, then per image id, quaternion (w, x, y, z), translation, camera id, name, keypoints.
+pub(super) fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
     records(path, |file| {
         let id = file.u32()?;
         let quaternion = [file.f64()?, file.f64()?, file.f64()?, file.f64()?];
@@ -43,8 +44,8 @@ pub fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
     })
 }
 
-/// `points3D.bin`: count, then id, position, colour, error, track.
-pub fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
+/// Reads `points3D.bin`: count, then per point id, position, colour, error, track.
+pub(super) fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
     records(path, |file| {
         let id = file.u64()?;
         let position = DVec3::new(file.f64()?, file.f64()?, file.f64()?);
@@ -58,7 +59,7 @@ pub fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
     })
 }
 
-/// Reads a count and so many keyed records, and nothing after them.
+/// Reads a count and that many keyed records; trailing bytes are an error.
 fn records<K: Ord + std::fmt::Display + Copy, V>(
     path: &Path,
     mut read: impl FnMut(&mut Cursor) -> Result<(K, V)>,
@@ -78,12 +79,12 @@ fn records<K: Ord + std::fmt::Display + Copy, V>(
     }
     match file.rest.len() {
         0 => Ok(records),
-        left => Err(bad(format!("{left} bytes after the last of {count} records")).hint(DAMAGED).at(path)),
+        left => Err(bad(format!("{left} unexpected bytes after the last of {count} records")).hint(DAMAGED).at(path)),
     }
 }
 
-/// Advice for files whose length is wrong.
-const DAMAGED: &str = "the file is cut short or damaged: copy it again";
+/// Hint for files of the wrong length.
+const DAMAGED: &str = "the file is truncated or damaged: copy it again";
 
 struct Cursor<'a> {
     rest: &'a [u8],
@@ -92,7 +93,7 @@ struct Cursor<'a> {
 impl Cursor<'_> {
     fn array<const N: usize>(&mut self) -> Result<[u8; N]> {
         let Some((head, rest)) = self.rest.split_first_chunk::<N>() else {
-            return Err(bad("the file ends inside it").hint(DAMAGED));
+            return Err(bad("the file ends inside of this record").hint(DAMAGED));
         };
         self.rest = rest;
         Ok(*head)
@@ -110,12 +111,13 @@ impl Cursor<'_> {
         Ok(f64::from_le_bytes(self.array()?))
     }
 
-    /// A name that ends with a zero byte.
+    /// Reads a zero-terminated name.
     fn name(&mut self) -> Result<String> {
         let Some(end) = self.rest.iter().position(|byte| *byte == 0) else {
             return Err(bad("the file ends inside a name").hint(DAMAGED));
         };
-        let name = std::str::from_utf8(&self.rest[..end]).map_err(|_| bad("image name is not UTF-8").hint(DAMAGED))?;
+        let name =
+            std::str::from_utf8(&self.rest[..end]).map_err(|_| bad("the image name is not UTF-8").hint(DAMAGED))?;
         let name = name.to_owned();
         self.rest = &self.rest[end + 1..];
         Ok(name)

@@ -3,27 +3,30 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-use scene::{Split, TimeMap};
+use scene::Split;
 
-use crate::Params;
-use crate::colmap::layout::{image_names, images_dir, mask_path, natural_order, numbered_models, sparse_dir};
-use crate::colmap::model::{Model, RegisteredImage, ReprojectionError};
-use crate::params::Format;
-use crate::source::{Frame, Quality, Result, SourceCapture, bad, image_size};
+use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
+use crate::colmap::model::{Model, RegisteredImage};
+use crate::colmap::model_files::read_model;
+use crate::error::{Result, bad};
+use crate::files::{self, image_size};
+use crate::image_names::{image_names, images_dir, natural_order};
+use crate::params::{Format, Params};
+use crate::source::{Frame, Quality, ReprojectionError, SourceCapture, time_map};
 use crate::split;
 
-/// Mean reprojection error above which poses blur what is trained on them; good models stay below 1.
+/// Mean reprojection error in pixels above which poses blur a trained model; good models stay below 1.
 const POOR_REPROJECTION_PX: f64 = 2.0;
-/// How far the stored error may be from the recomputed one before it is worth a note.
+/// Relative difference between stored and recomputed error above which a warning is issued.
 const STORED_TOLERANCE: f64 = 0.1;
 
 /// Reads the model and the names of the images in `dir`.
 ///
-/// Images in sub-folders are the cameras of a rig, one folder each; a frame's number is its place among all images of
-/// its camera, registered or not, so that a frame without a pose leaves a gap in time and shifts nothing.
-pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+/// Each sub-folder of images is one camera of a rig. A frame's number is its rank among all images of its camera, registered
+/// or not, so that an image without a pose leaves a gap in time instead of shifting later frames.
+pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let sparse = sparse_dir(dir).ok_or_else(|| bad("no COLMAP model").at(dir))?;
-    let model = Model::read(&sparse)?;
+    let model = read_model(&sparse)?;
     let images_dir = images_dir(dir);
     let present = image_names(&images_dir);
     check_registered_share(&model, &present, params, &sparse)?;
@@ -34,16 +37,16 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     };
     let mut warnings = warnings(dir, &sparse, &model, &quality);
     if model.cameras.len() > 1 && model.cameras.len() == model.images.len() && !params.static_scene {
-        warnings.push("every image has a calibration of its own: photos of a scene at rest want static = true".into());
+        warnings.push("each image has its own intrinsics; if the scene is static, set static = true".into());
     }
     let source = FrameSource { dir, images_dir: &images_dir, sparse: &sparse, model: &model, params };
     let mut frames = source.frames(&present)?;
     warnings.extend(drop_misfit_masks(&mut frames));
     let mut rules = vec![split_tests(&mut frames, params)];
-    let time_map = time_map(&frames, params);
+    let time_map = time_map(&frames, params.static_scene, params.fps);
     rules.extend(split::refine(&mut frames, params));
     Ok(SourceCapture {
-        name: dir.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        name: files::name(dir),
         format: Format::Colmap,
         dataset: "colmap",
         wants_test: params.every_nth > 0,
@@ -58,7 +61,7 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     })
 }
 
-/// Refuses a model that lost more images than `params` allow.
+/// Refuses a model that registers fewer images than the parameters require.
 fn check_registered_share(model: &Model, present: &[String], params: &Params, sparse: &Path) -> Result<()> {
     let registered = model.images.len();
     let total = registered.max(present.len());
@@ -70,9 +73,9 @@ fn check_registered_share(model: &Model, present: &[String], params: &Params, sp
     let lost: Vec<&str> = lost.take(3).map(String::as_str).collect();
     let percent = 100.0 * registered as f64 / total as f64;
     let message =
-        format!("only {registered} of {total} images ({percent:.0} %) have a pose; none for {} …", lost.join(", "));
+        format!("only {registered} of {total} images ({percent:.0} %) have a pose; missing: {}, …", lost.join(", "));
     let hint = format!(
-        "mask moving objects for structure from motion, or lower min_registered_share (now {})",
+        "mask moving objects in structure from motion, or lower min_registered_share (now {})",
         params.min_registered_share
     );
     Err(bad(message).hint(hint).at(sparse))
@@ -83,35 +86,39 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     let models = numbered_models(dir);
     if models.len() > 1 {
         let used = sparse.strip_prefix(dir).unwrap_or(sparse).display();
-        warnings.push(format!("{} models in sparse/: the scene broke into parts, only {used} is used", models.len()));
+        warnings.push(format!(
+            "sparse/ contains {} models: structure from motion split the scene, and only {used} is used",
+            models.len()
+        ));
     }
     if model.points.is_empty() {
         warnings.push("the model has no points: initial points will be random".into());
     }
     let lost = quality.images - quality.registered;
     if lost > 0 {
-        warnings.push(format!("{lost} of {} images have no pose and are left out", quality.images));
+        warnings.push(format!("{lost} of {} images have no pose and are skipped", quality.images));
     }
-    let reprojection = quality.reprojection.filter(ReprojectionError::is_of_images);
+    let reprojection = quality.reprojection.filter(ReprojectionError::is_plausible);
     if reprojection.is_none() && quality.reprojection.is_some() {
-        warnings.push("points lie where the cameras that see them cannot: poses are wrong".into());
+        warnings.push("points reproject far outside of the images: the poses are wrong".into());
     }
     if let Some(error) = reprojection.filter(|error| !(error.recomputed_px <= POOR_REPROJECTION_PX)) {
-        warnings.push(format!("points miss their keypoints by {:.1} px: poses are poor", error.recomputed_px));
+        warnings
+            .push(format!("the mean reprojection error is {:.1} px: the poses are inaccurate", error.recomputed_px));
     }
     let differs =
         |error: &ReprojectionError| !((error.recomputed_px / error.stored_px - 1.0).abs() <= STORED_TOLERANCE);
     if let Some(error) = reprojection.filter(|error| error.stored_px > 0.0 && differs(error)) {
         let ReprojectionError { recomputed_px, stored_px } = error;
         warnings.push(format!(
-            "points miss their keypoints by {recomputed_px:.2} px where COLMAP stored {stored_px:.2}: \
-             the model was resized or undistorted afterwards, or its poses were edited"
+            "the mean reprojection error is {recomputed_px:.2} px, but COLMAP stored {stored_px:.2} px: the model was \
+             resized or undistorted later, or its poses were edited"
         ));
     }
     warnings
 }
 
-/// Camera (rank of the folder) and frame number (rank within the folder) of every image name.
+/// The camera (rank of the folder) and the frame number (rank within the folder) of every image name.
 fn places<'a>(names: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, (u32, u32)> {
     let names: BTreeSet<&str> = names.collect();
     let mut cameras: Vec<(&str, Vec<&str>)> = Vec::new();
@@ -130,7 +137,7 @@ fn places<'a>(names: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, (u32, u
     places
 }
 
-/// What every frame of one model shares.
+/// The inputs that all frames of a model share.
 struct FrameSource<'a> {
     dir: &'a Path,
     images_dir: &'a Path,
@@ -140,7 +147,7 @@ struct FrameSource<'a> {
 }
 
 impl FrameSource<'_> {
-    /// All registered images in natural order of their names; `present` are the names of all images.
+    /// All registered images in the natural order of their names; `present` names all images, registered or not.
     fn frames(&self, present: &[String]) -> Result<Vec<Frame>> {
         let mut registered: Vec<&RegisteredImage> = self.model.images.values().collect();
         registered.sort_by(|a, b| natural_order(&a.name, &b.name));
@@ -150,7 +157,7 @@ impl FrameSource<'_> {
         registered.iter().enumerate().map(frame).collect()
     }
 
-    /// The `index`-th registered image, all of them training views for now.
+    /// The `index`-th registered image, as a training view; test views are chosen later.
     fn frame(&self, index: usize, image: &RegisteredImage, (camera, frame): (u32, u32)) -> Result<Frame> {
         let is_static = self.params.static_scene;
         Ok(Frame {
@@ -168,16 +175,16 @@ impl FrameSource<'_> {
     }
 }
 
-/// An image name as a path that stays inside the images' folder.
+/// An image name as a path inside the folder of images.
 fn inside(name: &str) -> Result<PathBuf> {
     let path = PathBuf::from(name);
     if path.components().all(|part| matches!(part, Component::Normal(_))) {
         return Ok(path);
     }
-    Err(bad(format!("image name {name} leads out of the images' folder")))
+    Err(bad(format!("the image name {name} points outside of the folder of images")))
 }
 
-/// The image's name without extension, safe as a file name.
+/// The image name without its extension, safe as a file name.
 fn view_name(name: &str) -> String {
     let stem = Path::new(name).with_extension("");
     let safe = |symbol: char| if symbol.is_ascii_alphanumeric() || "-.".contains(symbol) { symbol } else { '_' };
@@ -185,8 +192,8 @@ fn view_name(name: &str) -> String {
     if name.starts_with('.') { format!("_{name}") } else { name }
 }
 
-/// Marks test views: of a rig at several instants every n-th camera, else every n-th image in natural order (the rule
-/// of LLFF, there by spelling).
+/// Marks test views and returns the rule: every n-th camera of a dynamic rig, otherwise every n-th image in natural order
+/// (the rule of LLFF, which orders by spelling).
 fn split_tests(frames: &mut [Frame], params: &Params) -> String {
     let every = params.every_nth as usize;
     if every == 0 {
@@ -202,7 +209,7 @@ fn split_tests(frames: &mut [Frame], params: &Params) -> String {
     format!("1 of {every} {}", if is_rig { "cameras" } else { "images" })
 }
 
-/// Forgets masks whose size is not that of their image; says so, and where only some images have one.
+/// Drops masks whose size differs from that of their image. Returns a warning about them, or about images without masks.
 fn drop_misfit_masks(frames: &mut [Frame]) -> Option<String> {
     let stated = frames.iter().filter(|frame| frame.mask.is_some()).count();
     for frame in &mut *frames {
@@ -213,17 +220,6 @@ fn drop_misfit_masks(frames: &mut [Frame]) -> Option<String> {
     match stated - used {
         0 if used == 0 || used == frames.len() => None,
         0 => Some(format!("only {used} of {} images have a mask", frames.len())),
-        misfits => Some(format!("{misfits} masks are not used: they have not the size of their images")),
+        misfits => Some(format!("{misfits} masks are skipped: their size differs from that of their image")),
     }
-}
-
-/// From the first to the last registered frame.
-fn time_map(frames: &[Frame], params: &Params) -> TimeMap {
-    if params.static_scene {
-        return TimeMap { start_secs: 0.0, end_secs: 0.0, frame_secs: 1.0 };
-    }
-    let times = frames.iter().map(|frame| frame.time_secs);
-    let (start_secs, end_secs) =
-        times.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
-    TimeMap { start_secs, end_secs, frame_secs: 1.0 / params.fps }
 }

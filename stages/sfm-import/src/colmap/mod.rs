@@ -1,15 +1,15 @@
 //! COLMAP sparse models: cameras, registered images and points, binary or text.
 //!
-//! `rigs.bin` and `frames.bin` (COLMAP ≥ 3.12) are not needed: `images.*` holds every pose. Pixel centres lie at
-//! (i + 0.5, j + 0.5), poses map world to camera with OpenCV axes: both as everywhere in this project.
+//! `rigs.bin` and `frames.bin` (COLMAP ≥ 3.12) are not needed, because `images.*` contains every pose. Pixel centres are
+//! at (i + 0.5, j + 0.5) and poses map world to camera coordinates with OpenCV's axes, as everywhere in this project.
 
 mod binary;
 mod capture;
-pub mod layout;
-pub mod model;
+pub(crate) mod layout;
+pub(crate) mod model;
+mod model_files;
 mod text;
-#[cfg(test)]
-pub mod write;
 
-pub use capture::read;
-pub use model::Model;
+pub(crate) use capture::read;
+#[cfg(test)]
+pub(crate) use model_files::read_model;

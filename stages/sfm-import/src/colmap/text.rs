@@ -1,4 +1,4 @@
-//! The text files: one record per line (images: two), `#` comments.
+//! Readers of the text files: one record per line (two lines per image), with `#` comments.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -7,11 +7,12 @@ use std::str::FromStr;
 use glam::{DVec2, DVec3};
 
 use crate::colmap::model::{Point, RegisteredImage, lens};
+use crate::error::{Result, bad};
+use crate::files::read_bytes;
 use crate::lens::Lens;
-use crate::source::{Result, bad, read_bytes};
 
-/// `cameras.txt`: id, model, width, height, parameters.
-pub fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
+/// Reads `cameras.txt`: id, model, width, height, parameters.
+pub(super) fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
     records(path, |words, _| {
         let (id, model, width, height) = (words.next()?, words.word()?, words.next()?, words.next()?);
         let params = words.rest::<f64>()?;
@@ -19,8 +20,8 @@ pub fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
     })
 }
 
-/// `images.txt`: id, quaternion (w, x, y, z), translation, camera id, name; on the next line keypoints.
-pub fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
+/// Reads `images.txt`: id, quaternion (w, x, y, z), translation, camera id, name; the next line holds the keypoints.
+pub(super) fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
     records(path, |words, lines| {
         let id = words.next()?;
         let quaternion = [words.next()?, words.next()?, words.next()?, words.next()?];
@@ -28,7 +29,7 @@ pub fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
         let camera_id = words.next()?;
         let name = words.remainder()?.to_owned();
         let Some((_, keypoints)) = lines.next() else {
-            return Err(bad("the line of its keypoints is missing").hint("write an empty line where there are none"));
+            return Err(bad("the line of keypoints is missing").hint("an image without keypoints needs an empty line"));
         };
         let mut keypoints = Words { rest: keypoints };
         let mut observations = Vec::new();
@@ -41,8 +42,8 @@ pub fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
     })
 }
 
-/// `points3D.txt`: id, position, colour, error, track.
-pub fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
+/// Reads `points3D.txt`: id, position, colour, error, track.
+pub(super) fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
     records(path, |words, _| {
         let id = words.next()?;
         let position = DVec3::new(words.next()?, words.next()?, words.next()?);
@@ -56,10 +57,10 @@ pub fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
     })
 }
 
-/// Numbered lines of a file.
+/// The numbered lines of a file.
 type Lines<'a> = dyn Iterator<Item = (usize, &'a str)> + 'a;
 
-/// Reads keyed records, blaming file and line.
+/// Reads keyed records; errors name the file and the line.
 fn records<K: Ord + std::fmt::Display + Copy, V>(
     path: &Path,
     mut read: impl FnMut(&mut Words, &mut Lines) -> Result<(K, V)>,
@@ -100,7 +101,7 @@ impl<'a> Words<'a> {
 
     fn next<T: FromStr>(&mut self) -> Result<T> {
         let word = self.word()?;
-        word.parse().map_err(|_| bad(format!("{word:?} is not a number of the kind expected here")))
+        word.parse().map_err(|_| bad(format!("{word:?} is not a valid number here")))
     }
 
     fn rest<T: FromStr>(&mut self) -> Result<Vec<T>> {
@@ -111,7 +112,7 @@ impl<'a> Words<'a> {
         Ok(values)
     }
 
-    /// Everything that is left: names may contain spaces.
+    /// The rest of the line; names may contain spaces.
     fn remainder(&mut self) -> Result<&'a str> {
         let name = std::mem::take(&mut self.rest).trim();
         if name.is_empty() { Err(bad("the line ends too early")) } else { Ok(name) }

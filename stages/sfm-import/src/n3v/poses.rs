@@ -5,26 +5,30 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use scene::{Camera, Intrinsics, RigidTransform, npy_file};
 
-use crate::source::{Result, bad};
+use crate::error::{Result, bad};
 
-/// The file's name.
-pub const FILE: &str = "poses_bounds.npy";
+/// The file name.
+pub(super) const FILE: &str = "poses_bounds.npy";
 
-/// Numbers per row: a 3×5 matrix row by row, then the depths between which the scene lies.
+/// Numbers per row: a 3×5 matrix in row-major order, then the near and the far depth of the scene.
 const ROW_LENGTH: usize = 17;
-/// Pixels per side that no video has; a larger number is damage.
+/// Larger sides, in pixels, indicate a damaged file.
 const MAX_SIDE: f64 = 65536.0;
 
-/// The cameras of the videos at full size, one for each of `names`; an error names the camera it is about.
-pub fn read(path: &Path, names: &[&str]) -> Result<Vec<Camera>> {
+/// Reads the cameras of the full-size videos, one per name; errors name the camera.
+pub(super) fn read(path: &Path, names: &[&str]) -> Result<Vec<Camera>> {
     let array = npy_file::read(path).map_err(|error| bad(error.message).at(path))?;
     let [rows, ROW_LENGTH] = *array.shape.as_slice() else {
-        return Err(bad(format!("shape {:?} where [cameras, {ROW_LENGTH}] is expected", array.shape)).at(path));
+        return Err(bad(format!("the array has shape {:?} instead of [cameras, {ROW_LENGTH}]", array.shape)).at(path));
     };
     if rows != names.len() {
-        let message = format!("poses of {rows} cameras beside {} cameras ({})", names.len(), names.join(", "));
-        let hint = "rows pair with cameras in the order of names, so that every camera must be there: download or \
-                    extract the missing ones, or remove the folders that are not of this capture";
+        let message = format!(
+            "the file has poses of {rows} cameras, but there are {} cameras ({})",
+            names.len(),
+            names.join(", ")
+        );
+        let hint = "rows correspond to cameras in the order of their names: download or extract the missing cameras, or \
+                    remove folders of other captures";
         return Err(bad(message).hint(hint).at(path));
     }
     let named = |(row, name): (&[f64], &&str)| {
@@ -33,24 +37,24 @@ pub fn read(path: &Path, names: &[&str]) -> Result<Vec<Camera>> {
     array.values.chunks_exact(ROW_LENGTH).zip(names).map(named).collect()
 }
 
-/// The camera of one row; the principal point is the image's centre, and nothing is distorted.
+/// The camera of one row, without distortion and with the principal point at the image centre.
 ///
 /// The 3×5 matrix is [rotation | centre | (height, width, focal length in pixels)], camera to world, and the columns of
 /// its rotation are the camera's down, right and backward axes: those of OpenCV (right, down, forward) are the second,
 /// the first, and the third negated.
 fn camera(row: &[f64]) -> Result<Camera> {
     if let Some(at) = row.iter().position(|value| !value.is_finite()) {
-        return Err(bad(format!("number {at} of the row is {}", row[at])));
+        return Err(bad(format!("value {at} of the row is {}", row[at])));
     }
     let column = |at: usize| DVec3::new(row[at], row[at + 5], row[at + 10]);
     let (down, right, backward, position) = (column(0), column(1), column(2), column(3));
     let [height, width, focal] = column(4).to_array();
     let [near, far] = [row[15], row[16]];
     if ![width, height].iter().all(|side| side.fract() == 0.0 && (1.0..MAX_SIDE).contains(side)) {
-        return Err(bad(format!("{width}×{height} is no size of a video")));
+        return Err(bad(format!("{width}×{height} is not a valid video size")));
     }
     if !(0.0 < near && near < far) {
-        return Err(bad(format!("no scene lies between the depths {near} and {far}")));
+        return Err(bad(format!("the depth bounds {near} and {far} are not a positive range")));
     }
     let world_from_camera =
         RigidTransform { rotation: DMat3::from_cols(right, down, -backward), translation: position };

@@ -1,4 +1,4 @@
-//! The JSON files of the layout, and what one camera file means.
+//! The JSON files of the layout, and the camera that a camera file describes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,57 +8,58 @@ use scene::{Intrinsics, RigidTransform};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
+use crate::error::{Result, bad};
+use crate::files::read_bytes;
 use crate::lens::{Distortion, Lens};
-use crate::source::{Result, bad, read_bytes};
 
-/// Pixels of shear across an image below which a camera counts as having none.
+/// Largest skew in pixels that is treated as zero.
 const MAX_SKEW_PX: f64 = 1e-3;
 
 /// `dataset.json`: the official split.
 #[derive(Deserialize)]
-pub struct Dataset {
-    /// Every view in order of time.
-    pub ids: Vec<String>,
-    /// Empty or absent where another file states the split.
+pub(crate) struct Dataset {
+    /// The ids of all views, in order of time.
+    pub(crate) ids: Vec<String>,
+    /// The ids of training views; empty or missing if another file states the split.
     #[serde(default)]
-    pub train_ids: Vec<String>,
-    /// Empty for interpolation captures.
+    pub(crate) train_ids: Vec<String>,
+    /// The ids of held-out views; empty for interpolation captures.
     #[serde(default)]
-    pub val_ids: Vec<String>,
+    pub(crate) val_ids: Vec<String>,
 }
 
 /// `splits/{train,val}.json` of DyCheck.
 #[derive(Deserialize)]
-pub struct SplitNames {
-    /// View ids.
-    pub frame_names: Vec<String>,
+pub(crate) struct SplitNames {
+    /// The ids of the split's views.
+    pub(crate) frame_names: Vec<String>,
 }
 
 /// A view's entry in `metadata.json`.
 #[derive(Deserialize)]
-pub struct ViewMetadata {
-    /// Index of the instant, unless there is a `time_id`.
-    pub warp_id: u32,
-    /// Index of the instant, where the capture distinguishes it from the warp code.
-    pub time_id: Option<u32>,
-    /// The physical camera.
+pub(crate) struct ViewMetadata {
+    /// Index of the instant, if there is no `time_id`.
+    pub(crate) warp_id: u32,
+    /// Index of the instant, in captures that distinguish it from the warp code.
+    pub(crate) time_id: Option<u32>,
+    /// Index of the physical camera.
     #[serde(default)]
-    pub camera_id: u32,
+    pub(crate) camera_id: u32,
 }
 
-/// `scene.json`: the frame that coordinates are normalised to.
+/// `scene.json`: the normalised coordinate frame.
 #[derive(Clone, Copy, Deserialize)]
-pub struct SceneFrame {
-    /// Multiplies lengths after centring.
-    pub scale: f64,
-    /// Becomes the origin, in the units of the camera files.
-    pub center: [f64; 3],
+pub(crate) struct SceneFrame {
+    /// Scale factor, applied after centring.
+    pub(crate) scale: f64,
+    /// The new origin, in the units of the camera files.
+    pub(crate) center: [f64; 3],
 }
 
-/// `camera/<id>.json`, with values for the image at 1x.
+/// `camera/<id>.json`, with values for the full-size image (1x).
 #[derive(Deserialize)]
 struct CameraFile {
-    /// World to camera (x right, y down, z forward), rows first.
+    /// World to camera (x right, y down, z forward), as rows.
     orientation: [[f64; 3]; 3],
     /// The camera's centre in the world.
     position: [f64; 3],
@@ -70,7 +71,7 @@ struct CameraFile {
     pixel_aspect_ratio: f64,
     #[serde(default)]
     radial_distortion: [f64; 3],
-    /// Called `tangential` in the oldest files.
+    /// Named `tangential` in the oldest files.
     #[serde(default, alias = "tangential")]
     tangential_distortion: [f64; 2],
     image_size: [u32; 2],
@@ -80,41 +81,41 @@ fn square() -> f64 {
     1.0
 }
 
-/// Reads one JSON file.
-pub fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
+/// Parses one JSON file.
+pub(crate) fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&read_bytes(path)?)
-        .map_err(|error| bad(format!("not a file of the Nerfies layout ({error})")).at(path))
+        .map_err(|error| bad(format!("not a valid file of the Nerfies layout ({error})")).at(path))
 }
 
-/// `metadata.json`, by view id.
-pub fn metadata(dir: &Path) -> Result<BTreeMap<String, ViewMetadata>> {
+/// Reads `metadata.json`, keyed by view id.
+pub(crate) fn metadata(dir: &Path) -> Result<BTreeMap<String, ViewMetadata>> {
     parse(&dir.join("metadata.json"))
 }
 
-/// Where a view's camera is described.
-pub fn camera_path(dir: &Path, id: &str) -> PathBuf {
+/// The path of a view's camera file.
+pub(crate) fn camera_path(dir: &Path, id: &str) -> PathBuf {
     dir.join("camera").join(format!("{id}.json"))
 }
 
 impl SceneFrame {
-    /// A scale and a centre that can be computed with.
-    pub fn check(self) -> Result<Self> {
+    /// Checks for a positive, finite scale and a finite centre.
+    pub(crate) fn check(self) -> Result<Self> {
         let finite = self.scale > 0.0 && self.scale.is_finite() && DVec3::from(self.center).is_finite();
-        let message = || format!("scale {} and center {:?} are no coordinate frame", self.scale, self.center);
+        let message = || format!("scale {} and center {:?} do not define a coordinate frame", self.scale, self.center);
         if finite { Ok(self) } else { Err(bad(message())) }
     }
 
-    /// The normalised position of a point of the camera files.
-    pub fn apply(&self, point: DVec3) -> DVec3 {
+    /// Normalises a position of the camera files.
+    pub(crate) fn apply(&self, point: DVec3) -> DVec3 {
         self.scale * (point - DVec3::from(self.center))
     }
 }
 
-/// How the image at 1/`factor` of the full size was taken, and from where, in the normalised frame.
-pub fn camera(path: &Path, frame: &SceneFrame, factor: u32) -> Result<(Lens, RigidTransform)> {
+/// The lens and the normalised pose of a camera file, for images at 1/`factor` of the full size.
+pub(crate) fn camera(path: &Path, frame: &SceneFrame, factor: u32) -> Result<(Lens, RigidTransform)> {
     let file: CameraFile = parse(path)?;
     if !(file.skew.abs() <= MAX_SKEW_PX) {
-        let message = format!("the camera has a skew of {} px, which is not supported", file.skew);
+        let message = format!("the camera has a skew of {} px, but skew is not supported", file.skew);
         return Err(bad(message).at(path));
     }
     let scale = 1.0 / f64::from(factor);

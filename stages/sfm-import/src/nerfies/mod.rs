@@ -1,8 +1,8 @@
 //! The layout of Nerfies (Park et al. 2021a), HyperNeRF (Park et al. 2021b) and DyCheck (Gao et al. 2022): one camera file
 //! per view, `dataset.json`, `metadata.json`, `scene.json`, images in `rgb/{1,2,4,…}x`, `points.npy`.
 //!
-//! Orientations are world-to-camera with OpenCV's axes, rows first; positions are camera centres. Coordinates are
-//! normalised as the authors' own loaders do: (point - center) · scale of `scene.json`.
+//! Orientations are world-to-camera with OpenCV's axes, as rows; positions are camera centres. Coordinates are normalised
+//! as in the authors' loaders: (point - center) · scale of `scene.json`.
 
 pub(crate) mod files;
 
@@ -11,39 +11,39 @@ use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 use glam::DVec3;
-use scene::{Split, TimeMap, npy_file};
+use scene::{Split, npy_file};
 
 use self::files::{Dataset, SceneFrame, SplitNames, ViewMetadata, camera, camera_path, metadata, parse};
-use crate::Params;
-use crate::params::Format;
-use crate::recognise::children;
-use crate::source::{Frame, Result, SourceCapture, bad, image_size};
+use crate::error::{Result, bad};
+use crate::files::{self as paths, children, image_size};
+use crate::params::{Format, Params};
+use crate::source::{Frame, SourceCapture, time_map};
 use crate::split;
 
-/// Grey level of points that come without a colour.
+/// Grey level of points, which have no colours in this format.
 const UNKNOWN_COLOR: u8 = 128;
-/// Interpolation captures train on every so many-th view and are tested half-way between (HyperNeRF, section 4).
+/// Interpolation captures train on every N-th view and test on the views half-way between (HyperNeRF, section 4).
 const INTERPOLATION_STEP: usize = 4;
 
-/// Whether `dir` holds this format.
-pub fn is_here(dir: &Path) -> bool {
+/// Whether `dir` has this format.
+pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join("camera").is_dir() && dir.join("metadata.json").is_file()
 }
 
-/// Reads the views of the split, without opening an image beyond its header.
-pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+/// Reads the views of the split; opens images no further than their headers.
+pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let (views, split_rule) = split_views(dir)?;
     let scene_frame = scene_frame(dir, &mut warnings)?;
     let images = Images::choose(dir, &views, params)?;
     let metadata = metadata(dir)?;
-    let place = Place { dir, scene_frame, images: &images, metadata: &metadata, params };
-    let mut frames = views.iter().map(|(id, split)| place.frame(id, *split)).collect::<Result<Vec<_>>>()?;
+    let source = FrameSource { dir, scene_frame, images: &images, metadata: &metadata, params };
+    let mut frames = views.iter().map(|(id, split)| source.frame(id, *split)).collect::<Result<Vec<_>>>()?;
     if params.static_scene {
         frames.iter_mut().zip(0..).for_each(|(frame, index)| frame.camera_index = index);
     }
     frames.sort_by_key(|frame| (frame.frame_index, frame.camera_index));
-    let time_map = time_map(&frames, params);
+    let time_map = time_map(&frames, params.static_scene, params.fps);
     let mut rules = vec![split_rule.to_owned()];
     if images.factor > 1 {
         rules.push(format!("images at 1/{}", images.factor));
@@ -51,7 +51,7 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     rules.extend(split::refine(&mut frames, params));
     let points = points(dir, &scene_frame, &mut warnings)?;
     Ok(SourceCapture {
-        name: dir.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        name: paths::name(dir),
         format: Format::Nerfies,
         dataset: if dir.join("splits").is_dir() { "dycheck" } else { "nerfies" },
         wants_test: true,
@@ -66,10 +66,10 @@ pub fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     })
 }
 
-/// Every view that is trained or tested on, in the order of its list, and what made the split.
+/// All training and test views in the order of their lists, and the name of the split rule.
 ///
-/// DyCheck's `splits/` come first, then the ids of `dataset.json`; where these hold nothing out, HyperNeRF's rule for
-/// interpolation: every fourth view, tested on the views half-way between.
+/// DyCheck's `splits/` take precedence over the ids of `dataset.json`. If those hold no view out, HyperNeRF's
+/// interpolation rule applies: training on every fourth view and testing on the views half-way between.
 pub(crate) fn split_views(dir: &Path) -> Result<(Vec<(String, Split)>, &'static str)> {
     let of = |ids: Vec<String>, split| ids.into_iter().map(move |id| (id, split));
     let [train, val] = ["train", "val"].map(|label| dir.join("splits").join(format!("{label}.json")));
@@ -83,41 +83,43 @@ pub(crate) fn split_views(dir: &Path) -> Result<(Vec<(String, Split)>, &'static 
         return Ok((views.collect(), "official"));
     }
     let train: Vec<_> = dataset.ids.iter().step_by(INTERPOLATION_STEP).cloned().collect();
-    // One fewer than training views: a view after the last of them lies between nothing.
+    // A view after the last training view is not between two training views.
     let between = dataset.ids.iter().skip(INTERPOLATION_STEP / 2).step_by(INTERPOLATION_STEP);
     let test: Vec<_> = between.take(train.len().saturating_sub(1)).cloned().collect();
     Ok((of(train, Split::Train).chain(of(test, Split::Test)).collect(), "interpolation: 1 of 4, tested half-way"))
 }
 
-/// The frame of `scene.json`; that of the camera files where there is none.
+/// The coordinate frame of `scene.json`, or that of the camera files if the file is missing.
 pub(crate) fn scene_frame(dir: &Path, warnings: &mut Vec<String>) -> Result<SceneFrame> {
     let path = dir.join("scene.json");
     if !path.is_file() {
-        warnings.push("no scene.json: coordinates are those of the camera files".into());
+        warnings.push("scene.json is missing: coordinates of the camera files are used as they are".into());
         return Ok(SceneFrame { scale: 1.0, center: [0.0; 3] });
     }
     parse::<SceneFrame>(&path)?.check().map_err(|failure| failure.at(path))
 }
 
-/// The folder of images that is read.
+/// The chosen folder of images.
 struct Images {
     dir: PathBuf,
-    /// The folder of masks at the same size, where there is one.
+    /// The folder of masks of the same size, if there is one.
     masks: Option<PathBuf>,
-    /// Full size over the size of these images.
+    /// Full size divided by the size of these images.
     factor: u32,
 }
 
 impl Images {
-    /// The smallest images that are as wide as the recipe wants, or the largest that there are: the stored pyramid was
-    /// not made by the filters that are offered here, and published numbers are measured on it.
+    /// Chooses the smallest stored images that are at least as wide as the recipe asks for, or the largest ones.
+    /// Published numbers are measured on the stored pyramid, which the filters of this stage do not reproduce.
     fn choose(dir: &Path, views: &[(String, Split)], params: &Params) -> Result<Self> {
         let mut factors: Vec<u32> = children(&dir.join("rgb")).iter().filter_map(|name| factor(name)).collect();
         factors.sort_unstable();
         let folder = |factor: u32| dir.join("rgb").join(format!("{factor}x"));
         let Some(largest) = factors.first().copied() else {
-            let hint = "the layout has images in rgb/1x, rgb/2x, …: is the data complete?";
-            return Err(Failure::new(FailureKind::MissingData, "no folder of images").hint(hint).at(dir.join("rgb")));
+            let hint = "images belong in rgb/1x, rgb/2x, …: check that the download is complete";
+            return Err(Failure::new(FailureKind::MissingData, "there is no folder of images")
+                .hint(hint)
+                .at(dir.join("rgb")));
         };
         let wide_enough = |factor: &u32| {
             let (Some(width), Some((id, _))) = (params.width, views.first()) else { return false };
@@ -129,13 +131,13 @@ impl Images {
     }
 }
 
-/// 2 for the folder `2x`.
+/// The factor in a folder name, e.g. 2 for `2x`.
 fn factor(name: &str) -> Option<u32> {
     name.strip_suffix('x')?.parse().ok().filter(|factor| *factor > 0)
 }
 
-/// What all views of a capture share.
-struct Place<'a> {
+/// The inputs that all frames of a capture share.
+struct FrameSource<'a> {
     dir: &'a Path,
     scene_frame: SceneFrame,
     images: &'a Images,
@@ -143,14 +145,14 @@ struct Place<'a> {
     params: &'a Params,
 }
 
-impl Place<'_> {
+impl FrameSource<'_> {
     fn frame(&self, id: &str, split: Split) -> Result<Frame> {
         let safe = |symbol: char| symbol.is_ascii_alphanumeric() || "-_.".contains(symbol);
         if id.is_empty() || id.starts_with('.') || !id.chars().all(safe) {
-            return Err(bad(format!("the id {id:?} is not safe as a file name")).at(self.dir));
+            return Err(bad(format!("the view id {id:?} is not a safe file name")).at(self.dir));
         }
         let metadata_path = self.dir.join("metadata.json");
-        let metadata = self.metadata.get(id).ok_or_else(|| bad(format!("no entry for view {id}")).at(metadata_path))?;
+        let metadata = self.metadata.get(id).ok_or_else(|| bad(format!("view {id} has no entry")).at(metadata_path))?;
         let stated_in = camera_path(self.dir, id);
         let (lens, camera_from_world) = camera(&stated_in, &self.scene_frame, self.images.factor)?;
         let file = format!("{id}.png");
@@ -171,26 +173,16 @@ impl Place<'_> {
     }
 }
 
-/// Over all views of the split, before any is left out.
-fn time_map(frames: &[Frame], params: &Params) -> TimeMap {
-    let times = || frames.iter().map(|frame| frame.time_secs);
-    let (start_secs, end_secs) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
-    if params.static_scene || frames.is_empty() {
-        return TimeMap { start_secs: 0.0, end_secs: 0.0, frame_secs: 1.0 };
-    }
-    TimeMap { start_secs, end_secs, frame_secs: 1.0 / params.fps }
-}
-
-/// `points.npy` [N, 3] in the normalised frame; the format has no colours.
+/// Reads `points.npy`, [N, 3], into the normalised frame; the format has no colours.
 fn points(dir: &Path, frame: &SceneFrame, warnings: &mut Vec<String>) -> Result<Vec<([f64; 3], [u8; 3])>> {
     let path = dir.join("points.npy");
     if !path.is_file() {
-        warnings.push("no points.npy: initial points will be random".into());
+        warnings.push("points.npy is missing: initial points will be random".into());
         return Ok(Vec::new());
     }
     let array = npy_file::read(&path).map_err(|error| bad(error.message).at(&path))?;
     let [_, 3] = *array.shape.as_slice() else {
-        return Err(bad(format!("shape {:?} where [points, 3] is expected", array.shape)).at(path));
+        return Err(bad(format!("the array has shape {:?} instead of [points, 3]", array.shape)).at(path));
     };
     if let Some(at) = array.values.iter().position(|value| !value.is_finite()) {
         return Err(bad(format!("point {} is not finite", at / 3)).at(path));

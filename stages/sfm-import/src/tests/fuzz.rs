@@ -1,18 +1,20 @@
-//! Damaged files give errors, never panics.
+//! Damaged files: errors, never panics.
 
 use std::path::Path;
 
+use super::colmap_files::{write_binary, write_text};
 use super::support::*;
-use crate::colmap::{Model, write};
-use crate::{Params, source};
+use crate::Params;
+use crate::colmap::read_model;
+use crate::recognise::read;
 
-/// A fixed sequence of pseudo-random numbers (Knuth's MMIX generator, upper bits).
+/// The next of a fixed sequence of pseudo-random numbers (upper bits of Knuth's MMIX generator).
 fn random(state: &mut u64) -> usize {
     *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*state >> 33) as usize
 }
 
-/// Writes a new file: cutting an existing one short makes some file systems wait for the disk.
+/// Replaces a file. Truncating an existing file makes some file systems wait for the disk.
 fn overwrite(path: &Path, bytes: impl AsRef<[u8]>) {
     std::fs::remove_file(path).unwrap();
     std::fs::write(path, bytes).unwrap();
@@ -22,19 +24,19 @@ fn overwrite(path: &Path, bytes: impl AsRef<[u8]>) {
 fn every_truncation_of_binary_models_is_an_error() {
     let workspace = Workspace::video(2);
     let dir = tempfile::tempdir().unwrap();
-    write::binary(dir.path(), &workspace.cameras, &workspace.model);
-    assert!(Model::read(dir.path()).is_ok());
+    write_binary(dir.path(), &workspace.cameras, &workspace.model);
+    assert!(read_model(dir.path()).is_ok());
     for file in ["cameras.bin", "images.bin", "points3D.bin"] {
         let path = dir.path().join(file);
         let bytes = std::fs::read(&path).unwrap();
         for length in 0..bytes.len() {
             overwrite(&path, &bytes[..length]);
-            let message = Model::read(dir.path()).unwrap_err().to_string();
+            let message = read_model(dir.path()).unwrap_err().to_string();
             assert!(message.contains("the file ends inside") && message.contains(file), "{message}");
         }
         overwrite(&path, [&bytes[..], &[0]].concat());
-        let message = Model::read(dir.path()).unwrap_err().to_string();
-        assert!(message.contains("1 bytes after the last of"), "{message}");
+        let message = read_model(dir.path()).unwrap_err().to_string();
+        assert!(message.contains("1 unexpected bytes after the last of"), "{message}");
         overwrite(&path, &bytes);
     }
 }
@@ -43,7 +45,7 @@ fn every_truncation_of_binary_models_is_an_error() {
 fn mangled_models_never_panic() {
     let workspace = Workspace::video(2);
     let mut state = 7;
-    for (write, extension) in [(write::binary as fn(&_, &_, &_), "bin"), (write::text, "txt")] {
+    for (write, extension) in [(write_binary as fn(&_, &_, &_), "bin"), (write_text, "txt")] {
         let dir = workspace.write();
         let sparse = dir.path().join("sparse/0");
         std::fs::remove_dir_all(&sparse).unwrap();
@@ -58,8 +60,8 @@ fn mangled_models_never_panic() {
                 bytes[at] = random(&mut state) as u8;
             }
             overwrite(&path, bytes);
-            let result = source::read(dir.path(), &colmap_params());
-            refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
+            let result = read(dir.path(), &colmap_params());
+            refused += usize::from(result.is_err() || result.is_ok_and(|capture| !capture.problems().is_empty()));
             overwrite(&path, good);
         }
         assert!(refused > 100, "only {refused} of 600 mangled models were refused: is the file read at all?");
@@ -82,8 +84,8 @@ fn mangled_transforms_never_panic() {
             bytes[at] = random(&mut state) as u8;
         }
         overwrite(&path, bytes);
-        let result = source::read(dir.path(), &Params::default());
-        refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
+        let result = read(dir.path(), &Params::default());
+        refused += usize::from(result.is_err() || result.is_ok_and(|capture| !capture.problems().is_empty()));
     }
     assert!(refused > 300, "only {refused} of 600 mangled files were refused");
 }
@@ -104,8 +106,8 @@ fn mangled_poses_never_panic() {
         let at = random(&mut state) % bytes.len();
         bytes[at] = random(&mut state) as u8;
         overwrite(&path, bytes);
-        let result = source::read(dir.path(), &Params::default());
-        refused += usize::from(result.is_err() || result.is_ok_and(|source| !source.problems().is_empty()));
+        let result = read(dir.path(), &Params::default());
+        refused += usize::from(result.is_err() || result.is_ok_and(|capture| !capture.problems().is_empty()));
     }
     assert!(refused > 100, "only {refused} of 600 mangled files were refused: is the file read at all?");
 }
@@ -121,7 +123,7 @@ fn every_truncation_of_an_image_is_refused() {
         }
         assert!(run(dir.path(), &Params::default()).is_ok());
         let good = std::fs::read(&path).unwrap();
-        let n_essential = if path == jpeg { good.len() } else { good.len() - 12 }; // IEND of a PNG says nothing
+        let n_essential = if path == jpeg { good.len() } else { good.len() - 12 }; // the IEND chunk of a PNG is optional
         for length in (0..n_essential).step_by(7).chain([n_essential - 1]) {
             overwrite(&path, &good[..length]);
             let file = path.file_name().unwrap().to_str().unwrap();

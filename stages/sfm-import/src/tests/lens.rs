@@ -1,9 +1,11 @@
+//! Lens distortion and its pinhole.
+
 use glam::DVec2;
 
 use super::support::intrinsics;
 use crate::lens::{Distortion, Lens, plane_point};
 
-/// The inverse of the distortion by fixed-point iteration: an independent route.
+/// Inverts the distortion by fixed-point iteration, independently of the product code.
 fn undistort(lens: &Lens, pixel: DVec2) -> DVec2 {
     let k = lens.intrinsics;
     let bent = (pixel - DVec2::new(k.center_x, k.center_y)) / DVec2::new(k.focal_x, k.focal_y);
@@ -15,8 +17,8 @@ fn undistort(lens: &Lens, pixel: DVec2) -> DVec2 {
 }
 
 #[test]
-fn distortion_is_that_of_opencv() {
-    // cv2.projectPoints formula, written out for one point: r² = 0.05.
+fn distortion_equals_opencvs_formula() {
+    // The formula of cv2.projectPoints, written out for one point with r² = 0.05.
     let distortion = Distortion { k1: 0.1, k2: -0.05, k3: 2.0, p1: 0.001, p2: -0.002 };
     let (x, y, r2) = (0.1_f64, -0.2_f64, 0.05_f64);
     let radial = 1.0 + 0.1 * r2 - 0.05 * r2 * r2 + 2.0 * r2 * r2 * r2;
@@ -26,12 +28,12 @@ fn distortion_is_that_of_opencv() {
     );
     assert!(distortion.apply(DVec2::new(x, y)).distance(expected) <= 1e-15);
     let lens = Lens { intrinsics: intrinsics(), distortion };
-    let there_and_back = lens.pixel(undistort(&lens, DVec2::new(20.0, 3.0)));
-    assert!(there_and_back.distance(DVec2::new(20.0, 3.0)) <= 1e-12);
+    let round_trip = lens.pixel(undistort(&lens, DVec2::new(20.0, 3.0)));
+    assert!(round_trip.distance(DVec2::new(20.0, 3.0)) <= 1e-12);
 }
 
 #[test]
-fn undistorted_pinhole_sees_only_what_the_lens_saw() {
+fn the_undistorted_pinhole_sees_only_pixels_of_the_lens() {
     for distortion in [
         Distortion { k1: -0.2, ..Distortion::default() },
         Distortion { k1: 0.2, k2: 0.1, ..Distortion::default() },
@@ -48,7 +50,7 @@ fn undistorted_pinhole_sees_only_what_the_lens_saw() {
                 assert!(pixel.x >= 0.5 && pixel.x <= 23.5 && pixel.y >= 0.5 && pixel.y <= 15.5, "{pixel}");
             }
         }
-        // The smallest such zoom: a little less leaves the image, unless nothing had to be cut.
+        // The zoom is the smallest one: a slightly smaller zoom leaves the image, unless no crop was needed.
         let border = |zoom: f64| {
             let k = scene::Intrinsics { focal_x: 30.0 * zoom, focal_y: 30.0 * zoom, ..lens.intrinsics };
             let corners = [(0, 0), (23, 0), (0, 15), (23, 15), (0, 8), (23, 8), (12, 0), (12, 15)];

@@ -1,8 +1,9 @@
-//! Tests over small generated captures, and over real ones where `PIPELINE_DATA` names them.
+//! Tests on small generated captures, and on real captures where `PIPELINE_DATA` names their folder.
 
 mod blender;
 mod blender_lens;
 mod colmap;
+mod colmap_files;
 mod fuzz;
 mod inspect;
 mod lens;
@@ -11,4 +12,4 @@ mod n3v_faults;
 mod nerfies;
 mod pixels;
 mod real;
-pub mod support;
+pub(crate) mod support;

@@ -1,4 +1,4 @@
-//! Rigs of Neural 3D Video.
+//! Rigs of Neural 3D Video: poses, splits, times and sizes.
 
 use std::path::Path;
 
@@ -9,24 +9,24 @@ use scene::{Camera, PointCloud, Split, facts};
 use tempfile::TempDir;
 
 use super::support::*;
-use crate::Params;
-use crate::params::Resize;
+use crate::recognise::read;
+use crate::{Params, Resize};
 
 /// Points in front of all cameras.
 const TARGETS: [DVec3; 3] = [DVec3::new(0.2, -0.1, 5.0), DVec3::new(-0.4, 0.3, 6.0), DVec3::new(0.5, 0.6, 4.5)];
 
-/// Camera `index` of the rig: the world's y is down, its z goes into the scene.
+/// Camera `index` of the rig. The world has y down and z into the scene.
 fn camera(index: usize) -> Camera {
     let position = DVec3::new(0.8 * index as f64 - 0.5, 0.3 - 0.2 * index as f64, -0.1 * index as f64);
     Camera::look_at(intrinsics(), position, DVec3::new(0.1, 0.2, 5.0), DVec3::NEG_Y)
 }
 
-/// Axes of the camera (right, down, forward) as the columns of a stored rotation.
+/// Arranges the axes of a camera (right, down, forward) as the columns of a stored rotation.
 type Columns = fn(DVec3, DVec3, DVec3) -> [DVec3; 3];
 
 const LLFF: Columns = |right, down, forward| [down, right, -forward];
 
-/// The row of `poses_bounds.npy`.
+/// The row of a camera in `poses_bounds.npy`.
 fn row(camera: &Camera, columns: Columns) -> [f64; 17] {
     let pose = camera.camera_from_world.inverse();
     let [a, b, c] = columns(pose.rotation.x_axis, pose.rotation.y_axis, pose.rotation.z_axis);
@@ -35,16 +35,16 @@ fn row(camera: &Camera, columns: Columns) -> [f64; 17] {
     [a.x, b.x, c.x, t.x, height, a.y, b.y, c.y, t.y, width, a.z, b.z, c.z, t.z, focal, 2.5, 40.0]
 }
 
-pub fn write_poses(dir: &Path, rows: &[[f64; 17]]) {
+pub(crate) fn write_poses(dir: &Path, rows: &[[f64; 17]]) {
     write_npy(&dir.join("poses_bounds.npy"), &format!("({}, 17)", rows.len()), rows.as_flattened());
 }
 
-pub fn rows(count: usize) -> Vec<[f64; 17]> {
+pub(crate) fn rows(count: usize) -> Vec<[f64; 17]> {
     (0..count).map(|index| row(&camera(index), LLFF)).collect()
 }
 
-/// A rig with `count` frames per camera: the blue of a pixel is its camera's place.
-pub fn rig(names: &[&str], count: usize) -> TempDir {
+/// A rig with `count` frames per camera; the blue channel is the index of the camera.
+pub(crate) fn rig(names: &[&str], count: usize) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     write_poses(dir.path(), &rows(names.len()));
     for (index, name) in names.iter().enumerate() {
@@ -57,10 +57,10 @@ pub fn rig(names: &[&str], count: usize) -> TempDir {
     dir
 }
 
-pub const NAMES: [&str; 3] = ["cam00", "cam02", "cam10"];
+pub(crate) const NAMES: [&str; 3] = ["cam00", "cam02", "cam10"];
 
-/// The largest distance in pixels between where the rig's cameras see points and where imported ones do, for poses
-/// stored in `columns`.
+/// The largest distance in pixels between projections by the original and by the imported cameras, for poses stored with
+/// these columns.
 fn misfit_px(columns: Columns) -> f64 {
     let dir = rig(&NAMES, 2);
     write_poses(dir.path(), &[0, 1, 2].map(|index| row(&camera(index), columns)));
@@ -75,22 +75,22 @@ fn misfit_px(columns: Columns) -> f64 {
 }
 
 #[test]
-fn poses_are_those_of_llff_and_of_no_other_convention() {
+fn poses_follow_the_convention_of_llff() {
     assert!(misfit_px(LLFF) <= 1e-9);
     let opencv: Columns = |right, down, forward| [right, down, forward];
     let opengl: Columns = |right, down, forward| [right, -down, -forward];
     let up_first: Columns = |right, down, forward| [-down, right, forward];
     for (name, columns) in [("OpenCV", opencv), ("OpenGL", opengl), ("up first", up_first)] {
-        assert!(misfit_px(columns) >= 1.0, "the test does not notice axes of {name}");
+        assert!(misfit_px(columns) >= 1.0, "the test does not detect the axes of {name}");
     }
     let dir = rig(&NAMES, 2);
     write_poses(dir.path(), &[0, 1, 2].map(|index| row(&camera(index), |x, y, z| [y, x, z])));
-    assert_refused(dir.path(), &Params::default(), &["cam00", "reflection", "poses_bounds.npy"]);
+    insta::assert_snapshot!(refusal(dir.path(), &Params::default()));
 }
 
-/// Worked out by hand: at (2, 0, 1) of a world with z up, looking along x, so that right is −y.
+/// A camera computed by hand: at (2, 0, 1) in a world with z up, looking along x, so that right is −y.
 #[test]
-fn a_row_written_by_hand_is_understood() {
+fn a_row_written_by_hand_is_read() {
     let dir = rig(&["cam00", "cam01"], 2);
     let down_right_back = [0.0, 0.0, -1.0, 2.0, 16.0, 0.0, -1.0, 0.0, 0.0, 24.0, -1.0, 0.0, 0.0, 1.0, 30.0, 1.0, 9.0];
     write_poses(dir.path(), &[down_right_back; 2]);
@@ -125,7 +125,7 @@ fn a_rig_is_imported_with_its_split_times_and_points() {
     assert_eq!((known.count(facts::TIMES), known.flag(facts::POINTS)), (Some(4), Some(true)));
 }
 
-/// Only the test scene's size keeps it from the protocol that is known by name.
+/// The generated scene differs from the named protocol only by its size.
 #[test]
 fn three_hundred_frames_have_the_named_protocol() {
     let dir = rig(&["cam00", "cam01"], 301);
@@ -136,25 +136,27 @@ fn three_hundred_frames_have_the_named_protocol() {
     assert_eq!(capture.protocol.differences(&preset), ["size 12×8 instead of 1352×1014"]);
     let view = &capture.views[0];
     assert_eq!(view.camera, camera_of(&dir, view.camera_index).resized(12, 8));
-    let source = crate::source::read(dir.path(), &params).unwrap();
+    let source = read(dir.path(), &params).unwrap();
     assert!(source.warnings[0].contains("first 300 of 301"), "{:?}", source.warnings);
     let named = Params { protocol: "n3v-1352".into(), ..params };
-    assert_refused(dir.path(), &named, &["not the protocol n3v-1352", "size 12×8"]);
+    let mut refusals = Refusals::default();
+    refusals.add(dir.path(), &named);
     for frame in 150..301 {
         let image = |name: &str| dir.path().join(format!("{name}/images/{frame:04}.png"));
         ["cam00", "cam01"].iter().for_each(|name| std::fs::remove_file(image(name)).unwrap());
     }
-    assert_refused(dir.path(), &named, &["split camera 0 held out, 150 frames instead of camera 0 held out"]);
+    refusals.add(dir.path(), &named);
+    insta::assert_snapshot!(refusals.text());
 }
 
-/// The camera at native size, as it is read.
+/// The camera at native size, as read.
 fn camera_of(dir: &TempDir, index: u32) -> Camera {
     let frames = frames(dir.path(), &Params::default());
     frames.iter().find(|frame| frame.camera_index == index).unwrap().camera().unwrap()
 }
 
 #[test]
-fn images_that_were_extracted_smaller_have_cameras_of_their_size() {
+fn cameras_are_scaled_to_smaller_images() {
     let dir = rig(&["cam00", "cam01"], 2);
     let twice = |index: usize| {
         let k = intrinsics();
@@ -167,7 +169,7 @@ fn images_that_were_extracted_smaller_have_cameras_of_their_size() {
 }
 
 #[test]
-fn frames_may_lie_in_the_cameras_own_folder_and_start_anywhere() {
+fn frames_may_be_in_the_camera_folder_with_any_first_number() {
     let dir = rig(&NAMES, 1);
     for name in NAMES {
         let folder = dir.path().join(name);
@@ -182,7 +184,7 @@ fn frames_may_lie_in_the_cameras_own_folder_and_start_anywhere() {
 }
 
 #[test]
-fn one_instant_is_a_scene_at_rest() {
+fn a_single_frame_is_a_static_scene() {
     let (_root, capture) = run(rig(&NAMES, 1).path(), &Params::default()).unwrap();
     assert_eq!((capture.views.len(), capture.protocol.time.as_str()), (3, "one instant"));
 }

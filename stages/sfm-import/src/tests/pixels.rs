@@ -1,6 +1,9 @@
+//! Undistortion and labels.
+
+use scene::float_image::FloatImage;
+
 use crate::lens::{Distortion, Lens, plane_point};
 use crate::pixels::{Labels, undistorted};
-use scene::float_image::FloatImage;
 
 fn ramp(width: u32, height: u32) -> FloatImage {
     let values = (0..height).flat_map(|row| (0..width).map(move |column| (2 * column + 3 * row) as f32));
@@ -8,7 +11,7 @@ fn ramp(width: u32, height: u32) -> FloatImage {
 }
 
 #[test]
-fn undistortion_looks_up_the_ramp_bilinearly() {
+fn undistortion_interpolates_bilinearly() {
     let intrinsics =
         scene::Intrinsics { width: 64, height: 48, focal_x: 60.0, focal_y: 60.0, center_x: 32.0, center_y: 24.0 };
     let lens = Lens { intrinsics, distortion: Distortion { k1: 0.08, k2: -0.01, k3: 0.0, p1: 0.002, p2: 0.001 } };
@@ -16,7 +19,7 @@ fn undistortion_looks_up_the_ramp_bilinearly() {
     let image = undistorted(ramp(64, 48), &lens, &target);
     for row in 0..48 {
         for column in 0..64 {
-            // A ramp is linear, so bilinear look-up is exact: 2 (x − ½) + 3 (y − ½) at the distorted position.
+            // A ramp is linear, so bilinear interpolation is exact: 2 (x − ½) + 3 (y − ½) at the distorted position.
             let pixel = lens.pixel(plane_point(&target, column, row));
             let expected = 2.0 * (pixel.x - 0.5) + 3.0 * (pixel.y - 0.5);
             let value = f64::from(image.values[(row * 64 + column) as usize]);
@@ -28,7 +31,7 @@ fn undistortion_looks_up_the_ramp_bilinearly() {
 }
 
 #[test]
-fn mask_values_become_instances_or_one_object() {
+fn mask_values_are_instances_or_one_blurred_object() {
     let values = |present: &[usize]| {
         let mut values = [false; 256];
         present.iter().for_each(|&value| values[value] = true);

@@ -1,4 +1,4 @@
-//! Real captures, where `PIPELINE_DATA` names a folder that holds them.
+//! Real captures, where `PIPELINE_DATA` names their folder.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,11 +7,12 @@ use glam::DVec3;
 use scene::{Capture, Intrinsics, Split};
 
 use super::support::run;
-use crate::Params;
-use crate::colmap::{Model, layout::sparse_dir};
-use crate::params::{Resize, TestSplit};
+use crate::colmap::layout::sparse_dir;
+use crate::colmap::model::Model;
+use crate::colmap::read_model;
+use crate::{Params, Resize, TestSplit};
 
-/// The folder of a real capture; says so where there is none.
+/// The folder of a real capture, after printing its description; `None` if it is not available.
 fn data(name: &str) -> Option<PathBuf> {
     let dir = needs::data(name)?;
     eprintln!("{}", crate::inspect::inspect(&dir).unwrap().text());
@@ -30,7 +31,7 @@ fn assert_orthonormal(capture: &Capture) {
     }
 }
 
-/// Names and train, val and test counts of `data-manifests/dnerf.toml`; `None` where it states none.
+/// Names and train, val and test counts in `data-manifests/dnerf.toml`; `None` for a count that it does not state.
 fn dnerf_manifest() -> Vec<(String, [Option<i64>; 3])> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data-manifests/dnerf.toml");
     let manifest: toml::Table = std::fs::read_to_string(path).unwrap().parse().unwrap();
@@ -69,7 +70,7 @@ fn dnerf_scenes_have_the_counts_of_the_manifest() {
     assert_eq!(counts(&run(&dir, &params).unwrap().1), [50, 0, 11]);
 }
 
-/// The share of the object's pixels in the first view that its visual hull over all training views covers.
+/// The share of the object's pixels in the first view that the visual hull of all training views covers.
 fn hull_coverage(capture: &Capture, mirrored: bool) -> f64 {
     let views: Vec<_> = capture.views_of(Split::Train).map(|(_, view)| view).collect();
     let masks: Vec<_> = views.iter().map(|view| capture.load_alpha(view).unwrap().unwrap()).collect();
@@ -86,7 +87,7 @@ fn hull_coverage(capture: &Capture, mirrored: bool) -> f64 {
         let position = [index % 80, index / 80 % 80, index / 6400].map(|i| -1.3 + (f64::from(i) + 0.5) * cell);
         let point = DVec3::from(position);
         let seen = views.iter().zip(&masks).filter(|(view, mask)| pixel(view, point).is_some_and(|at| mask[at][0] > 0));
-        // Nine of ten: the shovel moves.
+        // Nine of ten views, because the shovel moves.
         if 10 * seen.count() >= 9 * views.len()
             && let Some(at) = pixel(views[0], point)
         {
@@ -99,21 +100,21 @@ fn hull_coverage(capture: &Capture, mirrored: bool) -> f64 {
 }
 
 #[test]
-fn silhouettes_agree_on_one_object() {
+fn silhouettes_of_lego_intersect_in_one_object() {
     let Some(dir) = data("dnerf/lego") else { return };
     let params = Params { width: Some(64), ..Params::default() };
     let (_root, capture) = run(&dir, &params).unwrap();
     let (coverage, mirrored) = (hull_coverage(&capture, false), hull_coverage(&capture, true));
     eprintln!(
-        "visual hull covers {:.1} % of the object, of mirrored images {:.1} %",
+        "the visual hull covers {:.1} % of the object; with mirrored images {:.1} %",
         100.0 * coverage,
         100.0 * mirrored
     );
     assert!(coverage >= 0.97, "{coverage}");
-    assert!(mirrored <= 0.8, "the test does not notice mirrored images: {mirrored}");
+    assert!(mirrored <= 0.8, "the test does not detect mirrored images: {mirrored}");
 }
 
-/// Of every point: mean reprojection error of its track through the cameras of the capture, and the stored error.
+/// For every point: the mean reprojection error of its track with the cameras of the capture, and the stored error.
 fn reprojection_px(capture: &Capture, model: &Model) -> Vec<(f64, f64)> {
     let views: BTreeMap<&str, _> = capture.views.iter().map(|view| (view.name.as_str(), view)).collect();
     let point_errors = model.points.values().map(|point| {
@@ -128,8 +129,8 @@ fn reprojection_px(capture: &Capture, model: &Model) -> Vec<(f64, f64)> {
 }
 
 #[test]
-fn colmap_captures_reproject_as_colmap_says() {
-    // COLMAP stored the errors of sceaux before the images were undistorted and reduced from 2832 pixels per row.
+fn reprojection_errors_agree_with_colmaps() {
+    // COLMAP stored the errors of sceaux before its images were undistorted and reduced from a width of 2832 pixels.
     let sceaux = ("colmap_sceaux", [9, 0, 2], (1200, 885), 2832.0, true);
     let davis = ("davis_bmx-trees_colmap", [70, 0, 10], (432, 240), 432.0, false);
     for (name, expected, size, original_width, is_static) in [sceaux, davis] {
@@ -139,17 +140,17 @@ fn colmap_captures_reproject_as_colmap_says() {
         assert_eq!(counts(&capture), expected, "{name}");
         assert_eq!((capture.protocol.width, capture.protocol.height), size);
         assert_orthonormal(&capture);
-        let model = Model::read(&sparse_dir(&dir).unwrap()).unwrap();
+        let model = read_model(&sparse_dir(&dir).unwrap()).unwrap();
         let errors = reprojection_px(&capture, &model);
         let ours = errors.iter().map(|error| error.0).sum::<f64>() / errors.len() as f64;
         let stored = errors.iter().map(|error| error.1).sum::<f64>() / errors.len() as f64;
-        eprintln!("{name}: {ours:.4} px through our cameras, {stored:.4} px stored, {} points", errors.len());
+        eprintln!("{name}: {ours:.4} px with the imported cameras, {stored:.4} px stored, {} points", errors.len());
         let reduced = f64::from(size.0) / original_width;
         assert!((ours / (stored * reduced) - 1.0).abs() <= 0.03, "{name}: {ours} against {stored} · {reduced}");
         let mut ratios: Vec<f64> = errors.iter().map(|(ours, stored)| ours / (stored * reduced)).collect();
         ratios.sort_by(f64::total_cmp);
         let (low, high) = (ratios[ratios.len() / 20], ratios[ratios.len() * 19 / 20]);
-        assert!(low >= 0.95 && high <= 1.05, "{name}: point by point {low} to {high} times the stored error");
+        assert!(low >= 0.95 && high <= 1.05, "{name}: {low} to {high} times the stored error for 90 % of the points");
         let masks = capture.views.iter().filter(|view| view.mask.is_some()).count();
         assert_eq!(masks, if is_static { 0 } else { 80 });
         assert!(capture.load_points().unwrap().unwrap().len() == model.points.len());
@@ -157,13 +158,13 @@ fn colmap_captures_reproject_as_colmap_says() {
 }
 
 #[test]
-fn wrong_images_beside_a_model_are_refused() {
+fn a_model_with_other_images_is_refused() {
     let Some(dir) = data("n3dv_one_frame_5views/data") else { return };
     let message = super::support::refusal(&dir, &Params { static_scene: true, ..Params::default() });
     assert!(message.contains("image file is missing"), "{message}");
 }
 
-/// Poses of LLFF beside an independent reconstruction: how the cameras are turned against each other must agree.
+/// Relative rotations of LLFF poses must agree with those of an independent reconstruction.
 #[test]
 fn poses_bounds_agree_with_colmap() {
     let Some(dir) = data("n3dv_one_frame_5views/data") else { return };
@@ -184,7 +185,7 @@ fn poses_bounds_agree_with_colmap() {
         let view = capture.views.iter().find(|view| view.name.starts_with(name)).unwrap();
         view.camera.camera_from_world.rotation
     };
-    let model = Model::read(&sparse_dir(&dir).unwrap()).unwrap();
+    let model = read_model(&sparse_dir(&dir).unwrap()).unwrap();
     let colmap = |name: &str| {
         let file = format!("{}.jpg", name["cam".len()..].parse::<u32>().unwrap());
         model.images.values().find(|image| image.name == file).unwrap().camera_from_world().rotation
@@ -193,13 +194,13 @@ fn poses_bounds_agree_with_colmap() {
         let turn = |rotation: &dyn Fn(&str) -> glam::DMat3| rotation(name) * rotation("cam00").transpose();
         let apart = |rotation: glam::DMat3| glam::DQuat::from_mat3(&rotation).to_axis_angle().1.to_degrees();
         let (turned, differs) = (apart(turn(&colmap)), apart(turn(&ours) * turn(&colmap).transpose()));
-        eprintln!("{name} is turned by {turned:.2}°, differently by {differs:.2}°");
+        eprintln!("{name} is rotated by {turned:.2}° against cam00; the two sources differ by {differs:.2}°");
         assert!(turned >= 5.0 && differs <= 1.0, "{name}: {differs}° of {turned}°");
     }
 }
 
 #[test]
-fn a_nerfies_capture_sees_its_points() {
+fn nerfies_cameras_see_their_points() {
     let Some(dir) = data("davis_tennis_nerfies") else { return };
     let (_root, capture) = run(&dir, &Params::default()).unwrap();
     assert_eq!(counts(&capture), [53, 0, 17]);
@@ -207,7 +208,7 @@ fn a_nerfies_capture_sees_its_points() {
     assert_eq!(capture.views.iter().filter(|view| view.mask.is_some()).count(), 70);
     let points = capture.load_points().unwrap().unwrap();
     assert_eq!(points.len(), 4860);
-    // Triangulated in this video, every point is in front of most cameras, and many are inside of each image.
+    // The points were triangulated in this video: most are in front of every camera, and many are inside of each image.
     let share = |inside: bool| {
         let shares = capture.views.iter().map(|view| {
             let pixels = points.positions.iter().filter_map(|p| view.camera.project(DVec3::from(p.map(f64::from))));
@@ -217,12 +218,16 @@ fn a_nerfies_capture_sees_its_points() {
         });
         shares.fold(f64::INFINITY, f64::min)
     };
-    eprintln!("seen by every view: {:.2} in front, {:.2} inside", share(false), share(true));
+    eprintln!(
+        "share of points in every view, at least: {:.2} in front of the camera, {:.2} inside of the image",
+        share(false),
+        share(true)
+    );
     assert!(share(false) >= 0.99 && share(true) >= 0.2);
 }
 
 #[test]
-fn dychecks_cameras_and_splits_are_read() {
+fn dycheck_cameras_and_splits_are_read() {
     let Some(dir) = data("dycheck_paper_windmill/demo/datasets/iphone/paper-windmill") else { return };
     let (views, rule) = crate::nerfies::split_views(&dir).unwrap();
     let count = |split| views.iter().filter(|(_, of)| *of == split).count();
@@ -232,11 +237,11 @@ fn dychecks_cameras_and_splits_are_read() {
         let (lens, pose) = crate::nerfies::files::camera(&dir.join(format!("camera/{id}.json")), &frame, 2).unwrap();
         pose.check().unwrap();
         assert_eq!((lens.intrinsics.width, lens.intrinsics.height), (360, 480));
-        // The scene lies in front of every camera, within the stated near and far planes around its centre.
+        // The scene centre is in front of every camera, between the stated near and far planes.
         let depth = pose.translation.z;
-        assert!((0.1..0.6).contains(&depth), "{id} has the centre at depth {depth}");
+        assert!((0.1..0.6).contains(&depth), "{id} sees the centre at depth {depth}");
     }
-    // Its images are not part of this data: the import says so.
+    // The images are not part of this data.
     let message = super::support::refusal(&dir, &Params::default());
     assert!(message.contains("no folder of images"), "{message}");
 }

@@ -9,19 +9,20 @@ use scene::{Camera, Capture, Intrinsics};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::colmap::Model;
-use crate::colmap::model::{Point, RegisteredImage, lens};
-use crate::colmap::write::StatedCamera;
+use super::colmap_files::{self, StatedCamera};
+use crate::colmap::model::{Model, Point, RegisteredImage, lens};
 use crate::inspect::inspect;
-use crate::{Params, SfmImport, source};
+use crate::recognise::read;
+use crate::source::Frame;
+use crate::{Params, SfmImport};
 
-/// Size of generated images.
-pub const WIDTH: u32 = 24;
-/// Size of generated images.
-pub const HEIGHT: u32 = 16;
+/// Width of generated images.
+pub(crate) const WIDTH: u32 = 24;
+/// Height of generated images.
+pub(crate) const HEIGHT: u32 = 16;
 
 /// Runs the stage on `dir` through a job context.
-pub fn run(dir: &Path, params: &Params) -> anyhow::Result<(TempDir, Capture)> {
+pub(crate) fn run(dir: &Path, params: &Params) -> anyhow::Result<(TempDir, Capture)> {
     let root = tempfile::tempdir()?;
     let mut context = JobContext::detached(root.path())?;
     context.sources.insert("source".into(), dir.into());
@@ -30,34 +31,60 @@ pub fn run(dir: &Path, params: &Params) -> anyhow::Result<(TempDir, Capture)> {
     Ok((root, artifact.0))
 }
 
-/// The message with which `dir` is refused.
-pub fn refusal(dir: &Path, params: &Params) -> String {
+/// The error for `dir`, with the temporary folder shortened to `DIR`.
+pub(crate) fn refusal(dir: &Path, params: &Params) -> String {
     match run(dir, params) {
         Ok(_) => panic!("{} was accepted", dir.display()),
-        Err(error) => format!("{error:#}"),
+        Err(error) => shortened(&format!("{error:#}"), dir),
     }
 }
 
-/// Asserts that `dir` is refused with a message that contains all `parts`.
-pub fn assert_refused(dir: &Path, params: &Params, parts: &[&str]) {
+/// Replaces the path, the parent and the name of a temporary folder.
+pub(crate) fn shortened(text: &str, dir: &Path) -> String {
+    let data_root = format!("--data-root {}\n", dir.parent().unwrap().display());
+    let text = text.replace(&data_root, "--data-root PARENT\n").replace(&*dir.to_string_lossy(), "DIR");
+    let name = dir.file_name().unwrap().to_string_lossy();
+    // Recipes omit the dot at the start of a name.
+    text.replace(&*name, "DIR").replace(name.trim_start_matches('.'), "DIR")
+}
+
+/// The errors of one test, for a snapshot.
+#[derive(Default)]
+pub(crate) struct Refusals(String);
+
+impl Refusals {
+    /// Appends the error for `dir`.
+    pub(crate) fn add(&mut self, dir: &Path, params: &Params) {
+        self.0 += &refusal(dir, params);
+        self.0.push('\n');
+    }
+
+    /// One line per error.
+    pub(crate) fn text(&self) -> &str {
+        &self.0
+    }
+}
+
+/// Asserts that `dir` is refused with an error that contains all `parts`.
+pub(crate) fn assert_refused(dir: &Path, params: &Params, parts: &[&str]) {
     let message = refusal(dir, params);
     for part in parts {
         assert!(message.contains(part), "{part:?} is not in {message:?}");
     }
 }
 
-/// What `inspect` says of a folder.
-pub fn describe(dir: &Path) -> anyhow::Result<String> {
-    Ok(inspect(dir)?.text())
+/// The report of `inspect`, with the temporary folder shortened to `DIR`.
+pub(crate) fn describe(dir: &Path) -> anyhow::Result<String> {
+    Ok(shortened(&inspect(dir)?.text(), &dir.canonicalize()?))
 }
 
-/// The frames that are imported, without touching pixels.
-pub fn frames(dir: &Path, params: &Params) -> Vec<source::Frame> {
-    source::read(dir, params).unwrap().frames
+/// The frames of a capture, without decoding images.
+pub(crate) fn frames(dir: &Path, params: &Params) -> Vec<Frame> {
+    read(dir, params).unwrap().frames
 }
 
 /// The camera-to-world matrix (Blender axes) of the `index`-th test camera, rows first.
-pub fn blender_matrix(index: usize) -> [[f64; 4]; 4] {
+pub(crate) fn blender_matrix(index: usize) -> [[f64; 4]; 4] {
     let angle = 0.4 * index as f64;
     let camera =
         Camera::look_at(intrinsics(), DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0), DVec3::ZERO, DVec3::Z);
@@ -70,13 +97,13 @@ pub fn blender_matrix(index: usize) -> [[f64; 4]; 4] {
     rows
 }
 
-/// A pinhole of the size of generated images.
-pub fn intrinsics() -> Intrinsics {
+/// A pinhole for generated images.
+pub(crate) fn intrinsics() -> Intrinsics {
     Intrinsics { width: WIDTH, height: HEIGHT, focal_x: 30.0, focal_y: 30.0, center_x: 12.0, center_y: 8.0 }
 }
 
 /// A D-NeRF folder with 5 training, 2 validation and 3 test frames.
-pub fn blender_scene() -> TempDir {
+pub(crate) fn blender_scene() -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     for (label, count) in [("train", 5), ("val", 2), ("test", 3)] {
         std::fs::create_dir_all(dir.path().join(label)).unwrap();
@@ -97,7 +124,7 @@ pub fn blender_scene() -> TempDir {
     dir
 }
 
-/// Left third transparent red, middle half-transparent green, right opaque blue.
+/// Left third: transparent red; middle: half-transparent green; right: opaque blue.
 fn rgba_image(index: usize) -> RgbaImage {
     RgbaImage::from_fn(WIDTH, HEIGHT, |column, _| match column / 8 {
         0 => Rgba([255, 0, 0, 0]),
@@ -106,27 +133,28 @@ fn rgba_image(index: usize) -> RgbaImage {
     })
 }
 
-pub fn transforms_path(dir: &Path, label: &str) -> std::path::PathBuf {
+/// The path of the transforms file of one split.
+pub(crate) fn transforms_path(dir: &Path, label: &str) -> std::path::PathBuf {
     dir.join(format!("transforms_{label}.json"))
 }
 
-/// Changes the JSON of one split.
-pub fn edit_transforms(dir: &Path, label: &str, edit: impl FnOnce(&mut Value)) {
+/// Edits the transforms file of one split.
+pub(crate) fn edit_transforms(dir: &Path, label: &str, edit: impl FnOnce(&mut Value)) {
     let path = transforms_path(dir, label);
     let mut json: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
     edit(&mut json);
     std::fs::write(path, json.to_string()).unwrap();
 }
 
-/// A COLMAP workspace in memory: cameras, and a model that fits them exactly.
-pub struct Workspace {
-    pub cameras: Vec<StatedCamera>,
-    pub model: Model,
+/// A COLMAP workspace in memory: cameras, and a model without reprojection error.
+pub(crate) struct Workspace {
+    pub(crate) cameras: Vec<StatedCamera>,
+    pub(crate) model: Model,
 }
 
 impl Workspace {
-    /// `count` images named by `name`, all of camera 1 with the given model and parameters.
-    pub fn new(count: u32, camera_model: &'static str, params: &[f64], name: impl Fn(u32) -> String) -> Self {
+    /// `count` images named by `name`, all with camera 1 of the given model and parameters.
+    pub(crate) fn new(count: u32, camera_model: &'static str, params: &[f64], name: impl Fn(u32) -> String) -> Self {
         let size = (u64::from(WIDTH), u64::from(HEIGHT));
         let camera = StatedCamera { id: 1, model: camera_model, size, params: params.to_vec() };
         let lens = lens(camera_model, size.0, size.1, params);
@@ -164,14 +192,14 @@ impl Workspace {
     }
 
     /// A pinhole video of `count` frames.
-    pub fn video(count: u32) -> Self {
+    pub(crate) fn video(count: u32) -> Self {
         Self::new(count, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("{index:04}.png"))
     }
 
-    /// Writes a binary model and an image per registered name into a folder.
-    pub fn write(&self) -> TempDir {
+    /// Writes a binary model and the registered images into a folder.
+    pub(crate) fn write(&self) -> TempDir {
         let dir = tempfile::tempdir().unwrap();
-        crate::colmap::write::binary(&dir.path().join("sparse/0"), &self.cameras, &self.model);
+        colmap_files::write_binary(&dir.path().join("sparse/0"), &self.cameras, &self.model);
         for (id, image) in &self.model.images {
             write_image(&dir.path().join("images").join(&image.name), *id);
         }
@@ -179,30 +207,30 @@ impl Workspace {
     }
 }
 
-/// An opaque image.
-pub fn write_image(path: &Path, seed: u32) {
+/// Writes an opaque image of colour ramps.
+pub(crate) fn write_image(path: &Path, seed: u32) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     let pixel = |column: u32, row: u32| Rgb([(10 * column) as u8, (15 * row) as u8, seed as u8]);
     RgbImage::from_fn(WIDTH, HEIGHT, pixel).save(path).unwrap();
 }
 
-/// A `.npy` file of f64 values.
-pub fn write_npy(path: &Path, shape: &str, values: &[f64]) {
+/// Writes a `.npy` file of f64 values.
+pub(crate) fn write_npy(path: &Path, shape: &str, values: &[f64]) {
     let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
     let mut bytes = [&b"\x93NUMPY\x01\x00\x76\x00"[..], format!("{header:<117}\n").as_bytes()].concat();
     values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
     std::fs::write(path, bytes).unwrap();
 }
 
-/// A mask whose left half is 0 and whose right half is `value`.
-pub fn write_mask(path: &Path, size: (u32, u32), value: u8) {
+/// Writes a mask with 0 in the left half and `value` in the right half.
+pub(crate) fn write_mask(path: &Path, size: (u32, u32), value: u8) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     GrayImage::from_fn(size.0, size.1, |column, _| Luma([if column < size.0 / 2 { 0 } else { value }]))
         .save(path)
         .unwrap();
 }
 
-/// Parameters of a COLMAP import that tests on the first of every four images.
-pub fn colmap_params() -> Params {
+/// Parameters of a COLMAP import that holds out every fourth image, starting with the first.
+pub(crate) fn colmap_params() -> Params {
     Params { every_nth: 4, fps: 10.0, ..Params::default() }
 }

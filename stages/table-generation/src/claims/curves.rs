@@ -1,54 +1,48 @@
-//! Quality over seconds as others measured it.
+//! Published curves of quality over training time.
 
 use anyhow::ensure;
 use serde::Deserialize;
 
-use super::ClaimProtocol;
-
-const FILE: &str = include_str!("../../claims/third_party_curves.toml");
+use super::protocol::ClaimProtocol;
 
 /// The curves of one source.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PublishedCurves {
-    /// Who measured, with the version of the data.
+pub(crate) struct PublishedCurves {
+    /// Author and version of the data.
     pub source: String,
-    /// Where it lies.
+    /// Address of the data.
     pub url: String,
-    /// The day on which the figures were taken from there.
+    /// Day on which the values were copied.
     pub taken: String,
-    /// What it ran on.
+    /// Hardware of the measurements.
     pub hardware: String,
-    /// What a reader should know.
+    /// Remarks.
     pub notes: Vec<String>,
-    /// Under which protocol.
+    /// The protocol.
     pub protocol: ClaimProtocol,
-    /// One per method and scene.
+    /// One curve per method and scene.
     pub curve: Vec<PublishedCurve>,
 }
 
-/// One method on one scene.
+/// The curve of one method on one scene.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PublishedCurve {
-    /// The method's id here.
+pub(crate) struct PublishedCurve {
+    /// The method's id in this project.
     pub method: String,
-    /// What the source calls it.
+    /// The source's name for the method.
     pub label: String,
-    /// The scene.
+    /// The scene's name.
     pub scene: String,
-    /// Seconds of training of every evaluation, ascending.
+    /// Seconds of training at every evaluation, ascending.
     pub seconds: Vec<f64>,
-    /// PSNR on the test views, dB.
+    /// PSNR on the test views at every evaluation, dB.
     pub psnr: Vec<f64>,
 }
 
-/// The curves that are compiled in.
-pub fn built_in() -> anyhow::Result<PublishedCurves> {
-    parse(FILE)
-}
-
-fn parse(text: &str) -> anyhow::Result<PublishedCurves> {
+/// Parses and checks a file of curves.
+pub(crate) fn parse_curves(text: &str) -> anyhow::Result<PublishedCurves> {
     let curves: PublishedCurves = toml::from_str(text)?;
     for curve in &curves.curve {
         let name = format!("curve of {} on {}", curve.label, curve.scene);
@@ -62,13 +56,14 @@ fn parse(text: &str) -> anyhow::Result<PublishedCurves> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::library;
 
     #[test]
-    fn the_curves_agree_with_the_claims_of_the_same_source() {
-        let curves = built_in().expect("valid curves");
+    fn curves_end_at_the_claims_of_their_source() {
+        let curves = library::curves().expect("valid curves");
         assert_eq!(curves.curve.len(), 23, "three methods on eight scenes, one of which has no curve");
         let mut n_checked = 0;
-        for claim in crate::built_in_claims().expect("valid claims") {
+        for claim in library::claims().expect("valid claims") {
             let same = |scene: &String| {
                 curves.curve.iter().find(|curve| curve.method == claim.method && curve.scene == *scene)
             };
@@ -85,13 +80,14 @@ mod tests {
     }
 
     #[test]
-    fn faulty_curves_are_refused() {
+    fn faulty_curves_are_rejected() {
         for (from, to) in [
             ("seconds = [44.5,", "seconds = [nan,"),
             ("seconds = [44.5,", "seconds = ["),
             ("psnr = [7.64,", "psnr = [-1,"),
         ] {
-            assert!(FILE.contains(from) && parse(&FILE.replacen(from, to, 1)).is_err(), "{to} was accepted");
+            let file = library::CURVES;
+            assert!(file.contains(from) && parse_curves(&file.replacen(from, to, 1)).is_err(), "{to} was accepted");
         }
     }
 }

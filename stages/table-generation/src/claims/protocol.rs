@@ -1,29 +1,27 @@
-//! How published numbers came to be, and in what that differs from a group of ours.
+//! The protocols of published values, and their differences from a measured group.
 
-use scene::Split;
 use scene::protocol::PRESETS;
+use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::report::{Group, Row};
-
-/// A source's protocol; what it does not state is absent and never taken for granted.
+/// A source's protocol. Unstated fields are absent and never assumed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ClaimProtocol {
-    /// The benchmark, as [`scene::Protocol::dataset`] or by the name that the literature gives it.
+pub(crate) struct ClaimProtocol {
+    /// The benchmark: a value of [`scene::Protocol::dataset`], or the name used in the literature.
     pub dataset: String,
-    /// As [`scene::Protocol::split`].
+    /// The split, a value of [`scene::Protocol::split`].
     pub split: Option<String>,
-    /// Which of the split's images were judged.
+    /// The images of the split that were judged.
     #[serde(default = "test_images")]
     pub images: Split,
-    /// Pixels per row.
+    /// Image width, px.
     pub width: Option<u32>,
-    /// Rows.
+    /// Image height, px.
     pub height: Option<u32>,
-    /// As [`scene::Protocol::background`].
+    /// The background, a value of [`scene::Protocol::background`].
     pub background: Option<String>,
-    /// Which iterate was scored.
+    /// The iterate that was scored.
     pub checkpoint: Option<Checkpoint>,
     /// Whether saved 8-bit images or float renders were scored.
     pub levels: Option<Levels>,
@@ -33,19 +31,19 @@ fn test_images() -> Split {
     Split::Test
 }
 
-/// Which iterate a source scores; ours is always the last.
+/// The iterate that a source scores. This project always scores the last one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Checkpoint {
-    /// The last one.
+pub(crate) enum Checkpoint {
+    /// The last iterate.
     Last,
-    /// The one with the best value on the test images.
+    /// The iterate with the best value on the test images.
     BestOnTest,
 }
 
-/// What a source scores; ours are always saved 8-bit images.
+/// The precision of the images that a source scores. This project always scores saved 8-bit images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Levels {
+pub(crate) enum Levels {
     /// 8-bit files.
     #[serde(rename = "8-bit")]
     Eight,
@@ -54,17 +52,17 @@ pub enum Levels {
     Float,
 }
 
-/// Benchmarks whose captures are imported under the name of a file layout.
+/// Benchmarks whose captures carry the name of a file layout: (benchmark, layout).
 const LAYOUT_OF: [(&str, &str); 2] = [("hypernerf", "nerfies"), ("n3v", "colmap")];
 
 impl ClaimProtocol {
-    /// Whether captures of this data set are what the source measured on.
-    pub fn is_of(&self, dataset: &str) -> bool {
+    /// Whether the source measured on captures of this data set.
+    pub(crate) fn is_of(&self, dataset: &str) -> bool {
         self.dataset == dataset || LAYOUT_OF.contains(&(self.dataset.as_str(), dataset))
     }
 
-    /// One line, with what is not stated.
-    pub fn line(&self) -> String {
+    /// The protocol in one line; unstated fields are named as such.
+    pub(crate) fn line(&self) -> String {
         let Self { dataset, split, images: _, width, height, background, checkpoint, levels } = self;
         let split = split.as_ref().map_or("split not stated".into(), |split| format!("{split} split"));
         let size = match (width, height) {
@@ -78,7 +76,7 @@ impl ClaimProtocol {
             Some(Checkpoint::BestOnTest) => "best iterate on the test images",
         };
         let levels = match levels {
-            None => "8 bit or float not stated",
+            None => "8-bit or float not stated",
             Some(Levels::Eight) => "8-bit images",
             Some(Levels::Float) => "float renders",
         };
@@ -87,7 +85,7 @@ impl ClaimProtocol {
         format!("{name}{dataset} · {split} · {images} · {size} · {background} · {checkpoint} · {levels}")
     }
 
-    /// The only protocol by name that agrees with what is stated of the images, where all of that is stated.
+    /// Name of the only preset that matches the stated images; none unless all fields of the images are stated.
     fn preset_name(&self) -> Option<&'static str> {
         let stated = (self.split.as_ref()?, self.width?, self.height?, self.background.as_ref()?);
         let mut presets = PRESETS.iter().filter(|preset| {
@@ -107,40 +105,43 @@ impl ClaimProtocol {
         }
     }
 
-    /// Everything in which this protocol differs from that of a row of a group, or leaves open whether it does.
-    pub fn differences(&self, group: &Group, row: &Row) -> Vec<String> {
-        let mut differences = self.differences_of_images(group);
+    /// Every difference from a measured row, and every field that the source leaves open. `ours` and `judged_by` are
+    /// those of the row's group; `shortened` says how its schedule differs from the method's own.
+    pub(crate) fn differences(&self, ours: &Protocol, judged_by: &str, shortened: Option<&str>) -> Vec<String> {
+        let mut differences = self.differences_of_images(ours, judged_by);
         match self.checkpoint {
             None => differences.push("checkpoint rule not stated".into()),
-            Some(Checkpoint::BestOnTest) => differences.push("best iterate on the test images there, last here".into()),
+            Some(Checkpoint::BestOnTest) => {
+                differences.push("checkpoint: published best on the test images, measured last".into())
+            }
             Some(Checkpoint::Last) => {}
         }
         match self.levels {
-            None => differences.push("8 bit or float not stated".into()),
-            Some(Levels::Float) => differences.push("float renders there, 8-bit images here".into()),
+            None => differences.push("8-bit or float not stated".into()),
+            Some(Levels::Float) => differences.push("levels: published float renders, measured 8-bit images".into()),
             Some(Levels::Eight) => {}
         }
-        differences.extend(row.shortened.as_ref().map(|how| format!("{how} here")));
+        differences.extend(shortened.map(str::to_owned));
         differences
     }
 
-    /// The same without how images were scored: whether the images themselves are those of a group.
-    pub fn differences_of_images(&self, group: &Group) -> Vec<String> {
-        let ours = &group.protocol;
+    /// The differences that concern the images themselves: data set, split, resolution, background, judged views.
+    pub(crate) fn differences_of_images(&self, ours: &Protocol, judged_by: &str) -> Vec<String> {
         let mut differences = Vec::new();
         if !self.is_of(&ours.dataset) {
-            differences.push(format!("data set {} there, {} here", self.dataset, ours.dataset));
+            differences.push(format!("data set: published {}, measured {}", self.dataset, ours.dataset));
         }
         match &self.split {
             None => differences.push("split not stated".into()),
             Some(theirs) if *theirs != ours.split => {
-                differences.push(format!("split {theirs} there, {} here", ours.split));
+                differences.push(format!("split: published {theirs}, measured {}", ours.split));
             }
             Some(_) => {}
         }
         match (self.width, self.height) {
             (Some(width), Some(height)) if (width, height) != (ours.width, ours.height) => {
-                differences.push(format!("resolution {width}×{height} there, {}×{} here", ours.width, ours.height));
+                differences
+                    .push(format!("resolution: published {width}×{height}, measured {}×{}", ours.width, ours.height));
             }
             (Some(_), Some(_)) => {}
             _ => differences.push("resolution not stated".into()),
@@ -148,12 +149,12 @@ impl ClaimProtocol {
         match &self.background {
             None => differences.push("background not stated".into()),
             Some(theirs) if *theirs != ours.background => {
-                differences.push(format!("{theirs} background there, {} here", ours.background));
+                differences.push(format!("background: published {theirs}, measured {}", ours.background));
             }
             Some(_) => {}
         }
-        if !group.judged_by.starts_with(&format!("{} images", self.images_judged())) {
-            differences.push(format!("{} images there, {} here", self.images_judged(), group.judged_by));
+        if !judged_by.starts_with(&format!("{} images", self.images_judged())) {
+            differences.push(format!("images: published {}, measured {judged_by}", self.images_judged()));
         }
         differences
     }

@@ -1,11 +1,12 @@
-//! Claim files are sound, and faulty ones are refused.
+//! Claim files are consistent, and faulty ones are rejected.
 
 use super::*;
+use crate::library;
 
 #[test]
-fn printed_means_are_means_of_printed_scenes_unless_a_note_says_otherwise() {
+fn printed_means_match_printed_scenes_unless_noted() {
     let mut n_checked = 0;
-    for claim in built_in_claims().expect("valid claim files") {
+    for claim in library::claims().expect("valid claim files") {
         let Some(mean) = &claim.mean else { continue };
         let psnr = |scene: &String| claim.scenes.get(scene).and_then(|values| values.psnr);
         let printed: Option<Vec<f64>> = mean.scenes.iter().map(psnr).collect();
@@ -19,7 +20,7 @@ fn printed_means_are_means_of_printed_scenes_unless_a_note_says_otherwise() {
 }
 
 #[test]
-fn faulty_claim_files_are_refused() {
+fn faulty_claim_files_are_rejected() {
     let good = r#"[[claim]]
         method = "m"
         label = "M"

@@ -1,44 +1,44 @@
-//! What a measurement says about a published value.
+//! Verdicts: whether a measurement reproduces a published value.
 
 use serde::{Deserialize, Serialize};
 
+use crate::cell::Cell;
 use crate::format::signed;
-use crate::report::Cell;
 use crate::statistics::half_width;
 
-/// What our measurement says about a published PSNR.
+/// Result of the comparison of a measured with a published PSNR.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "verdict", rename_all = "kebab-case")]
-pub enum Verdict {
-    /// Within the allowed difference.
+pub(crate) enum Verdict {
+    /// The difference is within the tolerance.
     Reproduced {
         /// Measured minus published, dB.
         delta_db: f64,
     },
-    /// Farther away, but inside the 95 % interval of our mean over seeds.
+    /// The difference exceeds the tolerance, but the published value lies in the 95 % interval of the measured mean.
     WithinSpread {
         /// Measured minus published, dB.
         delta_db: f64,
     },
-    /// Measured below by more than that.
+    /// The measured value is lower by more than tolerance and interval.
     Below {
         /// Measured minus published, dB.
         delta_db: f64,
     },
-    /// Measured above by more than that.
+    /// The measured value is higher by more than tolerance and interval.
     Above {
         /// Measured minus published, dB.
         delta_db: f64,
     },
-    /// The protocols differ, or the source does not state its own.
+    /// The protocols differ, or the source does not fully state its own.
     NotComparable,
-    /// We have no number.
+    /// No value was measured.
     NotMeasured,
 }
 
 impl Verdict {
-    /// The verdict on a published value; `differences` are those of the protocols.
-    pub fn new(published: f64, measured: &Cell, differences: &[String], tolerance_db: f64) -> Self {
+    /// The verdict on a published value (dB); `differences` are those between the protocols.
+    pub(crate) fn new(published: f64, measured: &Cell, differences: &[String], tolerance_db: f64) -> Self {
         let Some(mean) = measured.mean else { return Self::NotMeasured };
         if !differences.is_empty() {
             return Self::NotComparable;
@@ -48,7 +48,8 @@ impl Verdict {
     }
 
     fn of(delta_db: f64, tolerance_db: f64, spread_db: f64) -> Self {
-        // Published values have two decimals: a difference is decided on as many, so that 0.30 is within 0.3.
+        // Published values have two decimals, so the difference is rounded to two before it is compared: 0.304 counts
+        // as 0.30, which is within 0.3.
         let rounded = (delta_db * 100.0).round() / 100.0;
         if rounded.abs() <= tolerance_db {
             Self::Reproduced { delta_db }
@@ -61,8 +62,8 @@ impl Verdict {
         }
     }
 
-    /// In words, with the difference where there is a verdict.
-    pub fn text(&self) -> String {
+    /// The verdict in words, with the difference in dB where values were compared.
+    pub(crate) fn text(&self) -> String {
         match self {
             Self::Reproduced { delta_db } => format!("reproduced ({})", signed(*delta_db, 2)),
             Self::WithinSpread { delta_db } => format!("within spread ({})", signed(*delta_db, 2)),
@@ -79,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn verdicts_are_decided_on_two_decimals() {
+    fn differences_are_rounded_to_two_decimals() {
         assert!(matches!(Verdict::of(0.3, 0.3, 0.0), Verdict::Reproduced { .. }));
         assert!(matches!(Verdict::of(-0.304, 0.3, 0.0), Verdict::Reproduced { .. }));
         assert!(matches!(Verdict::of(-0.306, 0.3, 0.0), Verdict::Below { .. }));
@@ -87,9 +88,9 @@ mod tests {
     }
 
     #[test]
-    fn a_spread_over_seeds_excuses_a_difference_only_with_several_seeds() {
+    fn spread_excuses_a_difference_only_with_several_seeds() {
         let cell = |values: &[f64], std| Cell { mean: Some(30.0), std, values: values.into(), ..Cell::default() };
-        // Half a decibel of spread over three seeds: the interval reaches 4.303 · 0.5 / √3 = 1.24 dB.
+        // Standard deviation 0.5 dB over three seeds: half the interval is 4.303 · 0.5 / √3 = 1.24 dB.
         let spread = cell(&[29.5, 30.0, 30.5], Some(0.5));
         let verdict = |published| Verdict::new(published, &spread, &[], 0.3);
         assert!(matches!(verdict(31.2), Verdict::WithinSpread { .. }));

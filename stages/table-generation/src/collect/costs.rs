@@ -1,44 +1,44 @@
-//! What trainings measure of where their time goes.
+//! Costs of trainings: time by phase and loss, skipped work, placement of particles.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// What trainings measured, beside their sum.
+/// Costs of one training, or means over several.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Costs {
     /// Milliseconds per iteration by phase (`coarse`, `fine`) and activity (`motion`, `backward`).
     pub ms_per_iteration_by_phase: BTreeMap<String, BTreeMap<String, f64>>,
-    /// By the loss's name.
+    /// Share and time of every loss, by name.
     pub loss_shares: BTreeMap<String, LossShare>,
-    /// By what was left out: how much of how much.
+    /// Skipped and total number of items, by kind of work.
     pub skipped_work: BTreeMap<String, [u64; 2]>,
-    /// Of the particles that a training began with, where the capture knows what moves.
+    /// Moving shares of the initial particles, if the capture has ground truth for motion.
     pub particles_moving: Option<MovingShares>,
 }
 
-/// How much of what particles could be drawn from moves, and how much of what was drawn does.
+/// Moving share of the sampled surface, and of the particles sampled from it; both in [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MovingShares {
-    /// Of the pixels with depth at the first instant.
+    /// Moving share of the pixels with depth at the first instant.
     pub of_area: f64,
-    /// Of the particles.
+    /// Moving share of the particles.
     pub of_particles: f64,
 }
 
-/// What one loss contributes, and what it takes.
+/// Contribution and cost of one loss.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LossShare {
-    /// Of the sum of all weighted values over all steps.
+    /// Share of the total loss: weighted values summed over all steps, in [0, 1].
     pub value_share: f64,
-    /// Seconds of its forward pass, where its method clocks it.
+    /// Seconds of the loss's forward pass, if its method measures them.
     pub forward_secs: Option<f64>,
 }
 
 impl Costs {
-    /// Means over several runs; what was left out is summed.
-    pub fn mean<'a>(runs: impl Iterator<Item = &'a Self> + Clone) -> Self {
+    /// Means over several runs; counts of skipped work are summed.
+    pub(crate) fn mean<'a>(runs: impl Iterator<Item = &'a Self> + Clone) -> Self {
         let mut total = Self::default();
         for run in runs.clone() {
             for (phase, activities) in &run.ms_per_iteration_by_phase {
@@ -56,8 +56,8 @@ impl Costs {
                     *sum.forward_secs.get_or_insert(0.0) += secs / count;
                 }
             }
-            for (what, [skipped, of]) in &run.skipped_work {
-                let sum = total.skipped_work.entry(what.clone()).or_default();
+            for (work, [skipped, of]) in &run.skipped_work {
+                let sum = total.skipped_work.entry(work.clone()).or_default();
                 sum[0] += skipped;
                 sum[1] += of;
             }
@@ -66,8 +66,8 @@ impl Costs {
         total
     }
 
-    /// Whether every number is one.
-    pub fn is_finite(&self) -> bool {
+    /// Whether every number is finite.
+    pub(crate) fn is_finite(&self) -> bool {
         let times = self.ms_per_iteration_by_phase.values().flat_map(BTreeMap::values);
         let shares = self.loss_shares.values().flat_map(|share| [share.value_share, share.forward_secs.unwrap_or(0.0)]);
         let moving = self.particles_moving.iter().flat_map(|shares| [shares.of_area, shares.of_particles]);

@@ -1,4 +1,4 @@
-//! What stages measure beside their artifacts.
+//! The measurements that stages record beside their artifacts.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use training::LargestGradient;
 use super::costs::Costs;
 use super::run::{CurvePoint, Machine, TensorGradient};
 
-/// What training measures beside its model.
+/// Measurements of a training.
 #[derive(Default, Deserialize)]
 #[serde(default)]
-pub struct TrainingMeasurements {
+pub(crate) struct TrainingMeasurements {
     pub training_secs: Option<f64>,
     pub ms_per_iteration: Option<f64>,
     pub peak_memory_bytes: Option<f64>,
@@ -29,17 +29,17 @@ pub struct TrainingMeasurements {
 
 impl TrainingMeasurements {
     /// The largest gradient of all tensors.
-    pub fn largest_gradient(&self) -> Option<TensorGradient> {
+    pub(crate) fn largest_gradient(&self) -> Option<TensorGradient> {
         let all = self.largest_gradients.iter();
         let (tensor, largest) = all.max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude))?;
         Some(TensorGradient { tensor: tensor.clone(), largest: largest.clone() })
     }
 }
 
-/// What rendering measures beside its images.
+/// Measurements of a rendering.
 #[derive(Default, Deserialize)]
 #[serde(default)]
-pub struct RenderingMeasurements {
+pub(crate) struct RenderingMeasurements {
     pub fps_raster: Option<FrameRate>,
     pub fps_model: Option<FrameRate>,
     pub fps_delivered: Option<FrameRate>,
@@ -47,11 +47,11 @@ pub struct RenderingMeasurements {
 
 /// Frames per second over the rendered views.
 #[derive(Deserialize)]
-pub struct FrameRate {
+pub(crate) struct FrameRate {
     pub median: f64,
 }
 
-/// What every job measures.
+/// Measurements of every job.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct JobMeasurements {
@@ -67,16 +67,16 @@ struct Wall {
     wall_secs: Option<f64>,
 }
 
-/// The producer's measurements; a producer that measured nothing has none.
-pub fn measurements<T: Default + for<'a> Deserialize<'a>>(record: &InputRecord) -> anyhow::Result<T> {
+/// The producer's measurements; defaults if it recorded none.
+pub(crate) fn measurements<T: Default + for<'a> Deserialize<'a>>(record: &InputRecord) -> anyhow::Result<T> {
     if record.measurements.is_null() {
         return Ok(T::default());
     }
     T::deserialize(&record.measurements).with_context(|| format!("cannot read the measurements of {}", record.producer))
 }
 
-/// Seconds that the producer took, and what it ran on, where it says so.
-pub fn circumstances(record: &InputRecord) -> anyhow::Result<(Option<f64>, Option<Machine>)> {
+/// Wall time in seconds and machine of the producer, where recorded.
+pub(crate) fn time_and_machine(record: &InputRecord) -> anyhow::Result<(Option<f64>, Option<Machine>)> {
     let JobMeasurements { job, machine, device, threads } = measurements(record)?;
     Ok((job.wall_secs, device.map(|device| Machine { device, threads, ..machine })))
 }

@@ -1,6 +1,7 @@
-//! From the inputs of a job to runs: one per scene, method and seed, with everything that was measured about it.
+//! Joins the inputs of a job to runs: one per scene, method and seed, with all measurements.
 
-pub mod costs;
+mod anytime;
+mod costs;
 mod measured;
 mod run;
 
@@ -13,19 +14,20 @@ use rendering::Renders;
 use serde_json::Value;
 use training::{Model, ModelHeader};
 
+pub use costs::{Costs, LossShare, MovingShares};
 pub use run::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure, TensorGradient};
 
-use crate::Column;
-use measured::{RenderingMeasurements, TrainingMeasurements, circumstances, measurements};
+use crate::column::Column;
+use measured::{RenderingMeasurements, TrainingMeasurements, measurements, time_and_machine};
 
-/// The axis whose values are variants of a method; the first value that a recipe lists is what others are compared with.
-pub const VARIANTS: &str = "ablation";
+/// The axis whose values are variants of a method. The first value that a recipe lists is the reference of the others.
+pub(crate) const VARIANTS: &str = "ablation";
 
-/// Hexadecimal digits of an action key that tables show.
+/// Number of hexadecimal digits of an action key that tables show.
 const SHORT_KEY: usize = 12;
 
-/// A model without its tensors, so that a report over many models does not hold them all in memory.
-pub struct ModelSummary {
+/// A model without its tensors: a report over many models does not keep all of them in memory.
+pub(crate) struct ModelSummary {
     header: ModelHeader,
     size_bytes: u64,
 }
@@ -45,8 +47,8 @@ impl Artifact for ModelSummary {
     }
 }
 
-/// What a job reads, opened and checked; a producer that failed is an outcome.
-pub struct Inputs {
+/// The inputs of a job, opened and checked; failed producers are outcomes.
+pub(crate) struct Inputs {
     models: Vec<Input<ModelSummary>>,
     renders: Vec<Input<Renders>>,
     metrics: Vec<Input<Metrics>>,
@@ -55,7 +57,7 @@ pub struct Inputs {
 
 impl Inputs {
     /// Opens the producers on the ports `model`, `renders`, `metrics` and `capture`.
-    pub fn open(context: &JobContext) -> anyhow::Result<Self> {
+    pub(crate) fn open(context: &JobContext) -> anyhow::Result<Self> {
         Ok(Self {
             models: context.inputs("model")?,
             renders: context.inputs("renders")?,
@@ -64,9 +66,9 @@ impl Inputs {
         })
     }
 
-    /// Joins models, renders and metrics to runs, in the order of the recipe. What several seeds have from one and the same
-    /// jobs is one run.
-    pub fn runs(&self) -> anyhow::Result<Vec<Run>> {
+    /// Joins models, renders and metrics to runs, in the order of the recipe. Seeds that share all of their jobs count
+    /// as one run.
+    pub(crate) fn runs(&self) -> anyhow::Result<Vec<Run>> {
         let records = || records(&self.models).chain(records(&self.renders)).chain(records(&self.metrics));
         // A run is the finest set of coordinates; a producer that lacks an axis belongs to all of its runs.
         let mut finest: Vec<&Coordinates> = Vec::new();
@@ -98,15 +100,15 @@ impl Inputs {
         for input in belonging(&self.metrics, coordinates) {
             run.add_metrics(input)?;
         }
-        // What failed before it had a model shows, at least, the scene that its capture does.
+        // A run that failed before it had a model takes the protocol of its capture.
         let mut captures = belonging(&self.captures, coordinates).filter_map(|input| input.artifact.as_ref().ok());
         run.protocol = run.protocol.or_else(|| Some(captures.next()?.protocol.clone()));
         run.name_row(coordinates);
         Ok(run)
     }
 
-    /// The renders of a run and the capture that they show, where both are there.
-    pub fn images_of(&self, run: &Run) -> Option<(&Renders, &CaptureArtifact)> {
+    /// The renders of a run with their capture; none if either is missing.
+    pub(crate) fn images_of(&self, run: &Run) -> Option<(&Renders, &CaptureArtifact)> {
         let job = run.jobs.get("renders")?;
         let rendered = self.renders.iter().find(|input| input.record.producer == job.name)?;
         let capture = self.captures.iter().find(|input| {
@@ -129,7 +131,7 @@ fn records<A>(inputs: &[Input<A>]) -> impl Iterator<Item = &InputRecord> {
     inputs.iter().map(|input| &input.record)
 }
 
-/// The value of an axis; a recipe without the axis has one nameless value.
+/// The value of an axis; a dash if the recipe lacks the axis.
 fn axis(coordinates: &Coordinates, name: &str) -> String {
     coordinates.get(name).cloned().unwrap_or_else(|| "–".into())
 }
@@ -181,8 +183,8 @@ impl Run {
         self.method.clone_from(&metrics.method);
         self.protocol = Some(metrics.protocol.clone());
         self.judged_by = Some(metrics.judged_by());
-        let figures = metrics.means.iter().map(|(metric, score)| (Column::Metric(*metric), score.clone()));
-        self.figures.extend(figures);
+        let means = metrics.means.iter().map(|(metric, score)| (Column::Metric(*metric), score.clone()));
+        self.figures.extend(means);
         self.frames = metrics
             .images
             .iter()
@@ -194,10 +196,10 @@ impl Run {
         Ok(())
     }
 
-    /// Keeps the job, its machine and the first failure; returns the artifact if there is one.
+    /// Records the job, its machine and the first failure; returns the artifact if there is one.
     fn add_record<'a, A>(&mut self, port: &str, input: &'a Input<A>, work: &str) -> anyhow::Result<Option<&'a A>> {
         let record = &input.record;
-        let (wall_secs, machine) = circumstances(record)?;
+        let (wall_secs, machine) = time_and_machine(record)?;
         let key = record.action_key.chars().take(SHORT_KEY).collect();
         self.jobs.insert(port.into(), Job { name: record.producer.clone(), key, wall_secs });
         self.machines.extend(machine.map(|machine| (work.to_owned(), machine)));
@@ -212,7 +214,7 @@ impl Run {
         Ok(input.artifact.as_ref().ok())
     }
 
-    /// The row is named by the method and every axis that is neither scene nor seed.
+    /// Names the row by the method and every axis other than scene and seed.
     fn name_row(&mut self, coordinates: &Coordinates) {
         if let Some(method) = coordinates.get("method") {
             self.method.clone_from(method);
@@ -224,14 +226,14 @@ impl Run {
         self.row = method.into_iter().chain(others).collect::<Vec<_>>().join(" ");
     }
 
-    /// Keeps the curve and what follows from it: seconds to a quality, quality after some seconds.
+    /// Stores the curve and the values derived from it: seconds to a quality, quality within a time.
     pub(crate) fn set_curve(&mut self, curve: Vec<CurvePoint>) {
         self.curve = curve;
         if self.curve.iter().all(|point| point.psnr_val.is_none()) {
             return;
         }
         for column in Column::TIME_TO_SHARE.into_iter().chain(Column::TIME_TO_DB).chain(Column::BUDGETS) {
-            let score = column.of_curve(&self.curve).unwrap_or_else(|| Score::undefined("not measured"));
+            let score = anytime::of_curve(column, &self.curve).unwrap_or_else(|| Score::undefined("not measured"));
             self.figures.insert(column, score);
         }
     }

@@ -1,4 +1,4 @@
-//! What is known of one run.
+//! One run: a method on a scene with a seed.
 
 use std::collections::BTreeMap;
 
@@ -9,76 +9,76 @@ use serde::{Deserialize, Serialize};
 use training::LargestGradient;
 
 use super::costs::Costs;
-use crate::Column;
+use crate::column::Column;
 
-/// One method on one scene with one seed.
+/// One method on one scene with one seed, with its measurements or its failure.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Run {
     /// The scene's name.
     pub scene: String,
     /// The table row: the method, and the values of any axis besides scene and seed.
     pub row: String,
-    /// The method's id, which published values are found by.
+    /// The method's id, by which published values are looked up.
     pub method: String,
-    /// The value of the axis [`super::VARIANTS`], where the recipe has it.
+    /// The value of the axis `ablation`, if the recipe has that axis.
     pub variant: Option<String>,
-    /// The seed's axis value.
+    /// The value of the axis `seed`.
     pub seed: String,
-    /// How the images came to be, as far as the run came to have any.
+    /// Origin and format of the images; none if the run failed before it had any.
     pub protocol: Option<Protocol>,
-    /// Who judged what (see [`metric_evaluation::Metrics::judged_by`]).
+    /// The judged images and the metric definitions (see [`metric_evaluation::Metrics::judged_by`]).
     pub judged_by: Option<String>,
-    /// The figures; an undefined one says why.
+    /// Measured values by column; an undefined one carries the reason.
     pub figures: BTreeMap<Column, Score>,
-    /// Quality over training time.
+    /// Quality over training time, one point per evaluation.
     pub curve: Vec<CurvePoint>,
     /// The split whose views the curve was measured on.
     pub curve_split: Option<Split>,
     /// Quality of every judged image, in the order of the capture.
     pub frames: Vec<FrameScore>,
-    /// Seconds per phase of training.
+    /// Seconds of training by activity.
     pub phases: BTreeMap<String, f64>,
-    /// The same by phase, loss and what was left out.
+    /// Costs by phase, by loss and by skipped work.
     pub costs: Costs,
     /// The largest gradient of the training.
     #[serde(default)]
     pub largest_gradient: Option<TensorGradient>,
-    /// How often the rasteriser kept a number in range, by what was out of it.
+    /// How often the rasteriser clamped a value, by guard.
     #[serde(default)]
     pub guards: BTreeMap<String, u64>,
-    /// The factor that the method's own schedule was stretched by; 1 is the whole schedule.
+    /// Scale of the method's own schedule; 1 is the whole schedule.
     pub schedule_scale: Option<f64>,
-    /// The seconds that the training was cut to, if it was.
+    /// The budget in seconds to which the schedule was scaled, if any.
     #[serde(default)]
     pub budget_secs: Option<f64>,
-    /// What was measured on which machine, by work (`training`, `rendering`).
+    /// Machines of the measurements, by work (`training`, `rendering`, `judging`).
     pub machines: BTreeMap<String, Machine>,
-    /// What went wrong first, if anything did.
+    /// The first failure, if any.
     pub failure: Option<RunFailure>,
-    /// The jobs by port, for tracing a number to its job.
+    /// The jobs by port, to trace a number to its job.
     pub jobs: BTreeMap<String, Job>,
 }
 
-/// Quality at one moment of training.
+/// Quality at one evaluation during training.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CurvePoint {
-    /// Seconds of training, evaluation excluded.
+    /// Seconds of training so far, evaluation excluded.
     pub seconds: f64,
     /// Optimiser steps so far.
     pub iteration: u64,
-    /// Gaussians at that moment.
+    /// Number of Gaussians at the evaluation.
     #[serde(default)]
     pub n_gaussians: u64,
     /// PSNR in dB on a few views of the run's `curve_split`.
     pub psnr_val: Option<f64>,
 }
 
-/// The largest gradient that any tensor had during a training.
+/// The largest gradient of a training, over all tensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TensorGradient {
-    /// The tensor.
+    /// The tensor's name.
     pub tensor: String,
-    /// How large, and when.
+    /// Magnitude, phase and iteration of the gradient.
     #[serde(flatten)]
     pub largest: LargestGradient,
 }
@@ -88,7 +88,7 @@ pub struct TensorGradient {
 pub struct FrameScore {
     /// The view's name.
     pub name: String,
-    /// When the image was taken, where that is known.
+    /// Capture time of the image, if known.
     pub time_secs: Option<f64>,
     /// PSNR in dB.
     pub psnr: f64,
@@ -97,53 +97,53 @@ pub struct FrameScore {
 /// One job of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Job {
-    /// The job's name, as `train/lego/mcgs/0`.
+    /// The job's name, e.g. `train/lego/mcgs/0`.
     pub name: String,
-    /// The first digits of its action key; empty where it has none.
+    /// The first digits of the job's action key; empty without one.
     pub key: String,
-    /// How long it took, where that is known.
+    /// Wall time in seconds, if known.
     pub wall_secs: Option<f64>,
 }
 
-/// What a job ran on; what is not known is absent.
+/// The machine that ran a job; unknown properties are absent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Machine {
-    /// The device that computed, as `cpu`.
+    /// The compute device, e.g. `cpu`.
     pub device: String,
-    /// Worker threads that the job had.
+    /// Number of worker threads of the job.
     pub threads: Option<u64>,
-    /// The processor.
+    /// The processor's name.
     pub cpu: Option<String>,
-    /// Its physical cores.
+    /// Number of physical cores.
     pub cores: Option<u64>,
-    /// Its threads.
+    /// Number of hardware threads.
     pub hardware_threads: Option<u64>,
-    /// Main memory, bytes.
+    /// Size of the main memory, bytes.
     pub memory_bytes: Option<f64>,
-    /// System, release and architecture.
+    /// Operating system, release and architecture.
     pub system: Option<String>,
     /// Name and version of the program.
     pub program: Option<String>,
     /// Digest of the sources that the program was built from.
     pub sources: Option<String>,
-    /// The compiler that built it.
+    /// The compiler that built the program.
     pub built_with: Option<String>,
 }
 
-/// Why a run has no numbers.
+/// A failure of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunFailure {
-    /// The job that failed, as `train/lego/mcgs/0`.
+    /// The job that failed, e.g. `train/lego/mcgs/0`.
     pub producer: String,
-    /// The kind of thing that went wrong.
+    /// The kind of failure.
     pub kind: FailureKind,
-    /// What went wrong, and what to do about it; without paths, which differ between machines.
+    /// Message and hint, without paths, because paths differ between machines.
     pub message: String,
 }
 
 impl Run {
-    /// Whether `other` has its numbers from the same jobs, so that they say nothing about noise.
+    /// Whether `other` has the same scene, row and jobs. Such a run is no replicate: it says nothing about noise.
     pub(super) fn repeats(&self, other: &Self) -> bool {
         let keys = |run: &Self| run.jobs.iter().map(|(port, job)| (port.clone(), job.key.clone())).collect::<Vec<_>>();
         let is_known = !self.jobs.is_empty() && self.jobs.values().all(|job| !job.key.is_empty());
@@ -152,7 +152,7 @@ impl Run {
 }
 
 impl Machine {
-    /// `cpu (Ryzen 7), 2 threads`: times with equal lines were measured on machines of one kind.
+    /// The machine in one line, e.g. `cpu (Ryzen 7), 2 threads`. Equal lines mean machines of one kind.
     pub fn line(&self) -> String {
         let cpu = self.cpu.as_ref().map(|cpu| format!(" ({cpu})")).unwrap_or_default();
         let threads = self.threads.map(|threads| format!(", {threads} threads")).unwrap_or_default();

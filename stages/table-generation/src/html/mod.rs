@@ -1,4 +1,4 @@
-//! Documents as one HTML page that needs no other file and no script.
+//! Typesets documents as one HTML page without scripts and external files.
 
 mod pictures;
 
@@ -7,11 +7,11 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use crate::document::{Block, Document, Figure, Section, Table, Text};
 use crate::svg::{Panel, SAMPLE};
 
-/// How the page looks: light and dark, narrow and wide, on paper.
+/// Style sheet for light and dark mode, narrow and wide screens, and print.
 const STYLE: &str = include_str!("style.css");
 
-/// The document as a self-contained page.
-pub fn html(document: &Document) -> String {
+/// The document as a self-contained HTML page.
+pub(crate) fn html(document: &Document) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -75,7 +75,7 @@ fn table(table: &Table) -> Markup {
     }
 }
 
-/// A row whose first cell names it, or a heading over the rows below it.
+/// A row that its first cell names, or a heading over the rows below.
 fn row(cells: &[Text], table: &Table) -> Markup {
     html! {
         tr {

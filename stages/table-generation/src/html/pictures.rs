@@ -1,4 +1,4 @@
-//! Renders beside the true image, with the error in colour.
+//! Typesets renders beside the ground truth, with colour-coded errors.
 
 use maud::{Markup, html};
 
@@ -6,13 +6,13 @@ use crate::format::number;
 use crate::pictures::{Comparison, ERROR_SCALE, FULL_ERROR, Picture, Sheet};
 use crate::svg::{SAMPLE, scale_sample};
 
-/// One block per view.
-pub fn sheets(sheets: &[Sheet]) -> Markup {
+/// The key of the error maps, and one block per view.
+pub(crate) fn sheets(sheets: &[Sheet]) -> Markup {
     let levels = number(255.0 * FULL_ERROR, 0);
     html! {
         p class="key" {
-            "Error: " svg width=(SAMPLE[0]) height=(SAMPLE[1]) aria-hidden="true" { (scale_sample(ERROR_SCALE)) }
-            " from no difference (dark) to " (levels) " of 255 levels or more (light), mean over the channels."
+            "Error map: " svg width=(SAMPLE[0]) height=(SAMPLE[1]) aria-hidden="true" { (scale_sample(ERROR_SCALE)) }
+            " mean absolute difference over the channels, from 0 (dark) to " (levels) " or more of 255 levels (light)."
         }
         @for content in sheets { (sheet(content)) }
     }
@@ -23,7 +23,7 @@ fn sheet(sheet: &Sheet) -> Markup {
     html! {
         h4 { (what) " (" (sheet.why) ")" }
         div class="sheet" {
-            figure { (image(&sheet.truth, &format!("true image of {what}"))) figcaption { "truth" } }
+            figure { (image(&sheet.truth, &format!("ground truth of {what}"))) figcaption { "ground truth" } }
             @for content in &sheet.comparisons { (comparison(content, &what)) }
         }
     }
@@ -35,7 +35,7 @@ fn comparison(content: &Comparison, what: &str) -> Markup {
         figure {
             div class="pair" {
                 (image(render, &format!("{row}: render of {what}")))
-                (image(error, &format!("{row}: error on {what}")))
+                (image(error, &format!("{row}: error map of {what}")))
             }
             figcaption { (row) ", " (number(*psnr, 2)) " dB" }
         }

@@ -1,13 +1,14 @@
-//! What a paper's tables say about methods of this project, as claims.
+//! Converts a paper's tables to claims about methods of this project.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Figure, Heading, Paper, PaperTable};
+use super::quantity::Quantity;
+use super::table::{Heading, Paper, PaperTable};
 use crate::claims::{Claim, Published, PublishedMean};
 
 impl Paper {
-    /// One claim per table, method and set of scenes that a mean is over. Variants that lack a part claim nothing.
-    pub fn claims(&self) -> Vec<Claim> {
+    /// One claim per table, method and set of scenes of a mean. Variants that lack a part of the method are skipped.
+    pub(crate) fn claims(&self) -> Vec<Claim> {
         self.tables.iter().flat_map(|table| table.claims(&self.name)).collect()
     }
 }
@@ -18,8 +19,8 @@ impl PaperTable {
         for row in &self.rows {
             for (column, text) in self.columns.iter().zip(row.cells()) {
                 let place = self.place(row, column);
-                let (Some(method), Some(figure)) = (place.method, place.figure) else { continue };
-                let Some(value) = figure.value(text) else { continue };
+                let (Some(method), Some(quantity)) = (place.method, place.quantity) else { continue };
+                let Some(value) = quantity.value(text) else { continue };
                 if (place.variant.is_some() && !place.full) || place.scenes.is_empty() {
                     continue;
                 }
@@ -43,7 +44,7 @@ impl PaperTable {
                         &mut claim.mean.get_or_insert(mean).values
                     }
                 };
-                set(published, figure, value);
+                set(published, quantity, value);
             }
         }
         claims.retain(|claim| {
@@ -53,13 +54,14 @@ impl PaperTable {
         claims
     }
 
-    /// What the table calls the method.
+    /// The table's name for the method: the label of the heading that names it.
     fn label(&self, row: &Heading, column: &Heading) -> String {
         if row.method.is_some() { row.label.clone() } else { column.label.clone() }
     }
 }
 
-/// The claim that `blank` continues: of the same method under the same protocol, unless its mean is over other scenes.
+/// The claim to extend: one of the same method and label under the same protocol whose mean is over the same scenes.
+/// Appends `blank` if there is none.
 fn matching<'a>(claims: &'a mut Vec<Claim>, blank: Claim, mean_of: Option<&BTreeSet<String>>) -> &'a mut Claim {
     let same = |claim: &Claim| {
         let mean_fits = match (&claim.mean, mean_of) {
@@ -75,14 +77,14 @@ fn matching<'a>(claims: &'a mut Vec<Claim>, blank: Claim, mean_of: Option<&BTree
     &mut claims[at]
 }
 
-fn set(published: &mut Published, figure: Figure, value: f64) {
-    let field = match figure {
-        Figure::Psnr => &mut published.psnr,
-        Figure::Ssim => &mut published.ssim,
-        Figure::Lpips => &mut published.lpips,
-        Figure::TrainMin => &mut published.train_min,
-        Figure::Fps => &mut published.fps,
-        Figure::GaussiansK => &mut published.gaussians_k,
+fn set(published: &mut Published, quantity: Quantity, value: f64) {
+    let field = match quantity {
+        Quantity::Psnr => &mut published.psnr,
+        Quantity::Ssim => &mut published.ssim,
+        Quantity::Lpips => &mut published.lpips,
+        Quantity::TrainMin => &mut published.train_min,
+        Quantity::Fps => &mut published.fps,
+        Quantity::GaussiansK => &mut published.gaussians_k,
         _ => return,
     };
     *field = Some(value);

@@ -1,103 +1,107 @@
-//! Printed cells beside what we measured and what others measured.
+//! Printed cells beside measured values and values measured by third parties.
 
 use std::collections::BTreeSet;
 
-use super::{Figure, Heading, PaperTable, Place};
+use super::quantity::Quantity;
+use super::table::{Heading, PaperTable, Place};
+use crate::cell::Cell;
 use crate::claims::{Claim, Kind, Verdict};
-use crate::report::{Cell, Group, Report, Row};
+use crate::column::Column;
+use crate::report::{Group, Report, Row};
 use crate::statistics::mean;
-use crate::{Column, TableGenerationParams};
 
-/// A printed cell, and what stands beside it.
-pub struct ComparedCell {
-    /// As printed.
+/// A printed cell with the values beside it.
+pub(crate) struct ComparedCell {
+    /// The text as printed.
     pub printed: String,
-    /// Ours; none where the method is not one of this project.
+    /// The measured value; none if the method is not part of this project.
     pub measured: Option<Measured>,
-    /// What ours says about the printed value, and why it says nothing.
+    /// Verdict on the printed value, with the differences between the protocols.
     pub verdict: Option<(Verdict, Vec<String>)>,
-    /// What others measured: the source and the value.
+    /// Values measured by third parties: source and PSNR (dB).
     pub others: Vec<(String, f64)>,
 }
 
-/// Our figure, or why there is none.
-pub enum Measured {
-    /// A number in the paper's unit.
+/// A measured value, or the reason why it is missing.
+pub(crate) enum Measured {
+    /// A value in the paper's unit.
     Value {
-        /// The number.
+        /// The value.
         value: f64,
-        /// Its decimals.
+        /// Number of decimals to print.
         decimals: usize,
-        /// The row that it belongs to.
+        /// The report's row that it comes from.
         row: String,
-        /// The scene, where it is about one.
+        /// The scene; none for a mean.
         scene: Option<String>,
     },
-    /// Why there is none, as `missing data`.
-    None(String),
+    /// The reason why it is missing, e.g. `missing data`.
+    Missing(String),
 }
 
 impl PaperTable {
-    /// What stands beside the cell where row and column meet, which prints `text`; `others` are claims of other sources.
-    pub fn compared(
+    /// Sets measured values beside the cell where `row` and `column` meet, which prints `text`. `others` are the claims
+    /// of other sources; `tolerance_db` is the largest difference that counts as reproduced.
+    pub(crate) fn compared(
         &self,
         (row, column): (&Heading, &Heading),
         text: &str,
         report: &Report,
         others: &[&Claim],
-        params: &TableGenerationParams,
+        tolerance_db: f64,
     ) -> ComparedCell {
         let place = self.place(row, column);
         let mut cell = ComparedCell { printed: text.into(), measured: None, verdict: None, others: Vec::new() };
-        let (Some(figure), Some(method)) = (place.figure, place.method) else { return cell };
-        if figure.has_verdict() && place.variant.is_none() {
+        let (Some(quantity), Some(method)) = (place.quantity, place.method) else { return cell };
+        if quantity.has_verdict() && place.variant.is_none() {
             cell.others = measured_by_others(&place, method, others);
         }
-        let published = figure.value(text).filter(|_| figure.has_verdict());
+        let published = quantity.value(text).filter(|_| quantity.has_verdict());
         let found = place.find(method, report).and_then(|(group, row)| {
-            let (column, _) = figure.measured_as().ok_or_else(|| not_a_figure_of_ours(figure).to_owned())?;
+            let (column, _) = quantity.measured_as().ok_or_else(|| why_unmeasured(quantity).to_owned())?;
             Ok((group, row, place.cell(group, row, column, report)?))
         });
         let (group, row, found) = match found {
             Ok(found) => found,
             Err(why) => {
-                cell.measured = Some(Measured::None(why));
+                cell.measured = Some(Measured::Missing(why));
                 cell.verdict = published.map(|_| (Verdict::NotMeasured, Vec::new()));
                 return cell;
             }
         };
-        let unit = figure.measured_as().map_or(1.0, |(_, unit)| unit);
+        let unit = quantity.measured_as().map_or(1.0, |(_, unit)| unit);
         cell.measured = Some(match found.mean {
-            None => Measured::None(found.reason.clone().unwrap_or_else(|| "not measured".into())),
+            None => Measured::Missing(found.reason.clone().unwrap_or_else(|| "not measured".into())),
             Some(value) => Measured::Value {
                 value: value / unit,
-                decimals: figure.decimals(),
+                decimals: quantity.decimals(),
                 row: row.name.clone(),
                 scene: (!place.is_mean).then(|| place.scenes.first().cloned()).flatten(),
             },
         });
         if let Some(published) = published {
-            let mut differences = place.protocol.differences(group, row);
+            let shortened = row.shortened.as_deref();
+            let mut differences = place.protocol.differences(&group.protocol, &group.judged_by, shortened);
             if place.scenes.is_empty() {
                 differences.push("the paper does not name its scenes".into());
             }
-            let verdict = Verdict::new(published, &found, &differences, params.reproduced_within_db);
+            let verdict = Verdict::new(published, &found, &differences, tolerance_db);
             cell.verdict = Some((verdict, differences));
         }
         cell
     }
 }
 
-fn not_a_figure_of_ours(figure: Figure) -> &'static str {
-    match figure {
-        Figure::Vbench => "VBench is not part of this project",
-        Figure::Lpips | Figure::MaskedLpips => "needs LPIPS weights",
+fn why_unmeasured(quantity: Quantity) -> &'static str {
+    match quantity {
+        Quantity::Vbench => "VBench is not part of this project",
+        Quantity::Lpips | Quantity::MaskedLpips => "needs LPIPS weights",
         _ => "not measured",
     }
 }
 
 impl Place<'_> {
-    /// The group and row that measured the method on these scenes.
+    /// The group and row that hold measurements of the method on at least one of the scenes, or why there are none.
     fn find<'r>(&self, method: &str, report: &'r Report) -> Result<(&'r Group, &'r Row), String> {
         let is_row = |row: &Row| {
             let same_variant = row.variant.as_deref() == self.variant || (self.full && row.variant.is_none());
@@ -105,12 +109,12 @@ impl Place<'_> {
         };
         let rows = report.groups.iter().flat_map(|group| group.rows.iter().map(move |row| (group, row)));
         let mut found: Vec<_> = rows.filter(|(_, row)| is_row(row)).collect();
-        // The variant itself comes before the whole method without one.
+        // A row of the variant itself takes precedence over a row of the whole method.
         found.sort_by_key(|(_, row)| row.variant.as_deref() != self.variant);
         found.first().copied().ok_or_else(|| self.absent(self.scenes, report))
     }
 
-    /// Our figure over exactly the scenes of the cell.
+    /// The measured value over exactly the scenes of the cell, or why it is missing.
     fn cell(&self, group: &Group, row: &Row, column: Column, report: &Report) -> Result<Cell, String> {
         let wanted: BTreeSet<&String> = self.scenes.iter().collect();
         let is_over = |scenes: &[String]| scenes.iter().collect::<BTreeSet<_>>() == wanted;
@@ -135,7 +139,7 @@ impl Place<'_> {
         Ok(Cell { mean: means.as_deref().and_then(mean), reason, ..Cell::default() })
     }
 
-    /// Why scenes are not there.
+    /// Why `scenes` were not measured.
     fn absent(&self, scenes: &[String], report: &Report) -> String {
         let n_missing = scenes.iter().filter(|scene| report.missing_data.contains_key(*scene)).count();
         let n_wanted = self.scenes.len();
@@ -147,7 +151,7 @@ impl Place<'_> {
     }
 }
 
-/// What others than the authors measured of the same method on the same scenes.
+/// Sources and PSNR of third parties that measured the same method on the same scenes.
 fn measured_by_others(place: &Place<'_>, method: &str, claims: &[&Claim]) -> Vec<(String, f64)> {
     let wanted: BTreeSet<&String> = place.scenes.iter().collect();
     let value = |claim: &Claim| {
@@ -160,6 +164,6 @@ fn measured_by_others(place: &Place<'_>, method: &str, claims: &[&Claim]) -> Vec
     let is_other = |claim: &&&Claim| {
         claim.kind == Kind::ReMeasured && claim.method == method && claim.protocol.dataset == place.protocol.dataset
     };
-    let told = |claim: &Claim| format!("{} ({})", claim.source, claim.protocol.line());
-    claims.iter().filter(is_other).filter_map(|claim| Some((told(claim), value(claim)?))).collect()
+    let source = |claim: &Claim| format!("{} ({})", claim.source, claim.protocol.line());
+    claims.iter().filter(is_other).filter_map(|claim| Some((source(claim), value(claim)?))).collect()
 }

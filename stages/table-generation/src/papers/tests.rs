@@ -1,29 +1,30 @@
-//! The tables of papers are sound, and faulty ones are refused.
+//! The papers' tables are consistent, and faulty ones are rejected.
 
 use super::*;
+use crate::library::{paper, paper_names, papers};
 use crate::statistics::mean;
 
 #[test]
-fn printed_means_are_means_of_printed_scenes_unless_a_note_says_otherwise() {
+fn printed_means_match_printed_scenes_unless_noted() {
     let mut n_checked = 0;
-    for paper in built_in().expect("valid tables") {
+    for paper in papers().expect("valid tables") {
         for table in &paper.tables {
             for row in table.rows.iter().filter(|_| !table.scenes.is_empty()) {
                 let cells = row.cells();
                 for (at, column) in table.columns.iter().enumerate() {
                     let place = table.place(row, column);
-                    let Some(figure) = place.figure.filter(|_| place.is_mean) else { continue };
+                    let Some(quantity) = place.quantity.filter(|_| place.is_mean) else { continue };
                     let in_scene = |scene: &String| {
                         let same = |(_, other): &(usize, &Heading)| {
-                            other.figure == column.figure && other.scene.as_ref() == Some(scene)
+                            other.quantity == column.quantity && other.scene.as_ref() == Some(scene)
                         };
                         let (at, _) = table.columns.iter().enumerate().find(same)?;
-                        figure.value(cells[at])
+                        quantity.value(cells[at])
                     };
                     let printed: Option<Vec<f64>> = table.scenes.iter().map(in_scene).collect();
-                    let (Some(printed), Some(printed_mean)) = (printed, figure.value(cells[at])) else { continue };
+                    let (Some(printed), Some(printed_mean)) = (printed, quantity.value(cells[at])) else { continue };
                     let difference = mean(&printed).expect("scenes") - printed_mean;
-                    // Half a unit in the last printed place of the mean and of its terms.
+                    // Rounding allows half a unit in the last place of the mean and half a unit of its terms.
                     let place_of_last = 10.0_f64.powi(-(cells[at].split('.').nth(1).map_or(0, str::len) as i32));
                     let explained = table.notes.iter().chain(&row.notes).any(|note| note.contains("mean"));
                     let what = format!("{} {} {} {}", paper.name, table.number, row.label, column.label);
@@ -37,16 +38,19 @@ fn printed_means_are_means_of_printed_scenes_unless_a_note_says_otherwise() {
 }
 
 #[test]
-fn every_paper_claims_something_and_has_a_name_of_its_own() {
-    assert_eq!(names().collect::<std::collections::BTreeSet<_>>().len(), built_in().expect("valid tables").len());
-    let claims: Vec<_> = built_in().expect("valid tables").iter().map(|paper| paper.claims().len()).collect();
-    // VC-GS prints scores of VBench alone, and KineticGS masked figures in all tables but two.
+fn paper_files_yield_claims_about_their_methods() {
+    let files = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/claims/papers")).expect("a folder");
+    let stems: std::collections::BTreeSet<String> =
+        files.map(|file| file.expect("a file").path().file_stem().expect("a name").display().to_string()).collect();
+    assert_eq!(paper_names().map(String::from).collect::<std::collections::BTreeSet<_>>(), stems);
+    let claims: Vec<_> = papers().expect("valid tables").iter().map(|paper| paper.claims().len()).collect();
+    // VC-GS prints VBench scores only; KineticGS prints masked values in all tables but two.
     assert_eq!(claims.iter().filter(|count| **count > 0).count(), 4, "{claims:?}");
-    assert!(find("nothing").is_err());
+    assert!(paper("nothing").is_err());
 }
 
 #[test]
-fn faulty_tables_are_refused() {
+fn faulty_tables_are_rejected() {
     let good = r#"
         name = "P"
         title = "T"
@@ -55,9 +59,9 @@ fn faulty_tables_are_refused() {
         caption = "c"
         protocol = { dataset = "d" }
         scenes = ["a", "b"]
-        columns = [{ label = "PSNR", figure = "psnr" }, { label = "Train", figure = "train_min" }]
+        columns = [{ label = "PSNR", quantity = "psnr" }, { label = "Train", quantity = "train_min" }]
         rows = [{ label = "M", method = "m", values = "30.00 | 5 min" }]"#;
-    let paper = parse(good).expect("valid");
+    let paper = Paper::parse(good).expect("valid");
     let claims = paper.claims();
     assert_eq!(claims.len(), 1);
     let mean = claims[0].mean.as_ref().expect("a mean");
@@ -67,10 +71,10 @@ fn faulty_tables_are_refused() {
         ("30.00 | 5 min", "nan | 5 min"),
         ("30.00 | 5 min", "-3 | 5 min"),
         ("30.00 | 5 min", "30.00 | 5 weeks"),
-        ("figure = \"psnr\"", "figure = \"pnsr\""),
+        ("quantity = \"psnr\"", "quantity = \"pnsr\""),
         ("values =", "value ="),
     ];
     for (from, to) in planted {
-        assert!(parse(&good.replace(from, to)).is_err(), "{to} was accepted");
+        assert!(Paper::parse(&good.replace(from, to)).is_err(), "{to} was accepted");
     }
 }

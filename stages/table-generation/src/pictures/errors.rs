@@ -1,28 +1,28 @@
-//! Differences between two images in colours of rising lightness.
+//! Error maps: differences between two images in colours of increasing lightness.
 
 use anyhow::ensure;
 use image::imageops::{self, FilterType};
 use image::{ImageBuffer, Luma, Rgb, RgbImage};
 
-/// From dark to light, evenly for the eye, in colour and in grey.
-pub const ERROR_SCALE: colorous::Gradient = colorous::INFERNO;
+/// Colour scale of error maps: perceptually uniform, from dark to light, also in greyscale.
+pub(crate) const ERROR_SCALE: colorous::Gradient = colorous::INFERNO;
 
-/// The mean absolute difference over channels, of 1, that is drawn lightest; a quarter is far beyond what a fit leaves.
-pub const FULL_ERROR: f64 = 0.25;
+/// The mean absolute difference over channels (of 1) at which the scale saturates; a fitted model stays far below it.
+pub(crate) const FULL_ERROR: f64 = 0.25;
 
-/// The mean absolute difference per pixel in colours, made smaller where it is wider than `width`.
+/// The error map of a render: mean absolute difference per pixel, scaled down to `width` if it is wider.
 ///
 /// # Errors
-/// Images of different sizes.
-pub fn colours(render: &RgbImage, truth: &RgbImage, width: u32) -> anyhow::Result<RgbImage> {
-    ensure!(render.dimensions() == truth.dimensions(), "render and truth have different sizes");
+/// Fails if the images differ in size.
+pub(crate) fn colours(render: &RgbImage, truth: &RgbImage, width: u32) -> anyhow::Result<RgbImage> {
+    ensure!(render.dimensions() == truth.dimensions(), "render and ground truth differ in size");
     let mut errors = ImageBuffer::from_fn(render.width(), render.height(), |x, y| {
         let (Rgb(a), Rgb(b)) = (render.get_pixel(x, y), truth.get_pixel(x, y));
         let sum: u32 = a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b))).sum();
         Luma([sum as f32 / (3.0 * 255.0)])
     });
     if render.width() > width {
-        // Errors are averaged, not their colours.
+        // Average the errors, not their colours.
         let height = (f64::from(render.height()) * f64::from(width) / f64::from(render.width())).round().max(1.0);
         errors = imageops::resize(&errors, width, height as u32, FilterType::Triangle);
     }

@@ -1,4 +1,4 @@
-//! Error maps and the choice of views.
+//! Tests of error maps and of the choice of views.
 
 use image::{Rgb, RgbImage};
 
@@ -11,7 +11,7 @@ fn run(name: &str, scores: &[(&str, f64)]) -> Run {
 }
 
 #[test]
-fn the_worst_and_the_median_of_common_views_are_shown() {
+fn worst_and_median_of_common_views_are_shown() {
     let a = run("a", &[("v0", 30.0), ("v1", 20.0), ("v2", 25.0), ("v3", 40.0), ("only_a", 1.0)]);
     let b = run("b", &[("v0", 30.0), ("v1", 24.0), ("v2", 21.0), ("v3", 40.0)]);
     let chosen = chosen_views(&[&a, &b], 1);
@@ -24,7 +24,7 @@ fn the_worst_and_the_median_of_common_views_are_shown() {
 }
 
 #[test]
-fn errors_are_dark_where_images_agree_and_rise_in_lightness() {
+fn error_colours_grow_lighter_with_the_error() {
     let truth = RgbImage::from_pixel(64, 8, Rgb([100; 3]));
     let render = RgbImage::from_fn(64, 8, |x, _| Rgb([100 + x as u8; 3]));
     let colours = errors::colours(&render, &truth, 64).expect("equal sizes");
@@ -37,7 +37,7 @@ fn errors_are_dark_where_images_agree_and_rise_in_lightness() {
 }
 
 #[test]
-fn pictures_are_small_jpeg_files_in_their_own_address() {
+fn pictures_are_small_jpeg_data_uris() {
     let image = RgbImage::from_pixel(400, 100, Rgb([200, 30, 30]));
     let picture = Picture::new(&small(image, 200)).expect("encoded");
     assert_eq!((picture.width, picture.height), (200, 50));

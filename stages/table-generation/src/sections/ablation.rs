@@ -1,16 +1,17 @@
-//! What each effect is worth: variants of one method against the first of them, in quality and in time.
+//! Ablations: variants of one method compared with the first variant, in quality and in time.
 
-use super::Content;
 use super::cells::traced;
-use crate::Column;
+use super::content::Content;
+use crate::cell::Cell;
+use crate::column::Column;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number, signed};
 use crate::grouping::distinct;
-use crate::report::{Cell, Group, Row};
+use crate::report::{Group, Row};
 use crate::statistics::welch_half_width;
 
-/// One table per method with variants.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// One table per method with several variants.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let tables = content.report.groups.iter().flat_map(|group| {
         let variants = group.rows.iter().filter(|row| row.variant.is_some());
         let methods = distinct(variants.map(|row| row.method.as_str()));
@@ -19,12 +20,12 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     tables.map(Block::Table).collect()
 }
 
-/// PSNR and seconds of each variant, and their differences to the first.
+/// PSNR, seconds of training and milliseconds per iteration of each variant, with the differences from the first.
 fn ablation_table(content: &Content<'_>, group: &Group, method: &str) -> Option<Table> {
     let rows: Vec<&Row> = group.rows.iter().filter(|row| row.method == method && row.variant.is_some()).collect();
     let [reference, _, ..] = rows[..] else { return None };
     let first = reference.variant.as_deref().unwrap_or_default();
-    let caption = format!("Protocol {}: ablation of {method}, differences to {first}", group.name);
+    let caption = format!("Protocol {}: ablation of {method}, differences from {first}", group.name);
     let header =
         ["variant", "PSNR (dB)", "Δ dB", "training (s)", "Δ s", "iteration (ms)", "Δ ms", "dB per extra minute"];
     let mut table = Table::new(caption, header.map(String::from).into());
@@ -40,7 +41,7 @@ fn ablation_table(content: &Content<'_>, group: &Group, method: &str) -> Option<
         table.rows.push(cells);
     }
     if table.rows.iter().any(|row| row.iter().any(|cell| cell.text.contains('±'))) {
-        table.remarks.push("± of a difference is half its 95 % interval over seeds (Welch).".into());
+        table.remarks.push("± of a difference is half the width of its 95 % interval over seeds (Welch).".into());
     }
     Some(table)
 }
@@ -49,7 +50,7 @@ fn mean(row: &Row, column: Column) -> Option<f64> {
     row.headline.get(&column)?.mean
 }
 
-/// The difference to the reference, with its interval where there are several seeds.
+/// The difference from the reference, with half the width of its interval for several seeds.
 fn difference_text(row: &Row, reference: &Row, column: Column) -> String {
     let Some(difference) = mean(row, column).zip(mean(reference, column)).map(|(mine, base)| mine - base) else {
         return NONE.into();
@@ -61,7 +62,7 @@ fn difference_text(row: &Row, reference: &Row, column: Column) -> String {
     interval.map_or(text.clone(), |width| format!("{text} ± {}", number(width, column.decimals())))
 }
 
-/// The gain per minute of additional training; none where nothing was gained or paid.
+/// The gain in dB per minute of additional training; a dash unless both quality and time increase.
 fn worth(row: &Row, reference: &Row) -> String {
     let difference = |column| mean(row, column).zip(mean(reference, column)).map(|(mine, base)| mine - base);
     match difference(Column::PSNR).zip(difference(Column::TrainingSecs)) {

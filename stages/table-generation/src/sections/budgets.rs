@@ -1,13 +1,13 @@
-//! Time to quality, and quality under a deadline.
+//! Time to quality, and quality under deadlines.
 
-use super::Content;
 use super::cells::{explain_marks, mean_text, scene_text, traced};
-use crate::Column;
+use super::content::Content;
+use crate::column::Column;
 use crate::document::{Block, Table, Text};
 use crate::report::{Group, Row};
 
 /// Two tables per group that recorded curves.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let groups = content.report.groups.iter().filter(|group| group.rows.iter().any(has_curve));
     groups.flat_map(|group| [deadline_table(content, group), time_table(content, group)]).map(Block::Table).collect()
 }
@@ -16,12 +16,12 @@ fn has_curve(row: &Row) -> bool {
     row.by_scene.values().any(|cells| cells.get(&Column::PsnrAtEnd).is_some_and(|cell| cell.mean.is_some()))
 }
 
-/// What a deadline would have got: means over scenes.
+/// PSNR under deadlines, means over scenes.
 fn deadline_table(content: &Content<'_>, group: &Group) -> Table {
     let columns = Column::BUDGETS;
     let header =
         ["method".into()].into_iter().chain(columns.map(Column::heading)).chain([Column::TrainingSecs.heading()]);
-    let caption = format!("Protocol {}: PSNR of the curves at a deadline, means over scenes", group.name);
+    let caption = format!("Protocol {}: PSNR of the curves under deadlines, means over scenes", group.name);
     let mut table = Table::new(caption, header.collect());
     for row in group.rows.iter().filter(|row| has_curve(row)) {
         let mut cells = vec![Text::plain(&row.name)];
@@ -32,21 +32,21 @@ fn deadline_table(content: &Content<'_>, group: &Group) -> Table {
         table.rows.push(cells);
     }
     table.remarks.push(
-        "On the views of the curves. \"not yet\": nothing was evaluated before the deadline; a training that ended earlier \
-         keeps its last value."
+        "Measured on the views of the curves. \"not yet\": no evaluation before the deadline. A training that ends \
+         before the deadline keeps its last value."
             .into(),
     );
     let shown = |row: &'_ Row| columns.into_iter().filter_map(|column| row.headline.get(&column)).cloned().collect();
-    let cells: Vec<crate::report::Cell> = group.rows.iter().flat_map(|row| -> Vec<_> { shown(row) }).collect();
+    let cells: Vec<crate::cell::Cell> = group.rows.iter().flat_map(|row| -> Vec<_> { shown(row) }).collect();
     explain_marks(&mut table, cells.iter());
     table
 }
 
-/// Seconds to shares of the run's own last value, and to fixed values, scene by scene.
+/// Seconds to shares of the run's last PSNR and to fixed values, scene by scene.
 fn time_table(content: &Content<'_>, group: &Group) -> Table {
     let columns = || Column::TIME_TO_SHARE.into_iter().chain(Column::TIME_TO_DB).chain([Column::TrainingSecs]);
     let header = ["method · scene".into()].into_iter().chain(columns().map(Column::heading)).collect();
-    let caption = format!("Protocol {}: seconds of training to a PSNR of the curve", group.name);
+    let caption = format!("Protocol {}: seconds of training until the curve reaches a PSNR", group.name);
     let mut table = Table::new(caption, header);
     for row in &group.rows {
         for scene in &group.scenes {
@@ -62,6 +62,6 @@ fn time_table(content: &Content<'_>, group: &Group) -> Table {
             table.rows.push([name].into_iter().chain(columns().map(text)).collect());
         }
     }
-    table.remarks.push("Shares are of the curve's own last value, in dB.".into());
+    table.remarks.push("Percentages refer to the last value of the run's own curve, in dB.".into());
     table
 }

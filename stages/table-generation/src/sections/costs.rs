@@ -1,22 +1,22 @@
-//! Where the time of a training goes: seconds per phase, milliseconds per iteration, what each loss weighs and takes,
-//! the work that nothing called for, and how well particles were drawn.
+//! Training costs: seconds by activity, milliseconds per iteration by phase, share and time of each loss, skipped work,
+//! and the placement of particles.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::Content;
 use super::cells::traced;
+use super::content::Content;
 use crate::document::{Block, Figure, Key, Table, Text};
 use crate::format::{NONE, number};
 use crate::report::{Group, Row};
 use crate::svg::area_sample;
 use crate::svg::bars::Bars;
 
-/// Activities of training in the order of a step; others follow by name.
+/// Activities of training in the order of a step; other activities follow in alphabetical order.
 const ACTIVITIES: [&str; 10] =
     ["load", "motion", "projection", "sort", "blend", "losses", "backward", "optimizer", "density", "evaluation"];
 
-/// A figure and tables per group.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// A figure and up to five tables per group.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut blocks = Vec::new();
     for group in &content.report.groups {
         blocks.extend(phase_figure(content, group).map(Block::Figure));
@@ -34,7 +34,7 @@ fn activities(group: &Group) -> Vec<&str> {
     known.chain(names.iter().copied().filter(|name| !ACTIVITIES.contains(name))).collect()
 }
 
-/// Seconds by activity as bars; evaluation is no training and left out.
+/// Seconds by activity as bars. Evaluation is left out, because it is not part of training.
 fn phase_figure(content: &Content<'_>, group: &Group) -> Option<Figure> {
     let drawn: Vec<&str> = activities(group).into_iter().filter(|activity| *activity != "evaluation").collect();
     let bar = |row: &Row| {
@@ -61,17 +61,17 @@ fn phase_figure(content: &Content<'_>, group: &Group) -> Option<Figure> {
     })
 }
 
-/// A line of a table: its name, and figures that lead to the runs of the row.
-fn line(content: &Content<'_>, row: &Row, name: String, figures: impl Iterator<Item = String>) -> Vec<Text> {
-    let figures = figures.map(|figure| traced(Text::plain(figure), content.traces.row(&row.name)));
-    [Text::plain(name)].into_iter().chain(figures).collect()
+/// A line of a table: its name, and values linked to the runs of the row.
+fn line(content: &Content<'_>, row: &Row, name: String, values: impl Iterator<Item = String>) -> Vec<Text> {
+    let values = values.map(|value| traced(Text::plain(value), content.traces.row(&row.name)));
+    [Text::plain(name)].into_iter().chain(values).collect()
 }
 
 /// Seconds by activity as numbers.
 fn phase_table(content: &Content<'_>, group: &Group) -> Table {
     let activities = activities(group);
     let header = ["method"].into_iter().chain(activities.iter().copied()).map(String::from).collect();
-    let caption = format!("Protocol {}: seconds per phase of training, mean over runs", group.name);
+    let caption = format!("Protocol {}: seconds of training by activity, mean over runs", group.name);
     let mut table = Table::new(caption, header);
     for row in group.rows.iter().filter(|row| !row.phases.is_empty()) {
         let secs = |activity: &&str| row.phases.get(*activity).map_or(NONE.into(), |secs| number(*secs, 1));
@@ -99,11 +99,11 @@ fn iteration_table(content: &Content<'_>, group: &Group) -> Table {
     table
 }
 
-/// What each loss weighs in the sum, and how long its forward pass takes.
+/// Share of the total loss and seconds of the forward pass, per loss.
 fn loss_table(content: &Content<'_>, group: &Group) -> Table {
-    let header = ["method · loss", "share of the value (%)", "forward (s)"].map(String::from);
+    let header = ["method · loss", "share of the total (%)", "forward (s)"].map(String::from);
     let mut table = Table::new(format!("Protocol {}: losses, mean over runs", group.name), header.into());
-    // A method with one loss has nothing to share.
+    // A single loss has a share of 100 %.
     for row in group.rows.iter().filter(|row| row.costs.loss_shares.len() > 1) {
         for (name, share) in &row.costs.loss_shares {
             let secs = share.forward_secs.map_or(NONE.into(), |secs| number(secs, 2));
@@ -114,24 +114,24 @@ fn loss_table(content: &Content<'_>, group: &Group) -> Table {
     table
 }
 
-/// What was left out because nothing called for it.
+/// Number of skipped and of all items, per kind of work that is skipped where the scene does not need it.
 fn skipped_table(content: &Content<'_>, group: &Group) -> Table {
-    let header = ["method · work", "left out", "of", "share (%)"].map(String::from);
-    let caption = format!("Protocol {}: work that no scene called for, sum over runs", group.name);
+    let header = ["method · work", "skipped", "total", "share (%)"].map(String::from);
+    let caption = format!("Protocol {}: skipped work, sum over runs", group.name);
     let mut table = Table::new(caption, header.into());
     for row in &group.rows {
-        for (what, [skipped, of]) in &row.costs.skipped_work {
-            let share = 100.0 * *skipped as f64 / (*of).max(1) as f64;
-            let cells = [skipped.to_string(), of.to_string(), number(share, 1)];
-            table.rows.push(line(content, row, format!("{} · {what}", row.name), cells.into_iter()));
+        for (work, [skipped, total]) in &row.costs.skipped_work {
+            let share = 100.0 * *skipped as f64 / (*total).max(1) as f64;
+            let cells = [skipped.to_string(), total.to_string(), number(share, 1)];
+            table.rows.push(line(content, row, format!("{} · {work}", row.name), cells.into_iter()));
         }
     }
     table
 }
 
-/// How much of what particles could be drawn from moves, and how much of the particles.
+/// Moving share of the sampled surface and of the particles.
 fn particle_table(content: &Content<'_>, group: &Group) -> Table {
-    let header = ["method", "moving share of the area (%)", "of the particles (%)"].map(String::from);
+    let header = ["method", "moving share of the area (%)", "moving share of the particles (%)"].map(String::from);
     let caption = format!("Protocol {}: particles on moving surfaces, mean over runs", group.name);
     let mut table = Table::new(caption, header.into());
     for row in &group.rows {

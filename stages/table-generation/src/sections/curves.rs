@@ -1,31 +1,33 @@
-//! Quality over seconds: one panel per scene and one for their mean, one line per method, and the curves of others where
-//! they were measured on the same images.
+//! Quality over training time: one panel per scene and one for their mean, one line per method. Third-party curves are
+//! added where they were measured on the same images.
 
 use scene::Split;
 
-use super::Content;
+use super::content::Content;
 use super::pareto::legend;
-use crate::claims::curves::{self, PublishedCurve, PublishedCurves};
+use crate::claims::{PublishedCurve, PublishedCurves};
 use crate::collect::{CurvePoint, Run};
+use crate::column::Column;
 use crate::document::{Block, Figure, Key};
+use crate::library;
+use crate::params::TableGenerationParams;
 use crate::report::{Group, Report, Row};
 use crate::statistics::{mean, median};
 use crate::svg::line_sample;
 use crate::svg::lines::{Lines, Series};
-use crate::{Column, TableGenerationParams};
 
-/// A curve as seconds and dB.
+/// A curve as pairs (seconds, dB).
 type Curve = Vec<(f64, f64)>;
 
-/// A figure per group in which any run recorded a curve.
-pub fn blocks(content: &Content<'_>) -> anyhow::Result<Vec<Block>> {
-    let others = curves::built_in()?;
+/// One figure per group in which a run recorded a curve.
+pub(crate) fn blocks(content: &Content<'_>) -> anyhow::Result<Vec<Block>> {
+    let others = library::curves()?;
     let groups = content.report.groups.iter();
     Ok(groups.flat_map(|group| group_blocks(content, group, &others)).collect())
 }
 
 fn group_blocks(content: &Content<'_>, group: &Group, others: &PublishedCurves) -> Vec<Block> {
-    let differences = others.protocol.differences_of_images(group);
+    let differences = others.protocol.differences_of_images(&group.protocol, &group.judged_by);
     let others_fit = differences.is_empty();
     let theirs: Vec<&PublishedCurve> = if others_fit { relevant(others, group) } else { Vec::new() };
     let mut labels: Vec<&str> = theirs.iter().map(|curve| curve.label.as_str()).collect();
@@ -42,7 +44,7 @@ fn group_blocks(content: &Content<'_>, group: &Group, others: &PublishedCurves) 
     keys.extend(labels.iter().enumerate().map(|(at, label)| Key {
         sample: line_sample(group.rows.len() + at),
         number: Some(group.rows.len() + at + 1),
-        label: format!("{label}, by others"),
+        label: format!("{label} (third party)"),
     }));
     let suffix = if content.report.groups.len() > 1 { format!("-{}", group.name) } else { String::new() };
     let figure = Figure {
@@ -52,19 +54,20 @@ fn group_blocks(content: &Content<'_>, group: &Group, others: &PublishedCurves) 
         panels: panels.into_iter().map(Lines::panel).collect(),
     };
     let is_close = group.protocol.dataset == others.protocol.dataset && !others_fit;
-    let absent = format!("Curves by {} are not drawn here: {}.", others.source, differences.join("; "));
+    let absent =
+        format!("Curves by {} are not drawn because the protocols differ: {}.", others.source, differences.join("; "));
     let absent = is_close.then_some(Block::Paragraph(absent));
     [Block::Figure(figure)].into_iter().chain(absent).collect()
 }
 
 fn caption(others: &PublishedCurves, others_fit: bool) -> String {
     let mut text = String::from(
-        "PSNR over seconds of training, evaluation excluded: median over seeds, band from the lowest to the highest.",
+        "PSNR over training time, evaluation excluded: median over seeds; the band spans lowest to highest.",
     );
     if others_fit {
         text += &format!(
-            " Lines by others are {}, on {}, as of {}: test views there. Filled markers are our final test scores, \
-             which alone compare with them.",
+            " Third-party lines: {}, on {}, as of {}, PSNR on test views. Filled markers are final test scores of this \
+             project; only these are comparable with the third-party lines.",
             others.source, others.hardware, others.taken
         );
         text.extend(others.notes.iter().map(|note| format!(" Note: {note}.")));
@@ -72,14 +75,14 @@ fn caption(others: &PublishedCurves, others_fit: bool) -> String {
     text
 }
 
-/// The curves of others on the scenes of a group, by method.
+/// The third-party curves on the scenes of a group, sorted by method.
 fn relevant<'a>(others: &'a PublishedCurves, group: &Group) -> Vec<&'a PublishedCurve> {
     let mut curves: Vec<_> = others.curve.iter().filter(|curve| group.scenes.contains(&curve.scene)).collect();
     curves.sort_by_key(|curve| &curve.label);
     curves
 }
 
-/// What panels of one group are drawn from.
+/// Input of the panels of one group.
 struct Drawing<'a> {
     content: &'a Content<'a>,
     group: &'a Group,
@@ -101,7 +104,7 @@ impl Drawing<'_> {
             .then(|| self.lines(scene.to_owned(), curve_split(self.content.report, self.group, scene), lines))
     }
 
-    /// The mean over the scenes; a scene whose training is over keeps its last value.
+    /// The mean over the scenes; a scene whose training has ended keeps its last value.
     fn of_mean(&self) -> Option<Lines> {
         let ours = self.group.rows.iter().enumerate().filter_map(|(style, row)| {
             let by_scene: Vec<Vec<Curve>> = self
@@ -133,8 +136,8 @@ impl Drawing<'_> {
         self.content.report.runs.iter().filter(belongs).filter(|run| !points(&run.curve).is_empty())
     }
 
-    /// Our final test score, which is drawn where others' test scores are.
-    fn marked(&self, cells: Option<&crate::report::Cells>) -> Option<[f64; 2]> {
+    /// Seconds and PSNR of the final test score; drawn only beside third-party curves, which show test scores.
+    fn marked(&self, cells: Option<&crate::cell::Cells>) -> Option<[f64; 2]> {
         let mean = |column| cells?.get(&column)?.mean;
         mean(Column::TrainingSecs).zip(mean(Column::PSNR)).filter(|_| !self.theirs.is_empty()).map(|(x, y)| [x, y])
     }
@@ -152,7 +155,7 @@ impl Drawing<'_> {
     }
 }
 
-/// The views that a scene's curves were measured on; a capture without validation views has training views only.
+/// The views on which a scene's curves were measured: validation views, or training views without a validation split.
 fn curve_split(report: &Report, group: &Group, scene: &str) -> &'static str {
     let belongs = |run: &&Run| run.scene == scene && group.holds(run);
     match report.runs.iter().filter(belongs).find_map(|run| run.curve_split) {
@@ -174,18 +177,18 @@ fn published(curve: &PublishedCurve) -> Curve {
     curve.seconds.iter().copied().zip(curve.psnr.iter().copied()).collect()
 }
 
-/// The mean of curves at every moment at which one of them was evaluated and all have begun.
+/// The mean of curves at every evaluation of one of them, from the time at which all have started.
 fn mean_curve(curves: &[&Curve]) -> Curve {
     let start = curves.iter().filter_map(|curve| curve.first()).map(|(secs, _)| *secs).fold(0.0, f64::max);
     let at = |secs: f64| {
         let values: Vec<f64> = curves.iter().map(|curve| interpolated(curve, secs)).collect();
         Some((secs, mean(&values)?))
     };
-    moments(curves.iter().copied(), |secs| secs >= start).into_iter().filter_map(at).collect()
+    times(curves.iter().copied(), |secs| secs >= start).into_iter().filter_map(at).collect()
 }
 
-/// Median, lowest and highest value over the seeds, at every moment that one of them was evaluated and all have begun
-/// and none has ended.
+/// Median, lowest and highest value over the seeds at every evaluation of one of them, from the time at which all have
+/// started to the time at which the first ends.
 fn series(style: usize, curves: &[Curve], mark: Option<[f64; 2]>) -> Option<Series> {
     let curves: Vec<&Curve> = curves.iter().filter(|curve| !curve.is_empty()).collect();
     let start = curves.iter().map(|curve| curve[0].0).max_by(f64::total_cmp)?;
@@ -196,20 +199,20 @@ fn series(style: usize, curves: &[Curve], mark: Option<[f64; 2]>) -> Option<Seri
         let high = values.iter().copied().max_by(f64::total_cmp)?;
         Some((seconds, [low, median(&values)?, high]))
     };
-    let within = moments(curves.iter().copied(), |seconds| (start..=end).contains(&seconds));
+    let within = times(curves.iter().copied(), |seconds| (start..=end).contains(&seconds));
     let points: Vec<_> = within.into_iter().filter_map(at).collect();
     (!points.is_empty()).then_some(Series { style, points, has_band: curves.len() > 1, mark })
 }
 
-/// The moments of evaluation that are wanted, ascending, each once.
-fn moments<'a>(curves: impl Iterator<Item = &'a Curve>, is_wanted: impl Fn(f64) -> bool) -> Vec<f64> {
-    let mut moments: Vec<f64> = curves.flatten().map(|(seconds, _)| *seconds).filter(|secs| is_wanted(*secs)).collect();
-    moments.sort_by(f64::total_cmp);
-    moments.dedup();
-    moments
+/// The distinct times of evaluation that pass the filter, in ascending order.
+fn times<'a>(curves: impl Iterator<Item = &'a Curve>, is_wanted: impl Fn(f64) -> bool) -> Vec<f64> {
+    let mut times: Vec<f64> = curves.flatten().map(|(seconds, _)| *seconds).filter(|secs| is_wanted(*secs)).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    times
 }
 
-/// Linear interpolation between the two neighbours in time; beyond the ends, the value there.
+/// Linear interpolation in time; constant beyond the ends.
 fn interpolated(curve: &[(f64, f64)], seconds: f64) -> f64 {
     let after = curve.partition_point(|point| point.0 < seconds);
     match (after.checked_sub(1).and_then(|before| curve.get(before)), curve.get(after)) {

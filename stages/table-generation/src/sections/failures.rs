@@ -1,17 +1,17 @@
-//! What failed, by kind; then data that is not there.
+//! Failed runs by kind, and scenes with missing data.
 
 use std::collections::BTreeSet;
 
 use engine::FailureKind;
 
-use super::Content;
+use super::content::Content;
 use crate::collect::Run;
 use crate::document::{Block, Table, Text};
 use crate::grouping::distinct;
 use crate::report::{Report, failure_mark};
 
-/// Counts, messages and missing data, as far as there are any.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// Counts and messages of failures, and missing data, where present.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let report = content.report;
     let mut blocks = Vec::new();
     if !report.failures.is_empty() {
@@ -27,7 +27,7 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     blocks
 }
 
-/// Runs by method and outcome.
+/// Number of runs by method and outcome.
 fn count_table(report: &Report) -> Table {
     let kinds: BTreeSet<FailureKind> = report.failures.iter().map(|failed| failed.failure.kind).collect();
     let marks = kinds.iter().map(|kind| failure_mark(*kind).to_owned());
@@ -50,7 +50,7 @@ fn count_table(report: &Report) -> Table {
 /// Every failure with its job and message, by kind.
 fn failure_table(report: &Report) -> Table {
     let header = ["kind", "job", "message"].map(String::from).into();
-    let mut table = Table::new("Runs that failed", header).with_text_columns(3);
+    let mut table = Table::new("Failed runs", header).with_text_columns(3);
     let mut failures: Vec<_> = report.failures.iter().map(|failed| &failed.failure).collect();
     failures.sort_by_key(|failure| (failure.kind, &failure.producer, &failure.message));
     failures.dedup();

@@ -1,7 +1,7 @@
-//! Quality frame by frame: where in time it hurts, and the worst frames.
+//! Quality per frame: PSNR over time, and the worst frames.
 
-use super::Content;
 use super::cells::traced;
+use super::content::Content;
 use crate::collect::{FrameScore, Run};
 use crate::document::{Block, Figure, Key, Table, Text};
 use crate::format::{NONE, number, signed};
@@ -10,11 +10,11 @@ use crate::statistics::mean;
 use crate::svg::strips::{SCALE, Strips};
 use crate::svg::{Panel, scale_sample};
 
-/// Lines of the table of worst frames.
+/// Number of lines in the table of worst frames.
 const WORST: usize = 10;
 
-/// A figure and a table per group whose images were judged.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// A figure and a table per group with judged images.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut blocks = Vec::new();
     for group in &content.report.groups {
         blocks.extend(figure(content, group).map(Block::Figure));
@@ -34,13 +34,14 @@ fn figure(content: &Content<'_>, group: &Group) -> Option<Figure> {
     let legend = Key { sample, number: None, label: "PSNR from low (dark) to high (light), per scene".into() };
     (!panels.is_empty()).then(|| Figure {
         file: format!("frames{suffix}.svg"),
-        caption: "PSNR of every judged image in the order of time, mean over seeds; frames.csv has the numbers.".into(),
+        caption: "PSNR of every judged image in the order of time, mean over seeds; the values are in frames.csv."
+            .into(),
         legend: vec![legend],
         panels,
     })
 }
 
-/// One strip per method.
+/// A panel with one strip per method.
 fn strips(content: &Content<'_>, group: &Group, scene: &str) -> Option<Panel> {
     let rows: Vec<(&Row, Vec<FrameScore>)> =
         group.rows.iter().map(|row| (row, frames(content, group, row, scene))).filter(|(_, f)| !f.is_empty()).collect();
@@ -77,7 +78,7 @@ fn frames(content: &Content<'_>, group: &Group, row: &Row, scene: &str) -> Vec<F
     frames
 }
 
-/// The frames farthest below the mean of their own method and scene.
+/// The frames farthest below the mean of their method and scene.
 fn worst_table(content: &Content<'_>, group: &Group) -> Table {
     let mut worst: Vec<(f64, &Row, &String, FrameScore)> = Vec::new();
     for row in &group.rows {
@@ -89,7 +90,7 @@ fn worst_table(content: &Content<'_>, group: &Group) -> Table {
         }
     }
     worst.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let header = ["method", "scene", "view", "time (s)", "PSNR (dB)", "to the mean of its scene"].map(String::from);
+    let header = ["method", "scene", "view", "time (s)", "PSNR (dB)", "difference from the mean"].map(String::from);
     let caption = format!("Protocol {}: frames farthest below the mean of their method and scene", group.name);
     let mut table = Table::new(caption, header.into()).with_text_columns(3);
     for (below, row, scene, frame) in worst.into_iter().filter(|(below, ..)| *below < 0.0).take(WORST) {

@@ -1,17 +1,17 @@
-//! What becomes of every method on every scene: what finished, what ended where, and what had to be held in range.
+//! Outcome of every run: where it ended, its gain over the baseline, its largest gradient, and the guards that fired.
 
 use engine::FailureKind;
 
-use super::Content;
-use crate::Column;
+use super::content::Content;
 use crate::collect::{Run, TensorGradient};
+use crate::column::Column;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, signed};
 use crate::grouping::distinct;
 use crate::report::failure_mark;
 
-/// The table, where the recipe asks for it and where a training diverged.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// The table of outcomes, if the recipe asks for it or a training diverged.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let diverged = |run: &Run| run.failure.as_ref().is_some_and(|failure| failure.kind == FailureKind::Diverged);
     if !content.params.hard_cases && !content.report.runs.iter().any(diverged) {
         return Vec::new();
@@ -22,9 +22,9 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
 /// One line per run, below a heading per scene.
 fn outcome_table(content: &Content<'_>) -> Table {
     let baseline = &content.params.baseline;
-    let gain = format!("above {baseline} (dB)");
+    let gain = format!("gain over {baseline} (dB)");
     let header = ["method", "outcome", "where", "guards that fired", &gain, "largest gradient"].map(String::from);
-    let mut table = Table::new("What became of every run", header.into()).with_text_columns(4);
+    let mut table = Table::new("Outcome of every run", header.into()).with_text_columns(4);
     let runs = || content.report.runs.iter().filter(|run| !run.misses_data());
     let one_seed = distinct(runs().map(|run| run.seed.as_str())).len() == 1;
     for scene in distinct(runs().map(|run| run.scene.as_str())) {
@@ -34,14 +34,14 @@ fn outcome_table(content: &Content<'_>) -> Table {
             let name = Text::plain(format!("{}{seed}", run.row)).linked(content.traces.scene(&run.row, &scene));
             let gradient =
                 run.largest_gradient.as_ref().map_or(NONE.into(), |g| format!("{:.1e}", g.largest.magnitude));
-            let figures = [outcome(run), place(run), guards(run), gain_text(content, run), gradient];
-            table.rows.push([name].into_iter().chain(figures.map(Text::plain)).collect());
+            let cells = [outcome(run), place(run), guards(run), gain_text(content, run), gradient];
+            table.rows.push([name].into_iter().chain(cells.map(Text::plain)).collect());
         }
     }
     table.remarks.push(
-        "Where: the step at which a run ended and what was no longer finite, or the tensor and the step of the largest \
-         gradient. Guards: how often the rasteriser kept a number in range, summed over all renders of the training. Both \
-         are counted from the last start of the training: what a shared coarse phase saw is not in them."
+        "Where: for a failed run the message of the failure; otherwise tensor and iteration of the largest gradient. \
+         Guards: how often the rasteriser clamped a value, summed over all renders of the training. Neither includes a \
+         shared coarse phase, because both are counted from the last start of the training."
             .into(),
     );
     table
@@ -55,7 +55,7 @@ fn outcome(run: &Run) -> String {
     }
 }
 
-/// What ended the run, or where its largest gradient was.
+/// The message of the failure, or tensor and iteration of the largest gradient.
 fn place(run: &Run) -> String {
     let of_gradient = || {
         let TensorGradient { tensor, largest } = run.largest_gradient.as_ref()?;
@@ -70,7 +70,7 @@ fn guards(run: &Run) -> String {
     if fired.is_empty() { NONE.into() } else { fired.join(", ") }
 }
 
-/// PSNR above that of the baseline with the same scene and seed, judged in the same way.
+/// Gain in PSNR over the baseline on the same scene with the same seed, protocol and metric definitions.
 fn gain_text(content: &Content<'_>, run: &Run) -> String {
     let is_baseline = |other: &&Run| {
         other.method == content.params.baseline

@@ -1,14 +1,14 @@
-//! What times were measured on.
+//! The machines on which times were measured.
 
 use std::collections::BTreeMap;
 
-use super::Content;
+use super::content::Content;
 use crate::collect::Machine;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
 
-/// One column per work and machine.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// One table with a column per kind of work and machine.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut counts: BTreeMap<(&String, String), (&Machine, usize)> = BTreeMap::new();
     for (work, machine) in content.report.runs.iter().flat_map(|run| &run.machines) {
         let key = (work, format!("{} {:?} {:?}", machine.line(), machine.sources, machine.system));
@@ -19,15 +19,15 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     let header: Vec<String> =
         [String::new()].into_iter().chain(counts.keys().map(|(work, _)| (*work).clone())).collect();
     let n_columns = header.len();
-    let mut table = Table::new("Machines that times were measured on", header).with_text_columns(n_columns);
+    let mut table = Table::new("Machines on which times were measured", header).with_text_columns(n_columns);
     for (at, (name, _)) in first.iter().enumerate() {
         let values = columns.iter().map(|column| Text::plain(&column[at].1));
         table.rows.push([Text::plain(*name)].into_iter().chain(values).collect());
     }
     table.remarks.push(
-        "FPS raster: the rasteriser alone; model: with the motion model; delivered: with conversion to 8 bit and \
-         encoding; medians. Training seconds exclude evaluation. Sources: digest of the code that the program was built \
-         from."
+        "FPS raster: the rasteriser alone; FPS model: with the motion model; FPS delivered: with conversion to 8 bits \
+         and encoding; all are medians. Training seconds exclude evaluation. Sources: digest of the program's source \
+         code."
             .into(),
     );
     vec![Block::Table(table)]

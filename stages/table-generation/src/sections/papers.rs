@@ -1,20 +1,20 @@
-//! The papers' own tables, in their own shape, with what we measured and what others measured beside each figure.
+//! The papers' tables in their printed shape, with measured and third-party values beside each cell.
 
-use super::Content;
 use super::cells::traced;
-use crate::built_in_claims;
+use super::content::Content;
 use crate::claims::{Claim, Verdict};
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
-use crate::papers::{self, ComparedCell, Heading, Measured, Paper, PaperTable};
+use crate::library;
+use crate::papers::{ComparedCell, Heading, Measured, Paper, PaperTable};
 
-/// Wider tables than this get a line instead of a column for what stands beside a printed figure.
+/// Tables with more columns than this show the values beside printed cells in lines instead of columns.
 const MAX_COLUMNS: usize = 16;
 
-/// Longer reasons for a missing figure go to a footnote; bytes.
-const MAX_WORDS: usize = 24;
+/// Reasons for missing values that are longer than this go to a footnote, bytes.
+const MAX_REASON: usize = 24;
 
-/// What stands beside a printed figure.
+/// The columns (or lines) of a printed cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Beside {
     Published,
@@ -23,18 +23,13 @@ enum Beside {
     Others,
 }
 
-/// Every table of the papers that the parameters name.
-pub fn blocks(content: &Content<'_>) -> anyhow::Result<Vec<Block>> {
+/// All tables of the papers that the parameters name.
+pub(crate) fn blocks(content: &Content<'_>) -> anyhow::Result<Vec<Block>> {
     let mut blocks = Vec::new();
-    let claims = built_in_claims()?;
+    let claims = library::claims()?;
     for name in &content.params.papers {
-        let paper = papers::find(name)?;
-        let is_named = paper.title.starts_with(&paper.name);
-        blocks.push(Block::Heading(if is_named {
-            paper.title.clone()
-        } else {
-            format!("{}: {}", paper.name, paper.title)
-        }));
+        let paper = library::paper(name)?;
+        blocks.push(Block::Heading(paper.reference()));
         let own = format!(" of {}", paper.name);
         let others: Vec<&Claim> = claims.iter().filter(|claim| !claim.source.ends_with(&own)).collect();
         for table in &paper.tables {
@@ -44,7 +39,7 @@ pub fn blocks(content: &Content<'_>) -> anyhow::Result<Vec<Block>> {
     Ok(blocks)
 }
 
-/// A table of a paper with what stands beside its cells.
+/// A table of a paper with the values beside its cells.
 struct Compared<'a> {
     source: &'a PaperTable,
     caption: String,
@@ -53,10 +48,11 @@ struct Compared<'a> {
 
 impl<'a> Compared<'a> {
     fn new(paper: &Paper, source: &'a PaperTable, content: &Content<'_>, others: &[&Claim]) -> Self {
+        let tolerance_db = content.params.reproduced_within_db;
         let compared = |row: &Heading| {
             let pairs = source.columns.iter().zip(row.cells());
             pairs
-                .map(|(column, text)| source.compared((row, column), text, content.report, others, content.params))
+                .map(|(column, text)| source.compared((row, column), text, content.report, others, tolerance_db))
                 .collect()
         };
         let caption = format!("{} of {}: {}", source.number, paper.name, source.caption);
@@ -74,14 +70,14 @@ impl<'a> Compared<'a> {
         table
     }
 
-    /// What any cell of the column has.
+    /// The columns that at least one cell of the printed column needs.
     fn shown(&self, column: usize) -> Vec<Beside> {
         let has = |beside: &Beside| self.cells.iter().any(|row| has(&row[column], *beside));
         let optional = [Beside::Measured, Beside::Verdict, Beside::Others].into_iter().filter(has);
         [Beside::Published].into_iter().chain(optional).collect()
     }
 
-    /// Published, measured, verdict and re-measured as columns under each printed heading.
+    /// Layout with published, measured, verdict and re-measured values as columns under each printed heading.
     fn side_by_side(&self, shown: &[Vec<Beside>], content: &Content<'_>) -> Table {
         let mut table = Table::new(self.caption.clone(), vec![String::new()]);
         table.groups.push((String::new(), 1));
@@ -101,7 +97,7 @@ impl<'a> Compared<'a> {
         table
     }
 
-    /// The printed columns alone, and under each row of ours a line each for measured, verdict and re-measured.
+    /// Layout with the printed columns, and lines for measured, verdict and re-measured values below each printed row.
     fn below(&self, content: &Content<'_>) -> Table {
         let header = ["".into(), "".into()].into_iter().chain(self.source.columns.iter().map(|c| c.label.clone()));
         let mut table = Table::new(self.caption.clone(), header.collect()).with_text_columns(2);
@@ -119,7 +115,7 @@ impl<'a> Compared<'a> {
         table
     }
 
-    /// Calls `add` for every row, after the heading that it shares with its neighbours.
+    /// Calls `add` for every row; adds the shared heading before each group of rows.
     fn for_rows(&self, table: &mut Table, mut add: impl FnMut(&mut Table, &str, &[ComparedCell])) {
         let mut group = None;
         for (row, cells) in self.source.rows.iter().zip(&self.cells) {
@@ -131,7 +127,7 @@ impl<'a> Compared<'a> {
         }
     }
 
-    /// The headings over several printed columns; empty where there are none.
+    /// The headings over several printed columns; empty if the table has none.
     fn printed_groups(&self) -> Vec<(String, usize)> {
         if self.source.columns.iter().all(|column| column.group.is_none()) {
             return Vec::new();
@@ -173,8 +169,8 @@ fn text(cell: &ComparedCell, beside: Beside, content: &Content<'_>, table: &mut 
         Beside::Published => Text::plain(&cell.printed),
         Beside::Measured => match &cell.measured {
             None => Text::default(),
-            Some(Measured::None(why)) if why.len() <= MAX_WORDS => Text::plain(why),
-            Some(Measured::None(why)) => Text::plain(format!("{NONE} ({})", table.note(why.clone()))),
+            Some(Measured::Missing(why)) if why.len() <= MAX_REASON => Text::plain(why),
+            Some(Measured::Missing(why)) => Text::plain(format!("{NONE} ({})", table.note(why.clone()))),
             Some(Measured::Value { value, decimals, row, scene }) => {
                 let of_scene = scene.as_ref().and_then(|scene| content.traces.scene(row, scene));
                 traced(Text::plain(number(*value, *decimals)), of_scene.or_else(|| content.traces.row(row)))

@@ -1,20 +1,21 @@
-//! Quality against what it costs: seconds of training, and time per rendered frame.
+//! Accuracy against cost: seconds of training, and frames per second.
 
-use super::Content;
 use super::cells::traced;
-use crate::Column;
+use super::content::Content;
+use crate::cell::Cell;
+use crate::column::Column;
 use crate::document::{Block, Figure, Key, Table, Text};
 use crate::format::{NONE, number, scenes};
-use crate::report::{Cell, Group, Row};
+use crate::report::{Group, Row};
 use crate::svg::line_sample;
 use crate::svg::scatter::{Point, Scatter};
 
-/// The costs: seconds, for which less is better, and frames per second, for which more is.
+/// Cost columns with their axis labels: seconds (lower is better) and frames per second (higher is better).
 const COSTS: [(Column, &str); 2] =
     [(Column::TrainingSecs, "training time (s, log)"), (Column::FpsModel, "FPS, motion and raster (log)")];
 
-/// A figure and a table per group that can be drawn.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// A figure and a table per group with quality and costs.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     content.report.groups.iter().flat_map(|group| group_blocks(content, group)).collect()
 }
 
@@ -38,8 +39,8 @@ fn group_blocks(content: &Content<'_>, group: &Group) -> Vec<Block> {
     let figure = Figure {
         file: format!("pareto{suffix}.svg"),
         caption: format!(
-            "Means over {}. Filled: no other method is better in one and at least as good in the other; the \
-             dotted line joins these. Crosses: standard deviation over seeds; dots: single seeds.",
+            "Means over {}. Filled markers and the dotted line are the Pareto front: no other method is better in one \
+             value and at least as good in the other. Crosses: standard deviation over seeds; dots: single seeds.",
             scenes(group.scenes.len())
         ),
         legend: legend(group),
@@ -48,8 +49,8 @@ fn group_blocks(content: &Content<'_>, group: &Group) -> Vec<Block> {
     vec![Block::Figure(figure), Block::Table(table)]
 }
 
-/// A number, a marker and a name per row.
-pub fn legend(group: &Group) -> Vec<Key> {
+/// The legend: number, marker and name of every row.
+pub(crate) fn legend(group: &Group) -> Vec<Key> {
     let key = |(style, row): (usize, &Row)| Key {
         sample: line_sample(style),
         number: Some(style + 1),
@@ -58,7 +59,7 @@ pub fn legend(group: &Group) -> Vec<Key> {
     group.rows.iter().enumerate().map(key).collect()
 }
 
-/// The rows that have both figures.
+/// A point per row that has both quality and cost.
 fn points(group: &Group, cost: Column) -> Vec<Point> {
     let cells = |row: &'_ Row| -> Option<[Cell; 2]> {
         let [cost, quality] = [cost, Column::PSNR].map(|column| row.headline.get(&column).cloned());
@@ -81,21 +82,21 @@ fn points(group: &Group, cost: Column) -> Vec<Point> {
     points
 }
 
-/// Whether `a` is at least as good as `b` in both and better in one.
+/// Whether `a` is at least as good as `b` in cost and quality, and better in one of them.
 fn dominates(a: [f64; 2], b: [f64; 2], more_is_better: bool) -> bool {
     let (cost_a, cost_b) = if more_is_better { (-a[0], -b[0]) } else { (a[0], b[0]) };
     cost_a <= cost_b && a[1] >= b[1] && (cost_a < cost_b || a[1] > b[1])
 }
 
-/// The same in words, for readers and formats without the figure.
+/// The figure's content as a table, for formats without figures.
 fn front_table(content: &Content<'_>, group: &Group, drawn: &[(Column, &str, Vec<Point>)]) -> Table {
     let columns = [Column::PSNR, Column::TrainingSecs, Column::FpsModel];
     let on_front = drawn.iter().map(|(cost, _, _)| match cost {
-        Column::TrainingSecs => "on the front of time".to_owned(),
-        _ => "on the front of speed".to_owned(),
+        Column::TrainingSecs => "on the front (time)".to_owned(),
+        _ => "on the front (speed)".to_owned(),
     });
     let header = ["method".into()].into_iter().chain(columns.map(Column::heading)).chain(on_front).collect();
-    let mut table = Table::new(format!("Protocol {}: quality against cost", group.name), header);
+    let mut table = Table::new(format!("Protocol {}: quality and cost", group.name), header);
     for (style, row) in group.rows.iter().enumerate() {
         let mut cells = vec![Text::plain(&row.name)];
         for column in columns {
@@ -117,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_is_beaten_only_by_one_that_is_nowhere_worse() {
+    fn dominance_needs_no_loss_and_one_gain() {
         assert!(dominates([1.0, 30.0], [2.0, 29.0], false) && dominates([1.0, 30.0], [1.0, 29.0], false));
         assert!(!dominates([1.0, 28.0], [2.0, 29.0], false) && !dominates([1.0, 30.0], [1.0, 30.0], false));
         assert!(dominates([90.0, 30.0], [80.0, 30.0], true) && !dominates([80.0, 30.0], [90.0, 30.0], true));

@@ -1,20 +1,21 @@
-//! What was measured, one part per protocol: means, scenes, gains over the baseline, surfaces.
+//! Results per protocol: means, values per scene, gains over the baseline, and metrics that few captures provide.
 
-use super::Content;
 use super::cells::{explain_marks, mean_text, scene_cells, traced};
-use crate::Column;
+use super::content::Content;
+use crate::cell::Cells;
+use crate::column::Column;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, scenes, signed};
 use crate::grouping::distinct;
-use crate::report::{Cells, FailedRun, Group, Report, Row, failure_mark};
+use crate::report::{FailedRun, Group, Report, Row, failure_mark};
 
-/// The parts of all groups.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// The results of all groups.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut blocks = Vec::new();
     if content.report.groups.is_empty() {
-        blocks.push(Block::Paragraph("No run was measured; see what failed below.".into()));
+        blocks.push(Block::Paragraph("No run was measured; see the failures below.".into()));
     }
-    blocks.extend(judged_nowhere(content.report).map(Block::Paragraph));
+    blocks.extend(unjudged_scenes(content.report).map(Block::Paragraph));
     for group in &content.report.groups {
         blocks.push(Block::Heading(format!("Protocol {}: {}", group.name, group.protocol.dataset)));
         blocks.push(Block::Paragraph(protocol_text(group, content.report)));
@@ -27,29 +28,30 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
     blocks
 }
 
-/// The scenes that are in no table, because there is nothing of them to judge; data that is not there is told elsewhere.
-fn judged_nowhere(report: &Report) -> Option<String> {
+/// Names the scenes that no table contains because all of their runs failed. Missing data is reported elsewhere.
+fn unjudged_scenes(report: &Report) -> Option<String> {
     let is_tabulated = |scene: &String| report.groups.iter().any(|group| group.scenes.contains(scene));
-    let untold = report.failures.iter().filter(|failed| !is_tabulated(&failed.scene));
+    let unjudged = report.failures.iter().filter(|failed| !is_tabulated(&failed.scene));
     let named = |failed: &FailedRun| format!("{} ({})", failed.scene, failure_mark(failed.failure.kind));
-    let scenes: Vec<String> = untold.map(named).collect();
+    let scenes: Vec<String> = unjudged.map(named).collect();
     let scenes = distinct(scenes.iter().map(String::as_str));
     let anything = !scenes.is_empty() && !report.groups.is_empty();
-    anything.then(|| format!("In no table and in no mean, because nothing could be judged: {}.", scenes.join(", ")))
+    anything
+        .then(|| format!("Left out of all tables and means because no image could be judged: {}.", scenes.join(", ")))
 }
 
-/// The protocol in one line, what means are over, and where the same data set is judged otherwise.
+/// The protocol in one line, the scenes of the means, and the scenes of the same data set under other protocols.
 fn protocol_text(group: &Group, report: &Report) -> String {
     let scenes = format!("{} ({})", scenes(group.scenes.len()), group.scenes.join(", "));
     let is_sibling = |other: &&Group| other.name != group.name && other.protocol.dataset == group.protocol.dataset;
     let siblings = report.groups.iter().filter(is_sibling);
     let siblings: String = siblings
-        .map(|other| format!(" Judged otherwise: {} (protocol {}).", other.scenes.join(", "), other.name))
+        .map(|other| format!(" Under another protocol: {} (protocol {}).", other.scenes.join(", "), other.name))
         .collect();
     format!("{} · {}. Means over {scenes}.{siblings}", group.protocol.line(), group.judged_by)
 }
 
-/// Means over all scenes, and over the parts of them that have means of their own.
+/// Means over all scenes, and over the subsets of them that have means.
 fn mean_tables(content: &Content<'_>, group: &Group) -> Vec<Table> {
     let whole = mean_table(content, group, format!("means over {}", scenes(group.scenes.len())), |row| &row.headline);
     let of_part = |(at, part): (usize, &crate::report::ScenePart)| {
@@ -85,18 +87,18 @@ fn mean_table<'g>(
     table
 }
 
-/// Which rows were not trained as long as their methods ask for, one line per way.
+/// Names the rows that were not trained with their method's own schedule, one line per difference.
 fn shortened(group: &Group) -> impl Iterator<Item = String> {
     let ways = distinct(group.rows.iter().filter_map(|row| row.shortened.as_deref()));
     ways.into_iter().map(|way| {
         let rows = group.rows.iter().filter(|row| row.shortened.as_ref() == Some(&way));
         let rows: Vec<&str> = rows.map(|row| row.name.as_str()).collect();
-        let who = if rows.len() == group.rows.len() { "all".into() } else { rows.join(", ") };
-        format!("Not the method's own length of training: {way} ({who}).")
+        let names = if rows.len() == group.rows.len() { "all methods".into() } else { rows.join(", ") };
+        format!("Not the methods' own schedules: {way} ({names}).")
     })
 }
 
-/// One figure: a column per scene, and every mean side by side.
+/// One metric: a column per scene, and a column per mean.
 fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
     let means = [format!("mean of {}", group.scenes.len())]
         .into_iter()
@@ -114,20 +116,20 @@ fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
     table
 }
 
-/// That several methods were measured, and none of them is the baseline.
+/// A note that the baseline was not measured, if several other methods were.
 fn no_baseline(content: &Content<'_>, group: &Group) -> Option<String> {
     let baseline = &content.params.baseline;
-    let is_there = group.rows.iter().any(|row| row.method == *baseline);
-    let told = || format!("Nothing is compared with the baseline: no run of {baseline} was measured here.");
-    (!is_there && group.rows.len() > 1).then(told)
+    let is_measured = group.rows.iter().any(|row| row.method == *baseline);
+    let note = || format!("No comparison with the baseline: no run of {baseline} was measured under this protocol.");
+    (!is_measured && group.rows.len() > 1).then(note)
 }
 
-/// PSNR above that of the baseline, where the baseline was measured.
+/// Gains in PSNR over the baseline, if the baseline was measured.
 fn gain_table(content: &Content<'_>, group: &Group) -> Option<Table> {
     let baseline = group.rows.iter().find(|row| row.method == content.params.baseline && row.variant.is_none())?;
     let others: Vec<&Row> = group.rows.iter().filter(|row| row.name != baseline.name).collect();
-    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(["scenes above".into()]);
-    let caption = format!("Protocol {}: PSNR above {} (dB)", group.name, baseline.name);
+    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(["scenes with a gain".into()]);
+    let caption = format!("Protocol {}: gain in PSNR over {} (dB)", group.name, baseline.name);
     let mut table = Table::new(caption, header.collect());
     for row in others {
         let psnr = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&Column::PSNR)?.mean;
@@ -144,7 +146,7 @@ fn gain_table(content: &Content<'_>, group: &Group) -> Option<Table> {
     (!table.rows.is_empty()).then_some(table)
 }
 
-/// The figures beyond images that any run has, one table each, over the scenes and methods that define it.
+/// One table per conditional metric that any run has, over the scenes and methods that define it.
 fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Item = Table> {
     Column::conditional().filter_map(|column| {
         let mean = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&column)?.mean;
@@ -152,7 +154,7 @@ fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Ite
         let scenes: Vec<String> = group.scenes.iter().filter(in_scene).cloned().collect();
         let rows = group.rows.iter().filter(|row| scenes.iter().any(|scene| mean(row, scene).is_some()));
         let header = ["method".into()].into_iter().chain(scenes.iter().cloned()).collect();
-        let better = if column.higher_is_better() { "more" } else { "less" };
+        let better = if column.higher_is_better() { "higher" } else { "lower" };
         let caption = format!("Protocol {}: {} per scene ({better} is better)", group.name, column.heading());
         let mut table = Table::new(caption, header);
         table.rows = rows.map(|row| scene_cells(content, row, &scenes, column)).collect();

@@ -1,14 +1,14 @@
-//! Published values in columns of their own, each with its source, protocol and verdict.
+//! Published values beside measured values, with source, protocol and verdict.
 
-use super::Content;
 use super::cells::{cell_text, scene_text, traced};
-use crate::Column;
+use super::content::Content;
 use crate::claims::{ClaimColumn, ClaimTable, Kind, Verdict};
+use crate::column::Column;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
 
-/// One table per measured row that anybody published about.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// One table per measured row with published values.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let groups = content.report.groups.iter();
     groups.flat_map(|group| &group.claims).map(|claims| Block::Table(claim_table(content, claims))).collect()
 }
@@ -42,7 +42,7 @@ fn claim_text(column: &ClaimColumn, line: usize, name: &str) -> String {
     let other_set = n_scenes.filter(|n| own_set.is_some_and(|own| own != n.to_string()));
     let of = other_set.map(|n| format!(" (mean of {n})")).unwrap_or_default();
     let judged = match verdict {
-        // The column's heading says so, or the mean is visibly one over another set of scenes.
+        // The column's heading already says so, or the mean names another number of scenes.
         Verdict::NotComparable => String::new(),
         verdict => format!(", {}", verdict.text()),
     };
@@ -53,28 +53,28 @@ fn claim_note(number_of_source: usize, column: &ClaimColumn) -> String {
     let claim = &column.claim;
     let mut note = format!(
         "[{number_of_source}] {}, {} ({}): {}.",
-        who(claim.kind),
+        origin(claim.kind),
         claim.source,
         claim.label,
         claim.protocol.line()
     );
     if !column.differences.is_empty() {
-        note += &format!(" Not comparable because: {}.", column.differences.join("; "));
+        note += &format!(" Not comparable: {}.", column.differences.join("; "));
     }
     if let Some(mean) = &claim.mean {
         let others = mean.values.named().filter(|(name, _)| *name != "PSNR").map(|(name, v)| format!("{name} {v}"));
         let others: Vec<_> = others.collect();
         if !others.is_empty() {
-            note += &format!(" Also printed, mean of {}: {}.", mean.scenes.len(), others.join(", "));
+            note += &format!(" Also printed (mean of {}): {}.", mean.scenes.len(), others.join(", "));
         }
     }
     claim.notes.iter().fold(note, |note, remark| format!("{note} Note: {remark}."))
 }
 
-/// Who measured, in words.
-pub fn who(kind: Kind) -> &'static str {
+/// Origin of a published value in words.
+pub(crate) fn origin(kind: Kind) -> &'static str {
     match kind {
         Kind::Quoted => "quoted",
-        Kind::ReMeasured => "re-measured by others",
+        Kind::ReMeasured => "re-measured by a third party",
     }
 }

@@ -1,6 +1,6 @@
-//! Every run with its jobs: where numbers come from, and how to make them again.
+//! All runs with their jobs: the source of every number, and the command that reproduces it.
 
-use super::Content;
+use super::content::Content;
 use super::traces::command;
 use crate::collect::Run;
 use crate::document::{Block, Table, Text};
@@ -8,14 +8,14 @@ use crate::format::{NONE, number};
 use crate::grouping::distinct;
 use crate::report::failure_mark;
 
-/// The jobs of a run by port, and what their column is called.
+/// The jobs of a run: port, and name of the column.
 const JOBS: [(&str, &str); 3] = [("model", "training"), ("renders", "rendering"), ("metrics", "judging")];
 
-/// The job whose seconds are not asked for.
+/// The port whose job's seconds are not shown.
 const UNTIMED: &str = "metrics";
 
-/// The table of runs, which links from numbers lead to.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
+/// The table of runs, the target of all links from numbers.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let report = content.report;
     let header = ["method", "scene", "seed", "outcome"].into_iter().map(String::from);
     let columns = |(port, work): &(&str, &str)| {
@@ -23,7 +23,7 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
         [format!("{work}: key")].into_iter().chain(seconds).collect::<Vec<_>>()
     };
     let header = header.chain(JOBS.iter().flat_map(columns)).chain(["command".into()]).collect();
-    let mut table = Table::new("Runs, their jobs, and the command that makes them", header).with_text_columns(4);
+    let mut table = Table::new("Runs, their jobs, and the commands that reproduce them", header).with_text_columns(4);
     for row in distinct(report.runs.iter().map(|run| run.row.as_str())) {
         let mut place = content.traces.row(&row).map(|link| link.to);
         for scene in distinct(report.runs.iter().map(|run| run.scene.as_str())) {
@@ -36,9 +36,9 @@ pub fn blocks(content: &Content<'_>) -> Vec<Block> {
         }
     }
     table.remarks.push(
-        "Seconds are those of the whole job, with loading and evaluation. `pipeline show RECIPE JOB` has a job's folder, \
-         parameters and whole key. A command makes what the job needs too, and nothing that is in the store; `DATA` stands \
-         for the folder of the recipe's sources."
+        "Seconds are those of the whole job, including loading and evaluation. `pipeline show RECIPE JOB` prints a \
+         job's folder, parameters and full key. A command also runs the jobs that the run depends on, unless their \
+         results are in the store; `DATA` stands for the data root."
             .into(),
     );
     vec![Block::Table(table)]

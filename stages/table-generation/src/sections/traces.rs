@@ -1,4 +1,4 @@
-//! From a number to the jobs that it comes from: places in the table of runs.
+//! Links from numbers to their jobs, i.e. to rows of the table of runs.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -6,17 +6,18 @@ use std::collections::BTreeMap;
 use crate::collect::Run;
 use crate::document::Link;
 use crate::grouping::distinct;
-use crate::{Report, TableGenerationParams};
+use crate::params::TableGenerationParams;
+use crate::report::Report;
 
-/// Places in the table of runs.
-pub struct Traces {
+/// Link targets in the table of runs.
+pub(crate) struct Traces {
     by_row: BTreeMap<String, Link>,
     by_scene: BTreeMap<(String, String), Link>,
 }
 
 impl Traces {
-    /// Places for every row and every scene of it.
-    pub fn new(report: &Report, params: &TableGenerationParams) -> Self {
+    /// Creates targets for every row and for each of its scenes.
+    pub(crate) fn new(report: &Report, params: &TableGenerationParams) -> Self {
         let (mut by_row, mut by_scene) = (BTreeMap::new(), BTreeMap::new());
         let rows = distinct(report.runs.iter().map(|run| run.row.as_str()));
         let scenes = distinct(report.runs.iter().map(|run| run.scene.as_str()));
@@ -33,26 +34,26 @@ impl Traces {
         Self { by_row, by_scene }
     }
 
-    /// Where all runs of a row begin.
-    pub fn row(&self, row: &str) -> Option<Link> {
+    /// Link to the first run of a row.
+    pub(crate) fn row(&self, row: &str) -> Option<Link> {
         self.by_row.get(row).cloned()
     }
 
-    /// Where the runs of a row on a scene begin.
-    pub fn scene(&self, row: &str, scene: &str) -> Option<Link> {
+    /// Link to the first run of a row on a scene.
+    pub(crate) fn scene(&self, row: &str, scene: &str) -> Option<Link> {
         self.by_scene.get(&(row.to_owned(), scene.to_owned())).cloned()
     }
 }
 
-/// The job, its key and the command that makes it.
+/// Tooltip of a link: job, key and command.
 fn hint(run: &Run, params: &TableGenerationParams) -> String {
     let job = last_job(run);
     let key = run.jobs.get(job.0).map(|job| job.key.as_str()).unwrap_or_default();
     format!("{} · key {key} · {}", job.1, command(run, params))
 }
 
-/// The command that makes the run, with all that it needs: the recipe with what this report's command line changed in it.
-pub fn command(run: &Run, params: &TableGenerationParams) -> String {
+/// The command that reproduces the run: the recipe with the arguments of this report's command line.
+pub(crate) fn command(run: &Run, params: &TableGenerationParams) -> String {
     let arguments = params.arguments.iter().map(|argument| format!(" {}", quoted(argument)));
     format!(
         "pipeline run {}{} --only {}",
@@ -62,7 +63,7 @@ pub fn command(run: &Run, params: &TableGenerationParams) -> String {
     )
 }
 
-/// An argument as a shell takes it for itself.
+/// Quotes an argument for a POSIX shell if necessary.
 fn quoted(argument: &str) -> Cow<'_, str> {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
     match !argument.is_empty() && argument.chars().all(is_plain) {
@@ -71,7 +72,7 @@ fn quoted(argument: &str) -> Cow<'_, str> {
     }
 }
 
-/// Port and name of the last job of the run.
+/// Port and name of the run's last job.
 fn last_job(run: &Run) -> (&str, &str) {
     let job = |port: &'static str| Some((port, run.jobs.get(port)?.name.as_str()));
     ["metrics", "renders", "model"].into_iter().find_map(job).unwrap_or_default()

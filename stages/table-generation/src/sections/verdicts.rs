@@ -1,34 +1,35 @@
-//! What a reader wants to know first: what ran, what is best, what the spread allows to say, what is reproduced.
+//! The summary: number of runs, best methods, smallest significant difference, reproduced values.
 
 use std::collections::BTreeMap;
 
-use super::Content;
-use super::published::who;
-use crate::Column;
+use super::content::Content;
+use super::published::origin;
+use crate::cell::Cell;
 use crate::claims::{ClaimColumn, Verdict};
+use crate::column::Column;
 use crate::document::{Block, Table, Text};
 use crate::format::number;
-use crate::report::{Cell, Group, Report, failure_mark};
+use crate::report::{Group, Report, failure_mark};
 use crate::statistics::{mean, welch_half_width};
 
-/// The first section.
-pub fn blocks(content: &Content<'_>) -> Vec<Block> {
-    let mut sentences = vec![what_ran(content.report)];
+/// Sentences about runs, leaders and noise, then the table of published values.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let mut sentences = vec![outcomes(content.report)];
     sentences.extend(content.report.groups.iter().flat_map(|group| [best(group), noise(group)]));
     let mut blocks: Vec<Block> = sentences.into_iter().map(Block::Paragraph).collect();
     let table = published(content);
     if content.report.groups.is_empty() {
         blocks.push(Block::Paragraph("Nothing was measured.".into()));
     } else if table.rows.is_empty() {
-        blocks.push(Block::Paragraph("No source at hand prints values for what was measured here.".into()));
+        blocks.push(Block::Paragraph("No published values are available for these methods and scenes.".into()));
     } else {
         blocks.push(Block::Table(table));
     }
     blocks
 }
 
-/// How many runs finished, and what became of the others.
-fn what_ran(report: &Report) -> String {
+/// Number of finished runs, and of failed runs by kind.
+fn outcomes(report: &Report) -> String {
     let mut failed: BTreeMap<&str, usize> = BTreeMap::new();
     for failure in report.runs.iter().filter_map(|run| run.failure.as_ref()) {
         *failed.entry(failure_mark(failure.kind)).or_default() += 1;
@@ -39,7 +40,7 @@ fn what_ran(report: &Report) -> String {
     format!("{n_runs} runs: {n_finished} finished{others}.")
 }
 
-/// Who leads in quality and in time, and who cannot be told from the leader.
+/// The best methods in quality, training time and speed, with the methods that are within noise of them.
 fn best(group: &Group) -> String {
     let leader = |column: Column, what: &str, unit: &str| {
         let cells = || group.rows.iter().filter_map(|row| Some((row.name.as_str(), row.headline.get(&column)?)));
@@ -51,14 +52,14 @@ fn best(group: &Group) -> String {
             cell.rank.is_some_and(|rank| rank > 1)
                 && (cell.within_noise || behind.is_some_and(|behind| cell.std.is_some() && behind < limit))
         };
-        let said = |value| number(value, column.decimals());
+        let text = |value| number(value, column.decimals());
         let tied: Vec<String> = cells()
             .filter(|(_, cell)| is_tied(cell))
-            .filter_map(|(name, cell)| Some(format!("{name} ({})", said(cell.mean?))))
+            .filter_map(|(name, cell)| Some(format!("{name} {}", text(cell.mean?))))
             .collect();
         let names: Vec<&str> = best.iter().map(|(name, _)| *name).collect();
-        let tie = if tied.is_empty() { String::new() } else { format!(", within noise of {}", tied.join(", ")) };
-        Some(format!("{what} {} ({} {unit}){tie}", names.join(" and "), said(value)))
+        let tie = if tied.is_empty() { String::new() } else { format!("; within noise: {}", tied.join(", ")) };
+        Some(format!("{what}: {} ({} {unit}{tie})", names.join(", "), text(value)))
     };
     let leaders = [
         leader(Column::PSNR, "highest PSNR", "dB"),
@@ -74,8 +75,7 @@ fn best(group: &Group) -> String {
     format!("{about}: {}.", leaders.join("; "))
 }
 
-/// The smallest difference of two means that the seeds can tell from noise, from the spread over all rows, and how many
-/// seeds there are.
+/// The smallest significant difference of two means, from the pooled spread of all rows, and the number of seeds.
 fn smallest_difference(group: &Group, column: Column) -> Option<(f64, usize)> {
     let cells = || group.rows.iter().filter_map(|row| row.headline.get(&column));
     let variances: Vec<f64> = cells().filter_map(|cell| cell.std).map(|std| std * std).collect();
@@ -84,25 +84,25 @@ fn smallest_difference(group: &Group, column: Column) -> Option<(f64, usize)> {
     Some((welch_half_width(one, one)?, n_seeds))
 }
 
-/// What the seeds can tell from noise.
+/// A sentence about the smallest significant difference in PSNR.
 fn noise(group: &Group) -> String {
     match smallest_difference(group, Column::PSNR) {
         Some((width, n)) => format!(
-            "With {n} seeds, methods of protocol {} whose mean PSNR differs by less than {} dB cannot be told apart (95 %).",
-            group.name,
-            number(width, 2)
+            "With {n} seeds, differences in mean PSNR below {} dB are not significant under protocol {} (95 %).",
+            number(width, 2),
+            group.name
         ),
         _ => format!(
-            "Protocol {} has one seed per run: nothing is known about noise, and small differences may be it.",
+            "Protocol {} has one seed per run, so the noise is unknown and small differences may be noise.",
             group.name
         ),
     }
 }
 
-/// Every source beside every row, with its verdict in one line.
+/// One line per row and source, with a summary of the verdicts.
 fn published(content: &Content<'_>) -> Table {
-    let header = ["method", "source", "who measured", "verdict on PSNR"].map(String::from).into();
-    let mut table = Table::new("Published values and what they come to here", header).with_text_columns(4);
+    let header = ["method", "source", "origin", "verdict on PSNR"].map(String::from).into();
+    let mut table = Table::new("Published values and their reproduction", header).with_text_columns(4);
     for (group, claims) in content.report.groups.iter().flat_map(|group| group.claims.iter().map(move |c| (group, c))) {
         for column in &claims.columns {
             let label = match group.label(content.report) {
@@ -110,7 +110,7 @@ fn published(content: &Content<'_>) -> Table {
                 label => format!("{} ({label})", claims.row),
             };
             let source = format!("{} ({})", column.claim.source, column.claim.label);
-            let texts = [source, who(column.claim.kind).into(), summary(column, &claims.lines)];
+            let texts = [source, origin(column.claim.kind).into(), summary(column, &claims.lines)];
             let first = Text::plain(label).linked(content.traces.row(&claims.row));
             table.rows.push([first].into_iter().chain(texts.map(Text::plain)).collect());
         }
@@ -118,7 +118,7 @@ fn published(content: &Content<'_>) -> Table {
     table
 }
 
-/// How many lines are reproduced, and which are not.
+/// Number of reproduced lines, and the lines that are not reproduced.
 fn summary(column: &ClaimColumn, lines: &[String]) -> String {
     if !column.differences.is_empty() {
         return format!("not comparable: {}", column.differences.join("; "));
@@ -133,7 +133,7 @@ fn summary(column: &ClaimColumn, lines: &[String]) -> String {
         .map(|(verdict, line)| format!("; {line}: {}", verdict.text()))
         .collect();
     match n_judged {
-        0 => "not measured, or over other scenes".into(),
+        0 => "not measured, or measured on other scenes".into(),
         n => format!("{n_agreeing} of {n} reproduced{others}"),
     }
 }

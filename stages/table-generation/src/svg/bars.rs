@@ -1,4 +1,4 @@
-//! What a total is made of: a bar of segments per row.
+//! Stacked horizontal bars: one bar per row, one segment per part of the total.
 
 use maud::html;
 
@@ -6,28 +6,28 @@ use super::plot::{linear_ticks, tick_decimals};
 use super::{Panel, WIDTH, colour, text};
 use crate::format::number;
 
-/// A row's height, that of its bar, and the edges of the plot, px.
+// Height of a row and of its bar, and edges of the plot, px.
 const ROW: f64 = 37.0;
 const BAR: f64 = 14.0;
 const LEFT: f64 = 4.0;
 const RIGHT: f64 = WIDTH - 16.0;
 const TOP: f64 = 26.0;
-/// A segment that holds a number is at least so wide, px.
+/// Smallest width of a segment that shows its number, px.
 const NUMBERED: f64 = 14.0;
 
 /// A chart of bars.
-pub struct Bars {
-    /// What it shows.
+pub(crate) struct Bars {
+    /// Title.
     pub title: String,
-    /// What the lengths are, with the unit.
+    /// Quantity and unit of the lengths.
     pub x_label: String,
-    /// Label and segments of each bar; a segment's number in the legend is its index and one more.
+    /// Label and segment lengths of each bar; a segment's number in the legend is its index + 1.
     pub rows: Vec<(String, Vec<f64>)>,
 }
 
 impl Bars {
     /// The chart as a panel.
-    pub fn panel(self) -> Panel {
+    pub(crate) fn panel(self) -> Panel {
         let longest = self.rows.iter().map(|(_, segments)| segments.iter().sum::<f64>()).fold(0.0, f64::max);
         let scale = (RIGHT - LEFT) / longest.max(f64::MIN_POSITIVE);
         let bottom = TOP + ROW * self.rows.len() as f64;
@@ -59,7 +59,7 @@ impl Bars {
     }
 }
 
-/// Start and length of every segment.
+/// Start and length of every segment, in the unit of the data.
 fn starts(segments: &[f64]) -> impl Iterator<Item = (f64, f64)> {
     segments.iter().scan(0.0, |end, length| {
         let start = *end;

@@ -1,42 +1,42 @@
-//! Quality over something: a line per method, with a band where there are several seeds.
+//! Line charts: one line per method, with a band for several seeds.
 
 use maud::{Markup, html};
 
 use super::plot::{HEIGHT, Labels, Plot};
 use super::{Panel, WIDTH, colour, dash, marker};
 
-/// Markers per line: enough to tell lines apart without hiding them.
+/// Number of markers per line: enough to distinguish lines, few enough not to hide them.
 const MARKERS: usize = 6;
 
 /// A chart of lines.
-pub struct Lines {
-    /// What it shows.
+pub(crate) struct Lines {
+    /// Title.
     pub title: String,
-    /// What runs to the right, with its unit.
+    /// Quantity and unit of the x axis.
     pub x_label: String,
-    /// What runs upwards, with its unit.
+    /// Quantity and unit of the y axis.
     pub y_label: String,
-    /// Whether x is logarithmic.
+    /// Whether the x axis is logarithmic.
     pub log_x: bool,
     /// The lines.
     pub series: Vec<Series>,
 }
 
 /// One line.
-pub struct Series {
-    /// Chooses colour, dashes and marker; its number in the legend is one more.
+pub(crate) struct Series {
+    /// Index of colour, dashes and marker; the number in the legend is `style` + 1.
     pub style: usize,
-    /// x, and the lowest, middle and highest y there; x ascending.
+    /// Points as x and [lowest, middle, highest] y, in ascending order of x.
     pub points: Vec<(f64, [f64; 3])>,
-    /// Whether to fill between lowest and highest.
+    /// Whether the area between lowest and highest is filled.
     pub has_band: bool,
-    /// A single point that belongs to the line but was measured otherwise.
+    /// A related point from another measurement, drawn as a filled marker.
     pub mark: Option<[f64; 2]>,
 }
 
 impl Lines {
     /// The chart as a panel.
-    pub fn panel(self) -> Panel {
+    pub(crate) fn panel(self) -> Panel {
         let plot = Plot::new(&self.extent(), self.log_x);
         let labels = Labels { title: &self.title, x: &self.x_label, y: &self.y_label };
         let end = |series: &Series| series.points.last().map(|(_, [_, middle, _])| (series.style, *middle));
@@ -48,7 +48,7 @@ impl Lines {
         Panel { title: self.title, width: WIDTH, height: HEIGHT, drawing }
     }
 
-    /// All that must be seen.
+    /// All points that the plot must contain.
     fn extent(&self) -> Vec<[f64; 2]> {
         let edges = |series: &Series| -> Vec<[f64; 2]> {
             series.points.iter().flat_map(|(x, [low, _, high])| [[*x, *low], [*x, *high]]).chain(series.mark).collect()

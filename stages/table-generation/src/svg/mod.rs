@@ -1,41 +1,38 @@
-//! Charts as SVG. Nothing depends on colour alone: lines and points have dashes, shapes and the number of their legend
-//! entry, areas have that number, and colour scales rise in lightness.
+//! Charts as SVG. No distinction depends on colour alone: lines and points differ in dashes and markers and carry the
+//! number of their legend entry, areas carry that number, and colour scales increase in lightness.
 
-pub mod bars;
-mod file;
-pub mod lines;
+pub(crate) mod bars;
+pub(crate) mod lines;
 mod plot;
-pub mod scatter;
-pub mod strips;
+pub(crate) mod scatter;
+pub(crate) mod strips;
 #[cfg(test)]
 mod tests;
 
 use maud::{Markup, html};
 
-pub use file::file;
-
 use crate::format::number;
 
 /// A chart.
-pub struct Panel {
-    /// What it shows; also drawn.
+pub(crate) struct Panel {
+    /// Title; also drawn.
     pub title: String,
-    /// Pixels from left to right.
+    /// Width in pixels.
     pub width: f64,
-    /// Pixels from top to bottom.
+    /// Height in pixels.
     pub height: f64,
-    /// The elements, in this box.
+    /// The SVG elements, inside a box of `width` × `height`.
     pub drawing: Markup,
 }
 
-/// The box of a legend's sample, px.
-pub const SAMPLE: [f64; 2] = [30.0, 14.0];
+/// Width and height of a sample in the legend, px.
+pub(crate) const SAMPLE: [f64; 2] = [30.0, 14.0];
 
-/// The width of every panel: what fits a phone.
+/// Width of every panel, px; fits the screen of a phone.
 const WIDTH: f64 = 340.0;
 
-/// Okabe and Ito's palette, which stays distinct for colour-blind readers; without yellow and black, which vanish on
-/// white and on dark paper.
+/// The palette of Okabe and Ito, which colour-blind readers can distinguish, with grey instead of yellow and black:
+/// yellow is invisible on white, black on a dark background.
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f7f7f", "#e69f00", "#56b4e9"];
 const DASHES: [&str; 5] = ["none", "7 3", "2 3", "9 3 2 3", "4 2"];
 
@@ -47,7 +44,7 @@ fn dash(style: usize) -> &'static str {
     DASHES[style % DASHES.len()]
 }
 
-/// A circle, square, triangle, diamond or cross around a point, filled or hollow.
+/// A marker at a point: circle, square, triangle, diamond or cross, filled or hollow.
 fn marker(style: usize, [x, y]: [f64; 2], filled: bool) -> Markup {
     let shape = match style % 5 {
         0 => "M-3.5 0a3.5 3.5 0 1 0 7 0a3.5 3.5 0 1 0 -7 0Z",
@@ -61,8 +58,8 @@ fn marker(style: usize, [x, y]: [f64; 2], filled: bool) -> Markup {
     html! { path transform=(place) d=(shape) class=(class) fill=(fill) stroke=(colour(style)) stroke-width="1.6" {} }
 }
 
-/// The sample of a line with markers.
-pub fn line_sample(style: usize) -> Markup {
+/// Legend sample of a line with markers.
+pub(crate) fn line_sample(style: usize) -> Markup {
     let [width, height] = SAMPLE;
     let line = format!("M0 {0}H{width}", height / 2.0);
     html! {
@@ -71,14 +68,14 @@ pub fn line_sample(style: usize) -> Markup {
     }
 }
 
-/// The sample of an area.
-pub fn area_sample(style: usize) -> Markup {
+/// Legend sample of an area.
+pub(crate) fn area_sample(style: usize) -> Markup {
     let [width, height] = SAMPLE;
     html! { rect width=(width) height=(height) fill=(colour(style)) {} }
 }
 
-/// The sample of a colour scale, from low to high.
-pub fn scale_sample(scale: colorous::Gradient) -> Markup {
+/// Legend sample of a colour scale, from low to high.
+pub(crate) fn scale_sample(scale: colorous::Gradient) -> Markup {
     const STEPS: usize = 10;
     let [width, height] = SAMPLE;
     let step = width / STEPS as f64;
@@ -90,12 +87,12 @@ pub fn scale_sample(scale: colorous::Gradient) -> Markup {
     }
 }
 
-/// The colour at `share` in [0, 1] of a scale.
+/// The colour of a scale at `share` in [0, 1], as a hexadecimal code.
 fn hex(scale: colorous::Gradient, share: f64) -> String {
     format!("#{:x}", scale.eval_continuous(share.clamp(0.0, 1.0)))
 }
 
-/// `text` at a place; `anchor` is `start`, `middle` or `end`.
+/// A text element at a position in pixels; `anchor` is `start`, `middle` or `end`.
 fn text([x, y]: [f64; 2], anchor: &str, text: &str) -> Markup {
     html! { text x=(number(x, 1)) y=(number(y, 1)) text-anchor=(anchor) { (text) } }
 }

@@ -1,34 +1,34 @@
-//! The plane that lines and points are drawn in: axes, ticks, grid, and labels that do not overlap.
+//! The coordinate system of charts: axes, ticks, grid, and labels that do not overlap.
 
 use maud::{Markup, html};
 
 use super::{WIDTH, text};
 use crate::format::number;
 
-/// A panel's height, and the edges of its plot, px.
-pub const HEIGHT: f64 = 250.0;
+/// Height of a panel, px.
+pub(crate) const HEIGHT: f64 = 250.0;
+// Edges of the plot, px. The numbers of lines need space at the right.
 const LEFT: f64 = 46.0;
-/// Room at the right for the numbers of lines.
 const RIGHT: f64 = WIDTH - 24.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = HEIGHT - 42.0;
-/// Distance of two numbers at which they do not touch.
+/// Smallest vertical distance of two numbers that do not touch, px.
 const LABEL_STEP: f64 = 12.0;
 
-/// What runs along the axes.
-pub struct Labels<'a> {
+/// Title and axis labels of a panel.
+pub(crate) struct Labels<'a> {
     pub title: &'a str,
     pub x: &'a str,
     pub y: &'a str,
 }
 
-/// Data to pixels on two axes.
-pub struct Plot {
+/// Maps data to pixels on two axes.
+pub(crate) struct Plot {
     x: Axis,
     y: Axis,
 }
 
-/// Data to pixels on one axis.
+/// Maps data to pixels on one axis.
 struct Axis {
     from: [f64; 2],
     to: [f64; 2],
@@ -37,7 +37,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// An axis with ticks at round values between `low` and `high`.
+    /// An axis from `low` to `high` with ticks at round values.
     fn new(low: f64, high: f64, to: [f64; 2], is_log: bool) -> Self {
         let ticks = if is_log { log_ticks(low, high) } else { linear_ticks(low, high) };
         Self { from: if is_log { [low.log10(), high.log10()] } else { [low, high] }, to, is_log, ticks }
@@ -51,8 +51,8 @@ impl Axis {
 }
 
 impl Plot {
-    /// A plane that holds all of `points`; a logarithmic x leaves out what is not positive. y has some air.
-    pub fn new(points: &[[f64; 2]], log_x: bool) -> Self {
+    /// A plot that contains all of `points`, with a margin in y. A logarithmic x axis ignores points with x ≤ 0.
+    pub(crate) fn new(points: &[[f64; 2]], log_x: bool) -> Self {
         let drawn: Vec<&[f64; 2]> = points.iter().filter(|[x, _]| !log_x || *x > 0.0).collect();
         let lowest = |axis: usize| drawn.iter().map(|point| point[axis]).fold(f64::INFINITY, f64::min);
         let highest = |axis: usize| drawn.iter().map(|point| point[axis]).fold(f64::NEG_INFINITY, f64::max);
@@ -60,29 +60,29 @@ impl Plot {
         let x_high = highest(0).max(f64::MIN_POSITIVE);
         let (x_low, x_high) = if log_x { (lowest(0).min(x_high / 2.0) / 1.1, x_high * 1.1) } else { (0.0, x_high) };
         let (y_low, y_high) = range(lowest(1), highest(1));
-        let air = 0.06 * (y_high - y_low);
+        let margin = 0.06 * (y_high - y_low);
         let x = Axis::new(x_low, x_high, [LEFT, RIGHT], log_x);
-        Self { x, y: Axis::new(y_low - air, y_high + air, [BOTTOM, TOP], false) }
+        Self { x, y: Axis::new(y_low - margin, y_high + margin, [BOTTOM, TOP], false) }
     }
 
-    /// Whether the point can be drawn.
-    pub fn holds(&self, x: f64) -> bool {
+    /// Whether a point with this x can be drawn.
+    pub(crate) fn holds(&self, x: f64) -> bool {
         !self.x.is_log || x > 0.0
     }
 
-    /// Where the point is drawn.
-    pub fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    /// Position of a point in pixels.
+    pub(crate) fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         [self.x.pixel(x), self.y.pixel(y)]
     }
 
-    /// The same as in paths.
-    pub fn at(&self, point: [f64; 2]) -> String {
+    /// Position of a point as the coordinates of an SVG path.
+    pub(crate) fn at(&self, point: [f64; 2]) -> String {
         let [x, y] = self.place(point);
         format!("{} {}", number(x, 1), number(y, 1))
     }
 
-    /// Title, grid, ticks and axis labels.
-    pub fn frame(&self, labels: &Labels<'_>) -> Markup {
+    /// Draws title, grid, ticks and axis labels.
+    pub(crate) fn frame(&self, labels: &Labels<'_>) -> Markup {
         let (middle_x, middle_y) = ((LEFT + RIGHT) / 2.0, (TOP + BOTTOM) / 2.0);
         html! {
             text x="4" y="16" class="title" { (labels.title) }
@@ -102,14 +102,15 @@ impl Plot {
         }
     }
 
-    /// Numbers at the right edge, each at the height of its y, pushed apart where they would overlap.
-    pub fn end_numbers(&self, ends: impl Iterator<Item = (usize, f64)>) -> Markup {
+    /// Draws the numbers of lines at the right edge, each at the height of its line; overlapping numbers are pushed
+    /// apart.
+    pub(crate) fn end_numbers(&self, ends: impl Iterator<Item = (usize, f64)>) -> Markup {
         let mut numbers: Vec<(f64, usize)> = ends.map(|(style, y)| (self.y.pixel(y), style)).collect();
         numbers.sort_by(|a, b| a.0.total_cmp(&b.0));
         for i in 1..numbers.len() {
             numbers[i].0 = numbers[i].0.max(numbers[i - 1].0 + LABEL_STEP);
         }
-        // Numbers that were pushed below the plot move up together.
+        // If numbers were pushed below the plot, all numbers move up.
         let overshoot = numbers.last().map_or(0.0, |last| (last.0 - BOTTOM).max(0.0));
         html! {
             @for (at, style) in numbers {
@@ -119,8 +120,8 @@ impl Plot {
     }
 }
 
-/// Four to eight multiples of 1, 2 or 5 times a power of ten.
-pub fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
+/// Four to eight ticks at multiples of 1, 2 or 5 times a power of ten.
+pub(crate) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     let magnitude = 10.0_f64.powf(((high - low) / 5.0).log10().floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * magnitude);
     let step = steps.into_iter().find(|step| (high - low) / step <= 7.0).unwrap_or(steps[3]);
@@ -128,7 +129,7 @@ pub fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
-/// Round multiples of the powers of ten: the coarsest choice with at least three ticks.
+/// Ticks at round multiples of powers of ten: the coarsest set with at least three ticks.
 fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     const FACTORS: [&[f64]; 4] = [
         &[1.0],
@@ -145,13 +146,13 @@ fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     choices.iter().find(|ticks| ticks.len() >= 3).unwrap_or(&choices[3]).clone()
 }
 
-/// As many decimals as tell neighbouring ticks apart.
+/// A tick's label.
 fn tick_text(tick: f64, axis: &Axis) -> String {
     number(tick, tick_decimals(&axis.ticks))
 }
 
-/// As many decimals as tell neighbouring ticks apart.
-pub fn tick_decimals(ticks: &[f64]) -> usize {
+/// The number of decimals that distinguishes neighbouring ticks.
+pub(crate) fn tick_decimals(ticks: &[f64]) -> usize {
     let step = ticks.windows(2).map(|pair| pair[1] - pair[0]).fold(f64::INFINITY, f64::min);
     if step.is_finite() { (-step.log10().floor()).clamp(0.0, 6.0) as usize } else { 0 }
 }

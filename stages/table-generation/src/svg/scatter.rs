@@ -1,4 +1,4 @@
-//! Quality against a cost: a point per method, its spread, and the front of those that nothing beats in both.
+//! Scatter charts of quality over cost: one point per method with its spread, and the Pareto front.
 
 use maud::{Markup, html};
 
@@ -6,34 +6,35 @@ use super::plot::{HEIGHT, Labels, Plot};
 use super::{Panel, WIDTH, colour, marker, text};
 
 /// A chart of points.
-pub struct Scatter {
-    /// What it shows.
+pub(crate) struct Scatter {
+    /// Title.
     pub title: String,
-    /// What runs to the right, with its unit.
+    /// Quantity and unit of the x axis.
     pub x_label: String,
-    /// What runs upwards, with its unit; more is better.
+    /// Quantity and unit of the y axis; higher is better.
     pub y_label: String,
     /// The points.
     pub points: Vec<Point>,
 }
 
 /// One method.
-pub struct Point {
-    /// Chooses colour and marker; its number in the legend is one more.
+pub(crate) struct Point {
+    /// Index of colour and marker; the number in the legend is `style` + 1.
     pub style: usize,
     /// Cost and quality.
     pub at: [f64; 2],
-    /// Standard deviations over seeds; 0 where there is one seed.
+    /// Standard deviations over seeds; 0 for a single seed.
     pub std: [f64; 2],
-    /// Every seed.
+    /// Cost and quality of every seed.
     pub seeds: Vec<[f64; 2]>,
-    /// Whether no other point is better in one and at least as good in the other.
+    /// Whether the point is on the Pareto front: no other point is better in one value and at least as good in the
+    /// other.
     pub on_front: bool,
 }
 
 impl Scatter {
-    /// The chart as a panel; the cost is logarithmic.
-    pub fn panel(self) -> Panel {
+    /// The chart as a panel; the cost axis is logarithmic.
+    pub(crate) fn panel(self) -> Panel {
         let extent: Vec<[f64; 2]> = self.points.iter().flat_map(Point::extent).collect();
         let plot = Plot::new(&extent, true);
         let labels = Labels { title: &self.title, x: &self.x_label, y: &self.y_label };
@@ -77,7 +78,7 @@ impl Point {
     }
 }
 
-/// A number beside each point, on the first side where it touches no point and no other number.
+/// A number beside each point, on the first side where it touches no other point and no other number.
 fn numbers(points: &[Point], plot: &Plot) -> Markup {
     const SIDES: [[f64; 2]; 6] = [[10.0, 4.0], [-10.0, 4.0], [0.0, -8.0], [0.0, 16.0], [11.0, -6.0], [-11.0, 14.0]];
     let mut taken: Vec<[f64; 2]> = points.iter().map(|point| plot.place(point.at)).collect();
@@ -85,7 +86,7 @@ fn numbers(points: &[Point], plot: &Plot) -> Markup {
     for point in points {
         let [x, y] = plot.place(point.at);
         let free = |[dx, dy]: &[f64; 2]| {
-            // A number's middle is 4 px above its baseline.
+            // The centre of a number lies 4 px above its baseline.
             let touches = |[tx, ty]: &[f64; 2]| (x + dx - tx).abs() < 9.0 && (y + dy - 4.0 - ty).abs() < 9.0;
             !taken.iter().filter(|at| **at != [x, y]).any(touches)
         };

@@ -1,35 +1,35 @@
-//! Values along an axis as strips of colour, one strip per row, so that a whole sequence is seen at once.
+//! Strips of colour, one per row, that show the values of a whole sequence at once.
 
 use maud::html;
 
 use super::{Panel, WIDTH, hex, text};
 use crate::format::number;
 
-/// A row's height, that of its strip, and the edges of the plot, px.
+// Height of a row and of its strip, and edges of the plot, px.
 const ROW: f64 = 34.0;
 const STRIP: f64 = 13.0;
 const LEFT: f64 = 4.0;
 const RIGHT: f64 = WIDTH - 8.0;
 const TOP: f64 = 24.0;
 
-/// The scale of the strips: its lightness rises steadily, for every kind of colour vision and in grey.
-pub const SCALE: colorous::Gradient = colorous::CIVIDIS;
+/// Colour scale of the strips; its lightness increases monotonically, for all types of colour vision and in greyscale.
+pub(crate) const SCALE: colorous::Gradient = colorous::CIVIDIS;
 
 /// A chart of strips.
-pub struct Strips {
-    /// What it shows.
+pub(crate) struct Strips {
+    /// Title.
     pub title: String,
-    /// What runs to the right, as the texts below its ends.
+    /// Labels below the left and the right end of the axis.
     pub ends: [String; 2],
-    /// The values that the darkest and the lightest colour stand for.
+    /// Values of the darkest and of the lightest colour.
     pub range: [f64; 2],
-    /// Label and cells of each strip: what a pointer resting on a cell is told, and its value.
+    /// Label and cells of each strip; a cell is a tooltip and a value.
     pub rows: Vec<(String, Vec<(String, f64)>)>,
 }
 
 impl Strips {
     /// The chart as a panel.
-    pub fn panel(self) -> Panel {
+    pub(crate) fn panel(self) -> Panel {
         let [low, high] = self.range;
         let share = |value: f64| if high > low { (value - low) / (high - low) } else { 0.5 };
         let bottom = TOP + ROW * self.rows.len() as f64;
@@ -38,9 +38,9 @@ impl Strips {
             @for (row, (label, cells)) in self.rows.iter().enumerate() {
                 @let (y, width) = (TOP + ROW * row as f64, (RIGHT - LEFT) / cells.len().max(1) as f64);
                 (text([LEFT, y + 13.0], "start", label))
-                @for (at, (told, value)) in cells.iter().enumerate() {
+                @for (at, (tooltip, value)) in cells.iter().enumerate() {
                     rect x=(number(LEFT + at as f64 * width, 1)) y=(y + 17.0) width=(number(width + 0.2, 1))
-                        height=(STRIP) fill=(hex(SCALE, share(*value))) { title { (told) } }
+                        height=(STRIP) fill=(hex(SCALE, share(*value))) { title { (tooltip) } }
                 }
             }
             (text([LEFT, bottom + 12.0], "start", &self.ends[0]))

@@ -1,10 +1,11 @@
-//! Charts hold what they are given, in bounds and without overlap.
+//! Charts draw their data to scale and without overlap.
 
 use super::bars::Bars;
 use super::scatter::{Point, Scatter};
 use super::strips::Strips;
 use super::*;
 use crate::document::{Figure, Key};
+use crate::svg_file::file;
 
 fn numbers(text: &str, attribute: &str) -> Vec<f64> {
     let start = format!(" {attribute}=\"");
@@ -14,11 +15,11 @@ fn numbers(text: &str, attribute: &str) -> Vec<f64> {
 }
 
 #[test]
-fn segments_of_bars_are_as_long_as_their_values() {
+fn bar_segments_are_proportional_to_their_values() {
     let rows = vec![("a".into(), vec![1.0, 2.0, 0.0]), ("b".into(), vec![4.0, 4.0, 2.0])];
     let drawing = Bars { title: "t".into(), x_label: "s".into(), rows }.panel().drawing.into_string();
     let widths = numbers(&drawing, "width");
-    assert_eq!(widths.len(), 5, "no segment for nothing: {drawing}");
+    assert_eq!(widths.len(), 5, "a segment of length 0 was drawn: {drawing}");
     let per_unit = widths[0];
     let expected = [1.0, 2.0, 4.0, 4.0, 2.0].map(|value| value * per_unit);
     assert!(widths.iter().zip(expected).all(|(width, wanted)| (width - wanted).abs() <= 0.1 * wanted), "{widths:?}");
@@ -26,7 +27,7 @@ fn segments_of_bars_are_as_long_as_their_values() {
 }
 
 #[test]
-fn strips_are_light_where_values_are_high() {
+fn strips_are_lighter_for_higher_values() {
     let rows = vec![("m".into(), vec![("first".into(), 20.0), ("second".into(), 30.0)])];
     let strips = Strips { title: "t".into(), ends: ["0".into(), "1".into()], range: [20.0, 30.0], rows };
     let drawing = strips.panel().drawing.into_string();
@@ -35,7 +36,7 @@ fn strips_are_light_where_values_are_high() {
 }
 
 #[test]
-fn numbers_of_points_do_not_lie_on_each_other() {
+fn numbers_of_points_do_not_overlap() {
     let point =
         |style: usize, at: [f64; 2]| Point { style, at, std: [0.0; 2], seeds: Vec::new(), on_front: style == 0 };
     let points =
@@ -54,11 +55,11 @@ fn numbers_of_points_do_not_lie_on_each_other() {
             assert!((a.0 - b.0).abs() >= 9.0 || (a.1 - b.1).abs() >= 9.0, "{places:?}");
         }
     }
-    assert_eq!(drawing.matches("class=\"paper\"").count(), 3, "points that are not on the front are hollow");
+    assert_eq!(drawing.matches("class=\"paper\"").count(), 3, "points off the front are hollow");
 }
 
 #[test]
-fn files_are_balanced_and_neither_load_nor_link_anything() {
+fn files_are_balanced_and_self_contained() {
     let panel = || Panel {
         title: "t".into(),
         width: 100.0,

@@ -1,21 +1,30 @@
-//! What the report says.
+//! Numbers and text of reports.
 
 use engine::FailureKind;
+use insta::assert_snapshot;
 use metric_evaluation::Score;
 
 use super::*;
-use crate::Verdict;
+use crate::cell::Cell;
+use crate::claims::Verdict;
 use crate::document::Document;
 use crate::markdown::markdown;
-use crate::report::Cell;
 use crate::sections;
 
-pub fn document(report: &Report) -> Document {
+pub(super) fn document(report: &Report) -> Document {
     sections::document(report, Vec::new(), &TableGenerationParams::default()).expect("a document")
 }
 
-pub fn text(report: &Report) -> String {
+/// The report as Markdown.
+pub(super) fn text(report: &Report) -> String {
     markdown(&document(report))
+}
+
+/// One section of the report as Markdown.
+pub(super) fn section(report: &Report, id: &str) -> String {
+    let mut document = document(report);
+    document.sections.retain(|section| section.id == id);
+    markdown(&document)
 }
 
 fn headline(report: &Report, row: usize, column: Column) -> &Cell {
@@ -29,18 +38,13 @@ fn means_are_over_scenes_and_spread_is_over_seeds() {
     assert!((cell.mean.expect("a mean") - 36.85).abs() <= 1e-12);
     assert!((cell.std.expect("a spread") - 0.2 / 2.0_f64.sqrt()).abs() <= 1e-12);
     assert_eq!((cell.n(), cell.n_expected, cell.rank), (2, 2, Some(1)));
-    let text = text(&report);
-    assert!(text.contains("| deformable4dgs | **36.85 ± 0.14** |"), "{text}");
-    assert!(text.contains("| static3dgs | 24.10 ± 0.14 |"), "{text}");
-    assert!(text.contains("dnerf · official split · 800×800"), "{text}");
-    assert!(text.contains("Means over 2 scenes (bouncingballs, trex)"), "{text}");
-    assert!(text.contains("no mean: bouncingballs: image smaller than 161 px"), "{text}");
+    assert_snapshot!(text(&report));
 }
 
 #[test]
 fn ranks_follow_direction_and_rounding() {
     let report = report(two_by_two());
-    assert_eq!(headline(&report, 0, Column::TrainingSecs).rank, Some(1), "less time is better");
+    assert_eq!(headline(&report, 0, Column::TrainingSecs).rank, Some(1), "lower times rank first");
     assert_eq!(headline(&report, 1, Column::TrainingSecs).rank, Some(2));
     let tied = [headline(&report, 0, Column::Gaussians), headline(&report, 1, Column::Gaussians)];
     assert_eq!(tied.map(|cell| cell.rank), [Some(1), Some(1)]);
@@ -58,7 +62,7 @@ fn times_of_different_machines_are_not_ranked() {
 }
 
 #[test]
-fn protocols_never_share_a_table() {
+fn tables_never_mix_protocols() {
     let mut runs = two_by_two();
     runs[0].protocol = Some(protocol(200));
     runs[1].judged_by = Some("test images · metric version 2".into());
@@ -75,39 +79,34 @@ fn protocols_never_share_a_table() {
     assert_eq!(report.groups[0].scenes, ["bouncingballs"]);
     let mut twice = report.clone();
     twice.groups[0] = twice.groups[2].clone();
-    assert!(twice.check().is_err(), "two groups of one protocol were accepted");
+    assert!(twice.check().is_err(), "two groups with one protocol were accepted");
 }
 
 #[test]
-fn a_missing_scene_leaves_no_mean() {
+fn missing_scenes_leave_no_mean() {
     let mut runs = two_by_two();
     runs.retain(|run| !(run.scene == "trex" && run.row == "deformable4dgs"));
     let report = report(runs);
     assert_eq!(headline(&report, 1, Column::PSNR).mean, None);
     assert_eq!(headline(&report, 0, Column::PSNR).rank, None, "nothing to compare with");
-    let text = text(&report);
-    assert!(text.contains("| deformable4dgs | – (d) | – (d) |"), "{text}");
-    assert!(text.contains("(d) no mean: trex: not run"), "{text}");
+    assert_snapshot!(section(&report, "results"));
 }
 
 #[test]
-fn failures_show_in_cells_and_in_their_own_table() {
+fn failures_appear_in_cells_and_in_a_table() {
     let mut runs = two_by_two();
     runs[3] = failed("trex", "deformable4dgs", 0, FailureKind::Diverged);
     let one_seed = report(runs.clone());
     assert_eq!(headline(&one_seed, 1, Column::PSNR).n(), 1);
-    assert!(text(&one_seed).contains("×1/2"), "{}", text(&one_seed));
-    assert!(text(&one_seed).contains("1 of 2 seeds: trex: diverged"), "{}", text(&one_seed));
+    assert_snapshot!("failure_of_one_seed", section(&one_seed, "results"));
     runs[7] = failed("trex", "deformable4dgs", 1, FailureKind::OutOfMemory);
     let none = report(runs);
     assert_eq!(headline(&none, 1, Column::PSNR).mean, None);
-    let text = text(&none);
-    assert!(text.contains("| diverged | train/trex/deformable4dgs/0 | trex went wrong |"), "{text}");
-    assert!(text.contains("| OOM | train/trex/deformable4dgs/1 | trex went wrong |"), "{text}");
+    assert_snapshot!("failure_of_all_seeds", section(&none, "failures"));
 }
 
 #[test]
-fn missing_data_is_reported_and_not_averaged_but_other_failures_leave_holes() {
+fn missing_data_skips_scenes_but_failures_leave_holes() {
     let mut runs = two_by_two();
     for method in ["static3dgs", "deformable4dgs"] {
         runs.push(failed("lego", method, 0, FailureKind::MissingData));
@@ -115,14 +114,28 @@ fn missing_data_is_reported_and_not_averaged_but_other_failures_leave_holes() {
     let missing = report(runs.clone());
     assert_eq!(missing.groups[0].scenes, ["bouncingballs", "trex"]);
     assert!(missing.failures.is_empty());
-    assert!(text(&missing).contains("| lego | lego went wrong |"), "{}", text(&missing));
+    assert_snapshot!(section(&missing, "failures"), @r"
+    # Results
+
+    ## Failures
+
+    **Scenes without data on this machine**
+
+    | scene | message |
+    | --- | --- |
+    | lego | lego went wrong |
+    ");
     assert!(headline(&missing, 0, Column::PSNR).mean.is_some());
     runs.push(Run { protocol: Some(protocol(800)), ..failed("hook", "static3dgs", 0, FailureKind::Crashed) });
-    assert_eq!(headline(&report(runs), 0, Column::PSNR).mean, None, "a scene that failed for all was skipped");
+    assert_eq!(
+        headline(&report(runs), 0, Column::PSNR).mean,
+        None,
+        "a mean skipped a scene that failed for all methods"
+    );
 }
 
 #[test]
-fn nan_never_reaches_a_table() {
+fn tables_never_contain_nan() {
     let mut runs = two_by_two();
     runs[0].figures.insert(Column::PSNR, Score::Value(f64::NAN));
     runs[1].figures.insert(Column::TrainingSecs, Score::Value(f64::INFINITY));
@@ -135,8 +148,8 @@ fn nan_never_reaches_a_table() {
 }
 
 #[test]
-fn published_values_are_judged_only_under_the_same_protocol() {
-    // Two seeds of 33.0 and 33.2 dB say nothing against 34.23 dB: the interval of their mean is 1.27 dB to each side.
+fn verdicts_require_the_same_protocol() {
+    // Two seeds of 33.0 and 33.2 dB do not contradict 34.23 dB: half the interval of their mean is 1.27 dB wide.
     let spread = report(two_by_two());
     let column = |report: &Report, source: &str| {
         let table = report.groups[0].claims.iter().find(|table| table.row == "deformable4dgs").expect("claims");
@@ -150,65 +163,57 @@ fn published_values_are_judged_only_under_the_same_protocol() {
     // Measured 40.5 and 33.0 dB against printed 40.62 and 34.23 dB.
     assert!(matches!(own.entries[0], Some((_, Verdict::Reproduced { .. }))));
     assert!(matches!(own.entries[1], Some((_, Verdict::Below { delta_db })) if (delta_db + 1.23).abs() <= 1e-9));
-    assert!(matches!(own.entries[2], Some((_, Verdict::NotComparable))), "a mean over eight scenes is another figure");
+    assert!(
+        matches!(own.entries[2], Some((_, Verdict::NotComparable))),
+        "the published mean covers eight scenes, the measured one two"
+    );
     assert_eq!(column(&same, "Grid4D").differences, ["checkpoint rule not stated"]);
-    let text = text(&same);
-    assert!(text.contains("40.62, reproduced (−0.12)"), "{text}");
-    assert!(text.contains("34.23, measured below (−1.23)"), "{text}");
+    assert_snapshot!("verdicts_under_the_same_protocol", section(&same, "published"));
 
     let small = two_by_two().into_iter().map(|run| Run { protocol: Some(protocol(200)), ..run }).collect();
     let small = report(small);
-    assert!(super::content::text(&small).contains("Not comparable because: resolution 800×800 there, 200×200 here."));
+    assert_snapshot!("verdicts_under_another_protocol", section(&small, "verdicts"));
     let entries = small.groups[0].claims.iter().flat_map(|table| &table.columns).flat_map(|column| &column.entries);
     assert!(entries.flatten().all(|(_, verdict)| *verdict == Verdict::NotComparable));
 }
 
 #[test]
-fn time_to_quality_is_the_first_moment_above_the_share() {
+fn time_to_quality_is_the_first_evaluation_above() {
     let report = report(vec![run("trex", "static3dgs", 0, 30.0)]);
     // The curve is 30 (1 - 0.5 exp(-i)) every 20 s: above 90 % from i = 2, 95 % from i = 3, 99 % from i = 4.
     let cells = &report.groups[0].rows[0].by_scene["trex"];
     let seconds = [Column::SecsTo90, Column::SecsTo95, Column::SecsTo99].map(|column| cells[&column].mean);
     assert_eq!(seconds, [Some(40.0), Some(60.0), Some(80.0)]);
-    // 25 dB lies above 30 (1 - 0.5 exp(-1)) = 24.5, so it is reached at i = 2; 30 and 35 dB never.
-    let line = "| static3dgs · trex | 40.0 | 60.0 | 80.0 | 40.0 | never | never | 130.0 |";
-    assert!(text(&report).contains(line), "{}", text(&report));
-    // Evaluated every 20 s from 0: 15 dB at 10 s, 30 (1 - 0.5 exp(-3)) at 60 s, the end at 5 min.
-    assert!(text(&report).contains("| static3dgs | 15.00 | 29.25 | 29.90 | 29.90 | 130.0 |"), "{}", text(&report));
-    assert!(text(&report).contains("| method | blend | custom |"), "{}", text(&report));
+    // 25 dB lies above 30 (1 - 0.5 exp(-1)) = 24.5, so it is reached at i = 2; 30 and 35 dB never. Deadlines: 15 dB at
+    // 10 s, 30 (1 - 0.5 exp(-3)) at 60 s, the end at 5 min.
+    assert_snapshot!(section(&report, "budgets"));
 }
 
 #[test]
-fn variants_are_compared_with_the_first_in_quality_and_time() {
+fn variants_are_compared_with_the_first() {
     let variant = |name: &str, psnr: f64| {
         let mut run = run("trex", "l4dgs", 0, psnr);
         (run.row, run.variant) = (format!("l4dgs ablation={name}"), Some(name.into()));
         run
     };
     let ablated = report(vec![variant("base", 30.0), variant("full", 31.5), run("trex", "static3dgs", 0, 20.0)]);
-    let text = text(&ablated);
-    assert!(text.contains("ablation of l4dgs, differences to base"), "{text}");
-    assert!(text.contains("| full | 31.50 | +1.50 | 131.5 | +1.5 | – | – | 60.00 |"), "{text}");
-    // A method alone is no ablation.
+    assert_snapshot!(section(&ablated, "ablation"));
     let alone = report(vec![variant("full", 31.5)]);
-    assert!(!super::content::text(&alone).contains("ablation of"));
+    let has_ablation = document(&alone).sections.iter().any(|section| section.id == "ablation");
+    assert!(!has_ablation, "a single variant is no ablation");
 }
 
 #[test]
-fn figures_of_surfaces_have_a_table_over_the_scenes_that_define_them() {
+fn conditional_metrics_list_only_their_scenes() {
     let mut moving = run("trex", "phys4dgs", 0, 30.0);
     moving.figures.insert(Column::Metric(Metric::VelocityError), Score::Value(0.125));
     let mut still = run("lego", "phys4dgs", 0, 30.0);
     still.figures.insert(Column::Metric(Metric::VelocityError), Score::undefined("nothing moves in the image"));
-    let text = text(&report(vec![moving, still]));
-    assert!(text.contains("velocity error (1/s) per scene (less is better)"), "{text}");
-    assert!(text.contains("| method | trex |\n"), "{text}");
-    assert!(text.contains("| phys4dgs | 0.125 |"), "{text}");
-    assert!(!text.contains("flow error"), "{text}");
+    assert_snapshot!(section(&report(vec![moving, still]), "results"));
 }
 
 #[test]
-fn a_scene_that_was_not_imported_is_told_once_and_takes_no_mean() {
+fn unimported_scenes_are_named_and_take_no_mean() {
     let mut runs = two_by_two();
     runs.retain(|run| run.seed == "0");
     runs[2].protocol = Some(protocol(400));
@@ -218,10 +223,8 @@ fn a_scene_that_was_not_imported_is_told_once_and_takes_no_mean() {
     let scenes = of_two_protocols.groups.iter().map(|group| group.scenes.clone());
     assert_eq!(scenes.collect::<Vec<_>>(), [["bouncingballs"], ["trex"]]);
     assert!(headline(&of_two_protocols, 0, Column::PSNR).mean.is_some());
-    let said = text(&of_two_protocols);
-    assert_eq!(said.matches("because nothing could be judged: lego (bad input).").count(), 1, "{said}");
-    assert!(said.contains("Judged otherwise: trex (protocol B)") && said.contains("| +15.50 | 1 of 1 |"), "{said}");
-    // It was imported, and then every training failed: no mean of its protocol may skip it.
+    assert_snapshot!(section(&of_two_protocols, "results"));
+    // Once the scene is imported and every training fails, no mean of its protocol may skip it.
     runs[4].protocol = Some(protocol(400));
     let trained_nowhere = report(runs);
     let scenes = trained_nowhere.groups.iter().map(|group| group.scenes.clone());

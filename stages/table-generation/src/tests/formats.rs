@@ -1,14 +1,15 @@
-//! Every format is well formed, complete and stable.
+//! Every format is well formed, complete and deterministic.
 
 use engine::Artifact;
 
 use super::content::document;
 use super::*;
+use crate::artifact::ReportFolder;
 use crate::document::{Block, Figure};
-use crate::{ReportFolder, csv_file, latex, svg};
+use crate::{csv_file, latex, svg_file};
 
-/// A report with every kind of content and awkward names.
-pub fn awkward() -> Report {
+/// A report with all kinds of content and with names that need escaping.
+pub(super) fn awkward() -> Report {
     let mut runs = two_by_two();
     runs.push(run("a_b & <c>|d", "static3dgs", 0, 21.0));
     runs.push(failed("a_b & <c>|d", "deformable4dgs", 0, FailureKind::Diverged));
@@ -17,7 +18,7 @@ pub fn awkward() -> Report {
 }
 
 #[test]
-fn equal_reports_have_equal_bytes_and_read_back() {
+fn equal_reports_have_equal_bytes_and_round_trip() {
     let (first, second) = (tempfile::tempdir().expect("folder"), tempfile::tempdir().expect("folder"));
     let params = TableGenerationParams::default();
     let written = ReportFolder::write(awkward(), Vec::new(), &params, first.path()).expect("written");
@@ -32,13 +33,13 @@ fn equal_reports_have_equal_bytes_and_read_back() {
         assert_eq!(read(&first), read(&second), "{name:?}");
         n_files += 1;
     }
-    assert_eq!(n_files, 6 + 4, "six texts, and the figures of costs, curves, frames and the front");
+    assert_eq!(n_files, 6 + 4, "six texts, and the figures of pareto, curves, costs and frames");
     std::fs::remove_file(first.path().join("report.tex")).expect("removed");
     assert!(opened.check().is_err(), "a missing file was accepted");
 }
 
 #[test]
-fn markdown_rows_have_as_many_cells_as_their_header() {
+fn markdown_rows_match_their_headers() {
     let text = crate::markdown::markdown(&document(&awkward()));
     let cells = |line: &str| line.replace("\\|", "").matches('|').count();
     let lines: Vec<&str> = text.lines().collect();
@@ -97,13 +98,13 @@ fn csv_parses_and_keeps_every_digit() {
 }
 
 #[test]
-fn frames_have_a_line_each() {
+fn frames_csv_has_one_line_per_image() {
     let text = csv_file::frames(&report(two_by_two())).expect("CSV");
     assert_eq!(text.lines().count(), 1 + 8 * 4);
     assert!(text.contains("A,static3dgs,bouncingballs,0,test_2,0.5,22\n"), "{text}");
 }
 
-/// The figure in the file of this name.
+/// The figure with this file name.
 fn figure(report: &Report, params: &TableGenerationParams, file: &str) -> Option<Figure> {
     let document = crate::sections::document(report, Vec::new(), params).expect("a document");
     let blocks = document.sections.into_iter().flat_map(|section| section.blocks);
@@ -114,7 +115,7 @@ fn figure(report: &Report, params: &TableGenerationParams, file: &str) -> Option
 }
 
 #[test]
-fn curves_have_a_line_a_number_and_a_band_per_method() {
+fn curves_have_line_number_and_band_per_method() {
     for log_time in [false, true] {
         let params = TableGenerationParams { log_time, ..Default::default() };
         let figure = figure(&report(two_by_two()), &params, "curves.svg").expect("curves");
@@ -122,7 +123,7 @@ fn curves_have_a_line_a_number_and_a_band_per_method() {
         assert_eq!(titles, ["bouncingballs", "trex", "mean of 2 scenes"]);
         let labels: Vec<String> = figure.legend.iter().map(crate::document::Key::text).collect();
         assert_eq!(labels, ["1 static3dgs", "2 deformable4dgs"]);
-        let text = svg::file(&figure);
+        let text = svg_file::file(&figure);
         for part in
             ["stroke-dasharray=\"7 3\"", ">training time (s", "PSNR, validation views (dB)", ">2 deformable4dgs<"]
         {
@@ -134,7 +135,7 @@ fn curves_have_a_line_a_number_and_a_band_per_method() {
 }
 
 #[test]
-fn degenerate_curves_are_drawn_or_left_out() {
+fn degenerate_curves_are_drawn_or_skipped() {
     let with_curve = |curve: Vec<CurvePoint>| {
         let mut run = run("trex", "static3dgs", 0, 30.0);
         run.set_curve(curve);
@@ -152,7 +153,7 @@ fn degenerate_curves_are_drawn_or_left_out() {
     for (i, (curve, is_drawn)) in cases.into_iter().enumerate() {
         let figure = with_curve(curve);
         assert_eq!(figure.is_some(), is_drawn, "case {i}");
-        let text = figure.map(|figure| svg::file(&figure)).unwrap_or_default();
+        let text = figure.map(|figure| svg_file::file(&figure)).unwrap_or_default();
         assert!(!text.contains("NaN") && !text.contains('–'), "case {i}: {text}");
     }
 }

@@ -1,4 +1,4 @@
-//! The page: well formed, whole without any other file, and every link leads somewhere.
+//! The HTML page is well formed and self-contained, and every link has a target.
 
 use std::collections::BTreeSet;
 
@@ -17,7 +17,7 @@ fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
     page.match_indices(&start).filter_map(|(at, found)| page[at + found.len()..].split('"').next()).collect()
 }
 
-/// What is wrong with a page that must stand alone.
+/// Dead links, external resources, scripts and repeated ids of a page.
 fn problems(page: &str) -> Vec<String> {
     let ids: BTreeSet<&str> = attributes(page, "id").into_iter().collect();
     let dead = attributes(page, "href").into_iter().filter(|to| {
@@ -34,12 +34,12 @@ fn problems(page: &str) -> Vec<String> {
         .chain(loaded.map(|from| format!("loads {from}")))
         .chain(in_style.map(|word| format!("{word} in the style")))
         .chain(elements.map(|tag| format!("element {tag}")))
-        .chain((twice > 0).then(|| format!("{twice} ids are there twice")))
+        .chain((twice > 0).then(|| format!("{twice} repeated ids")))
         .collect()
 }
 
 #[test]
-fn the_page_needs_nothing_else_and_every_link_resolves() {
+fn the_page_is_self_contained_and_links_resolve() {
     let page = page(&awkward());
     assert_eq!(problems(&page), Vec::<String>::new());
     assert!(attributes(&page, "href").iter().filter(|to| to.starts_with("#run-")).count() > 40, "numbers have links");
@@ -62,7 +62,7 @@ fn planted_faults_of_a_page_are_noticed() {
 }
 
 #[test]
-fn a_number_leads_to_its_run_with_job_key_and_command() {
+fn numbers_link_to_run_job_key_and_command() {
     let arguments = ["-s", "axes.note = ['it']", "--replicates", "2"].map(String::from).to_vec();
     let recipe = "recipes/x.toml".into();
     let params = TableGenerationParams { recipe, arguments, ..TableGenerationParams::default() };
@@ -81,21 +81,21 @@ fn a_number_leads_to_its_run_with_job_key_and_command() {
 }
 
 #[test]
-fn figures_of_every_kind_lead_to_runs() {
+fn numbers_of_every_section_link_to_runs() {
     let page = page(&awkward());
     for section in ["pareto", "budgets", "costs"] {
         let start = page.find(&format!("<section id=\"{section}\">")).expect("the section");
         let text = page[start..].split("</section>").next().expect("its text");
         let cells = text.split("<td").skip(1).map(|cell| cell.split("</td>").next().unwrap_or_default());
-        let figures: Vec<&str> =
+        let numbers: Vec<&str> =
             cells.filter(|cell| cell.ends_with(|c: char| c.is_ascii_digit()) || cell.contains("</a>")).collect();
-        assert!(figures.len() >= 3, "{section}: {figures:?}");
-        assert!(figures.iter().all(|cell| cell.contains("href=\"#run-")), "{section}: {figures:?}");
+        assert!(numbers.len() >= 3, "{section}: {numbers:?}");
+        assert!(numbers.iter().all(|cell| cell.contains("href=\"#run-")), "{section}: {numbers:?}");
     }
 }
 
 #[test]
-fn every_element_is_closed_and_text_is_escaped() {
+fn elements_are_closed_and_text_is_escaped() {
     let page = page(&awkward());
     let elements =
         ["html", "head", "body", "main", "section", "table", "thead", "tbody", "tr", "td", "th", "p", "svg", "g", "a"];
@@ -107,7 +107,7 @@ fn every_element_is_closed_and_text_is_escaped() {
 }
 
 #[test]
-fn tables_say_what_their_cells_are_about() {
+fn tables_have_captions_and_heading_scopes() {
     let page = page(&awkward());
     assert_eq!(page.matches("<table>").count(), page.matches("<caption>").count());
     let headings = page.matches("<th ").count();
@@ -120,7 +120,7 @@ fn tables_say_what_their_cells_are_about() {
 }
 
 #[test]
-fn no_cell_is_a_number_that_is_none() {
+fn cells_never_contain_nan_or_infinity() {
     let mut runs = two_by_two();
     runs[0].figures.insert(Column::PSNR, Score::Value(f64::NAN));
     runs[1].frames[0].psnr = f64::NAN;

@@ -6,7 +6,7 @@ use crate::document::{Block, Table};
 
 const SCENES: [&str; 8] = ["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex"];
 
-/// MCGS and SC-GS on black at 800 px.
+/// Runs of MCGS and SC-GS on a black background at 800 px, with the schedule scaled by `scale`.
 fn runs(scenes: &[&str], scale: f64) -> Vec<Run> {
     let mut runs = Vec::new();
     for scene in scenes {
@@ -20,7 +20,7 @@ fn runs(scenes: &[&str], scale: f64) -> Vec<Run> {
 
 fn tables(runs: Vec<Run>, papers: &[&str]) -> Vec<Table> {
     let params = TableGenerationParams { papers: papers.iter().map(|p| (*p).into()).collect(), ..Default::default() };
-    let report = Report::new(runs, &built_in_claims().expect("valid claims"), &params);
+    let report = Report::new(runs, &library::claims().expect("valid claims"), &params);
     let document = crate::sections::document(&report, Vec::new(), &params).expect("a document");
     let section = document.sections.into_iter().find(|section| section.id == "papers").expect("the papers");
     let table = |block| match block {
@@ -37,7 +37,7 @@ fn row<'a>(table: &'a Table, label: &str, beside: Option<&str>) -> Vec<&'a str> 
 }
 
 #[test]
-fn a_table_keeps_its_shape_and_has_measured_verdict_and_re_measured_columns() {
+fn tables_keep_their_shape_and_gain_columns() {
     let tables = tables(runs(&SCENES, 1.0), &["mcgs"]);
     let first = &tables[0];
     assert!(first.caption.starts_with("Table 1 of MCGS: D-NeRF"));
@@ -46,41 +46,41 @@ fn a_table_keeps_its_shape_and_has_measured_verdict_and_re_measured_columns() {
     assert_eq!(first.header[..5], ["", "published", "measured", "verdict", "re-measured"]);
     let labels: Vec<&str> = first.rows.iter().map(|row| row[0].text.as_str()).collect();
     assert_eq!(labels, ["D-NeRF", "K-Planes", "TiNeuVox", "FF-NVS", "D-3D-GS", "4D-GS", "SP-GS", "SC-GS", "Ours"]);
-    assert_eq!(row(first, "D-NeRF", None)[1..3], ["31.69", ""], "a method that is not one of ours");
+    assert_eq!(row(first, "D-NeRF", None)[1..3], ["31.69", ""], "a method outside this project");
     assert_eq!(row(first, "4D-GS", None)[1..3], ["35.34", "not run"]);
     let ours = row(first, "Ours", None);
     assert_eq!(ours[1..3], ["42.74", "42.70"]);
     assert!(ours[3].starts_with("not comparable ("), "{ours:?}");
     assert!(
         first.notes.iter().any(|note| note
-            == "not comparable: background not stated; checkpoint rule not stated; 8 bit or float not stated"),
+            == "not comparable: background not stated; checkpoint rule not stated; 8-bit or float not stated"),
         "{:?}",
         first.notes
     );
-    assert!(row(first, "SC-GS", None)[4].starts_with("41.65 ("), "Grid4D's figure");
+    assert!(row(first, "SC-GS", None)[4].starts_with("41.65 ("), "the value of Grid4D");
     assert!(first.remarks.iter().any(|remark| remark.contains("resolutions are mixed")));
 }
 
 #[test]
-fn a_shortened_schedule_and_another_size_are_named() {
+fn shortened_schedules_and_other_sizes_are_named() {
     let notes = |runs| tables(runs, &["mcgs"])[0].notes.join("\n");
-    assert!(notes(runs(&SCENES, 0.25)).contains("schedule at 0.25 of its length here"));
+    assert!(notes(runs(&SCENES, 0.25)).contains("schedule scaled by 0.25"));
     assert!(!notes(runs(&SCENES, 1.0)).contains("schedule"));
     let small = runs(&SCENES, 1.0).into_iter().map(|run| Run { protocol: Some(protocol(200)), ..run }).collect();
-    assert!(notes(small).contains("resolution 800×800 there, 200×200 here"));
-    // The same in the table of claims: a schedule that was shortened is no reproduction.
+    assert!(notes(small).contains("resolution: published 800×800, measured 200×200"));
+    // A shortened schedule is no reproduction in the table of claims either.
     let mut short = two_by_two();
     short.iter_mut().for_each(|run| run.schedule_scale = Some(0.05));
     let short = report(short);
-    assert!(text(&short).contains("not comparable: schedule at 0.05 of its length here"), "{}", text(&short));
+    assert!(text(&short).contains("not comparable: schedule scaled by 0.05"), "{}", text(&short));
     assert!(text(&report(two_by_two())).contains("of 2 reproduced"), "{}", text(&report(two_by_two())));
 }
 
 #[test]
-fn missing_data_fills_cells_and_fails_nothing() {
+fn missing_data_fills_cells_without_failing() {
     let nothing: Vec<Run> = SCENES.iter().map(|scene| failed(scene, "mcgs", 0, FailureKind::MissingData)).collect();
     let all = tables(nothing, &["mcgs", "vcgs", "l4dgs", "phys4dgs", "kineticgs"]);
-    assert_eq!(all.len(), 5 + 1 + 3 + 11 + 4, "every table of every paper");
+    assert_eq!(all.len(), 5 + 1 + 3 + 11 + 4, "all tables of all papers");
     assert_eq!(row(&all[0], "Ours", None)[1..4], ["42.74", "missing data", "not measured"]);
     assert_eq!(row(&all[0], "Ours", None)[5..7], [".998", "missing data"]);
     let mut some = runs(&SCENES[..5], 1.0);
@@ -91,7 +91,7 @@ fn missing_data_fills_cells_and_fails_nothing() {
 }
 
 #[test]
-fn wide_tables_have_lines_instead_of_columns() {
+fn wide_tables_use_lines_instead_of_columns() {
     let table = tables(runs(&SCENES, 1.0), &["phys4dgs"]).remove(5);
     assert!(table.caption.starts_with("Table 6 of Phys4DGS"), "{}", table.caption);
     assert_eq!(table.header[2..5], ["T-Rex", "Jumping Jacks", "Hell Warrior"]);
@@ -101,7 +101,7 @@ fn wide_tables_have_lines_instead_of_columns() {
 }
 
 #[test]
-fn means_with_and_without_lego_stand_side_by_side() {
+fn means_with_and_without_lego_are_printed() {
     let report = report(runs(&SCENES, 1.0));
     let text = text(&report);
     assert!(text.contains("| mean of 8 | mean of 7 (without lego) |"), "{text}");
@@ -111,12 +111,12 @@ fn means_with_and_without_lego_stand_side_by_side() {
     let paper = table.columns.iter().find(|column| column.claim.source == "Table 1 of MCGS").expect("the paper");
     assert!(
         paper.entries[8].is_none() && paper.entries[9].is_some(),
-        "a mean over seven stands beside ours over seven"
+        "a published mean over seven scenes belongs beside the measured mean over seven"
     );
 }
 
 #[test]
-fn variants_of_a_paper_are_found_by_their_axis() {
+fn variants_are_found_by_their_axis() {
     let mut runs = runs(&SCENES, 1.0);
     for scene in SCENES {
         let row = "mcgs ablation=without-noise".to_owned();
@@ -126,6 +126,10 @@ fn variants_of_a_paper_are_found_by_their_axis() {
     }
     let table = tables(runs, &["mcgs"]).remove(4);
     assert_eq!(row(&table, "Ours w/o Noise", None)[1..3], ["41.59", "41.50"]);
-    assert_eq!(row(&table, "Ours (Full)", None)[1..3], ["42.74", "42.70"], "the method itself is the full variant");
+    assert_eq!(
+        row(&table, "Ours (Full)", None)[1..3],
+        ["42.74", "42.70"],
+        "the whole method stands for the full variant"
+    );
     assert_eq!(row(&table, "Ours w/o Attention", None)[2], "not run");
 }

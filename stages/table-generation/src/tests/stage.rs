@@ -1,4 +1,4 @@
-//! The stage on real artifacts.
+//! The stage on artifacts on disk.
 
 use std::path::Path;
 
@@ -12,7 +12,8 @@ use serde_json::{Value, json};
 use training::{Model, ModelHeader, NamedTensor};
 
 use super::*;
-use crate::{ReportFolder, TableGeneration};
+use crate::artifact::ReportFolder;
+use crate::run::TableGeneration;
 
 fn coordinates(method: &str) -> Coordinates {
     [("scene", "trex"), ("method", method), ("seed", "0")].map(|(axis, value)| (axis.into(), value.into())).into()
@@ -28,7 +29,7 @@ fn record(node: &str, method: &str, artifact: Result<&Path, Failure>, measuremen
     }
 }
 
-/// Writes a model, renders and metrics that belong together.
+/// Writes a model, its renders and their metrics.
 fn write_artifacts(root: &Path) {
     let [model, renders, metrics] = ["model", "renders", "metrics"].map(|name| root.join(name));
     [&model, &renders.join("images"), &metrics]
@@ -80,7 +81,7 @@ fn write_artifacts(root: &Path) {
     judged.write(&metrics).expect("written");
 }
 
-/// A capture with the one view that was rendered, and its record: no seed and no method made it.
+/// Writes a capture with the rendered view; its record has neither method nor seed.
 fn capture_record(root: &Path) -> InputRecord {
     let dir = root.join("capture");
     let info = CaptureInfo {
@@ -116,7 +117,7 @@ fn capture_record(root: &Path) -> InputRecord {
     InputRecord { coordinates, ..record("capture", "", Ok(&dir), Value::Null) }
 }
 
-/// A plain PNG of 8×8 px.
+/// Writes a PNG image of 8×8 px in a single colour.
 fn image(path: &Path, level: u8) {
     let capture_image = image::RgbImage::from_pixel(8, 8, image::Rgb([level; 3]));
     capture_image.save(path).expect("image written");
@@ -150,13 +151,13 @@ fn artifacts_and_failures_become_a_report() {
     let folder = TableGeneration::run(&context, &TableGenerationParams::default()).expect("a report");
     assert_eq!(ReportFolder::open(&root.path().join("output")).expect("opened"), folder);
     let [good, bad] = folder.report.runs.as_slice() else { panic!("two runs") };
-    let figure = |column| good.figures[&column].value();
-    assert_eq!(figure(Column::TrainingSecs), Some(12.5));
-    assert_eq!(figure(Column::PeakMemoryMb), Some(3.0));
-    assert_eq!(figure(Column::Gaussians), Some(7.0));
-    assert_eq!(figure(Column::SizeMb), Some(84e-6));
-    assert_eq!(figure(Column::FpsDelivered), Some(60.0));
-    assert!(figure(Column::PSNR).is_some_and(|psnr| (psnr - 28.13).abs() <= 0.01));
+    let value = |column| good.figures[&column].value();
+    assert_eq!(value(Column::TrainingSecs), Some(12.5));
+    assert_eq!(value(Column::PeakMemoryMb), Some(3.0));
+    assert_eq!(value(Column::Gaussians), Some(7.0));
+    assert_eq!(value(Column::SizeMb), Some(84e-6));
+    assert_eq!(value(Column::FpsDelivered), Some(60.0));
+    assert!(value(Column::PSNR).is_some_and(|psnr| (psnr - 28.13).abs() <= 0.01));
     assert_eq!((good.jobs["model"].key.as_str(), good.jobs["model"].wall_secs), ("train-012345", Some(20.0)));
     assert_eq!(good.machines["training"].line(), "cpu (Processor 1), 2 threads");
     assert_eq!((good.schedule_scale, good.frames.len()), (Some(0.25), 1));
@@ -166,12 +167,12 @@ fn artifacts_and_failures_become_a_report() {
     assert!(text.contains("| deformable4dgs | OOM |"), "{text}");
     assert!(!text.contains("/some/path"), "paths differ between machines");
     let page = std::fs::read_to_string(root.path().join("output/index.html")).expect("read");
-    assert_eq!(page.matches("src=\"data:image/jpeg;base64,").count(), 3, "truth, render and error");
-    assert!(page.contains("static3dgs: error on trex, view test_0"), "{page}");
+    assert_eq!(page.matches("src=\"data:image/jpeg;base64,").count(), 3, "ground truth, render and error map");
+    assert!(page.contains("static3dgs: error map of trex, view test_0"), "{page}");
 }
 
 #[test]
-fn seeds_with_one_job_are_one_run() {
+fn seeds_with_the_same_jobs_are_one_run() {
     let root = tempfile::tempdir().expect("folder");
     write_artifacts(root.path());
     let mut context = JobContext::detached(root.path()).expect("context");
@@ -194,12 +195,12 @@ fn seeds_with_one_job_are_one_run() {
         ]);
         crate::collect::Inputs::open(&context).expect("opened").runs().expect("runs").len()
     };
-    assert_eq!(runs_with(["a", "a"]), 1, "the axis reached no parameter");
-    assert_eq!(runs_with(["a", "b"]), 2, "two trainings may end alike");
+    assert_eq!(runs_with(["a", "a"]), 1, "the axis changes no parameter");
+    assert_eq!(runs_with(["a", "b"]), 2, "equal results of two trainings are two runs");
 }
 
 #[test]
-fn unreadable_measurements_blame_their_producer() {
+fn unreadable_measurements_name_their_producer() {
     let root = tempfile::tempdir().expect("folder");
     write_artifacts(root.path());
     let mut context = JobContext::detached(root.path()).expect("context");
@@ -207,12 +208,12 @@ fn unreadable_measurements_blame_their_producer() {
     let wrong = json!({ "training_secs": "fast" });
     context.inputs.insert("model".into(), vec![record("train", "static3dgs", Ok(&dir), wrong)]);
     context.inputs.extend(["renders", "metrics", "capture"].map(|port| (port.to_owned(), Vec::new())));
-    let error = TableGeneration::run(&context, &TableGenerationParams::default()).expect_err("must be refused");
+    let error = TableGeneration::run(&context, &TableGenerationParams::default()).expect_err("must fail");
     assert!(error.to_string().contains("train/trex/static3dgs/0"), "{error:#}");
 }
 
 #[test]
-fn a_tolerance_that_is_none_is_refused() {
+fn invalid_tolerances_and_unknown_keys_are_rejected() {
     for tolerance in [f64::NAN, 0.0, -1.0] {
         let params = TableGenerationParams { reproduced_within_db: tolerance, ..Default::default() };
         assert_eq!(TableGeneration::check_params(&params).len(), 1);

@@ -1,12 +1,12 @@
-"""Expected values of the tests beside this file, by an implementation in NumPy (f64) that shares no code with ours.
+"""Expected values of the tests in this folder, by an independent implementation in NumPy (f64).
 
-Prints LPIPS of two images made by formulas, with networks whose weights are made by a formula:
+Prints LPIPS of two images from formulas, with networks whose weights come from a formula:
     python expected.py
 """
 
 import numpy as np
 
-# Kernel sizes, strides and so on as in torchvision's models; T marks what LPIPS compares.
+# Kernel sizes and strides as in torchvision's models; T marks the features that LPIPS compares.
 ALEX = "c64,11,4,2 T p3,2,0 c192,5,1,2 T p3,2,0 c384,3,1,1 T c256,3,1,1 T c256,3,1,1 T"
 VGG = (
     "c64,3,1,1 c64,3,1,1 T p2,2,0 c128,3,1,1 c128,3,1,1 T p2,2,0 c256,3,1,1 c256,3,1,1 c256,3,1,1 T p2,2,0 "

@@ -1,16 +1,16 @@
-//! Files as `torch.save` writes them, for tests of the reader.
+//! Writer of files in the formats of `torch.save`.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write as _};
 
 use zip::write::SimpleFileOptions;
 
-use super::Tensor;
+use crate::lpips::torch_file::Tensor;
 
 type Table = BTreeMap<String, Tensor>;
 
-/// The layout before version 1.6: pickles, then storages.
-pub fn sequence(table: &Table) -> Vec<u8> {
+/// Writes the format before version 1.6: pickles, then storages.
+pub(crate) fn sequence(table: &Table) -> Vec<u8> {
     let mut bytes = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.".to_vec();
     bytes.extend(b"\x80\x02}q\x00(");
     text(&mut bytes, "protocol_version");
@@ -28,8 +28,8 @@ pub fn sequence(table: &Table) -> Vec<u8> {
     bytes
 }
 
-/// The layout since: an archive with one file per storage.
-pub fn archive(table: &Table) -> Vec<u8> {
+/// Writes the format since version 1.6: an archive with one file per storage.
+pub(crate) fn archive(table: &Table) -> Vec<u8> {
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
     let mut add = |name: String, content: &[u8]| {
         let stored = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
@@ -45,7 +45,7 @@ pub fn archive(table: &Table) -> Vec<u8> {
     archive.finish().unwrap().into_inner()
 }
 
-/// An `OrderedDict` of tensors.
+/// Pickles an `OrderedDict` of tensors.
 fn pickled(table: &Table) -> Vec<u8> {
     let mut bytes = b"\x80\x02ccollections\nOrderedDict\nq\x00)Rq\x01(".to_vec();
     for (key, (name, tensor)) in table.iter().enumerate() {

@@ -1,0 +1,101 @@
+//! Adds prompt overlap and feature drift, for models with semantic features on captures with labels.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use rendering::RenderedView;
+use scene::View;
+
+use crate::artifact::{ImageMetrics, mean_overlaps};
+use crate::metrics::language::{ClassFeatures, PromptLabels, class_features, feature_drifts, prompt_overlaps};
+use crate::metrics::metric::Metric;
+use crate::metrics::score::Score;
+use crate::params::MetricEvaluationParams;
+use crate::test_set::TestSet;
+
+/// Reason for an undefined overlap: the model has features, but cannot decode prompts.
+const NO_PROMPTS: &str = "the model has no prompt embeddings";
+/// Reason for an undefined overlap: the view shows no class of any prompt.
+const NOT_VISIBLE: &str = "no visible class has the name of a prompt";
+/// Reason for an undefined drift: a class needs two images.
+const SEEN_ONCE: &str = "no class of the image is visible in another image";
+
+/// Compares prompts and features of all images with the labels. Returns the overlaps per prompt
+/// ([`crate::Metrics::prompts`]).
+pub(crate) fn add(
+    images: &mut [ImageMetrics],
+    set: &TestSet<'_>,
+    params: &MetricEvaluationParams,
+) -> anyhow::Result<BTreeMap<String, Score>> {
+    let wanted = |metric| params.metrics.contains(&metric);
+    if !wanted(Metric::PromptIou) && !wanted(Metric::FeatureDrift) {
+        return Ok(BTreeMap::new());
+    }
+    let prompts = PromptLabels::new(&set.renders.prompts, set.capture.label_names());
+    let comparisons: Vec<Option<Comparison>> = set
+        .views
+        .par_iter()
+        .map(|(rendered, view)| compare(set, &prompts, rendered, view))
+        .collect::<Result<_, _>>()?;
+    let features: Vec<ClassFeatures> = comparisons.iter().flatten().map(|found| found.features.clone()).collect();
+    let mut drifts = feature_drifts(&features).into_iter();
+    for (image, found) in images.iter_mut().zip(comparisons) {
+        let Some(found) = found else { continue };
+        if wanted(Metric::PromptIou) {
+            image.values.insert(Metric::PromptIou, found.mean_overlap());
+            image.prompt_ious = found.overlaps;
+        }
+        let drift = drifts.next().flatten();
+        if wanted(Metric::FeatureDrift) {
+            let score = drift.map_or_else(|| Score::undefined(SEEN_ONCE), Score::Value);
+            image.values.insert(Metric::FeatureDrift, score);
+        }
+    }
+    let overlaps = mean_overlaps(images);
+    let unmatched =
+        prompts.without_class().map(|prompt| (prompt.to_owned(), Score::undefined("no class of this name")));
+    Ok(overlaps.into_iter().chain(unmatched).collect())
+}
+
+/// The comparison of one render with the labels of its view.
+struct Comparison {
+    has_prompts: bool,
+    overlaps: BTreeMap<String, f64>,
+    features: ClassFeatures,
+}
+
+impl Comparison {
+    fn mean_overlap(&self) -> Score {
+        match self.overlaps.len() {
+            _ if !self.has_prompts => Score::undefined(NO_PROMPTS),
+            0 => Score::undefined(NOT_VISIBLE),
+            count => Score::Value(self.overlaps.values().sum::<f64>() / count as f64),
+        }
+    }
+}
+
+/// Compares one render with the labels of its view; `None` if the render has no semantics or the view has no labels.
+fn compare(
+    set: &TestSet<'_>,
+    prompts: &PromptLabels,
+    rendered: &RenderedView,
+    view: &View,
+) -> anyhow::Result<Option<Comparison>> {
+    let Some(maps) = set.renders.load_semantics(rendered)? else { return Ok(None) };
+    set.check_size(view, (maps.width, maps.height))?;
+    let Some(labels) = labels(set, view)? else { return Ok(None) };
+    Ok(Some(Comparison {
+        has_prompts: !maps.relevancy.is_empty(),
+        overlaps: prompt_overlaps(&maps, &labels, prompts),
+        features: class_features(&maps, &labels),
+    }))
+}
+
+/// The labels of a view; `None` for background pixels that are transparent in the capture.
+fn labels(set: &TestSet<'_>, view: &View) -> anyhow::Result<Option<Vec<Option<u8>>>> {
+    let Some(mask) = set.capture.load_mask(view)? else { return Ok(None) };
+    let alpha = set.capture.load_alpha(view)?;
+    let is_empty = |at: usize| alpha.as_ref().is_some_and(|alpha| alpha.as_raw()[at] < 128);
+    let label = |(at, label): (usize, u8)| (label > 0 || !is_empty(at)).then_some(label);
+    Ok(Some(mask.labels.into_iter().enumerate().map(label).collect()))
+}

@@ -1,0 +1,88 @@
+//! Adds LPIPS, if its weights are available.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use engine::Failure;
+
+use crate::artifact::ImageMetrics;
+use crate::image_file::{Background, Image};
+use crate::lpips::weights::Weights;
+use crate::lpips::{Backbone, InputRange, Lpips};
+use crate::metrics::metric::Metric;
+use crate::metrics::score::Score;
+use crate::pairs::Pair;
+use crate::params::MetricEvaluationParams;
+
+/// All variants with their classifier and input range.
+const VARIANTS: [(Metric, Backbone, InputRange); 5] = [
+    (Metric::LpipsAlex, Backbone::Alex, InputRange::Signed),
+    (Metric::LpipsVgg, Backbone::Vgg, InputRange::Signed),
+    (Metric::LpipsSqueeze, Backbone::Squeeze, InputRange::Signed),
+    (Metric::LpipsAlexLegacy, Backbone::Alex, InputRange::Unsigned),
+    (Metric::LpipsVggLegacy, Backbone::Vgg, InputRange::Unsigned),
+];
+/// Reason for an undefined LPIPS without a folder of weights.
+const NO_WEIGHTS: &str = "no LPIPS weights were given";
+
+/// The classifiers that the wanted metrics need.
+pub(crate) struct Networks(BTreeMap<Backbone, Weights>);
+
+impl Networks {
+    /// Reads the weights in `folder` that the wanted metrics need.
+    ///
+    /// # Errors
+    /// A file with a published name and another content.
+    pub(crate) fn open(folder: Option<&Path>, wanted: &BTreeSet<Metric>) -> Result<Self, Failure> {
+        let variants = VARIANTS.into_iter().filter(|(metric, ..)| wanted.contains(metric));
+        let mut needed: BTreeSet<Backbone> = variants.map(|(_, backbone, _)| backbone).collect();
+        needed.extend(wanted.contains(&Metric::MaskedLpips).then_some(Backbone::Alex));
+        let open = |backbone| {
+            let weights = match folder {
+                Some(folder) => Weights::open(folder, backbone)?,
+                None => Weights::Missing(NO_WEIGHTS.into()),
+            };
+            Ok((backbone, weights))
+        };
+        needed.into_iter().map(open).collect::<Result<_, _>>().map(Self)
+    }
+
+    /// The value of `measure` with a classifier, or the reason why it is undefined.
+    pub(crate) fn score(&self, backbone: Backbone, measure: impl FnOnce(&Lpips) -> Option<f64>) -> Score {
+        match self.0.get(&backbone) {
+            Some(Weights::Ready(lpips)) => {
+                measure(lpips).map_or_else(|| Score::undefined("image too small for the network"), Score::Value)
+            }
+            Some(Weights::Missing(reason)) => Score::undefined(reason),
+            None => Score::undefined(NO_WEIGHTS),
+        }
+    }
+
+    fn is_any_ready(&self) -> bool {
+        self.0.values().any(|weights| matches!(weights, Weights::Ready(_)))
+    }
+}
+
+/// Adds all wanted variants to one image. Images are processed one by one, because a network uses all threads itself and
+/// its features take a hundred times the memory of an image.
+pub(crate) fn add(
+    image: &mut ImageMetrics,
+    pair: &Pair,
+    networks: &Networks,
+    params: &MetricEvaluationParams,
+    background: Option<Background>,
+) -> Result<(), Failure> {
+    let wanted = || VARIANTS.into_iter().filter(|(metric, ..)| params.metrics.contains(metric));
+    if !networks.is_any_ready() {
+        let score = |(metric, backbone, _)| (metric, networks.score(backbone, |_| None));
+        image.values.extend(wanted().map(score));
+        return Ok(());
+    }
+    let read = |path| Image::read(path, params.quantise, background);
+    let (render, truth) = (read(&pair.render)?, read(&pair.truth)?);
+    let score = |(metric, backbone, range)| {
+        (metric, networks.score(backbone, |lpips| lpips.distance([&render, &truth], range)))
+    };
+    image.values.extend(wanted().map(score));
+    Ok(())
+}

@@ -1,0 +1,48 @@
+//! Adds metrics of surfaces, if the capture has exact maps.
+
+use rayon::prelude::*;
+
+use crate::artifact::ImageMetrics;
+use crate::metrics::metric::{Family, Metric};
+use crate::metrics::surfaces::{Truths, psnr_of_moving, surface_scores};
+use crate::params::MetricEvaluationParams;
+use crate::test_set::TestSet;
+
+/// Adds surface metrics to all images of the set.
+pub(crate) fn add(
+    images: &mut [ImageMetrics],
+    set: &TestSet<'_>,
+    params: &MetricEvaluationParams,
+) -> anyhow::Result<()> {
+    if !params.metrics.iter().any(|metric| metric.family() == Family::Surfaces) {
+        return Ok(());
+    }
+    images.par_iter_mut().enumerate().try_for_each(|(index, image)| add_to_image(image, index, set, params))
+}
+
+fn add_to_image(
+    image: &mut ImageMetrics,
+    index: usize,
+    set: &TestSet<'_>,
+    params: &MetricEvaluationParams,
+) -> anyhow::Result<()> {
+    let (capture, (rendered, view)) = (set.capture, set.views[index]);
+    let truths = Truths {
+        depth: capture.load_depth(view)?,
+        velocity: capture.load_velocity(view)?,
+        flow: capture.load_flow(view)?,
+    };
+    if let Some(moving) = truths.moving() {
+        let [render, truth] = set.images(index, params)?;
+        let (score, error) = psnr_of_moving(&render, &truth, &moving);
+        image.moving = error;
+        if params.metrics.contains(&Metric::PsnrMoving) {
+            image.values.insert(Metric::PsnrMoving, score);
+        }
+    }
+    if let Some(maps) = set.renders.load_maps(rendered)? {
+        set.check_size(view, (maps.width, maps.height))?;
+        image.values.extend(surface_scores(&maps, &truths, &params.metrics));
+    }
+    Ok(())
+}

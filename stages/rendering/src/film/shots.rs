@@ -1,0 +1,64 @@
+//! The times and cameras of a film.
+
+use engine::{Failure, FailureKind};
+use scene::{Camera, Capture, Split, View};
+
+use super::path::CameraPath;
+use crate::inputs::{first_view, times_within};
+
+/// Names for all views of a split.
+const SPLITS: [(&str, Split); 3] = [("train", Split::Train), ("val", Split::Val), ("test", Split::Test)];
+
+/// The times and cameras of a film's frames.
+#[derive(Clone, Debug)]
+pub struct Film<'a> {
+    /// One time per frame, in seconds of the capture. Repeated times freeze the motion. If there are none, the film
+    /// follows `views`: each frame has the time and the camera of one view.
+    pub times: &'a [f64],
+    /// Names of capture views, or of one split (`train`, `val` or `test`) for all of its views. The camera moves
+    /// through their cameras evenly over the frames; without views it stands at the first test view.
+    pub views: &'a [String],
+    /// One of the prompts that the model was trained with. Pixels that it does not describe are dimmed.
+    pub prompt: Option<&'a str>,
+}
+
+/// The time and the camera of one frame.
+pub(super) struct Shot {
+    pub(super) time_secs: f64,
+    pub(super) camera: Camera,
+}
+
+/// Times and cameras of all frames; there is at least one.
+pub(super) fn shots(film: &Film, capture: &Capture) -> anyhow::Result<Vec<Shot>> {
+    let views = views(film.views, capture)?;
+    if film.times.is_empty() && !views.is_empty() {
+        return Ok(views.iter().map(|view| Shot { time_secs: view.time_secs, camera: view.camera }).collect());
+    }
+    let times = times_within(film.times, capture)?;
+    let standing = if views.is_empty() { Some(first_view(capture)?) } else { None };
+    let cameras: Vec<Camera> = views.into_iter().chain(standing).map(|view| view.camera).collect();
+    let path = CameraPath::through(&cameras);
+    let last = (times.len() - 1).max(1) as f64;
+    let shot = |(index, time_secs)| Shot { time_secs, camera: path.at(index as f64 / last) };
+    Ok(times.into_iter().enumerate().map(shot).collect())
+}
+
+/// The views with these names, or all views of the split that the only name names.
+fn views<'c>(names: &[String], capture: &'c Capture) -> anyhow::Result<Vec<&'c View>> {
+    let named = |name: &String| capture.views.iter().find(|view| view.name == *name);
+    if let [name] = names
+        && named(name).is_none()
+        && let Some((_, split)) = SPLITS.into_iter().find(|(split, _)| split == name)
+    {
+        let views: Vec<&View> = capture.views_of(split).map(|(_, view)| view).collect();
+        return if views.is_empty() { Err(no_view(name, capture).into()) } else { Ok(views) };
+    }
+    names.iter().map(|name| Ok(named(name).ok_or_else(|| no_view(name, capture))?)).collect()
+}
+
+fn no_view(name: &str, capture: &Capture) -> Failure {
+    let known: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
+    let (first, last) = (known.first().unwrap_or(&""), known.last().unwrap_or(&""));
+    let hint = format!("the capture has {} views, from {first} to {last}; test names all test views", known.len());
+    Failure::new(FailureKind::BadInput, format!("the capture has no view {name:?}")).hint(hint).at(&capture.dir)
+}

@@ -1,0 +1,143 @@
+//! Tests of films: PNG frames and GIFs.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use image::codecs::gif::GifDecoder;
+use image::metadata::LoopCount;
+use image::{AnimationDecoder as _, RgbImage};
+use scene::image_file;
+use shaders::geometry::camera::PinholeCamera;
+use shaders::tape::Device;
+use training::Player;
+
+use super::{SIZE, trained};
+use crate::film::{Film, Gif, film_to_folder, film_to_gif};
+use crate::quantize::to_image;
+
+/// Mean difference per channel that quantising a frame to 256 colours may cause. Views of one capture differ by more.
+const PALETTE_ERROR: f64 = 6.0;
+
+fn names(views: &[&str]) -> Vec<String> {
+    views.iter().map(|view| (*view).to_owned()).collect()
+}
+
+fn assert_refused(result: anyhow::Result<String>, reason: &str) {
+    let error = format!("{:?}", result.unwrap_err());
+    assert!(error.contains(reason), "{error}");
+}
+
+#[test]
+fn frames_equal_the_players_renders_along_the_path() {
+    let (dir, model, capture) = trained("deformable4dgs");
+    let [capture_dir, model_dir] = ["capture", "model"].map(|name| dir.path().join(name));
+    let shoot = |times: &[f64], views: &[&str], name: &str| {
+        let film = Film { times, views: &names(views), prompt: None };
+        film_to_folder(&model_dir, &capture_dir, &film, Device::Cpu, &dir.path().join(name))
+    };
+    let frame = |name: &str, index: usize| {
+        image_file::read_rgb(&dir.path().join(name).join(format!("frame_{index:04}.png"))).unwrap()
+    };
+    let player = Player::new(&model).unwrap();
+    let rendered = |name: &str, time_secs: f64| {
+        let view = capture.views.iter().find(|view| view.name == name).unwrap();
+        to_image(&player.render(time_secs, &PinholeCamera::from(&view.camera)).unwrap())
+    };
+    // Without views the camera stands at the first test view; times within the rounding of the end count as the end.
+    let summary = shoot(&[0.0, 1.0, 2.0001], &[], "standing").unwrap();
+    assert!(summary.starts_with("3 frames of 20 × 20 px"), "{summary}");
+    for (index, time_secs) in [0.0, 1.0, 2.0].into_iter().enumerate() {
+        assert_eq!(frame("standing", index), rendered("test_0", time_secs));
+    }
+    // Time stands still, and the camera ends at the last view.
+    shoot(&[1.0; 3], &["train_0", "train_1"], "moving").unwrap();
+    assert_eq!(frame("moving", 2), rendered("train_1", 1.0));
+    assert!(frame("moving", 1) != frame("moving", 0) && frame("moving", 1) != frame("moving", 2));
+    // Without times the film follows the views in space and time.
+    shoot(&[], &["test"], "following").unwrap();
+    assert_eq!([0, 1].map(|at| frame("following", at)), [rendered("test_0", 0.0), rendered("test_1", 0.4)]);
+
+    assert_refused(shoot(&[1.0], &[], "moving"), "the folder is not empty");
+    assert_refused(shoot(&[1.0], &["train_9"], "other"), "no view \"train_9\"");
+    assert_refused(shoot(&[], &["val"], "other"), "no view \"val\"");
+    assert_refused(shoot(&[3.0], &[], "other"), "outside of the capture");
+    assert_refused(shoot(&[], &[], "other"), "no times given");
+    let with_prompt = Film { times: &[1.0], views: &[], prompt: Some("ball") };
+    let out = dir.path().join("other");
+    assert_refused(film_to_folder(&model_dir, &capture_dir, &with_prompt, Device::Cpu, &out), "without prompts");
+    assert!(!out.exists(), "nothing is written");
+}
+
+/// Reads the frames of a GIF, whether it loops forever, and the delays of its frames in milliseconds.
+fn read_gif(path: &Path) -> (Vec<RgbImage>, bool, Vec<(u32, u32)>) {
+    let decoder = GifDecoder::new(BufReader::new(File::open(path).unwrap())).unwrap();
+    let is_endless = matches!(decoder.loop_count(), LoopCount::Infinite);
+    let frames = decoder.into_frames().collect_frames().unwrap();
+    let delays = frames.iter().map(|frame| frame.delay().numer_denom_ms()).collect();
+    let images = frames.into_iter().map(|frame| image::DynamicImage::from(frame.into_buffer()).into_rgb8()).collect();
+    (images, is_endless, delays)
+}
+
+/// Every second pixel of a panel: what an enlargement by two was made from.
+fn panel(picture: &RgbImage, index: u32) -> RgbImage {
+    RgbImage::from_fn(SIZE, SIZE, |x, y| *picture.get_pixel(2 * (SIZE * index + x), 2 * y))
+}
+
+fn mean_difference(a: &RgbImage, b: &RgbImage) -> f64 {
+    let sum: u64 = a.as_raw().iter().zip(b.as_raw()).map(|(&a, &b)| u64::from(a.abs_diff(b))).sum();
+    sum as f64 / a.as_raw().len() as f64
+}
+
+#[test]
+fn gifs_show_the_truth_and_every_model_side_by_side() {
+    let (dir, model, capture) = trained("deformable4dgs");
+    let (other_dir, other, _) = trained("static3dgs");
+    let models = [dir.path().join("model"), other_dir.path().join("model")];
+    let views = names(&["train"]);
+    let film = Film { times: &[], views: &views, prompt: None };
+    let file = dir.path().join("film.gif");
+    let gif = Gif { truth: true, scale: 2, fps: 10 };
+    let summary = film_to_gif(&models, &dir.path().join("capture"), &film, gif, Device::Cpu, &file).unwrap();
+    assert!(summary.starts_with("6 frames of 120 × 40 px, 3 panels"), "{summary}");
+
+    let (pictures, is_endless, delays) = read_gif(&file);
+    assert!(is_endless);
+    assert_eq!(delays, [(100, 1); 6]);
+    let players = [&model, &other].map(|model| Player::new(model).unwrap());
+    let truth = |at: usize| capture.load_image(&capture.views[at]).unwrap();
+    for (index, (picture, view)) in pictures.iter().zip(&capture.views).enumerate() {
+        assert_eq!(picture.dimensions(), (6 * SIZE, 2 * SIZE));
+        let camera = PinholeCamera::from(&view.camera);
+        let renders = players.iter().map(|player| to_image(&player.render(view.time_secs, &camera).unwrap()));
+        for (at, expected) in [truth(index)].into_iter().chain(renders).enumerate() {
+            let difference = mean_difference(&panel(picture, at as u32), &expected);
+            assert!(difference <= PALETTE_ERROR, "panel {at} of frame {index} differs by {difference}");
+        }
+    }
+    // The tolerance tells neighbouring views apart.
+    assert!(mean_difference(&panel(&pictures[0], 0), &truth(1)) > 2.0 * PALETTE_ERROR);
+}
+
+#[test]
+fn gifs_that_cannot_be_made_are_refused() {
+    let (dir, ..) = trained("static3dgs");
+    let models = [dir.path().join("model")];
+    let shoot = |times: &[f64], views: &[&str], gif: Gif, file: PathBuf| {
+        let film = Film { times, views: &names(views), prompt: None };
+        film_to_gif(&models, &dir.path().join("capture"), &film, gif, Device::Cpu, &file)
+    };
+    let file = || dir.path().join("film.gif");
+    let truth = Gif { truth: true, scale: 1, fps: 10 };
+    // test_0 was taken at 0 s with frames 0.4 s apart.
+    shoot(&[0.0, 0.1], &[], truth, file()).unwrap();
+    std::fs::remove_file(file()).unwrap();
+    assert_refused(shoot(&[0.0, 1.0], &[], truth, file()), "frame 1: its camera took none at 1 s");
+    assert_refused(shoot(&[0.0; 3], &["train_0", "train_1"], truth, file()), "frame 1: ");
+    let huge = Gif { truth: false, scale: 5000, fps: 10 };
+    assert_refused(shoot(&[0.0], &[], huge, file()), "100000 × 100000 px are too many");
+    let plain = Gif { truth: false, ..truth };
+    assert_refused(shoot(&[0.0], &[], plain, dir.path().join("none/film.gif")), "does not exist");
+    assert_refused(shoot(&[0.0], &[], plain, dir.path().to_owned()), "would replace a folder");
+    assert!(!file().exists(), "nothing is written");
+}

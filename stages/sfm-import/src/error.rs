@@ -1,0 +1,11 @@
+//! The error type of this crate.
+
+use engine::{Failure, FailureKind};
+
+/// A result whose error has a kind, a message, a hint and a file.
+pub(crate) type Result<T> = std::result::Result<T, Failure>;
+
+/// An error about bad input.
+pub(crate) fn bad(message: impl Into<String>) -> Failure {
+    Failure::new(FailureKind::BadInput, message)
+}

@@ -1,0 +1,79 @@
+//! The images of a folder and the natural order of their names.
+
+use std::cmp::Ordering;
+use std::path::{Path, PathBuf};
+
+use walkdir::WalkDir;
+
+/// The folder that image names are relative to: `images` if it exists, otherwise `dir`.
+pub(crate) fn images_dir(dir: &Path) -> PathBuf {
+    let images = dir.join("images");
+    if images.is_dir() { images } else { dir.to_owned() }
+}
+
+/// The names of all images in natural order, with `/` between folders. The folder `masks` is skipped.
+pub(crate) fn image_names(images_dir: &Path) -> Vec<String> {
+    let is_mask_dir = |entry: &walkdir::DirEntry| entry.depth() == 1 && entry.file_name() == "masks";
+    let walk = WalkDir::new(images_dir).into_iter().filter_entry(|entry| !is_mask_dir(entry)).flatten();
+    let is_image = |path: &Path| {
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg"))
+    };
+    let files = walk.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
+    let mut names: Vec<String> = files.filter_map(|entry| relative_name(images_dir, entry.path())).collect();
+    names.sort_by(|a, b| natural_order(a, b));
+    names
+}
+
+fn relative_name(dir: &Path, path: &Path) -> Option<String> {
+    let parts = path.strip_prefix(dir).ok()?.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    Some(parts.collect::<Vec<_>>().join("/"))
+}
+
+/// Compares runs of digits by value, so that `frame_9` comes before `frame_10`, and equal values by spelling.
+pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
+    let (mut left, mut right) = (chunks(a), chunks(b));
+    loop {
+        let order = match (left.next(), right.next()) {
+            (None, None) => return a.cmp(b),
+            (None, _) => Ordering::Less,
+            (_, None) => Ordering::Greater,
+            (Some(x), Some(y)) if is_number(x) && is_number(y) => {
+                let (x, y) = (x.trim_start_matches('0'), y.trim_start_matches('0'));
+                x.len().cmp(&y.len()).then_with(|| x.cmp(y))
+            }
+            (Some(x), Some(y)) => x.cmp(y),
+        };
+        if order.is_ne() {
+            return order;
+        }
+    }
+}
+
+fn is_number(chunk: &str) -> bool {
+    chunk.starts_with(|symbol: char| symbol.is_ascii_digit())
+}
+
+/// Splits a text into maximal runs of digits and of other symbols.
+fn chunks(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = text;
+    std::iter::from_fn(move || {
+        let first = rest.chars().next()?;
+        let other = |symbol: char| symbol.is_ascii_digit() != first.is_ascii_digit();
+        let (chunk, tail) = rest.split_at(rest.find(other).unwrap_or(rest.len()));
+        rest = tail;
+        Some(chunk)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_sort_by_the_value_of_their_numbers() {
+        let mut names = ["f10.png", "f9.png", "f09.png", "a/2.png", "a/10.png", "f0.png"];
+        names.sort_by(|a, b| natural_order(a, b));
+        assert_eq!(names, ["a/2.png", "a/10.png", "f0.png", "f09.png", "f9.png", "f10.png"]);
+    }
+}

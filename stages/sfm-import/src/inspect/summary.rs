@@ -1,0 +1,184 @@
+//! The description of one capture.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use engine::Failure;
+use scene::{Intrinsics, Split};
+use serde::Serialize;
+
+use super::suggestion;
+use crate::params::{Format, Params};
+use crate::recognise::{read, recognise};
+use crate::source::{Quality, ReprojectionError, SourceCapture};
+
+/// Maximum number of problems that are printed.
+const LISTED_PROBLEMS: usize = 8;
+
+/// The description of one capture, as far as its files could be read.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// The capture's folder.
+    pub path: PathBuf,
+    /// The recognised format; `Auto` if no format was recognised.
+    pub format: Format,
+    /// The frames; `None` if there are no frames or their files could not be read.
+    pub frames: Option<Frames>,
+    /// Oddities that do not prevent an import.
+    pub warnings: Vec<String>,
+    /// Problems that prevent an import, each with a hint and a file.
+    pub problems: Vec<Failure>,
+    /// Suggested import parameters besides `source`, with their values in TOML; `None` if the capture is not importable.
+    pub params: Option<Vec<(&'static str, String)>>,
+}
+
+/// The frames of a capture.
+#[derive(Clone, Debug, Serialize)]
+pub struct Frames {
+    /// Number of images per split.
+    pub counts: BTreeMap<Split, usize>,
+    /// Number of cameras; in a static scene each frame counts as one.
+    pub cameras: usize,
+    /// The native size, focal lengths and principal point of the first view.
+    pub intrinsics: Intrinsics,
+    /// Horizontal field of view in degrees.
+    pub fov_x_degrees: f64,
+    /// Whether any lens has distortion, so that the import undistorts images.
+    pub distorted: bool,
+    /// First and last time; `None` for a static scene.
+    pub time_range_secs: Option<[f64; 2]>,
+    /// Duration of one frame.
+    pub frame_secs: f64,
+    /// Number of images with a mask.
+    pub masks: usize,
+    /// Number of points in the sparse cloud.
+    pub points: usize,
+    /// The quality of structure from motion, for COLMAP models.
+    pub quality: Option<Quality>,
+}
+
+impl Summary {
+    /// Describes the capture in `dir` without decoding images.
+    pub(super) fn of(dir: &Path) -> Self {
+        let format = recognise(dir, Format::Auto).unwrap_or_default();
+        let unread = |failure| Self {
+            path: dir.into(),
+            format,
+            frames: None,
+            warnings: Vec::new(),
+            problems: vec![failure],
+            params: None,
+        };
+        match read(dir, &Params::default()) {
+            Err(failure) => unread(failure),
+            Ok(source) => {
+                let problems = source.problems();
+                let frames = Frames::of(&source);
+                let usable = frames.as_ref().filter(|_| problems.is_empty());
+                let params = usable.map(|frames| suggestion::params(&source, frames.intrinsics.width));
+                Self { path: dir.into(), format, frames, warnings: source.warnings, problems, params }
+            }
+        }
+    }
+
+    /// The description as aligned lines.
+    pub(super) fn text(&self) -> String {
+        let mut out = format!("{}\n", self.path.display());
+        let mut line = |label: &str, value: &str| out += &format!("  {label:<12}{value}\n");
+        line("format", self.format_name());
+        if let Some(frames) = &self.frames {
+            frames.lines().iter().for_each(|(label, value)| line(label, value));
+        }
+        self.warnings.iter().for_each(|warning| line("warning", warning));
+        self.problems.iter().take(LISTED_PROBLEMS).for_each(|problem| line("problem", &problem.to_string()));
+        match self.problems.len().saturating_sub(LISTED_PROBLEMS) {
+            0 if self.problems.is_empty() => line("verdict", "ready to import (pixels were not decoded)"),
+            0 => line("verdict", "cannot be imported until the problems are solved"),
+            more => line("verdict", &format!("cannot be imported; {more} more problems of this kind")),
+        }
+        out
+    }
+
+    fn format_name(&self) -> &'static str {
+        let timed = self.frames.as_ref().map(|frames| frames.time_range_secs.is_some());
+        match (self.format, timed) {
+            (Format::Auto, _) => "not recognised",
+            (Format::Blender, None) => "D-NeRF or Blender (transforms_*.json)",
+            (Format::Blender, Some(true)) => "D-NeRF (Blender transforms_*.json with times)",
+            (Format::Blender, Some(false)) => "Blender transforms_*.json without times (a static scene)",
+            (Format::Colmap, _) => "COLMAP sparse model",
+            (Format::Nerfies, _) => "Nerfies, HyperNeRF or DyCheck (one camera file per view)",
+            (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and one folder of frames per camera)",
+        }
+    }
+}
+
+impl Frames {
+    fn of(source: &SourceCapture) -> Option<Self> {
+        let splits = [Split::Train, Split::Val, Split::Test];
+        let time = source.time_map;
+        let intrinsics = source.frames.first()?.lens.intrinsics;
+        Some(Self {
+            counts: splits.iter().map(|split| (*split, source.count(*split))).collect(),
+            cameras: source.camera_count(),
+            intrinsics,
+            fov_x_degrees: (2.0 * (0.5 * f64::from(intrinsics.width) / intrinsics.focal_x).atan()).to_degrees(),
+            distorted: source.frames.iter().any(|frame| !frame.lens.distortion.is_none()),
+            time_range_secs: (time.end_secs > time.start_secs).then_some([time.start_secs, time.end_secs]),
+            frame_secs: time.frame_secs,
+            masks: source.frames.iter().filter(|frame| frame.mask.is_some()).count(),
+            points: source.points.len(),
+            quality: source.quality,
+        })
+    }
+
+    fn lines(&self) -> Vec<(&'static str, String)> {
+        let Intrinsics { width, height, focal_x, focal_y, .. } = self.intrinsics;
+        let counts = self.counts.iter().filter(|(_, count)| **count > 0);
+        let counts: Vec<String> =
+            counts.map(|(split, n)| format!("{n} {}", format!("{split:?}").to_lowercase())).collect();
+        let focal = if focal_x == focal_y { format!("{focal_x:.1}") } else { format!("{focal_x:.1} × {focal_y:.1}") };
+        let lens = if self.distorted { "; distorted, undistorted by the import" } else { "" };
+        let mut lines = vec![
+            ("images", format!("{width}×{height}; {}", counts.join(", "))),
+            ("cameras", self.cameras_text()),
+            ("focal", format!("{focal} px, {:.1}° horizontal field of view{lens}", self.fov_x_degrees)),
+            ("time", self.time_text()),
+        ];
+        if self.masks > 0 {
+            lines.push(("masks", format!("{}", self.masks)));
+        }
+        if let Some(quality) = self.quality {
+            lines.push(("poses", format!("{} of {} images registered", quality.registered, quality.images)));
+        }
+        lines.push(("points", self.points_text()));
+        lines
+    }
+
+    fn cameras_text(&self) -> String {
+        match (self.time_range_secs, self.cameras) {
+            (None, count) => format!("{count} at one instant"),
+            (Some(_), 1) => "1, moving (one view per instant)".into(),
+            (Some(_), count) => format!("{count} (a rig)"),
+        }
+    }
+
+    fn time_text(&self) -> String {
+        match self.time_range_secs {
+            Some([start, end]) => format!("{start} to {end:.4} s, {:.4} s per frame", self.frame_secs),
+            None => "one instant".into(),
+        }
+    }
+
+    fn points_text(&self) -> String {
+        let plausible = |quality: Quality| quality.reprojection.filter(ReprojectionError::is_plausible);
+        match self.quality.map(plausible) {
+            None if self.points == 0 => "none (initial points will be random)".into(),
+            Some(Some(error)) => format!(
+                "{}, mean reprojection error {:.2} px (stored by COLMAP: {:.2} px)",
+                self.points, error.recomputed_px, error.stored_px
+            ),
+            None | Some(None) => self.points.to_string(),
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! Aggregated numbers, as tables show them.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::column::Column;
+
+/// Aggregated numbers by column.
+pub(crate) type Cells = BTreeMap<Column, Cell>;
+
+/// An aggregated number, or the reason why it is missing.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Cell {
+    /// Mean over replicates.
+    pub mean: Option<f64>,
+    /// Sample standard deviation over replicates; none for a single replicate.
+    pub std: Option<f64>,
+    /// The valid replicates, in the order of seeds.
+    pub values: Vec<f64>,
+    /// Number of replicates that the recipe asks for.
+    pub n_expected: usize,
+    /// Why the number is missing, or why some replicates are left out.
+    pub reason: Option<String>,
+    /// Rank of the rounded value in its column, 1 for the best; none where there is nothing to compare.
+    pub rank: Option<usize>,
+    /// Whether the spread over seeds is too large to distinguish this value from the best of its column.
+    pub within_noise: bool,
+}
+
+impl Cell {
+    /// Number of valid replicates.
+    pub(crate) fn n(&self) -> usize {
+        self.values.len()
+    }
+}

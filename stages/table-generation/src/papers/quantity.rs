@@ -1,0 +1,123 @@
+//! The quantities that printed cells measure.
+
+use metric_evaluation::Metric;
+use serde::Deserialize;
+
+use crate::column::Column;
+
+/// The quantity that a printed cell measures, in the unit of the comparison.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Quantity {
+    /// PSNR, dB.
+    Psnr,
+    /// SSIM of an unstated variant.
+    Ssim,
+    /// Multi-scale SSIM.
+    MsSsim,
+    /// LPIPS of an unstated network and input range.
+    Lpips,
+    /// PSNR over the pixels of a mask, dB.
+    MaskedPsnr,
+    /// SSIM over the pixels of a mask.
+    MaskedSsim,
+    /// LPIPS over the pixels of a mask.
+    MaskedLpips,
+    /// Minutes of training.
+    TrainMin,
+    /// Frames per second, by the paper's own definition.
+    Fps,
+    /// Thousands of Gaussians.
+    GaussiansK,
+    /// Size of the model, MB.
+    SizeMb,
+    /// A VBench score: networks judge videos.
+    Vbench,
+}
+
+/// Whether a cell holds no number: it is empty, a bound, or a unit alone.
+pub(crate) fn is_blank(text: &str) -> bool {
+    matches!(text, "" | "-" | "N/A" | "~h") || text.starts_with('<')
+}
+
+impl Quantity {
+    /// The printed number; none for a blank cell and for a text that is no number.
+    pub(crate) fn value(self, text: &str) -> Option<f64> {
+        if is_blank(text) {
+            return None;
+        }
+        match self {
+            Self::TrainMin => minutes(text),
+            Self::GaussiansK => text.strip_suffix('k')?.parse().ok(),
+            _ => text.parse().ok(),
+        }
+    }
+
+    /// The matching column, and the divisor that converts its values to the paper's unit; none if this project does
+    /// not measure the quantity.
+    pub(crate) fn measured_as(self) -> Option<(Column, f64)> {
+        let metric = |keys: &[&str]| {
+            let known = keys.iter().find_map(|key| Metric::ALL.into_iter().find(|metric| metric.key() == *key))?;
+            Some((Column::Metric(known), 1.0))
+        };
+        match self {
+            Self::Psnr => Some((Column::PSNR, 1.0)),
+            Self::Ssim => metric(&["ssim"]),
+            Self::MsSsim => metric(&["ms_ssim"]),
+            Self::Lpips => metric(&["lpips_vgg", "lpips_alex"]),
+            Self::MaskedPsnr => metric(&["masked_psnr"]),
+            Self::MaskedSsim => metric(&["masked_ssim"]),
+            Self::MaskedLpips => metric(&["masked_lpips"]),
+            Self::TrainMin => Some((Column::TrainingSecs, 60.0)),
+            Self::Fps => Some((Column::FpsModel, 1.0)),
+            Self::GaussiansK => Some((Column::Gaussians, 1e3)),
+            Self::SizeMb => Some((Column::SizeMb, 1.0)),
+            Self::Vbench => None,
+        }
+    }
+
+    /// Decimals of the measured value beside the printed one.
+    pub(crate) fn decimals(self) -> usize {
+        match self {
+            Self::Psnr | Self::MaskedPsnr | Self::TrainMin | Self::GaussiansK | Self::SizeMb => 2,
+            Self::Fps => 1,
+            Self::Ssim | Self::MsSsim | Self::MaskedSsim | Self::Lpips | Self::MaskedLpips | Self::Vbench => 3,
+        }
+    }
+
+    /// Whether a difference in dB decides about reproduction. The other quantities have no verdict: papers do not state
+    /// their variants of SSIM and LPIPS, and seconds and frame rates depend on the machine.
+    pub(crate) fn has_verdict(self) -> bool {
+        matches!(self, Self::Psnr | Self::MaskedPsnr)
+    }
+}
+
+/// Parses `79 min`, `30 mins`, `1344 h`, `1.27 hour` or `15:19` (minutes and seconds) as minutes.
+fn minutes(text: &str) -> Option<f64> {
+    if let Some((minutes, seconds)) = text.split_once(':') {
+        return Some(minutes.parse::<f64>().ok()? + seconds.parse::<f64>().ok()? / 60.0);
+    }
+    let number: f64 = text.trim_end_matches(|c: char| c.is_ascii_alphabetic()).trim().parse().ok()?;
+    let unit = text.trim_start_matches(|c: char| !c.is_ascii_alphabetic());
+    match unit {
+        "min" | "mins" => Some(number),
+        "h" | "hour" | "hours" => Some(60.0 * number),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn printed_cells_are_parsed_with_units() {
+        let minutes = |text| Quantity::TrainMin.value(text);
+        assert_eq!(["79 min", "30 mins", "5.5 hours", "1.5 h"].map(minutes), [79.0, 30.0, 330.0, 90.0].map(Some));
+        assert!(minutes("15:19").is_some_and(|value| (value - 15.3167).abs() <= 1e-3));
+        assert_eq!([minutes("-"), minutes("~h"), minutes("soon")], [None; 3]);
+        assert_eq!(Quantity::GaussiansK.value("81.30k"), Some(81.3));
+        assert_eq!((Quantity::Lpips.value(".474"), Quantity::Fps.value("<1.20")), (Some(0.474), None));
+        assert!(is_blank("<1.20") && !is_blank("soon"));
+    }
+}
