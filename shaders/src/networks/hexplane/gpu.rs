@@ -242,5 +242,5 @@ fn the_kernels_are_valid() {
     for adds in [0, 1] {
         assert_valid_grouped::<ScaleItem>(&BACKWARD, &[("ADDS", adds)]);
     }
-    assert!(FIELD.contains(&format!("ENTRIES_PER_BLOCK: u32 = {ENTRIES_PER_BLOCK}u;")));
+    assert!(include_str!("field.wgsl").contains(&format!("ENTRIES_PER_BLOCK: u32 = {ENTRIES_PER_BLOCK}u;")));
 }
