@@ -74,9 +74,9 @@ pub struct DepthParams {
 pub enum Alignment {
     /// No fit: the map has the scale of the scene.
     None,
-    /// One factor.
+    /// A scale factor.
     Scale,
-    /// A factor and an offset.
+    /// A scale factor and an offset.
     ScaleShift,
 }
 
@@ -105,10 +105,10 @@ pub struct NormalParams {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Axes {
-    /// Right, down, forward.
+    /// OpenCV: right, down, forward.
     #[default]
     Opencv,
-    /// Right, up, backward.
+    /// OpenGL: right, up, backward.
     Opengl,
 }
 

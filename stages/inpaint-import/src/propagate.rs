@@ -161,7 +161,7 @@ fn supported(mut depths: Vec<f32>) -> Vec<f64> {
 /// The ray of a moving pixel behind what moves, and the views that may see along it.
 struct Ray<'a> {
     origin_world: DVec3,
-    /// Scaled to view-space z = 1, so that distances are depths.
+    /// Direction, scaled to view-space z = 1, so that distances along it are depths.
     direction_world: DVec3,
     /// Depth of what moves; there is nothing in front of it.
     start: f64,

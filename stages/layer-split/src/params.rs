@@ -34,7 +34,7 @@ pub enum LayerSource {
     /// The best available: masks of the capture and exact velocity, otherwise residual flow.
     #[default]
     Auto,
-    /// Masks in a folder.
+    /// Mask files in a folder.
     Files,
     /// Optical flow that camera motion does not explain.
     ResidualFlow,

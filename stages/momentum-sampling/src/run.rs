@@ -52,7 +52,7 @@ impl Stage for MomentumSampling {
 
 /// Sampled particles, and how well they cover what moves.
 pub(crate) struct Sampled {
-    /// The artifact.
+    /// The written artifact.
     pub(crate) particles: Particles,
     /// Shares of moving pixels, if the capture has velocity or instance labels.
     pub(crate) moving: Option<MovingShares>,

@@ -132,7 +132,7 @@ impl ResizeFilter {
     }
 }
 
-/// `sinc(x) · sinc(x / 3)` on (-3, 3).
+/// The Lanczos kernel `sinc(x) · sinc(x / 3)` on (-3, 3); 0 elsewhere.
 fn lanczos3(x: f64) -> f64 {
     let sinc = |x: f64| if x == 0.0 { 1.0 } else { (std::f64::consts::PI * x).sin() / (std::f64::consts::PI * x) };
     if x.abs() < 3.0 { sinc(x) * sinc(x / 3.0) } else { 0.0 }

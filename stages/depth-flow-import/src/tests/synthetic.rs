@@ -34,7 +34,7 @@ fn maps_of_a_capture_are_copied_unchanged() {
 }
 
 #[test]
-fn flow_of_a_rig_leads_to_the_next_view_of_the_same_camera() {
+fn rig_flow_leads_to_the_next_view_of_its_camera() {
     let dir = tempfile::tempdir().unwrap();
     let capture = capture(dir.path(), SceneKind::SwingingArm, CameraPath::Rig);
     let (_root, priors, _) = run(&capture, Path::new(""), &Params::default()).unwrap();

@@ -22,13 +22,13 @@ const MAX_PIXELS: u64 = 1 << 28;
 /// The kind of map that a file stores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// One value per pixel.
+    /// Depth or inverse depth: one value per pixel.
     Depth,
-    /// Two values per pixel.
+    /// Optical flow: two values per pixel.
     Flow,
-    /// Three values per pixel.
+    /// Normals: three values per pixel.
     Normals,
-    /// One value per pixel, to be compared with a threshold.
+    /// Mask: one value per pixel, to be compared with a threshold.
     Mask,
 }
 

@@ -88,7 +88,7 @@ fn numpy_depth_of_several_types_is_decoded() {
 }
 
 #[test]
-fn damaged_and_foreign_arrays_are_refused() {
+fn damaged_and_unsupported_arrays_are_rejected() {
     let whole = npy_bytes("<f4", false, "(2, 2)", &bytes_of(&[1.0; 4]));
     let cases: [(Vec<u8>, &str); 5] = [
         (whole[..whole.len() - 1].to_vec(), "not a readable NumPy array"),
