@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use support::mangle::refused;
+
 use crate::cloud::PointCloud;
 use crate::image_file::RgbImage;
-use crate::mangle::refused;
 use crate::maps::{DepthMap, FlowMap};
 use crate::npy_file::tests::npy_bytes;
 use crate::ply::PlyFormat;

@@ -11,7 +11,6 @@ pub mod float_image;
 pub mod gaussians;
 pub mod image_file;
 pub mod index_file;
-pub mod mangle;
 pub mod maps;
 mod mask;
 pub mod npy_file;

@@ -142,7 +142,7 @@ pub fn test_gpu() -> Option<Gpu> {
         None => {
             let required = std::env::var("REQUIRE_ADAPTER").is_ok_and(|value| value == "1");
             assert!(!required, "REQUIRE_ADAPTER=1: {}", AdapterError::None);
-            needs::skip(&AdapterError::None.to_string());
+            support::skip(&AdapterError::None.to_string());
             None
         }
     }

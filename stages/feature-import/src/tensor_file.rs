@@ -38,7 +38,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.safetensors");
         write(&path, "tokens", &[2, 3, 4], &[0.5; 24]).unwrap();
-        let refused = scene::mangle::refused(&path, 400, |path| read(path).map(drop));
+        let refused = support::mangle::refused(&path, 400, |path| read(path).map(drop));
         assert!(refused >= 150, "only {refused} of 400 damaged files were refused");
     }
 }

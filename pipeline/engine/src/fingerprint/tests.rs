@@ -313,6 +313,15 @@ fn a_workspace_is_scanned_with_its_external_crates() {
 }
 
 #[test]
+fn helper_crates_of_tests_do_not_count() {
+    let helped = workspace(&[
+        ("Cargo.toml", "glam = {", "support = { path = \"tests/support\" }\nglam = {"),
+        ("crates/high/Cargo.toml", "[dependencies]\n", "[dependencies]\nsupport.workspace = true\n"),
+    ]);
+    assert_eq!(helped, workspace(&[]));
+}
+
+#[test]
 fn the_code_table_is_rust() {
     let table = code_table(&workspace(&[]));
     let parsed: proc_macro2::TokenStream = table.parse().unwrap();

@@ -10,7 +10,7 @@ use scene::{Camera, FlowMap, Intrinsics, RigidTransform, pixels};
 use crate::depth::depth_view;
 use crate::flow::{consistent, flow_map, known_share};
 use crate::params::{DepthParams, FlowParams};
-use needs::data;
+use support::data;
 
 #[test]
 fn middlebury_and_kitti_flow_is_decoded() {

@@ -119,7 +119,7 @@ fn missing_files_are_named_and_altered_ones_refused() {
 /// Reads the published heads, if they are available.
 #[test]
 fn published_heads_are_read() {
-    let Some(folder) = needs::data("lpips/lpips/weights/v0.1") else { return };
+    let Some(folder) = support::data("lpips/lpips/weights/v0.1") else { return };
     for backbone in [Backbone::Alex, Backbone::Vgg, Backbone::Squeeze] {
         let heads = weights::read_head(&folder, backbone).expect("the published file");
         let lpips = Lpips::new(backbone, &generated(backbone)[0], &heads).expect("all heads");

@@ -146,7 +146,7 @@ fn invalid_metrics_are_refused() {
 /// Renders of 4DGaussians from another source, with values of an independent implementation.
 #[test]
 fn real_renders_match_independent_values() {
-    let Some(folder) = needs::data("dnerf_bouncingballs_4dgs_renders") else { return };
+    let Some(folder) = support::data("dnerf_bouncingballs_4dgs_renders") else { return };
     let golden = std::fs::read_to_string(folder.join("golden_metrics.json")).expect("golden values");
     let golden: serde_json::Value = serde_json::from_str(&golden).expect("JSON");
     let started = std::time::Instant::now();

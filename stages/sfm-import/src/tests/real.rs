@@ -14,7 +14,7 @@ use crate::{Params, Resize, TestSplit};
 
 /// The folder of a real capture, after printing its description; `None` if it is not available.
 fn data(name: &str) -> Option<PathBuf> {
-    let dir = needs::data(name)?;
+    let dir = support::data(name)?;
     eprintln!("{}", crate::inspect::inspect(&dir).unwrap().text());
     Some(dir)
 }

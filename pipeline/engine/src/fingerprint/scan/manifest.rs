@@ -49,7 +49,8 @@ impl Manifest {
     }
 }
 
-/// Adds the dependencies and build dependencies of one table of a manifest; development dependencies do not count.
+/// Adds the dependencies and build dependencies of one table of a manifest. Development dependencies do not count, nor do
+/// workspace crates below `tests/`, which hold helpers for tests.
 fn add_dependencies(
     found: &mut BTreeMap<String, BTreeMap<String, Table>>,
     target: &str,
@@ -58,6 +59,10 @@ fn add_dependencies(
 ) {
     for kind in ["dependencies", "build-dependencies"] {
         for (name, entry) in manifest.get(kind).and_then(Value::as_table).into_iter().flatten() {
+            let path = shared.get(name).and_then(|entry| entry.get("path")?.as_str());
+            if path.is_some_and(|path| path.starts_with("tests/")) {
+                continue;
+            }
             let entries = found.entry(format!("{target} {kind}")).or_default();
             entries.insert(name.clone(), full_entry(name, entry, shared));
         }

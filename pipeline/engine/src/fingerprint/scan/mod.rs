@@ -123,10 +123,10 @@ fn sha256_hex(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The code table as Rust source: `pub const CODE: engine::CodeTable`.
+/// The code table as Rust source: `const CODE: engine::CodeTable`.
 pub(crate) fn code_table(crates: &BTreeMap<String, ScannedCrate>) -> String {
     let mut source = String::from("/// The hashed sources that this binary was built from.\n");
-    source += "pub const CODE: engine::CodeTable = engine::CodeTable { crates: &[\n";
+    source += "const CODE: engine::CodeTable = engine::CodeTable { crates: &[\n";
     for ScannedCrate { name, root: _, files, dependencies, reads_artifacts_of, external } in crates.values() {
         let files: Vec<(&String, &String)> = files.iter().collect();
         let dependencies: Vec<&String> = dependencies.iter().collect();

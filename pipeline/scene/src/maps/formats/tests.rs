@@ -185,7 +185,7 @@ fn damaged_files_of_every_format_never_panic() {
     for (name, at_least) in
         [("a.npy", 60), ("a.npz", 100), ("a.flo", 60), ("a.pfm", 60), ("a.png", 150), ("a.exr", 100)]
     {
-        let refused = crate::mangle::refused(&path(name), 300, |path| read(path, Content::Flow).map(drop));
+        let refused = support::mangle::refused(&path(name), 300, |path| read(path, Content::Flow).map(drop));
         assert!(refused >= at_least, "only {refused} of 300 damaged versions of {name} were refused");
     }
 }

@@ -183,7 +183,7 @@ fn all_ways_of_adding_up_agree_with_the_cpu() {
     ];
     assert_noticed(&[&faults[..], &parts].concat(), || compare_with_cpu(gpu, (&scene, 2), [40, 36], in_workgroups));
     if gpu.subgroup_size().is_none() {
-        needs::skip("the adapter has no subgroups of one size");
+        support::skip("the adapter has no subgroups of one size");
         return;
     }
     let streaming = [

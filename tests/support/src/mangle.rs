@@ -1,11 +1,13 @@
-//! Damaged copies of files, for the tests of everything that reads files.
+//! Damaged copies of files, for the tests of every reader.
 
+use std::fmt::Debug;
 use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// The bytes cut off, with bits flipped, or with a run overwritten, at places drawn by the seed.
+/// A damaged copy of `bytes`: truncated, with flipped bits, or with a short run overwritten. The seed selects the kind
+/// and the places.
 pub fn mangled(bytes: &[u8], seed: u64) -> Vec<u8> {
     let random = &mut ChaCha8Rng::seed_from_u64(seed);
     let mut bytes = bytes.to_vec();
@@ -29,17 +31,18 @@ pub fn mangled(bytes: &[u8], seed: u64) -> Vec<u8> {
     bytes
 }
 
-/// Reads `count` damaged versions of the file, which the reader accepts as it is; how many were refused.
+/// Calls `reader` on `count` damaged versions of the file at `path` and returns how many it refused. The file is
+/// restored at the end.
 ///
 /// # Panics
 ///
-/// If the reader refuses the whole file, or the file cannot be written.
-pub fn refused<E: std::fmt::Debug>(path: &Path, count: u64, mut reader: impl FnMut(&Path) -> Result<(), E>) -> usize {
-    let original = std::fs::read(path).expect("the file is there");
-    reader(path).expect("the whole file is accepted");
+/// If the reader refuses the undamaged file, or the file cannot be written.
+pub fn refused<E: Debug>(path: &Path, count: u64, mut reader: impl FnMut(&Path) -> Result<(), E>) -> usize {
+    let original = std::fs::read(path).expect("the file can be read");
+    reader(path).expect("the undamaged file is accepted");
     let mut is_refused = |seed: u64| {
-        // A new file: cutting an existing one short makes some file systems wait for the disk.
-        std::fs::remove_file(path).expect("the file can be replaced");
+        // A new file each time: some file systems flush to disk when an existing file is truncated.
+        std::fs::remove_file(path).expect("the file can be removed");
         std::fs::write(path, mangled(&original, seed)).expect("the file can be written");
         reader(path).is_err()
     };
