@@ -1,4 +1,5 @@
-//! What holds of the whole: the crate graph, the house rules, every recipe, and the product as its users run it.
+//! Tests of the whole: the crate graph, the rules of the sources and texts, every recipe, and the program as users run
+//! it.
 
 mod architecture;
 mod command_line;
@@ -6,8 +7,11 @@ mod crashes;
 mod damage;
 mod data;
 mod device;
+mod dialect;
 mod editing;
 mod evidence;
+mod imports;
+mod links;
 mod numerics;
 mod product;
 mod readings;

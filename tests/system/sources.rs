@@ -1,4 +1,4 @@
-//! A copy of the workspace's sources that can be edited and hashed as the build script of the product hashes them.
+//! A copy of the workspace's sources to edit, hashed like the program's build script hashes the sources.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,23 +9,23 @@ use walkdir::WalkDir;
 
 use crate::product::root;
 
-// Only the build script uses the part that writes Rust.
+// Only the build script uses the functions that write Rust.
 #[allow(dead_code)]
 #[path = "../../pipeline/engine/src/fingerprint/scan/mod.rs"]
 mod scan;
 
 pub(crate) use scan::{ScannedCrate, tokens};
 
-/// What the product is built from, in a folder of its own.
+/// A temporary copy of the program's sources.
 pub struct Sources {
     dir: TempDir,
 }
 
 impl Sources {
-    /// Copies the workspace as it is now.
+    /// Copies the current sources.
     pub fn copy() -> Self {
         let dir = TempDir::new().expect("a folder for the copy");
-        for part in ["Cargo.toml", "Cargo.lock", "pipeline", "stages", "shaders", "tests/needs"] {
+        for part in ["Cargo.toml", "Cargo.lock", "pipeline", "stages", "shaders"] {
             for entry in WalkDir::new(root().join(part)).into_iter().filter_entry(|entry| entry.file_name() != "target")
             {
                 let entry = entry.expect("sources are readable");
@@ -51,18 +51,18 @@ impl Sources {
         entries.filter(|path| path.extension().is_some_and(|it| it == extension)).collect()
     }
 
-    /// All crates of the product, hashed.
+    /// All crates of the program, hashed.
     pub(crate) fn scan(&self) -> BTreeMap<String, ScannedCrate> {
         scan::scan_workspace(self.dir.path(), &self.path("pipeline/cli")).expect("the sources are sound")
     }
 
-    /// The table that the build script would have written.
+    /// The code table that the build script would write.
     pub fn code(&self) -> CodeTable {
         let crates: Vec<CrateCode> = self.scan().into_values().map(crate_code).collect();
         CodeTable { crates: crates.leak() }
     }
 
-    /// The table after `edit` of one file, which is undone afterwards.
+    /// The code table after an edit of one file. The file is restored.
     pub fn code_with(&self, file: &str, edit: impl Fn(&str) -> String) -> CodeTable {
         let path = self.path(file);
         let before = read(&path);
@@ -75,11 +75,16 @@ impl Sources {
     }
 }
 
+/// The text of a file.
+///
+/// # Panics
+///
+/// If the file cannot be read.
 pub fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{error}: {}", path.display()))
 }
 
-/// The code table lives as long as the program; a test's table may too.
+/// The scanned crate as an entry of a code table, whose texts are static: they are leaked.
 fn crate_code(scanned: ScannedCrate) -> CrateCode {
     let text = |text: String| -> &'static str { text.leak() };
     let names = |names: std::collections::BTreeSet<String>| names.into_iter().map(text).collect::<Vec<_>>().leak();
