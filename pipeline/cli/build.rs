@@ -1,4 +1,4 @@
-//! Hashes the sources that this binary is built from into a table, which becomes part of every key.
+//! Hashes the sources that this binary is built from into a table, which enters the action keys.
 
 #[path = "../engine/src/fingerprint/scan/mod.rs"]
 mod scan;
@@ -19,9 +19,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The compiler that builds this program, as a line of Rust.
+/// Rust source of a constant that names the compiler.
 fn compiler() -> Result<String, Box<dyn Error>> {
     let output = std::process::Command::new(std::env::var("RUSTC")?).arg("--version").output()?;
     let version = String::from_utf8(output.stdout)?;
-    Ok(format!("/// The compiler that built this program.\npub const COMPILER: &str = {:?};\n", version.trim()))
+    Ok(format!("/// The compiler that built this program.\nconst COMPILER: &str = {:?};\n", version.trim()))
 }

@@ -1,4 +1,4 @@
-//! How much two values of a metric may differ.
+//! Allowed differences between two values of a metric.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,17 +6,17 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use table_generation::Column;
 
-/// A difference in a metric's own unit, or as a share of the value that it is measured against.
+/// An absolute or relative difference.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "Written", into = "Written")]
-pub enum Amount {
-    /// In the metric's unit.
+pub(crate) enum Amount {
+    /// A difference in the metric's unit.
     Absolute(f64),
-    /// Of the reference's magnitude, in per cent.
+    /// A percentage of the reference value's magnitude.
     Percent(f64),
 }
 
-/// As files hold it: a number, or text such as `2%`.
+/// The form in files: a number, or text (e.g. `2%`).
 #[derive(Deserialize, Serialize)]
 #[serde(untagged)]
 enum Written {
@@ -27,7 +27,7 @@ enum Written {
 
 impl Amount {
     /// The difference allowed from `reference`, in the metric's unit.
-    pub fn of(self, reference: f64) -> f64 {
+    pub(crate) fn of(self, reference: f64) -> f64 {
         match self {
             Self::Absolute(value) => value,
             Self::Percent(percent) => percent / 100.0 * reference.abs(),
@@ -44,7 +44,7 @@ impl FromStr for Amount {
             None => (text.strip_suffix("dB").unwrap_or(text), Self::Absolute),
         };
         let value = number.trim().parse::<f64>().ok().filter(|value| value.is_finite() && *value >= 0.0);
-        value.map(make).ok_or_else(|| format!("expected a number from 0 on, as 0.1 or 2%, not {text}"))
+        value.map(make).ok_or_else(|| format!("expected a non-negative number (e.g. 0.1 or 2%), not {text}"))
     }
 }
 
@@ -78,18 +78,18 @@ impl From<Amount> for Written {
     }
 }
 
-/// The metric of that name; the error lists all.
-pub fn parse_metric(text: &str) -> Result<Column, String> {
+/// Parses the name of a metric; the error lists all names.
+pub(crate) fn parse_metric(text: &str) -> Result<Column, String> {
     let names = || Column::all().map(Column::key).collect::<Vec<_>>().join(", ");
     Column::all().find(|column| column.key() == text).ok_or_else(|| format!("expected one of {}", names()))
 }
 
-/// `METRIC=AMOUNT`; an amount alone, as `0.1dB`, is one of PSNR.
-pub fn parse_limit(text: &str) -> Result<(Column, Amount), String> {
+/// Parses `METRIC=AMOUNT`. An amount in dB alone (e.g. `0.1dB`) applies to PSNR.
+pub(crate) fn parse_limit(text: &str) -> Result<(Column, Amount), String> {
     match text.split_once('=') {
         Some((metric, amount)) => Ok((parse_metric(metric)?, amount.parse()?)),
         None if text.ends_with("dB") => Ok((Column::PSNR, text.parse()?)),
-        None => Err(format!("expected METRIC=AMOUNT, as psnr=0.1 or training_secs=20%, not {text}")),
+        None => Err(format!("expected METRIC=AMOUNT (e.g. psnr=0.1 or training_secs=20%), not {text}")),
     }
 }
 
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn amounts_are_read_as_they_are_written() {
+    fn amounts_survive_writing_and_reading() {
         for (text, amount, of_minus_40) in [
             ("0.25", Amount::Absolute(0.25), 0.25),
             ("0.1dB", Amount::Absolute(0.1), 0.1),
@@ -121,7 +121,7 @@ mod tests {
         assert_eq!(parse_limit("ssim=0.01").unwrap(), (Column::Metric(Metric::Ssim), Amount::Absolute(0.01)));
         assert_eq!(parse_limit("0.1dB").unwrap(), (Column::PSNR, Amount::Absolute(0.1)));
         assert_eq!(parse_limit("training_secs=20%").unwrap(), (Column::TrainingSecs, Amount::Percent(20.0)));
-        assert!(parse_limit("0.1").is_err(), "of what?");
+        assert!(parse_limit("0.1").is_err(), "the metric is missing");
         assert!(parse_limit("psnrr=1").unwrap_err().contains("psnr_pooled"));
     }
 }

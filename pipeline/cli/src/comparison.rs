@@ -1,4 +1,5 @@
-//! Two results, run by run: the same scene and seed on both sides, so that what scenes and seeds differ in cancels.
+//! Compares two results in pairs of runs with the same scene and seed, so that differences between scenes and seeds
+//! cancel.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,90 +9,92 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use table_generation::{Column, Run};
 
 use crate::amount::Amount;
-use crate::measured::{figure, name};
+use crate::measured::{name, value};
 
-/// Share of repetitions in which an interval holds the true mean difference.
+/// Confidence level of the intervals.
 const CONFIDENCE: f64 = 0.95;
 
-/// Two results, side by side.
+/// The comparison of result B with result A.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Comparison {
-    /// What was measured under equal protocols, in order of appearance.
-    pub protocols: Vec<UnderOneProtocol>,
+pub(crate) struct Comparison {
+    /// The pairs of runs by protocol, in order of appearance.
+    pub(crate) protocols: Vec<UnderOneProtocol>,
     /// Runs of A without a partner in B.
-    pub only_in_a: Vec<String>,
+    pub(crate) only_in_a: Vec<String>,
     /// Runs of B without a partner in A.
-    pub only_in_b: Vec<String>,
-    /// Why times are left out, if they are.
-    pub without_times: Option<String>,
+    pub(crate) only_in_b: Vec<String>,
+    /// The reason why times are left out, if they are.
+    pub(crate) without_times: Option<String>,
 }
 
-/// Runs whose numbers may share a mean.
+/// Pairs measured under one protocol, whose values may be averaged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct UnderOneProtocol {
-    /// How the images came to be, with name and hash.
-    pub protocol: String,
-    /// Which images were judged, and by which definitions.
-    pub judged_by: String,
-    /// One per pair of rows.
-    pub rows: Vec<ComparedRow>,
-    /// All of them together, where there are several.
-    pub all: Option<ComparedRow>,
+pub(crate) struct UnderOneProtocol {
+    /// The protocol's name, hash and content on one line.
+    pub(crate) protocol: String,
+    /// The evaluated images and the metric definitions.
+    pub(crate) judged_by: String,
+    /// One entry per pair of table rows.
+    pub(crate) rows: Vec<ComparedRow>,
+    /// All pairs together, if there are several rows.
+    pub(crate) all: Option<ComparedRow>,
 }
 
-/// A row of A beside a row of B.
+/// A table row of A compared with a table row of B.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ComparedRow {
-    /// The row of A.
-    pub a: String,
-    /// The row of B.
-    pub b: String,
-    /// What both sides have.
-    pub metrics: BTreeMap<Column, Paired>,
-    /// What A has and B lacks: metric → runs, each with the reason.
-    pub lost: BTreeMap<Column, Vec<String>>,
+pub(crate) struct ComparedRow {
+    /// The row's name in A.
+    pub(crate) a: String,
+    /// The row's name in B.
+    pub(crate) b: String,
+    /// The metrics that both sides have.
+    pub(crate) metrics: BTreeMap<Column, Paired>,
+    /// Values that A has and B lacks: metric → runs, each with the reason.
+    pub(crate) lost: BTreeMap<Column, Vec<String>>,
 }
 
-/// One metric over the pairs that both sides have it of.
+/// One metric over all pairs in which both sides have a value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Paired {
-    /// Pairs (scenes × seeds, and × rows where all of them are taken together).
-    pub pairs: usize,
-    /// Mean in A over the scenes' means; of a single scene, over its seeds.
-    pub mean_a: f64,
-    /// The same in B.
-    pub mean_b: f64,
+pub(crate) struct Paired {
+    /// Number of pairs: scenes × seeds (× rows for [`UnderOneProtocol::all`]).
+    pub(crate) pairs: usize,
+    /// Mean of A: the mean over scenes of each scene's mean or, for a single scene, the mean over seeds.
+    pub(crate) mean_a: f64,
+    /// Mean of B, averaged like [`Self::mean_a`].
+    pub(crate) mean_b: f64,
     /// Mean of B − A.
-    pub difference: f64,
-    /// Student's interval of 95 % for the mean of B − A, from the spread over scenes, or over the seeds of a single scene:
-    /// what shares a scene is not independent. None for a single scene and seed.
-    pub interval: Option<[f64; 2]>,
-    /// Pairs in which B is better.
-    pub better: usize,
-    /// Pairs in which B is worse.
-    pub worse: usize,
+    pub(crate) difference: f64,
+    /// Student's 95 % confidence interval for the mean of B − A, from the spread over scenes or, for a single scene,
+    /// over seeds: runs that share a scene are not independent. None for a single scene and seed.
+    pub(crate) interval: Option<[f64; 2]>,
+    /// Number of pairs in which B is better.
+    pub(crate) better: usize,
+    /// Number of pairs in which B is worse.
+    pub(crate) worse: usize,
 }
 
-/// Two runs whose numbers must not be compared.
+/// A pair of runs with different protocols, whose values must not be compared.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ProtocolsDiffer {
+pub(crate) struct ProtocolsDiffer {
     run: String,
     a: [String; 2],
     b: [String; 2],
 }
 
+impl std::error::Error for ProtocolsDiffer {}
+
 impl fmt::Display for ProtocolsDiffer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { run, a, b } = self;
-        write!(f, "{run} was measured under different protocols, so that its numbers do not compare")?;
+        write!(f, "{run} was measured under different protocols, so its values are not comparable")?;
         let lines = a.iter().zip(b).filter(|(a, b)| a != b);
         lines.into_iter().try_for_each(|(a, b)| write!(f, "\n  A: {a}\n  B: {b}"))
     }
 }
 
-/// Pairs the runs of two results. `rows` names the row of B for a row of A; where it is empty, rows of equal names are
-/// paired, or the only row of one side with the only row of the other.
-pub fn compare(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result<Comparison, ProtocolsDiffer> {
+/// Pairs the runs of two results and compares them. `rows` pairs rows of A with rows of B; if it is empty, rows of
+/// equal names are paired, or the only row of A with the only row of B.
+pub(crate) fn compare(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result<Comparison, ProtocolsDiffer> {
     let rows = if rows.is_empty() { matching_rows(a, b) } else { rows.to_vec() };
     let mut partners = Vec::new();
     for (row_a, row_b) in &rows {
@@ -125,7 +128,7 @@ pub fn compare(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result<Compar
     })
 }
 
-/// The rows of pairs that were measured under the protocol `key`.
+/// Compares the pairs of one protocol; `key` is its line and the evaluated images.
 fn under_one_protocol(
     key: [String; 2],
     rows: &[(String, String)],
@@ -142,7 +145,7 @@ fn under_one_protocol(
     UnderOneProtocol { protocol, judged_by, rows: compared, all }
 }
 
-/// The rows of equal names; where there are none, the only row of each side.
+/// Pairs of rows with equal names or, if there are none, the only row of each side.
 fn matching_rows(a: &[Run], b: &[Run]) -> Vec<(String, String)> {
     let distinct = |runs: &[Run]| {
         let mut names: Vec<String> = Vec::new();
@@ -162,25 +165,25 @@ fn matching_rows(a: &[Run], b: &[Run]) -> Vec<(String, String)> {
     }
 }
 
-/// How a run's images came to be, and who judged which; a failed run has no numbers.
-fn lines(run: &Run) -> Option<[String; 2]> {
+/// A run's protocol and evaluated images; none for a failed run.
+fn protocol_lines(run: &Run) -> Option<[String; 2]> {
     Some([run.protocol.as_ref()?.line(), run.judged_by.clone()?])
 }
 
-/// The protocol of a pair whose numbers compare; none where neither was measured.
+/// The protocol of a comparable pair; none if neither run was measured.
 fn common_protocol((a, b): &(&Run, &Run)) -> Option<[String; 2]> {
-    lines(a).or_else(|| lines(b))
+    protocol_lines(a).or_else(|| protocol_lines(b))
 }
 
-/// Refuses a pair that was measured on other images or judged by other definitions.
+/// Refuses a pair whose protocols, evaluated images or metric definitions differ.
 fn check_protocols(a: &Run, b: &Run) -> Result<(), ProtocolsDiffer> {
-    match (lines(a), lines(b)) {
+    match (protocol_lines(a), protocol_lines(b)) {
         (Some(of_a), Some(of_b)) if of_a != of_b => Err(ProtocolsDiffer { run: name(a), a: of_a, b: of_b }),
         _ => Ok(()),
     }
 }
 
-/// Why times do not compare, if they do not.
+/// The reason why times are not comparable, if the machines of a pair differ.
 fn different_machines(partners: &[(&Run, &Run)]) -> Option<String> {
     let on = |run: &Run| {
         let machines = run.machines.iter().map(|(work, machine)| format!("{work} on {}", machine.line()));
@@ -195,7 +198,7 @@ fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -
     for column in Column::all().filter(|column| with_times || !column.is_timing()) {
         let mut values = Vec::new();
         for (a, b) in pairs {
-            match (figure(a, column), figure(b, column)) {
+            match (value(a, column), value(b, column)) {
                 (Ok(value_a), Ok(value_b)) => values.push((*a, [value_a, value_b])),
                 (Ok(_), Err(reason)) => {
                     row.lost.entry(column).or_default().push(format!("{}: {reason}", name(b)));
@@ -208,7 +211,7 @@ fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -
     row
 }
 
-/// The figures of at least one pair of values.
+/// Means, interval and counts over at least one pair of values.
 fn paired(pairs: &[(&Run, [f64; 2])], column: Column) -> Option<Paired> {
     let values = independent(pairs);
     let [mean_a, mean_b] = mean_pair(values.iter())?;
@@ -225,7 +228,7 @@ fn paired(pairs: &[(&Run, [f64; 2])], column: Column) -> Option<Paired> {
     })
 }
 
-/// The means of what shares a scene or, where all share one, of what shares a seed.
+/// The mean values of each scene or, if there is a single scene, of each seed.
 fn independent(pairs: &[(&Run, [f64; 2])]) -> Vec<[f64; 2]> {
     let one_scene = pairs.iter().all(|(run, _)| run.scene == pairs[0].0.scene);
     let mut by_unit = BTreeMap::<&str, Vec<[f64; 2]>>::new();
@@ -251,26 +254,27 @@ fn interval(values: &[[f64; 2]], mean: f64) -> Option<[f64; 2]> {
 }
 
 impl Comparison {
-    /// Whether any figure is there on both sides.
-    pub fn has_figures(&self) -> bool {
+    /// Whether any metric has a value on both sides.
+    pub(crate) fn has_values(&self) -> bool {
         self.protocols.iter().flat_map(|under| &under.rows).any(|row| !row.metrics.is_empty())
     }
 
-    /// What exceeds the limits: a row whose mean in B is worse than in A by more than allowed, or where B lacks a value
-    /// that A has. A metric that no row has cannot pass. All rows together say nothing that their rows do not.
-    pub fn violations(&self, limits: &[(Column, Amount)]) -> Vec<String> {
+    /// One line for each violated limit: a row whose mean in B is worse than in A by more than the limit, a row in
+    /// which B lacks a value that A has, or a limit on a metric that no row has. [`UnderOneProtocol::all`] is not
+    /// checked.
+    pub(crate) fn violations(&self, limits: &[(Column, Amount)]) -> Vec<String> {
         let rows = || self.protocols.iter().flat_map(|under| &under.rows);
-        let is_judged =
+        let is_present =
             |column: &Column| rows().any(|row| row.metrics.contains_key(column) || row.lost.contains_key(column));
-        let unjudged = limits.iter().filter(|(column, _)| !is_judged(column));
-        let mut found: Vec<String> = unjudged
-            .map(|(column, _)| format!("{} cannot be judged: no row has it in A and B", column.key()))
+        let unchecked = limits.iter().filter(|(column, _)| !is_present(column));
+        let mut found: Vec<String> = unchecked
+            .map(|(column, _)| format!("{} cannot be checked: no row has it in A and B", column.key()))
             .collect();
         for row in rows() {
             for (column, amount) in limits {
                 found.extend(row.violation(*column, *amount));
                 let lost = row.lost.get(column).into_iter().flatten();
-                found.extend(lost.map(|run| format!("{} is lost: {run}", column.key())));
+                found.extend(lost.map(|run| format!("{} is missing in B: {run}", column.key())));
             }
         }
         found
@@ -278,15 +282,15 @@ impl Comparison {
 }
 
 impl ComparedRow {
-    /// The row's name, or both where they differ.
-    pub fn name(&self) -> String {
+    /// The row's name, or both names if they differ.
+    pub(crate) fn name(&self) -> String {
         if self.a == self.b { self.a.clone() } else { format!("{} → {}", self.a, self.b) }
     }
 
     fn violation(&self, column: Column, amount: Amount) -> Option<String> {
         let Paired { mean_a, mean_b, difference, .. } = self.metrics.get(&column)?;
         let loss = if column.higher_is_better() { -difference } else { *difference };
-        // A difference that is no number is a violation.
+        // Written so that NaN is a violation.
         let holds = loss <= amount.of(*mean_a);
         (!holds).then(|| {
             format!(

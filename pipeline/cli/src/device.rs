@@ -1,4 +1,4 @@
-//! `--device`: what trains and renders.
+//! `--device`: the device that trains and renders.
 
 use engine::{DeviceClass, Failure, FailureKind};
 use shaders::check::conformance;
@@ -6,17 +6,17 @@ use shaders::gpu::{self, AdapterError, AdapterReport};
 
 use crate::error::CliError;
 
-/// What was chosen.
+/// The chosen device.
 #[derive(Clone, Copy, Debug)]
-pub enum ChosenDevice {
+pub(crate) enum ChosenDevice {
     Cpu,
     Gpu(&'static AdapterReport),
 }
 
 impl ChosenDevice {
-    /// `cpu`; `auto`, the likely fastest adapter that is no software and can be used, else the CPU; or what
-    /// [`gpu::choose`] understands.
-    pub fn choose(wanted: &str) -> Result<Self, CliError> {
+    /// Parses `--device`: `cpu`; `auto` for the hardware adapter that is likely fastest, or the CPU if there is none;
+    /// or anything that [`gpu::choose`] accepts.
+    pub(crate) fn choose(wanted: &str) -> Result<Self, CliError> {
         match wanted {
             "cpu" => Ok(Self::Cpu),
             "auto" => Ok(gpu::adapters().iter().find(|adapter| adapter.is_hardware()).map_or(Self::Cpu, Self::Gpu)),
@@ -24,37 +24,38 @@ impl ChosenDevice {
         }
     }
 
-    pub fn class(self) -> DeviceClass {
+    /// The device's class, which is part of the keys of jobs that compute on it.
+    pub(crate) fn class(self) -> DeviceClass {
         match self {
             Self::Cpu => DeviceClass::Cpu,
             Self::Gpu(_) => DeviceClass::Gpu,
         }
     }
 
-    /// What a job finds it by.
-    pub fn id(self) -> String {
+    /// The identifier by which a job finds the device again.
+    pub(crate) fn id(self) -> String {
         match self {
             Self::Cpu => DeviceClass::Cpu.as_str().into(),
             Self::Gpu(adapter) => adapter.id().into(),
         }
     }
 
-    /// An error if a GPU does not compute what the CPU computes: nobody relies on such a one.
-    pub fn check(self) -> Result<(), CliError> {
+    /// Returns an error if a GPU does not agree with the CPU; no run may use such a GPU.
+    pub(crate) fn check(self) -> Result<(), CliError> {
         let Self::Gpu(adapter) = self else { return Ok(()) };
         let hint = "choose another one with --device, or --device cpu; `pipeline doctor` describes them";
         let gpu = adapter.open().map_err(refused)?;
         match conformance::check(gpu) {
             Ok(_) => Ok(()),
             Err(error) => {
-                let message = format!("adapter {:?} does not compute what the CPU computes: {error}", adapter.name);
+                let message = format!("adapter {:?} does not agree with the CPU: {error}", adapter.name);
                 Err(CliError::Other(Failure::new(FailureKind::World, message).hint(hint).into()))
             }
         }
     }
 }
 
-/// An adapter that is not there is the machine's fault, whoever asked for it.
+/// A missing or unusable adapter is a failure of the machine, even if the user named it.
 fn refused(error: AdapterError) -> CliError {
     CliError::Other(Failure::new(FailureKind::World, error.to_string()).into())
 }

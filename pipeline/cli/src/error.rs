@@ -1,4 +1,4 @@
-//! What goes wrong on the command line, each with its exit code; printed once.
+//! Errors that end the program, with their exit codes and messages.
 
 use std::fmt;
 use std::io::{self, ErrorKind};
@@ -7,45 +7,46 @@ use engine::plan::NothingSelected;
 use engine::recipe::RecipeErrors;
 use engine::{Failure, FailureKind, exit};
 
-use crate::comparison::ProtocolsDiffer;
+/// Jobs that the error of `--frozen` names; the others are counted.
+const MAX_FROZEN: usize = 5;
 
 /// An error that ends the program.
 #[derive(Debug)]
-pub enum CliError {
-    /// The recipe is invalid; all its errors.
+pub(crate) enum CliError {
+    /// All errors of an invalid recipe.
     Recipe(RecipeErrors),
-    /// Nothing is called like that, or it has no result.
-    Nothing { message: String, hint: Option<String> },
-    /// Numbers of different protocols were to be compared.
-    Incomparable(Box<ProtocolsDiffer>),
-    /// With `--frozen`: these jobs would have to run.
+    /// A name matches nothing, or the named job has no result.
+    Nothing { message: String, hint: String },
+    /// The jobs that would have to run under `--frozen`.
     Frozen(Vec<String>),
-    /// What the user gave to read is wrong.
+    /// A file or folder that the user named is invalid.
     Input(anyhow::Error),
-    /// Standard output could not be written.
+    /// Standard output cannot be written.
     Output(io::Error),
     /// The machine or the store failed.
     Other(anyhow::Error),
 }
 
 impl CliError {
-    pub fn nothing(message: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self::Nothing { message: message.into(), hint: Some(hint.into()) }
+    /// A [`Self::Nothing`] of this message and hint.
+    pub(crate) fn nothing(message: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::Nothing { message: message.into(), hint: hint.into() }
     }
 
-    /// An error of something that reads what the user names: the input's fault unless the machine failed.
-    pub fn of_input(error: anyhow::Error) -> Self {
+    /// Classifies an error that occurred while reading what the user named: bad input unless the machine failed.
+    pub(crate) fn of_input(error: anyhow::Error) -> Self {
         if is_of_machine(&error) { Self::Other(error) } else { Self::Input(error) }
     }
 
-    /// Whether whoever read the output went away, as `head` does; nobody wants to be told.
-    pub fn reader_is_gone(&self) -> bool {
+    /// Whether the reader of standard output exited early (e.g. `head`), which needs no message.
+    pub(crate) fn reader_is_gone(&self) -> bool {
         matches!(self, Self::Output(error) if error.kind() == ErrorKind::BrokenPipe)
     }
 
-    pub fn exit_code(&self) -> u8 {
+    /// The program's exit code.
+    pub(crate) fn exit_code(&self) -> u8 {
         match self {
-            Self::Recipe(_) | Self::Input(_) | Self::Incomparable(_) => exit::INPUT,
+            Self::Recipe(_) | Self::Input(_) => exit::INPUT,
             Self::Nothing { .. } => exit::NOTHING,
             Self::Frozen(_) => exit::FROZEN,
             Self::Output(_) if self.reader_is_gone() => exit::READER_GONE,
@@ -58,16 +59,12 @@ impl fmt::Display for CliError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Recipe(errors) => write!(f, "{errors}"),
-            Self::Nothing { message, hint } => {
-                write!(f, "error: {message}")?;
-                hint.iter().try_for_each(|hint| write!(f, "\nhint: {hint}"))
-            }
-            Self::Incomparable(differ) => write!(f, "error: {differ}"),
+            Self::Nothing { message, hint } => write!(f, "error: {message}\nhint: {hint}"),
             Self::Frozen(jobs) => {
-                let some: Vec<&str> = jobs.iter().take(5).map(String::as_str).collect();
+                let some: Vec<&str> = jobs.iter().take(MAX_FROZEN).map(String::as_str).collect();
                 let more = if jobs.len() > some.len() { ", …" } else { "" };
                 write!(f, "error: {} jobs would have to run: {}{more}", jobs.len(), some.join(", "))?;
-                write!(f, "\nhint: run without --frozen, or see `pipeline plan` for the reasons")
+                write!(f, "\nhint: run without --frozen; `pipeline plan` shows the reasons")
             }
             Self::Output(error) => write!(f, "error: cannot write to standard output ({error})"),
             Self::Input(error) | Self::Other(error) => write_failure(f, error),
@@ -75,7 +72,7 @@ impl fmt::Display for CliError {
     }
 }
 
-/// Whether the machine failed, as opposed to what the user gave us.
+/// Whether the error is a failure of the machine and not of the input.
 fn is_of_machine(error: &anyhow::Error) -> bool {
     let failure = error.chain().find_map(|cause| cause.downcast_ref::<Failure>());
     let of_failure = failure.map(|failure| !matches!(failure.kind, FailureKind::BadInput | FailureKind::MissingData));
@@ -83,7 +80,7 @@ fn is_of_machine(error: &anyhow::Error) -> bool {
     of_failure.or(io_error.map(|error| error.kind() != ErrorKind::NotFound)).unwrap_or(false)
 }
 
-/// The message in one line, path last, then the hint if the error has one.
+/// Writes the message and the path on one line, and the hint, if there is one, on the next.
 fn write_failure(f: &mut fmt::Formatter<'_>, error: &anyhow::Error) -> fmt::Result {
     let Some(failure) = error.chain().find_map(|cause| cause.downcast_ref::<Failure>()) else {
         return write!(f, "error: {error:#}");
@@ -101,8 +98,7 @@ impl From<RecipeErrors> for CliError {
 
 impl From<NothingSelected> for CliError {
     fn from(nothing: NothingSelected) -> Self {
-        let hint = Some("`pipeline plan RECIPE` lists all jobs".into());
-        Self::Nothing { message: nothing.to_string(), hint }
+        Self::nothing(nothing.to_string(), "`pipeline plan RECIPE` lists all jobs")
     }
 }
 
@@ -113,8 +109,8 @@ impl From<anyhow::Error> for CliError {
     }
 }
 
-impl From<std::io::Error> for CliError {
-    fn from(error: std::io::Error) -> Self {
+impl From<io::Error> for CliError {
+    fn from(error: io::Error) -> Self {
         Self::Other(error.into())
     }
 }

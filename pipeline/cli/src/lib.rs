@@ -1,6 +1,5 @@
-//! `pipeline`: trains, renders, measures and tabulates what a recipe says. Data goes to standard output, everything
-//! else to standard error; exit codes are those of [`engine::exit`]. A library, so that the tests of the whole can
-//! build the very same program.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
 mod amount;
 mod args;
@@ -24,12 +23,12 @@ use error::CliError;
 
 pub use stages::{stages, stages_of};
 
-/// Keeps freed pages: a training step takes and frees tens of megabytes, which the system's allocator hands back to the
-/// kernel and faults in anew, at half of the step's time.
+/// Keeps freed pages: a training step allocates and frees tens of megabytes, which the system allocator returns to the
+/// kernel and faults in again, at half of the step's time.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// The program: parses the command line, does what it says, and returns the exit code.
+/// Runs the program: parses the command line, dispatches the verb, and returns its exit code.
 pub fn main() -> ExitCode {
     quiet_drivers();
     unset_empty_variables();
@@ -38,14 +37,15 @@ pub fn main() -> ExitCode {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
             if !error.reader_is_gone() {
-                output::tell(&error.to_string());
+                output::note(&error.to_string());
             }
             ExitCode::from(error.exit_code())
         }
     }
 }
 
-/// Vulkan drivers complain on standard error where nothing says where a desktop would put its sockets; we open none.
+/// Sets `XDG_RUNTIME_DIR` if it is unset. Otherwise Vulkan drivers print warnings about the folder of a desktop's
+/// sockets, which this program never opens.
 fn quiet_drivers() {
     const SOCKETS: &str = "XDG_RUNTIME_DIR";
     if std::env::var_os(SOCKETS).is_none() {
@@ -54,7 +54,7 @@ fn quiet_drivers() {
     }
 }
 
-/// An empty variable is one that is not set: scripts clear one so.
+/// Removes empty environment variables, because scripts clear a variable by setting it to the empty string.
 fn unset_empty_variables() {
     for name in args::VARIABLES.iter().filter(|name| std::env::var_os(name).is_some_and(|value| value.is_empty())) {
         // SAFETY: no other thread has been started yet.

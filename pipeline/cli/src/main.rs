@@ -1,4 +1,4 @@
-//! `pipeline`; see the library of the same crate.
+//! The `pipeline` binary; the library of this crate holds the program.
 
 use std::process::ExitCode;
 

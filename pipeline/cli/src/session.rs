@@ -1,4 +1,4 @@
-//! A recipe with its store: what most verbs start from.
+//! A resolved recipe with its store: the starting point of most verbs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -12,70 +12,40 @@ use engine::{DeviceClass, Failure, FailureKind, Plan, Store};
 use crate::args::{RecipeArgs, SelectionArgs};
 use crate::device::ChosenDevice;
 use crate::error::CliError;
-use crate::output::tell;
+use crate::output::note;
 use crate::stages::stages;
 
-/// The stage that `--replicates`, `--budget` and `--profile` are about.
-pub const TRAINING: &str = "training";
-/// The stage of reports.
-pub const REPORT: &str = "table-generation";
+/// The stage that `--replicates`, `--budget` and `--profile` apply to.
+pub(crate) const TRAINING: &str = "training";
+/// The stage that makes reports.
+const REPORT: &str = "table-generation";
 /// The axis that `--replicates` sets.
 const SEED: &str = "seed";
 
-/// The recipe with everything that the command line changes in it.
-fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
-    let (with, stages) = (&recipe.with, stages());
-    let mut overrides = Overrides { set: with.set.clone(), of_stages: Vec::new() };
-    if let Some(count) = with.replicates {
-        let seeds: Vec<usize> = (0..count).collect();
-        overrides.set.push(format!("axes.{SEED} = {seeds:?}"));
-    }
-    overrides.of_stages.extend(with.budget.map(|budget| StageOverride {
-        stage: TRAINING.into(),
-        option: "--budget",
-        params: format!("budget_secs = {:?}", budget.as_secs_f64()),
-    }));
-    // The commands that a report prints make its numbers only with the arguments that made them here.
-    let arguments = toml::Value::from(with.arguments(device));
-    overrides.of_stages.push(StageOverride {
-        stage: REPORT.into(),
-        option: "command line",
-        params: format!("arguments = {arguments}"),
-    });
-    let mut plan = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data_root)?;
-    let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
-    if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
-        let hint = format!("add an axis `{SEED}`, train over it, and give it on: params.seed = \"{{{SEED}}}\"");
-        let failure = Failure::new(FailureKind::BadInput, "the recipe trains without seeds: nothing to replicate");
-        return Err(CliError::Input(failure.hint(hint).at(&recipe.recipe).into()));
-    }
-    plan.device = device;
-    Ok(plan)
-}
-
-/// A resolved recipe, the store, and which of its jobs are meant.
-pub struct Session {
-    pub plan: Plan,
-    pub store: Store,
-    pub data_root: PathBuf,
-    pub device: ChosenDevice,
-    /// Whether the command line changes nothing in the recipe.
-    pub is_plain: bool,
-    /// The jobs asked for.
-    pub targets: BTreeSet<usize>,
-    /// Jobs to run even if their results are there.
-    pub force: BTreeSet<usize>,
-    pub rehash: bool,
+/// A resolved recipe, its store, and the selected jobs.
+pub(crate) struct Session {
+    pub(crate) plan: Plan,
+    pub(crate) store: Store,
+    pub(crate) data_root: PathBuf,
+    pub(crate) device: ChosenDevice,
+    /// Whether the command line leaves the recipe unchanged.
+    pub(crate) is_plain: bool,
+    /// Indices of the selected jobs.
+    pub(crate) targets: BTreeSet<usize>,
+    /// Indices of jobs to run even if their results exist.
+    pub(crate) force: BTreeSet<usize>,
+    /// Whether all source files are hashed again.
+    pub(crate) rehash: bool,
 }
 
 impl Session {
-    /// Resolves the recipe and opens the store, making it if needed; all jobs are meant.
-    pub fn open(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
+    /// Resolves the recipe and opens the store, creating it if needed. All jobs are selected.
+    pub(crate) fn open(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
         Self::with(|| Store::open(store), recipe)
     }
 
-    /// The same for verbs that only look: no store is made.
-    pub fn look(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
+    /// Resolves the recipe for verbs that only read. A missing store is not created and reads as empty.
+    pub(crate) fn read_only(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
         Self::with(|| Store::look(store), recipe)
     }
 
@@ -83,15 +53,15 @@ impl Session {
         let device = ChosenDevice::choose(&recipe.with.device)?;
         let plan = resolve(recipe, device.class())?;
         for idle in plan.idle_axes() {
-            tell(&format!("warning: {idle}; give it to a parameter, as \"{{{}}}\", or leave it out", idle.axis));
+            note(&format!("warning: {idle}; use it in a parameter (\"{{{}}}\") or remove it", idle.axis));
         }
         let targets = (0..plan.nodes.len()).collect();
         let (data_root, is_plain) = (recipe.with.data_root.clone(), recipe.with.is_plain());
         Ok(Self { plan, store: store()?, data_root, device, is_plain, targets, force: BTreeSet::new(), rehash: false })
     }
 
-    /// The same with a selection of jobs.
-    pub fn select(mut self, selection: &SelectionArgs) -> Result<Self, CliError> {
+    /// Replaces the selection.
+    pub(crate) fn select(mut self, selection: &SelectionArgs) -> Result<Self, CliError> {
         self.targets = self.plan.select(&selection.only)?;
         if !selection.force.is_empty() {
             self.force = self.plan.select(&selection.force)?;
@@ -100,20 +70,20 @@ impl Session {
         Ok(self)
     }
 
-    /// What a run of the targets would do, by node index.
-    pub fn predict(&self) -> Result<BTreeMap<usize, Prediction>, CliError> {
+    /// Predicts what a run of the selected jobs would do, by node index.
+    pub(crate) fn predict(&self) -> Result<BTreeMap<usize, Prediction>, CliError> {
         self.predict_for(&self.targets)
     }
 
-    /// What a run of `targets` would do, by node index.
-    pub fn predict_for(&self, targets: &BTreeSet<usize>) -> Result<BTreeMap<usize, Prediction>, CliError> {
+    /// Predicts what a run of `targets` would do, by node index.
+    pub(crate) fn predict_for(&self, targets: &BTreeSet<usize>) -> Result<BTreeMap<usize, Prediction>, CliError> {
         let nodes = self.plan.with_ancestors(targets);
         let sources = Sources::digest(&self.plan, &nodes, &self.data_root, &self.store, self.rehash)?;
         Ok(predict(&self.plan, &self.store, &nodes, &self.force, &sources)?)
     }
 
-    /// Whether a run of the targets may compute on a GPU.
-    pub fn needs_device(&self) -> Result<bool, CliError> {
+    /// Whether a run of the selected jobs may compute on a GPU.
+    pub(crate) fn needs_device(&self) -> Result<bool, CliError> {
         if self.device.class() == DeviceClass::Cpu {
             return Ok(false);
         }
@@ -122,8 +92,8 @@ impl Session {
         Ok(self.predict()?.iter().any(may_compute))
     }
 
-    /// The index of the job called `name`.
-    pub fn node(&self, name: &str) -> Result<usize, CliError> {
+    /// The index of the job that `name` names or, as a pattern, matches alone.
+    pub(crate) fn node(&self, name: &str) -> Result<usize, CliError> {
         if let Some(index) = self.plan.index_of(name) {
             return Ok(index);
         }
@@ -140,9 +110,24 @@ impl Session {
         }
     }
 
-    /// The record of one job's result: the current one or, of a recipe as it is, the last one that it has on this class of
-    /// devices, with a warning that says which. Another recipe's is never taken.
-    pub fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
+    /// The indices of the jobs that make reports.
+    pub(crate) fn reports(&self) -> Vec<usize> {
+        let nodes = self.plan.nodes.iter().enumerate();
+        nodes.filter(|(_, node)| node.stage == REPORT).map(|(index, _)| index).collect()
+    }
+
+    /// The indices of the jobs that make reports; a recipe without reports is an error.
+    pub(crate) fn required_reports(&self) -> Result<Vec<usize>, CliError> {
+        let reports = self.reports();
+        if reports.is_empty() {
+            return Err(CliError::nothing("the recipe makes no table", "add a node with stage = \"table-generation\""));
+        }
+        Ok(reports)
+    }
+
+    /// The record of one job's current result. If there is none and the recipe is unchanged, falls back to the job's
+    /// latest result for this recipe and device class, with a warning. Results of other recipes are never used.
+    pub(crate) fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
         if let Some(Prediction { state: State::Cached { record }, .. }) =
             self.predict_for(&BTreeSet::from([index]))?.remove(&index)
         {
@@ -152,14 +137,47 @@ impl Session {
         let history = if self.is_plain { History::read(&self.store)? } else { History::default() };
         let Some(last) = history.newest(recipe, node, Some(self.plan.device)) else {
             let message = format!("{} of recipe {recipe} has no result on this device", node.name);
-            let same = if self.is_plain { "" } else { ", with the same -s, --replicates and --budget" };
-            return Err(CliError::nothing(message, format!("run the recipe first{same}")));
+            let options = if self.is_plain { "" } else { " with the same -s, --replicates and --budget" };
+            return Err(CliError::nothing(message, format!("run the recipe first{options}")));
         };
         let Provenance { run, .. } = &last.provenance;
-        tell(&format!(
-            "warning: the recipe, its data or the code differ from what {} ran with; this is its last result, of run {run}",
+        note(&format!(
+            "warning: {} is out of date, because the recipe, its data or the code changed; using its latest result, \
+             from run {run}",
             node.name
         ));
         Ok(last.clone())
     }
+}
+
+/// Resolves the recipe with all changes that the command line makes to it.
+fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
+    let (with, stages) = (&recipe.with, stages());
+    let mut overrides = Overrides { set: with.set.clone(), of_stages: Vec::new() };
+    if let Some(count) = with.replicates {
+        let seeds: Vec<usize> = (0..count).collect();
+        overrides.set.push(format!("axes.{SEED} = {seeds:?}"));
+    }
+    overrides.of_stages.extend(with.budget.map(|budget| StageOverride {
+        stage: TRAINING.into(),
+        option: "--budget",
+        params: format!("budget_secs = {:?}", budget.as_secs_f64()),
+    }));
+    // The commands that a report prints reproduce its numbers only with the arguments of this command line.
+    let arguments = toml::Value::from(with.arguments(device));
+    overrides.of_stages.push(StageOverride {
+        stage: REPORT.into(),
+        option: "command line",
+        params: format!("arguments = {arguments}"),
+    });
+    let mut plan = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data_root)?;
+    let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
+    if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
+        let hint = format!("add an axis `{SEED}`, train over it, and set params.seed = \"{{{SEED}}}\"");
+        let failure =
+            Failure::new(FailureKind::BadInput, "the recipe trains without a seed axis: nothing to replicate");
+        return Err(CliError::Input(failure.hint(hint).at(&recipe.recipe).into()));
+    }
+    plan.device = device;
+    Ok(plan)
 }

@@ -1,15 +1,15 @@
-//! The one list of stages. A new stage is one line here.
+//! The list of stages. A new stage is one line here.
 
 use engine::{CodeTable, Registry};
 
 include!(concat!(env!("OUT_DIR"), "/code.rs"));
 
-/// Every stage that recipes can name, with the code that this program was built from.
+/// All stages that recipes can name, with the hashes of the sources that this program was built from.
 pub fn stages() -> Registry {
     stages_of(CODE)
 }
 
-/// Every stage that recipes can name, as if it had been built from other sources.
+/// All stages that recipes can name, with the hashes in `code`: the registry of a program built from other sources.
 pub fn stages_of(code: CodeTable) -> Registry {
     Registry::new(code)
         .compiled_by(COMPILER)

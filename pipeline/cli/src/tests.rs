@@ -4,14 +4,32 @@ use clap::{CommandFactory, Parser};
 use engine::FailureKind;
 use engine::event::{Counts, Event, NodeResult, Outcome};
 
-use crate::args::{Cli, parse_times};
+use crate::args::Cli;
 use crate::display::lines::Lines;
 use crate::error::CliError;
 use crate::output::{count, duration};
 use crate::stages::stages;
 
+/// The help texts of the program and of every verb, one after the other.
+fn help_texts(mut command: clap::Command) -> String {
+    let mut text = command.render_long_help().to_string();
+    for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set() && verb.get_name() != "help") {
+        text += &format!("\n==== {}\n\n{}", verb.get_bin_name().unwrap_or_default(), help_texts(verb.clone()));
+    }
+    text
+}
+
 #[test]
-fn the_command_line_is_consistent() {
+fn help_texts_are_reviewed() {
+    let mut command = Cli::command().term_width(100);
+    command.build();
+    // The environment of the tests must not show.
+    let command = command.mut_args(|arg| arg.hide_env_values(true));
+    insta::assert_snapshot!(help_texts(command));
+}
+
+#[test]
+fn command_line_is_consistent() {
     Cli::command().debug_assert();
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "-s", "a=1", "--timeout", "2h", "--json"]).is_ok());
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "--timeout", "soon"]).is_err());
@@ -19,17 +37,37 @@ fn the_command_line_is_consistent() {
 }
 
 #[test]
-fn options_that_make_no_sense_are_usage_errors() {
-    for wrong in ["--jobs=0", "--threads=0", "--max-failures=0", "--jobs=-1", "--log=foo=bar=baz"] {
-        assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", wrong]).is_err(), "{wrong}");
+fn senseless_options_are_usage_errors() {
+    let mut messages = String::new();
+    for wrong in [
+        &["run", "r.toml", "--jobs=0"][..],
+        &["run", "r.toml", "--threads=0"],
+        &["run", "r.toml", "--max-failures=0"],
+        &["run", "r.toml", "--jobs=-1"],
+        &["run", "r.toml", "--log=foo=bar=baz"],
+        &["plan", "r.toml", "--device="],
+        &["plan", "r.toml", "--budget=0s"],
+        &["plan", "r.toml", "--replicates=100000"],
+        &["render", "r.toml", "train/a", "--out=o", "--times=0:1"],
+        &["render", "r.toml", "train/a", "--out=o", "--times=0:1:99999999"],
+        &["compare", "a.toml", "b.toml", "--rows=a"],
+        &["compare", "a.toml", "b.toml", "--metric=psnrr"],
+        &["compare", "a.toml", "b.toml", "--fail-if-worse=0.1"],
+        &["compare", "a.toml", "b.toml", "--fail-if-worse=psnr=-1"],
+        &["no-such-verb"],
+    ] {
+        let error = Cli::try_parse_from([&["pipeline"], wrong].concat()).expect_err("a usage error");
+        let message = error.to_string();
+        messages += &format!("{}\n  {}\n", wrong.join(" "), message.lines().next().unwrap_or_default());
     }
+    insta::assert_snapshot!(messages);
     for right in ["--jobs=1", "--log=debug", "--log=training=trace,info"] {
         assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", right]).is_ok(), "{right}");
     }
 }
 
 #[test]
-fn exit_codes_tell_the_users_errors_from_the_machines() {
+fn exit_codes_separate_bad_input_from_machine_failures() {
     let code = |kind| CliError::of_input(engine::Failure::new(kind, "").into()).exit_code();
     let of_io = |kind: ErrorKind| CliError::of_input(std::io::Error::from(kind).into()).exit_code();
     let of_output = |kind: ErrorKind| CliError::Output(kind.into()).exit_code();
@@ -40,22 +78,50 @@ fn exit_codes_tell_the_users_errors_from_the_machines() {
 }
 
 #[test]
+fn errors_print_message_path_and_hint() {
+    let failure = engine::Failure::new(FailureKind::BadInput, "no such folder").hint("name a folder").at("a/b");
+    let frozen = |count: usize| CliError::Frozen((0..count).map(|index| format!("train/{index}")).collect());
+    let errors = [
+        CliError::nothing("no job matches `x`", "`pipeline plan RECIPE` lists all jobs"),
+        frozen(2),
+        frozen(9),
+        CliError::Input(failure.into()),
+        CliError::Other(anyhow::anyhow!("inner").context("outer")),
+        CliError::Output(ErrorKind::StorageFull.into()),
+    ];
+    insta::assert_snapshot!(errors.map(|error| format!("{error}\n")).join("\n"), @r"
+    error: no job matches `x`
+    hint: `pipeline plan RECIPE` lists all jobs
+
+    error: 2 jobs would have to run: train/0, train/1
+    hint: run without --frozen; `pipeline plan` shows the reasons
+
+    error: 9 jobs would have to run: train/0, train/1, train/2, train/3, train/4, …
+    hint: run without --frozen; `pipeline plan` shows the reasons
+
+    error: no such folder: a/b
+    hint: name a folder
+
+    error: outer: inner
+
+    error: cannot write to standard output (no storage space)
+    ");
+}
+
+#[test]
 fn every_stage_is_registered_under_its_crate() {
-    // Building the registry checks that each id is a crate in the table of sources.
-    assert!(stages().stages().count() >= 6);
+    let registry = stages();
+    let mut registered: Vec<&str> = registry.stages().map(|stage| stage.id()).collect();
+    registered.sort_unstable();
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../stages");
+    let entries = std::fs::read_dir(folder).expect("stages/ exists").map(|entry| entry.expect("readable").file_name());
+    let mut crates: Vec<String> = entries.map(|name| name.into_string().expect("UTF-8")).collect();
+    crates.sort_unstable();
+    assert_eq!(registered, crates);
 }
 
 #[test]
-fn times_have_both_ends() {
-    assert_eq!(parse_times("0:1:3").unwrap().0, [0.0, 0.5, 1.0]);
-    assert_eq!(parse_times("2:9:1").unwrap().0, [2.0]);
-    for wrong in ["", "0:1", "0:1:0", "0:1:-2", "0:nan:3", "0:1:2:3", "a:1:2", "0:1:99999999999999"] {
-        assert!(parse_times(wrong).is_err(), "{wrong}");
-    }
-}
-
-#[test]
-fn numbers_read_well() {
+fn numbers_are_formatted_for_people() {
     assert_eq!([0.43, 12.4, 200.0, 7500.0].map(duration), ["0.4 s", "12 s", "3 min 20 s", "2 h 5 min"]);
     assert_eq!([count(1, "job"), count(0, "job")], ["1 job", "0 jobs"]);
 }

@@ -9,7 +9,7 @@ fn run(row: &str, scene: &str, seed: &str, psnr: Option<f64>) -> Run {
     with_height(measured, 100)
 }
 
-/// The run on images of 100 pixels per row and `height` rows.
+/// The run, measured on images of 100 × `height` pixels.
 fn with_height(run: Run, height: u32) -> Run {
     let [dataset, split, resize, background, time] = ["d", "s", "none", "white", "t"].map(str::to_owned);
     let protocol = scene::Protocol { dataset, split, width: 100, height, resize, background, time };
@@ -35,16 +35,16 @@ fn pairs_give_mean_interval_and_wins() {
 }
 
 #[test]
-fn a_result_without_figures_is_told_from_one_that_is_no_worse() {
+fn results_without_values_differ_from_equal_results() {
     let whole = side("m", [20.0, 30.0, 25.0]);
     let failed: Vec<Run> = ["a", "b", "c"].map(|scene| run("m", scene, "0", None)).to_vec();
     let compared = compare(&whole, &failed, &[]).unwrap();
-    assert!(!compared.has_figures() && compared.protocols[0].rows[0].lost[&Column::PSNR].len() == 3);
-    assert!(compare(&whole, &whole, &[]).unwrap().has_figures());
+    assert!(!compared.has_values() && compared.protocols[0].rows[0].lost[&Column::PSNR].len() == 3);
+    assert!(compare(&whole, &whole, &[]).unwrap().has_values());
 }
 
 #[test]
-fn what_shares_a_scene_is_averaged_before_an_interval_is_made() {
+fn runs_of_a_scene_are_averaged_before_the_interval() {
     let of = |row: &str, psnr: [f64; 4]| -> Vec<Run> {
         let places = [("a", "0"), ("a", "1"), ("b", "0"), ("b", "1")];
         places.into_iter().zip(psnr).map(|((scene, seed), psnr)| run(row, scene, seed, Some(psnr))).collect()
@@ -68,23 +68,23 @@ fn what_shares_a_scene_is_averaged_before_an_interval_is_made() {
 }
 
 #[test]
-fn rows_pair_by_name_or_as_told_or_as_the_only_ones() {
+fn rows_pair_by_name_by_option_or_as_the_only_ones() {
     let both = [side("m", [1.0; 3]), side("n", [3.0; 3])].concat();
     let compared = compare(&both, &both, &[]).unwrap();
     assert_eq!(compared.protocols[0].rows.iter().map(ComparedRow::name).collect::<Vec<_>>(), ["m", "n"]);
-    let told = compare(&both, &both, &[("m".into(), "n".into())]).unwrap();
+    let named = compare(&both, &both, &[("m".into(), "n".into())]).unwrap();
     assert_eq!(
-        (told.protocols[0].rows[0].name(), told.protocols[0].rows[0].metrics[&Column::PSNR].difference),
+        (named.protocols[0].rows[0].name(), named.protocols[0].rows[0].metrics[&Column::PSNR].difference),
         ("m → n".into(), 2.0)
     );
-    assert_eq!((told.only_in_a.len(), told.only_in_b.len()), (3, 3));
+    assert_eq!((named.only_in_a.len(), named.only_in_b.len()), (3, 3));
     let only = compare(&side("m", [1.0; 3]), &side("n", [3.0; 3]), &[]).unwrap();
     assert_eq!(only.protocols[0].rows[0].metrics[&Column::PSNR].pairs, 3);
     assert!(compare(&both, &side("o", [1.0; 3]), &[]).unwrap().protocols.is_empty());
 }
 
 #[test]
-fn another_protocol_is_refused_with_what_differs() {
+fn another_protocol_is_refused_and_the_difference_named() {
     let with_height = |height: u32| vec![with_height(run("m", "a", "0", Some(20.0)), height)];
     assert!(compare(&with_height(100), &with_height(100), &[]).is_ok());
     let refused = compare(&with_height(100), &with_height(200), &[]).unwrap_err().to_string();
@@ -93,7 +93,7 @@ fn another_protocol_is_refused_with_what_differs() {
 }
 
 #[test]
-fn numbers_of_several_protocols_share_no_mean() {
+fn values_of_several_protocols_share_no_mean() {
     let both = [run("m", "a", "0", Some(20.0)), with_height(run("m", "b", "0", Some(40.0)), 50)];
     let compared = compare(&both, &both, &[]).unwrap();
     let means: Vec<f64> = compared.protocols.iter().map(|under| under.rows[0].metrics[&Column::PSNR].mean_a).collect();
@@ -109,7 +109,7 @@ fn numbers_of_several_protocols_share_no_mean() {
 }
 
 #[test]
-fn a_loss_beyond_the_limit_and_a_lost_value_are_violations() {
+fn a_drop_beyond_the_limit_and_a_missing_value_are_violations() {
     let (before, after) = (side("m", [20.0, 20.0, 20.0]), side("m", [19.9, 20.0, 19.8]));
     let compared = compare(&before, &after, &[]).unwrap();
     let limit = |amount| [(Column::PSNR, amount)];
@@ -119,15 +119,15 @@ fn a_loss_beyond_the_limit_and_a_lost_value_are_violations() {
     assert_eq!(compare(&after, &before, &[]).unwrap().violations(&limit(Amount::Absolute(0.0))), Vec::<String>::new());
     let lost = [&after[..2], &[run("m", "c", "0", None)]].concat();
     let violations = compare(&before, &lost, &[]).unwrap().violations(&limit(Amount::Absolute(1.0)));
-    assert_eq!(violations, ["psnr is lost: m on c, seed 0: not measured"]);
+    assert_eq!(violations, ["psnr is missing in B: m on c, seed 0: not measured"]);
     assert!(
         compared.violations(&[(Column::Metric(Metric::Ssim), Amount::Absolute(1.0))])[0]
-            .contains("ssim cannot be judged")
+            .contains("ssim cannot be checked")
     );
 }
 
 #[test]
-fn times_of_different_machines_do_not_compare() {
+fn times_of_different_machines_are_left_out() {
     let timed = |threads: u64| {
         let mut run = run("m", "a", "0", Some(20.0));
         run.figures.insert(Column::TrainingSecs, Score::Value(3.0));

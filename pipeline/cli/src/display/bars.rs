@@ -1,4 +1,4 @@
-//! Progress bars on a terminal: one for the run, one per running job.
+//! Progress bars for terminals: one for the run and one per running job.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use super::{Display, lines};
 use crate::error::CliError;
 
-pub struct Bars {
+pub(crate) struct Bars {
     all: MultiProgress,
     run: ProgressBar,
     jobs: BTreeMap<String, ProgressBar>,
@@ -17,7 +17,7 @@ pub struct Bars {
 }
 
 impl Bars {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let all = MultiProgress::new();
         let run = all.add(ProgressBar::new(0).with_style(style("{bar:24} {pos}/{len} jobs  {elapsed}  {msg}")));
         run.enable_steady_tick(Duration::from_millis(500));
@@ -25,7 +25,7 @@ impl Bars {
     }
 
     fn note(&self, text: &str) {
-        // A line that cannot be drawn is of no consequence: everything is in the run's events.
+        // A failed write is harmless: the run's event log holds every message.
         let _ = self.all.println(text);
     }
 }
@@ -70,7 +70,7 @@ impl Display for Bars {
     }
 }
 
-/// A bar's style. The templates are constants; a mistake in one would show at the first run.
+/// A bar's style. An invalid template falls back to the default style; all templates are constants of this file.
 fn style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("━╸ ")
 }

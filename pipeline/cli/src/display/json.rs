@@ -6,7 +6,7 @@ use super::Display;
 use crate::error::CliError;
 use crate::output::print_line;
 
-pub struct JsonLines;
+pub(crate) struct JsonLines;
 
 impl Display for JsonLines {
     fn show(&mut self, event: &Event) -> Result<(), CliError> {

@@ -1,28 +1,28 @@
-//! One line per event, for logs: without a terminal nothing else would show that a run is alive.
+//! One line per event, for logs and pipes.
 
 use engine::event::{Counts, Event, NodeResult, Outcome};
 
 use super::Display;
 use crate::error::CliError;
-use crate::output::{count, duration, tell};
+use crate::output::{count, duration, note};
 
 #[derive(Default)]
-pub struct Lines {
+pub(crate) struct Lines {
     counts: Counts,
 }
 
 impl Display for Lines {
     fn show(&mut self, event: &Event) -> Result<(), CliError> {
         if let Some(line) = self.line(event) {
-            tell(&line);
+            note(&line);
         }
         Ok(())
     }
 }
 
 impl Lines {
-    /// The line for an event; none for those that would only fill the log.
-    pub fn line(&mut self, event: &Event) -> Option<String> {
+    /// The line for an event; none for events that would flood the log.
+    pub(crate) fn line(&mut self, event: &Event) -> Option<String> {
         match event {
             Event::Planned { run, recipe, jobs } => {
                 self.counts.total = *jobs;
@@ -47,14 +47,15 @@ impl Lines {
         }
     }
 
+    /// `[12/240]`: finished jobs and all jobs.
     fn place(&self) -> String {
-        let rest = self.counts.done() + self.counts.failed + self.counts.missing_data + self.counts.skipped;
-        format!("[{rest}/{}]", self.counts.total)
+        let finished = self.counts.done() + self.counts.failed + self.counts.missing_data + self.counts.skipped;
+        format!("[{finished}/{}]", self.counts.total)
     }
 }
 
-/// What became of a job, in words; none for cached ones, of which there may be thousands.
-pub fn finished(node: &str, result: &NodeResult) -> Option<String> {
+/// A job's outcome in words; none for cached jobs, because there may be thousands.
+pub(crate) fn finished(node: &str, result: &NodeResult) -> Option<String> {
     let failure = || result.failure.as_ref().map(ToString::to_string).unwrap_or_default();
     let note = result.note.as_ref().map(|note| format!(" ({note})")).unwrap_or_default();
     match result.outcome {

@@ -1,10 +1,10 @@
-//! What the user sees of a run. Every display shows the same events.
+//! Displays of a running run: progress bars, log lines or JSON. All of them show the same events.
 
 mod bars;
 mod json;
-pub mod lines;
-pub mod profile;
-pub mod summary;
+pub(crate) mod lines;
+pub(crate) mod profile;
+pub(crate) mod summary;
 
 use std::io::IsTerminal;
 
@@ -13,13 +13,13 @@ use engine::event::Event;
 use crate::error::CliError;
 
 /// Shows events as they happen.
-pub trait Display {
-    /// An error if nobody will see any event any more; for standard error, where messages may get lost, there is none.
+pub(crate) trait Display {
+    /// Shows one event. Errors if standard output is closed; failed writes to standard error are ignored.
     fn show(&mut self, event: &Event) -> Result<(), CliError>;
 }
 
-/// JSON if asked for; bars on a terminal; lines otherwise.
-pub fn choose(json: bool) -> Box<dyn Display> {
+/// Chooses JSON if requested, bars if standard error is a terminal, and lines otherwise.
+pub(crate) fn choose(json: bool) -> Box<dyn Display> {
     if json {
         Box::new(json::JsonLines)
     } else if std::io::stderr().is_terminal() {

@@ -1,4 +1,4 @@
-//! `--profile`: what the steps of every training spend their time on, to standard output.
+//! `--profile`: prints where the steps of each training spend their time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -10,17 +10,17 @@ use crate::error::CliError;
 use crate::output;
 use crate::session::{Session, TRAINING};
 
-/// What a training measured of its steps.
+/// The measurements of a training that concern its steps.
 #[derive(Deserialize)]
 struct Measured {
     device: String,
     ms_per_iteration: f64,
-    /// Milliseconds per call of every operation, forward and backward, on the host's clock.
+    /// Milliseconds per call of each operation, forward and backward, by the host's clock.
     kernels_ms: BTreeMap<String, [f64; 2]>,
     gpu: Option<GpuUse>,
 }
 
-/// Per iteration.
+/// Use of the GPU per iteration.
 #[derive(Deserialize)]
 struct GpuUse {
     launches: f64,
@@ -38,8 +38,8 @@ struct KernelUse {
     ms_per_launch: Option<f64>,
 }
 
-/// A table for every training that has a result.
-pub fn print(session: &Session) -> Result<(), CliError> {
+/// Prints a table for each selected training that has a result.
+pub(crate) fn print(session: &Session) -> Result<(), CliError> {
     let trains = |index: &usize| session.plan.nodes[*index].stage == TRAINING;
     let needed = session.plan.with_ancestors(&session.targets);
     let trainings: BTreeSet<usize> = needed.into_iter().filter(trains).collect();

@@ -1,4 +1,4 @@
-//! `compare`: two results, paired by row, scene and seed.
+//! `compare`: compares two results, paired by row, scene and seed.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,29 +14,28 @@ use crate::error::CliError;
 use crate::measured;
 use crate::output::{count, print, print_json};
 
-/// What is printed where no metric is named.
-const USUAL: [Column; 3] = [Column::PSNR, Column::Metric(Metric::Ssim), Column::TrainingSecs];
+/// The metrics to print if none is named.
+const DEFAULT_METRICS: [Column; 3] = [Column::PSNR, Column::Metric(Metric::Ssim), Column::TrainingSecs];
 
-pub fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
+pub(crate) fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
     let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.with));
-    let comparison =
-        comparison::compare(&a?, &b?, &args.rows).map_err(|differ| CliError::Incomparable(Box::new(differ)))?;
+    let comparison = comparison::compare(&a?, &b?, &args.rows).map_err(|differ| CliError::Input(differ.into()))?;
     if comparison.protocols.is_empty() {
-        let hint = "name the rows that belong together, as --rows static3dgs=mcgs";
+        let hint = "pair rows by name, e.g. --rows static3dgs=mcgs";
         return Err(CliError::nothing("no measured run of A has a partner in B: same row, scene and seed", hint));
     }
     let violations = comparison.violations(&args.fail_if_worse);
-    let wanted = if args.metrics.is_empty() { &USUAL[..] } else { &args.metrics[..] };
+    let wanted = if args.metrics.is_empty() { &DEFAULT_METRICS[..] } else { &args.metrics[..] };
     if args.json {
         print_json(&json!({ "comparison": comparison, "violations": violations }))?;
     } else {
         print(&text(args, &comparison, wanted, &violations))?;
     }
-    match (&violations[..], comparison.has_figures()) {
+    match (&violations[..], comparison.has_values()) {
         ([], true) => Ok(exit::OK),
         ([], false) => {
-            let hint = "`pipeline status RECIPE` tells what became of its jobs";
-            Err(CliError::nothing("no pair of runs has a figure on both sides: nothing was compared", hint))
+            let hint = "`pipeline status RECIPE` lists failed and missing jobs";
+            Err(CliError::nothing("no pair of runs has values on both sides: nothing was compared", hint))
         }
         _ => Ok(exit::DIFFERS),
     }
@@ -58,18 +57,18 @@ fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violatio
     let mut notes: Vec<String> = comparison.without_times.iter().cloned().collect();
     for (side, alone) in [("A", &comparison.only_in_a), ("B", &comparison.only_in_b)] {
         if let Some(first) = alone.first() {
-            notes.push(format!("{} only in {side}, as {first}", count(alone.len(), "run")));
+            notes.push(format!("{} only in {side}, e.g. {first}", count(alone.len(), "run")));
         }
     }
     notes.iter().for_each(|note| text += &format!("note: {note}\n"));
     for (run, metrics) in lost(comparison, wanted) {
-        text += &format!("LOST in B: {} of {run}\n", metrics.join(", "));
+        text += &format!("MISSING in B: {} of {run}\n", metrics.join(", "));
     }
     violations.iter().for_each(|violation| text += &format!("WORSE: {violation}\n"));
     text
 }
 
-/// What B lacks of what is printed: run and reason → metrics.
+/// The printed metrics that B lacks: run with reason → metrics.
 fn lost<'a>(comparison: &'a Comparison, wanted: &[Column]) -> BTreeMap<&'a str, Vec<&'static str>> {
     let mut lost: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for row in comparison.protocols.iter().flat_map(|under| &under.rows) {

@@ -1,19 +1,19 @@
-//! What jobs simulate and leave out, and why, in few lines.
+//! Which effects jobs simulate and which they leave out, with reasons, summarised over jobs that agree.
 
 use std::collections::BTreeMap;
 
 use engine::{Decision, Plan};
 
-/// Jobs of one template that decided alike.
-pub struct Alike<'a> {
-    /// Their names, with `*` where they differ: `train/*/deformable4dgs/0`.
-    pub pattern: String,
-    /// What each of them decided.
-    pub decisions: &'a [Decision],
+/// Jobs of one template with equal decisions.
+pub(crate) struct Alike<'a> {
+    /// The jobs' names with `*` for the parts that differ, e.g. `train/*/deformable4dgs/0`.
+    pub(crate) pattern: String,
+    /// The decisions of each job.
+    pub(crate) decisions: &'a [Decision],
 }
 
-/// The decisions of the nodes with these indices, in the order of the plan.
-pub fn decided_alike(plan: &Plan, nodes: impl Iterator<Item = usize>) -> Vec<Alike<'_>> {
+/// Groups the nodes with these indices by template and decisions, in the order of the plan.
+pub(crate) fn decided_alike(plan: &Plan, nodes: impl Iterator<Item = usize>) -> Vec<Alike<'_>> {
     let mut groups: Vec<(&str, &[Decision], Vec<&str>)> = Vec::new();
     for node in nodes.map(|index| &plan.nodes[index]).filter(|node| !node.decisions.is_empty()) {
         let known = groups.iter_mut().find(|(template, decisions, _)| {
@@ -27,7 +27,7 @@ pub fn decided_alike(plan: &Plan, nodes: impl Iterator<Item = usize>) -> Vec<Ali
     groups.into_iter().map(|(_, decisions, names)| Alike { pattern: pattern(&names), decisions }).collect()
 }
 
-/// `train/ball/a/0` and `train/ball/a/1` are `train/ball/a/*`.
+/// Replaces the parts in which the names differ by `*`.
 fn pattern(names: &[&str]) -> String {
     let mut parts: Vec<&str> = names[0].split('/').collect();
     for name in names {
@@ -40,8 +40,8 @@ fn pattern(names: &[&str]) -> String {
     parts.join("/")
 }
 
-/// One line per group of jobs, and one for the jobs that nothing needs.
-pub fn render(plan: &Plan, nodes: impl Iterator<Item = usize>) -> String {
+/// One line per group of jobs, and one for the jobs that the plan leaves out.
+pub(crate) fn render(plan: &Plan, nodes: impl Iterator<Item = usize>) -> String {
     let mut text = String::new();
     for Alike { pattern, decisions } in decided_alike(plan, nodes) {
         let sentences: Vec<String> = decisions.iter().map(sentence).collect();
@@ -53,13 +53,13 @@ pub fn render(plan: &Plan, nodes: impl Iterator<Item = usize>) -> String {
     }
     let counts: Vec<String> = left_out.iter().map(|(template, count)| format!("{count} × {template}")).collect();
     if !counts.is_empty() {
-        text += &format!("left out, because no job needs it: {}\n", counts.join(", "));
+        text += &format!("left out, because no job needs them: {}\n", counts.join(", "));
     }
     text
 }
 
-/// `flow off (nothing is wired to priors)`.
-pub fn sentence(decision: &Decision) -> String {
+/// A decision in words, e.g. `flow off (nothing is wired to priors)`.
+pub(crate) fn sentence(decision: &Decision) -> String {
     let Decision { effect, on, reason } = decision;
     format!("{effect} {} ({reason})", if *on { "on" } else { "off" })
 }
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_differs_is_a_star() {
+    fn differing_parts_become_stars() {
         assert_eq!(pattern(&["train/ball/a/0"]), "train/ball/a/0");
         assert_eq!(pattern(&["train/ball/a/0", "train/lego/a/1"]), "train/*/a/*");
     }

@@ -1,4 +1,4 @@
-//! `doctor`: what this machine has of what runs need.
+//! `doctor`: checks whether this machine has what runs need.
 
 use std::path::Path;
 
@@ -11,8 +11,9 @@ use crate::error::CliError;
 use crate::output::{bytes, print};
 use crate::stages::stages;
 
-/// Looks at everything that a run needs, and at GPUs; an exit code other than 0 if something is missing.
-pub fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Result<u8, CliError> {
+/// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store, or the GPU
+/// that the user named, is unusable.
+pub(crate) fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Result<u8, CliError> {
     let mut text = format!("pipeline {}\n", env!("CARGO_PKG_VERSION"));
     text += &format!("threads      {}\n", std::thread::available_parallelism().map_or(1, usize::from));
     let store_is_sound = match try_store(store) {
@@ -25,7 +26,7 @@ pub fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Result<u8
             false
         }
     };
-    let data = if data_root.is_dir() { "there" } else { "not there (sources of recipes will be missing data)" };
+    let data = if data_root.is_dir() { "exists" } else { "missing (recipes with sources will report missing data)" };
     text += &format!("data root    {}: {data}\n", data_root.display());
     for stage in stages().stages() {
         text += &format!("stage        {:<18} {}\n", stage.id(), stage.about());
@@ -35,16 +36,16 @@ pub fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Result<u8
     Ok(if store_is_sound && device_is_sound { exit::OK } else { exit::INFRASTRUCTURE })
 }
 
-/// Opens the store and writes a file in it, to see that it can be written.
+/// Checks that the store can be written or, if it is missing, created; describes it.
 fn try_store(path: &Path) -> anyhow::Result<String> {
     let store = Store::look(path)?;
     if !store.exists() {
         let root = store.root();
-        let there = root.ancestors().find(|folder| folder.exists()).unwrap_or(root);
-        let probe = there.join(format!(".pipeline-doctor-{}", std::process::id()));
+        let parent = root.ancestors().find(|folder| folder.exists()).unwrap_or(root);
+        let probe = parent.join(format!(".pipeline-doctor-{}", std::process::id()));
         let probed = std::fs::create_dir(&probe).and_then(|()| std::fs::remove_dir(&probe));
-        probed.with_context(|| format!("it cannot be made: {}", root.display()))?;
-        return Ok(format!("{}: not there yet; the first run makes it", root.display()));
+        probed.with_context(|| format!("it cannot be created: {}", root.display()))?;
+        return Ok(format!("{}: missing; the first run creates it", root.display()));
     }
     let in_use = store.lock_shared()?;
     std::fs::write(store.scratch("doctor")?.path().join("probe"), "probe")?;
@@ -53,11 +54,11 @@ fn try_store(path: &Path) -> anyhow::Result<String> {
     Ok(format!("{}: writable, {busy}", store.root().display()))
 }
 
-/// Describes the GPUs, or the one that is named, and lets each compute what the CPU computes; whether the named one can be
-/// used. Without a name nothing is required: everything runs on the CPU.
+/// Describes all GPUs, or the named one, and compares each with the CPU. Returns whether the named GPU is usable;
+/// without a name, always true, because everything runs on the CPU.
 fn try_adapters(device: Option<&str>) -> Result<bool, CliError> {
     if device == Some(DeviceClass::Cpu.as_str()) {
-        print("adapter      none asked for: everything runs on the CPU\n")?;
+        print("adapter      none requested: everything runs on the CPU\n")?;
         return Ok(true);
     }
     let chosen = match device {
@@ -72,7 +73,7 @@ fn try_adapters(device: Option<&str>) -> Result<bool, CliError> {
         }
     };
     if adapters.is_empty() {
-        print("adapter      none: everything runs on the CPU\n")?;
+        print("adapter      none found: everything runs on the CPU\n")?;
     }
     let mut all_are_sound = true;
     for adapter in adapters {
@@ -86,21 +87,21 @@ fn try_adapters(device: Option<&str>) -> Result<bool, CliError> {
     Ok(all_are_sound || device.is_none())
 }
 
-/// Name, limits and features, a line each.
+/// The adapter's name, limits and features, on one line each.
 fn describe(adapter: &AdapterReport) -> String {
     let AdapterReport { name, backend, kind, pci_id, pci_bus, driver, .. } = adapter;
     let bus = if pci_bus.is_empty() { String::new() } else { format!(" at {pci_bus}") };
     let features = if adapter.features.is_empty() { "none".to_owned() } else { adapter.features.join(", ") };
-    let adding = adapter.subgroup_size.map_or("workgroup memory".to_owned(), |size| format!("subgroups of {size}"));
+    let sums = adapter.subgroup_size.map_or("workgroup memory".to_owned(), |size| format!("subgroups of {size}"));
     let (array, shared) = (bytes(adapter.max_array_bytes), bytes(adapter.max_workgroup_bytes.into()));
     format!("adapter      {name}: {kind}, {backend}, PCI {pci_id}{bus}, {driver}\n")
         + &format!("             limits: arrays of {array}, {} per kernel; ", adapter.max_arrays)
         + &format!("workgroups of {} with {shared}\n", adapter.max_workgroup_size)
         + &format!("             optional features: {features}\n")
-        + &format!("             gradients of pixels add up in {adding}\n")
+        + &format!("             pixel gradients are summed in {sums}\n")
 }
 
-/// Opens the adapter and compares it with the CPU.
+/// Opens the adapter, compares it with the CPU, and describes the result.
 fn try_adapter(adapter: &AdapterReport) -> anyhow::Result<String> {
     let gpu = adapter.open()?;
     let conformance = conformance::check(gpu)?;

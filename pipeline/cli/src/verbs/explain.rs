@@ -1,4 +1,4 @@
-//! `explain`: why one job runs, and where its parameters come from.
+//! `explain`: why one job runs, and where each of its parameters comes from.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -11,8 +11,8 @@ use crate::output::{print, print_json};
 use crate::session::Session;
 use crate::verbs::{decisions, plan};
 
-pub fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?;
+pub(crate) fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
+    let session = Session::read_only(store, &args.recipe)?;
     let index = session.node(&args.node)?;
     let node = &session.plan.nodes[index];
     let predictions = session.predict_for(&BTreeSet::from([index]))?;
@@ -34,7 +34,7 @@ pub fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
     let mut text = plan::line(&node.name, own);
     for cause in &causes {
         for change in &cause.changes {
-            text += &format!("first cause: {}: {}\n", session.plan.nodes[cause.nodes[0]].name, change.sentence);
+            text += &format!("root cause: {}: {}\n", session.plan.nodes[cause.nodes[0]].name, change.sentence);
         }
     }
     for decision in &node.decisions {

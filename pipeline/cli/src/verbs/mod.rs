@@ -1,14 +1,14 @@
-//! One function per verb, returning the exit code.
+//! One function per verb. Each returns the exit code.
 
-pub mod cache;
-pub mod compare;
-pub mod decisions;
-pub mod doctor;
-pub mod explain;
-pub mod graph;
-pub mod plan;
-pub mod results;
-pub mod run;
-pub mod status;
-pub mod table;
-pub mod tools;
+pub(crate) mod cache;
+pub(crate) mod compare;
+pub(crate) mod decisions;
+pub(crate) mod doctor;
+pub(crate) mod explain;
+pub(crate) mod graph;
+pub(crate) mod plan;
+pub(crate) mod results;
+pub(crate) mod run;
+pub(crate) mod status;
+pub(crate) mod table;
+pub(crate) mod tools;

@@ -1,4 +1,4 @@
-//! `plan`: what a run would do, and why.
+//! `plan`: which jobs a run would execute, and why.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,14 +14,14 @@ use crate::output::{count, duration, print, print_json};
 use crate::session::Session;
 use crate::verbs::decisions;
 
-pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?.select(&args.selection)?;
+pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
+    let session = Session::read_only(store, &args.recipe)?.select(&args.selection)?;
     let predictions = session.predict()?;
     let causes = causes(&session.plan, &predictions);
     if args.json {
         let name = |index: &usize| &session.plan.nodes[*index].name;
         let jobs: BTreeMap<&String, &Prediction> =
-            predictions.iter().map(|(index, told)| (name(index), told)).collect();
+            predictions.iter().map(|(index, prediction)| (name(index), prediction)).collect();
         let causes: Vec<_> = causes
             .iter()
             .map(|cause| {
@@ -51,23 +51,23 @@ pub fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     Ok(engine::exit::OK)
 }
 
-/// The first causes of everything that would run.
-pub fn causes(plan: &Plan, predictions: &BTreeMap<usize, Prediction>) -> Vec<RootCause> {
+/// The root causes of all jobs that would run.
+pub(crate) fn causes(plan: &Plan, predictions: &BTreeMap<usize, Prediction>) -> Vec<RootCause> {
     let changes: BTreeMap<usize, Vec<Change>> =
-        predictions.iter().map(|(&index, told)| (index, told.changes().to_vec())).collect();
+        predictions.iter().map(|(&index, prediction)| (index, prediction.changes().to_vec())).collect();
     root_causes(plan, &changes)
 }
 
-/// One job in one line.
-pub fn line(name: &str, prediction: &Prediction) -> String {
+/// One line for a job: state, name, reason, and expected time.
+pub(crate) fn line(name: &str, prediction: &Prediction) -> String {
     let secs = prediction.expected_secs.filter(|_| prediction.may_run());
     let secs = secs.map(|secs| format!("  (about {})", duration(secs))).unwrap_or_default();
     let (word, reason) = describe(prediction);
     format!("{word:<12} {name}{}{reason}{secs}\n", if reason.is_empty() { "" } else { ": " })
 }
 
-/// A job's state in one or two words, and the reason.
-pub fn describe(prediction: &Prediction) -> (&'static str, String) {
+/// A job's state in one or two words, and the reason for it.
+pub(crate) fn describe(prediction: &Prediction) -> (&'static str, String) {
     let sentences: Vec<&str> = prediction.changes().iter().map(|change| change.sentence.as_str()).collect();
     let sentences = sentences.join("; ");
     match &prediction.state {

@@ -1,4 +1,4 @@
-//! `show`, `export`, `render`: what jobs made.
+//! `show`, `export` and `render`: results of single jobs.
 
 use std::path::{Path, PathBuf};
 
@@ -11,10 +11,10 @@ use training::compute_on;
 use crate::args::{ExportArgs, ExportFormat, RenderArgs, ShowArgs};
 use crate::error::CliError;
 use crate::output::{bytes, duration, print, print_json, print_line};
-use crate::session::{REPORT, Session, TRAINING};
+use crate::session::{Session, TRAINING};
 
-pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.node.recipe)?;
+pub(crate) fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
+    let session = Session::read_only(store, &args.node.recipe)?;
     let record = session.record(session.node(&args.node.node)?)?;
     let view = session.store.view(&record.content)?;
     let measurements = session.store.read_measurements(&record.measurements)?;
@@ -44,22 +44,7 @@ pub fn show(store: &Path, args: &ShowArgs) -> Result<u8, CliError> {
     Ok(engine::exit::OK)
 }
 
-/// The jobs of the recipe that make tables.
-pub fn table_nodes(session: &Session) -> Vec<usize> {
-    let nodes = session.plan.nodes.iter().enumerate();
-    nodes.filter(|(_, node)| node.stage == REPORT).map(|(index, _)| index).collect()
-}
-
-/// The same, of a recipe that must make some.
-pub fn tables(session: &Session) -> Result<Vec<usize>, CliError> {
-    let tables = table_nodes(session);
-    if tables.is_empty() {
-        return Err(CliError::nothing("the recipe makes no table", "add a node with stage = \"table-generation\""));
-    }
-    Ok(tables)
-}
-
-/// The folders of the model that a training job made, and of the capture that it was trained on.
+/// The folders of a training job's model and of the capture that it was trained on.
 fn model_and_capture(session: &Session, job: &str) -> Result<[PathBuf; 2], CliError> {
     let index = session.node(job)?;
     let node = &session.plan.nodes[index];
@@ -67,15 +52,15 @@ fn model_and_capture(session: &Session, job: &str) -> Result<[PathBuf; 2], CliEr
         return Err(CliError::nothing(format!("{} does not train a model", node.name), "name a training job"));
     }
     let record = session.record(index)?;
-    // The very capture that the model was trained on, whatever the recipe says now.
+    // From the record: the recipe may name another capture by now.
     let capture = record.components.inputs.get("capture").and_then(|inputs| inputs.first()?.content.as_deref());
     let capture =
         Digest::from_hex(capture.unwrap_or_default()).context("the record of the training names no capture")?;
     Ok([session.store.view(&record.content)?, session.store.view(&capture)?])
 }
 
-pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?;
+pub(crate) fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
+    let session = Session::read_only(store, &args.recipe)?;
     let [model, capture] = model_and_capture(&session, &args.node)?;
     let report = match args.format {
         ExportFormat::PlySeq => rendering::export::ply_sequence(&model, &capture, &args.times.0, &args.out),
@@ -84,8 +69,8 @@ pub fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
     Ok(engine::exit::OK)
 }
 
-pub fn render(store: &Path, args: &RenderArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?;
+pub(crate) fn render(store: &Path, args: &RenderArgs) -> Result<u8, CliError> {
+    let session = Session::read_only(store, &args.recipe)?;
     session.device.check()?;
     let (models, capture) = models_and_capture(&session, &args.jobs)?;
     let times = args.times.as_ref().map_or(&[][..], |times| &times.0);

@@ -1,4 +1,4 @@
-//! `run`: everything that is not in the store yet.
+//! `run`: executes the jobs whose results are missing from the store.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -14,12 +14,12 @@ use crate::display::{self, profile, summary};
 use crate::error::CliError;
 use crate::session::Session;
 
-/// Without a terminal, a line at least this often says that the run is alive.
+/// Without a terminal, a line is printed at least this often to show that the run is alive.
 const HEARTBEAT: Duration = Duration::from_secs(30);
 
-pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
+pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     if args.frozen {
-        refuse_to_run(&Session::look(store, &args.recipe)?.select(&args.selection)?)?;
+        refuse_to_run(&Session::read_only(store, &args.recipe)?.select(&args.selection)?)?;
     }
     let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
     if session.needs_device()? {
@@ -27,26 +27,26 @@ pub fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     }
     let options = options(&session, args)?;
     let mut display = display::choose(args.json);
-    let mut unseen = None;
+    let mut closed = None;
     let watch = &mut |event: &Event| {
-        if unseen.is_none()
+        if closed.is_none()
             && let Err(error) = display.show(event)
         {
-            // Whoever wanted the events is gone: the jobs save their progress and stop.
+            // The reader of the events exited: stop the jobs, which save their progress.
             options.stop.reader_is_gone();
-            unseen = Some(error);
+            closed = Some(error);
         }
     };
     let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
     drop(display);
     summary::print(&session, &result);
-    if let Some(error) = unseen {
+    if let Some(error) = closed {
         return Err(error);
     }
     if !args.json {
         summary::print_tables(&session, &result)?;
         if args.profile {
-            // What was forced to run has run.
+            // The forced jobs have run now, so their results count as cached.
             profile::print(&Session { force: BTreeSet::new(), ..session })?;
         }
     }
@@ -74,14 +74,14 @@ fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
     })
 }
 
-/// The file of this very program. On Linux a link to the running image, which stays what it is when a build replaces
-/// the file: all jobs of a run run the code that the plan was made with.
+/// The path of this program. On Linux it is a link to the running image, which does not change when a build replaces
+/// the file, so all jobs of a run execute the code that the plan was made with.
 fn own_program() -> anyhow::Result<PathBuf> {
     let image = PathBuf::from("/proc/self/exe");
-    if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find this program's own file") }
+    if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find the program's own file") }
 }
 
-/// With `--frozen`: an error that names the jobs, if any would have to run.
+/// Checks `--frozen`: an error names the jobs that would have to run, if there are any.
 fn refuse_to_run(session: &Session) -> Result<(), CliError> {
     let predictions = session.predict()?;
     let stale = predictions.iter().filter(|(_, prediction)| prediction.may_run());

@@ -1,4 +1,4 @@
-//! `status`: what is done, running, failed and still to do.
+//! `status`: counts the jobs that are done, running, failed and still to do.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,12 +12,14 @@ use crate::output::{print, print_json};
 use crate::session::Session;
 use crate::verbs::plan;
 
-pub fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?;
+pub(crate) fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
+    let session = Session::read_only(store, &args.recipe)?;
     let predictions = session.predict()?;
     if args.json {
-        let named: BTreeMap<&str, _> =
-            predictions.iter().map(|(&index, told)| (session.plan.nodes[index].name.as_str(), told)).collect();
+        let named: BTreeMap<&str, _> = predictions
+            .iter()
+            .map(|(&index, prediction)| (session.plan.nodes[index].name.as_str(), prediction))
+            .collect();
         print_json(&named)?;
         return Ok(engine::exit::OK);
     }

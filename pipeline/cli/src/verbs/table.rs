@@ -1,4 +1,4 @@
-//! `table`: the last table, or whether it is the one that was committed.
+//! `table`: prints the latest table, checks it against a committed one, or writes such a file.
 
 use std::path::Path;
 
@@ -11,10 +11,9 @@ use crate::error::CliError;
 use crate::measured;
 use crate::output::{count, print};
 use crate::session::Session;
-use crate::verbs::results::tables;
 
-pub fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
-    let session = Session::look(store, &args.recipe)?;
+pub(crate) fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
+    let session = Session::read_only(store, &args.recipe)?;
     match (&args.check, &args.write_check) {
         (Some(file), _) => check(&session, file),
         (None, Some(file)) => write_check(&session, file),
@@ -29,7 +28,7 @@ fn print_tables(session: &Session, format: TableFormat) -> Result<u8, CliError> 
         TableFormat::Csv => "report.csv",
         TableFormat::Json => "report.json",
     };
-    for index in tables(session)? {
+    for index in session.required_reports()? {
         let record = session.record(index)?;
         let path = session.store.view(&record.content)?.join(file);
         print(&std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?)?;
@@ -39,8 +38,8 @@ fn print_tables(session: &Session, format: TableFormat) -> Result<u8, CliError> 
 
 fn write_check(session: &Session, file: &Path) -> Result<u8, CliError> {
     let runs = measured::current(session)?;
-    let earlier = file.exists().then(|| CheckedTable::read(file)).transpose()?;
-    let text = CheckedTable::of(&session.plan.recipe, &runs, earlier.as_ref()).to_text()?;
+    let existing = file.exists().then(|| CheckedTable::read(file)).transpose()?;
+    let text = CheckedTable::of(&session.plan.recipe, &runs, existing.as_ref()).to_text()?;
     std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
     Ok(exit::OK)
 }
@@ -50,10 +49,12 @@ fn check(session: &Session, file: &Path) -> Result<u8, CliError> {
     let Findings { deviations, compared, nearest } = expected.check(&session.plan.recipe, &measured::current(session)?);
     let mut text: String = deviations.iter().map(|line| format!("DEVIATES: {line}\n")).collect();
     match &deviations[..] {
-        [] => text += &format!("{} within tolerance: {}\n", count(compared, "number"), file.display()),
+        [] => text += &format!("{} within tolerance: {}\n", count(compared, "value"), file.display()),
         some => text += &format!("{} from {}\n", count(some.len(), "deviation"), file.display()),
     }
-    text += &nearest.map(|(share, line)| format!("nearest ({:.0} %): {line}\n", 100.0 * share)).unwrap_or_default();
+    text += &nearest
+        .map(|(share, line)| format!("closest to its tolerance ({:.0} %): {line}\n", 100.0 * share))
+        .unwrap_or_default();
     print(&text)?;
     Ok(if deviations.is_empty() { exit::OK } else { exit::DIFFERS })
 }

@@ -1,4 +1,4 @@
-//! `inspect`, `eval`, `completions`: without a recipe.
+//! `inspect`, `eval` and `completions`: verbs without a recipe.
 
 use std::path::Path;
 
@@ -10,35 +10,41 @@ use crate::args::{Cli, EvalArgs};
 use crate::error::CliError;
 use crate::output::{print, print_json, print_line};
 
-/// An error if the user named a folder that is none.
+/// Checks that a path that the user named is a folder.
 fn require_folder(path: &Path) -> Result<(), CliError> {
     let no_folder = || Failure::new(FailureKind::BadInput, "no such folder").at(path);
     if path.is_dir() { Ok(()) } else { Err(anyhow::Error::from(no_folder()).into()) }
 }
 
-/// Describes a capture, or prints a recipe for it alone; an exit code other than 0 if it cannot be imported.
-pub fn inspect(dir: &Path, recipe_alone: bool) -> Result<u8, CliError> {
+/// Describes the captures in a folder, or prints only a recipe for them. Errors if any of them cannot be imported.
+pub(crate) fn inspect(dir: &Path, only_recipe: bool) -> Result<u8, CliError> {
     if dir.is_file() {
-        let failure = Failure::new(FailureKind::BadInput, "a capture is a folder, this is a file");
-        return Err(anyhow::Error::from(failure.hint("name the folder that the file lies in").at(dir)).into());
+        let failure = Failure::new(FailureKind::BadInput, "a capture is a folder, not a file");
+        return Err(anyhow::Error::from(failure.hint("name the folder that contains the file").at(dir)).into());
     }
     require_folder(dir)?;
     let found = sfm_import::inspect::inspect(dir).map_err(CliError::of_input)?;
     match found.recipe() {
-        Some(recipe) if recipe_alone => print_line(recipe.trim_end())?,
-        None if recipe_alone => {
+        Some(recipe) if only_recipe => print_line(recipe.trim_end())?,
+        None if only_recipe => {
             let failure = Failure::new(FailureKind::BadInput, "nothing here can be imported");
-            return Err(anyhow::Error::from(failure.hint("without --recipe, inspect says why").at(dir)).into());
+            return Err(anyhow::Error::from(
+                failure.hint("`pipeline inspect` without --recipe lists the problems").at(dir),
+            )
+            .into());
         }
         _ => print_line(found.text().trim_end())?,
     }
     if found.captures.iter().all(|capture| capture.problems.is_empty()) {
         return Ok(exit::OK);
     }
-    Err(CliError::of_input(anyhow::anyhow!("not everything can be imported; see the problems: {}", dir.display())))
+    Err(CliError::of_input(anyhow::anyhow!(
+        "not everything can be imported; the problems are listed above: {}",
+        dir.display()
+    )))
 }
 
-pub fn eval(args: &EvalArgs) -> Result<u8, CliError> {
+pub(crate) fn eval(args: &EvalArgs) -> Result<u8, CliError> {
     require_folder(&args.renders)?;
     require_folder(&args.truth)?;
     let weights = args.lpips_weights.as_deref();
@@ -54,7 +60,7 @@ pub fn eval(args: &EvalArgs) -> Result<u8, CliError> {
     Ok(exit::OK)
 }
 
-pub fn completions(shell: clap_complete::Shell) -> Result<u8, CliError> {
+pub(crate) fn completions(shell: clap_complete::Shell) -> Result<u8, CliError> {
     let mut script = Vec::new();
     clap_complete::generate(shell, &mut Cli::command(), "pipeline", &mut script);
     print(&String::from_utf8_lossy(&script))?;

@@ -1,0 +1,308 @@
+//! The command line: every verb with its options. The docstrings below are the help texts.
+
+mod recipe;
+mod values;
+
+pub(crate) use recipe::{Conditions, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
+pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::builder::NonEmptyStringValueParser;
+use clap::{Args, Parser, Subcommand, value_parser};
+use table_generation::Column;
+
+use crate::amount::{Amount, parse_limit, parse_metric};
+use values::{at_least_one, log_filter, parse_times, row_pair};
+
+/// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
+#[derive(Debug, Parser)]
+#[command(name = "pipeline", version, propagate_version = true, after_help = EXIT_CODES)]
+pub(crate) struct Cli {
+    /// Folder for results, logs and checkpoints
+    #[arg(long, global = true, env = "PIPELINE_STORE", default_value = "store", value_name = "DIR")]
+    pub(crate) store: PathBuf,
+    #[command(subcommand)]
+    pub(crate) verb: Verb,
+}
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 success, 2 usage, 3 invalid recipe or other input, 4 nothing selected or nothing ran, 5 --frozen and a job \
+would have to run, 10 some jobs failed, 11 a table or check differs, 12 damaged store, 13 machine failure, \
+75 checkpointed, 130/143 interrupted, 141 standard output was closed.";
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Verb {
+    /// Run the jobs whose results are missing from the store, and print the tables
+    Run(RunArgs),
+    /// Show which jobs a run would execute, and why
+    Plan(PlanArgs),
+    /// Explain why one job runs and where each of its parameters comes from
+    Explain(NodeArgs),
+    /// Count the jobs that are done, running, failed and still to do
+    Status(StatusArgs),
+    /// Print the job graph
+    Graph(GraphArgs),
+    /// Show the result of one job: folder, parameters, key, measurements
+    Show(ShowArgs),
+    /// Print the latest table, or check it against a committed one
+    Table(TableArgs),
+    /// Compare two results, paired by row, scene and seed
+    Compare(CompareArgs),
+    /// Export a trained model to a format that other programs read
+    Export(ExportArgs),
+    /// Render a film of a trained model: PNG frames at any times, from any cameras
+    Render(RenderArgs),
+    /// Describe what a folder of captures contains and what can be imported
+    Inspect {
+        /// Folder of one capture or of several
+        dir: PathBuf,
+        /// Print only a recipe that trains on the captures
+        #[arg(long)]
+        recipe: bool,
+    },
+    /// Compute image metrics for a folder of images from any source
+    Eval(EvalArgs),
+    /// Maintain the store
+    #[command(subcommand)]
+    Cache(CacheVerb),
+    /// Check whether this machine has what runs need: store, data, GPUs
+    Doctor {
+        /// Folder that the sources in recipes are relative to
+        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+        data_root: PathBuf,
+        /// Check only this GPU, and require that it is usable: a part of its name, its PCI id (e.g. 10de:2335), its PCI
+        /// bus, or gpu for the one that is likely fastest; cpu checks none
+        #[arg(long, value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]
+        device: Option<String>,
+    },
+    /// Print a completion script for a shell
+    Completions {
+        /// Shell to complete commands for
+        shell: clap_complete::Shell,
+    },
+    /// Run one job; `run` starts this as a child process
+    #[command(hide = true)]
+    ExecJob {
+        /// File with the job's specification
+        job: PathBuf,
+    },
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RunArgs {
+    #[command(flatten)]
+    pub(crate) recipe: RecipeArgs,
+    #[command(flatten)]
+    pub(crate) selection: SelectionArgs,
+    /// Run up to N jobs at the same time (default: the number of threads)
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    pub(crate) jobs: Option<usize>,
+    /// Use N threads for all jobs together (default: all of this machine)
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    pub(crate) threads: Option<usize>,
+    /// Start no further jobs after the first failure
+    #[arg(long, conflicts_with = "max_failures")]
+    pub(crate) fail_fast: bool,
+    /// Start no further jobs after N failures
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    pub(crate) max_failures: Option<usize>,
+    /// Stop each job after TIME (e.g. 2h, 30min) and keep its checkpoint
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
+    pub(crate) timeout: Option<Duration>,
+    /// Fail without running anything if any job would have to run
+    #[arg(long)]
+    pub(crate) frozen: bool,
+    /// Print where the steps of each training spend their time. On a GPU, also print launches and readbacks per
+    /// iteration and, for trainings of this run, the time of each kernel; timing kernels slows a training down
+    #[arg(long, conflicts_with = "json")]
+    pub(crate) profile: bool,
+    /// Treat missing data as a failure
+    #[arg(long)]
+    pub(crate) require_data: bool,
+    /// Print events as JSON lines instead of tables
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Log filter for the jobs, e.g. debug or training=trace
+    #[arg(long, default_value = "info", value_parser = log_filter, value_name = "FILTER")]
+    pub(crate) log: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct PlanArgs {
+    #[command(flatten)]
+    pub(crate) recipe: RecipeArgs,
+    #[command(flatten)]
+    pub(crate) selection: SelectionArgs,
+    /// Print JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct StatusArgs {
+    #[command(flatten)]
+    pub(crate) recipe: RecipeArgs,
+    /// Print JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GraphArgs {
+    #[command(flatten)]
+    pub(crate) recipe: RecipeArgs,
+    /// Graph language
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: GraphFormat,
+    /// Draw one box per template instead of one per job
+    #[arg(long)]
+    pub(crate) collapse: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ShowArgs {
+    #[command(flatten)]
+    pub(crate) node: NodeArgs,
+    /// Print only the artifact's folder
+    #[arg(long, conflicts_with = "json")]
+    pub(crate) path: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TableArgs {
+    #[command(flatten)]
+    pub(crate) recipe: RecipeArgs,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: TableFormat,
+    /// Compare the table with FILE within its tolerances instead of printing it; exit with 11 if a number, row or
+    /// protocol differs
+    #[arg(long, value_name = "FILE", conflicts_with = "format")]
+    pub(crate) check: Option<PathBuf>,
+    /// Write the table to FILE for later checks instead of printing it; the tolerances of an existing FILE are kept
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["format", "check"])]
+    pub(crate) write_check: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct CompareArgs {
+    /// Baseline: a recipe, a report folder, or a report.json. The options below apply to recipes only; to compare a
+    /// recipe with itself after a change, keep its report first: cp -r store/results/NAME/report/ KEPT
+    pub(crate) a: PathBuf,
+    /// Candidate: a recipe, a report folder, or a report.json
+    pub(crate) b: PathBuf,
+    #[command(flatten)]
+    pub(crate) with: Conditions,
+    /// Compare row ROW_A of A with row ROW_B of B, e.g. static3dgs=mcgs (default: rows of equal names); can be repeated
+    #[arg(long, value_parser = row_pair, value_name = "ROW_A=ROW_B")]
+    pub(crate) rows: Vec<(String, String)>,
+    /// Print this metric, e.g. psnr or training_secs (default: psnr, ssim and training_secs); can be repeated
+    #[arg(long = "metric", value_parser = parse_metric, value_name = "METRIC", conflicts_with = "json")]
+    pub(crate) metrics: Vec<Column>,
+    /// Exit with 11 if the mean of any row is worse in B by more than AMOUNT (e.g. 0.1dB, ssim=0.01,
+    /// training_secs=20%), or if B lacks the value; can be repeated
+    #[arg(long, value_parser = parse_limit, value_name = "METRIC=AMOUNT")]
+    pub(crate) fail_if_worse: Vec<(Column, Amount)>,
+    /// Print JSON with all metrics
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ExportArgs {
+    #[command(flatten)]
+    pub(crate) recipe: RecipeArgs,
+    /// Name of the training job, e.g. train/lego/deformable4dgs/0
+    pub(crate) node: String,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: ExportFormat,
+    /// Evenly spaced times to export, in seconds of the capture
+    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT", allow_hyphen_values = true)]
+    pub(crate) times: Times,
+    /// Folder to write to
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RenderArgs {
+    #[command(flatten)]
+    pub(crate) recipe: RecipeArgs,
+    /// Names of training jobs, e.g. train/lego/deformable4dgs/0; several with --gif
+    #[arg(required = true, value_name = "JOB")]
+    pub(crate) jobs: Vec<String>,
+    /// Evenly spaced times to render, in seconds of the capture; 0.5:0.5:60 freezes the motion for 60 frames (default with
+    /// --views: the times of these views)
+    #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT", allow_hyphen_values = true)]
+    #[arg(required_unless_present = "views")]
+    pub(crate) times: Option<Times>,
+    /// Views of the capture to move the camera through, e.g. test_0000,test_0004, or all views of a split: train, val or
+    /// test (default: a fixed camera at the first test view)
+    #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
+    pub(crate) views: Vec<String>,
+    /// Highlight the region that matches PROMPT, one of the model's prompts (e.g. ball); l4dgs models only
+    #[arg(long)]
+    pub(crate) prompt: Option<String>,
+    /// Write PNG frames to this folder, which must be new or empty
+    #[arg(long, value_name = "DIR", required_unless_present = "gif", conflicts_with = "gif")]
+    pub(crate) out: Option<PathBuf>,
+    /// Write a looping animated GIF with the jobs side by side
+    #[arg(long, value_name = "FILE")]
+    pub(crate) gif: Option<PathBuf>,
+    /// Start the GIF with the capture's own images; the film must follow views of the capture
+    #[arg(long, requires = "gif")]
+    pub(crate) truth: bool,
+    /// Enlarge every panel of the GIF by this factor
+    #[arg(long, requires = "gif", value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=16))]
+    pub(crate) scale: u32,
+    /// Frames per second of the GIF, rounded to hundredths of a second per frame
+    #[arg(long, requires = "gif", value_name = "N", default_value_t = 10, value_parser = value_parser!(u32).range(1..=50))]
+    pub(crate) fps: u32,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EvalArgs {
+    /// Folder of the images to evaluate
+    #[arg(long, value_name = "DIR")]
+    pub(crate) renders: PathBuf,
+    /// Folder of the ground-truth images, with the same file names
+    #[arg(long, value_name = "DIR")]
+    pub(crate) truth: PathBuf,
+    /// Folder of LPIPS weights: alexnet-owt-7be5be79.pth, vgg16-397923af.pth and squeezenet1_1-b8a52dc0.pth of
+    /// torchvision, alex.pth, vgg.pth and squeeze.pth of LPIPS 0.1. Networks without weights are skipped
+    #[arg(long, value_name = "DIR")]
+    pub(crate) lpips_weights: Option<PathBuf>,
+    /// Print JSON with the values of every image
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum CacheVerb {
+    /// Hash every file of the store and list damaged ones
+    Verify {
+        /// Move damaged files to quarantine, so that the next run recomputes them
+        #[arg(long)]
+        repair: bool,
+    },
+    /// Remove results that no recent run needs
+    Gc(GcArgs),
+    /// Show the disk usage of the store by part
+    Du,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GcArgs {
+    /// List what would be removed, and remove nothing
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    /// Keep everything that was used within TIME
+    #[arg(long, value_parser = humantime::parse_duration, default_value = "30d", value_name = "TIME")]
+    pub(crate) max_age: Duration,
+    /// Keep everything that the last N runs planned
+    #[arg(long, default_value_t = 10, value_name = "N")]
+    pub(crate) keep_runs: usize,
+}

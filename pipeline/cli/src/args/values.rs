@@ -1,0 +1,118 @@
+//! Types and parsers of single options.
+
+use std::time::Duration;
+
+use clap::ValueEnum;
+
+/// Most seeds that `--replicates` accepts; larger numbers are typing errors.
+const MAX_REPLICATES: usize = 1000;
+
+/// Most files that `--times` may write into one folder; larger numbers are typing errors. An hour at 25 frames per
+/// second is 90,000.
+const MAX_TIMES: usize = 100_000;
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum GraphFormat {
+    /// Graphviz
+    #[default]
+    Dot,
+    /// Mermaid, which Markdown pages render
+    Mermaid,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum TableFormat {
+    /// Markdown
+    #[default]
+    Md,
+    /// LaTeX
+    Latex,
+    /// Comma-separated values, not rounded
+    Csv,
+    /// JSON, not rounded, with the action key of every cell
+    Json,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum ExportFormat {
+    /// One PLY file of Gaussians per time, readable by common viewers
+    #[default]
+    PlySeq,
+}
+
+/// Times in seconds.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Times(pub(crate) Vec<f64>);
+
+/// Parses `FIRST:LAST:COUNT`: evenly spaced times that include both ends.
+pub(crate) fn parse_times(text: &str) -> Result<Times, String> {
+    let wrong = || format!("expected FIRST:LAST:COUNT (e.g. 0:1:30), not {text}");
+    let [first, last, count] = text.split(':').collect::<Vec<_>>()[..] else { return Err(wrong()) };
+    let number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(wrong);
+    let (first, last) = (number(first)?, number(last)?);
+    let count: usize = count.parse().ok().filter(|&count| count > 0).ok_or_else(wrong)?;
+    if count > MAX_TIMES {
+        return Err(format!("at most {MAX_TIMES} times, not {count}"));
+    }
+    // A single time is FIRST.
+    let step = if count > 1 { (last - first) / (count - 1) as f64 } else { 0.0 };
+    Ok(Times((0..count).map(|index| first + step * index as f64).collect()))
+}
+
+/// Parses `ROW_A=ROW_B`. Row names may contain `=` (e.g. `l4dgs ablation=full`); the middle one of an odd number of
+/// signs separates the names.
+pub(crate) fn row_pair(text: &str) -> Result<(String, String), String> {
+    let signs: Vec<usize> = text.match_indices('=').map(|(at, _)| at).collect();
+    let middle = (signs.len() % 2 == 1).then(|| signs[signs.len() / 2]);
+    let (a, b) = middle.map(|at| (&text[..at], &text[at + 1..])).unwrap_or_default();
+    if a.is_empty() || b.is_empty() {
+        return Err(format!("expected ROW_A=ROW_B (e.g. static3dgs=mcgs), not {text}"));
+    }
+    Ok((a.into(), b.into()))
+}
+
+/// Parses a positive number.
+pub(crate) fn at_least_one(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|&count| count > 0).ok_or_else(|| "expected a positive whole number".to_owned())
+}
+
+/// Parses the number of seeds of `--replicates`.
+pub(crate) fn replicates(text: &str) -> Result<usize, String> {
+    let count = at_least_one(text)?;
+    if count <= MAX_REPLICATES { Ok(count) } else { Err(format!("at most {MAX_REPLICATES} seeds, not {count}")) }
+}
+
+/// Parses the duration of `--budget`.
+pub(crate) fn budget(text: &str) -> Result<Duration, String> {
+    let time = humantime::parse_duration(text).map_err(|error| error.to_string())?;
+    if time.is_zero() { Err("the budget must be longer than zero, e.g. 60s".into()) } else { Ok(time) }
+}
+
+/// Checks the log filter here, because otherwise every job would refuse it.
+pub(crate) fn log_filter(text: &str) -> Result<String, String> {
+    engine::job::check_log_filter(text).map(|()| text.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_include_both_ends() {
+        assert_eq!(parse_times("0:1:3").unwrap().0, [0.0, 0.5, 1.0]);
+        assert_eq!(parse_times("2:9:1").unwrap().0, [2.0]);
+        for wrong in ["", "0:1", "0:1:0", "0:1:-2", "0:nan:3", "0:1:2:3", "a:1:2", "0:1:99999999999999"] {
+            assert!(parse_times(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn row_names_may_contain_equals_signs() {
+        let pair = |text: &str| row_pair(text).ok();
+        assert_eq!(pair("a=b"), Some(("a".into(), "b".into())));
+        assert_eq!(pair("m x=1=m x=2"), Some(("m x=1".into(), "m x=2".into())));
+        for wrong in ["", "a", "=", "a=", "=b", "a=b=c"] {
+            assert_eq!(pair(wrong), None, "{wrong}");
+        }
+    }
+}
