@@ -1,4 +1,4 @@
-//! The product itself, built as a binary of this crate so that the tests can find it.
+//! The `pipeline` program, built as a binary of this crate so that the tests can find it.
 
 use std::process::ExitCode;
 

@@ -1,10 +1,11 @@
-//! The command line explains itself, and the README names what exists.
+//! Help, usage errors and messages of the command line, and the commands that the README names.
 
 use std::collections::BTreeSet;
 
 use crate::product::{Ended, program, root};
+use crate::tidy::tracked_files;
 
-/// The verbs that `--help` lists, without `help` itself.
+/// The verbs that `--help` lists, except `help` itself.
 fn verbs() -> BTreeSet<String> {
     let help = Ended::of(program(&["--help"])).ok();
     let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| line.starts_with("  "));
@@ -15,10 +16,9 @@ fn verbs() -> BTreeSet<String> {
 #[test]
 fn every_verb_has_help() {
     let verbs = verbs();
-    for expected in ["run", "plan", "explain", "status", "graph", "show", "table", "export", "inspect", "eval", "cache"]
-    {
-        assert!(verbs.contains(expected), "{verbs:?}");
-    }
+    let expected =
+        "cache compare completions doctor eval explain export graph inspect plan render run show status table";
+    assert_eq!(verbs.iter().map(String::as_str).collect::<Vec<_>>().join(" "), expected);
     for verb in verbs {
         let help = Ended::of(program(&[&verb, "--help"])).ok();
         assert!(help.contains("Usage: ") && help.lines().count() > 4, "{verb}:\n{help}");
@@ -28,18 +28,57 @@ fn every_verb_has_help() {
     assert_eq!(Ended::of(program(&["no-such-verb"])).code, 2);
 }
 
+/// Standard error with the workspace's folder replaced by `ROOT`.
+fn message(ended: &Ended) -> String {
+    ended.stderr.replace(&root().display().to_string(), "ROOT")
+}
+
 #[test]
-fn errors_are_in_the_words_of_recipes() {
+fn errors_of_recipes_name_place_and_suggestion() {
     let recipe = root().join("recipes/quickstart.toml").display().to_string();
-    for (value, told) in [
-        ("axes.method=[\"statc3dgs\"]", "did you mean `static3dgs`?"),
-        ("nodes.train.params.effects=\"none\"", "effects must be \"auto\" or a list of names, not \"none\""),
-        ("nodes.train.params.density.max_count=-1", "expected a whole number from 0 on"),
-        ("name=\"../../w\"", "`../../w` cannot be a recipe's name"),
+    let mut messages = String::new();
+    for value in [
+        "axes.method=[\"statc3dgs\"]",
+        "nodes.train.params.effects=\"none\"",
+        "nodes.train.params.density.max_count=-1",
+        "nodes.train.params.desnity.max_count=1",
+        "nodes.trian.params.seed=1",
+        "axes.scene=[]",
+        "name=\"../../w\"",
     ] {
         let refused = Ended::of(program(&["plan", &recipe, "-s", value]));
-        assert!(refused.code == 3 && refused.stderr.contains(told), "{value}\n{}", refused.stderr);
+        assert_eq!(refused.code, 3, "{value}\n{}", refused.stderr);
+        messages += &format!("-s {value}\n{}\n", message(&refused));
     }
+    insta::assert_snapshot!(messages);
+}
+
+#[test]
+fn wrong_names_and_paths_have_messages_with_hints() {
+    let recipe = root().join("recipes/quickstart.toml").display().to_string();
+    let folder = tempfile::tempdir().expect("a folder for the test");
+    let store = folder.path().join("store").display().to_string();
+    let mut messages = String::new();
+    for (code, arguments) in [
+        (3, &["plan", "no-such-recipe.toml"][..]),
+        (4, &["plan", &recipe, "--only", "trian/*"]),
+        (4, &["explain", &recipe, "train/swinging-arm"]),
+        (4, &["show", &recipe, "train/swinging-arm/static3dgs/0"]),
+        (4, &["export", &recipe, "report", "--times=0:1:2", "--out=o"]),
+        (4, &["table", &recipe]),
+        (3, &["compare", "no-such-report.json", &recipe]),
+        (5, &["run", &recipe, "--frozen"]),
+        (13, &["run", &recipe, "--device", "no-such-adapter"]),
+        (3, &["inspect", "no-such-folder"]),
+        (3, &["eval", "--renders=no-such-folder", "--truth=no-such-folder"]),
+        (4, &["cache", "du"]),
+    ] {
+        let ended = Ended::of(program(&[arguments, &["--store", &store]].concat()));
+        assert_eq!(ended.code, code, "{arguments:?}\n{}", ended.stderr);
+        let line = arguments.join(" ").replace(&recipe, "RECIPE");
+        messages += &format!("{line}\n{}\n", message(&ended).replace(&store, "STORE").replace(&recipe, "RECIPE"));
+    }
+    insta::assert_snapshot!(messages);
 }
 
 #[test]
@@ -54,59 +93,73 @@ fn an_empty_variable_is_none_and_an_empty_option_is_refused() {
 }
 
 #[test]
-fn doctor_tells_whether_a_store_can_be_made() {
+fn doctor_reports_whether_a_store_can_be_created() {
     let folder = tempfile::tempdir().expect("a folder for the test");
-    let (file, place) = (folder.path().join("file"), folder.path().join("store"));
+    let (file, missing) = (folder.path().join("file"), folder.path().join("store"));
     std::fs::write(&file, "").expect("the file is written");
     let of_store = |store: &std::path::Path| {
         let store = store.display().to_string();
         Ended::of(program(&["doctor", "--device", "cpu", "--store", &store]))
     };
-    let told = of_store(&place).ok();
-    assert!(told.contains("the first run makes it") && told.contains("none asked for") && !place.exists(), "{told}");
-    let told = of_store(&file.join("store"));
-    assert!(told.code == 13 && told.stdout.contains("NOT USABLE: it cannot be made"), "{}", told.stdout);
+    let output = of_store(&missing).ok();
+    assert!(output.contains("the first run creates it") && output.contains("none requested"), "{output}");
+    assert!(!missing.exists());
+    let output = of_store(&file.join("store"));
+    assert!(output.code == 13 && output.stdout.contains("NOT USABLE: it cannot be created"), "{}", output.stdout);
 }
 
-/// The program's commands in a text: what follows `cargo run --release --`, and the first words in the table below the
-/// heading of verbs.
-fn commands(text: &str) -> Vec<String> {
-    let after_cargo = text.split("cargo run --release -- ").skip(1).filter_map(|rest| rest.split_whitespace().next());
-    let section =
-        text.split("## Everyday verbs").nth(1).and_then(|rest| rest.split("\n## ").next()).unwrap_or_default();
-    let rows = section.lines().filter(|line| line.starts_with("| `"));
+/// The verbs that a page names: after `cargo run --release --`, and in the first column of the table under a heading
+/// that speaks of verbs.
+fn commands(page: &str) -> Vec<String> {
+    let after_cargo = page.split("cargo run --release -- ").skip(1).filter_map(|rest| rest.split_whitespace().next());
+    let sections =
+        page.split("\n## ").filter(|section| section.lines().next().is_some_and(|line| line.contains("verbs")));
+    let rows = sections.flat_map(str::lines).filter(|line| line.starts_with("| `"));
     let in_rows = rows.flat_map(|row| row.split('|').nth(1).unwrap_or_default().split('`').skip(1).step_by(2));
     let names = after_cargo.chain(in_rows.filter_map(|command| command.split_whitespace().next()));
-    // Options are no verbs.
+    // Leaves out options.
     let is_verb = |name: &&str| name.chars().all(|c| c.is_ascii_lowercase() || c == '-') && !name.starts_with('-');
     names.map(|name| name.trim_matches('`')).filter(is_verb).map(str::to_owned).collect()
 }
 
-#[test]
-fn the_readme_names_verbs_that_exist() {
-    let (verbs, readme) = (verbs(), std::fs::read_to_string(root().join("README.md")).expect("the README is there"));
-    let named = commands(&readme);
-    assert!(named.len() >= 8 && named.contains(&"run".to_owned()), "{named:?}");
-    for verb in named {
-        assert!(verbs.contains(&verb), "the README names `{verb}`, which is none of {verbs:?}");
-    }
-    assert_eq!(commands("cargo run --release -- rnu x\n## Everyday verbs\n| `exprot A` | b |"), ["rnu", "exprot"]);
-}
-
-/// The recipes that a text names.
-fn recipes(text: &str) -> BTreeSet<&str> {
-    let words = text.split(|c: char| c.is_whitespace() || c == '`' || c == '(' || c == ')');
-    words.filter(|word| word.starts_with("recipes/") && word.ends_with(".toml")).collect()
+/// All tracked Markdown pages.
+fn pages() -> Vec<(String, String)> {
+    tracked_files().into_iter().filter(|(name, _)| name.ends_with(".md")).collect()
 }
 
 #[test]
-fn the_readme_names_recipes_that_exist() {
-    let readme = std::fs::read_to_string(root().join("README.md")).expect("the README is there");
-    let named = recipes(&readme);
-    assert!(named.contains("recipes/quickstart.toml"), "{named:?}");
-    // What a command of the README writes itself is there once it ran.
-    let is_written = |recipe: &str| readme.contains(&format!("> {recipe}\n"));
-    for recipe in named.into_iter().filter(|recipe| !is_written(recipe)) {
-        assert!(root().join(recipe).is_file(), "the README names {recipe}");
+fn pages_name_verbs_that_exist() {
+    let verbs = verbs();
+    let named: Vec<_> = pages()
+        .iter()
+        .flat_map(|(name, page)| commands(page).into_iter().map(|verb| (name.clone(), verb)).collect::<Vec<_>>())
+        .collect();
+    assert!(named.contains(&("README.md".into(), "run".into())), "{named:?}");
+    let unknown: Vec<_> = named.iter().filter(|(_, verb)| !verbs.contains(verb)).collect();
+    assert!(unknown.is_empty(), "{unknown:?} are none of {verbs:?}");
+    assert_eq!(commands("cargo run --release -- rnu x\n## All verbs\n| `exprot A` | b |"), ["rnu", "exprot"]);
+}
+
+/// The recipes that a page names.
+fn recipes(page: &str) -> BTreeSet<&str> {
+    let words = page.split(|c: char| c.is_whitespace() || "`()[],;:".contains(c));
+    words.filter(|word| word.starts_with("recipes/") && word.ends_with(".toml") && !word.contains('*')).collect()
+}
+
+/// The recipes that a page names and that do not exist. A recipe that a command on the page writes is not expected.
+fn missing_recipes(page: &str) -> Vec<&str> {
+    let is_written = |recipe: &str| page.contains(&format!("> {recipe}\n"));
+    recipes(page).into_iter().filter(|recipe| !is_written(recipe) && !root().join(recipe).is_file()).collect()
+}
+
+#[test]
+fn pages_name_recipes_that_exist() {
+    let pages = pages();
+    for (name, page) in &pages {
+        assert_eq!(missing_recipes(page), Vec::<&str>::new(), "{name}");
     }
+    let readme = pages.iter().find(|(name, _)| name == "README.md").expect("the README is tracked");
+    assert!(recipes(&readme.1).contains("recipes/quickstart.toml"));
+    let page = "run `recipes/qiuckstart.toml`\ninspect > recipes/mine.toml\nrun recipes/mine.toml";
+    assert_eq!(missing_recipes(page), ["recipes/qiuckstart.toml"]);
 }

@@ -1,4 +1,5 @@
-//! Killed or interrupted at any moment: the next run completes and makes what an undisturbed run makes.
+//! A run that is killed or interrupted at any moment is completed by the next one, with the artifacts of an undisturbed
+//! run.
 
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::ExitStatusExt;
@@ -12,6 +13,7 @@ use walkdir::WalkDir;
 
 use crate::product::World;
 
+/// Kills per test, half of schedulers and half of jobs.
 const ROUNDS: usize = 6;
 
 #[test]
@@ -20,18 +22,18 @@ fn killed_schedulers_and_jobs_change_nothing() {
     let longer = || World::with_edit("{ train = 40 }", "{ train = 300 }");
     let clock = Instant::now();
     let (world, undisturbed) = (longer(), longer().run(&[]));
-    // Early enough that all rounds together do not finish the work.
+    // Early enough that the rounds together do not finish the work.
     let latest_millis = (clock.elapsed().as_millis() as u64 / 4).max(20);
     let (mut schedulers, mut jobs) = (0, 0);
     for round in 0..ROUNDS {
         let mut scheduler = world.start_run();
         std::thread::sleep(Duration::from_millis(random.random_range(10..latest_millis)));
-        // Schedulers first: a run that loses a job finishes all others.
+        // Schedulers first, because a run that loses a job still finishes the others.
         if round < ROUNDS / 2 {
             scheduler.kill().unwrap();
             schedulers += usize::from(scheduler.wait().unwrap().signal().is_some());
         } else {
-            // Some job runs at nearly every moment.
+            // Retry: a job is running at nearly every moment.
             for _ in 0..100 {
                 let running = children(&scheduler);
                 jobs += running.iter().filter(|job| kill_process(**job, Signal::KILL).is_ok()).count();
@@ -40,12 +42,12 @@ fn killed_schedulers_and_jobs_change_nothing() {
                 }
                 std::thread::sleep(Duration::from_millis(2));
             }
-            // A killed job is a failure of the run, which goes on without it.
+            // The run records the killed job as failed and continues without it.
             scheduler.wait().unwrap();
         }
     }
     println!("killed {schedulers} schedulers and {jobs} jobs");
-    assert!(schedulers >= 2 && jobs >= 1, "too few were hit: {schedulers} schedulers, {jobs} jobs");
+    assert!(schedulers >= 2 && jobs >= 1, "too few kills: {schedulers} schedulers, {jobs} jobs");
     let completed = world.run(&[]);
     assert_eq!(completed.timeless(), undisturbed.timeless());
     assert_eq!(world.run(&[]).counts["executed"], 0);
@@ -53,7 +55,7 @@ fn killed_schedulers_and_jobs_change_nothing() {
     crate::product::Ended::of(crate::product::program(&["cache", "verify", "--store", &store])).ok();
 }
 
-/// The jobs of a scheduler: children of any of its threads.
+/// The running jobs of a scheduler: the children of all of its threads.
 fn children(scheduler: &Child) -> Vec<Pid> {
     let tasks = std::fs::read_dir(format!("/proc/{}/task", scheduler.id())).into_iter().flatten().flatten();
     let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
@@ -74,7 +76,7 @@ fn an_interrupted_run_stops_and_the_next_one_resumes() {
     let mut interrupted_at = None;
     for line in lines {
         let event: serde_json::Value = serde_json::from_str(&line).unwrap();
-        // The first word of progress: the training is under way and far from its end.
+        // Interrupt at the first progress event: the training has started and is far from its end.
         if interrupted_at.is_none() && event["event"] == "progress" && event["node"] == TRAIN {
             interrupted_at = event["progress"]["done"].as_u64();
             kill_process(Pid::from_child(&run), Signal::INT).unwrap();
@@ -87,7 +89,7 @@ fn an_interrupted_run_stops_and_the_next_one_resumes() {
     assert!(saved > 0, "no checkpoint was saved at step {interrupted_at:?}");
 
     let resumed = world.run(&ONLY);
-    assert_eq!((resumed.counts["executed"], resumed.counts["cached"]), (1, 1), "the capture was there already");
+    assert_eq!((resumed.counts["executed"], resumed.counts["cached"]), (1, 1), "the capture is cached");
     assert_eq!(resumed.contents, longer().run(&ONLY).contents);
     assert_eq!(checkpoints().filter(|entry| entry.file_type().is_file()).count(), 0, "checkpoints are left behind");
 }

@@ -1,19 +1,19 @@
-//! `--device`: what a run computes on, and what becomes of its results.
+//! `--device`: results of GPU and CPU agree and are kept apart.
 
 use serde_json::Value;
 
 use crate::product::{Ended, TINY_JOBS, World, program};
 
-/// Largest difference between the devices, dB: a hundred short steps let rounding grow.
+/// Largest difference between the devices in dB. Rounding errors grow within a hundred short steps.
 const PSNR: f64 = 0.5;
 
-/// Whether there is a GPU, a software one included; without one the test is skipped, and says so.
+/// Whether there is a GPU, hardware or software; without one, reports the test as skipped.
 fn has_gpu() -> bool {
     let doctor = Ended::of(program(&["doctor", "--device", "gpu"]));
     let required = std::env::var("REQUIRE_ADAPTER").is_ok_and(|value| value == "1");
     assert!(doctor.code == 0 || !required, "REQUIRE_ADAPTER=1: {}", doctor.stdout);
     if doctor.code != 0 {
-        needs::skip("no GPU adapter");
+        support::skip("no GPU adapter");
     }
     doctor.code == 0
 }
@@ -25,7 +25,7 @@ fn results_of_a_gpu_agree_with_the_cpu_and_are_kept_apart() {
     }
     let world = World::tiny();
     world.run(&["--device", "cpu"]);
-    // Everything but the two captures.
+    // All jobs but the two captures.
     let on_gpu = world.run(&["--device", "gpu"]);
     assert_eq!((on_gpu.counts["executed"], on_gpu.counts["cached"]), (TINY_JOBS as u64 - 2, 2));
     for device in ["gpu", "cpu"] {
@@ -47,7 +47,7 @@ fn results_of_a_gpu_agree_with_the_cpu_and_are_kept_apart() {
 }
 
 #[test]
-fn a_device_that_is_not_there_is_refused_before_anything_runs() {
+fn a_missing_device_is_refused_before_any_job_runs() {
     let world = World::tiny();
     let refused = world.call("run", &["--device", "no such adapter"]);
     assert_eq!(refused.code, 13, "{}", refused.stderr);

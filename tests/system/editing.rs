@@ -1,4 +1,4 @@
-//! An edit reruns what it can influence, and nothing else.
+//! An edit reruns the jobs that it can influence, and no others.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use walkdir::WalkDir;
 use crate::product::root;
 use crate::sources::{ScannedCrate, Sources, read};
 
-/// The quickstart with this code and these overrides.
+/// The plan of the quickstart with this code and these overrides.
 fn quickstart(code: CodeTable, overrides: &[&str]) -> Plan {
     plan(&root().join("recipes/quickstart.toml"), code, overrides)
 }
@@ -20,7 +20,7 @@ fn plan(recipe: &Path, code: CodeTable, overrides: &[&str]) -> Plan {
         .unwrap_or_else(|errors| panic!("{errors}"))
 }
 
-/// The jobs that would have to run after a change: those whose plan ids differ.
+/// The jobs that a change reruns: those with new plan ids.
 fn rerun(before: &Plan, after: &Plan) -> BTreeSet<String> {
     let ids: BTreeMap<&str, &str> = before.nodes.iter().map(|node| (&*node.name, &*node.plan_id)).collect();
     assert_eq!(before.nodes.len(), after.nodes.len());
@@ -28,18 +28,18 @@ fn rerun(before: &Plan, after: &Plan) -> BTreeSet<String> {
     changed.map(|node| node.name.clone()).collect()
 }
 
-/// The stages whose own code differs: these rerun even if all that they read stays the same.
+/// The stages whose own code differs. Their jobs rerun even if all of their inputs stay equal.
 fn recoded(before: &Plan, after: &Plan) -> BTreeSet<String> {
     let changed = before.nodes.iter().zip(&after.nodes).filter(|(before, after)| before.code != after.code);
     changed.map(|(node, _)| node.stage.clone()).collect()
 }
 
-/// The jobs of a plan for which `wanted` holds.
+/// The jobs of a plan whose names satisfy `wanted`.
 fn jobs(plan: &Plan, wanted: impl Fn(&str) -> bool) -> BTreeSet<String> {
     plan.nodes.iter().map(|node| node.name.clone()).filter(|name| wanted(name)).collect()
 }
 
-/// A new item of code at the end of a file.
+/// Appends an item of code to a file.
 fn more_code(text: &str) -> String {
     format!("{text}\npub const EDITED: u8 = 1;\n")
 }
@@ -51,7 +51,7 @@ fn a_comment_reruns_nothing() {
     let (rust, wgsl) = (sources.files("rs"), sources.files("wgsl"));
     assert!(rust.len() > 100, "{} files", rust.len());
     for file in rust.iter().chain(&wgsl) {
-        std::fs::write(file, format!("// A comment /* of some */ words.\n\n{}\n// and\n", read(file))).unwrap();
+        std::fs::write(file, format!("// A comment /* with some */ words.\n\n{}\n// and\n", read(file))).unwrap();
     }
     for file in sources.files("md") {
         std::fs::write(&file, read(&file) + "\nMore to read.\n").unwrap();
@@ -125,9 +125,9 @@ fn an_edit_reruns_what_it_can_influence() {
     assert_eq!(rerun(&before, &edited), jobs(&before, |name| !name.starts_with("capture")));
 }
 
-/// Early cutoff: a job whose inputs turn out to be the same is spared, unless its own code changed.
+/// Early cutoff spares a job whose inputs turn out equal, unless the job's own code changed.
 #[test]
-fn an_edit_changes_the_code_of_those_stages_only_that_run_it() {
+fn an_edit_changes_the_code_of_the_stages_that_run_it() {
     let sources = Sources::copy();
     let before = quickstart(sources.code(), &[]);
     let after = |file: &str| recoded(&before, &quickstart(sources.code_with(file, more_code), &[]));
@@ -150,7 +150,7 @@ fn a_value_of_the_recipe_reruns_what_depends_on_it() {
     assert_eq!(after(&["nodes.train.params.deformable4dgs.channels=8"]), jobs(&before, deformable));
     let from_render = |name: &str| !["capture", "coarse", "train"].iter().any(|before| name.starts_with(before));
     assert_eq!(after(&["nodes.render.params.maps=\"all\""]), jobs(&before, from_render));
-    assert_eq!(after(&["nodes.train.params.batch=1"]), BTreeSet::new(), "a default spelled out");
+    assert_eq!(after(&["nodes.train.params.batch=1"]), BTreeSet::new(), "the default value, written explicitly");
 
     let dir = tempfile::tempdir().unwrap();
     let recipe = dir.path().join("edited.toml");

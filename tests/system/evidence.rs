@@ -1,12 +1,12 @@
-//! What a reader of results can rely on: a committed table is reproduced or the check fails, and nothing is compared
-//! that does not compare.
+//! Guarantees for readers of results: a committed table is reproduced or the check fails, and only comparable results
+//! are compared.
 
 use crate::product::{Ended, World};
 
-/// Jobs that [`World::run`] names on these tests' command lines.
+/// Options that restrict the recipe to one method.
 const ONLY_DYNAMIC: [&str; 2] = ["-s", "axes.method=[\"deformable4dgs\"]"];
 
-/// What makes the few iterations of these tests end in visibly worse images.
+/// An override with which the few iterations of these tests end in clearly worse images.
 const FEW_POINTS: &str = "nodes.train.params.initial_points.random_count=20";
 
 fn with<'a>(arguments: &[&'a str], more: &[&'a str]) -> Vec<&'a str> {
@@ -21,29 +21,29 @@ fn a_committed_table_is_reproduced_and_a_loss_that_is_broken_is_noticed() {
         world.call("table", &with(&[option, &file], &with(&ONLY_DYNAMIC, more)))
     };
     let early = table("--write-check", &[]);
-    assert_eq!(early.code, 4, "a table of nothing: {}", early.stderr);
+    assert_eq!(early.code, 4, "there is no result to write: {}", early.stderr);
     world.call("run", &ONLY_DYNAMIC).ok();
     table("--write-check", &[]).ok();
-    let told = table("--check", &[]).ok();
-    assert!(told.contains("within tolerance"), "{told}");
+    let output = table("--check", &[]).ok();
+    assert!(output.contains("within tolerance"), "{output}");
 
-    // A weight of zero takes the loss out; so would a bug.
+    // A weight of zero removes the loss, like a bug could.
     let broken = ["-s", "nodes.train.params.deformable4dgs.spatial_smoothness=0.0"];
-    assert_eq!(table("--check", &broken).code, 4, "an outdated table was checked");
+    assert_eq!(table("--check", &broken).code, 4, "the table is out of date");
     world.call("run", &with(&ONLY_DYNAMIC, &broken)).ok();
-    let told = table("--check", &broken);
-    assert_eq!(told.code, 11, "{}", told.stdout);
-    assert!(told.stdout.contains("loss spatial_smoothness is gone"), "{}", told.stdout);
+    let output = table("--check", &broken);
+    assert_eq!(output.code, 11, "{}", output.stdout);
+    assert!(output.stdout.contains("loss spatial_smoothness is missing"), "{}", output.stdout);
     let sparse = ["-s", FEW_POINTS];
     world.call("run", &with(&ONLY_DYNAMIC, &sparse)).ok();
-    let told = table("--check", &sparse);
-    assert!(told.code == 11 && told.stdout.contains(": psnr is "), "{}", told.stdout);
+    let output = table("--check", &sparse);
+    assert!(output.code == 11 && output.stdout.contains(": psnr is "), "{}", output.stdout);
 
     let text = std::fs::read_to_string(&file).unwrap();
     std::fs::write(&file, text.replace("swinging-arm", "static-blocks")).unwrap();
-    let told = table("--check", &[]);
-    assert_eq!(told.code, 11);
-    assert!(told.stdout.contains("is missing") && told.stdout.contains("is not in the file"), "{}", told.stdout);
+    let output = table("--check", &[]);
+    assert_eq!(output.code, 11);
+    assert!(output.stdout.contains("is missing") && output.stdout.contains("is not in the file"), "{}", output.stdout);
 }
 
 #[test]
@@ -58,7 +58,7 @@ fn results_compare_in_pairs_under_one_protocol_only() {
     let between = compare(&["--rows", "deformable4dgs=static3dgs"]).ok();
     assert!(between.contains("deformable4dgs → static3dgs") && between.contains("2 runs only in A"), "{between}");
 
-    // The recipe as it is now is compared with what was kept: A is the recipe, B the file.
+    // Compare the changed recipe (A) with the kept file (B).
     world.call("run", &["-s", FEW_POINTS]).ok();
     let report = world.path("store/results/tiny/report").display().to_string();
     let worse = Ended::of({
@@ -67,8 +67,8 @@ fn results_compare_in_pairs_under_one_protocol_only() {
         command
     });
     assert_eq!(worse.code, 11, "{}", worse.stderr);
-    let told: serde_json::Value = serde_json::from_str(&worse.stdout).unwrap();
-    assert!(told["violations"][0].as_str().unwrap().contains("psnr went from"), "{told}");
+    let output: serde_json::Value = serde_json::from_str(&worse.stdout).unwrap();
+    assert!(output["violations"][0].as_str().unwrap().contains("psnr went from"), "{output}");
 
     let smaller = ["-s", "nodes.capture.params.width=24"];
     world.call("run", &smaller).ok();
@@ -80,7 +80,7 @@ fn results_compare_in_pairs_under_one_protocol_only() {
 }
 
 #[test]
-fn replicates_are_seeds_and_a_budget_is_for_every_training() {
+fn replicates_set_seeds_and_a_budget_applies_to_every_training() {
     let world = World::tiny();
     let plan = world.call("plan", &["--replicates", "3"]).ok();
     for seed in 0..3 {
@@ -91,7 +91,7 @@ fn replicates_are_seeds_and_a_budget_is_for_every_training() {
     let explained = world.call("explain", &[job, "--budget", "90s"]).ok();
     assert!(explained.lines().any(|line| line.contains("budget_secs") && line.contains("90")), "{explained}");
     let plan = world.call("plan", &["--budget", "90s"]).ok();
-    assert!(!plan.contains("coarse/"), "a schedule that is not known yet cannot be shared:\n{plan}");
+    assert!(!plan.contains("coarse/"), "a schedule that is unknown yet cannot be shared:\n{plan}");
 
     let over = "[nodes.coarse]\nover = [\"scene\"]\n[nodes.train]\nover = [\"scene\", \"method\"]\n\
                 [nodes.train.params]\nseed = 0";
@@ -101,17 +101,17 @@ fn replicates_are_seeds_and_a_budget_is_for_every_training() {
     assert_eq!(refused.code, 3, "{}", refused.stderr);
 }
 
-/// Also on a machine that gives this test a fraction of a core after the miniatures were measured.
+/// Largest factor between budget and training time. It allows for a machine that slows down after the calibration.
 const SLOWEST: f64 = 10.0;
 
 #[test]
-fn a_training_with_a_budget_takes_about_as_long_and_says_so() {
+fn a_training_with_a_budget_takes_about_that_time() {
     let world = World::with_edit("iterations = { train = 40 }", "iterations = { train = 100000 }");
     let only_static = ["-s", "axes.method=[\"static3dgs\"]", "-s", "axes.scene=[\"swinging-arm\"]"];
     world.call("run", &with(&only_static, &["--budget", "2s"])).ok();
     let table = |more: &[&str]| world.call("table", &with(&only_static, &with(&["--budget", "2s"], more))).ok();
-    let told = table(&[]);
-    assert!(told.contains(", to fit a budget of 2 s"), "{told}");
+    let output = table(&[]);
+    assert!(output.contains(", to fit a budget of 2 s"), "{output}");
     let report: serde_json::Value = serde_json::from_str(&table(&["--format", "json"])).unwrap();
     let run = &report["runs"][0];
     let (scale, secs) = (run["schedule_scale"].as_f64().unwrap(), run["figures"]["training_secs"].as_f64().unwrap());

@@ -1,4 +1,4 @@
-//! The product and a small recipe to run it on.
+//! The program under test, and a small recipe to run it on.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Two small scenes and both methods; density control and the harmonics' growth happen within the few iterations.
+/// Two small scenes and two methods. Density control acts and spherical harmonics grow within the few iterations.
 const TINY: &str = r#"
 extends = ["@RECIPES@/common/benchmark.toml"]
 name = "tiny"
@@ -33,24 +33,24 @@ when = { method = "deformable4dgs" }
 nodes.train.params.iterations = { coarse = 10, fine = 30 }
 "#;
 
-/// Jobs of [`TINY`]: 2 captures, 2 coarse phases, 4 of each other kind, and the report.
+/// Number of jobs of [`TINY`]: 2 captures, 2 coarse phases, 4 trainings, renders and metrics each, and the report.
 pub const TINY_JOBS: usize = 2 + 2 + 3 * 4 + 1;
 
-/// The folder of the workspace.
+/// The workspace's root folder.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the workspace").to_owned()
 }
 
-/// The program with these arguments, and without what the environment would add.
+/// The program with these arguments, isolated from the environment's variables and from adapters.
 pub fn program(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pipeline-under-test"));
     command.args(arguments).env_remove("PIPELINE_STORE").env_remove("PIPELINE_DATA").stdin(Stdio::null());
-    // The same numbers on every machine, unless a test asks for a GPU.
+    // Equal numbers on every machine, unless a test names a GPU.
     command.env("PIPELINE_DEVICE", "cpu");
     command
 }
 
-/// What a finished program left, as text.
+/// Exit code and output of a finished program.
 pub struct Ended {
     pub code: i32,
     pub stdout: String,
@@ -58,12 +58,20 @@ pub struct Ended {
 }
 
 impl Ended {
-    /// Waits for the program; a death by signal has no code and is an error.
+    /// Runs the program to its end.
+    ///
+    /// # Panics
+    ///
+    /// If a signal ended the program, which then has no exit code.
     pub fn of(mut command: Command) -> Self {
         Self::from(command.output().expect("the program starts"))
     }
 
-    /// Standard output, if the program succeeded.
+    /// Standard output.
+    ///
+    /// # Panics
+    ///
+    /// If the program failed.
     pub fn ok(self) -> String {
         assert_eq!(self.code, 0, "{}\n{}", self.stderr, self.stdout);
         self.stdout
@@ -78,7 +86,7 @@ impl From<Output> for Ended {
     }
 }
 
-/// A folder with a recipe and a store.
+/// A temporary folder with a recipe and a store.
 pub struct World {
     dir: TempDir,
 }
@@ -89,13 +97,13 @@ impl World {
         Self::with_edit("", "")
     }
 
-    /// [`TINY`] with some text replaced, and an empty store.
+    /// [`TINY`] with `from` replaced by `to`, and an empty store.
     pub fn with_edit(from: &str, to: &str) -> Self {
         assert!(TINY.contains(from), "the recipe lacks {from}");
         Self::of(&if from.is_empty() { TINY.to_owned() } else { TINY.replace(from, to) })
     }
 
-    /// A recipe, in which `@RECIPES@` stands for the folder of all recipes, and an empty store.
+    /// A recipe and an empty store. `@RECIPES@` in the text stands for the folder of all recipes.
     pub fn of(text: &str) -> Self {
         let recipes = root().join("recipes").display().to_string();
         let world = Self { dir: TempDir::new().expect("a folder for the test") };
@@ -103,15 +111,17 @@ impl World {
         world
     }
 
+    /// A path in the folder.
     pub fn path(&self, name: &str) -> PathBuf {
         self.dir.path().join(name)
     }
 
+    /// The path of the recipe.
     pub fn recipe(&self) -> PathBuf {
         self.path("tiny.toml")
     }
 
-    /// `VERB RECIPE ARGUMENTS…` on this world's store.
+    /// The command `VERB RECIPE ARGUMENTS…` on this world's store.
     pub fn command(&self, verb: &str, arguments: &[&str]) -> Command {
         let mut command = program(&[verb]);
         command.arg(self.recipe()).args(arguments).arg("--store").arg(self.path("store"));
@@ -119,17 +129,21 @@ impl World {
         command
     }
 
-    /// Waits for `VERB RECIPE ARGUMENTS…`.
+    /// Runs `VERB RECIPE ARGUMENTS…` to its end.
     pub fn call(&self, verb: &str, arguments: &[&str]) -> Ended {
         Ended::of(self.command(verb, arguments))
     }
 
-    /// Starts a run and does not wait.
+    /// Starts a run in the background.
     pub fn start_run(&self) -> Child {
         self.command("run", &[]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
     }
 
-    /// Runs everything, which must succeed.
+    /// Runs all jobs.
+    ///
+    /// # Panics
+    ///
+    /// If the run fails.
     pub fn run(&self, arguments: &[&str]) -> RunEvents {
         let mut all = vec!["--json"];
         all.extend(arguments);
@@ -137,11 +151,11 @@ impl World {
     }
 }
 
-/// What a run with `--json` printed.
+/// The events of a run with `--json`.
 pub struct RunEvents {
     /// Job → digest of its artifact.
     pub contents: BTreeMap<String, String>,
-    /// Counts at the end, as `executed`.
+    /// Counts at the end of the run, e.g. of `executed` jobs.
     pub counts: BTreeMap<String, u64>,
 }
 
@@ -162,7 +176,7 @@ impl RunEvents {
         Self { contents, counts }
     }
 
-    /// The artifacts that no clock can influence: all but the report, which prints times.
+    /// The artifacts that do not depend on a clock: all but the report, which prints times.
     pub fn timeless(&self) -> BTreeMap<&str, &str> {
         let timeless = self.contents.iter().filter(|(node, _)| !node.starts_with("report"));
         let timeless: BTreeMap<&str, &str> = timeless.map(|(node, content)| (&**node, &**content)).collect();

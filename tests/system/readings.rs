@@ -1,8 +1,8 @@
-//! Crates that say that they only read an artifact of another one do so.
+//! Crates that declare `reads-artifacts-of` use nothing but the artifact types of the named crates.
 //!
-//! `package.metadata.pipeline.reads-artifacts-of` leaves all of the named crates but `src/artifact.rs`,
-//! `src/artifact/` and `src/lib.rs` out of the reader's fingerprint. That is right only if the reader uses nothing else
-//! of them, and these files nothing else of their crate.
+//! `package.metadata.pipeline.reads-artifacts-of` leaves all files of the named crates except `src/artifact.rs`,
+//! `src/artifact/` and `src/lib.rs` out of the reader's fingerprint. That is correct only if the reader uses nothing
+//! else of those crates, and these files use nothing else of their crate.
 
 use std::collections::BTreeSet;
 
@@ -10,14 +10,14 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
 use crate::sources::{ScannedCrate, Sources, read, tokens::rust_tokens};
 
-/// Workspace crates that an artifact's type may use: every reader uses all of them too.
+/// Workspace crates that an artifact's type may use, because every reader depends on them too.
 const VOCABULARY: [&str; 2] = ["engine", "scene"];
 
-/// The tokens of Rust source without comments and tests; brackets are tokens of their own.
+/// The tokens of Rust source without comments and tests. Each bracket is one token.
 fn tokens(source: &str) -> Vec<String> {
     let kept = rust_tokens(source).expect("the sources are Rust");
     let mut found = Vec::new();
-    flatten(kept.parse().expect("what is kept of the sources is Rust"), &mut found);
+    flatten(kept.parse().expect("the kept tokens are Rust"), &mut found);
     found
 }
 
@@ -39,7 +39,7 @@ fn flatten(stream: TokenStream, found: &mut Vec<String>) {
     }
 }
 
-/// For each place where the path `name::…` begins: the segment after it, or all of them if it is a list.
+/// For each path that begins with `name::`, the segment after it, or all segments of a braced list.
 fn paths_below(name: &str, tokens: &[String]) -> Vec<String> {
     let begins = |at: &usize| tokens[*at] == name && tokens[at + 1..].starts_with(&[":".into(), ":".into()]);
     let mut found = Vec::new();
@@ -55,7 +55,7 @@ fn paths_below(name: &str, tokens: &[String]) -> Vec<String> {
     found
 }
 
-/// What the file of an artifact's type uses beyond itself, the vocabulary and external crates.
+/// The paths that an artifact's file uses beyond itself, the vocabulary and external crates.
 fn strange_uses(source: &str, workspace: &BTreeSet<String>) -> Vec<String> {
     let tokens = tokens(source);
     let inside = ["crate", "super"].map(str::to_owned);
@@ -67,13 +67,13 @@ fn strange_uses(source: &str, workspace: &BTreeSet<String>) -> Vec<String> {
         .collect()
 }
 
-/// What a reader uses of the crate `of` beyond the names that lead to its artifact.
+/// The names that a reader uses of the crate `of` beyond its artifact types.
 fn strange_readings(source: &str, of: &str, exported: &[String]) -> Vec<String> {
     let used = paths_below(&of.replace('-', "_"), &tokens(source));
     used.into_iter().filter(|name| name != "artifact" && !exported.contains(name)).collect()
 }
 
-/// The types of the artifact that a file gives more abilities to.
+/// The artifact types that a file adds implementations to.
 fn extended_types(source: &str, exported: &[String]) -> Vec<String> {
     let tokens = tokens(source);
     let after = |pair: &[String]| ["impl", "for"].contains(&&*pair[0]) && exported.contains(&pair[1]);
@@ -84,7 +84,7 @@ fn is_of_the_artifact(file: &str) -> bool {
     file == "src/artifact.rs" || file.starts_with("src/artifact/")
 }
 
-/// Everything that makes it wrong to leave the rest of the crate `of` out of the fingerprint of `reader`.
+/// Every reason why leaving the rest of the crate `of` out of the fingerprint of `reader` is wrong.
 fn problems(reader: &ScannedCrate, of: &ScannedCrate, workspace: &BTreeSet<String>) -> Vec<String> {
     let exported = paths_below("artifact", &tokens(&read(&of.root.join("src/lib.rs"))));
     assert!(!exported.is_empty(), "{} exports no artifact", of.name);

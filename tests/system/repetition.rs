@@ -1,4 +1,4 @@
-//! The same recipe gives the same bytes, however it is run.
+//! Repeated runs of a recipe give equal bytes.
 
 use crate::product::World;
 
@@ -8,5 +8,5 @@ fn artifacts_do_not_depend_on_threads() {
     let three = World::tiny().run(&["--threads", "3", "--jobs", "2"]);
     assert_eq!(one.timeless(), three.timeless());
     let other = World::tiny().run(&["-s", "nodes.train.params.seed=1"]);
-    assert_ne!(one.timeless(), other.timeless(), "another seed must show");
+    assert_ne!(one.timeless(), other.timeless(), "another seed changes the artifacts");
 }

@@ -1,4 +1,4 @@
-//! A tiny recipe from end to end: run, run again, and every verb that looks at the result.
+//! A tiny recipe from end to end: run, run again, and every verb that reads the results.
 
 use std::time::Instant;
 
@@ -15,11 +15,11 @@ fn a_recipe_runs_once_and_every_verb_understands_the_result() {
     let first = world.run(&[]);
     assert_eq!(first.counts["executed"], TINY_JOBS as u64);
     second_run_executes_nothing(&world);
-    looking_at_the_plan(&world);
-    looking_at_results(&world);
+    plan_status_explain_and_graph(&world);
+    show(&world);
     tables(&world);
     other_recipes_and_kept_reports(&world);
-    judging_exporting_and_filming(&world);
+    eval_export_and_render(&world);
     the_store_is_sound(&world);
     options_are_in_the_commands_of_the_report(&world);
 }
@@ -30,7 +30,7 @@ fn second_run_executes_nothing(world: &World) {
     let secs = clock.elapsed().as_secs_f64();
     println!("the second run of {TINY_JOBS} jobs took {secs:.3} s");
     assert_eq!((second.counts["executed"], second.counts["cached"]), (0, TINY_JOBS as u64));
-    // A few hundredths of a second; the limit is for machines that do much else.
+    // Usually a few hundredths of a second. The limit allows for a loaded machine.
     assert!(secs < 5.0, "{secs} s");
     world.call("run", &["--frozen"]).ok();
 
@@ -39,7 +39,7 @@ fn second_run_executes_nothing(world: &World) {
     assert!(changed.stderr.contains("render/bouncing-spheres/static3dgs/0"), "{}", changed.stderr);
 }
 
-fn looking_at_the_plan(world: &World) {
+fn plan_status_explain_and_graph(world: &World) {
     let plan = world.call("plan", &[]).ok();
     assert!(plan.contains(&format!("{TINY_JOBS} jobs: {TINY_JOBS} cached")), "{plan}");
     let changed = world.call("plan", &["-s", "nodes.train.params.loss.lambda_dssim=0.5", "--only", TRAINING]).ok();
@@ -57,7 +57,7 @@ fn looking_at_the_plan(world: &World) {
     assert!(mermaid.starts_with("flowchart") && mermaid.contains("training"), "{mermaid}");
 }
 
-fn looking_at_results(world: &World) {
+fn show(world: &World) {
     let shown: Value = serde_json::from_str(&world.call("show", &[TRAINING, "--json"]).ok()).unwrap();
     assert!(shown["measurements"]["training_secs"].as_f64().is_some_and(|secs| secs > 0.0), "{shown}");
     assert_eq!(shown["record"]["components"]["params"]["method"], "deformable4dgs");
@@ -83,7 +83,7 @@ fn tables(world: &World) {
     assert!(json.to_string().contains("static3dgs"), "{json}");
 }
 
-/// What another recipe made is nobody else's result; what was kept of a recipe compares with what it comes to now.
+/// Verbs never use results of another recipe. A kept report can be compared with the current results of its recipe.
 fn other_recipes_and_kept_reports(world: &World) {
     let [tiny, other, out, store, kept] =
         ["tiny.toml", "other.toml", "none", "store", "kept"].map(|name| world.path(name).display().to_string());
@@ -113,14 +113,14 @@ fn other_recipes_and_kept_reports(world: &World) {
     assert!(page.contains(&format!(" --device cpu --only {}", TRAINING.replacen("train", "metrics", 1))), "{page}");
 }
 
-fn judging_exporting_and_filming(world: &World) {
+fn eval_export_and_render(world: &World) {
     let folder = |job: &str| world.call("show", &[job, "--path"]).ok().trim().to_owned();
     let renders = folder("render/bouncing-spheres/static3dgs/0") + "/images";
     let against = |truth: &str| -> Value {
         let arguments = ["eval", "--renders", &renders, "--truth", truth, "--json"];
         serde_json::from_str(&Ended::of(program(&arguments)).ok()).unwrap()
     };
-    // Images equal themselves, and differ from those of another method.
+    // Images equal themselves and differ from those of another method.
     let same = against(&renders);
     assert_eq!(same["n_images"], 2);
     assert!((same["means"]["ssim"].as_f64().unwrap() - 1.0).abs() <= 1e-12, "{same}");
@@ -131,7 +131,7 @@ fn judging_exporting_and_filming(world: &World) {
     let report = world.call("export", &[TRAINING, "--times", "0:0.2:3", "--out", &out]).ok();
     assert_eq!(report.lines().count(), 3, "{report}");
     for (index, line) in report.lines().enumerate() {
-        // Infinite PSNR is printed as a word.
+        // The PSNR of equal images is infinite and printed as a word.
         assert!(line.contains("dB") || line.contains("equal"), "{line}");
         let ply = std::fs::read(world.path(&format!("ply/frame_{index:04}.ply"))).unwrap();
         assert!(ply.starts_with(b"ply\nformat binary_little_endian 1.0\n"), "{line}");
@@ -141,7 +141,7 @@ fn judging_exporting_and_filming(world: &World) {
     let shot = [TRAINING, "--times", "0.1:0.1:3", "--views", "test_0000,test_0001", "--out", &film];
     assert!(world.call("render", &shot).ok().starts_with("3 frames of "));
     let frame = |index: usize| std::fs::read(world.path(&format!("film/frame_{index:04}.png"))).unwrap();
-    assert!(frame(0).starts_with(b"\x89PNG") && frame(0) != frame(2), "time stands still, the camera does not");
+    assert!(frame(0).starts_with(b"\x89PNG") && frame(0) != frame(2), "the time is fixed and the camera moves");
     let again = world.call("render", &shot);
     assert!(again.code == 3 && again.stderr.contains("the folder is not empty"), "{}", again.stderr);
 
@@ -153,8 +153,8 @@ fn judging_exporting_and_filming(world: &World) {
     assert!(frames_of_two.code == 3 && frames_of_two.stderr.contains("one job only"), "{}", frames_of_two.stderr);
 
     let unknown = Ended::of(program(&["inspect", &out]));
-    let told = unknown.stdout + &unknown.stderr;
-    assert!(told.contains("not recognised") && told.contains("frame_0000.ply"), "{told}");
+    let output = unknown.stdout + &unknown.stderr;
+    assert!(output.contains("not recognised") && output.contains("frame_0000.ply"), "{output}");
 }
 
 fn the_store_is_sound(world: &World) {
@@ -179,7 +179,7 @@ fn the_store_is_sound(world: &World) {
     cache("verify").ok();
 }
 
-/// Whoever changes the recipe by an option has it in the commands.
+/// The commands in a report contain the options that changed the recipe.
 fn options_are_in_the_commands_of_the_report(world: &World) {
     world.call("run", &["-s", "nodes.report.params.title = 'its title'"]).ok();
     let page = std::fs::read_to_string(world.path("store/results/tiny/report/index.html")).expect("the page");
