@@ -35,13 +35,13 @@ struct Module {
 }
 
 /// The modules of a crate, by the names that lead to each; the root has none.
-pub struct ModuleTree {
+pub(crate) struct ModuleTree {
     modules: BTreeMap<Names, Module>,
 }
 
 impl ModuleTree {
     /// Reads the modules of the crate whose `lib.rs` lies in the folder `source`.
-    pub fn of_crate(source: &Path) -> Self {
+    pub(crate) fn of_crate(source: &Path) -> Self {
         Self::new(&|file| std::fs::read_to_string(source.join(file)).ok())
     }
 
@@ -70,7 +70,7 @@ impl ModuleTree {
     }
 
     /// The number of modules.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.modules.len()
     }
 
@@ -119,7 +119,7 @@ impl ModuleTree {
 }
 
 /// Every circle of sibling modules, with one import for each step.
-pub fn circles(tree: &ModuleTree) -> Vec<String> {
+pub(crate) fn circles(tree: &ModuleTree) -> Vec<String> {
     let mut found = Vec::new();
     for edges in tree.sibling_imports().values() {
         let mut known = BTreeSet::new();

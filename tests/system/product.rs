@@ -34,15 +34,15 @@ nodes.train.params.iterations = { coarse = 10, fine = 30 }
 "#;
 
 /// Number of jobs of [`TINY`]: 2 captures, 2 coarse phases, 4 trainings, renders and metrics each, and the report.
-pub const TINY_JOBS: usize = 2 + 2 + 3 * 4 + 1;
+pub(crate) const TINY_JOBS: usize = 2 + 2 + 3 * 4 + 1;
 
 /// The workspace's root folder.
-pub fn root() -> PathBuf {
+pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the workspace").to_owned()
 }
 
 /// The program with these arguments, isolated from the environment's variables and from adapters.
-pub fn program(arguments: &[&str]) -> Command {
+pub(crate) fn program(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pipeline-under-test"));
     command.args(arguments).env_remove("PIPELINE_STORE").env_remove("PIPELINE_DATA").stdin(Stdio::null());
     // Equal numbers on every machine, unless a test names a GPU.
@@ -51,10 +51,10 @@ pub fn program(arguments: &[&str]) -> Command {
 }
 
 /// Exit code and output of a finished program.
-pub struct Ended {
-    pub code: i32,
-    pub stdout: String,
-    pub stderr: String,
+pub(crate) struct Ended {
+    pub(crate) code: i32,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
 }
 
 impl Ended {
@@ -63,7 +63,7 @@ impl Ended {
     /// # Panics
     ///
     /// If a signal ended the program, which then has no exit code.
-    pub fn of(mut command: Command) -> Self {
+    pub(crate) fn of(mut command: Command) -> Self {
         Self::from(command.output().expect("the program starts"))
     }
 
@@ -72,7 +72,7 @@ impl Ended {
     /// # Panics
     ///
     /// If the program failed.
-    pub fn ok(self) -> String {
+    pub(crate) fn ok(self) -> String {
         assert_eq!(self.code, 0, "{}\n{}", self.stderr, self.stdout);
         self.stdout
     }
@@ -87,24 +87,24 @@ impl From<Output> for Ended {
 }
 
 /// A temporary folder with a recipe and a store.
-pub struct World {
+pub(crate) struct World {
     dir: TempDir,
 }
 
 impl World {
     /// [`TINY`] and an empty store.
-    pub fn tiny() -> Self {
+    pub(crate) fn tiny() -> Self {
         Self::with_edit("", "")
     }
 
     /// [`TINY`] with `from` replaced by `to`, and an empty store.
-    pub fn with_edit(from: &str, to: &str) -> Self {
+    pub(crate) fn with_edit(from: &str, to: &str) -> Self {
         assert!(TINY.contains(from), "the recipe lacks {from}");
         Self::of(&if from.is_empty() { TINY.to_owned() } else { TINY.replace(from, to) })
     }
 
     /// A recipe and an empty store. `@RECIPES@` in the text stands for the folder of all recipes.
-    pub fn of(text: &str) -> Self {
+    pub(crate) fn of(text: &str) -> Self {
         let recipes = root().join("recipes").display().to_string();
         let world = Self { dir: TempDir::new().expect("a folder for the test") };
         std::fs::write(world.recipe(), text.replace("@RECIPES@", &recipes)).expect("the recipe is written");
@@ -112,17 +112,28 @@ impl World {
     }
 
     /// A path in the folder.
-    pub fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.dir.path().join(name)
     }
 
     /// The path of the recipe.
-    pub fn recipe(&self) -> PathBuf {
+    pub(crate) fn recipe(&self) -> PathBuf {
         self.path("tiny.toml")
     }
 
+    /// The text without what differs between machines and versions of the code: the folder's path becomes `WORLD`, the
+    /// workspace's `ROOT`, and plan ids `ID`.
+    pub(crate) fn timeless(&self, text: &str) -> String {
+        let text = text.replace(&self.dir.path().display().to_string(), "WORLD");
+        let text = text.replace(&root().display().to_string(), "ROOT");
+        let mut parts = text.split("plan id ");
+        let first = parts.next().unwrap_or_default().to_owned();
+        let is_digit = |c: char| c.is_ascii_hexdigit();
+        parts.fold(first, |text, part| text + "plan id ID" + part.trim_start_matches(is_digit))
+    }
+
     /// The command `VERB RECIPE ARGUMENTS…` on this world's store.
-    pub fn command(&self, verb: &str, arguments: &[&str]) -> Command {
+    pub(crate) fn command(&self, verb: &str, arguments: &[&str]) -> Command {
         let mut command = program(&[verb]);
         command.arg(self.recipe()).args(arguments).arg("--store").arg(self.path("store"));
         command.current_dir(self.dir.path());
@@ -130,12 +141,12 @@ impl World {
     }
 
     /// Runs `VERB RECIPE ARGUMENTS…` to its end.
-    pub fn call(&self, verb: &str, arguments: &[&str]) -> Ended {
+    pub(crate) fn call(&self, verb: &str, arguments: &[&str]) -> Ended {
         Ended::of(self.command(verb, arguments))
     }
 
     /// Starts a run in the background.
-    pub fn start_run(&self) -> Child {
+    pub(crate) fn start_run(&self) -> Child {
         self.command("run", &[]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
     }
 
@@ -144,7 +155,7 @@ impl World {
     /// # Panics
     ///
     /// If the run fails.
-    pub fn run(&self, arguments: &[&str]) -> RunEvents {
+    pub(crate) fn run(&self, arguments: &[&str]) -> RunEvents {
         let mut all = vec!["--json"];
         all.extend(arguments);
         RunEvents::read(&self.call("run", &all).ok())
@@ -152,11 +163,11 @@ impl World {
 }
 
 /// The events of a run with `--json`.
-pub struct RunEvents {
+pub(crate) struct RunEvents {
     /// Job → digest of its artifact.
-    pub contents: BTreeMap<String, String>,
+    pub(crate) contents: BTreeMap<String, String>,
     /// Counts at the end of the run, e.g. of `executed` jobs.
-    pub counts: BTreeMap<String, u64>,
+    pub(crate) counts: BTreeMap<String, u64>,
 }
 
 impl RunEvents {
@@ -177,7 +188,7 @@ impl RunEvents {
     }
 
     /// The artifacts that do not depend on a clock: all but the report, which prints times.
-    pub fn timeless(&self) -> BTreeMap<&str, &str> {
+    pub(crate) fn timeless(&self) -> BTreeMap<&str, &str> {
         let timeless = self.contents.iter().filter(|(node, _)| !node.starts_with("report"));
         let timeless: BTreeMap<&str, &str> = timeless.map(|(node, content)| (&**node, &**content)).collect();
         assert_eq!(timeless.len(), TINY_JOBS - 1);

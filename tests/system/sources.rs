@@ -17,13 +17,13 @@ mod scan;
 pub(crate) use scan::{ScannedCrate, tokens};
 
 /// A temporary copy of the program's sources.
-pub struct Sources {
+pub(crate) struct Sources {
     dir: TempDir,
 }
 
 impl Sources {
     /// Copies the current sources.
-    pub fn copy() -> Self {
+    pub(crate) fn copy() -> Self {
         let dir = TempDir::new().expect("a folder for the copy");
         for part in ["Cargo.toml", "Cargo.lock", "pipeline", "stages", "shaders"] {
             for entry in WalkDir::new(root().join(part)).into_iter().filter_entry(|entry| entry.file_name() != "target")
@@ -41,12 +41,12 @@ impl Sources {
     }
 
     /// A path in the copy.
-    pub fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.dir.path().join(name)
     }
 
     /// All files of the copy with this extension.
-    pub fn files(&self, extension: &str) -> Vec<PathBuf> {
+    pub(crate) fn files(&self, extension: &str) -> Vec<PathBuf> {
         let entries = WalkDir::new(self.dir.path()).into_iter().map(|entry| entry.expect("readable").into_path());
         entries.filter(|path| path.extension().is_some_and(|it| it == extension)).collect()
     }
@@ -57,13 +57,13 @@ impl Sources {
     }
 
     /// The code table that the build script would write.
-    pub fn code(&self) -> CodeTable {
+    pub(crate) fn code(&self) -> CodeTable {
         let crates: Vec<CrateCode> = self.scan().into_values().map(crate_code).collect();
         CodeTable { crates: crates.leak() }
     }
 
     /// The code table after an edit of one file. The file is restored.
-    pub fn code_with(&self, file: &str, edit: impl Fn(&str) -> String) -> CodeTable {
+    pub(crate) fn code_with(&self, file: &str, edit: impl Fn(&str) -> String) -> CodeTable {
         let path = self.path(file);
         let before = read(&path);
         let after = edit(&before);
@@ -80,7 +80,7 @@ impl Sources {
 /// # Panics
 ///
 /// If the file cannot be read.
-pub fn read(path: &Path) -> String {
+pub(crate) fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{error}: {}", path.display()))
 }
 

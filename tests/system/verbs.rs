@@ -24,6 +24,22 @@ fn a_recipe_runs_once_and_every_verb_understands_the_result() {
     options_are_in_the_commands_of_the_report(&world);
 }
 
+#[test]
+fn texts_about_a_new_recipe_are_reviewed() {
+    let world = World::tiny();
+    let mut texts = String::new();
+    for (verb, arguments) in [
+        ("plan", &[][..]),
+        ("status", &[]),
+        ("explain", &["render/swinging-arm/static3dgs/0"]),
+        ("graph", &["--collapse", "--format", "mermaid"]),
+    ] {
+        let text = world.call(verb, arguments).ok();
+        texts += &format!("==== {verb} {}\n{}\n", arguments.join(" "), world.timeless(&text));
+    }
+    insta::assert_snapshot!(texts);
+}
+
 fn second_run_executes_nothing(world: &World) {
     let clock = Instant::now();
     let second = world.run(&[]);
