@@ -66,14 +66,14 @@ const ALLOWED: [(&str, &[&str]); 18] = [
 ];
 
 /// For each stage, the items that the product code of other stages may use: types of its artifact. `rendering` must
-/// also evaluate a trained model, so it uses the player, the devices and the error measure of `training`.
+/// also evaluate a trained model, so it uses the player, the choice of a device and the 8-bit rounding of `training`.
 const SHARED_ITEMS: [(&str, &[&str]); 8] = [
     ("depth-flow-import", &["Priors", "FlowPrior"]),
     ("layer-split", &["Layers"]),
     ("inpaint-import", &["Background", "FilledView"]),
     ("feature-import", &["Features"]),
     ("momentum-sampling", &["Particles"]),
-    ("training", &["Model", "ModelHeader", "LargestGradient", "player", "device", "curve"]),
+    ("training", &["Model", "ModelHeader", "LargestGradient", "Player", "compute_on", "to_bytes"]),
     ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),
     ("metric-evaluation", &["Metrics", "Metric", "Score"]),
 ];
@@ -155,10 +155,10 @@ fn items_of<'a>(name: &str, text: &'a str) -> Vec<&'a str> {
 
 /// The uses of items of other stages that `SHARED_ITEMS` does not list.
 fn forbidden_items(sources: &[(String, String)]) -> Vec<String> {
-    let stages: Vec<&str> = sources.iter().map(|(stage, _)| stage.as_str()).collect();
+    let dependencies = workspace_dependencies();
     let mut found = BTreeSet::new();
     for (user, text) in sources {
-        for stage in stages.iter().filter(|stage| *stage != user) {
+        for stage in dependencies[user].iter().filter(|name| sources.iter().any(|(stage, _)| stage == *name)) {
             let shared = SHARED_ITEMS.iter().find(|(name, _)| name == stage).map_or(&[][..], |(_, items)| items);
             let items = items_of(&stage.replace('-', "_"), text);
             let refused = items.into_iter().filter(|item| !shared.contains(item));
