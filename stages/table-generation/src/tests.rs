@@ -2,7 +2,7 @@
 
 mod content;
 mod formats;
-mod hard_cases;
+mod outcomes;
 mod page;
 mod papers;
 mod seeds;

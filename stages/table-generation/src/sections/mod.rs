@@ -8,15 +8,15 @@ mod costs;
 mod curves;
 mod failures;
 mod frames;
-mod hard_cases;
 mod machine;
+mod outcomes;
 mod papers;
 mod pareto;
 mod protocols;
 mod published;
 mod runs;
+mod summary;
 mod traces;
-mod verdicts;
 
 use crate::document::{Block, Document, Section};
 use crate::params::TableGenerationParams;
@@ -36,7 +36,7 @@ pub(crate) fn document(
     let on_page = |id, heading, blocks| Section { id, heading, page_only: true, blocks };
     let pictures = if sheets.is_empty() { Vec::new() } else { vec![Block::Pictures(sheets)] };
     let mut sections = vec![
-        everywhere("verdicts", "Summary", verdicts::blocks(&content)),
+        everywhere("summary", "Summary", summary::blocks(&content)),
         everywhere("papers", "Tables of the papers", papers::blocks(&content)?),
         everywhere("results", "Results", protocols::blocks(&content)),
         everywhere("published", "Comparison with published values", published::blocks(&content)),
@@ -47,7 +47,7 @@ pub(crate) fn document(
         everywhere("costs", "Training costs", costs::blocks(&content)),
         everywhere("frames", "Quality per frame", frames::blocks(&content)),
         on_page("images", "Renders and errors", pictures),
-        everywhere("hard-cases", "Outcomes", hard_cases::blocks(&content)),
+        everywhere("outcomes", "Outcomes", outcomes::blocks(&content)),
         everywhere("failures", "Failures", failures::blocks(&content)),
         everywhere("machine", "Machines", machine::blocks(&content)),
         on_page("runs", "Runs", runs::blocks(&content)),

@@ -22,7 +22,7 @@ fn outcomes(runs: Vec<Run>, hard_cases: bool) -> Option<String> {
     let params = TableGenerationParams { hard_cases, ..TableGenerationParams::default() };
     let report = Report::new(runs, &[], &params);
     let mut document = sections::document(&report, Vec::new(), &params).expect("a document");
-    document.sections.retain(|section| section.id == "hard-cases");
+    document.sections.retain(|section| section.id == "outcomes");
     (!document.sections.is_empty()).then(|| markdown(&document))
 }
 
