@@ -122,7 +122,7 @@ impl Metrics {
             (MaskSource::Labels, Keep::Nonzero) => " · masked by labels",
             (MaskSource::Labels, Keep::Zero) => " · masked by the background's label",
             (MaskSource::Files, Keep::Nonzero) => " · masked by files",
-            (MaskSource::Files, Keep::Zero) => " · masked by files that mark what does not count",
+            (MaskSource::Files, Keep::Zero) => " · masked by files that mark excluded pixels",
         };
         format!("{split} images · {levels} · per-image means · metric version {}{mask}", self.metric_version)
     }
@@ -203,7 +203,8 @@ fn mean_score(images: &[ImageMetrics], metric: Metric) -> Score {
     if images.is_empty() { Score::undefined("no images") } else { Score::Value(sum / images.len() as f64) }
 }
 
-/// The mean over the images that define the figure; `None` where no image knows the truth.
+/// The mean over the images that define the metric. If none does, the reason of the first image; `None` if no image was
+/// measured.
 fn mean_where_defined(images: &[ImageMetrics], metric: Metric) -> Option<Score> {
     let scores: Vec<&Score> = images.iter().filter_map(|image| image.values.get(&metric)).collect();
     let values: Vec<f64> = scores.iter().filter_map(|score| score.value()).collect();

@@ -92,7 +92,7 @@ fn paired(renders: &Path, truth: &Path) -> Result<Vec<Pair>, Failure> {
 fn missing(whose: &str, stems: &[String], counterpart: &str, folder: &Path) -> Failure {
     let more = if stems.len() > LISTED { format!(" and {} more", stems.len() - LISTED) } else { String::new() };
     let listed = stems[..stems.len().min(LISTED)].join(", ");
-    let message = format!("{} {whose} have no {counterpart} of the same name: {listed}{more}", stems.len());
+    let message = format!("these {whose} have no {counterpart} of the same name: {listed}{more}");
     Failure::new(FailureKind::BadInput, message)
         .hint("images are paired by file name without extension; remove or rename the others")
         .at(folder)

@@ -60,7 +60,7 @@ impl Metrics {
         let line = |(remark, what): (Remark, String)| {
             let names: Vec<_> = self.images.iter().filter(|image| image.remarks.contains(&remark)).collect();
             let first = names.first()?;
-            Some(format!("note: {} of {} images {what}, first {}\n", names.len(), self.n_images, first.name))
+            Some(format!("note: {} of {} images {what}, e.g. {}\n", names.len(), self.n_images, first.name))
         };
         explained.into_iter().filter_map(line).collect()
     }

@@ -154,7 +154,7 @@ mod tests {
 
     const PIXELS: usize = 4;
 
-    /// A row of four pixels: a moving surface that stays in sight, one that leaves, one that stands still, and nothing.
+    /// A row of four pixels: a moving surface that stays visible, one that leaves the image, a static one, and empty space.
     fn truths() -> Truths {
         let (width, height) = (PIXELS as u32, 1);
         let nothing = [f32::NAN; 2];

@@ -79,7 +79,7 @@ fn read_gif(path: &Path) -> (Vec<RgbImage>, bool, Vec<(u32, u32)>) {
     (images, is_endless, delays)
 }
 
-/// Every second pixel of a panel: what an enlargement by two was made from.
+/// The image that a panel was enlarged from by a factor of two: every second pixel.
 fn panel(picture: &RgbImage, index: u32) -> RgbImage {
     RgbImage::from_fn(SIZE, SIZE, |x, y| *picture.get_pixel(2 * (SIZE * index + x), 2 * y))
 }
