@@ -19,7 +19,7 @@ struct Item {
     epsilon: f32,
     len: u32,
     // Index of the group's two maxima in `largest`.
-    figures: u32,
+    maxima: u32,
 }
 
 @group(0) @binding(1) var<storage, read_write> largest: array<atomic<u32>>;
@@ -69,6 +69,6 @@ fn main(
     atomicMax(&own_largest[1], found.y);
     workgroupBarrier();
     if (local < 2u) {
-        atomicMax(&largest[adam.figures + local], atomicLoad(&own_largest[local]));
+        atomicMax(&largest[adam.maxima + local], atomicLoad(&own_largest[local]));
     }
 }

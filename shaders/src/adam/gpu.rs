@@ -34,7 +34,7 @@ uniforms! {
         second_moment_scale: f32,
         epsilon: f32,
         len: u32,
-        figures: u32,
+        maxima: u32,
     }
 }
 
@@ -66,11 +66,11 @@ fn items<'a>(
     written: &'a [GpuArray; 3],
 ) -> Vec<Item<'a, AdamItem>> {
     let Coefficients { beta1, beta2, step_size, second_moment_scale, epsilon } = *coefficients;
-    let figures = (FIGURES * index) as u32;
+    let maxima = (FIGURES * index) as u32;
     let [values, first, second] = group.tensors();
     let read = [gradient, values, first, second].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let arrays: Vec<Binding> = read.into_iter().chain(written.iter().map(Binding::Write)).collect();
-    let constants = |len| AdamItem { beta1, beta2, step_size, second_moment_scale, epsilon, len, figures };
+    let constants = |len| AdamItem { beta1, beta2, step_size, second_moment_scale, epsilon, len, maxima };
     Item::in_parts(gpu, gradient.len(), GROUP * ELEMENTS, &arrays, constants)
 }
 

@@ -106,7 +106,7 @@ fn a_gpu_tells_the_largest_magnitudes_of_every_group() {
         agree(&told, &Tensor::from_vec([19, 2], figures), 0.0).map_err(disagreement)?;
         Ok(20)
     };
-    let faults = [("& 0x7fffffffu", ""), ("adam.figures + local", "local"), ("max(found, ", "(")];
+    let faults = [("& 0x7fffffffu", ""), ("adam.maxima + local", "local"), ("max(found, ", "(")];
     assert_noticed(&faults.map(|(right, wrong)| ("adam", right, wrong)), compare);
     crate::gpu::grouped::tests::with_arrays(16, || compare().map(drop).unwrap_or_else(|error| panic!("{error}")));
 }

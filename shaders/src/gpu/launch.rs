@@ -67,7 +67,7 @@ macro_rules! uniforms {
 }
 pub(crate) use uniforms;
 
-/// A kernel whose text lies in files.
+/// A kernel, with the WGSL of its entry file.
 pub struct Kernel {
     pub name: &'static str,
     /// The WGSL of its entry file, which declares its imports and constants ([`wgsl`]).

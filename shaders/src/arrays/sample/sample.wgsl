@@ -20,7 +20,7 @@ fn run(place: u32) {
     if (place >= draw.places) {
         return;
     }
-    let candidates = somewhere_count(draw.rows);
+    let candidates = present_count(draw.rows);
     let count = min(u32(ceil(draw.share * f32(candidates))), candidates);
     row_of_place[place] = order[place];
     weights[place] = select(0.0, 1.0, place < count);

@@ -2,7 +2,7 @@
 #import gpu::nowhere
 #extern var<storage, read> sorted_keys: array<u32>
 
-fn somewhere_count(len: u32) -> u32 {
+fn present_count(len: u32) -> u32 {
     var low = 0u;
     var high = len;
     while (low < high) {

@@ -28,15 +28,15 @@ fn main(
     let tiles = (sizes.columns + COLUMNS - 1u) / COLUMNS;
     let node = flat_group(group, groups) / tiles;
     let column = flat_group(group, groups) % tiles * COLUMNS + local % COLUMNS;
-    let is_there = node < sizes.nodes && column < sizes.columns;
+    let in_range = node < sizes.nodes && column < sizes.columns;
     var sum = 0.0;
-    if (is_there) {
+    if (in_range) {
         for (var at = starts[node] + local / COLUMNS; at < starts[node + 1u]; at += LANES) {
             sum += weights[items[at]] * dy[items[at] / sizes.per_point * sizes.columns + column];
         }
     }
     let total = column_sum(local, sum);
-    if (is_there && local < COLUMNS) {
+    if (in_range && local < COLUMNS) {
         g_values[node * sizes.columns + column] = total;
     }
 }

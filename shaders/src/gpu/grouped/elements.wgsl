@@ -1,5 +1,5 @@
-// One invocation per element of every item, in workgroups of 256: calls `run` with the item and the index of the element
-// in the item. The last workgroup of an item may have invocations past the last element.
+// One invocation per element of every item, in workgroups of 256: calls `run` with the item and the index of the
+// element in the item. The last workgroup of an item may have invocations past the last element.
 #import gpu::flat_group
 #import gpu::grouped::grouped
 #extern fn run(item: u32, at: u32)

@@ -1,11 +1,12 @@
 //! One launch over many items, such as all tensors of a model: each has constants, arrays and workgroups of its own.
 //!
-//! WGSL has no arrays of arrays. So the declarations of the arrays are made for the number of items of a launch, with
-//! functions that choose among them by item: `values(item, at)`, `gather_values(item, at)` of four places, which waits for
-//! memory once, and, where kernels write, `set_values(item, at, value)`.
-//! The text of a kernel defines `struct Item`. A workgroup finds its item with `item_of(group)`, its number within that with
-//! `group - first_group(item)`, and the constants with `constants_of(item)`. Workgroups beyond the last item belong to that
-//! one: a kernel compares with the sizes that its constants tell.
+//! WGSL has no arrays of arrays. Therefore Rust generates the declarations of the arrays for the number of items of a
+//! launch, with functions that choose among them by item: `values(item, at)`, `gather_values(item, at)` of four indices,
+//! which waits for memory once, and, for arrays that the kernel writes, `set_values(item, at, value)`.
+//!
+//! A kernel imports `gpu::grouped::grouped` and defines `struct Item`. A workgroup finds its item with `item_of(group)`,
+//! its index in the item with `group - first_group(item)`, and the item's constants with `constants_of(item)`. Workgroups
+//! past the last item belong to that item, so a kernel compares with the sizes in its constants.
 
 #[cfg(test)]
 pub(crate) mod tests;

@@ -111,7 +111,7 @@ fn main(
     if (!(counts_column && counts_row)) {
         result = Similarity(0.0, 0.0, 0.0, 0.0);
     }
-    if (KEEP == 1u && tile.is_there && column < image.width && row < image.height) {
+    if (KEEP == 1u && tile.in_image && column < image.width && row < image.height) {
         let at = planar(tile, column, row);
         let plane = image.width * image.height * image.channels;
         derivatives[at] = result.d_x;
@@ -119,7 +119,7 @@ fn main(
         derivatives[2u * plane + at] = result.d_xy;
     }
     let sum = row_sum(local, result.value);
-    if (local == 0u && tile.is_there) {
+    if (local == 0u && tile.in_image) {
         sums[number] = sum;
     }
 }

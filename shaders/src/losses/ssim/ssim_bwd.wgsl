@@ -53,7 +53,7 @@ fn main(
     let d_xy = gathered(2u, tile, local);
     let column = tile.first_column + local % TILE;
     let row = tile.first_row + local / TILE;
-    if (tile.is_there && column < image.width && row < image.height) {
+    if (tile.in_image && column < image.width && row < image.height) {
         let at = interleaved(tile, column, row);
         dx[at] = image.per_window * dy[0] * (d_x + 2.0 * d_xx * render[at] + d_xy * reference[at]);
     }

@@ -31,7 +31,7 @@ struct Tile {
     first_column: u32,
     first_row: u32,
     channel: u32,
-    is_there: bool,
+    in_image: bool,
 }
 
 fn tile_of(group: u32) -> Tile {
@@ -46,7 +46,8 @@ fn weight(tap: u32) -> f32 {
 
 // The pixel at a place of the reached area, as (column, row); x is negative outside the image.
 fn reached_pixel(tile: Tile, place: u32) -> vec2<i32> {
-    let pixel = vec2<i32>(i32(tile.first_column + place % REACH) - RADIUS, i32(tile.first_row + place / REACH) - RADIUS);
+    let column = i32(tile.first_column + place % REACH) - RADIUS;
+    let pixel = vec2<i32>(column, i32(tile.first_row + place / REACH) - RADIUS);
     if (pixel.x < 0 || pixel.y < 0 || pixel.x >= i32(image.width) || pixel.y >= i32(image.height)) {
         return vec2<i32>(-1, -1);
     }

@@ -14,9 +14,9 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = flat_group(group, groups) * (256u / LANES) + local / LANES;
-    let is_there = index < sizes.cells.x * sizes.cells.y * sizes.channels;
+    let in_range = index < sizes.cells.x * sizes.cells.y * sizes.channels;
     var own = 0.0;
-    if (is_there) {
+    if (in_range) {
         let at = index / sizes.channels;
         let cell = vec2<u32>(at / sizes.cells.y, at % sizes.cells.y);
         let range = pixels_of(cell);
@@ -28,7 +28,7 @@ fn main(
         }
     }
     let sum = row_sum(local, own);
-    if (is_there && local % LANES == 0u) {
+    if (in_range && local % LANES == 0u) {
         grid[index] = sum;
     }
 }

@@ -18,7 +18,8 @@ fn pixels_of(cell: vec2<u32>) -> vec4<u32> {
 
 // The range of cells that overlap a pixel: the first, then the end.
 fn cells_of(pixel: vec2<u32>) -> vec4<u32> {
-    return vec4<u32>(pixel * sizes.cells / sizes.pixels, ((pixel + 1u) * sizes.cells + sizes.pixels - 1u) / sizes.pixels);
+    let end = ((pixel + 1u) * sizes.cells + sizes.pixels - 1u) / sizes.pixels;
+    return vec4<u32>(pixel * sizes.cells / sizes.pixels, end);
 }
 
 // The fraction of a cell's area that a pixel covers.

@@ -31,8 +31,8 @@ fn ellipse_around(center: vec2<f32>, conic: vec3<f32>, cutoff: f32) -> Ellipse {
 
 // Half the width at a y offset from the centre.
 fn half_width(ellipse: Ellipse, offset_y: f32) -> f32 {
-    let capacity = max(ellipse.squared_radius - ellipse.conic.z * offset_y * offset_y, 0.0);
-    return sqrt(capacity / ellipse.conic.x);
+    let remaining = max(ellipse.squared_radius - ellipse.conic.z * offset_y * offset_y, 0.0);
+    return sqrt(remaining / ellipse.conic.x);
 }
 
 // The projection onto the x axis of the part between two y coordinates, as (start, end); end < start if the part is

@@ -5,5 +5,6 @@
 
 fn factor_at(row: u32) -> Factor {
     let log_scales = vec3<f32>(x0[3u * row], x0[3u * row + 1u], x0[3u * row + 2u]);
-    return scaled_rotation(log_scales, vec4<f32>(x1[4u * row], x1[4u * row + 1u], x1[4u * row + 2u], x1[4u * row + 3u]));
+    let rotation = vec4<f32>(x1[4u * row], x1[4u * row + 1u], x1[4u * row + 2u], x1[4u * row + 3u]);
+    return scaled_rotation(log_scales, rotation);
 }

@@ -130,7 +130,8 @@ fn geometry_of(splat: u32) -> Geometry {
     }
     let world = geometry.factor_world.matrix;
     let rotation = camera_rotation();
-    geometry.factor_view = Rows(row_times(rotation.x, world), row_times(rotation.y, world), row_times(rotation.z, world));
+    geometry.factor_view =
+        Rows(row_times(rotation.x, world), row_times(rotation.y, world), row_times(rotation.z, world));
     let slopes = p.xy / p.z;
     geometry.slopes = min(max(slopes, view.slope_low), view.slope_high);
     geometry.is_free = (slopes >= view.slope_low) & (slopes <= view.slope_high);

@@ -58,7 +58,15 @@ fn why_culled(splat: u32, geometry: Geometry) -> f32 {
     return select(UNSEEN, HUGE, z < view.far && !geometry.usable);
 }
 
-fn write_image(splat: u32, mean2d: vec2<f32>, conic: vec3<f32>, depth: f32, opacity: f32, color: vec3<f32>, cutoff: f32) {
+fn write_image(
+    splat: u32,
+    mean2d: vec2<f32>,
+    conic: vec3<f32>,
+    depth: f32,
+    opacity: f32,
+    color: vec3<f32>,
+    cutoff: f32,
+) {
     for (var axis = 0u; axis < 2u; axis++) {
         means2d[2u * splat + axis] = mean2d[axis];
     }

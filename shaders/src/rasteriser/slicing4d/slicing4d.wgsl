@@ -28,9 +28,9 @@ fn run(row: u32) {
     let gaussian = gaussian_of(row);
     let axes = axes_of(gaussian);
     let time_row = time_row_of(axes.lengths[3]);
-    let is_there = is_present(gaussian, time_row);
-    present[row] = select(0.0, 1.0, is_there);
-    if (!is_there) {
+    let exists = is_present(gaussian, time_row);
+    present[row] = select(0.0, 1.0, exists);
+    if (!exists) {
         let nothing = vec3<f32>(0.0);
         write(row, 0.0, nothing, Rows(nothing, nothing, nothing));
         faded_logits[row] = slicing.hidden_logit;

@@ -11,7 +11,7 @@ struct Median {
 
 @compute @workgroup_size(1)
 fn main() {
-    let low = somewhere_count(sizes.len);
+    let low = present_count(sizes.len);
     // The bits of 0 if there is none.
     var found = 0u;
     if (low > 0u) {

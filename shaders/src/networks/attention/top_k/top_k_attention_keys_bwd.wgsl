@@ -20,7 +20,7 @@
 const GROUP: u32 = 64u;
 
 // Score gradient and probability of every query of the round.
-var<workgroup> looks: array<vec2<f32>, GROUP>;
+var<workgroup> kept_terms: array<vec2<f32>, GROUP>;
 
 @compute @workgroup_size(64)
 fn main(
@@ -37,26 +37,26 @@ fn main(
     var sum = 0.0;
     for (var first = 0u; first < sizes.queries; first += GROUP) {
         workgroupBarrier();
-        looks[local] = vec2<f32>(0.0);
+        kept_terms[local] = vec2<f32>(0.0);
         if (first + local < sizes.queries) {
             let place = place_of(kept_of(first + local, head), key);
             if (place != NOWHERE) {
-                looks[local] = vec2<f32>(g_scores[place], probabilities[place]);
+                kept_terms[local] = vec2<f32>(g_scores[place], probabilities[place]);
             }
         }
         workgroupBarrier();
         let end = min(GROUP, sizes.queries - first);
         for (var at = 0u; at < end; at++) {
-            let look = looks[at];
+            let terms = kept_terms[at];
             // Most queries do not keep this key.
-            if (look.y == 0.0 || column >= 2u * sizes.depth) {
+            if (terms.y == 0.0 || column >= 2u * sizes.depth) {
                 continue;
             }
             let columns = columns_of(first + at, head);
             if (!of_value) {
-                sum += look.x * query[columns + column];
+                sum += terms.x * query[columns + column];
             } else if ((ARRIVING & 1u) != 0u) {
-                sum += look.y * g_mixed[columns + column - sizes.depth];
+                sum += terms.y * g_mixed[columns + column - sizes.depth];
             }
         }
     }

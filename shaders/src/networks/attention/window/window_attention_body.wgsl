@@ -15,12 +15,12 @@ fn run(index: u32) {
     let token = index / sizes.heads % sizes.queries;
     let row = index / sizes.heads / sizes.queries;
     hold_for(index, sizes.rows * sizes.queries * sizes.heads);
-    look(row, token, head);
-    let out = looking_at(row, token, head);
+    hold_weights(row, token, head);
+    let out = query_channel(row, token, head);
     for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
         var sum = 0.0;
         for (var at = 0u; at < WINDOW; at++) {
-            sum += weight_at(at) * values[seen_at(row, at, head) + channel];
+            sum += weight_at(at) * values[window_channel(row, at, head) + channel];
         }
         y[out + channel] = sum;
     }

@@ -14,10 +14,10 @@
 
 // Computes and holds the gradients of the unscaled scores.
 fn differentiate(row: u32, token: u32, head: u32) {
-    let out = looking_at(row, token, head);
+    let out = query_channel(row, token, head);
     var mean = 0.0;
     for (var at = 0u; at < WINDOW; at++) {
-        let value = seen_at(row, at, head);
+        let value = window_channel(row, at, head);
         var along = 0.0;
         for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
             along += dy[out + channel] * values[value + channel];
@@ -38,13 +38,13 @@ fn run(index: u32) {
     let row = index / sizes.heads;
     hold_for(index, sizes.rows * sizes.heads);
     for (var token = 0u; token < sizes.queries; token++) {
-        look(row, token, head);
+        hold_weights(row, token, head);
         differentiate(row, token, head);
-        let query = looking_at(row, token, head);
+        let query = query_channel(row, token, head);
         for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
             var g_query = 0.0;
             for (var at = 0u; at < WINDOW; at++) {
-                let seen = seen_at(row, at, head) + channel;
+                let seen = window_channel(row, at, head) + channel;
                 g_query += gradient_at(at) * keys[seen];
                 let g_key = gradient_at(at) * queries[query + channel];
                 let g_value = weight_at(at) * dy[query + channel];

@@ -20,21 +20,21 @@ struct Window {
 @group(0) @binding(3) var<storage, read> values: array<f32>;
 
 // Index of the first channel of a head of a window token.
-fn seen_at(row: u32, at: u32, head: u32) -> u32 {
+fn window_channel(row: u32, at: u32, head: u32) -> u32 {
     return (row * WINDOW + at) * sizes.channels + head * (sizes.channels / sizes.heads);
 }
 
 // Index of the first channel of a head of a query token.
-fn looking_at(row: u32, token: u32, head: u32) -> u32 {
+fn query_channel(row: u32, token: u32, head: u32) -> u32 {
     return (row * sizes.queries + token) * sizes.channels + head * (sizes.channels / sizes.heads);
 }
 
 // Computes and holds the attention weight of a query to every token of the window.
-fn look(row: u32, token: u32, head: u32) {
-    let query = looking_at(row, token, head);
+fn hold_weights(row: u32, token: u32, head: u32) {
+    let query = query_channel(row, token, head);
     var largest = 0.0;
     for (var at = 0u; at < WINDOW; at++) {
-        let key = seen_at(row, at, head);
+        let key = window_channel(row, at, head);
         var score = 0.0;
         for (var channel = 0u; channel < sizes.channels / sizes.heads; channel++) {
             score += queries[query + channel] * keys[key + channel];
