@@ -3,8 +3,7 @@
 use std::path::Path;
 
 use engine::{Failure, FailureKind};
-use scene::maps::{MatchedFiles, ViewFolder};
-use scene::{Capture, Videos, View};
+use scene::{Capture, MatchedFiles, Videos, View, ViewFolder};
 
 /// Opens a folder with one file per view; [`FailureKind::MissingData`] if it does not exist. `what` names its content.
 pub fn open_folder(dir: &Path, extensions: &[&str], what: &str) -> anyhow::Result<ViewFolder> {

@@ -19,6 +19,7 @@ pub mod ply;
 pub mod protocol;
 pub mod time;
 mod videos;
+mod view_folder;
 
 pub use camera::{Camera, Intrinsics, RigidTransform};
 pub use capture::{Capture, CaptureInfo, CaptureWriter, Frame, Split, View};
@@ -31,6 +32,7 @@ pub use mask::Mask;
 pub use protocol::Protocol;
 pub use time::TimeMap;
 pub use videos::Videos;
+pub use view_folder::{MatchedFiles, ViewFolder};
 
 #[cfg(test)]
 mod damaged_files_tests;

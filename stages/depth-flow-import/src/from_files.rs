@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use engine::{Failure, FailureKind};
 use scene::maps::alignment::Fit;
 use scene::maps::formats::{self, Content};
-use scene::maps::{DepthKind, ViewFolder, fit_to_view};
-use scene::{Capture, FlowMap, PointCloud, Split, Videos, View};
+use scene::maps::{DepthKind, fit_to_view};
+use scene::{Capture, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
 
 use crate::params::{Alignment, MapKind};
 use crate::{FlowPrior, Params, ViewMaps, depth, flow, normals};

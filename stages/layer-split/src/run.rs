@@ -7,9 +7,9 @@ use depth_flow_import::Priors;
 use engine::{
     Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage,
 };
+use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
-use scene::maps::{MatchedFiles, fit_to_view};
-use scene::{Capture, Mask, Split, facts};
+use scene::{Capture, Mask, MatchedFiles, Split, facts};
 
 use crate::params::{LayerSource, Polarity};
 use crate::{Layers, Params, residual};

@@ -3,6 +3,7 @@
 
 mod params;
 mod placement;
+mod ray;
 mod render;
 mod run;
 mod scenes;

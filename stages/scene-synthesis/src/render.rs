@@ -8,7 +8,7 @@ use scene::image_file::{GrayImage, RgbImage};
 use scene::{Camera, DepthMap, FlowMap, Frame, LabelMap, PointCloud, VelocityMap, pixels};
 
 use crate::params::{Background, Params, Truth};
-use crate::shape::Ray;
+use crate::ray::Ray;
 use crate::shots::Shot;
 use crate::world::{Hit, Instant, Shading, World};
 

@@ -2,19 +2,8 @@
 
 use glam::DVec3;
 
+use crate::ray::{MIN_DISTANCE, Ray, slab};
 use crate::wave::Wave;
-
-/// Minimum distance of a hit, in units of the ray direction; a nearer hit is the surface on which the ray starts.
-pub(crate) const MIN_DISTANCE: f64 = 1e-7;
-
-/// A ray `origin + s · direction`; the direction need not be a unit vector.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Ray {
-    /// The point at s = 0.
-    pub(crate) origin: DVec3,
-    /// The offset from s = 0 to s = 1.
-    pub(crate) direction: DVec3,
-}
 
 /// The surface of a body.
 #[derive(Clone, Debug)]
@@ -38,13 +27,6 @@ pub(crate) enum Shape {
     },
     /// A sheet z = h(x, y, time).
     Cloth(Wave),
-}
-
-impl Ray {
-    /// The point at `s`.
-    pub(crate) fn at(&self, s: f64) -> DVec3 {
-        self.origin + s * self.direction
-    }
 }
 
 impl Shape {
@@ -89,7 +71,7 @@ impl Shape {
 }
 
 /// The first positive root of `|origin + s · direction - center| = radius`.
-pub(crate) fn sphere(ray: &Ray, center: DVec3, radius: f64) -> Option<f64> {
+fn sphere(ray: &Ray, center: DVec3, radius: f64) -> Option<f64> {
     let offset = ray.origin - center;
     let a = ray.direction.length_squared();
     let half_b = offset.dot(ray.direction);
@@ -99,14 +81,6 @@ pub(crate) fn sphere(ray: &Ray, center: DVec3, radius: f64) -> Option<f64> {
     }
     let root = discriminant.sqrt();
     [(-half_b - root) / a, (-half_b + root) / a].into_iter().find(|s| *s > MIN_DISTANCE)
-}
-
-/// Where a ray enters and leaves the box with half edge lengths `half`.
-pub(crate) fn slab(ray: &Ray, half: DVec3) -> Option<(f64, f64)> {
-    let inverse = ray.direction.recip();
-    let (a, b) = ((-half - ray.origin) * inverse, (half - ray.origin) * inverse);
-    let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
-    (enter <= leave && leave > MIN_DISTANCE).then_some((enter, leave))
 }
 
 /// The first hit of a box.

@@ -8,10 +8,11 @@ use glam::{DVec2, DVec3};
 use scene::{Camera, Capture, Frame, Split, View, facts, pixels};
 
 use crate::params::*;
+use crate::ray::Ray;
 use crate::render::{center_hits, ray_world, render};
 use crate::run::{SceneSynthesis, synthesize};
 use crate::scenes;
-use crate::shape::{Ray, Shape};
+use crate::shape::Shape;
 use crate::shots::{Shot, shots};
 use crate::wave::Wave;
 use crate::world::World;

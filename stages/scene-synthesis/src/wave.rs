@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 
-use crate::shape::{MIN_DISTANCE, Ray, slab};
+use crate::ray::{MIN_DISTANCE, Ray, slab};
 
 /// Height above the sheet, in scene units, below which the search changes from safe steps to Newton's method. It is
 /// small relative to the wavelengths, so that Newton's method converges to the nearest root.

@@ -4,7 +4,8 @@ use glam::DVec3;
 use scene::RigidTransform;
 
 use crate::placement::Placement;
-use crate::shape::{Ray, Shape};
+use crate::ray::Ray;
+use crate::shape::Shape;
 use crate::texture::Texture;
 
 /// Unit direction to the light: oblique from above, so that all sides of a body are lit differently.
@@ -13,6 +14,9 @@ const TO_LIGHT: DVec3 = DVec3::new(0.36, -0.48, 0.8);
 const AMBIENT: f64 = 0.35;
 /// Sharpness of highlights (Blinn 1977).
 const SHININESS: f64 = 40.0;
+
+/// Radius of the background dome: 1.5 times the distance of the cameras.
+pub(crate) const DOME_RADIUS: f64 = 6.0;
 
 /// Placement of a body as a function of time in seconds.
 pub(crate) type Motion = Box<dyn Fn(f64) -> Placement + Send + Sync>;
@@ -152,7 +156,7 @@ impl Instant<'_> {
 
     /// Whether a hit body blocks the light; the background dome does not.
     fn casts_shadow(&self, hit: &Hit) -> bool {
-        !matches!(self.bodies[hit.body].body.shape, Shape::Sphere { radius } if radius >= crate::scenes::DOME_RADIUS)
+        !matches!(self.bodies[hit.body].body.shape, Shape::Sphere { radius } if radius >= DOME_RADIUS)
     }
 }
 

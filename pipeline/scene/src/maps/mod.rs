@@ -1,17 +1,15 @@
 //! Per-pixel maps beside colour: depth, optical flow, velocity, normals and instance labels.
 //!
 //! The map types read and write the formats of artifacts (EXR and PNG). [`formats`] decodes the files of estimators,
-//! [`ViewFolder`] finds the file of each view, [`DepthKind`] and [`alignment`] bring depth to the scale of the scene.
+//! [`fit_to_view`] resamples them, [`DepthKind`] and [`alignment`] bring depth to the scale of the scene.
 
 pub mod alignment;
 mod depth_kind;
-mod folder;
 pub mod formats;
 mod resampling;
 mod rigid_flow;
 
 pub use depth_kind::DepthKind;
-pub use folder::{MatchedFiles, ViewFolder};
 pub use resampling::fit_to_view;
 
 use std::path::Path;

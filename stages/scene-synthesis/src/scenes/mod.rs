@@ -15,10 +15,7 @@ use crate::params::{Background, Params, SceneKind};
 use crate::placement::Placement;
 use crate::shape::Shape;
 use crate::texture::{Pattern, Texture};
-use crate::world::{Body, World};
-
-/// Radius of the background dome: 1.5 times the distance of the cameras.
-pub(crate) const DOME_RADIUS: f64 = 6.0;
+use crate::world::{Body, DOME_RADIUS, World};
 
 /// Builds the world of the given parameters.
 pub(crate) fn build(params: &Params) -> World {
