@@ -7,8 +7,8 @@ use scene::{Camera, Error, FloatImage, NormalMap, Result, pixels};
 
 use crate::params::{Axes, NormalParams};
 
-/// Minimum length of a stored normal; shorter vectors mark missing ones. The limit leaves room for estimators that do
-/// not normalise exactly, and for 8-bit rounding.
+/// Minimum length of a stored normal; shorter vectors mark missing ones. Below 1, because estimators do not normalise
+/// exactly and 8 bits round.
 const SHORTEST: f32 = 0.5;
 /// Largest share of normals that may point away from the camera before the declared axes count as wrong.
 const MAX_AWAY_SHARE: f64 = 0.25;
