@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::error::{DecodingError, ImageFormatHint};
+use image::error::{DecodingError, ImageFormatHint, UnsupportedError, UnsupportedErrorKind};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageReader, ImageResult};
 pub use image::{GrayImage, Rgb, RgbImage, RgbaImage};
 
@@ -69,7 +69,16 @@ pub fn decode(path: &Path) -> ImageResult<DynamicImage> {
         let why = "the file ends before the end of the image";
         return Err(ImageError::Decoding(DecodingError::new(ImageFormatHint::Exact(ImageFormat::Jpeg), why)));
     }
-    reader.decode()
+    match reader.format() {
+        // The decoder for GIF exists because films are written as GIF.
+        Some(other) if !matches!(other, ImageFormat::Png | ImageFormat::Jpeg) => Err(unsupported(other)),
+        _ => reader.decode(),
+    }
+}
+
+fn unsupported(format: ImageFormat) -> ImageError {
+    let kind = UnsupportedErrorKind::Format(ImageFormatHint::Exact(format));
+    ImageError::Unsupported(UnsupportedError::from_format_and_kind(ImageFormatHint::Exact(format), kind))
 }
 
 /// Whether an EOI marker follows the last scan. Walks the segments by their lengths and the entropy-coded data by its

@@ -90,7 +90,14 @@ fn truncated_jpegs_are_refused() {
     let path = renders.join("a.jpg");
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() - 9]).unwrap();
-    assert!(error_of(&renders, &truth).contains("the file ends before its image does"));
+    assert!(error_of(&renders, &truth).contains("the file ends before the end of the image"));
+}
+
+#[test]
+fn gifs_are_refused_as_images() {
+    let (_root, [renders, truth]) = folders(&["a.png"], 1);
+    image::RgbImage::new(24, 16).save_with_format(renders.join("a.png"), image::ImageFormat::Gif).unwrap();
+    assert!(error_of(&renders, &truth).contains("cannot read the image"));
 }
 
 #[test]
