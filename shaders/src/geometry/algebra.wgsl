@@ -1,4 +1,5 @@
 // 3×3 matrices by rows and quaternions (w, x, y, z): the definitions of `algebra.rs`.
+#import gpu::is_finite
 
 // Quaternions with a smaller squared norm have no direction and count as the identity.
 const MIN_SQUARED_NORM: f32 = 1e-12;
@@ -14,11 +15,6 @@ struct Rows {
 struct Unit {
     quaternion: vec4<f32>,
     inverse_norm: f32,
-}
-
-// Tests the bits, because compilers may assume that no value is NaN.
-fn is_finite(value: f32) -> bool {
-    return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
 }
 
 fn is_finite3(v: vec3<f32>) -> bool {

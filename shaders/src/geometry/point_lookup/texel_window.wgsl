@@ -1,5 +1,6 @@
 // The 2×2 window of texels that a position between pixel centres samples: the same definitions as on the CPU. If EDGES
 // is 1, windows across an edge (texels that vary too much) are not interpolated.
+#import gpu::is_finite
 #const EDGES
 
 struct Lookup {
@@ -33,11 +34,6 @@ struct Window {
     // ∂weights / ∂uₓ and ∂u_y.
     slopes_x: vec4<f32>,
     slopes_y: vec4<f32>,
-}
-
-// Tests the bits, because compilers may assume that no value is NaN.
-fn is_finite(value: f32) -> bool {
-    return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
 }
 
 fn axis_of(position: f32, size: u32) -> Axis {

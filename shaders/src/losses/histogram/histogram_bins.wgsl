@@ -1,4 +1,5 @@
 // The bins of a value of the soft histogram: the same definitions as on the CPU.
+#import gpu::is_finite
 
 struct Histogram {
     // Number of values, and of blocks of values.
@@ -14,11 +15,6 @@ struct Histogram {
 
 @group(0) @binding(0) var<uniform> sizes: Histogram;
 @group(0) @binding(1) var<storage, read> x: array<f32>;
-
-// Tests the bits, because compilers may assume that no value is NaN.
-fn is_finite(value: f32) -> bool {
-    return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
-}
 
 struct Place {
     // The lower of the two bins that share a value, the upper bin's part, and whether that part depends on the value.

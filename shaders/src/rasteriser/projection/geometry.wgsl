@@ -1,6 +1,7 @@
 // Projects one splat with one camera, for both directions: the same definitions as the CPU reference. SH_DEGREE is the
 // degree of the harmonics. GIVEN_FACTORS is 1 if the inputs are the factors of the covariances.
 #import geometry::algebra
+#import gpu::is_finite
 #import rasteriser::projection::covariance_factor
 #const GIVEN_FACTORS, SH_DEGREE
 

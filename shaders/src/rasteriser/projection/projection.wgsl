@@ -2,6 +2,7 @@
 // culled because of their values, and clamped values. One invocation per splat.
 #import geometry::algebra
 #import gpu::flat_group
+#import gpu::is_finite
 #import rasteriser::projection::geometry
 #const GIVEN_FACTORS
 

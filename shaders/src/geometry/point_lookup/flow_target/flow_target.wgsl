@@ -1,7 +1,7 @@
 // Lifts optical flow to 3D targets for the points that a view sees. One invocation per point. KNOWS_ARRIVAL is 1 if
 // there is a depth map of the view where the flow arrives.
-#import geometry::algebra
 #import gpu::elements
+#import gpu::is_finite
 #import gpu::nowhere
 #const KNOWS_ARRIVAL
 
