@@ -19,10 +19,6 @@ const NOT_YET: &[&str] = &[
     "pipeline/engine/",
     "recipes/",
     "shaders/",
-    "stages/metric-evaluation/",
-    "stages/rendering/",
-    "stages/sfm-import/",
-    "stages/table-generation/",
     "stages/training/",
     // The names of tests in other crates.
     "tests/README.md",

@@ -115,7 +115,7 @@ fn gifs_show_the_truth_and_every_model_side_by_side() {
             assert!(difference <= PALETTE_ERROR, "panel {at} of frame {index} differs by {difference}");
         }
     }
-    // The tolerance tells neighbouring views apart.
+    // The tolerance distinguishes neighbouring views.
     assert!(mean_difference(&panel(&pictures[0], 0), &truth(1)) > 2.0 * PALETTE_ERROR);
 }
 

@@ -6,8 +6,8 @@ use crate::colmap::model::Model;
 use crate::colmap::{binary, text};
 use crate::error::Result;
 
-/// Reads `cameras`, `images` and `points3D`, as `.bin` if `cameras.bin` exists, otherwise as `.txt`. A model without
-/// registered images or with dangling ids is refused.
+/// Reads `cameras`, `images` and `points3D`: `.bin` files if `cameras.bin` exists, otherwise `.txt` files. A model
+/// without registered images or with dangling ids is refused.
 pub(crate) fn read_model(sparse_dir: &Path) -> Result<Model> {
     let is_binary = sparse_dir.join("cameras.bin").is_file();
     let path = |name: &str| sparse_dir.join(format!("{name}.{}", if is_binary { "bin" } else { "txt" }));
