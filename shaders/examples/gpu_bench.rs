@@ -174,7 +174,7 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
     })
 }
 
-/// A layer and a field at so many points, forward and backward.
+/// A layer and a field at N points, forward and backward.
 fn dense(gpu: Gpu, points: usize) -> Vec<Row> {
     const WIDTH: usize = 64;
     let shape = HexplaneShape { channels: 32, resolution: [64, 64, 64, 75], multipliers: vec![1, 2] };

@@ -10,20 +10,7 @@ const EXEMPT: [&str; 4] = ["tests/system/dialect.rs", "STYLE.md", "CHANGELOG.md"
 const CHECKED: [&str; 4] = [".rs", ".wgsl", ".toml", ".md"];
 
 /// Paths that have not been rewritten yet. This list only ever shrinks.
-const NOT_YET: &[&str] = &[
-    "ARCHITECTURE.md",
-    "Cargo.toml",
-    "README.md",
-    "ci/",
-    "data-manifests/",
-    "pipeline/engine/",
-    "recipes/",
-    "shaders/",
-    "stages/training/",
-    // The names of tests in other crates.
-    "tests/README.md",
-    "tests/numerics.md",
-];
+const NOT_YET: &[&str] = &["ARCHITECTURE.md", "README.md", "pipeline/engine/", "shaders/", "stages/training/"];
 
 /// Phrases that must not occur, in lower case, each with what to write instead. They are searched as whole words across
 /// line breaks, in comments, texts and identifiers alike (`_` separates words).
@@ -68,8 +55,6 @@ const PHRASES: &[(&str, &str)] = &[
     ("told", "reported, printed, returned, distinguished"),
     // Quantities.
     ("so many", "N, or this many"),
-    ("so much", "N, or this much"),
-    ("so few", "N, or this few"),
     ("so long", "this long"),
     ("no figure", "no value"),
     ("figure of", "value of, number of"),
@@ -100,7 +85,6 @@ const PHRASES: &[(&str, &str)] = &[
     ("what lies", "name it"),
     ("what is known of", "the static facts of"),
     // Capacity and modules.
-    ("room for", "capacity for"),
     ("has room", "has capacity"),
     ("had room", "had capacity"),
     ("too little room", "overflow"),

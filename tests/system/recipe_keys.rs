@@ -91,7 +91,7 @@ fn training(docs: &Docs, registry: &Registry, text: &mut String) {
     }
 }
 
-/// The leaves of `own` that differ from `base`, as `key = value`.
+/// The leaves of `own` that differ from `base`, each in the form `key = value`.
 fn changed_defaults(prefix: &str, base: &Value, own: &Value, except: &[&str]) -> Vec<String> {
     if let (Some(base), Some(own), false) = (base.as_object(), own.as_object(), prefix == "iterations") {
         let keys = own.iter().filter(|(key, _)| !except.contains(&key.as_str()));

@@ -16,12 +16,20 @@ mod weights;
 
 pub use blend::blend;
 pub use frames::{Frames, blend_frames};
-pub use nearest::Neighbors;
 pub use weights::weights;
 
 use rayon::prelude::*;
 
+use crate::arrays::rows::RowIndex;
 use crate::tape::Real;
+
+/// For each of N points the K of M nodes that it follows, nearest first.
+#[derive(Clone, Debug)]
+pub struct Neighbors {
+    per_point: usize,
+    points: usize,
+    node_of_item: RowIndex,
+}
 
 /// Calls `body(row, values of the row)` for every row of `columns` values, in parallel.
 fn for_each_row<T: Real>(values: &mut [T], columns: usize, body: impl Fn(usize, &mut [T]) + Sync) {

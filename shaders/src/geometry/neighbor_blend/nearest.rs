@@ -6,20 +6,12 @@
 
 use rayon::prelude::*;
 
-use super::gpu;
+use super::{Neighbors, gpu};
 use crate::arrays::rows::RowIndex;
 use crate::tape::{Real, Tensor};
 
 /// Points per parallel chunk: tens of microseconds.
 const POINTS_PER_CHUNK: usize = 64;
-
-/// For each of N points the K of M nodes that it follows, nearest first.
-#[derive(Clone, Debug)]
-pub struct Neighbors {
-    per_point: usize,
-    points: usize,
-    node_of_item: RowIndex,
-}
 
 impl Neighbors {
     /// The `count` nodes [M, D] nearest to each point [N, D]; all of them where there are fewer. Of equally near nodes the

@@ -56,7 +56,7 @@ pub(super) fn count<T: Real>(
         [cutoffs, means2d, opacities, colors].map(|var| tape.value(var).as_slice());
     let culled = |why: Culled| cutoffs.iter().filter(|cutoff| cutoff.to_f64() == why.code()).count();
     let is_drawn = |index: usize| cutoffs[index] >= T::ZERO;
-    let margin = super::reference::CLAMP_MARGIN;
+    let margin = super::CLAMP_MARGIN;
     let size_px = [camera.width as f64, camera.height as f64];
     let is_off_axis = |mean: &[T; 2]| {
         (0..2).any(|axis| {

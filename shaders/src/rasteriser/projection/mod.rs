@@ -33,6 +33,9 @@ use shape::Shape;
 /// The cutoff of a splat that is culled is this or less: [`Culled::code`].
 pub const CULLED: f64 = -1.0;
 
+/// The local affine map is evaluated at most this fraction of the image size outside the image (Kerbl et al. 2023).
+const CLAMP_MARGIN: f64 = 0.15;
+
 /// Splats per parallel chunk: tens of microseconds.
 const SPLATS_PER_CHUNK: usize = 256;
 

@@ -1,8 +1,8 @@
 //! One splat through one camera, forward and backward, for f32 and f64.
 
-use super::Culled;
 use super::harmonics::{self, MAX_COEFFICIENTS};
 use super::shape::{Factor, Shape};
+use super::{CLAMP_MARGIN, Culled};
 use crate::geometry::algebra::{Mat3, Vec3, apply, combine, cross, dot, product, transposed};
 use crate::geometry::camera::PinholeCamera;
 use crate::rasteriser::settings::RasterSettings;
@@ -11,8 +11,6 @@ use crate::tape::Real;
 
 /// Below this distance between splat and camera centre, in scene units, the viewing direction is undefined.
 const MIN_DISTANCE: f64 = 1e-8;
-/// The local affine map is evaluated at most this fraction of the image size outside the image (Kerbl et al. 2023).
-pub const CLAMP_MARGIN: f64 = 0.15;
 
 /// Camera and settings, rounded once to the scalar type.
 pub struct View<T> {
