@@ -1,5 +1,5 @@
-//! The update on a GPU: one launch for all groups, and nothing is read back. Values and moments are new arrays, because
-//! whoever shares the old ones keeps them.
+//! The update on a GPU: one launch for all groups, and nothing is read back. Values and moments become new arrays, because
+//! other tensors may share the old ones.
 
 use super::{Coefficients, Group};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
@@ -42,7 +42,7 @@ fn specialisation() -> [(&'static str, u32); 1] {
     [("ELEMENTS", ELEMENTS as u32)]
 }
 
-/// A group whose step is counted already, its gradient and its scalars.
+/// A group whose step counter has been advanced, its gradient, and the scalars of its update.
 pub type Counted<'a> = (&'a mut Group, &'a Tensor<f32>, Coefficients);
 
 /// Updates groups; the largest magnitudes of each, [groups, 2].

@@ -76,7 +76,7 @@ fn whoever_shares_the_values_keeps_them() {
     assert!(before == tensor(50, 1) && *group.tensor() != before);
 }
 
-/// Many groups at once, the last of which has no gradient; their values and what the step told.
+/// Many groups at once, the last without a gradient; returns them after one step.
 fn step_of_many(step: impl FnOnce(&mut [Update])) -> Vec<Group> {
     let mut groups: Vec<Group> = (0..20).map(|at| Group::new("one of many", tensor(7 * at, at as u64))).collect();
     let gradients: Vec<Tensor<f32>> = groups.iter().map(|group| tensor(group.rows(), 99)).collect();

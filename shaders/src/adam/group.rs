@@ -1,8 +1,8 @@
 use crate::tape::Tensor;
 
-/// A parameter tensor with its Adam moments; rows (the first dimension) are what density control adds and removes.
+/// A parameter tensor with its Adam moments; density control adds and removes its rows (the first dimension).
 ///
-/// All three are wherever they were updated last; what edits them here has them read back first.
+/// The three tensors stay on the device that updated them last; edits on the host read them back first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
     name: String,
@@ -59,7 +59,7 @@ impl Group {
         &self.tensor
     }
 
-    /// Other values in the same shape; moments stay. Panics if the shape is another.
+    /// Replaces the values and keeps the moments. Panics if the shape differs.
     pub fn set_values(&mut self, tensor: Tensor<f32>) {
         assert_eq!(tensor.shape(), self.tensor.shape(), "another shape");
         self.tensor = tensor;
@@ -126,7 +126,7 @@ impl Group {
         [&self.tensor, &self.first_moment, &self.second_moment]
     }
 
-    /// As [`Group::tensors`], for writing on the host.
+    /// Values, first and second moments, mutable on the host.
     pub(super) fn slices_mut(&mut self) -> [&mut [f32]; 3] {
         [&mut self.tensor, &mut self.first_moment, &mut self.second_moment].map(Tensor::make_mut)
     }

@@ -36,7 +36,7 @@ impl Default for Adam {
 /// One group to update.
 pub struct Update<'a> {
     pub group: &'a mut Group,
-    /// Of the group's shape. `None`: the group took no part in the loss and stays as it is, moments and step included.
+    /// The gradient, of the group's shape. `None` leaves the group unchanged, moments and step included.
     pub gradient: Option<&'a Tensor<f32>>,
     pub learning_rate: f64,
 }
@@ -79,13 +79,13 @@ impl Adam {
         }
     }
 
-    /// The same on a GPU for all groups with a gradient; the largest magnitude of each one's gradient and of its new
-    /// values, [groups, 2], NaN where there is one. Nobody waits.
+    /// Updates all groups with a gradient on a GPU, without a readback. Returns the largest magnitudes of each gradient and of
+    /// the new values, [groups, 2]; NaN where the tensor contains NaN.
     pub fn step_on(&self, gpu: Gpu, updates: &mut [Update]) -> Tensor<f32> {
         gpu::advance(gpu, &mut self.counted(updates).collect::<Vec<_>>())
     }
 
-    /// Those with a gradient, whose step is counted now.
+    /// Advances the step counter of every group with a gradient, and returns these groups.
     fn counted<'u>(&self, updates: &'u mut [Update]) -> impl Iterator<Item = gpu::Counted<'u>> {
         updates.iter_mut().filter_map(|Update { group, gradient, learning_rate }| {
             let gradient = (*gradient)?;

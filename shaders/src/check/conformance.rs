@@ -1,4 +1,4 @@
-//! Whether an adapter computes what the CPU computes: it must, before anybody relies on it.
+//! Conformance: an adapter must agree with the CPU before a run uses it.
 
 use std::time::Instant;
 
@@ -38,7 +38,7 @@ pub struct Conformance {
     pub secs: f64,
 }
 
-/// What the adapter computed wrongly.
+/// A result of the adapter that differs from the CPU's.
 #[derive(Clone, Debug)]
 pub struct Disagreement {
     /// The kernel.
@@ -162,7 +162,7 @@ fn agree_with(
     Ok(found.len())
 }
 
-/// Outputs, then gradients; zeros where none arrived.
+/// Outputs, then gradients; zeros for inputs without a gradient.
 pub(crate) fn run(
     device: Device,
     inputs: &[Tensor<f32>],

@@ -134,8 +134,8 @@ fn central_differences(f: &impl Fn(&mut Tape<f64>, &[Var]) -> Var, inputs: &[Ten
     (0..len).map(derivative).collect()
 }
 
-/// The adapter that tests run on, if there is one: the software driver where it is installed, as its results are the same
-/// everywhere. Without an adapter the test is skipped, and says so; with `REQUIRE_ADAPTER=1` it fails.
+/// The adapter for tests, if any: preferably the software driver, because its results are the same on every machine. Without
+/// an adapter the test is skipped with a message; with `REQUIRE_ADAPTER=1` it fails.
 pub fn test_gpu() -> Option<Gpu> {
     match gpu::adapters().last() {
         Some(adapter) => Some(adapter.open().unwrap_or_else(|error| panic!("{error}"))),

@@ -1,4 +1,4 @@
-//! The largest magnitude of each of many tensors: how a training looks whether its numbers are still numbers.
+//! The largest magnitude of each of many tensors: the trainer's check for non-finite values.
 
 mod gpu;
 #[cfg(test)]
@@ -11,8 +11,8 @@ use crate::tape::Tensor;
 /// Values per parallel chunk of a search for the largest: tens of microseconds.
 const VALUES_PER_CHUNK: usize = 1 << 16;
 
-/// The largest magnitude in each tensor, NaN where there is one and 0 where there is nothing. Tensors that only a GPU has
-/// stay there: all of them together cost one readback of a number each.
+/// The largest magnitude in each tensor, NaN if it contains NaN, 0 if it is empty. Tensors on a GPU are reduced
+/// there; one readback returns one number per tensor.
 pub fn largest_magnitudes(tensors: &[&Tensor<f32>]) -> Vec<f32> {
     let mut largest = vec![0.0; tensors.len()];
     let (on_gpu, on_host): (Vec<usize>, Vec<usize>) =

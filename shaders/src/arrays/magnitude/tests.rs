@@ -15,7 +15,7 @@ fn on_gpu(gpu: Gpu, values: &[f32]) -> Tensor<f32> {
     Tensor::from_gpu([values.len()], GpuArray::upload(gpu, values))
 }
 
-/// Lists whose largest magnitude is at the ends, negative, not a number, or nowhere.
+/// Lists whose largest magnitude is at an end, negative, NaN, or undefined (empty list).
 fn lists() -> Vec<Vec<f32>> {
     let with = |count: usize, at: usize, value: f32| {
         let mut values = random(count);

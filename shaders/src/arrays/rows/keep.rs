@@ -1,8 +1,8 @@
 use super::{RowMap, RowWgsl, map_rows};
 use crate::tape::{Real, Tape, Var};
 
-/// The rows of x [N, C] whose flag [N] or [N, 1] is above 0, zeros elsewhere: [N, C]. What stands in the other rows, be it
-/// infinite or NaN, reaches neither values nor gradients; no gradient flows to the flags.
+/// The rows of x [N, C] whose flag [N] or [N, 1] is above 0, zeros elsewhere: [N, C]. Infinities and NaN in the other rows
+/// reach neither values nor gradients; the flags receive no gradient.
 pub fn keep_rows<T: Real>(tape: &mut Tape<T>, x: Var, flags: Var) -> Var {
     map_rows(tape, KeepRows, [x, flags])
 }
@@ -57,7 +57,7 @@ mod tests {
     use crate::gpu::tests::test_gpu;
     use crate::tape::{Device, Tensor};
 
-    /// Rows of which some hold a NaN and an infinity, and the flags that leave those out.
+    /// Rows, some with NaN or infinity, and flags that exclude these rows.
     fn spoilt<T: Real>() -> [Tensor<T>; 2] {
         let (nan, infinity) = (f64::NAN, f64::INFINITY);
         [vec![1.0, 2.0, nan, infinity, -3.0, 4.0], vec![1.0, 0.0, 1.0]]

@@ -1,8 +1,8 @@
 //! Rearranging, reducing and combining the rows of [N, …] tensors.
 //!
-//! Everything that a method does between its large kernels: join and cut columns, pick rows, sum rows by owner, lengths
-//! and products of rows. What is computed row by row goes through [`map_rows`]; what moves between rows goes through
-//! [`RowIndex`], whose order of summation is fixed, so that no result depends on the number of threads.
+//! The operations between large kernels: concatenate and slice columns, gather rows, sum rows by owner, norms and products
+//! of rows. Row-wise functions use [`map_rows`]; data moves between rows through [`RowIndex`], whose order of summation is
+//! fixed, so that no result depends on the number of threads.
 
 mod arrange;
 #[cfg(test)]

@@ -1,7 +1,7 @@
-//! Rows drawn at random without replacement, from those that may be drawn: on a GPU nobody waits to learn which and how many.
+//! Random rows, sampled without replacement from the candidates; on a GPU without a readback of their number.
 //!
-//! Every row has a number that hangs on its index and a seed alone; those with the smallest numbers are drawn. So both
-//! devices draw the same rows in the same order.
+//! Every row has a hash that depends on its index and a seed alone; the rows with the smallest hashes are sampled. Both
+//! devices therefore sample the same rows in the same order.
 
 mod gpu;
 #[cfg(test)]
@@ -10,7 +10,7 @@ mod tests;
 use crate::arrays::rows::RowIndex;
 use crate::tape::{Device, Real, Tensor};
 
-/// How many rows are drawn: ⌈share · candidates⌉, at most `most`.
+/// The number of sampled rows: ⌈share · candidates⌉, at most `most`.
 #[derive(Clone, Copy, Debug)]
 pub struct SampleSize {
     /// In (0, 1].
@@ -23,20 +23,20 @@ pub struct SampleSize {
 pub struct SampledRows<T: Real> {
     /// Each another row.
     pub rows: RowIndex,
-    /// [M]: 1 for a row that was drawn. 0 for one that stands in a place that is left over, as a GPU has as many places as
-    /// if all rows could be drawn; on the CPU there are none of these.
+    /// [M]: 1 for a sampled row, 0 for padding. A GPU pads to the number of rows that would be sampled if all were
+    /// candidates; the CPU does not pad.
     pub weights: Tensor<T>,
 }
 
 impl SampleSize {
-    /// Rows drawn from so many: in f32, as a GPU computes it.
+    /// The number of rows sampled from this many candidates, computed in f32 as on a GPU.
     fn of(self, candidates: usize) -> usize {
         let share = (self.share as f32 * candidates as f32).ceil() as usize;
         share.min(self.most).min(candidates)
     }
 }
 
-/// Draws from the rows whose flag in `candidates` [N] is above 0.
+/// Samples from the rows whose flag in `candidates` [N] is above 0.
 pub fn sample_rows<T: Real>(device: Device, candidates: &Tensor<T>, size: SampleSize, seed: u32) -> SampledRows<T> {
     match device {
         Device::Cpu => sample_on_host(candidates, size, seed),
@@ -61,7 +61,7 @@ fn key(row: u32, seed: u32) -> u32 {
     scrambled(scrambled(row) ^ seed) >> 1
 }
 
-/// The finaliser of MurmurHash3 (Appleby 2011): a bijection after which every bit hangs on all bits of the input.
+/// The finaliser of MurmurHash3 (Appleby 2011): a bijection after which every bit depends on all bits of the input.
 fn scrambled(mut bits: u32) -> u32 {
     bits = (bits ^ (bits >> 16)).wrapping_mul(0x85eb_ca6b);
     bits = (bits ^ (bits >> 13)).wrapping_mul(0xc2b2_ae35);

@@ -10,7 +10,7 @@ use crate::gpu::tests::test_gpu;
 
 const SIZE: SampleSize = SampleSize { share: 0.2, most: 50 };
 
-/// Flags of so many rows; `every` so many can be drawn.
+/// Flags of `rows` rows; every `every`-th row is a candidate.
 fn flags(rows: usize, every: usize) -> Tensor<f32> {
     Tensor::from_vec([rows], (0..rows).map(|row| f32::from(row % every == every / 2)).collect())
 }

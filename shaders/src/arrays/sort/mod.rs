@@ -70,7 +70,7 @@ pub fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
     sort_first(gpu, keys, None, bits)
 }
 
-/// As [`sort`] for the first keys of the array, as many as `length` says; what follows in the results is undefined.
+/// Stable sort of the first `length` keys of the array; the rest of the results is undefined.
 pub fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bits: u32) -> (GpuArray, GpuArray) {
     let run = Run { gpu, blocks: keys.len().div_ceil(BLOCK), length };
     let mut counts = run.first_counts(keys);
@@ -85,7 +85,7 @@ pub fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bits: u32)
     sorted.expect("one pass at least")
 }
 
-/// The passes over keys in so many blocks.
+/// The passes of one sort over its blocks of keys.
 struct Run<'a> {
     gpu: Gpu,
     blocks: usize,
@@ -105,7 +105,7 @@ impl<'a> Run<'a> {
         self.length.map_or(Groups::Count(self.blocks), Length::blocks)
     }
 
-    /// The array with the number of keys, or one that stands in for it.
+    /// The array with the number of keys, or a placeholder.
     fn length<'b>(&self, otherwise: &'b GpuArray) -> Binding<'b>
     where
         'a: 'b,
@@ -121,7 +121,7 @@ impl<'a> Run<'a> {
         counts
     }
 
-    /// Keys and their values by one digit, of which there are so many; counts those of the next pass.
+    /// Sorts keys and their values by one digit, and counts the digits of the next pass.
     fn pass(
         &self,
         (keys, values): (&GpuArray, Option<&GpuArray>),

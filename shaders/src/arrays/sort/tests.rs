@@ -65,7 +65,7 @@ fn sums_that_would_overflow_saturate() {
     assert!(sums.is_sorted() && sums[511] == 511 << 20 && sums[513..].iter().all(|&sum| sum == SUM_CAP));
 }
 
-/// Whether this is what a stable sort of `keys` gives.
+/// Whether the result equals a stable sort of `keys`.
 fn is_stably_sorted(keys: &[u32], (sorted, places): (&[u32], &[u32])) -> bool {
     let mut expected: Vec<usize> = (0..keys.len()).collect();
     expected.sort_by_key(|&place| keys[place]);

@@ -1,5 +1,5 @@
-//! Sums on a GPU, of rows and of all elements: by blocks, and the blocks' sums again, in an order that depends on the
-//! sizes alone.
+//! Sums on a GPU, of rows and of all elements: block sums, then sums of block sums, in an order that depends on the sizes
+//! alone.
 
 #[cfg(test)]
 mod tests;
@@ -15,7 +15,7 @@ pub const GROUP: usize = 256;
 pub const BLOCK: usize = 4096;
 /// All invocations of a workgroup share one sum.
 pub const LANES: (&str, u32) = ("LANES", GROUP as u32);
-/// Rows that one invocation adds where there are no more.
+/// The most rows that a single invocation adds in one pass.
 const MOST_ROWS: usize = 1024;
 
 uniforms! {

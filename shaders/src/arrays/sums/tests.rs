@@ -10,7 +10,7 @@ fn read(array: &GpuArray) -> Vec<f32> {
     out
 }
 
-/// Whole numbers, of which f32 has every sum here.
+/// Integers whose sums are exact in f32.
 fn numbers(len: usize) -> Vec<f32> {
     noise(len, 3).iter().map(|value| (10.0 * value).round() as f32).collect()
 }

@@ -11,7 +11,7 @@ use crate::tape::chunks::sum;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
 pointwise! {
-    /// w·x, and 0 where w is 0, whatever x is there.
+    /// w·x; 0 where w is 0, even if x is not finite.
     fn weighted_or_none(x, w) -> y {
         return select(w * x, 0.0, w == 0.0);
     }
@@ -31,8 +31,8 @@ pub fn total<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     tape.apply_one(Total { is_mean: false }, &[x])
 }
 
-/// Σ w·x / max(Σ w, 1), shape [1], for x and weights w ≥ 0 of one shape: the mean over what counts where weights are 0 and
-/// 1, and 0 where nothing does. What has no weight may be anything; no gradient reaches weights.
+/// Σ w·x / max(Σ w, 1), shape [1], for x and weights w ≥ 0 of one shape: the mean of the selected elements if weights are 0 and
+/// 1; 0 if none is selected. Elements of weight 0 may be non-finite; weights receive no gradient.
 pub fn weighted_mean<T: Real>(tape: &mut Tape<T>, x: Var, weights: Var) -> Var {
     let weights = tape.detach(weights);
     let weighted = weighted_or_none(tape, x, weights);

@@ -1,4 +1,4 @@
-//! Weighted sums of what the nodes of a point have.
+//! Weighted sums of values of the nodes of each point.
 
 use super::{Neighbors, for_each_row, gpu};
 use crate::gpu::Gpu;

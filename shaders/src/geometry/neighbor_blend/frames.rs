@@ -8,7 +8,7 @@ use crate::geometry::algebra::{
 use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tape, Tensor, Var};
 
-/// What the nodes of [`blend_frames`] are and do.
+/// Positions and motions of the nodes of [`blend_frames`].
 #[derive(Clone, Copy, Debug)]
 pub struct Frames {
     /// [M, 3].

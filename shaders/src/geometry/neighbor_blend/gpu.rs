@@ -30,9 +30,9 @@ const FRAMES_NODES: Kernel =
 const GROUP: usize = 256;
 /// Points per workgroup of the search, and of the frames: few, because each invocation holds many numbers.
 const POINTS_GROUP: usize = 64;
-/// Axes of which an invocation holds a number each: of the point whose nodes it searches, at most, and of gradients at once.
+/// The most axes that an invocation keeps in registers, for the point whose nodes it searches and for gradients.
 const MAX_AXES: usize = 32;
-/// The most nodes per point that it holds, for the same reason.
+/// The most nodes per point that an invocation keeps in registers.
 const MAX_KEPT: usize = 32;
 
 uniforms! {
@@ -136,7 +136,7 @@ pub(super) fn blend<T: Real>(gpu: Gpu, neighbors: &Neighbors, [weights, values]:
     Tensor::from_gpu([points, columns], y)
 }
 
-/// The gradients of weights and values, where they are wanted.
+/// The requested gradients of weights and values.
 pub(super) fn blend_backward<T: Real>(
     gpu: Gpu,
     neighbors: &Neighbors,
@@ -164,7 +164,7 @@ pub(super) fn blend_backward<T: Real>(
     vec![needs[0].then(to_weights), needs[1].then(to_values)]
 }
 
-/// Points, nodes, radii and gates; where there are none, radii stand in for them.
+/// Bindings of points, nodes, radii and gates; radii are the placeholder of missing gates.
 fn placed<'a, T: Real>(gpu: Gpu, inputs: &[&'a Tensor<T>]) -> ([Binding<'a>; 4], (&'static str, u32)) {
     let gates = inputs.get(3).unwrap_or(&inputs[2]);
     (read(gpu, [inputs[0], inputs[1], inputs[2], gates]), ("GATED", u32::from(inputs.len() == 4)))

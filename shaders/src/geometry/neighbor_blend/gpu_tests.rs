@@ -15,7 +15,7 @@ fn tensor(rows: usize, columns: usize, seed: u64) -> Tensor<f32> {
     Tensor::from_vec([rows, columns], noise(rows * columns, seed).into_iter().map(|value| value as f32).collect())
 }
 
-/// Points and nodes in a space of so many axes, and the three nearest nodes of each point.
+/// Points and nodes in a space of `axes` dimensions, and the three nearest nodes of each point.
 fn placed(points: usize, nodes: usize, axes: usize) -> ([Tensor<f32>; 2], Neighbors) {
     let placed = [tensor(points, axes, 1), tensor(nodes, axes, 2)];
     let neighbors = Neighbors::nearest(&placed[0], &placed[1], 3);
@@ -25,7 +25,7 @@ fn placed(points: usize, nodes: usize, axes: usize) -> ([Tensor<f32>; 2], Neighb
 /// Around the sizes of workgroups; few nodes with many followers, and many with few.
 const SIZES: [[usize; 2]; 6] = [[0, 5], [1, 1], [63, 7], [257, 2], [600, 9], [40, 300]];
 
-/// Points carried by their nodes, whose weights have gates: weights and frames at once.
+/// Points that follow gated nodes: weights and frames together.
 fn carried(neighbors: &Neighbors) -> impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var> {
     move |tape, vars| {
         let &[points, nodes, log_radii, gates, translations, rotations] = vars else { unreachable!("six inputs") };

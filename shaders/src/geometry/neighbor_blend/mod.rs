@@ -1,10 +1,10 @@
-//! Points that follow control nodes: every point takes part in the motion of its K nearest nodes (Huang et al. 2024,
+//! Points that follow control nodes: every point follows a weighted blend of its K nearest nodes (Huang et al. 2024,
 //! SC-GS, equations 2 to 4).
 //!
-//! [`Neighbors`] says who follows whom and is not differentiated; [`weights`], [`blend`] and [`blend_frames`] are, in the
-//! positions of points and nodes, the nodes' radii, gates and motions. What flows back to a node is summed over its
-//! followers in ascending order, and on a GPU in parts whose order depends on the sizes alone, so that no result depends on
-//! the number of threads.
+//! [`Neighbors`] assigns nodes to points and is not differentiated. [`weights`], [`blend`] and [`blend_frames`] are
+//! differentiable in the positions of points and nodes and in the nodes' radii, gates and motions. The gradient of a node is
+//! summed over its points in ascending order, on a GPU in parts whose order depends on the sizes alone, so that no result
+//! depends on the number of threads.
 
 mod blend;
 mod frames;

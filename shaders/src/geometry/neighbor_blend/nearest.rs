@@ -1,8 +1,8 @@
 //! Nearest neighbours among a few hundred nodes.
 //!
 //! All distances are computed: with 512 nodes that takes half a microsecond per point in vector instructions, as long as a
-//! k-d tree takes in three dimensions, and it does not grow much with the dimensions of a learnt space. What is in a GPU's
-//! memory is searched there, and what is found stays there until somebody on the host asks for it.
+//! k-d tree takes in three dimensions, and it grows little with the dimensions of a learnt space. Points on a GPU
+//! are searched there, and the result stays there until the host reads it.
 
 use rayon::prelude::*;
 
@@ -14,19 +14,19 @@ use crate::tape::{Real, Tensor};
 const POINTS_PER_CHUNK: usize = 64;
 
 impl Neighbors {
-    /// The `count` nodes [M, D] nearest to each point [N, D]; all of them where there are fewer. Of equally near nodes the
-    /// first ones.
+    /// The `count` nodes [M, D] nearest to each point [N, D]; all nodes if there are fewer. Ties are
+    /// resolved by index.
     pub fn nearest<T: Real>(points: &Tensor<T>, nodes: &Tensor<T>, count: usize) -> Self {
         assert_eq!(points.row_len(), nodes.row_len(), "points and nodes in different spaces");
         Self::search(points, nodes, count.min(nodes.rows()), false)
     }
 
-    /// The `count` nodes nearest to each node [M, D] besides itself; all others where there are fewer.
+    /// The `count` nodes nearest to each node [M, D] other than itself; all others if there are fewer.
     pub fn nearest_others<T: Real>(nodes: &Tensor<T>, count: usize) -> Self {
         Self::search(nodes, nodes, count.min(nodes.rows().saturating_sub(1)), true)
     }
 
-    /// `others`: points are the nodes, and none follows itself.
+    /// With `others`, the points are the nodes, and a node is not its own neighbour.
     fn search<T: Real>(points: &Tensor<T>, nodes: &Tensor<T>, per_point: usize, others: bool) -> Self {
         let on_gpu = points.gpu().or(nodes.gpu()).filter(|_| per_point > 0 && points.rows() > 0);
         let on_gpu = on_gpu.map(|gpu| gpu::nearest(gpu, points, nodes, per_point, others));

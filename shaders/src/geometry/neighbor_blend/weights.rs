@@ -1,4 +1,4 @@
-//! How much a point follows each of its nodes.
+//! The weights with which a point follows its nodes.
 
 use super::{Neighbors, for_each_row, gpu};
 use crate::gpu::Gpu;
@@ -10,8 +10,8 @@ const FLOOR: f64 = 1e-7;
 
 /// wₙₖ ∝ e^(−‖xₙ − pₖ‖² / 2rₖ²)·σ(gₖ) + 10⁻⁷, of sum 1 over the K nodes of a point: [N, K].
 ///
-/// Points x [N, D], nodes p [M, D], logarithms of radii r [M, 1], and gates before the logistic function g [M, 1], 1 where
-/// there are none.
+/// Points x [N, D], nodes p [M, D], logarithms of radii r [M, 1], and gate logits g [M, 1]; without gates
+/// σ(g) is 1.
 pub fn weights<T: Real>(
     tape: &mut Tape<T>,
     points: Var,
@@ -32,7 +32,7 @@ struct Weights {
     neighbors: Neighbors,
 }
 
-/// The inputs by name.
+/// The inputs of the operation, named.
 struct Inputs<'a, T: Real> {
     points: &'a Tensor<T>,
     nodes: &'a Tensor<T>,

@@ -142,7 +142,7 @@ impl Lookup {
         LookupBlock { width, height, channels, count, relative }
     }
 
-    /// As [`Lookup::validity`].
+    /// [`Lookup::validity`] with kernels.
     pub(super) fn validity_on_gpu<T: Real>(&self, gpu: Gpu, image: &Tensor<T>, pixels: &Tensor<T>) -> Tensor<T> {
         let count = pixels.rows();
         let valid = GpuArray::new(gpu, count);
@@ -161,7 +161,7 @@ impl Lookup {
         Tensor::from_gpu([count, self.channels], values)
     }
 
-    /// The gradients of image, where it is wanted, and positions.
+    /// The gradients of the image, if requested, and of the positions.
     pub(super) fn backward_on_gpu<T: Real>(
         &self,
         gpu: Gpu,
@@ -176,7 +176,7 @@ impl Lookup {
         let arrays = [&read[..], &[&to_pixels, &texels, &weights].map(Binding::Write)].concat();
         LOOKUP_BACKWARD.launch(gpu, &[self.edges()], &self.block(count), &arrays, count.div_ceil(LOOKUP_GROUP));
         let to_image = needs[0].then(|| {
-            // The number of texels stands for none.
+            // The number of texels encodes "no texel".
             let bits = (self.width * self.height).ilog2() + 1;
             let (sorted, corners) = sort(gpu, &texels, bits);
             let starts = starts(gpu, &sorted, self.width * self.height);

@@ -1,10 +1,10 @@
-//! Which points a camera looks at.
+//! Which points lie in the view of a camera.
 
 use super::{PinholeCamera, PointsInImage, project_points};
 use crate::arrays::rows::{RowMap, RowWgsl, map_rows};
 use crate::tape::{Real, Tape, Var};
 
-/// What is in front of a camera is at least so far away, scene units: any distance but none.
+/// The least view depth of a point in front of a camera, scene units: any positive number.
 const NEAREST: f64 = f32::MIN_POSITIVE as f64;
 
 /// 1 where a camera's image shows the place of a point [N, 3], in front of it, else 0: [N, 1], without a gradient.

@@ -3,10 +3,10 @@
 use crate::gpu::Gpu;
 use crate::tape::{Op, Real, Tensor};
 
-/// What a lookup does where neighbouring pixels differ.
+/// The interpolation of a lookup.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Sampling {
-    /// Always bilinear: for what varies smoothly.
+    /// Always bilinear: for smooth images.
     Bilinear,
     /// The nearest pixel where any channel varies within the 2 × 2 window by more than this share of the window's largest
     /// magnitude, or where a value is not finite: for depth and flow, whose mean across an edge belongs to no surface.
@@ -40,13 +40,13 @@ impl Lookup {
         Self { width, height, channels, sampling }
     }
 
-    /// 1 where a position lies within the image and sees finite texels alone, else 0.
+    /// 1 where a position lies within the image and all contributing texels are finite, otherwise 0.
     pub fn validity<T: Real>(&self, image: &Tensor<T>, pixels: &Tensor<T>) -> Tensor<T> {
         let valid = |pixel| if self.window(image.as_slice(), pixel).is_some() { T::ONE } else { T::ZERO };
         Tensor::from_vec([pixels.rows()], pixels.as_slice().as_chunks::<2>().0.iter().map(valid).collect())
     }
 
-    /// What contributes at a position; `None` where the lookup is not valid.
+    /// The texels and weights at a position; `None` if the lookup is invalid.
     fn window<T: Real>(&self, image: &[T], pixel: &[T; 2]) -> Option<Window<T>> {
         let [x, y] = [Axis::new(pixel[0], self.width)?, Axis::new(pixel[1], self.height)?];
         let corners = [(0, 0), (0, 1), (1, 0), (1, 1)];
@@ -70,7 +70,7 @@ impl Lookup {
         (0..4).filter(is_used).all(is_finite).then_some(window)
     }
 
-    /// Whether any channel varies by more than `relative` of the largest magnitude; what is not finite varies.
+    /// Whether any channel varies by more than `relative` of the largest magnitude; non-finite values vary.
     fn varies<T: Real>(&self, image: &[T], texels: &[usize; 4], relative: T) -> bool {
         let (mut spread, mut largest) = (T::ZERO, T::ZERO);
         for channel in 0..self.channels {
@@ -98,7 +98,7 @@ struct Axis<T> {
 }
 
 impl<T: Real> Axis<T> {
-    /// `None` outside of the image, and where the position is not a number.
+    /// `None` outside the image and for NaN.
     fn new(position: T, size: usize) -> Option<Self> {
         let within = position >= T::ZERO && position <= T::from_f64(size as f64);
         if !within {

@@ -24,21 +24,21 @@ pub use lookup::Sampling;
 /// Points as a camera sees them.
 #[derive(Clone, Copy, Debug)]
 pub struct PointsInImage {
-    /// [N, 2] px; [`NOWHERE`], without a gradient, for points that are not beyond the near plane.
+    /// [N, 2] px; [`NOWHERE`], without a gradient, for points nearer than the near plane.
     pub pixels: Var,
     /// [N] z in view space, scene units.
     pub depths: Var,
 }
 
-/// The pixel position of what is not in front of the camera: outside of every image.
+/// The pixel position of points that are not in front of the camera: outside every image.
 pub const NOWHERE: f64 = -1.0;
 
-/// What an image holds at N pixel positions.
+/// Values of an image at N pixel positions.
 #[derive(Clone, Copy, Debug)]
 pub struct Sampled {
     /// [N, C]; 0, without a gradient, where not valid.
     pub values: Var,
-    /// [N]: 1 where the position lies within the image and all texels that contribute are finite, 0 elsewhere; a constant.
+    /// [N]: 1 where the position lies within the image and all contributing texels are finite, otherwise 0; a constant.
     pub valid: Var,
 }
 

@@ -11,7 +11,7 @@ const GROUP: usize = 64;
 
 /// Sweeps of Jacobi's method: it converges quadratically, four or five reach the precision of f64.
 const SWEEPS: usize = 8;
-/// Off the diagonal, what is so much smaller than it is none: below the rounding of f64.
+/// Off-diagonal elements below this share of the diagonal count as 0: they are below the rounding of f64.
 const NEGLIGIBLE: f64 = 1e-18;
 
 uniforms! {
@@ -21,11 +21,11 @@ uniforms! {
     }
 }
 
-/// For vectors e and e' [M·K, 3], K in a row to each of M owners, the rotation R of every vector [M·K, 4]: that of its owner,
-/// which minimises Σ ‖e' − Re‖² over the owner's vectors (Horn 1987). Unlike what a singular value decomposition gives it
-/// is never a reflection; without motion, and where nothing says otherwise, it is the identity.
+/// For vectors e and e' [M·K, 3], K consecutive ones per owner, the rotation R of every vector [M·K, 4]: the rotation of its owner
+/// that minimises Σ ‖e' − Re‖² over the owner's vectors (Horn 1987). Unlike the result of a singular value
+/// decomposition, it is never a reflection; without motion or constraints it is the identity.
 ///
-/// It is cut off from gradients: where it is best, the derivative of the sum by it vanishes.
+/// The result is detached: at the minimum, the derivative of the sum with respect to R vanishes.
 pub fn best_rotations<T: Real>(tape: &mut Tape<T>, before: Var, after: Var, per_owner: usize) -> Var {
     let [of_before, of_after] = [before, after].map(|vectors| tape.value(vectors));
     assert_eq!(of_before.shape(), of_after.shape(), "best_rotations: numbers of vectors differ");
@@ -112,8 +112,8 @@ mod tests {
         assert_valid::<FitBlock>(&FIT, &[]);
     }
 
-    /// Vectors, and the same turned by an angle that differs from owner to owner, with some noise; the first owner's do not
-    /// move, those of the second are zero.
+    /// Vectors, and the vectors rotated by a different angle per owner plus noise; those of the first owner do not move, those
+    /// of the second are zero.
     fn vectors(owners: usize, per_owner: usize) -> [Tensor<f32>; 2] {
         let count = owners * per_owner;
         let (mut before, noise) = (noise(3 * count, 1), noise(3 * count, 2));
@@ -137,7 +137,7 @@ mod tests {
         let tolerance = Tolerance { value: 2e-5, gradient: 1e-4 };
         compare(gpu, &format!("{owners} owners"), &vectors(owners, per_owner), tolerance, |tape, vars| {
             let rotations = best_rotations(tape, vars[0], vars[1], per_owner);
-            // The same rotation whatever the quaternion's sign.
+            // Rotating removes the ambiguity of the quaternion's sign.
             vec![rotate(tape, rotations, vars[0])]
         })
     }

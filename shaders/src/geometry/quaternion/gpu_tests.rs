@@ -42,7 +42,7 @@ fn a_gpu_interpolates_along_arc_and_chord() {
         let mix = |(p, far): (&f32, &f32)| closeness * p + (1.0 - closeness) * far;
         let near = Tensor::from_vec([50, 4], p.as_slice().iter().zip(far.as_slice()).map(mix).collect());
         let f = |tape: &mut Tape<f32>, vars: &[Var]| vec![slerp(tape, vars[0], vars[1], vars[2])];
-        // Near the end of the arc its sine is 0.03, and what it divides has as many digits fewer.
+        // Near the end of the arc its sine is 0.03, and quotients by it lose as many digits.
         let tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
         compare(gpu, &format!("closeness {closeness}"), &[p, near, shares], tolerance, f).unwrap();
     }

@@ -35,7 +35,7 @@ pub fn rotate<T: Real>(tape: &mut Tape<T>, q: Var, v: Var) -> Var {
     map_rows(tape, Rotate, [q, v])
 }
 
-/// q or −q, whichever is on the side of `reference`, row by row: both are the same rotation. The reference receives no
+/// Row by row, q or −q (the same rotation), whichever lies in the hemisphere of `reference`. The reference receives no
 /// gradient.
 pub fn align<T: Real>(tape: &mut Tape<T>, q: Var, reference: Var) -> Var {
     map_rows(tape, Align, [q, reference])

@@ -36,7 +36,7 @@ fn put(gpu: Gpu, x: &GpuArray, [rows, width]: [usize; 2], y: &GpuArray, (first, 
     copy(gpu, x, y, &ColumnsBlock { to_stride, to_first, ..from });
 }
 
-/// The columns of a range of x [rows, columns], of which some may not be there.
+/// The columns `range` of x [rows, columns]; columns outside x are zero.
 fn cut(gpu: Gpu, x: &GpuArray, [rows, columns]: [usize; 2], range: Range<isize>) -> GpuArray {
     let width = range.len();
     let y = GpuArray::new(gpu, rows * width);

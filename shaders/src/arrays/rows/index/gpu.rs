@@ -13,7 +13,7 @@ const SEGMENT_SUM: Kernel = Kernel { name: "segment_sum", text: include_str!("se
 
 /// Elements per workgroup.
 const GROUP: usize = 256;
-/// Terms that one invocation adds at most: a row with more of them is cut, and the sums of its parts are added.
+/// The most terms that one invocation adds: a longer row is split, and the sums of its parts are added.
 const LONGEST: u32 = 64;
 
 uniforms! {
@@ -68,7 +68,7 @@ impl GpuIndex {
         Self { rows: starts.len() - 1, row_of_item, sorted: sorted.into() }
     }
 
-    /// Items that nobody has sorted by row.
+    /// Items that are not sorted by row yet.
     pub fn unsorted(row_of_item: GpuArray, rows: usize) -> Self {
         Self { rows, row_of_item, sorted: OnceLock::new() }
     }
@@ -106,7 +106,7 @@ impl RowIndex {
     pub fn gather_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
         let (columns, lists) = (x.row_len(), self.on_gpu(gpu));
         let y = GpuArray::new(gpu, self.len() * columns);
-        // Only means look at how many items a row has.
+        // Only means use the number of items per row.
         let starts = if mean { &lists.sorted().starts } else { &lists.row_of_item };
         let read = [x.on_gpu(gpu), &lists.row_of_item, starts].map(Binding::Read);
         let arrays = [&read[..], &[Binding::Write(&y)]].concat();

@@ -17,14 +17,14 @@ const GATHER_CHUNK: usize = 16_384;
 
 /// For each of M items the one of N rows that it belongs to, and for each row its items in ascending order.
 ///
-/// Building one sorts the list; keep it where the list does not change. Cloning shares it. A list that a GPU made stays
-/// there until somebody on the host asks for it.
+/// Building one sorts the list: reuse it while the list does not change. Clones share the list. A list made on a GPU stays
+/// there until the host reads it.
 #[derive(Clone, Debug)]
 pub struct RowIndex {
     lists: Arc<Lists>,
 }
 
-/// The lists on the host, in a GPU's memory, or both; at least one of them is there.
+/// The lists on the host, on a GPU, or on both; at least one is present.
 #[derive(Debug)]
 struct Lists {
     rows: usize,
@@ -66,7 +66,7 @@ impl RowIndex {
         Self { lists: Arc::new(Lists { rows, on_host, on_gpu: OnceLock::new() }) }
     }
 
-    /// The same for a list that a GPU made.
+    /// An index from a list of rows on a GPU.
     pub(crate) fn of_gpu(row_of_item: GpuArray, rows: usize) -> Self {
         let on_gpu = GpuIndex::unsorted(row_of_item, rows).into();
         Self { lists: Arc::new(Lists { rows, on_host: OnceLock::new(), on_gpu }) }

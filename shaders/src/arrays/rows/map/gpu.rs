@@ -1,5 +1,5 @@
-//! Row maps on a GPU: one invocation per element that is written, so that neighbours write neighbouring elements.
-//! A map sees one row of every array, so that rows may be those of a window.
+//! Row maps on a GPU: one invocation per output element, so that neighbouring invocations write neighbouring
+//! elements.
 
 use std::array::from_fn;
 use std::fmt::Write;
@@ -11,9 +11,9 @@ use crate::tape::{Real, Tensor};
 /// Invocations per workgroup.
 const GROUP: usize = 256;
 
-/// The WGSL of a [`RowMap`]: functions of a row and a column of what is written, as `value(row, column)`.
+/// The WGSL of a [`RowMap`]: functions of a row and a column of the output, e.g. `value(row, column)`.
 ///
-/// They see the inputs as `x0`, `x1`, … (arrays of rows with `COLUMNS_0`, `COLUMNS_1`, … columns), the numbers below as
+/// They read the inputs as `x0`, `x1`, … (arrays of rows with `COLUMNS_0`, `COLUMNS_1`, … columns), the numbers below as
 /// `map.values[0].x`, … and, in gradients, the output and its gradient as `y` and `dy` (`COLUMNS_Y` columns).
 pub struct RowWgsl {
     /// Defines `fn value(row: u32, column: u32) -> f32`.
@@ -48,7 +48,7 @@ pub struct RowKernel<const I: usize> {
 }
 
 impl<const I: usize> RowKernel<I> {
-    /// `None` where there is no text for these numbers of columns, or nothing to write.
+    /// `None` if the map has no WGSL for these numbers of columns, or if the output is empty.
     pub fn new<M: RowMap<I>>(map: &M, columns: [usize; I]) -> Option<Self> {
         let y_columns = map.output_columns(columns);
         let wgsl = map.wgsl(columns).filter(|_| y_columns > 0 && !columns.contains(&0))?;
@@ -96,7 +96,7 @@ impl<const I: usize> RowKernel<I> {
         gpu.launch(&Launch { name, source, constants: bytemuck::bytes_of(&block), arrays, groups });
     }
 
-    /// What tells these kernels from others of the same map.
+    /// The constants that distinguish these kernels from other specialisations of the same map.
     fn specialisation(&self) -> Vec<(String, u32)> {
         let given = self.wgsl.specialisation.iter().map(|&(name, value)| (name.to_owned(), value));
         let columns = self.columns.iter().enumerate().map(|(at, &count)| (format!("COLUMNS_{at}"), count as u32));
@@ -136,7 +136,7 @@ impl<const I: usize> RowKernel<I> {
         from_fn(|input| (format!("x{input}"), "read"))
     }
 
-    /// A kernel whose invocations each have a row and one of `columns` columns.
+    /// The text of a kernel with one invocation per row and column.
     fn text(&self, arrays: &[(String, &str)], functions: &str, columns: usize, body: &str) -> String {
         let line = |(at, (name, access)): (usize, &(String, &str))| {
             format!("@group(0) @binding({}) var<storage, {access}> {name}: array<f32>;\n", at + 1)

@@ -28,7 +28,7 @@ pub trait RowMap<const I: usize>: Sized + Send + Sync + 'static {
     /// Writes the gradient of every input row, which holds zeros on entry.
     fn gradient<T: Real>(&self, inputs: [&[T]; I], y: &[T], dy: &[T], gradients: [&mut [T]; I]);
 
-    /// The same in WGSL; `None` where a GPU has no text for these numbers of input columns.
+    /// The map in WGSL; `None` if it has no text for these numbers of input columns.
     fn wgsl(&self, _input_columns: [usize; I]) -> Option<RowWgsl> {
         None
     }

@@ -16,7 +16,7 @@ uniforms! {
     }
 }
 
-/// The middle one of the elements whose flag is above 0: [1].
+/// The median of the elements whose flag is above 0: [1].
 pub fn median<T: Real>(gpu: Gpu, x: &Tensor<T>, flags: &Tensor<T>) -> Tensor<T> {
     let block = MedianBlock { len: x.len() as u32 };
     let (keys, median) = (GpuArray::new(gpu, x.len()), GpuArray::new(gpu, 1));

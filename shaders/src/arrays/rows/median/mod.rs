@@ -2,8 +2,8 @@ mod gpu;
 
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
-/// The middle one of those elements of x ≥ 0, [N] or [N, 1], whose flag [N] is above 0, shape [1]: the upper one of two, 0
-/// where no flag is. A NaN comes after all numbers. A constant: no gradient flows through it.
+/// The median, shape [1], of the elements of x ≥ 0, [N] or [N, 1], whose flag [N] is above 0: the upper one of two middle
+/// elements, 0 if no flag is set. NaN sorts last. The result is a constant without gradient.
 pub fn median_where<T: Real>(tape: &mut Tape<T>, x: Var, flags: Var) -> Var {
     let [x, flags] = [x, flags].map(|var| tape.value(var));
     assert_eq!(x.len(), flags.len(), "median_where: one flag per element");
@@ -51,7 +51,7 @@ mod tests {
         assert_eq!(of(&[f64::NAN, 4.0, 1.0], &[1.0; 3]), 4.0);
     }
 
-    /// So many elements, every third of which does not count.
+    /// Compares the devices on `count` elements, every third of which is not flagged.
     fn compare(gpu: Gpu, count: usize) -> Result<usize, Disagreement> {
         let x: Vec<f64> = noise(count, 1).iter().map(|value| value.abs()).collect();
         let flags: Vec<f64> = (0..count).map(|at| f64::from(at as u32 % 3)).collect();

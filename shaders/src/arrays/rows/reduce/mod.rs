@@ -160,7 +160,7 @@ impl RowMap<1> for Normalize {
 
     fn gradient<T: Real>(&self, [x]: [&[T]; 1], y: &[T], dy: &[T], [dx]: [&mut [T]; 1]) {
         let (length, is_short) = self.length(x);
-        // From ε on only what is tangential to the sphere passes.
+        // At lengths of ε or more, only the component tangential to the sphere passes.
         let radial = if is_short { T::ZERO } else { dot(y, dy) };
         dx.iter_mut().zip(y.iter().zip(dy)).for_each(|(dx, (&y, &dy))| *dx = (dy - radial * y) / length);
     }

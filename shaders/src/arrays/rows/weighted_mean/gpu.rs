@@ -15,7 +15,7 @@ uniforms! {
     }
 }
 
-/// What the backward pass needs of the forward pass.
+/// Values of the forward pass that the backward pass reads.
 pub struct WeightedMeanOnGpu {
     /// Σ w and Σ w‖a − b‖².
     sums: GpuArray,

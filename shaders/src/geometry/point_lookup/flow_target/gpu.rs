@@ -54,7 +54,7 @@ fn block<T: Real>(maps: &FlowMaps<T>, count: usize) -> FlowBlock {
     }
 }
 
-/// Positions, free directions and what is seen.
+/// Target positions, unconstrained directions, and visibility.
 pub(super) fn targets<T: Real>(gpu: Gpu, maps: &FlowMaps<T>, points: &Tensor<T>) -> Vec<Tensor<T>> {
     let count = points.rows();
     let [positions, free, seen] = [3, 3, 1].map(|columns| GpuArray::new(gpu, columns * count));

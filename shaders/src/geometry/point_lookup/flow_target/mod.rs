@@ -1,9 +1,8 @@
-//! Where the optical flow of a view leads what the view sees (KineticGS equations 2 and 6).
+//! Targets of the points of a view under its optical flow (KineticGS equations 2 and 6).
 //!
-//! A point counts as seen where the view's depth agrees with its own. Its target is the point behind the pixel where the flow
-//! leads, in the depth that is known there; where none is, only the ray is known, and the target is the point on it in the
-//! depth that the point had. Maps are read at the pixel that holds a position, without interpolation, which would mix
-//! surfaces.
+//! A point is visible if the view's depth agrees with its own. Its target is the back-projection of the pixel at the end of the
+//! flow, with the depth there. If that depth is unknown, only the ray is known, and the target is the point on the ray with
+//! the depth of the original point. Maps are read at the nearest pixel: interpolation would mix surfaces.
 
 mod gpu;
 #[cfg(test)]
@@ -20,26 +19,26 @@ pub const DEPTH_TOLERANCE: f64 = 0.05;
 /// Depth and flow of one view.
 #[derive(Clone, Debug)]
 pub struct FlowMaps<T: Real> {
-    /// What sees the maps.
+    /// The camera of the maps.
     pub camera: PinholeCamera,
-    /// [H, W] z in view space, scene units; what is not positive or not finite is not known.
+    /// [H, W] z in view space, scene units; unknown where not positive or not finite.
     pub depth: Tensor<T>,
-    /// [H, W, 2] px; what is not finite is not known.
+    /// [H, W, 2] px; unknown where not finite.
     pub flow: Tensor<T>,
-    /// What sees where the flow arrives.
+    /// The camera at the end of the flow.
     pub camera_to: PinholeCamera,
-    /// [H', W'] the depth there, as far as it is known.
+    /// [H', W'] z in view space at the end of the flow, if known.
     pub depth_to: Option<Tensor<T>>,
 }
 
 /// Where N points should be when the flow arrives; no gradient flows to them.
 #[derive(Clone, Copy, Debug)]
 pub struct FlowTargets {
-    /// [N, 3] world; a point of the ray where only the ray is known, 0 where the view does not see the point.
+    /// [N, 3] world; a point on the ray if only the ray is known; 0 for invisible points.
     pub positions: Var,
-    /// [N, 3] the direction along which nothing is known: a unit vector, or zero.
+    /// [N, 3] the unconstrained direction: the unit vector of the ray, or zero.
     pub free: Var,
-    /// [N, 1] 1 where the view sees the point and knows its flow, else 0.
+    /// [N, 1] 1 for visible points with known flow, otherwise 0.
     pub seen: Var,
 }
 
@@ -60,7 +59,7 @@ struct FlowTarget<T: Real> {
 type Row = ([f64; 3], [f64; 3], f64);
 
 impl<T: Real> FlowTarget<T> {
-    /// `None` where the view does not see the point, or does not know where it goes.
+    /// The target of one point; `None` if it is invisible or its flow is unknown.
     fn target(&self, [camera, camera_to]: &[Pinhole<f64>; 2], point: [f64; 3]) -> Option<Row> {
         let [x, y, depth] = camera.view_from_world(&point);
         let pixel = [camera.focal[0] * x / depth + camera.center[0], camera.focal[1] * y / depth + camera.center[1]];
@@ -82,7 +81,7 @@ impl<T: Real> FlowTarget<T> {
     }
 }
 
-/// The pixel of a map [H, W] that holds a position; `None` outside of the image.
+/// The index of the pixel of a map [H, W] that contains a position; `None` outside the image.
 fn texel<T: Real>(map: &Tensor<T>, [x, y]: [f64; 2]) -> Option<usize> {
     let (height, width) = (map.shape()[0], map.shape()[1]);
     let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
