@@ -4,7 +4,7 @@ use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk};
 use crate::tape::{Op, Real, Tape, Tensor, Var, sums_on_gpu};
 
-/// The sums of pairs of equal shape, each as [`super::add`] makes it. A GPU computes them together.
+/// The sums of pairs of equal shape, each equal to [`super::add`]. A GPU computes them in one launch.
 pub fn adds<T: Real>(tape: &mut Tape<T>, pairs: &[[Var; 2]]) -> Vec<Var> {
     for &[a, b] in pairs {
         assert_eq!(tape.value(a).shape(), tape.value(b).shape(), "adds: shapes differ");
@@ -32,7 +32,7 @@ impl<T: Real> Op<T> for Adds {
         inputs.chunks(2).map(sum).collect()
     }
 
-    /// What arrives at a sum arrives at both of its terms, wherever it is.
+    /// The gradient of a sum is the gradient of both of its terms, on either device.
     fn backward(
         &mut self,
         _inputs: &[&Tensor<T>],
@@ -69,7 +69,7 @@ mod tests {
         (0..2 * shapes.len()).map(tensor).collect()
     }
 
-    /// Sums whose terms have other uses.
+    /// Sums of terms that other operations use as well.
     fn uses(tape: &mut Tape<f32>, vars: &[Var], sums: impl Fn(&mut Tape<f32>, &[[Var; 2]]) -> Vec<Var>) -> Vec<Var> {
         let squares: Vec<Var> = vars.iter().map(|&var| square(tape, var)).collect();
         let pairs: Vec<[Var; 2]> = vars.chunks(2).zip(squares.chunks(2)).map(|(a, b)| [a[0], b[1]]).collect();

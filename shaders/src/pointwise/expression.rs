@@ -46,7 +46,7 @@ impl Expression {
     }
 }
 
-/// The one of two values whose type is `K`.
+/// Whichever of two values has the type `K`.
 fn of_type<A: 'static, B: 'static, K: Copy + 'static>(a: &A, b: &B) -> K {
     let found = (a as &dyn Any).downcast_ref::<K>().or_else(|| (b as &dyn Any).downcast_ref());
     *found.expect("a Real is f32 or f64")

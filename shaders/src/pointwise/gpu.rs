@@ -37,7 +37,7 @@ impl Expression {
         names.skip(1).collect()
     }
 
-    /// The inputs, then what is named: all but `y` of a gradient kernel and `dy` are written.
+    /// Bindings of the inputs, then of the named arrays; all but `dy` and the `y` of a gradient kernel are outputs.
     fn declarations(&self, others: &[&str]) -> String {
         let is_gradient = others.contains(&"dy");
         let inputs = (0..self.inputs).map(|input| (format!("input_{input}"), "read"));
@@ -83,7 +83,7 @@ impl<T: Real> Pointwise<T> {
         block
     }
 
-    /// Runs a kernel for so many elements.
+    /// Launches a kernel over `len` elements.
     fn launch(&self, gpu: Gpu, name: String, source: &dyn Fn() -> String, len: usize, arrays: &[Binding]) {
         let block = self.block();
         let (constants, groups) = (bytemuck::cast_slice(&block), len.div_ceil(GROUP).into());

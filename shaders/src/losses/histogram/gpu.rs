@@ -13,7 +13,7 @@ const TOTAL: Kernel = Kernel { name: "soft histogram, total", text: include_str!
 const BACKWARD: Kernel = Kernel { name: "soft histogram backward", text: include_str!("histogram_bwd.wgsl") };
 const DIVERGENCE: Kernel = Kernel { name: "divergence from uniform", text: include_str!("divergence.wgsl") };
 
-/// Invocations per workgroup, and the most bins that one of them has.
+/// Invocations per workgroup, which is also the most bins of one workgroup.
 const GROUP: usize = 256;
 /// Values per workgroup of the shares.
 const BLOCK: usize = 4096;
@@ -78,7 +78,7 @@ impl SoftHistogram {
 
 /// Writes the divergence or, given its gradient, that of the shares.
 fn launch_divergence<T: Real>(gpu: Gpu, shares: &Tensor<T>, dy: Option<&Tensor<T>>, out: &GpuArray) {
-    // Without a gradient the shares stand in for it.
+    // The shares are the placeholder of a missing gradient.
     let read = [shares, dy.unwrap_or(shares)].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let specialisation = [LANES, ("BACKWARD", u32::from(dy.is_some()))];
     let block = DivergenceBlock { bins: shares.len() as u32 };

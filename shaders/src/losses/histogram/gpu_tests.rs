@@ -10,7 +10,7 @@ use crate::tape::{Device, Tape, Var};
 /// Sums over thousands of values in f32, which the CPU takes in f64.
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-4 };
 
-/// Values of which some lie beyond the bins.
+/// Values, some of them outside the bins.
 fn values(len: usize) -> Tensor<f32> {
     Tensor::from_vec([len], noise(len, 1).into_iter().map(|value| 1.2 * value as f32).collect())
 }
@@ -24,7 +24,7 @@ fn shares_and_divergence(bins: usize) -> impl Fn(&mut Tape<f32>, &[Var]) -> Vec<
 
 fn compare_histograms(gpu: Gpu, len: usize, bins: usize) -> Result<usize, Disagreement> {
     compare(gpu, &format!("{len} values in {bins} bins"), &[values(len)], TOLERANCE, shares_and_divergence(bins))?;
-    // Of shares that do not add up to 1, as their gradients alone would not tell of a term that all of them have.
+    // The shares do not add up to 1: otherwise a constant term in all their gradients would go unnoticed.
     let shares = Tensor::from_vec([bins], noise(bins, 2).into_iter().map(|value| value.abs() as f32).collect());
     let divergence = |tape: &mut Tape<f32>, vars: &[Var]| vec![divergence_from_uniform(tape, vars[0])];
     compare(gpu, &format!("the divergence of {bins} bins"), &[shares], TOLERANCE, divergence)

@@ -1,9 +1,9 @@
-//! Soft histograms, and how far they are from uniform: the regulariser of KineticGS (equation 9).
+//! Soft histograms and their divergence from the uniform distribution: the regulariser of KineticGS (equation 9).
 //!
-//! A histogram of hard bins has no gradient. Here a value is shared between the two bins whose centres it lies between,
+//! A histogram with hard bins has no gradient. Here a value contributes to the two bins whose centres enclose it,
 //! in proportion to its distance from them (a triangular kernel of one bin width), so that shares change smoothly as
-//! values move. Values beyond the outermost centres belong wholly to the outermost bin and have no gradient: sharing them
-//! less the farther out they are would reward values for leaving the interval.
+//! values move. Values beyond the outermost centres belong entirely to the outermost bin and have no gradient: a share that
+//! decreases outside would reward values for leaving the interval.
 
 mod gpu;
 #[cfg(test)]

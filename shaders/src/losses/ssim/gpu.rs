@@ -25,7 +25,7 @@ uniforms! {
     }
 }
 
-/// What the kernels are specialised for: whether derivatives are kept.
+/// The specialisation of the kernels: whether derivatives are kept.
 fn specialisation(keep: bool) -> [(&'static str, u32); 2] {
     [LANES, ("KEEP", u32::from(keep))]
 }

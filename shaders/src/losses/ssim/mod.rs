@@ -63,7 +63,7 @@ impl Layout {
         self.width * self.channels
     }
 
-    /// Pixels at each end of a row or column whose window does not count.
+    /// Pixels at each end of a row or column whose window is excluded.
     fn margin(&self) -> usize {
         if self.window == Window::Valid { RADIUS } else { 0 }
     }
@@ -78,7 +78,7 @@ impl Layout {
         (self.margin()..self.height.saturating_sub(self.margin())).contains(&y)
     }
 
-    /// Elements of a row whose windows count.
+    /// Elements of a row whose windows are included.
     fn counted_columns(&self) -> std::ops::Range<usize> {
         self.margin() * self.channels..(self.width - self.margin()) * self.channels
     }
@@ -142,7 +142,7 @@ struct Ssim<T> {
     keep_gradients: bool,
     /// Derivatives of every window's SSIM: per row of the image, a row each of d_x, d_xx and d_xy; 0 where no window counts.
     gradients: Vec<T>,
-    /// The same on a GPU: d_x of every channel in planes, then d_xx and d_xy.
+    /// The derivatives on a GPU: d_x of every channel in planes, then d_xx and d_xy.
     on_gpu: Option<GpuArray>,
 }
 

@@ -2,8 +2,8 @@
 
 use crate::tape::Real;
 
-/// Replaces scores by e^(score − max) / Σ e^(score − max). A row without scores stays empty: the caller leaves out what
-/// is masked, instead of writing −∞, whose differences would be NaN.
+/// Replaces scores by e^(score − max) / Σ e^(score − max). An empty row stays empty: the caller removes
+/// masked scores instead of writing −∞, whose differences would be NaN.
 pub fn softmax<T: Real>(scores: &mut [T]) {
     let largest = scores.iter().fold(scores.first().copied().unwrap_or(T::ZERO), |largest, &score| largest.max(score));
     scores.iter_mut().for_each(|score| *score = (*score - largest).exp());

@@ -72,7 +72,7 @@ fn backward_input<T: Real>(layout: &Layout, weight: &[T], dy: &[T], len: usize) 
     dx
 }
 
-/// [pixels, taps, channels]: the pixel of `image` that `locate` names for every pixel and tap, zeros where it names none.
+/// [pixels, taps, channels]: the pixel of `image` that `locate` returns for every pixel and tap, zeros for `None`.
 fn patches<T: Real>(
     image: &[T],
     channels: usize,

@@ -42,7 +42,7 @@ enum Direction {
 }
 
 impl Layout {
-    /// What the kernel of a direction is specialised for.
+    /// The specialisation of the kernel of a direction.
     fn specialisation(&self, direction: Direction) -> Vec<(&'static str, u32)> {
         let is = |wanted: bool| usize::from(wanted);
         let (forward, weight) = (matches!(direction, Direction::Forward), matches!(direction, Direction::Weight));
@@ -102,7 +102,7 @@ impl Convolution {
         Tensor::from_gpu([height, width, outputs], y)
     }
 
-    /// The gradients of the inputs, where they are wanted.
+    /// The requested gradients of the inputs.
     pub(super) fn backward_on_gpu<T: Real>(
         &self,
         gpu: Gpu,

@@ -1,8 +1,8 @@
 //! Convolution of an image with zero padding: y(p) = b + Σₙ w(n)·x(stride·p + dilation·n − padding).
 //!
 //! x [H, W, C], weight [O, kernel height, kernel width, C], bias [O] → y [H′, W′, O] with
-//! H′ = ⌊(H + 2·padding − dilation·(kernel height − 1) − 1) / stride⌋ + 1. Channels are innermost, so that a tap is one run
-//! of memory; weights stored as [O, C, kernel height, kernel width] elsewhere have to be permuted.
+//! H′ = ⌊(H + 2·padding − dilation·(kernel height − 1) − 1) / stride⌋ + 1. Channels are innermost, so that a tap is contiguous
+//! in memory; weights of other programs, [O, C, kernel height, kernel width], must be permuted.
 //!
 //! The central-difference convolution y(p) = Σₙ w(n)·(x(p + n) − θ·x(p)) (Yu et al. 2020) is an ordinary one whose central
 //! weight is reduced by θ·Σₙ w(n): see [`central_difference`].
@@ -82,7 +82,7 @@ impl Layout {
         self.output[0] * self.output[1]
     }
 
-    /// The input pixel that a tap of an output pixel reads; none in the padding.
+    /// The input pixel that a tap of an output pixel reads; `None` in the padding.
     fn source(&self, output_pixel: usize, tap: usize) -> Option<usize> {
         let Sampling { stride, dilation, padding } = self.sampling;
         let row = (output_pixel / self.output[1] * stride + tap / self.kernel[1] * dilation).checked_sub(padding)?;
@@ -90,7 +90,7 @@ impl Layout {
         (row < self.input[0] && column < self.input[1]).then_some(row * self.input[1] + column)
     }
 
-    /// The output pixel whose tap reads an input pixel, if any does: the inverse of [`Layout::source`].
+    /// The output pixel whose tap reads an input pixel, if any: the inverse of [`Layout::source`].
     fn target(&self, input_pixel: usize, tap: usize) -> Option<usize> {
         let Sampling { stride, dilation, padding } = self.sampling;
         let row = (input_pixel / self.input[1] + padding).checked_sub(tap / self.kernel[1] * dilation)?;
@@ -105,7 +105,7 @@ struct Convolution {
     layout: Layout,
 }
 
-/// Gradients of the three inputs, where they are wanted.
+/// The requested gradients of the three inputs.
 struct InputGradients<T> {
     x: Option<Vec<T>>,
     weight: Option<Vec<T>>,

@@ -1,4 +1,4 @@
-//! The equation as it stands, tap by tap.
+//! The defining equation, tap by tap.
 
 use super::{InputGradients, Layout, add};
 use crate::tape::Real;

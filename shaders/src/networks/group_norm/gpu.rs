@@ -53,7 +53,7 @@ impl GroupNorm {
     /// The mean of every group's values or, given the means, 1/√(mean of squared differences + ε).
     fn statistic_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, means: Option<&GpuArray>) -> GpuArray {
         let x_on_gpu = x.on_gpu(gpu);
-        // Without means x stands in for them.
+        // x is the placeholder of missing means.
         let arrays = [x_on_gpu, means.unwrap_or(x_on_gpu)].map(Binding::Read);
         let specialisation = [self.per_group(), ("SQUARES", u32::from(means.is_some()))];
         let (rows, columns) = (x.len() / self.channels, self.channels);

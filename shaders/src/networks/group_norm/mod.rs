@@ -1,8 +1,8 @@
 //! Group normalisation of an image (Wu and He 2018): y = γ·(x − μ)/√(σ² + ε) + β, with mean μ and variance σ² over all
 //! pixels and the channels of a group.
 //!
-//! x [H, W, C], γ [C], β [C] → y [H, W, C]. Unlike batch normalisation it does the same in training and in use. Sums run
-//! in f64 over chunks of fixed size.
+//! x [H, W, C], γ [C], β [C] → y [H, W, C]. Unlike batch normalisation, it is the same function in training and at test
+//! time. Sums run in f64 over chunks of fixed size.
 
 mod gpu;
 #[cfg(test)]
@@ -33,7 +33,7 @@ struct GroupNorm {
     groups: usize,
     /// Per group: mean and 1/√(σ² + ε).
     statistics: Vec<[f64; 2]>,
-    /// The same where kernels for a GPU computed it.
+    /// The statistics, if a GPU computed them.
     on_gpu: Option<GpuStatistics>,
 }
 

@@ -35,7 +35,7 @@ pub struct Forward<'a> {
 }
 
 impl<'a> Forward<'a> {
-    /// `None` if the scalar type is not f32 or the channels do not fill whole lanes: then the reference runs.
+    /// `None` if the scalar type is not f32 or the channels do not fill whole lanes; the reference runs instead.
     pub fn new<T: Real>(field: &Field<'a, T>) -> Option<Self> {
         let channels = field.channels();
         let time = field.time.to_f64() as f32;
@@ -268,8 +268,8 @@ fn run_task_body<const L: usize>(
     position_gradients
 }
 
-/// What a point reads from a plane: the value and its derivatives along the plane's two axes, in texels. On a row, only
-/// the first axis exists.
+/// A point's reading of a plane: the value and its derivatives along the plane's two axes, in texels. A row has only the
+/// first axis.
 #[derive(Copy, Clone)]
 struct Reading<const L: usize> {
     value: [f32; L],

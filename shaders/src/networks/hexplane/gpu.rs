@@ -1,8 +1,8 @@
 //! The kernels of the field.
 //!
 //! The gradients of the planes are gathered, not scattered: points are sorted by the cell of each plane that they are in,
-//! cells add their points block by block, and every texel adds the cells around it. A launch has all scales, as long as the
-//! adapter allows so many arrays, and as many points as there is memory for.
+//! cells add their points block by block, and every texel adds the cells around it. A launch covers as many scales as the
+//! adapter has array bindings for, and as many points as the scratch memory holds.
 
 use super::Field;
 use super::scales::{ScaleItem, cells, scales};
@@ -28,7 +28,7 @@ const TEXELS: Grouped = Grouped {
     arrays: GRADIENTS,
 };
 
-/// What a scale has: the six planes, or their gradients.
+/// The arrays of a scale: the six planes, or their gradients.
 const PLANES: &[ItemArray] = &[
     ItemArray::read("plane_xy"),
     ItemArray::read("plane_xz"),
@@ -107,14 +107,14 @@ pub fn add_gradients<T: Real>(
     }
 }
 
-/// Points whose gradients of values are there at once, so many that more can begin behind them.
+/// The number of points whose value gradients fit into the scratch array, aligned so that the next points can follow.
 fn points_at_once<T: Real>(gpu: Gpu, field: &Field<T>) -> usize {
     let per_point = 6 * field.scales() * field.channels();
     let fitting = parts::visible_len(gpu).min(MOST_VALUES) / per_point;
     (fitting / ALIGNMENT * ALIGNMENT).max(ALIGNMENT)
 }
 
-/// The same for so many points, of which the gradients of positions are given with whether they add to what is there.
+/// Adds the gradients of a range of points; position gradients are written or accumulated as the flag says.
 fn add_points<T: Real>(
     gpu: Gpu,
     field: &Field<T>,
@@ -135,7 +135,7 @@ fn add_points<T: Real>(
     }
 }
 
-/// Neighbouring scales of whose gradients kernels see all at once; one at least.
+/// The number of consecutive scales whose gradients one launch writes; at least one.
 fn scales_per_launch<T: Real>(gpu: Gpu, scales: &[ScaleItem], planes: &[&Tensor<T>]) -> usize {
     let fits = |&count: &usize| {
         scales.chunks(count).zip(planes.chunks(6 * count)).all(|(scales, planes)| {
@@ -185,7 +185,7 @@ fn corners(scales: &[ScaleItem]) -> usize {
     4 * (blocks(scales) + cells(scales)) * scales[0].channels()
 }
 
-/// Neighbouring scales, whose gradients are made together.
+/// Consecutive scales whose gradients are computed together.
 struct Part<'a, T: Real> {
     gpu: Gpu,
     scales: &'a [ScaleItem],
@@ -195,7 +195,7 @@ struct Part<'a, T: Real> {
 }
 
 impl<T: Real> Part<'_, T> {
-    /// The gradients of what every point read from every plane, [6·scales, N, C]; those of the positions are added up.
+    /// The gradients of the values that the points read from the planes, [6·scales, N, C]; sums the gradients of the positions.
     fn value_gradients(&self, dy: Binding, g_positions: Binding, adds: bool) -> GpuArray {
         let (points, channels) = (self.scales[0].points(), self.scales[0].channels());
         let g_values = GpuArray::new(self.gpu, self.scales[0].values(self.scales.len()));

@@ -12,7 +12,7 @@ const SKIPPED: u16 = CELLS as u16;
 const POINTS_PER_CHUNK: usize = 2048;
 
 /// The points whose row of `dy` [N, features] is not zero, cell by cell in Morton order: neighbours in the list use
-/// neighbouring texels. Points that no pixel sees have no gradient and are left out.
+/// neighbouring texels. Points that contribute to no pixel have no gradient and are omitted.
 ///
 /// Within a cell points keep their order; the list depends on positions [N, 3] and `dy` alone.
 pub fn points_by_cell(positions: &[f32], dy: &[f32], features: usize) -> Vec<u32> {

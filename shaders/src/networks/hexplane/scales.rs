@@ -20,7 +20,7 @@ uniforms! {
     }
 }
 
-/// The constants of every scale of a field that so many points read.
+/// The constants of every scale of a field, for this many points.
 pub fn scales<T: Real>(field: &Field<T>, points: usize) -> Vec<ScaleItem> {
     let (channels, mut cells) = (field.channels(), 0);
     let scale = |scale: usize| {
@@ -64,7 +64,7 @@ impl ScaleItem {
         self.channels as usize
     }
 
-    /// What all points read from all planes of so many scales.
+    /// The number of values that all points read from all planes of this many scales.
     pub fn values(&self, scales: usize) -> usize {
         6 * scales * self.points() * self.channels()
     }

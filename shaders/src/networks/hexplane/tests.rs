@@ -117,7 +117,7 @@ pub(super) fn distance_to_one<T: Real>(tape: &mut Tape<T>, planes: &[Var]) -> Va
     plane_means(tape, &[(PlaneMean::DistanceToOne, planes.to_vec())])[0]
 }
 
-/// The sum of three means, the last two of which share planes.
+/// The sum of three means; the last two share planes.
 fn all_means(tape: &mut Tape<f64>, planes: &[Var]) -> Var {
     let terms = [
         (PlaneMean::SecondDifference, planes[..1].to_vec()),

@@ -15,7 +15,7 @@ const OVER_LAYERS: Grouped = Grouped {
     arrays: SUM_ARRAYS,
 };
 
-/// What is special about each of the three products.
+/// The three matrix products of a layer.
 #[derive(Clone, Copy)]
 enum Direction {
     /// y = f(x·Wᵀ + b).
@@ -99,7 +99,7 @@ pub fn forward<T: Real>(gpu: Gpu, layers: &[Places], activation: Activation, inp
     results
 }
 
-/// What the backward pass of layers is given.
+/// The inputs of the backward pass of layers.
 pub struct Backward<'a, T: Real> {
     pub gpu: Gpu,
     pub layers: &'a [Places],
@@ -110,7 +110,7 @@ pub struct Backward<'a, T: Real> {
     pub needs: &'a [bool],
 }
 
-/// A layer to whose output a gradient arrived.
+/// A layer whose output has a gradient.
 struct Live<'a, T: Real> {
     places: Places,
     y: &'a Tensor<T>,
@@ -131,7 +131,7 @@ impl<'a, T: Real> Backward<'a, T> {
         let xs: Vec<(usize, bool)> = xs.into_iter().map(|x| (x, self.prepare(totals, x))).collect();
         let needed = |layer: &&Live<T>| self.needs[layer.places.weight] || self.needs[layer.places.bias];
         let with_weights: Vec<&Live<'a, T>> = live.iter().filter(needed).collect();
-        // What nobody needs is computed as well, and dropped.
+        // Unneeded gradients are computed as well, and dropped.
         let mut unneeded: Vec<Option<Tensor<T>>> = vec![None; totals.len()];
         let mut adds = Vec::new();
         for layer in &with_weights {
@@ -151,8 +151,8 @@ impl<'a, T: Real> Backward<'a, T> {
         product::each_with_sums(self.gpu, &LAYERS, &of_both(self.activation), alone, with_sums);
     }
 
-    /// dx, for inputs with whether they add to what is there: those that several layers share are computed, the products of
-    /// the others returned.
+    /// dx of every input, written or accumulated: gradients of inputs that several layers share are computed here, the products
+    /// of the others are returned.
     fn products_of_inputs<'b>(
         &'b self,
         live: &[Live<'a, T>],
@@ -175,7 +175,7 @@ impl<'a, T: Real> Backward<'a, T> {
         (products, outputs)
     }
 
-    /// dW and db, of layers with whether both add to what is there.
+    /// dW and db of every layer, written or accumulated.
     fn products_of_weights<'b>(
         &'b self,
         live: &[&Live<'a, T>],
@@ -194,7 +194,7 @@ impl<'a, T: Real> Backward<'a, T> {
         (products, outputs.collect())
     }
 
-    /// The product of a layer, whose A is dz: dy where y is positive.
+    /// The product of a layer with A = dz, i.e. dy where y is positive.
     fn product(&self, direction: Direction, layer: &Live<'a, T>) -> Product<'a> {
         let [x, weight] = [layer.places.x, layer.places.weight].map(|place| self.inputs[place]);
         let other = if let Direction::Weights = direction { x } else { weight };
@@ -202,7 +202,7 @@ impl<'a, T: Real> Backward<'a, T> {
         direction.product(layer.dy.rows(), sizes(weight), arrays)
     }
 
-    /// Makes the total of an input one that kernels can write, and tells whether they add to it.
+    /// Makes the total of an input writable for kernels; returns whether they accumulate into it.
     fn prepare(&self, totals: &mut [Option<Tensor<T>>], place: usize) -> bool {
         total_on_gpu(self.gpu, &mut totals[place], self.inputs[place].shape()).1
     }

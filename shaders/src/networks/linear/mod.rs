@@ -25,10 +25,10 @@ use matrix::Matrix;
 /// channels stay in the second-level cache.
 const ROWS_PER_CHUNK: usize = 512;
 
-/// Rows without a gradient are left out where they are at least one in so many.
+/// Rows without a gradient are skipped if they are at least one in this many.
 const WORTH_COPYING: usize = 8;
 
-/// What follows the affine map.
+/// The activation after the affine map.
 #[derive(Copy, Clone, Debug, PartialEq, Eq)]
 pub enum Activation {
     Identity,
@@ -151,8 +151,8 @@ impl Linear {
         }
     }
 
-    /// As [`Linear::backward_rows`], on the rows of `dz` that are not zero alone: a Gaussian that no pixel sees has no
-    /// gradient. `dx` must be zero.
+    /// The backward pass over the nonzero rows of `dz` only: a Gaussian that contributes to no pixel has no gradient. `dx` must
+    /// be zero.
     fn backward_live_rows<T: Real>(
         &self,
         dz: &[T],
@@ -207,7 +207,7 @@ impl Linear {
     }
 }
 
-/// The chunks of `dx`, or as many `None`.
+/// The chunks of `dx`, or `None` for every chunk.
 fn chunks_of<T>(dx: &mut Option<Vec<T>>, rows: usize, row_len: usize) -> Vec<Option<&mut [T]>> {
     match dx {
         Some(dx) => dx.chunks_mut(ROWS_PER_CHUNK * row_len).map(Some).collect(),

@@ -54,13 +54,13 @@ pub struct Product<'a> {
     pub rows: usize,
     pub columns: usize,
     pub terms: usize,
-    /// Elements between neighbouring rows and terms of A, and terms and columns of B, for what finds them.
+    /// Strides in elements: rows and terms of A, terms and columns of B.
     pub strides: [usize; 4],
-    /// A, B, and what stands beside them: a bias, or what tells which elements of A count.
+    /// A, B and a third operand: a bias, or a mask of the elements of A.
     pub arrays: [Binding<'a>; 3],
 }
 
-/// An array to write, and whether a kernel adds to what is there.
+/// An output array, and whether the kernel accumulates into it.
 pub type Output<'a> = (Binding<'a>, bool);
 
 impl<'a> Product<'a> {
@@ -97,7 +97,7 @@ impl<'a> Product<'a> {
         Item { constants, arrays: self.arrays.to_vec(), groups: self.tiles() }
     }
 
-    /// Terms per part, and parts, where all products together have so many tiles.
+    /// Terms per part and number of parts, given the number of tiles of all products together.
     fn parts(&self, tiles: usize) -> [usize; 2] {
         let most = self.terms.div_ceil(LEAST_TERMS).max(1);
         let wanted = (ENOUGH_GROUPS / tiles.max(1)).clamp(1, most);
@@ -152,7 +152,7 @@ pub fn sum(
 /// Products with the outputs of each, and those of the sums of the rows of its A.
 pub type WithSums<'p, 'a> = (&'p [Product<'a>], &'p [[Output<'a>; 2]]);
 
-/// Every product, and the sums of the rows of its A, into their outputs; of so many terms that workgroups share their sums.
+/// Computes every product and the row sums of its A, with the terms split among workgroups.
 /// `kernel` has the arrays [`EACH_ARRAYS`].
 pub fn with_sums(gpu: Gpu, kernel: &Grouped, specialisation: &[(&'static str, u32)], products: WithSums) {
     each_with_sums(gpu, kernel, specialisation, (&[], &[]), products);

@@ -1,7 +1,7 @@
 //! Area-average pooling of an image [H, W, C] to a grid [rows, columns, C].
 //!
 //! Cell (i, j) is the mean over [i·H/rows, (i + 1)·H/rows) × [j·W/columns, (j + 1)·W/columns) of the image as a piecewise
-//! constant function: a pixel that two cells share counts in each by the share of its area. Every pixel has the same
+//! constant function: a pixel on the border of two cells contributes to each by its area. Every pixel has the same
 //! weight in all, the mean of the cells is the mean of the image, and a grid finer than the image repeats pixels.
 
 mod gpu;

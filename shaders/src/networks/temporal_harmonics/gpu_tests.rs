@@ -9,7 +9,7 @@ use crate::tape::{Tape, Var};
 
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
 
-/// Waves of `stored` coefficients, of which `used` are used.
+/// Compares the devices on waves of `stored` coefficients, `used` of them in use.
 fn compare_waves(gpu: Gpu, rows: usize, waves: usize, [stored, used]: [usize; 2]) -> Result<usize, Disagreement> {
     let tensor = |shape: Vec<usize>, seed| {
         let count = shape.iter().product();

@@ -32,7 +32,7 @@ uniforms! {
     }
 }
 
-/// What the backward pass needs of the forward pass, [queries, heads, kept] each.
+/// Values of the forward pass that the backward pass reads, [queries, heads, kept] each.
 pub(super) struct Kept {
     /// Ascending within a query and head.
     chosen: GpuArray,
@@ -51,7 +51,7 @@ impl<T: Real> TopK<T> {
         ("COLUMNS", columns_for(self.layout.depth) as u32)
     }
 
-    /// What is seen and the mean probabilities; `None` where no key is kept.
+    /// The attended values and the mean probabilities; `None` if no key is kept.
     pub(super) fn forward_on_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         if self.kept == 0 {
             return None;

@@ -20,7 +20,7 @@ fn inputs(queries: usize, keys: usize, width: usize) -> [Tensor<f32>; 3] {
     [tensor(queries, 1), key, tensor(keys, 3)]
 }
 
-/// The outputs of which `picked` tells the numbers; every seventh key does not exist.
+/// The outputs with the indices `picked`; every seventh key is invalid.
 fn attention(keys: usize, heads: usize, k: usize, picked: &[usize]) -> impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var> {
     let valid: Vec<bool> = (0..keys).map(|key| keys < 7 || key % 7 != 3).collect();
     move |tape, vars| {

@@ -1,8 +1,8 @@
 //! Multi-head attention in which every query keeps its k best keys.
 //!
-//! Per head: scores A = Q·Kᵀ/√d; of every row the k largest among the valid keys are kept (of equal scores the earlier
-//! key), P = softmax over what is kept and 0 elsewhere, output P·V. k is clamped to the number of valid keys; without any
-//! the output and the probabilities are 0. The choice of keys is held constant in the backward pass.
+//! Per head: scores A = Q·Kᵀ/√d; every row keeps the k largest scores of valid keys (ties: the earlier key),
+//! P = softmax over the kept scores and 0 elsewhere, output P·V. k is clamped to the number of valid keys; without valid
+//! keys the output and the probabilities are 0. The backward pass treats the selection as constant.
 
 mod gpu;
 #[cfg(test)]
@@ -24,7 +24,7 @@ pub struct TopKAttention {
     pub probabilities: Var,
 }
 
-/// Attention of query [queries, heads·d] to key and value [keys, heads·d]; `valid` tells which keys exist.
+/// Attention of query [queries, heads·d] to key and value [keys, heads·d]; `valid` marks the keys that exist.
 pub fn top_k_attention<T: Real>(
     tape: &mut Tape<T>,
     [query, key, value]: [Var; 3],
@@ -59,7 +59,7 @@ impl Layout {
         self.heads * self.depth
     }
 
-    /// Where the columns of a head lie in row `row`.
+    /// The range of the columns of a head in row `row`.
     fn columns(&self, row: usize, head: usize) -> std::ops::Range<usize> {
         let start = row * self.width() + head * self.depth;
         start..start + self.depth

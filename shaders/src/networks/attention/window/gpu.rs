@@ -17,7 +17,7 @@ const LONG_BACKWARD: Kernel =
 
 /// Invocations per workgroup: few, because each holds the probabilities of its window.
 const GROUP: usize = 64;
-/// The longest window of which an invocation holds as much itself.
+/// The longest window that an invocation keeps in registers.
 const MAX_WINDOW: usize = 32;
 
 uniforms! {

@@ -9,7 +9,7 @@ use crate::tape::{Tape, Var};
 
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 2e-5 };
 
-/// Rows of so many queries, a window and channels of so many heads.
+/// Compares the devices on this many rows, window tokens and heads.
 fn compare_windows(
     gpu: Gpu,
     rows: usize,

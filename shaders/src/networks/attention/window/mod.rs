@@ -1,4 +1,4 @@
-//! Multi-head attention in which every row looks at a short window of its own (Vaswani et al. 2017, section 3.2).
+//! Multi-head attention in which every row attends to its own short window (Vaswani et al. 2017, section 3.2).
 
 mod gpu;
 #[cfg(test)]
@@ -46,7 +46,7 @@ impl WindowAttention {
         T::from_f64(1.0 / ((self.channels / self.heads) as f64).sqrt())
     }
 
-    /// How much a query looks at every token of the window.
+    /// The attention probabilities of a query over the tokens of the window.
     fn probabilities<T: Real>(&self, query: &[T], keys: &[T], head: usize) -> Vec<T> {
         let tokens = keys.len() / self.channels;
         let score = |token: usize| self.factor::<T>() * dot(query, &keys[self.part(token, head)]);

@@ -56,7 +56,7 @@ uniforms! {
     }
 }
 
-/// 1 over the number of elements that enter a mean; 0 where there are none.
+/// 1 over the number of elements of a mean; 0 if it is empty.
 fn factor<T: Real>(mean: PlaneMean, plane: &Tensor<T>) -> f32 {
     match mean.terms(plane) {
         0 => 0.0,
@@ -89,7 +89,7 @@ pub fn sums_of_means<T: Real>(gpu: Gpu, planes: &[&Tensor<T>], terms: &[Term]) -
     totals.into_iter().map(|total| Tensor::from_gpu([1], total)).collect()
 }
 
-/// Adds the gradients of the terms, times what arrives at each, to the totals of those planes that need one.
+/// Adds the gradients of the terms, times their upstream gradients, to the totals of the planes that need one.
 pub fn add_mean_gradients<T: Real>(
     gpu: Gpu,
     planes: &[&Tensor<T>],
