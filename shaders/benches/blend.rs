@@ -1,5 +1,5 @@
 //! Cost of rendering 20 000 splats: milliseconds per phase, and nominal (pixel, splat) pairs per second of blending, i.e.
-//! 256 pixels for each splat of each tile. `RAYON_NUM_THREADS=1` gives figures per core.
+//! 256 pixels for each splat of each tile. `RAYON_NUM_THREADS=1` measures one core.
 
 use std::hint::black_box;
 use std::sync::Arc;

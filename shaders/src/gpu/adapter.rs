@@ -1,4 +1,4 @@
-//! Which adapters there are, what they can do, and the choice of one.
+//! The adapters of this machine, their capabilities, and the choice of one.
 
 use std::fmt;
 use std::sync::atomic::AtomicBool;
@@ -11,7 +11,7 @@ use super::{Context, Counters, Gpu, GpuFailure, array, lock};
 /// Workgroup memory that the largest kernel uses: the least that WebGPU guarantees.
 const WORKGROUP_BYTES: u32 = 16 * 1024;
 
-/// What an adapter is and can do.
+/// Name and capabilities of an adapter.
 #[derive(Clone, Debug)]
 pub struct AdapterReport {
     pub name: String,
@@ -21,7 +21,7 @@ pub struct AdapterReport {
     pub kind: &'static str,
     /// `vendor:device` in hexadecimal digits.
     pub pci_id: String,
-    /// Where it is plugged in, if the driver tells.
+    /// The PCI bus address, if the driver reports it.
     pub pci_bus: String,
     pub driver: String,
     /// Bytes of the largest array that a kernel can see.
@@ -34,7 +34,7 @@ pub struct AdapterReport {
     pub max_arrays: u32,
     /// Optional features that kernels could use.
     pub features: Vec<&'static str>,
-    /// Invocations of a subgroup, if kernels can let them exchange values: always the same power of two.
+    /// Invocations per subgroup, a power of two, if subgroup operations are available and the size is fixed.
     pub subgroup_size: Option<u32>,
     adapter: wgpu::Adapter,
 }
@@ -44,9 +44,9 @@ pub struct AdapterReport {
 pub enum AdapterError {
     /// No adapter at all.
     None,
-    /// None of that name or id; the names that there are.
+    /// No adapter has that name or id; `found` lists those present.
     NotFound { wanted: String, found: Vec<String> },
-    /// It lacks what kernels need.
+    /// The adapter lacks a feature that kernels need.
     Lacking { name: String, what: String },
     /// The driver refused.
     Refused { name: String, reason: String },
@@ -144,12 +144,12 @@ impl AdapterReport {
         }
     }
 
-    /// Whether it is more than a program for the CPU, and has what kernels need.
+    /// Whether the adapter is hardware (no software driver) and has the features that kernels need.
     pub fn is_hardware(&self) -> bool {
         self.kind != "software" && self.lacking().is_none()
     }
 
-    /// What finds this one adapter again on this machine, with [`choose`].
+    /// An id by which [`choose`] finds this adapter on this machine.
     pub fn id(&self) -> &str {
         if self.pci_bus.is_empty() { &self.name } else { &self.pci_bus }
     }
@@ -159,7 +159,7 @@ impl AdapterReport {
         self.name.to_lowercase().contains(&wanted) || self.pci_id == wanted || self.pci_bus == wanted
     }
 
-    /// What kernels need and this adapter does not have.
+    /// The first feature that kernels need and the adapter lacks.
     fn lacking(&self) -> Option<String> {
         let needs = [
             ("arrays per kernel", self.max_arrays, STORAGE_ARRAYS),
@@ -207,7 +207,7 @@ impl AdapterReport {
             wgpu::Error::OutOfMemory { source } => {
                 GpuFailure::OutOfMemory(format!("adapter {name:?} has too little memory: {source}")).raise()
             }
-            // What remains is a kernel of ours that the driver refuses.
+            // The remaining errors are kernels that the driver rejects: bugs of ours.
             bug => panic!("adapter {name:?}: {bug}"),
         }));
         let recorder = Recorder::new(&device, limits.min_uniform_buffer_offset_alignment);

@@ -1,4 +1,4 @@
-//! Arrays in the memory of a GPU, from a pool: a training step takes and returns the same sizes again and again.
+//! Arrays in the memory of a GPU, from a pool: every training step allocates and frees the same sizes.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -15,7 +15,7 @@ const MIN_BYTES: u64 = 256;
 /// Buffers that no array uses any more, by size.
 #[derive(Default)]
 pub struct Pool {
-    /// Kernels that are recorded and not submitted yet may use them: what is recorded later can have them, the host not.
+    /// Buffers that recorded, unsubmitted kernels may still use: later recorded kernels may reuse them, the host may not.
     recent: BTreeMap<u64, Vec<wgpu::Buffer>>,
     /// The others.
     free: BTreeMap<u64, Vec<wgpu::Buffer>>,
@@ -28,13 +28,13 @@ pub struct Pool {
 #[derive(Debug)]
 pub struct GpuArray {
     gpu: Gpu,
-    /// `None` only while it is dropped.
+    /// `None` only during drop.
     buffer: Option<wgpu::Buffer>,
     len: usize,
 }
 
 impl GpuArray {
-    /// An array whose content is undefined: the first kernel that uses it writes all of it.
+    /// An array with undefined content: the first kernel that uses it must write all of it.
     pub fn new(gpu: Gpu, len: usize) -> Self {
         let size = gpu.checked_size(len);
         let pooled = lock(&gpu.0.pool).take(size);
@@ -117,7 +117,7 @@ impl Drop for GpuArray {
 }
 
 impl Pool {
-    /// A buffer for what is recorded next.
+    /// A buffer for the kernels recorded next.
     fn take(&mut self, size: u64) -> Option<wgpu::Buffer> {
         let recent = self.recent.get_mut(&size).and_then(Vec::pop);
         let buffer = recent.or_else(|| self.free.get_mut(&size)?.pop())?;
@@ -148,7 +148,7 @@ impl Pool {
 }
 
 impl Gpu {
-    /// Bytes of the buffer for so many elements. Panics with a [`GpuFailure`] if the adapter has none of that size.
+    /// Bytes of the buffer for this many elements. Panics with a [`GpuFailure`] if the adapter does not allow that size.
     fn checked_size(self, len: usize) -> u64 {
         let (bytes, largest) = (4 * len as u64, self.0.limits.max_buffer_size.min(LARGEST_BYTES));
         if bytes > largest {

@@ -1,11 +1,11 @@
-//! What a launch binds: whole arrays, or parts of them.
+//! Bindings of a launch: whole arrays or slices of them.
 
 use super::{Gpu, GpuArray};
 
 /// A part of an array begins at a multiple of this many elements: 256 bytes are the coarsest alignment of all adapters.
 pub const ALIGNMENT: usize = 64;
 
-/// What a kernel does with an array.
+/// How a kernel accesses an array.
 #[derive(Clone, Copy)]
 pub enum Binding<'a> {
     Read(&'a GpuArray),
@@ -23,7 +23,7 @@ pub struct Part<'a> {
 }
 
 impl<'a> Part<'a> {
-    /// So many elements from the `first` on, which is a multiple of [`ALIGNMENT`].
+    /// The slice of `len` elements from `first` on, a multiple of [`ALIGNMENT`].
     pub fn new(array: &'a GpuArray, first: usize, len: usize) -> Self {
         assert!(first.is_multiple_of(ALIGNMENT), "a part that begins at element {first}");
         assert!(first + len <= array.len(), "{len} elements from {first} on of {}", array.len());
@@ -57,13 +57,13 @@ impl<'a> Binding<'a> {
         self.part().len
     }
 
-    /// So many of the elements from a place on, which is a multiple of [`ALIGNMENT`].
+    /// The sub-slice of `len` elements from `first` on, a multiple of [`ALIGNMENT`].
     pub fn within(self, first: usize, len: usize) -> Self {
         let part = self.part();
         self.with_part(Part::new(part.array, part.first + first, len))
     }
 
-    /// Bytes of the elements; those of one vector if there are none, as nothing cannot be bound.
+    /// Size of the binding; at least 16 bytes, because empty bindings are invalid.
     fn bytes(self) -> u64 {
         let Part { len, .. } = self.part();
         if len == 0 { 16 } else { 4 * len as u64 }
@@ -87,7 +87,7 @@ impl Gpu {
 #[test]
 #[should_panic(expected = "begins at element 65")]
 fn a_part_begins_where_adapters_let_it() {
-    // Without an adapter there is nothing to refuse.
+    // The test needs an adapter that refuses the binding.
     let gpu = super::tests::test_gpu().unwrap_or_else(|| panic!("SKIPPED: no adapter; begins at element 65"));
     Part::new(&GpuArray::new(gpu, 100), 65, 3);
 }

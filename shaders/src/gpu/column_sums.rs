@@ -1,5 +1,5 @@
-//! Sums over the rows of what an operation computes from its arrays, column by column: first over blocks of rows, then over
-//! blocks, in an order that depends on the sizes alone.
+//! Column sums of terms that an operation computes from its arrays: first over blocks of rows, then over blocks, in an
+//! order that depends on the sizes alone.
 
 use super::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
 
@@ -33,7 +33,7 @@ pub struct Terms<'a> {
     pub kernel: &'a Kernel,
     /// Constants of its specialisation besides COLUMNS.
     pub specialisation: &'a [(&'static str, u32)],
-    /// What it reads.
+    /// The arrays that the terms are computed from.
     pub arrays: &'a [Binding<'a>],
     pub rows: usize,
     pub columns: usize,

@@ -12,7 +12,7 @@ uniforms! {
 }
 
 impl GpuArray {
-    /// An array of its own with the same elements.
+    /// A new array with the same elements.
     pub fn copied(&self) -> Self {
         let copy = Self::new(self.gpu(), self.len());
         let arrays = [Binding::Read(self), Binding::Write(&copy)];

@@ -4,7 +4,7 @@ use std::cell::Cell;
 
 use crate::check::conformance::Disagreement;
 
-/// `(kernel, part of its text, what stands there instead)`.
+/// `(kernel, part of its text, replacement)`.
 pub type Fault = (&'static str, &'static str, &'static str);
 
 thread_local! {

@@ -1,4 +1,4 @@
-//! Kernels: their text, their pipelines, and what a launch hands them.
+//! Kernels: their text, their pipelines, and the constants and bindings of a launch.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -18,7 +18,7 @@ const MAX_GROUPS: u32 = 65_535;
 pub struct Launch<'a> {
     /// Kernel and specialisation: one pipeline is kept for each.
     pub name: String,
-    /// The WGSL, whose entry point is `main`; asked for once.
+    /// The WGSL, whose entry point is `main`; called once per pipeline.
     pub source: &'a dyn Fn() -> String,
     /// A `repr(C)` struct laid out as the kernel's.
     pub constants: &'a [u8],
@@ -130,15 +130,15 @@ impl Kernel {
 }
 
 impl Launch<'_> {
-    /// The kernel's name, which is followed by what it is specialised for.
+    /// The name of the kernel without its specialisation.
     pub fn kernel(&self) -> &str {
         self.name.split(" [").next().unwrap_or_default()
     }
 }
 
 impl Gpu {
-    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Arrays of which a kernel
-    /// does not see all are bound in parts; panics with a [`super::GpuFailure`] if there are more than it can see.
+    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Arrays that are
+    /// larger than a binding are bound in parts; panics with a [`super::GpuFailure`] if there are too many parts.
     pub fn launch(self, launch: &Launch) {
         if matches!(launch.groups, Groups::Count(0)) {
             return;
@@ -164,7 +164,7 @@ impl Gpu {
     }
 }
 
-/// Workgroups along two dimensions, none above the limit.
+/// The workgroups folded into two dimensions, each within the limit.
 pub fn folded(groups: usize) -> [u32; 2] {
     let groups = u32::try_from(groups).expect("fewer than 2³² workgroups");
     let columns = groups.min(MAX_GROUPS);

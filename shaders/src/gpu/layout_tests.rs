@@ -30,7 +30,7 @@ pub fn validate_text(source: &str, capabilities: Capabilities) -> Result<naga::M
     Ok(module)
 }
 
-/// An error unless the struct of the name of `T` in a kernel has its fields at the same places and its size.
+/// An error unless the kernel's struct `T::NAME` has the size of `T` and its fields at the same offsets.
 pub fn check_layout<T: Fields>(source: &str) -> Result<(), String> {
     compare_layout::<T>(&validate(source)?)
 }

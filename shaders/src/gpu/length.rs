@@ -5,7 +5,7 @@ use super::{Gpu, GpuArray};
 /// The number of elements in use of an array with a larger capacity.
 #[derive(Debug)]
 pub struct Length {
-    /// Used, wanted, and the two dispatches.
+    /// The used and the requested length, then the arguments of the two dispatches.
     array: GpuArray,
 }
 
@@ -34,7 +34,7 @@ impl Length {
         Self { array: GpuArray::new(gpu, 8) }
     }
 
-    /// Its first element is the number used, its second the number wanted.
+    /// An array whose first element is the used length and whose second is the requested length.
     pub fn array(&self) -> &GpuArray {
         &self.array
     }

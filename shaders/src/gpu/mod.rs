@@ -1,8 +1,9 @@
 //! The second device: one context per adapter, in which kernels are recorded and submitted in batches.
 //!
-//! A kernel is WGSL text ([`Launch`]); an operation hands it the arrays of its tensors and a block of constants, or those of
-//! many tensors at once ([`grouped`]); what is larger than a kernel sees is bound in [`parts`]. What is recorded runs in that order, and reading anything back submits first. Nothing
-//! here depends on a race: kernels use no float atomics, and every element is written by one invocation of a launch.
+//! A kernel is WGSL text ([`Launch`]); an operation binds the arrays of its tensors and a block of constants, or those of
+//! many tensors at once ([`grouped`]). Arrays larger than a binding are bound in [`parts`]. Kernels run in the order in which
+//! they are recorded, and a readback submits them first. No result depends on a race: kernels use no float atomics, and each
+//! element is written by one invocation of a launch.
 
 mod adapter;
 mod array;
@@ -45,14 +46,14 @@ use recorder::Recorder;
 #[derive(Clone, Copy)]
 pub struct Gpu(&'static Context);
 
-/// What a GPU was asked to do so far.
+/// Counters of the work of a GPU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Kernels started.
     pub launches: u64,
     /// Batches of kernels handed to the driver.
     pub submissions: u64,
-    /// Times that somebody waited for an array.
+    /// Readbacks, each of which waits for the GPU.
     pub readbacks: u64,
     pub bytes_read: u64,
     pub uploads: u64,
@@ -60,7 +61,7 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// What came after an earlier moment.
+    /// The difference to earlier counters.
     pub fn since(self, earlier: Self) -> Self {
         Self {
             launches: self.launches - earlier.launches,
@@ -119,7 +120,7 @@ impl Gpu {
         self.0.subgroup_size
     }
 
-    /// What it was asked to do so far, by all threads.
+    /// The counters of this GPU, over all threads.
     pub fn counts(self) -> Counts {
         let Counters { launches, submissions, readbacks, bytes_read, uploads, bytes_uploaded } = &self.0.counters;
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -134,7 +135,7 @@ impl Gpu {
     }
 }
 
-/// What a GPU could not do, as the payload of the panic that ends whatever computed on it.
+/// A failure of a GPU: the payload of the panic that unwinds the computation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum GpuFailure {
     /// It went away: switched off, reset, or its driver crashed.
@@ -144,7 +145,7 @@ pub enum GpuFailure {
 }
 
 impl GpuFailure {
-    /// Unwinds to whoever catches it, without the message and backtrace of a panic: it is no bug.
+    /// Unwinds to the handler, without the message and backtrace of a panic: this is not a bug.
     fn raise(self) -> ! {
         std::panic::resume_unwind(Box::new(self))
     }
@@ -160,7 +161,7 @@ impl fmt::Display for GpuFailure {
 
 impl std::error::Error for GpuFailure {}
 
-/// Two handles are equal if they are of the same context.
+/// Handles are equal if they refer to the same context.
 impl PartialEq for Gpu {
     fn eq(&self, other: &Self) -> bool {
         std::ptr::eq(self.0, other.0)

@@ -1,4 +1,4 @@
-//! What every kernel cost: how often it ran and, where somebody asked and the adapter can tell, for how long.
+//! The cost of every kernel: its launches and, with profiling on an adapter with timestamps, its time.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,16 +10,16 @@ use super::{Context, Counts, Gpu, count, lock};
 /// The bytes of one time stamp.
 const STAMP_BYTES: u64 = 8;
 
-/// What a GPU was asked to do, and what its kernels cost.
+/// Counters of a GPU and the costs of its kernels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Usage {
     pub counts: Counts,
-    /// By name.
+    /// The cost of each kernel, by name.
     pub kernels: BTreeMap<String, KernelCost>,
 }
 
 impl Usage {
-    /// What came after an earlier moment.
+    /// The difference to an earlier usage.
     pub fn since(mut self, earlier: &Self) -> Self {
         self.counts = self.counts.since(earlier.counts);
         for (name, before) in &earlier.kernels {
@@ -32,7 +32,7 @@ impl Usage {
     }
 }
 
-/// What a kernel cost so far, all its specialisations together.
+/// The cost of a kernel, all its specialisations together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct KernelCost {
     pub launches: u64,
@@ -48,7 +48,7 @@ impl Gpu {
         can
     }
 
-    /// What it was asked to do so far, by all threads.
+    /// The usage of this GPU, over all threads.
     pub fn usage(self) -> Usage {
         Usage { counts: self.counts(), kernels: self.kernels() }
     }

@@ -1,4 +1,4 @@
-//! What an adapter can do at most, measured: the floor under every kernel's time.
+//! Measured peak rates of an adapter: the floor of every kernel's time.
 
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ const RUNS: usize = 5;
 /// Invocations per workgroup.
 const GROUP: usize = 256;
 
-/// Without a step it only moves what it reads to what it writes.
+/// With zero steps, the kernel only copies its input to its output.
 const ARITHMETIC: Kernel = Kernel { name: "arithmetic", text: include_str!("arithmetic.wgsl") };
 
 uniforms! {

@@ -37,7 +37,7 @@ pub struct Recorder {
     dispatches: Vec<Dispatch>,
     /// The constants of all of them, each aligned.
     constants: Vec<u8>,
-    /// Where they lie when the kernels run: written once per submission, before it.
+    /// The buffer of the constants, written once before each submission.
     constants_buffer: wgpu::Buffer,
     alignment: usize,
 }
@@ -53,7 +53,7 @@ impl Recorder {
         Self { dispatches: Vec::new(), constants: Vec::new(), constants_buffer, alignment: alignment as usize }
     }
 
-    /// Whether so many bytes of constants no longer fit.
+    /// Whether this many bytes of constants no longer fit.
     pub fn is_full(&self, bytes: usize) -> bool {
         self.constants.len() + bytes > CONSTANT_BYTES
     }
@@ -130,12 +130,12 @@ impl Gpu {
         GpuFailure::Lost(format!("adapter {:?} stopped: {error}", self.0.name)).raise()
     }
 
-    /// Submits what is recorded, and waits for nothing.
+    /// Submits the recorded kernels without waiting.
     pub fn submit(self) {
         lock(&self.0.recorder).submit(self.0);
     }
 
-    /// Submits what is recorded and waits for its end.
+    /// Submits the recorded kernels and waits for them to finish.
     pub fn wait(self) {
         lock(&self.0.recorder).submit(self.0);
         self.poll();

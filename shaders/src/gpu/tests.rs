@@ -64,7 +64,7 @@ impl Op<f32> for PlusOne {
 fn an_operation_without_a_kernel_runs_on_the_cpu() {
     let Some(gpu) = test_gpu() else { return };
     let inputs = [Tensor::from_vec([3], vec![1.0, 2.0, 3.0])];
-    // x, used thrice: in (x + 1)², whose sum with x is taken on the GPU.
+    // x is used three times, in (x + 1)² + x, so that its gradient is summed on the GPU.
     let f = |tape: &mut Tape<f32>, vars: &[Var]| {
         let more = tape.apply_one(PlusOne, &[vars[0]]);
         let square = pointwise::square(tape, more);
@@ -92,7 +92,7 @@ fn a_tensor_is_read_back_when_asked_for_and_written_on_the_host_only() {
 #[test]
 #[should_panic(expected = "f64")]
 fn a_gpu_refuses_f64() {
-    // Without an adapter there is nothing to refuse.
+    // The test needs an adapter that refuses f64.
     let gpu = test_gpu().unwrap_or_else(|| panic!("SKIPPED: no adapter for f64"));
     Tape::<f64>::new(Device::Gpu(gpu));
 }
@@ -175,7 +175,7 @@ fn an_array_that_the_adapter_cannot_have_is_refused() {
 fn an_array_in_more_parts_than_a_kernel_can_see_is_refused() {
     let Some(gpu) = test_gpu() else { return };
     let len = gpu.visible_bytes() as usize / 4 + 1;
-    // Where arrays are no larger than what kernels see there is no such array.
+    // If a binding can show the largest buffer, no array needs parts.
     if gpu.0.limits.max_buffer_size < 4 * len as u64 {
         return;
     }

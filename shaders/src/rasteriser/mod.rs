@@ -1,4 +1,4 @@
-//! 3D Gaussians to images: what yields splats ([`slicing4d`], [`neural_gaussians`]), their [`projection`], [`binning`] to
+//! 3D Gaussians to images: sources of splats ([`slicing4d`], [`neural_gaussians`]), their [`projection`], [`binning`] to
 //! tiles and [`blending`], composed by [`render`], and statistics of renders ([`screen`]).
 
 pub mod binning;

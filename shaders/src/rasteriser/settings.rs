@@ -1,6 +1,6 @@
 use super::isa::Isa;
 
-/// What is common to every splat of a render.
+/// Settings that are common to all splats of a render.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RasterSettings {
     /// Splats with a view depth below this are culled, in scene units; positive. Kerbl et al. 2023 use 0.2.
@@ -11,7 +11,7 @@ pub struct RasterSettings {
     pub dilation: f64,
     /// Upper bound of a splat's alpha.
     pub alpha_cap: f64,
-    /// A splat that would leave at most this transmittance is not blended, nor is what lies behind it.
+    /// A splat that would leave at most this transmittance is not blended, nor is any splat behind it.
     pub transmittance_stop: f64,
     /// Colour behind everything.
     pub background: [f32; 3],

@@ -2,8 +2,8 @@
 
 use crate::tape::{Real, Tape, Tensor, Var};
 
-/// The opacity logit of a splat that is not there at a moment: its opacity is far below what an image shows, so that it is
-/// culled, and finite, so that nobody takes it for a mistake.
+/// The opacity logit of a splat that is absent at a time: its opacity is far below the visible threshold, so that it is
+/// culled, and finite, so that checks for non-finite values pass.
 pub const HIDDEN_LOGIT: f64 = -100.0;
 
 /// The parameters of N splats.
@@ -11,7 +11,7 @@ pub const HIDDEN_LOGIT: f64 = -100.0;
 pub struct SplatVars {
     /// [N, 3] world, scene units.
     pub positions: Var,
-    /// What gives them their covariances.
+    /// The parameters of the covariances.
     pub shape: ShapeVars,
     /// [N, 1] or [N], before the logistic function.
     pub opacity_logits: Var,
@@ -29,7 +29,7 @@ pub enum ShapeVars {
         /// [N, 4] quaternions (w, x, y, z), normalised here.
         rotations: Var,
     },
-    /// FFᵀ for any F [N, 3, 3], scene units: what has no lasting axes, as a slice through four dimensions.
+    /// FFᵀ for any F [N, 3, 3], scene units: for shapes without persistent axes, e.g. slices of 4D Gaussians.
     Factor(Var),
 }
 
@@ -43,7 +43,7 @@ impl ShapeVars {
     }
 }
 
-/// Parameters of N splats as tensors, shaped as [`SplatVars`].
+/// Parameters of N splats as tensors, with the shapes of [`SplatVars`].
 #[derive(Clone, Debug)]
 pub struct SplatTensors<T: Real> {
     pub positions: Tensor<T>,

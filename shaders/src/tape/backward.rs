@@ -1,4 +1,4 @@
-//! The backward pass: what every operation adds to the gradients of its inputs.
+//! The backward pass: every operation adds to the gradients of its inputs.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -62,7 +62,7 @@ impl<T: Real> Gradients<T> {
         self.tensors[var.0].as_ref()
     }
 
-    /// As [`Gradients::get`], moved out.
+    /// Removes and returns the gradient of a variable; `None` if it has none.
     pub fn take(&mut self, var: Var) -> Option<Tensor<T>> {
         self.tensors[var.0].take()
     }

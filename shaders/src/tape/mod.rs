@@ -1,8 +1,8 @@
-//! A tape over coarse differentiable operations: it records what was applied, and runs it backwards.
+//! A tape over coarse differentiable operations: it records the applied operations and runs them in reverse.
 //!
-//! The tape knows nothing of what an operation computes. A kernel is an [`Op`]; a model is a function that takes a tape
-//! and variables and returns variables. Everything is generic over [`Real`], so that what trains in `f32` is checked in
-//! `f64` against central differences (see [`crate::check`]).
+//! The tape is independent of what an operation computes. A kernel is an [`Op`]; a model is a function that takes a tape
+//! and variables and returns variables. Everything is generic over [`Real`]: code that trains in `f32` is checked in `f64`
+//! against central differences (see [`crate::check`]).
 
 mod backward;
 pub mod chunks;
@@ -186,9 +186,9 @@ impl<T: Real> Tape<T> {
         readback
     }
 
-    /// A tape for central differences of what an earlier tape computed: wherever that one cut a value off, this one goes
-    /// on with the earlier tape's value ([`Tape::detached`]). Only so are its differences the gradients of the earlier
-    /// one, which take what was cut off for constant.
+    /// A tape for central differences of what an earlier tape computed: where that tape detached a value, this
+    /// one uses the earlier value ([`Tape::detached`]). Its differences then equal the gradients of the earlier tape, which
+    /// treat detached values as constants.
     pub fn replaying(device: Device, detached: &[Tensor<T>]) -> Self {
         Self { replayed: Some(detached.to_vec()), ..Self::new(device) }
     }
@@ -197,7 +197,7 @@ impl<T: Real> Tape<T> {
         self.device
     }
 
-    /// A value whose gradient is wanted.
+    /// A value with a gradient.
     pub fn leaf(&mut self, tensor: Tensor<T>) -> Var {
         self.push(tensor, true)
     }
@@ -207,13 +207,13 @@ impl<T: Real> Tape<T> {
         self.push(tensor, false)
     }
 
-    /// The same value, cut off from what it was computed from: no gradient flows through it.
+    /// A constant with the value of `var`: no gradient flows through it.
     pub fn detach(&mut self, var: Var) -> Var {
         let tensor = self.value(var).clone();
         self.detach_value(tensor)
     }
 
-    /// As [`Tape::detach`] for what was computed from this tape's values elsewhere.
+    /// Detaches a tensor that was computed from this tape's values outside the tape.
     pub fn detach_value(&mut self, tensor: Tensor<T>) -> Var {
         let tensor = match &self.replayed {
             None => tensor,
@@ -246,7 +246,7 @@ impl<T: Real> Tape<T> {
         &self.profile
     }
 
-    /// Notes how often something happened that a reader of the results wants to know of.
+    /// Adds to the count of a named event, which the results report.
     pub fn count(&mut self, what: &'static str, times: u64) {
         self.profile.count(what, times);
     }
@@ -272,7 +272,7 @@ impl<T: Real> Tape<T> {
         vars
     }
 
-    /// As [`Tape::apply`] for an operation with exactly one output.
+    /// Runs and records an operation with exactly one output.
     pub fn apply_one(&mut self, op: impl Op<T> + 'static, inputs: &[Var]) -> Var {
         let name = op.name();
         let vars = self.apply(op, inputs);

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// What one kind of operation has cost in one direction.
+/// The cost of one kind of operation in one direction.
 #[derive(Copy, Clone, Debug, Default, PartialEq)]
 pub struct Cost {
     pub calls: u64,
@@ -27,16 +27,16 @@ pub struct OpCost {
     pub backward: Cost,
 }
 
-/// What a tape has done: wall-clock seconds and calls per operation name, and what operations had to say.
+/// The profile of a tape: wall-clock seconds and calls per operation name, and events.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Profile {
     pub ops: BTreeMap<&'static str, OpCost>,
-    /// How often something happened that a reader of the results wants to know of, as a value kept in range.
+    /// Counts of named events, e.g. values kept in range.
     pub events: BTreeMap<&'static str, u64>,
 }
 
 impl Profile {
-    /// Adds the figures of another tape, so that a loop with one tape per iteration keeps one profile.
+    /// Adds the profile of another tape, so that a loop with one tape per iteration keeps one profile.
     pub fn merge(&mut self, other: &Profile) {
         for (name, cost) in &other.ops {
             let mine = self.ops.entry(name).or_default();
@@ -46,7 +46,7 @@ impl Profile {
         other.events.iter().for_each(|(what, count)| self.count(what, *count));
     }
 
-    /// Adds to how often something happened.
+    /// Adds to the count of an event.
     pub fn count(&mut self, what: &'static str, times: u64) {
         *self.events.entry(what).or_default() += times;
     }

@@ -50,7 +50,7 @@ pub trait Real:
 
     /// The slice itself if this type is `f32`: the one door through which generic kernels reach their fast bodies.
     fn as_f32(slice: &[Self]) -> Option<&[f32]>;
-    /// As [`Real::as_f32`], mutable.
+    /// The slice itself, mutable, if this type is `f32`.
     fn as_f32_mut(slice: &mut [Self]) -> Option<&mut [f32]>;
 }
 

@@ -11,7 +11,7 @@ use crate::gpu::{AdapterError, Gpu, GpuArray};
 pub enum Device {
     #[default]
     Cpu,
-    /// f32 only. What has no kernel for it runs on the CPU.
+    /// A GPU; f32 only. Operations without kernels run on the CPU.
     Gpu(Gpu),
 }
 
@@ -52,9 +52,9 @@ impl Device {
     }
 }
 
-/// The elements in the host's memory, in a GPU's, or in both; at least one of them is there.
+/// The elements on the host, on a GPU, or on both; at least one is present.
 ///
-/// A copy is made when it is first asked for and kept, so that whoever computes need not know where his inputs are.
+/// A copy is made on first use and kept, so that an operation need not know where its inputs are.
 #[derive(Debug)]
 struct Elements<T> {
     host: OnceLock<Vec<T>>,
@@ -68,7 +68,7 @@ pub struct Tensor<T: Real> {
     elements: Arc<Elements<T>>,
 }
 
-/// The first element of each of several short tensors; what only a GPU has comes with one readback.
+/// The first element of each of several short tensors; elements on a GPU are fetched with one readback.
 pub fn first_elements<T: Real>(tensors: &[&Tensor<T>]) -> Vec<T> {
     let on_gpu: Vec<&GpuArray> = tensors.iter().filter_map(|tensor| tensor.only_on_gpu()).collect();
     let mut of_gpu = GpuArray::read_all(&on_gpu).into_iter();
@@ -138,7 +138,7 @@ impl<T: Real> Tensor<T> {
         self.elements.host()
     }
 
-    /// The elements in the GPU's memory, uploaded first if they are not there.
+    /// The elements on the GPU, uploaded first if necessary.
     pub(crate) fn on_gpu(&self, gpu: Gpu) -> &GpuArray {
         let upload = || GpuArray::upload(gpu, T::as_f32(self.as_slice()).expect("a GPU holds f32"));
         let array = self.elements.gpu.get_or_init(upload);
@@ -146,7 +146,7 @@ impl<T: Real> Tensor<T> {
         array
     }
 
-    /// The same elements in the memory of a device, and nowhere else.
+    /// The tensor with its elements on one device only.
     pub fn moved_to(self, device: Device) -> Self {
         let Some(gpu) = device.gpu() else { return self };
         let array = GpuArray::upload(gpu, T::as_f32(self.as_slice()).expect("a GPU holds f32"));
@@ -158,7 +158,7 @@ impl<T: Real> Tensor<T> {
         self.elements.gpu.get().filter(|_| !self.is_on_host())
     }
 
-    /// Whether it is the same tensor, whose elements they share, and not only an equal one.
+    /// Whether both share their elements (identity, not equality).
     pub fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.elements, &other.elements)
     }
@@ -173,7 +173,7 @@ impl<T: Real> Tensor<T> {
         self.gpu().map_or(Device::Cpu, Device::Gpu)
     }
 
-    /// The GPU in whose memory the elements are, if they are in one's.
+    /// The GPU that holds the elements, if any.
     pub(crate) fn gpu(&self) -> Option<Gpu> {
         self.elements.gpu.get().map(GpuArray::gpu)
     }
@@ -216,7 +216,7 @@ impl<T: Real> Tensor<T> {
         }
     }
 
-    /// The same elements under another shape of equal size.
+    /// The tensor with another shape of equal size.
     pub fn reshape(self, shape: impl Into<Vec<usize>>) -> Self {
         let shape = shape.into();
         assert_eq!(shape.iter().product::<usize>(), self.len(), "reshape {:?} to {shape:?}", self.shape);

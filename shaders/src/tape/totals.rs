@@ -43,7 +43,7 @@ pub(super) fn add_to<T: Real>(total: &mut Option<Tensor<T>>, term: Tensor<T>) {
     }
 }
 
-/// total += term for every pair; on the GPU where either of a pair is there.
+/// total += term for every pair; on the GPU if either of a pair is there.
 fn add_pairs<T: Real>(pairs: Vec<(&mut Tensor<T>, Tensor<T>)>) {
     let mut on_gpu = Vec::new();
     for (total, term) in pairs {
@@ -78,7 +78,7 @@ mod tests {
     use crate::pointwise::{add, mul, square};
     use crate::tape::{Tape, Var};
 
-    /// Σ of a²·b, b + a and a: what arrives at every input is shared by others and adds up from several uses.
+    /// Σ of a²·b, b + a and a: the gradient of every input is shared and summed over several uses.
     fn uses(tape: &mut Tape<f32>, vars: &[Var]) -> Vec<Var> {
         let halves = vars.len() / 2;
         let mut outputs = Vec::new();

@@ -13,7 +13,7 @@ pub(crate) mod tests;
 
 use super::{Binding, Gpu, Kernel, parts};
 
-/// Bytes of constants between neighbouring items are a multiple of this, as WGSL wants it.
+/// The stride of constants between items is a multiple of this, as WGSL requires.
 const ALIGNMENT: usize = 16;
 /// The most arrays of a launch, on adapters that allow more: an access chooses among its items.
 const MOST_ARRAYS: usize = 256;
@@ -36,19 +36,19 @@ pub struct ItemArray {
     is_written: bool,
 }
 
-/// What a launch does with one item.
+/// One item of a launch.
 pub struct Item<'a, C> {
     /// A `repr(C)` struct laid out as `Item`.
     pub constants: C,
-    /// As [`Grouped::arrays`] names them.
+    /// The arrays, in the order of [`Grouped::arrays`].
     pub arrays: Vec<Binding<'a>>,
     /// Workgroups of its own.
     pub groups: usize,
 }
 
 impl<'a, C> Item<'a, C> {
-    /// One item for arrays of so many elements each, or several that each have a part of them where a kernel does not see
-    /// all; the constants follow from the number of elements.
+    /// One item for arrays of `len` elements each, or several items with a part of each array if a binding cannot show all of
+    /// it; the constants follow from the number of elements.
     pub fn in_parts(
         gpu: Gpu,
         len: usize,
@@ -89,7 +89,7 @@ impl ItemArray {
         format!("@group(0) @binding({binding}) var<storage, {access}> {name}_{item}: array<{element}>;\n")
     }
 
-    /// The functions that choose among the arrays of so many items.
+    /// The functions that select among the arrays of this many items.
     fn functions(&self, items: usize) -> String {
         let Self { name, element, is_written } = self;
         let get = choice(items, |item| format!("return {name}_{item}[at];"));
@@ -108,7 +108,7 @@ impl ItemArray {
     }
 }
 
-/// The statement of an item, all of which return; the last stands for whatever is beyond it.
+/// A chain of branches with the statement of each item, all of which return; the last one also covers larger indices.
 fn choice(items: usize, statement: impl Fn(usize) -> String) -> String {
     let (last, cases) = (statement(items - 1), 0..items - 1);
     let cases: String = cases.map(|item| format!("        case {item}u: {{ {} }}\n", statement(item))).collect();
@@ -131,7 +131,7 @@ impl Grouped {
         capacity(gpu, self.shared, self.arrays.len())
     }
 
-    /// Items per launch, given how many parts the arrays of these items need.
+    /// The number of items per launch, given the parts that the arrays of these items need.
     pub fn capacity_for<C>(&self, gpu: Gpu, shared: &[Binding], items: &[Item<C>]) -> usize {
         let parts = |arrays: &[Binding]| arrays.iter().map(|array| parts::count(gpu, array.len())).sum();
         let most = items.iter().map(|item| parts(&item.arrays)).max();
@@ -212,7 +212,7 @@ fn specialised_for_items<'a, C>(items: usize, specialisation: &[(&'a str, u32)])
 }
 
 impl Gpu {
-    /// Arrays that one launch may have.
+    /// The most arrays that one launch may bind.
     pub(crate) fn arrays_per_kernel(self) -> usize {
         let most = (self.0.limits.max_storage_buffers_per_shader_stage as usize).min(MOST_ARRAYS);
         #[cfg(test)]

@@ -1,5 +1,5 @@
-//! Arrays of which an adapter lets a kernel see less than there is are bound in parts, side by side, and the text of the
-//! kernel, whichever it is, chooses among the parts by place ([`text`]). A scene is as large as the adapter's memory.
+//! Arrays that are larger than a binding may be are bound in several parts, and the text of any kernel is rewritten to select
+//! the part by index ([`text`]). The size of a scene is limited by the adapter's memory only.
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -18,29 +18,29 @@ pub fn visible_len(gpu: Gpu) -> usize {
     numbers / ALIGNMENT * ALIGNMENT
 }
 
-/// Parts in which a kernel sees an array of so many numbers.
+/// The number of parts of an array of `len` numbers.
 pub fn count(gpu: Gpu, len: usize) -> usize {
     count_of(len, visible_len(gpu))
 }
 
-/// Parts of so many numbers each.
+/// The number of parts of `len` numbers each.
 fn count_of(array_len: usize, len: usize) -> usize {
     array_len.div_ceil(len).max(1)
 }
 
 /// The arrays of a launch, some of them in parts.
 pub struct Parts<'a> {
-    /// How many parts every array has.
+    /// The number of parts of every array.
     counts: Vec<usize>,
     /// 32-bit numbers of every part but the last.
     len: usize,
-    /// The arrays, or their first parts, and then what is left of those that have several.
+    /// The arrays or their first parts, followed by the remaining parts.
     pub bindings: Vec<Binding<'a>>,
 }
 
 impl<'a> Parts<'a> {
-    /// The parts of a kernel's arrays; `None` if the kernel sees every array whole. Panics with a [`GpuFailure`] if it
-    /// cannot see this many parts.
+    /// The parts of a kernel's arrays; `None` if every array fits into one binding. Panics with a [`GpuFailure`] if there are
+    /// too many parts.
     pub fn of(gpu: Gpu, kernel: &str, arrays: &[Binding<'a>]) -> Option<Self> {
         let len = visible_len(gpu);
         #[cfg(test)]
@@ -66,7 +66,7 @@ impl<'a> Parts<'a> {
         Some(Self { counts, len, bindings })
     }
 
-    /// What tells the kernel from the same one with other parts.
+    /// The part of the pipeline's name that identifies the parts.
     pub fn name(&self) -> String {
         let name = format!(" [parts {:?} of {}]", self.counts, self.len);
         #[cfg(test)]

@@ -7,21 +7,21 @@ use crate::gpu::fault_tests::with_fault;
 thread_local! {
     /// Whether parts are as small as they can be, for the tests of this thread.
     static SMALLEST: Cell<bool> = const { Cell::new(false) };
-    /// Launches of which an array came in parts.
+    /// Launches with an array in parts.
     static SPLIT: Cell<usize> = const { Cell::new(0) };
-    /// Comparisons of this test that were made again in parts.
+    /// Comparisons of this test that were repeated in parts.
     static COMPARED: Cell<usize> = const { Cell::new(0) };
 }
 
-/// Comparisons of a test that are made again in parts: for each of them kernels are compiled anew.
+/// The most comparisons of a test that are repeated in parts: each one compiles its kernels again.
 const MOST_COMPARED: usize = 2;
 
-/// The numbers of a part where a test wants others than the adapter.
+/// The length of a part that a test sets instead of the adapter's limit.
 pub fn changed_len() -> Option<usize> {
     SMALLEST.get().then_some(ALIGNMENT)
 }
 
-/// The numbers of a part for these arrays; where a test wants the smallest, so many that a kernel sees all parts.
+/// The length of a part for these arrays; if a test asks for the smallest, the least with which a kernel can bind all parts.
 pub fn bindable_len(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
     let parts = |len| arrays.iter().map(|array| count_of(array.len(), len)).sum::<usize>();
     let fits = |&len: &usize| !SMALLEST.get() || parts(len) <= gpu.arrays_per_kernel();
@@ -30,7 +30,7 @@ pub fn bindable_len(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
     len
 }
 
-/// The result with parts as small as can be, and in how many launches an array came in parts.
+/// The result with the smallest parts, and the number of launches with an array in parts.
 fn in_parts<R>(result: impl FnOnce() -> R) -> (R, usize) {
     SPLIT.set(0);
     SMALLEST.set(true);
@@ -39,7 +39,7 @@ fn in_parts<R>(result: impl FnOnce() -> R) -> (R, usize) {
     (result, SPLIT.get())
 }
 
-/// Makes a comparison again with arrays in parts, unless the test has done so with others already.
+/// Repeats a comparison with arrays in parts, up to [`MOST_COMPARED`] times per test.
 pub fn compare_in_parts(compare: impl FnOnce() -> Result<usize, Disagreement>) -> Result<(), Disagreement> {
     if COMPARED.get() == MOST_COMPARED || SMALLEST.get() {
         return Ok(());
@@ -49,10 +49,10 @@ pub fn compare_in_parts(compare: impl FnOnce() -> Result<usize, Disagreement>) -
     compared.map(drop).map_err(|error| Disagreement { what: format!("in parts, {}", error.what), ..error })
 }
 
-/// The launches of which an array comes in parts, where parts are as small as can be. Panics unless the result is the same
-/// as with whole arrays, and another where parts are mistaken for each other.
+/// The number of launches with an array in parts, with the smallest parts. Panics unless the result equals the one with whole
+/// arrays and differs if parts are swapped.
 pub fn assert_equal_in_parts<R: PartialEq>(result: impl Fn() -> R) -> usize {
-    // In parts first: what nobody writes does not hold what an earlier run left there.
+    // In parts first, so that unwritten elements do not hold results of an earlier run.
     let (found, split) = in_parts(&result);
     assert!(found == result(), "{split} launches, with arrays in parts, compute something else");
     let (mistaken, _) = with_fault(("parts", "_1_part[at - ", "_1_part[1u + at - "), || in_parts(&result));

@@ -1,11 +1,11 @@
-//! The text of a kernel whose arrays come in parts: each use of an element becomes a call of a function that chooses among
-//! the parts. `values[at]` becomes `get_values(at)`, an assignment to it `set_values(at, …)`, `atomicAdd(&values[at], …)`
-//! `atomicAdd_values(at, …)`, and `arrayLength(&values)` `len_values()`. No kernel takes an element's address otherwise, or
-//! calls something of its own as one of its arrays; every kernel's test validates its text in parts, too.
+//! The text of a kernel whose arrays come in parts: each use of an element becomes a call of a function that selects the
+//! part. `values[at]` becomes `get_values(at)`, an assignment to it `set_values(at, …)`, `atomicAdd(&values[at], …)`
+//! `atomicAdd_values(at, …)`, and `arrayLength(&values)` `len_values()`. Kernels take an element's address in no other way,
+//! and give no other identifier the name of an array; every kernel's test also validates its text in parts.
 
 /// Atomic operations that kernels use on arrays.
 const ATOMIC: [&str; 2] = ["atomicAdd", "atomicMax"];
-/// What can stand between an element and the `=` of an assignment.
+/// The operators of compound assignments.
 const OPERATORS: [&str; 8] = ["", "+", "-", "*", "/", "&", "|", "^"];
 
 /// An array that comes in parts, as a kernel's text declares it.
@@ -18,8 +18,8 @@ struct SplitArray<'a> {
     len: usize,
 }
 
-/// The text for arrays, from binding 1 on, in so many parts of `len` 32-bit numbers. The first part of each array is at its
-/// own binding, the others follow behind the last array.
+/// The text for arrays (from binding 1 on) with `counts` parts of `len` 32-bit numbers each. The first part of each array
+/// keeps the array's binding, the others follow the last array.
 pub fn in_parts(whole: &str, counts: &[usize], len: usize) -> String {
     let whole = without_comments(whole);
     let mut declared = String::new();
@@ -35,7 +35,7 @@ pub fn in_parts(whole: &str, counts: &[usize], len: usize) -> String {
 }
 
 impl<'a> SplitArray<'a> {
-    /// The array at a binding, in parts of so many 32-bit numbers.
+    /// The array at a binding, in parts of this many 32-bit numbers.
     fn declared(text: &'a str, binding: usize, count: usize, numbers: usize) -> Self {
         let place = format!("@binding({binding})");
         let declaration = text.split(';').find(|statement| statement.contains(&place));
@@ -83,7 +83,7 @@ impl<'a> SplitArray<'a> {
         get + &format!("fn set_{name}(at: u32, value: {element}) {{\n{set}}}\n")
     }
 
-    /// The statement for the element of the part where `at` lies.
+    /// A chain of branches that runs `statement` for the part that contains `at`.
     fn choice(&self, statement: &dyn Fn(&str) -> String) -> String {
         let Self { name, len, .. } = self;
         let case = |part| {
@@ -134,7 +134,7 @@ fn rewritten(text: &str, arrays: &[SplitArray]) -> String {
     out + rest
 }
 
-/// What stands for `name[index]`, with the assignment if something is assigned to it, and the text behind.
+/// The replacement of `name[index]`, including an assignment to it, and the text that follows.
 fn element_use<'a>(name: &str, index: &str, after: &'a str, arrays: &[SplitArray]) -> (String, &'a str) {
     let index = rewritten(index, arrays);
     let get = format!("get_{name}({index})");
@@ -154,7 +154,7 @@ fn is_of_word(letter: char) -> bool {
     letter.is_alphanumeric() || letter == '_'
 }
 
-/// What stands between a text's first letter, if that is a bracket, and the one that closes it; and what follows.
+/// If the text starts with a bracket: its content up to the closing bracket, and the text that follows.
 fn bracketed(text: &str) -> Option<(&str, &str)> {
     let inner = text.strip_prefix('[')?;
     let mut depth = 1;

@@ -57,8 +57,8 @@ impl<T: Real> Ellipse<T> {
 
     /// The columns of the tiles in a row of tiles that meet the ellipse.
     ///
-    /// The part of the ellipse between the first and the last line of pixel centres is convex, so that its shadow on the x axis
-    /// decides. The shadow ends at the tips of the ellipse or, where they lie outside, at the nearer line.
+    /// The part of the ellipse between the first and the last line of pixel centres is convex, so that its projection onto the x
+    /// axis decides. The projection ends at the tips of the ellipse or, if they lie outside, at the nearer line.
     fn columns(&self, row: usize, grid: Grid) -> Range<usize> {
         let center_of = |pixel: usize| T::from_f64(pixel as f64 + 0.5);
         let (first, last) = (row * TILE, (row * TILE + TILE).min(grid.height) - 1);
@@ -87,7 +87,7 @@ fn tiles_between<T: Real>(low: T, high: T, size: usize) -> Range<usize> {
     if !(high >= T::from_f64(0.5) && low <= last_center) {
         return 0..0;
     }
-    // Clamped as floats before they become integers: coordinates may be anything. Truncation is floor from here on.
+    // Clamp as floats before converting to integers: coordinates are unbounded. From here on, truncation equals floor.
     let tile = T::from_f64(TILE as f64);
     let low = low.max(T::ZERO);
     let containing_low = (low / tile).to_f64() as usize;

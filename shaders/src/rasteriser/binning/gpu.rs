@@ -34,7 +34,7 @@ uniforms! {
     }
 }
 
-/// As [`super::TileLists`], in the memory of a GPU.
+/// [`super::TileLists`] in GPU memory.
 #[derive(Debug)]
 pub struct GpuLists {
     pub grid: Grid,
@@ -52,13 +52,13 @@ pub struct GpuLists {
     pub tile_starts: GpuArray,
     /// [hits], with spare capacity; `NO_RANK` for a hit that was counted and not found.
     pub entry_of_hit: GpuArray,
-    /// [N + 1]: where the hits of a rank begin; ranks that no tile holds have none.
+    /// [N + 1]: the first hit of every rank; a rank in no tile has no hits.
     pub hit_starts: GpuArray,
 }
 
 #[cfg(test)]
 impl GpuLists {
-    /// The same lists in the host's memory.
+    /// Copies the lists to the host.
     pub fn read_back(&self) -> super::TileLists {
         let read = |array: &GpuArray| {
             let mut out = vec![0; array.len()];
@@ -103,7 +103,7 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, capacity: Op
     COUNT.launch(gpu, &[], &GridBlock::new(grid, count, 0), &arrays, count.div_ceil(GROUP));
     let (sorted_keys, order) = sort(gpu, &keys, u32::BITS);
 
-    // What each rank meets, and where it begins.
+    // The number of tiles of each rank, and the start of its hits.
     let (rank_of_splat, visible) = (GpuArray::new(gpu, count), GpuArray::new(gpu, 1));
     let read = [&sorted_keys, &order, &counts].map(Binding::Read);
     let arrays = [&read[..], &[&rank_of_splat, &visible].map(Binding::Write)].concat();
@@ -137,7 +137,7 @@ fn hits(
 
 /// The ranks of the entries, where the tiles begin, and the entries of the hits.
 fn by_tile(gpu: Gpu, grid: Grid, entries: &Length, [hit_tiles, hit_ranks]: [&GpuArray; 2]) -> [GpuArray; 3] {
-    // The number of tiles stands for none. The order of ranks within a tile stays.
+    // The number of tiles encodes "no tile". The sort is stable: ranks keep their order within a tile.
     let bits = u32::BITS - (grid.tiles() as u32).leading_zeros();
     let (sorted_tiles, hit_of_entry) = sort_first(gpu, hit_tiles, Some(entries), bits);
     let lists = [hit_tiles.len(), grid.tiles() + 1, hit_tiles.len()].map(|len| GpuArray::new(gpu, len));

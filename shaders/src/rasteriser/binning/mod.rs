@@ -1,8 +1,8 @@
 //! Which splats each tile of the image blends, front to back.
 //!
 //! Splats are ordered by depth (rounded to f32), equal depths by index. A tile holds a splat iff the ellipse σ ≤ cutoff meets
-//! the rectangle spanned by the tile's pixel centres: the test is exact up to rounding, on which it is generous.
-//! Everything is integer after one pass over the ellipses, so that what is counted is what is listed.
+//! the rectangle spanned by the tile's pixel centres: the test is exact up to rounding, where it errs towards
+//! inclusion. After one pass over the ellipses everything is integer, so that counts and lists agree.
 
 mod ellipse;
 mod gpu;
@@ -146,7 +146,7 @@ impl Lists {
     }
 }
 
-/// The splats cover so many tiles that the render would not fit in memory.
+/// Error: the splats cover more tiles than the lists may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyIntersections {
     /// (Tile, splat) pairs.
@@ -183,7 +183,7 @@ pub fn bin<T: Real>(
 /// Computes no values: an operation so that its time is listed among the others.
 struct Binning {
     grid: Grid,
-    /// Intersections that buffers on a GPU hold; `None`: their number is read back first.
+    /// The capacity of buffers on a GPU, in intersections; `None`: their number is read back first.
     capacity: Option<usize>,
     result: Arc<OnceLock<Result<Arc<Lists>, TooManyIntersections>>>,
 }
@@ -223,14 +223,14 @@ impl<T: Real> Op<T> for Binning {
 
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         let &[means2d, conics, depths, cutoffs] = inputs else { unreachable!("four inputs") };
-        // Where there are too many, the CPU counts them for the message.
+        // If there are too many, the CPU counts them for the message.
         let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid, self.capacity)?;
         self.publish(Ok(Lists::Gpu(Box::new(lists))));
         Some(Vec::new())
     }
 }
 
-/// Projected splats as [`crate::rasteriser::projection`] gives them.
+/// Projected splats, as returned by [`crate::rasteriser::projection`].
 struct Splats<'a, T> {
     means2d: &'a [[T; 2]],
     conics: &'a [[T; 3]],

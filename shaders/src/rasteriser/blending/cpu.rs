@@ -16,7 +16,7 @@ impl PackedSplats<'_> {
         }
     }
 
-    /// Planes: Σ of what remains to be blended times its gradient, then the gradients of three colours and the extras; the
+    /// Planes: Σ weight·φ of the splats behind, then the gradients of three colours and the extras; the
     /// first is overwritten. Writes one row per splat of the tile.
     pub fn backward(&self, tile: &Tile, planes: &mut [f32], rows: &mut [f32]) {
         let planes = planes.as_chunks_mut::<TILE>().0.as_chunks_mut::<TILE>().0;

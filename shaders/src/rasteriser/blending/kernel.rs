@@ -19,7 +19,7 @@ const LANE_INDEX: Row = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 
 /// Minimax polynomial of 2ˣ on [−½, ½] (Remez, relative error 1.6e-7 with these coefficients in f32), constant term first.
 const EXP2: [f32; 6] = [1.000_000_1, 0.693_146_94, 0.240_221_2, 0.055_507_13, 0.009_675_541, 0.001_327_647_2];
 
-/// What one splat is to each row of a tile.
+/// The terms of one splat for each row of a tile.
 struct SplatRows {
     dy: Row,
     /// Where e = dx + k·dy vanishes, in pixels from the first column's centre.
@@ -74,7 +74,7 @@ struct Broadcast<V> {
     stop: V,
 }
 
-/// What one splat does to one part of a row, whether or not the pixels take it.
+/// The effect of one splat on one part of a row, before the pixels accept or reject it.
 struct Attempt<V: Lanes> {
     e: V,
     /// Before and after the cap.
@@ -205,12 +205,12 @@ pub fn forward<V: Lanes, const EXTRAS: bool>(splats: &PackedSplats, tile: &Tile,
     blended_count
 }
 
-/// What the backward pass of a tile reads and updates.
+/// The state of the backward pass of a tile.
 struct Backward<'a, V> {
     transmittance: Plane,
     /// Per part, the rows with a pixel that has not stopped.
     alive: [u32; 2],
-    /// Σ weight·φ of what is still to come.
+    /// Σ weight·φ of the splats behind.
     remaining: &'a mut Plane,
     /// Gradients of the image.
     red: &'a Plane,

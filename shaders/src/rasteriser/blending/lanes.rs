@@ -1,8 +1,8 @@
-//! Vectors of f32 for the fast body. Every operation rounds as IEEE 754 says, one by one, so that all widths give the same
+//! Vectors of f32 for the fast body. Every operation rounds individually by IEEE 754, so that all widths give the same
 //! bits.
 //!
 //! Safety: the methods of `Avx2` and `Avx512` are instructions that an older processor lacks. They are private to
-//! `blending`, and reached only through `super::cpu::dispatch`, which asks the processor first. Loads and stores go through
+//! `blending`, and reached only through `super::cpu::dispatch`, which checks the processor first. Loads and stores go through
 //! arrays whose size holds every part.
 #![allow(unsafe_code)]
 
@@ -48,7 +48,7 @@ pub trait Lanes: Copy {
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
     /// The sum over all lanes of both parts of a row, for eight rows; the right part does not exist for 16 lanes.
     fn sum8(left: &[Self; 8], right: &[Self; 8]) -> [f32; 8];
-    /// As [`Lanes::sum8`] for one row.
+    /// The sum of the pixels of one row.
     fn sum(left: Self, right: Self) -> f32;
 }
 
@@ -356,7 +356,7 @@ mod x86 {
         unsafe { _mm256_add_ps(_mm512_castps512_ps256(row), _mm512_extractf32x8_ps::<1>(row)) }
     }
 
-    /// Sums of eight vectors at once: each step adds the two halves of what is left of every vector.
+    /// Sums of eight vectors at once: each step adds the two halves of every remaining vector.
     #[inline(always)]
     unsafe fn sum8(x: [__m256; 8]) -> [f32; 8] {
         unsafe {

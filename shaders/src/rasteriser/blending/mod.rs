@@ -5,8 +5,8 @@
 //! blended and ends the pixel (Kerbl et al. 2023). Colour = Σ wᵢcᵢ + T·background, depth = Σ wᵢzᵢ, features = Σ wᵢfᵢ,
 //! opacity of the image = 1 − T.
 //!
-//! The backward pass replays the forward pass with one scalar per pixel, Σⱼ wⱼφⱼ over what is still to come, with
-//! φ = Σ value·gradient over the channels, and leaves one row of sums per (tile, splat), in moments of (e, dy) with
+//! The backward pass replays the forward pass with one scalar per pixel, Σⱼ wⱼφⱼ over the splats behind, with
+//! φ = Σ value·gradient over the channels, and writes one row of sums per (tile, splat), in moments of (e, dy) with
 //! e = dx + k·dy. The rows of a splat are added in a fixed order: the result does not depend on scheduling.
 
 mod cpu;
@@ -172,7 +172,7 @@ struct Blend<T> {
     splats: RankedSplats<T>,
     /// [tiles, 256], after the last splat.
     transmittance: Vec<T>,
-    /// The same on a GPU.
+    /// Values of the forward pass on a GPU.
     kept: Option<gpu::Kept>,
     blended_count: Arc<AtomicU64>,
 }

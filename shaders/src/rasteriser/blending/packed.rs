@@ -8,7 +8,7 @@ use super::{Constants, RankedSplats};
 use crate::rasteriser::isa::Isa;
 use crate::tape::Real;
 
-/// One splat as the inner loop wants it.
+/// One splat in the layout of the inner loop.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 pub struct Packed {

@@ -8,7 +8,7 @@ use crate::tape::Real;
 /// Pixels of a tile.
 const PIXELS: usize = TILE * TILE;
 
-/// What one splat is to one pixel.
+/// The terms of one splat at one pixel.
 struct Sample<T> {
     e: T,
     dy: T,
@@ -69,7 +69,7 @@ pub fn forward<T: Real>(splats: &RankedSplats<T>, constants: &Constants<T>, tile
     blended_count
 }
 
-/// Planes: Σ of what remains to be blended times its gradient, then the gradients of three colours and the extras. Adds one
+/// Planes: Σ weight·φ of the splats behind, then the gradients of three colours and the extras. Adds one
 /// row per splat of the tile.
 pub fn backward<T: Real>(
     splats: &RankedSplats<T>,

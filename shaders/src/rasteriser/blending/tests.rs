@@ -143,7 +143,7 @@ fn weights_and_transmittance_add_up_to_one() {
 
 #[test]
 fn many_layers_keep_their_gradient() {
-    // 400 faint layers: what remains is found by 400 subtractions.
+    // 400 faint layers: the remaining sum is the result of 400 subtractions.
     let scene = Scene::stack(400, [8.3, 7.6], 4.0, 0.02);
     let (fast, _) = run::<f32>(&scene, [16, 16], &RasterSettings::default());
     let (reference, _) = run::<f64>(&scene, [16, 16], &RasterSettings::default());

@@ -5,7 +5,7 @@ use scene::gaussians::SH_C0;
 use super::{Chosen, SHAPE, inside, log_sigmoid};
 use crate::tape::{Real, Tensor};
 
-/// The gradients of the inputs, `None` where nothing reached the outputs they depend on.
+/// The gradients of the inputs, `None` where the outputs that depend on them have no gradient.
 pub struct Gradients<'a, T: Real> {
     /// Which Gaussians there are.
     pub chosen: &'a Chosen,

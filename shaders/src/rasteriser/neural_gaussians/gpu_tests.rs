@@ -30,7 +30,7 @@ fn inputs(anchors: usize, per_anchor: usize) -> Vec<Tensor<f32>> {
     ]
 }
 
-/// Compares those outputs of which `picked` tells the numbers.
+/// Compares the outputs with the indices `picked`.
 fn compare_spawned(gpu: Gpu, inputs: &[Tensor<f32>], picked: &[usize]) -> Result<usize, Disagreement> {
     let f = |tape: &mut Tape<f32>, vars: &[Var]| {
         let &[positions, log_scales, offsets, opacities, shapes, colors] = vars else { panic!("six variables") };

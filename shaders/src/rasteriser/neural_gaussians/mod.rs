@@ -1,15 +1,15 @@
 //! The Gaussians that anchors spawn (Lu et al. 2024, Scaffold-GS, section 3.2).
 //!
-//! An anchor at a with logarithmic scales s (three of its offsets, three of its Gaussians) has K Gaussians. What networks
-//! say about Gaussian k, its opacity α, shape c₁…₇ and colour, becomes
+//! An anchor at a with logarithmic scales s (three of its offsets, three of its Gaussians) has K Gaussians. The network
+//! outputs for Gaussian k (opacity α, shape c₁…₇ and colour) become
 //!
 //! * position μ = a + oₖ ∘ exp(s₁₋₃),
 //! * logarithmic scales s₄₋₆ + ln sigmoid(c₁₋₃),
-//! * quaternion c₄₋₇ (normalised where it is used),
-//! * opacity logit ln(α / (1 − α)), and the colour as constant spherical harmonic.
+//! * quaternion c₄₋₇ (normalised by the rasteriser),
+//! * opacity logit ln(α / (1 − α)), and the colour as the constant spherical harmonic.
 //!
-//! Gaussians with α ≤ 0 are not there: the CPU leaves them out; a GPU, whose opacities nobody waits for, has them with
-//! [`HIDDEN_LOGIT`]. None of this has an edge that a render shows: opacities rise from 0.
+//! Gaussians with α ≤ 0 are absent: the CPU omits them; a GPU keeps them with [`HIDDEN_LOGIT`], because compaction would need
+//! a readback. The transition is invisible in renders: opacities rise from 0.
 
 mod backward;
 mod gpu;
@@ -27,14 +27,14 @@ use crate::rasteriser::splats::HIDDEN_LOGIT;
 use crate::tape::{Device, Op, Real, Tape, Tensor, Var};
 use backward::Gradients;
 
-/// Opacities are kept this far from 0 and 1, where their logit is infinite: far below what an image shows.
+/// Opacities are kept this far from 0 and 1, where their logit is infinite; the difference is invisible in an image.
 const OPACITY_MARGIN: f64 = 1e-6;
 /// Output rows, or anchors, per parallel chunk: tens of microseconds of work.
 const ROWS_PER_CHUNK: usize = 1024;
 /// Columns of a shape: three scales and a quaternion.
 const SHAPE: usize = 7;
 
-/// What N anchors and their networks say about K Gaussians each.
+/// N anchors and the network outputs for K Gaussians each.
 #[derive(Clone, Copy, Debug)]
 pub struct AnchorVars {
     /// [N, 3] world, scene units.
@@ -64,7 +64,7 @@ pub struct NeuralGaussians {
     pub opacity_logits: Var,
     /// [M, 1, 3] the constant spherical harmonic.
     pub sh: Var,
-    /// [M] which one of the N·K it is: anchor·K + k; `None`: all of them in order.
+    /// [M] the slot anchor·K + k of each Gaussian; `None`: all N·K in order.
     pub slots: Option<Arc<Vec<u32>>>,
 }
 
@@ -97,7 +97,7 @@ fn spawn<T: Real>(tape: &mut Tape<T>, anchors: &AnchorVars, chosen: Chosen) -> N
 struct Chosen {
     anchors: usize,
     per_anchor: usize,
-    /// `None`: all.
+    /// The listed Gaussians; `None`: all.
     list: Option<List>,
 }
 
@@ -115,7 +115,7 @@ impl Chosen {
         Self { anchors: opacities.rows(), per_anchor: opacities.row_len(), list: None }
     }
 
-    /// Those whose opacity is positive.
+    /// The Gaussians with positive opacity.
     fn with_positive<T: Real>(opacities: &Tensor<T>) -> Self {
         let all = Self::all(opacities);
         let (mut slots, mut first) = (Vec::new(), vec![0]);
@@ -127,7 +127,7 @@ impl Chosen {
         Self { list: Some(List { slots: Arc::new(slots), first }), ..all }
     }
 
-    /// How many there are.
+    /// The number of Gaussians.
     fn count(&self) -> usize {
         self.list.as_ref().map_or(self.anchors * self.per_anchor, |list| list.slots.len())
     }
@@ -254,12 +254,12 @@ impl<T: Real> Op<T> for Spawn {
     }
 }
 
-/// Whether there is no Gaussian with this opacity; written so that a NaN is there, and found.
+/// Whether a Gaussian with this opacity is hidden; NaN is not hidden, so that it is detected.
 fn is_hidden<T: Real>(opacity: T) -> bool {
     opacity <= T::ZERO
 }
 
-/// What becomes this opacity through the logistic function; that of a hidden one is constant.
+/// The logit of an opacity; constant for hidden Gaussians.
 fn logit<T: Real>(opacity: T) -> T {
     if is_hidden(opacity) {
         return T::from_f64(HIDDEN_LOGIT);

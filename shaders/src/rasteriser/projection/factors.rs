@@ -3,7 +3,7 @@ use crate::arrays::rows::{RowMap, RowWgsl, map_rows, reshape};
 use crate::tape::{Real, Tape, Var};
 
 /// F = R_q·diag(eˢ) [N, 3, 3] of logarithms of standard deviations [N, 3] and quaternions [N, 4]: for splats that are
-/// drawn together with others whose factor is not of that form.
+/// rendered together with splats whose factor has another form.
 pub fn factors<T: Real>(tape: &mut Tape<T>, log_scales: Var, rotations: Var) -> Var {
     let count = tape.value(log_scales).rows();
     let rows = map_rows(tape, Factors, [log_scales, rotations]);
@@ -69,7 +69,7 @@ mod tests {
 
     const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
 
-    /// Scales and quaternions, of which the first has no direction.
+    /// Scales and quaternions; the first quaternion is zero.
     fn inputs(count: usize) -> [Tensor<f32>; 2] {
         let tensor = |columns: usize, seed| Tensor::from_vec([count, columns], noise(columns * count, seed)).cast();
         let mut rotations: Tensor<f32> = tensor(4, 2);

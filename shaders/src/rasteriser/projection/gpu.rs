@@ -32,7 +32,7 @@ uniforms! {
     }
 }
 
-/// What the kernels are specialised for.
+/// The specialisation of the kernels.
 pub(super) fn specialisation(sh_degree: usize, shapes: ShapeInputs) -> [(&'static str, u32); 2] {
     [("SH_DEGREE", sh_degree as u32), ("GIVEN_FACTORS", u32::from(shapes == ShapeInputs::Factors))]
 }
@@ -65,7 +65,7 @@ impl ViewBlock {
     }
 }
 
-/// Positions, logits, harmonics, shapes and rotations; where there are no rotations, something stands in for them.
+/// Positions, logits, harmonics, shapes and rotations; a placeholder is bound if there are no rotations.
 fn parameters<'a, T: Real>(gpu: Gpu, inputs: &[&'a Tensor<T>]) -> Vec<Binding<'a>> {
     let rotations = inputs.get(4).unwrap_or(&inputs[3]);
     inputs[..4].iter().chain([rotations]).map(|input| Binding::Read(input.on_gpu(gpu))).collect()
@@ -76,7 +76,7 @@ impl<T: Real> Projection<T> {
         ViewBlock::new(&self.view, count, self.sh_len, self.alpha_cap)
     }
 
-    /// Means, conics, depths, opacities, colours, cutoffs; and how often what [`super::guards::EVENTS`] tells happened.
+    /// Means, conics, depths, opacities, colours, cutoffs; and the counts of [`super::guards::EVENTS`].
     pub(super) fn project_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let count = inputs[0].rows();
         let shapes = [vec![count, 2], vec![count, 3], vec![count], vec![count], vec![count, 3], vec![count]];

@@ -1,18 +1,18 @@
-//! Why splats have no image, and how often a projection kept numbers in range. Whoever trains wants to know: a guard
-//! hides where arithmetic would have ended.
+//! Reasons for culling, and counts of numbers that the projection kept in range. They are reported because a guard hides
+//! an arithmetic failure.
 
 use super::ProjectedVars;
 use crate::geometry::camera::PinholeCamera;
 use crate::rasteriser::settings::RasterSettings;
 use crate::tape::{Real, Tape};
 
-/// Event: splats with a value that is infinite or NaN. They are not drawn; whoever trains or renders a model must ask.
+/// Event: splats with a value that is infinite or NaN. They are culled; trainer and renderer must check this count.
 pub const NOT_FINITE: &str = "splats not finite";
 
 /// Why a splat has no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Culled {
-    /// Outside of the image, too faint to see, or beyond the far plane.
+    /// Outside the image, too faint, or beyond the far plane.
     Unseen,
     /// Before the near plane or behind the camera.
     Near,
@@ -26,15 +26,15 @@ impl Culled {
     /// Every reason, in the order of their codes.
     pub const ALL: [Self; 4] = [Self::Unseen, Self::Near, Self::Huge, Self::NotFinite];
 
-    /// What stands for the cutoff of a culled splat: −1, −2, …
+    /// The code stored instead of the cutoff of a culled splat: −1, −2, …
     pub fn code(self) -> f64 {
         -1.0 - f64::from(self as u8)
     }
 }
 
-/// What is counted, here and by the kernel, in this order: splats that were culled for their numbers, and numbers that were kept in
-/// range: of splats far off the axis (the affine map of the perspective is that of the image's margin), opacities above
-/// what the cap of alpha allows, and colour channels below zero.
+/// The counted events, in the order of the kernel: splats culled for non-finite or extreme values, and values kept in range:
+/// the affine map of splats far off the axis (clamped at the image's margin), opacities above the cap of alpha, and colour
+/// channels below zero.
 pub(super) const EVENTS: [&str; 6] = [
     "splats before the near plane",
     "splats out of proportion",
@@ -44,7 +44,7 @@ pub(super) const EVENTS: [&str; 6] = [
     "color channels below zero",
 ];
 
-/// Counts [`EVENTS`] of what the host projected, for the tape.
+/// Counts [`EVENTS`] of a projection on the host, for the tape.
 pub(super) fn count<T: Real>(
     tape: &mut Tape<T>,
     projected: &ProjectedVars,
@@ -105,7 +105,7 @@ mod tests {
         splats
     }
 
-    /// How often everything happens.
+    /// The counts of all events.
     fn events(device: Device, count: usize) -> [u64; 6] {
         events_of(device, guarded(count))
     }

@@ -96,11 +96,11 @@ struct Projection<T> {
     view: View<T>,
     sh_len: usize,
     alpha_cap: f64,
-    /// How often a GPU found each of [`guards::EVENTS`].
+    /// The counts of [`guards::EVENTS`] on a GPU.
     events: Option<Arc<GpuArray>>,
 }
 
-/// What the inputs after positions, opacities and harmonics are.
+/// The form of the inputs after positions, opacities and harmonics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ShapeInputs {
     ScalesAndRotations,
@@ -225,7 +225,7 @@ impl<T: Real> Op<T> for Projection<T> {
     }
 }
 
-/// The gradient of one projected splat; zero where none arrives.
+/// The upstream gradient of one projected splat; zero if there is none.
 fn upstream_of<T: Real>(output_grads: &[Option<&Tensor<T>>], index: usize) -> Projected<T> {
     Projected {
         mean2d: output_grads[0].map_or_else(Default::default, |gradient| row(gradient, index)),

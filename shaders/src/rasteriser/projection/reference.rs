@@ -117,7 +117,7 @@ pub fn why_culled<T: Real>(splat: &Splat<T>, view: &View<T>) -> Culled {
     if !(values.into_iter().all(|value| value.is_finite()) && splat.shape.is_finite() && scales_are_numbers) {
         return Culled::NotFinite;
     }
-    // Wherever it would be: it is not there.
+    // A hidden splat is culled wherever it is.
     if splat.opacity_logit <= T::from_f64(HIDDEN_LOGIT) {
         return Culled::Unseen;
     }
@@ -152,7 +152,7 @@ fn sigmoid<T: Real>(x: T) -> T {
     if x >= T::ZERO { T::ONE / (T::ONE + e) } else { tail }
 }
 
-/// What position and shape become in the image, with the intermediates of the backward pass.
+/// Position and shape in the image, with the intermediates of the backward pass.
 struct Geometry<T> {
     view_position: Vec3<T>,
     /// x/z and y/z, clamped, and whether they were not.
@@ -192,7 +192,7 @@ impl<T: Real> Geometry<T> {
         usable.then_some(Self { view_position, slopes, factor_world, factor_view, factor, variances, mean2d, conic })
     }
 
-    /// Whether the bounding box of σ ≤ cutoff overlaps the image; half a pixel generous, as no centre lies on the border.
+    /// Whether the bounding box of σ ≤ cutoff overlaps the image; with half a pixel of slack, because no pixel centre lies on the border.
     fn touches_image(&self, cutoff: T, view: &View<T>) -> bool {
         (0..2).all(|axis| {
             let extent = (T::from_f64(2.0) * cutoff * self.variances[axis]).sqrt();
@@ -271,7 +271,7 @@ fn cholesky_backward<T: Real>([a, k, m]: [T; 3], [g_a, g_k, g_m]: [T; 3]) -> [T;
     [g_variance, two * k * g_variance - m * g_k, k * k * g_variance - k * m * g_k - m * m * g_m]
 }
 
-/// The colour towards the camera before it is clamped at 0, with what its backward pass needs.
+/// The colour towards the camera before clamping at 0, with the intermediates of the backward pass.
 struct Color<T> {
     direction: Vec3<T>,
     /// 1/distance; zero where the direction is undefined.
@@ -297,7 +297,7 @@ impl<T: Real> Color<T> {
         Self { direction, inverse_distance, basis, unclamped }
     }
 
-    /// Writes the gradient of the harmonics and returns that of the position; none where the colour was clamped.
+    /// Writes the gradient of the harmonics and returns that of the position; zero where the colour was clamped.
     #[inline(always)]
     fn backward(&self, splat: &Splat<T>, view: &View<T>, upstream: [T; 3], sh_gradient: &mut [T]) -> Vec3<T> {
         let g_color = [0, 1, 2].map(|c| if self.unclamped[c] > T::ZERO { upstream[c] } else { T::ZERO });

@@ -1,4 +1,4 @@
-//! The covariance of a splat as FFᵀ, and how the factor F follows from its parameters.
+//! The covariance of a splat as FFᵀ, and the factor F from its parameters.
 
 use crate::geometry::algebra::{
     Mat3, Vec3, column, dot, normalised, normalised_backward, rotation, rotation_backward, scale_columns,
@@ -8,7 +8,7 @@ use crate::tape::Real;
 /// Standard deviations above this, in scene units, are overflow on its way.
 const MAX_SCALE: f64 = 1e9;
 
-/// What gives a splat its covariance; also the gradient of it.
+/// The parameters of a splat's covariance; also the type of their gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape<T> {
     /// F = R_q·diag(eˢ): logarithms of the standard deviations, and a quaternion (w, x, y, z) of any length.
@@ -18,7 +18,7 @@ pub enum Shape<T> {
 }
 
 impl<T: Real> Shape<T> {
-    /// Whether no value that the image may not show is infinite or NaN: a quaternion without direction counts as none.
+    /// Whether all values that affect the image are finite; a quaternion without direction is replaced by the identity.
     #[inline(always)]
     pub fn is_finite(&self) -> bool {
         match self {
@@ -28,7 +28,7 @@ impl<T: Real> Shape<T> {
     }
 }
 
-/// F, with what its backward pass needs.
+/// F, with the intermediates of its backward pass.
 pub struct Factor<T> {
     /// Rows along the world's axes.
     pub matrix: Mat3<T>,
@@ -47,7 +47,7 @@ enum Source<T> {
 }
 
 impl<T: Real> Factor<T> {
-    /// `None` where a standard deviation is out of all proportion or NaN.
+    /// `None` if a standard deviation is extreme or NaN.
     #[inline(always)]
     pub fn new(shape: &Shape<T>) -> Option<Self> {
         let limit = T::from_f64(MAX_SCALE);

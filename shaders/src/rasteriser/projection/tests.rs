@@ -36,7 +36,7 @@ fn plain<T: Real>(sh: &[T]) -> Splat<'_, T> {
     }
 }
 
-/// [`camera`] moved to the origin, looking along z: world and view coordinates are the same.
+/// [`camera`] moved to the origin, looking along z: world and view coordinates are equal.
 fn camera_at_origin(width: usize, height: usize) -> PinholeCamera {
     let rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     PinholeCamera { rotation, translation: [0.0; 3], ..camera(width, height) }
@@ -68,7 +68,7 @@ fn gradients_are_central_differences() {
 
 #[test]
 fn gradients_are_central_differences_where_the_affine_map_is_clamped() {
-    // One large splat each within the image, beyond its right border, and beyond its corner.
+    // One large splat inside the image, one beyond its right border, and one beyond its corner.
     let camera = camera(40, 30);
     for offset in [[0.0, 0.0], [2.4, 0.0], [2.4, 2.2]] {
         let mut splat = splats(1, 0.0, 30);
@@ -172,7 +172,7 @@ fn conics_are_positive_and_accurate_for_extreme_shapes() {
             opacity_logit: 2.0,
             sh: &narrow_sh,
         };
-        // The same numbers in both precisions, so that only the arithmetic differs.
+        // Equal numbers in both precisions, so that only the arithmetic differs.
         let (log_scales, rotation) = scale_rotation(narrow_splat.shape);
         let splat = Splat {
             position: narrow_splat.position.map(f64::from),

@@ -1,4 +1,4 @@
-//! Renders of scenes that no training would make: any parameter may be anything, cameras and images have extreme sizes.
+//! Renders of arbitrary scenes: parameters take any value, cameras and images extreme sizes.
 
 use super::scene_tests::{camera, cast, from_tensors, splats, tensors};
 use super::*;
@@ -40,7 +40,7 @@ fn case(seed: u64) -> Case {
     for _ in 0..below(20) {
         let field = below(5);
         let (at, poison) = (below(scene[field].len()), POISONS[below(POISONS.len())]);
-        // Colours of 1e19 are drawn as they are, but their gradients are products of two such numbers: an overflow that
+        // Colours of 1e19 are rendered, but their gradients are products of two such numbers: an overflow that
         // a training reports by name.
         let is_too_bright = field == SH && poison.is_finite() && poison.abs() > BRIGHTEST;
         scene[field].make_mut()[at] = if is_too_bright { BRIGHTEST } else { poison };

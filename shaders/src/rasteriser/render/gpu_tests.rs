@@ -36,7 +36,7 @@ fn without_jumps(settings: RasterSettings) -> RasterSettings {
     RasterSettings { smooth_cutoff: true, transmittance_stop: 0.0, ..settings }
 }
 
-/// What makes the images of a scene from its inputs.
+/// Renders the images of a scene from its inputs.
 type RenderFn = Box<dyn Fn(&mut Tape<f32>, &[Var]) -> Vec<Var>>;
 
 /// Inputs and function of a render.
@@ -139,7 +139,7 @@ fn a_render_in_parts_gives_equal_bytes() {
     for sh_degree in [0, 3] {
         let settings = RasterSettings { sh_degree, ..default_with(true) };
         let mut splats = splats(500, -1.5, 23);
-        // Above what the cap of alpha allows, which is counted.
+        // Above the cap of alpha, which is counted.
         splats.opacity_logits.make_mut()[470..].fill(8.0);
         let (inputs, f) = scene(&splats, 2, camera(64, 48), settings);
         let result = || {

@@ -21,7 +21,7 @@ use crate::rasteriser::settings::RasterSettings;
 use crate::rasteriser::splats::{SplatTensors, SplatVars};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
-/// A render and what density control needs to know of it.
+/// A render with the values that density control reads.
 #[derive(Clone, Debug)]
 pub struct Rendered {
     /// [H, W, 3].
@@ -40,7 +40,7 @@ pub struct Rendered {
     blended_pixel_splats: Option<u64>,
 }
 
-/// What somebody who asks learns of a render; a GPU is waited for then.
+/// Statistics of a render; on a GPU, each call is a readback.
 impl Rendered {
     /// The number of splats that were given.
     pub fn splats<T: Real>(&self, tape: &Tape<T>) -> usize {
@@ -75,7 +75,7 @@ impl Rendered {
     }
 }
 
-/// How much work a render was.
+/// The amount of work of a render.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RenderStats {
     /// Splats that some tile holds.
@@ -118,7 +118,7 @@ pub struct RenderedImage<T: Real> {
     pub stats: RenderStats,
 }
 
-/// As [`render`], for use at test time.
+/// Renders images on the CPU without gradients.
 pub fn render_image<T: Real>(
     splats: &SplatTensors<T>,
     camera: &PinholeCamera,

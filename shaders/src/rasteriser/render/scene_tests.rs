@@ -1,4 +1,4 @@
-//! What the tests of projection, binning, blending and rendering do with seeded scenes.
+//! Helpers of the tests of projection, binning, blending and rendering: seeded scenes.
 
 pub use crate::check::seeded::{camera, images, splats, tensors, vars};
 use crate::rasteriser::splats::SplatTensors;
@@ -16,7 +16,7 @@ pub fn from_tensors<T: Real>(tensors: &[Tensor<T>]) -> SplatTensors<T> {
     }
 }
 
-/// The same splats in another scalar type.
+/// The splats converted to another scalar type.
 pub fn cast<T: Real>(splats: &SplatTensors<f64>) -> SplatTensors<T> {
     from_tensors(&tensors(splats).iter().map(Tensor::cast).collect::<Vec<_>>())
 }

@@ -6,7 +6,7 @@ use crate::rasteriser::isa::Isa;
 /// Threshold crossings that differ between f32 and f64 or between two bodies change a pixel by up to half a grey level each.
 const MAX_FLIP: f64 = 2.0 / 255.0;
 
-/// What finite differences need: no jumps at the threshold or the stop.
+/// Settings for finite differences: no jumps at the threshold or the stop.
 fn smooth() -> RasterSettings {
     RasterSettings {
         smooth_cutoff: true,

@@ -18,7 +18,7 @@ uniforms! {
     }
 }
 
-/// 1 for every splat of a render that is visible and whose centre lies in a pixel with a label, else 0: [N].
+/// 1 for every splat of a render that is visible and whose centre lies in a pixel with a label, otherwise 0: [N].
 pub fn covered<T: Real>(tape: &Tape<T>, rendered: &Rendered, labels: &LabelMap) -> Tensor<T> {
     let means_px = tape.value(rendered.means2d);
     match rendered.lists() {
@@ -81,7 +81,7 @@ mod tests {
         assert_eq!(found.as_slice(), [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }
 
-    /// Of a render of so many splats, some of which are not seen.
+    /// Compares the devices on a render of `count` splats, some of them invisible.
     fn compare(gpu: Gpu, count: usize) -> Result<usize, Disagreement> {
         let mut tape = Tape::new(Device::Gpu(gpu));
         let vars = cast::<f32>(&splats(count, -2.5, 3)).constants(&mut tape);

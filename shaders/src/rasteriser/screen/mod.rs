@@ -38,7 +38,7 @@ pub struct PopulationRender<'a> {
 }
 
 impl PopulationRender<'_> {
-    /// The splat of each of `count` rows, on a GPU; `u32::MAX` where a row has none.
+    /// The splat of each of `count` rows, on a GPU; `u32::MAX` for rows without a splat.
     fn splat_of_row(&self, gpu: Gpu, count: usize) -> Option<GpuArray> {
         let rows = self.row_of_splat?;
         let mut splats = vec![u32::MAX; count];
@@ -48,7 +48,7 @@ impl PopulationRender<'_> {
 }
 
 /// Adds the renders of one step to statistics [N, 3]: the sum over steps of the norm of the gradient by the projected mean,
-/// in normalised device coordinates and summed over the renders; steps that saw the splat; its largest radius in pixels.
+/// in normalised device coordinates and summed over the renders; the number of steps in which the splat was visible; its largest radius in px.
 /// `None` if the renders are not on a GPU.
 pub fn observe(
     tape: &Tape<f32>,

@@ -30,7 +30,7 @@ impl Slicing {
         SlicingBlock { time, least_log_share, hidden_logit, count: count as u32 }
     }
 
-    /// Displacements, velocities, factors, opacities and who is there.
+    /// Displacements, velocities, factors, opacities and presence flags.
     pub(super) fn slice_on_gpu<T: Real>(&self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let count = inputs[4].len();
         let shapes = [vec![count, 3], vec![count, 3], vec![count, 3, 3], vec![count, 1], vec![count, 1]];

@@ -38,7 +38,7 @@ fn vars(inputs: &[Var]) -> Gaussians4dVars {
     Gaussians4dVars { log_scales, log_scales_time, rotations_left, rotations_right, times, opacity_logits }
 }
 
-/// What there is with more than this share of the opacity, and who that is.
+/// The slices with more than this share of the opacity, and their presence flags.
 fn sliced(least_share: f64) -> impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var> {
     move |tape, inputs| {
         let sliced = slice(tape, &vars(inputs), TIME, least_share);
@@ -46,7 +46,7 @@ fn sliced(least_share: f64) -> impl Fn(&mut Tape<f32>, &[Var]) -> Vec<Var> {
     }
 }
 
-/// A share of which every Gaussian has more, and two that leave some and all of them out.
+/// Shares that keep all, some and none of the Gaussians.
 const SHARES: [f64; 3] = [1e-300, 0.5, 1.0];
 
 #[test]

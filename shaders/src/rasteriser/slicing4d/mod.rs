@@ -25,12 +25,12 @@ use reference::{Gaussian, Sliced};
 /// Gaussians per parallel chunk: tens of microseconds.
 const ROWS_PER_CHUNK: usize = 128;
 
-/// The parameters of N 4D Gaussians that decide how they are cut.
+/// The parameters of N 4D Gaussians that determine their slices.
 #[derive(Clone, Copy, Debug)]
 pub struct Gaussians4dVars {
     /// [N, 3] natural logarithm of the spatial standard deviations before rotation, scene units.
     pub log_scales: Var,
-    /// [N, 1] the same of the temporal one, in units of time.
+    /// [N, 1] logarithm of the temporal standard deviation, in units of time.
     pub log_scales_time: Var,
     /// [N, 4] quaternions (w, x, y, z) of any length: R·p = q_l ⊗ p ⊗ q̄_r with t as the real part of p. Equal
     /// quaternions rotate space alone, as a 3D Gaussian's does.
@@ -50,7 +50,7 @@ impl Gaussians4dVars {
     }
 }
 
-/// The Gaussians at one instant; those that are not there are zeros of opacity [`HIDDEN_LOGIT`].
+/// The Gaussians at one instant; absent ones are zeros with the opacity [`HIDDEN_LOGIT`].
 #[derive(Clone, Copy, Debug)]
 pub struct SlicedVars {
     /// [N, 3] from the mean in space and time to the mean at the instant, scene units.
@@ -65,8 +65,8 @@ pub struct SlicedVars {
     pub present: Var,
 }
 
-/// Cuts the Gaussians at an instant. There are those of which more than `least_share` of the opacity is left then. Panics
-/// if shapes disagree.
+/// Slices the Gaussians at an instant. A Gaussian is present if more than `least_share` of its opacity remains. Panics if
+/// shapes disagree.
 pub fn slice<T: Real>(tape: &mut Tape<T>, vars: &Gaussians4dVars, time: f64, least_share: f64) -> SlicedVars {
     let count = tape.value(vars.times).len();
     for (var, row_len) in vars.inputs().into_iter().zip([3, 1, 4, 4, 1, 1]) {
@@ -86,10 +86,10 @@ struct Slicing {
 }
 
 impl Slicing {
-    /// One Gaussian, if it is there.
+    /// One Gaussian, if it is present.
     fn present<T: Real>(&self, inputs: &[&Tensor<T>], row: usize) -> Option<Gaussian<T>> {
         let gaussian = gaussian(inputs, row, T::from_f64(self.time));
-        // Written so that a NaN is there, and found.
+        // Negated, so that NaN counts as present and is detected.
         (!(gaussian.log_share() <= T::from_f64(self.least_log_share))).then_some(gaussian)
     }
 }
@@ -170,7 +170,7 @@ fn gaussian<T: Real>(inputs: &[&Tensor<T>], row: usize, time: T) -> Gaussian<T> 
     }
 }
 
-/// The gradient of one slice; zero where none arrives.
+/// The upstream gradient of one slice; zero if there is none.
 fn upstream_of<T: Real>(output_grads: &[Option<&Tensor<T>>], at: usize) -> Sliced<T> {
     Sliced {
         displacement: output_grads[0].map_or_else(Default::default, |gradient| row_of(gradient, at)),

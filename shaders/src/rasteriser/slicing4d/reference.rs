@@ -9,7 +9,7 @@ use crate::tape::Real;
 const MIN_DEVIATION_TIME: f64 = 1e-4;
 /// The square of a length that has no direction any more in f32.
 const MIN_SQUARED_LENGTH: f64 = 1e-30;
-/// Keeps the logarithm of 1 − opacity finite; no image tells such opacities apart.
+/// Keeps the logarithm of 1 − opacity finite; such opacities are indistinguishable in an image.
 const MIN_TRANSPARENCY: f64 = 1e-30;
 
 /// The parameters of one Gaussian; also the gradient of them.
@@ -85,7 +85,7 @@ impl<T: Real> Gaussian<T> {
     }
 }
 
-/// L = R·diag(eˢ), with what its backward pass needs.
+/// L = R·diag(eˢ), with the intermediates of its backward pass.
 struct Axes<T> {
     scales: Vec4<T>,
     /// Unit quaternions and the inverse of their lengths.
@@ -119,10 +119,10 @@ impl<T: Real> Axes<T> {
     }
 }
 
-/// The last row of L: its length is the standard deviation in time, its direction what the slice is orthogonal to.
+/// The last row of L: its length is the standard deviation in time, its direction the normal of the slice.
 struct TimeRow<T> {
     direction: Vec4<T>,
-    /// Zero where there is no direction.
+    /// 1/length; zero for a row without direction.
     inverse_length: T,
     deviation: T,
     is_clamped: bool,

@@ -35,7 +35,7 @@ fn outputs(tape: &mut Tape<f64>, inputs: &[Var], least_share: f64) -> [Var; 4] {
     [sliced.displacements, sliced.velocities, sliced.factors, sliced.opacity_logits]
 }
 
-/// The least share of which every Gaussian has more.
+/// A least share that every Gaussian exceeds.
 const ALL: f64 = 1e-300;
 
 /// A Gaussian of opacity logit ½.
@@ -199,7 +199,7 @@ fn opacities_fade_without_overflow() {
     assert!(faded(1e4, 0.0).is_finite());
 }
 
-/// Gaussians at rest whose times are so many of their standard deviations away.
+/// Static Gaussians whose times are this many of their standard deviations away.
 fn at_distances(distances: [f64; COUNT]) -> Vec<Tensor<f64>> {
     let mut tensors = tensors(3);
     let identity = Tensor::from_vec([COUNT, 4], [1.0, 0.0, 0.0, 0.0].repeat(COUNT));

@@ -24,7 +24,7 @@ const WORKGROUP_SIZE: usize = 256;
 const LARGEST_LANES: usize = 32;
 /// Entries that are staged at once: one word of bits.
 const LARGEST_BATCH: u32 = 32;
-/// Parts of rows in workgroup memory: 12 KiB of the 16 that every adapter has; the rest holds what is staged.
+/// Partial rows in workgroup memory: 12 of the 16 KiB that every adapter has; staged entries use the rest.
 const LARGEST_PARTS: usize = 3072;
 /// Columns of the rows of splats by which pixels stream: the tile's pixels with a gradient for each channel take less than the
 /// 16 KiB of workgroup memory that every adapter has.
@@ -36,14 +36,14 @@ uniforms! {
     }
 }
 
-/// Entries whose parts of rows fit in workgroup memory, one part for each subgroup; `None` if not even those of one do.
+/// The number of entries whose partial rows (one per subgroup) fit in workgroup memory; `None` if not even one fits.
 pub(super) fn subgroup_batch(subgroup: u32, row_len: usize) -> Option<u32> {
     let parts_of_entry = WORKGROUP_SIZE / subgroup as usize * row_len;
     let fitting = u32::try_from(LARGEST_PARTS / parts_of_entry).expect("a few");
     (fitting > 0).then(|| LARGEST_BATCH.min(1 << fitting.ilog2()))
 }
 
-/// The kernel that makes the rows, and what it is specialised for.
+/// The kernel that computes the rows, and its specialisation.
 fn adding_up(plan: Plan, row_len: usize) -> (&'static Kernel, Vec<(&'static str, u32)>) {
     let in_workgroups = (&IN_WORKGROUPS, plan.staging(LARGEST_BATCH).to_vec());
     let Some(subgroup) = plan.subgroup else { return in_workgroups };
@@ -58,7 +58,7 @@ fn adding_up(plan: Plan, row_len: usize) -> (&'static Kernel, Vec<(&'static str,
 }
 
 impl<T: Real> Blend<T> {
-    /// The gradients of all inputs but the cutoffs, which have none.
+    /// The gradients of all inputs except the cutoffs, which have none.
     pub(in crate::rasteriser::blending) fn backward_on_gpu(
         &self,
         gpu: Gpu,
@@ -68,7 +68,7 @@ impl<T: Real> Blend<T> {
         lists: &GpuLists,
     ) -> Vec<Option<Tensor<T>>> {
         let count = inputs[0].rows();
-        // The extras' gradients exist even where there are no extras: every array of a kernel must.
+        // Gradients of extras are allocated even without extras: every binding of a kernel must exist.
         let [depth_len, features_len] = [count * self.depth_count, count * self.feature_count];
         let lens = [2 * count, 3 * count, count, 3 * count, depth_len, features_len];
         let gradients = lens.map(|len| GpuArray::new(gpu, len));

@@ -43,7 +43,7 @@ uniforms! {
     }
 }
 
-/// What the backward pass needs of the forward pass.
+/// Values of the forward pass that the backward pass reads.
 pub(super) struct Kept {
     /// [N, 12], by rank.
     records: GpuArray,
@@ -73,13 +73,13 @@ impl BlendBlock {
 }
 
 impl<T: Real> Blend<T> {
-    /// What the kernels are specialised for.
+    /// The specialisation of the kernels.
     fn specialisation(&self) -> [(&'static str, u32); 3] {
         let is_smooth = u32::from(self.constants.smooth_cutoff);
         [("EXTRAS", self.extra_count() as u32), ("DEPTH", self.depth_count as u32), ("SMOOTH", is_smooth)]
     }
 
-    /// Depths and features, each with something in its place where there is none.
+    /// Depths and features, with a placeholder for each that is missing.
     fn extras_of<X: Copy>(&self, extras: &[X], otherwise: X) -> [X; 2] {
         let depth = if self.depth_count > 0 { extras[0] } else { otherwise };
         [depth, if self.feature_count > 0 { extras[self.depth_count] } else { otherwise }]
@@ -107,7 +107,7 @@ impl<T: Real> Blend<T> {
         images
     }
 
-    /// The records and extras of all splats by rank: how many are visible only the GPU knows.
+    /// The records and extras of all splats by rank; the number of visible splats stays on the GPU.
     fn pack_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists) -> (GpuArray, GpuArray) {
         let count = lists.order.len();
         let [records, extras] = [RECORD, self.extra_count()].map(|len| GpuArray::new(gpu, count * len));

@@ -1,10 +1,10 @@
-//! How the kernels run.
+//! The choice among the variants of the blending kernels.
 
 use crate::gpu::Gpu;
 
-/// The largest subgroups of splats past which pixels stream. A bucket visits the pixels of every cell that one of its splats
-/// meets: the larger it is, the more of them the others visit in vain (figures: ARCHITECTURE, "A splat or a pixel per
-/// invocation").
+/// The largest subgroup size for which an invocation is a splat and pixels stream past it. A subgroup visits the pixels of
+/// every cell that any of its splats meets: the larger it is, the more visits are wasted (measurements: ARCHITECTURE,
+/// "Backward blending depends on the subgroup size").
 const LARGEST_BY_SPLATS: u32 = 8;
 
 /// Choices that change no image.
@@ -12,7 +12,7 @@ const LARGEST_BY_SPLATS: u32 = 8;
 pub struct Plan {
     /// Whether pixels skip the entries that do not meet their cell of the tile.
     pub is_culled: bool,
-    /// The size of the subgroups in which the backward pass adds up pixels; `None` if it does so in workgroup memory.
+    /// The subgroup size with which the backward pass sums over pixels; `None` if it sums in workgroup memory.
     pub subgroup: Option<u32>,
     /// Whether an invocation of a subgroup is a splat and not a pixel in the backward pass, where rows are short enough.
     pub is_by_splats: bool,
@@ -20,12 +20,12 @@ pub struct Plan {
 
 #[cfg(test)]
 thread_local! {
-    /// What a test changes, on its own thread as tests run side by side.
+    /// A test's change of the plan, per thread because tests run in parallel.
     static CHANGE: std::cell::Cell<Option<fn(&mut Plan)>> = const { std::cell::Cell::new(None) };
 }
 
 impl Plan {
-    /// What is fastest on an adapter.
+    /// The fastest variant on an adapter.
     pub fn of(gpu: Gpu) -> Self {
         let subgroup = gpu.subgroup_size();
         let is_by_splats = subgroup.is_some_and(|size| size <= LARGEST_BY_SPLATS);
@@ -38,7 +38,7 @@ impl Plan {
         plan
     }
 
-    /// What a kernel that stages so many entries at once is specialised for.
+    /// The specialisation of a kernel that stages `batch` entries at once.
     pub fn staging(self, batch: u32) -> [(&'static str, u32); 2] {
         [("CULLED", u32::from(self.is_culled)), ("BATCH", batch)]
     }

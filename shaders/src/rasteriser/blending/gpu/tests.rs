@@ -30,10 +30,10 @@ fn ellipses(count: usize, [width, height]: [usize; 2], seed: u64) -> Scene {
     }
 }
 
-/// What makes the images of a scene from its inputs.
+/// Renders the images of a scene from its inputs.
 type BlendFn = Box<dyn Fn(&mut Tape<f32>, &[Var]) -> Vec<Var>>;
 
-/// Inputs of a scene with so many features, and what blends them with depth.
+/// Inputs of a scene with `features` features, and a function that blends them with depth.
 fn blending(
     (scene, features): (&Scene, usize),
     size: [usize; 2],
@@ -68,7 +68,7 @@ fn by_splats(plan: &mut Plan) {
     plan.is_by_splats = true;
 }
 
-/// Compares with the CPU what a GPU finds by a changed plan, without the jumps of thresholds.
+/// Compares a GPU under a changed plan with the CPU, with smooth thresholds.
 fn compare_with_cpu(
     gpu: Gpu,
     scene: (&Scene, usize),
@@ -80,7 +80,7 @@ fn compare_with_cpu(
     Plan::changed(change, || compare(gpu, &format!("{size:?}"), &inputs, TIGHT, blend))
 }
 
-/// Compares what a GPU finds by two plans, to the last bit.
+/// Compares two plans on a GPU bit for bit.
 fn compare_plans(
     gpu: Gpu,
     scene: &Scene,
@@ -137,7 +137,7 @@ fn skipping_what_a_cell_does_not_meet_changes_nothing() {
             ways.iter().for_each(|&way| assert!(compare_plans(gpu, &scene, size, way).is_ok()));
         }
     }
-    // A bucket of splats skips what none of them meets: few, so that there is such a thing.
+    // A subgroup skips cells that none of its splats meets: few splats, so that some cells are skipped.
     for (kernel, way, count) in
         [("blending", ways[0], 300), ("blending backward", ways[0], 300), ("blending backward", ways[1], 15)]
     {
