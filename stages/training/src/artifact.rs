@@ -19,7 +19,7 @@ const TENSORS: &str = "model.safetensors";
 pub struct Model {
     /// What the tensors are.
     pub header: ModelHeader,
-    /// Tensors by name, as `gaussians.positions`.
+    /// Tensors by name, e.g. `gaussians.positions`.
     pub tensors: BTreeMap<String, NamedTensor>,
 }
 
@@ -38,11 +38,11 @@ pub struct LargestGradient {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelHeader {
-    /// The method's name, as `deformable4dgs`.
+    /// The method's name, e.g. `deformable4dgs`.
     pub method: String,
     /// The canonical training parameters, defaults filled in.
     pub method_params: serde_json::Value,
-    /// How the images that the model was trained on came to be.
+    /// The protocol of the training images.
     pub protocol: Protocol,
     /// The colour behind the Gaussians, in [0, 1].
     pub background: [f32; 3],

@@ -167,7 +167,7 @@ impl TestScene {
         to_bytes(tape.value(rendered.color))
     }
 
-    /// The render, with depth if asked for, and per pixel the weight of what moves.
+    /// The render, with depth if `depth` is set, and the weight of moving blobs per pixel.
     fn blobs(&self, camera: &Camera, time: f32, depth: bool) -> (Tape<f32>, Rendered, Vec<f32>) {
         let shift = |at: usize| if at.is_multiple_of(2) { self.travel * (time - 0.5) } else { 0.0 };
         let positions = (0..6)

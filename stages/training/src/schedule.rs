@@ -38,12 +38,12 @@ impl LogLinear {
         ((1.0 - u) * self.start.ln() + u * self.end.ln()).exp()
     }
 
-    /// The same law with both ends multiplied by `factor`.
+    /// Multiplies both ends by `factor`.
     pub(crate) fn scaled(&self, factor: f64) -> Self {
         Self { start: self.start * factor, end: self.end * factor, ..*self }
     }
 
-    /// The same law over `factor` times as many steps.
+    /// Stretches the decay to `factor` times as many steps.
     pub(crate) fn stretched(&self, factor: f64) -> Self {
         Self { steps: stretch(self.steps, factor), ..*self }
     }

@@ -119,10 +119,10 @@ fn decide(
             let hint = Some("give the node that input, or leave the effect to \"auto\"".into());
             Err(ParamProblem { key: "effects".into(), message, hint })
         }
-        (Some(true), None, Some(idle)) => Ok(decision(true, format!("asked for, although {idle}"))),
-        (Some(true), None, None) => Ok(decision(true, "asked for".into())),
+        (Some(true), None, Some(idle)) => Ok(decision(true, format!("requested, although {idle}"))),
+        (Some(true), None, None) => Ok(decision(true, "requested".into())),
         (None, Some(reason), _) | (None, None, Some(reason)) => Ok(decision(false, reason)),
-        (None, None, None) if !effect.by_default => Ok(decision(false, "only where asked for".into())),
+        (None, None, None) if !effect.by_default => Ok(decision(false, "only on request".into())),
         (None, None, None) => Ok(decision(true, reasons(&evidence))),
     }
 }
@@ -158,11 +158,11 @@ pub(crate) fn outcomes(on: &Effects, effects: &[Effect], known: &KnownInputs<'_>
             Evidence::Idle(reason) => Some(reason.clone()),
             _ => None,
         });
-        let told: Vec<Evidence> = found.into_iter().filter(|found| matches!(found, Evidence::Met(_))).collect();
+        let met: Vec<Evidence> = found.into_iter().filter(|found| matches!(found, Evidence::Met(_))).collect();
         let reason = match (is_on, idle) {
-            (true, Some(reason)) => format!("asked for, although {reason}"),
-            (true, None) if told.is_empty() => "simulated".into(),
-            (true, None) => reasons(&told),
+            (true, Some(reason)) => format!("requested, although {reason}"),
+            (true, None) if met.is_empty() => "simulated".into(),
+            (true, None) => reasons(&met),
             (false, Some(reason)) => reason,
             (false, None) => "left out".into(),
         };

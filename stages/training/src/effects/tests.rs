@@ -51,7 +51,7 @@ fn auto_enables_effects_whose_needs_are_met() {
         "jerk off: 3 times where 4 are needed",
         "flow off: `priors` have no flow",
         "layers off: nothing is wired to `layers`",
-        "focus off: only where asked for",
+        "focus off: only on request",
     ];
     assert_eq!(choose(&Effects::Auto, &[(CAPTURE, &scene), (PRIORS, &maps)]).unwrap(), expected);
     let maps = priors(true, true);
@@ -78,14 +78,14 @@ fn lists_are_exact_and_changes_modify_auto() {
     let (scene, maps) = (capture(9, false), priors(true, true));
     let known = [(CAPTURE, &scene), (PRIORS, &maps)];
     let list = choose(&named(&["motion", "focus"]), &known).unwrap();
-    assert_eq!(list[0], "motion on: asked for, although nothing moves");
+    assert_eq!(list[0], "motion on: requested, although nothing moves");
     assert_eq!(
         list[2..],
-        ["flow off: left out by the recipe", "layers off: left out by the recipe", "focus on: asked for"]
+        ["flow off: left out by the recipe", "layers off: left out by the recipe", "focus on: requested"]
     );
     let changed = choose(&named(&["+focus", "-flow"]), &known).unwrap();
     assert_eq!(changed[0], "motion off: nothing moves");
-    assert_eq!((changed[2].as_str(), changed[4].as_str()), ("flow off: left out by the recipe", "focus on: asked for"));
+    assert_eq!((changed[2].as_str(), changed[4].as_str()), ("flow off: left out by the recipe", "focus on: requested"));
     assert!(choose(&named(&[]), &known).unwrap().iter().all(|line| line.ends_with("off: left out by the recipe")));
 }
 

@@ -7,7 +7,7 @@ use super::screen::ScreenStats;
 use crate::data::SceneFacts;
 use crate::model::Optimizer;
 
-/// Runs between the steps of a phase: density control, annealing and the like. Every method has an empty default, so a
+/// Runs between the steps of a phase: e.g. density control or annealing. Every method has an empty default, so a
 /// hook implements only what it needs. Its state is part of every checkpoint.
 pub(crate) trait StepHook: DynClone + Send {
     /// Whether [`StepHook::observe`] is to be called in step `iteration` (counted from 1 within the phase).

@@ -71,7 +71,7 @@ impl<'a> ScreenStats<'a> {
         Self { population, renders: Vec::new(), step: None, on_host: values.into(), parents: Vec::new() }
     }
 
-    /// The same values with one render's values of the parents.
+    /// Adds one render's values of the parents.
     #[cfg(test)]
     pub(crate) fn with_parents(self, parents: Parents) -> Self {
         Self { parents: vec![parents], ..self }

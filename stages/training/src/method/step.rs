@@ -175,7 +175,7 @@ impl<'a, T: Real> Step<'a, T> {
         add_skipped(&mut self.recorded.skipped, what, [skipped as u64, of as u64]);
     }
 
-    /// Counts work of which a scalar on the tape tells how much was `processed`; the step does not wait for its value.
+    /// Counts work of which only the device knows how much was `processed`, a scalar; the step does not wait for it.
     pub(crate) fn count_skipped_deferred(&mut self, what: &'static str, processed: Var, of: usize) {
         self.recorded.deferred.push((what, processed, of));
     }

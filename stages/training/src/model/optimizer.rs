@@ -270,7 +270,7 @@ mod tests {
         assert!(Optimizer::restore(&tensors, &steps, |_| None).is_err());
         assert!(optimizer().append_copies("points", &[3]).is_err());
         assert!(optimizer().keep("points", &[true]).is_err());
-        assert!(optimizer().keep("nobody", &[]).is_err());
+        assert!(optimizer().keep("unknown", &[]).is_err());
         assert!(optimizer().step(&[("points.c", Tensor::full([1], 1.0))].into(), 1).is_err());
     }
 

@@ -52,7 +52,7 @@ pub(crate) struct Choice {
 }
 
 /// The parameters to train with: those given, with a schedule that fits the budget if there is one. `None` if the job was
-/// told to stop meanwhile.
+/// stopped meanwhile.
 pub(super) fn fit(
     dataset: &Dataset,
     supplements: &Supplements,
@@ -124,7 +124,7 @@ fn choose(
     Ok(Some(Choice { budget_secs, schedule_scale, secs_per_scale, fixed_secs, calibration_secs }))
 }
 
-/// Runs a whole training at a scale, without the curve; `None` if it was told to stop.
+/// Runs a whole training at a scale, without the curve; `None` if it was stopped.
 fn miniature(
     dataset: &Dataset,
     supplements: &Supplements,
@@ -225,7 +225,7 @@ mod tests {
         let choice = choice.unwrap();
         assert_eq!((first.shared.schedule_scale, first.shared.budget_secs), (choice.schedule_scale, Some(2.0)));
         assert!(choice.schedule_scale > 0.0 && choice.schedule_scale <= 1.0 && choice.calibration_secs > 0.0);
-        assert_eq!(fitted(2.0), (first, Some(choice)), "chosen anew");
+        assert_eq!(fitted(2.0), (first, Some(choice)), "chosen again");
         assert_eq!(fitted(3.0).1.unwrap().budget_secs, 3.0);
         assert!(fit(&dataset, &NOTHING, &params(4.0), &watch(&stopped)).unwrap().is_none());
         let without: TrainingParams = serde_json::from_value(json!({})).unwrap();

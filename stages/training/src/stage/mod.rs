@@ -133,7 +133,7 @@ pub struct Trained {
 }
 
 /// Trains to the end: from the newest checkpoint if there is one, otherwise from `start` (the model of another training
-/// after a shared phase, with its measurements) or from nothing. `None` if it was told to stop; a checkpoint is then saved.
+/// after a shared phase, with its measurements) or from nothing. `None` if it was stopped; a checkpoint is then saved.
 pub fn train(
     capture: Capture,
     supplements: &Supplements,
@@ -227,7 +227,7 @@ mod tests {
         Training::run(&undisturbed, &params).unwrap();
         assert!(undisturbed.measurements.borrow()["training_secs"].as_f64().unwrap() > 0.0);
 
-        // Told to stop, every run makes one step, saves it and fails as interrupted.
+        // With the stop flag set, every run makes one step, saves it and fails as interrupted.
         let disturbed = context(&dir.path().join("disturbed"), &capture);
         for _ in 0..5 {
             disturbed.stop.store(true, Ordering::Relaxed);

@@ -62,7 +62,7 @@ pub struct Trainer<'a> {
     clock: PhaseClock,
     device: Device,
     meter: Option<Meter>,
-    /// The steps that the device has not been checked for.
+    /// Steps whose results have not been checked yet, with the snapshot to roll back to.
     speculation: Option<Speculation>,
     /// Capacity of the intersection buffers of speculative renders; 0 until a render has been counted.
     capacity: usize,

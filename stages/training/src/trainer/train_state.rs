@@ -1,7 +1,7 @@
 //! The state of a training: the one value that a training step changes.
 //!
 //! A checkpoint saves it, a rollback assigns an earlier clone of it. Saving destructures the state and restoring
-//! builds it anew, so a new field does not compile until both handle it.
+//! builds it from all fields, so a new field does not compile until both handle it.
 
 use std::collections::BTreeMap;
 
