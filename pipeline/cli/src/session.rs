@@ -46,7 +46,7 @@ impl Session {
 
     /// Resolves the recipe for verbs that only read. A missing store is not created and reads as empty.
     pub(crate) fn read_only(store: &Path, recipe: &RecipeArgs) -> Result<Self, CliError> {
-        Self::with(|| Store::look(store), recipe)
+        Self::with(|| Store::open_read_only(store), recipe)
     }
 
     fn with(store: impl FnOnce() -> anyhow::Result<Store>, recipe: &RecipeArgs) -> Result<Self, CliError> {

@@ -82,9 +82,9 @@ fn cached_run(criterion: &mut Criterion) {
 /// Records a result for every node without running it.
 fn fill(plan: &Plan, store: &Store, root: &Path) {
     let sources = scheduler::Sources::default();
-    let mut rests = vec![None; plan.nodes.len()];
+    let mut outcomes = vec![None; plan.nodes.len()];
     for index in 0..plan.nodes.len() {
-        let scheduler::Readiness::Ready(components) = scheduler::readiness(plan, index, &rests, &sources) else {
+        let scheduler::Readiness::Ready(components) = scheduler::readiness(plan, index, &outcomes, &sources) else {
             panic!("{} is not ready", plan.nodes[index].name);
         };
         let components: KeyComponents = *components;
@@ -98,7 +98,7 @@ fn fill(plan: &Plan, store: &Store, root: &Path) {
         let key = ActionKey::new(&components);
         store.put_record(&ActionRecord::new(components, Provenance::default(), &publication)).unwrap();
         let (content, measurements) = (publication.content, publication.measurements);
-        rests[index] = Some(scheduler::Rest::Done(scheduler::Done { key, content, measurements }));
+        outcomes[index] = Some(scheduler::NodeOutcome::Done(scheduler::Done { key, content, measurements }));
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a stage makes: a folder of files with one typed reading.
+//! Artifacts: folders of files that open as typed values.
 
 use std::path::Path;
 
@@ -6,22 +6,22 @@ use std::path::Path;
 ///
 /// A stage writes the files into [`crate::JobContext::output_dir`] and returns the value; the engine calls
 /// [`Artifact::check`] on it, opens the folder again with [`Artifact::open`], checks what it read, and only then
-/// publishes. Readers open and check as well, so a damaged artifact never travels.
+/// publishes. Readers open and check as well, so a damaged artifact never spreads.
 pub trait Artifact: Sized {
-    /// The type's stable name (`"capture"`), part of every key that reads or writes it.
+    /// The type's stable name, e.g. `"capture"`; part of the key of every job that reads or writes it.
     const NAME: &'static str;
-    /// The format's version: a higher number is a new key, so producers rerun.
+    /// The version of the format. A new version changes the keys, so producers rerun.
     const SCHEMA: u32;
 
-    /// Reads the folder `dir`; an error names the file and what is wrong with it.
+    /// Reads the folder `dir`. Errors name the file and the problem.
     fn open(dir: &Path) -> anyhow::Result<Self>;
 
-    /// Everything that must hold of the value: counts, sizes, units, finite numbers.
+    /// Checks the value's invariants: counts, sizes, units, finite numbers.
     fn check(&self) -> anyhow::Result<()>;
 }
 
-/// Declares the artifact type of a stage whose data structure lives in the vocabulary (`scene`), which does not
-/// know the engine: a newtype that dereferences to `$inner`, opened by `$inner::open` and checked by `$inner::check`.
+/// Declares the artifact type of a stage whose data type lives in `scene`, which does not depend on the engine: a newtype
+/// that dereferences to `$inner`, opened by `$inner::open` and checked by `$inner::check`.
 #[macro_export]
 macro_rules! artifact {
     ($(#[$doc:meta])* pub struct $name:ident($inner:ty) = $label:literal @ $schema:expr;) => {

@@ -1,26 +1,28 @@
-//! One byte string per JSON value, the same on every machine and in every version.
+//! Canonical bytes: one byte string per JSON value, equal on every machine and in every version.
 
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-/// The canonical bytes of `value`: tagged, length-delimited, maps sorted by key, floats as IEEE bits.
-///
-/// Integers and floats differ (`1` is not `1.0`): a typed parameter writes one or the other, whatever the recipe said.
-/// Negative zero equals zero. JSON has no NaN, so that none can get here.
-pub fn bytes(value: &Value) -> Vec<u8> {
+/// The canonical bytes of `value`.
+#[cfg(test)]
+pub(crate) fn bytes(value: &Value) -> Vec<u8> {
     let mut bytes = Vec::new();
     append(&mut bytes, value);
     bytes
 }
 
-/// SHA-256, in hex, of the canonical bytes of `value` under the domain `tag`, which names kind and version of what is hashed.
-pub fn sha256_hex(tag: &str, value: &Value) -> String {
+/// SHA-256, in hex, of the canonical bytes of `value` in the domain `tag`, which names the kind and version of the data.
+pub(crate) fn sha256_hex(tag: &str, value: &Value) -> String {
     let mut message = Vec::new();
     append_text(&mut message, b's', tag);
     append(&mut message, value);
     Sha256::digest(message).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// Appends the canonical bytes of `value`: tagged, length-delimited, maps sorted by key, floats as IEEE bits.
+///
+/// Integers and floats differ (`1` is not `1.0`): a typed parameter serializes as one or the other, however the recipe
+/// spells it. Negative zero equals zero. JSON has no NaN.
 fn append(bytes: &mut Vec<u8>, value: &Value) {
     match value {
         Value::Null => bytes.push(b'n'),
@@ -33,7 +35,7 @@ fn append(bytes: &mut Vec<u8>, value: &Value) {
         }
         Value::Object(map) => {
             append_count(bytes, b'm', map.len());
-            // The map may keep insertion order, if some crate asks serde_json for it.
+            // The map keeps insertion order if any crate enables that feature of serde_json.
             let mut entries: Vec<_> = map.iter().collect();
             entries.sort_unstable_by_key(|(key, _)| key.as_str());
             for (key, value) in entries {
@@ -45,7 +47,7 @@ fn append(bytes: &mut Vec<u8>, value: &Value) {
 }
 
 fn append_number(bytes: &mut Vec<u8>, number: &serde_json::Number) {
-    // 128 bits hold both i64 and u64, so that a value has one encoding whatever the type.
+    // 128 bits hold both i64 and u64, so a value has the same encoding for either type.
     if let Some(integer) = number.as_i128() {
         bytes.push(b'i');
         bytes.extend(integer.to_le_bytes());

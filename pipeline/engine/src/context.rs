@@ -1,4 +1,4 @@
-//! What a running job may see and do.
+//! The interface of a running job to the engine.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -12,83 +12,77 @@ use serde_json::Value;
 
 use crate::{Artifact, Failure, FailureKind};
 
-/// The axis values of a node, as `{"scene": "lego", "seed": "0"}`.
+/// The axis values of a node, e.g. `{"scene": "lego", "seed": "0"}`.
 pub type Coordinates = BTreeMap<String, String>;
 
-/// One producer on an input port: where its artifact lies, or why there is none.
+/// One producer on an input port, with its artifact or its failure.
 #[derive(Clone, Debug)]
 pub struct InputRecord {
-    /// The producer's node name, as `train/lego/mcgs/0`.
+    /// The producer's node name, e.g. `train/lego/mcgs/0`.
     pub producer: String,
     /// The producer's axis values.
     pub coordinates: Coordinates,
     /// The artifact's folder, or the failure of its producer.
     pub artifact: Result<PathBuf, Failure>,
-    /// The producer's measurements (null unless the port reads or relays them).
+    /// The producer's measurements; null unless the port reads or relays them.
     pub measurements: Value,
-    /// The producer's action key, so that a table cell can be traced.
+    /// The producer's action key, with which a table cell can be traced.
     pub action_key: String,
 }
 
-/// An opened input.
+/// An input with its opened artifact.
 pub struct Input<A> {
-    /// Where it comes from.
+    /// The producer.
     pub record: InputRecord,
-    /// The artifact, or why there is none.
+    /// The artifact, or the failure of its producer.
     pub artifact: Result<A, Failure>,
 }
 
-/// How far a job has come; shown by whoever watches it.
+/// The progress of a job, for displays.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, serde::Deserialize)]
 pub struct Progress {
-    /// Steps done.
+    /// Number of steps done.
     pub done: u64,
-    /// Steps in all.
+    /// Total number of steps.
     pub total: u64,
-    /// A short figure, as `27.4 dB`.
+    /// A short status, e.g. `27.4 dB`.
     pub message: String,
 }
 
-/// The world as one job sees it: its inputs, its folders, and whom to tell how far it is.
+/// The environment of one job: its inputs, its folders, and the sinks for progress and measurements.
 pub struct JobContext {
-    /// The node's name, as `train/lego/mcgs/0`.
-    pub name: String,
-    /// The node's axis values.
-    pub coordinates: Coordinates,
-    /// The job's own action key.
-    pub action_key: String,
-    /// Worker threads that this job may use; results must not depend on it.
+    /// The node's name, e.g. `train/lego/mcgs/0`.
+    pub(crate) name: String,
+    /// Number of worker threads that the job may use. Results must not depend on it.
     pub threads: usize,
-    /// What to compute on, for stages that do so on a device: `"cpu"`, or what names one GPU of this machine.
+    /// The device for stages that compute on one: `"cpu"`, or the name of a GPU of this machine.
     pub device: String,
-    /// Whether to measure closely what time goes into, at some cost in time.
+    /// Whether to profile the job, which slows it down.
     pub profile: bool,
-    /// Producers by port name.
+    /// The producers on each port.
     pub inputs: BTreeMap<String, Vec<InputRecord>>,
-    /// Absolute source paths by name.
+    /// The absolute path of each declared source.
     pub sources: BTreeMap<String, PathBuf>,
     /// The empty folder that becomes the artifact.
-    pub output_dir: PathBuf,
-    /// A folder that outlives an interrupted run of this very action key.
-    pub checkpoint_dir: PathBuf,
-    /// Set when the job should save a checkpoint and stop.
+    pub(crate) output_dir: PathBuf,
+    /// A folder that is kept when a run of this action key is interrupted.
+    pub(crate) checkpoint_dir: PathBuf,
+    /// Set when the job is to save a checkpoint and stop.
     pub stop: Arc<AtomicBool>,
     /// Receives progress.
     pub on_progress: Box<dyn Fn(Progress) + Send + Sync>,
-    /// Side results that must not influence the artifact's bytes: seconds, memory, rates.
+    /// The measurements recorded so far.
     pub measurements: RefCell<serde_json::Map<String, Value>>,
 }
 
 impl JobContext {
-    /// A context outside any run, for tests: `root/output` and `root/checkpoint` are created.
+    /// A context outside of any run, for tests. Creates `root/output` and `root/checkpoint`.
     pub fn detached(root: &Path) -> std::io::Result<Self> {
         let (output_dir, checkpoint_dir) = (root.join("output"), root.join("checkpoint"));
         std::fs::create_dir_all(&output_dir)?;
         std::fs::create_dir_all(&checkpoint_dir)?;
         Ok(Self {
             name: "detached".into(),
-            coordinates: Coordinates::new(),
-            action_key: "detached".into(),
             threads: 1,
             device: "cpu".into(),
             profile: false,
@@ -102,12 +96,12 @@ impl JobContext {
         })
     }
 
-    /// The folder to write the artifact into.
+    /// The folder into which the stage writes the artifact.
     pub fn output_dir(&self) -> &Path {
         &self.output_dir
     }
 
-    /// The folder for checkpoints of this action key.
+    /// The folder for the checkpoints of this action key, which outlives an interrupted run.
     pub fn checkpoint_dir(&self) -> &Path {
         &self.checkpoint_dir
     }
@@ -120,17 +114,17 @@ impl JobContext {
         open_checked(record.artifact.as_ref().map_err(Clone::clone)?, &record.producer)
     }
 
-    /// Opens and checks the artifact on a port that may have none.
+    /// Opens and checks the artifact on an optional port; `None` if the port has no producer.
     pub fn optional_input<A: Artifact>(&self, port: &str) -> anyhow::Result<Option<A>> {
         if self.records(port)?.is_empty() { Ok(None) } else { self.input(port).map(Some) }
     }
 
-    /// The one producer on `port`, unopened: for its coordinates, measurements and action key.
+    /// The first producer on `port` without opening its artifact, e.g. for its measurements.
     pub fn input_record(&self, port: &str) -> anyhow::Result<&InputRecord> {
         self.records(port)?.first().with_context(|| format!("port {port} of {} has no producer", self.name))
     }
 
-    /// Opens and checks every artifact on `port`; producers that failed are passed on as failures.
+    /// Opens and checks every artifact on `port`. Failed producers are passed on as failures.
     pub fn inputs<A: Artifact>(&self, port: &str) -> anyhow::Result<Vec<Input<A>>> {
         let open = |record: &InputRecord| {
             let artifact = match &record.artifact {
@@ -148,22 +142,22 @@ impl JobContext {
         Ok(path)
     }
 
-    /// Whether the job was asked to save a checkpoint and stop (answer with [`JobContext::interrupted`]).
+    /// Whether the job is to save a checkpoint and return [`JobContext::interrupted`].
     pub fn should_stop(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// The error that tells the engine: stopped on request, progress is saved.
+    /// The error of a job that stopped on request after saving its progress.
     pub fn interrupted(&self) -> anyhow::Error {
         Failure::new(FailureKind::Interrupted, "stopped on request").into()
     }
 
-    /// Tells whoever watches how far the job is.
+    /// Reports the job's progress.
     pub fn progress(&self, done: u64, total: u64, message: impl Into<String>) {
         (self.on_progress)(Progress { done, total, message: message.into() });
     }
 
-    /// Records a side result (seconds, memory, rates) that must not influence the artifact's bytes.
+    /// Records a measurement (seconds, memory, rates). The artifact's bytes must not depend on it.
     pub fn measure(&self, name: &str, value: impl Serialize) -> anyhow::Result<()> {
         self.measurements.borrow_mut().insert(name.into(), serde_json::to_value(value)?);
         Ok(())
@@ -175,7 +169,7 @@ impl JobContext {
     }
 }
 
-/// Opens the artifact in `dir` and checks it, blaming its producer.
+/// Opens and checks the artifact in `dir`; errors name its producer.
 fn open_checked<A: Artifact>(dir: &Path, producer: &str) -> anyhow::Result<A> {
     let artifact = A::open(dir).with_context(|| format!("cannot read the {} of {producer}", A::NAME))?;
     artifact.check().with_context(|| format!("the {} of {producer} is not valid", A::NAME))?;

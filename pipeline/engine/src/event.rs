@@ -1,126 +1,125 @@
-//! What happens during a run, as data. Every display is a consumer of these; they are kept in `events.jsonl`.
+//! The events of a run. Every display consumes them, and `events.jsonl` records them.
 
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use fs_err::{File, OpenOptions};
 use serde::{Deserialize, Serialize};
 
-use crate::store::naming;
 use crate::{Digest, Failure, Progress};
 
-/// One thing that happened.
+/// An event of a run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum Event {
-    /// The run begins.
+    /// The run starts.
     Planned {
         /// The run's name.
         run: String,
         /// The recipe's name.
         recipe: String,
-        /// How many jobs are to be at rest at the end.
+        /// The number of selected jobs.
         jobs: usize,
     },
-    /// A job's process runs.
+    /// A job's process has started.
     Started {
         /// The node's name.
         node: String,
         /// The action key.
         key: String,
-        /// Threads that it may use.
+        /// The number of threads that the job may use.
         threads: usize,
     },
-    /// Another run works on the same action; this one waits for its result.
+    /// Another run is executing the same action, and this one waits for the result.
     Waiting {
         /// The node's name.
         node: String,
     },
-    /// A job got further.
+    /// A job reported progress.
     Progress {
         /// The node's name.
         node: String,
-        /// How far.
+        /// The progress.
         progress: Progress,
     },
-    /// A job is at rest.
+    /// A job is finished.
     Finished {
         /// The node's name.
         node: String,
-        /// What became of it.
+        /// The result.
         #[serde(flatten)]
         result: NodeResult,
     },
-    /// Still there.
+    /// A periodic sign of life.
     Heartbeat {
-        /// Counts of jobs.
+        /// The number of jobs in each state.
         counts: Counts,
-        /// What runs, and how far it is.
+        /// The names of the running jobs, with their progress.
         running: Vec<(String, Progress)>,
     },
-    /// The user asked to stop.
+    /// The user requested a stop.
     Stopping {
-        /// What is being done about it.
+        /// The scheduler's reaction.
         message: String,
     },
-    /// Something that the user should know and that stops nothing.
+    /// A problem that does not stop the run.
     Warning {
-        /// What.
+        /// The problem.
         message: String,
     },
-    /// The run is over.
+    /// The run has ended.
     RunFinished {
-        /// Counts of jobs.
+        /// The number of jobs in each state.
         counts: Counts,
-        /// Wall time of the run.
+        /// The wall time of the run in seconds.
         wall_secs: f64,
     },
 }
 
-/// What became of a job.
+/// The outcome of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// Its result was there.
+    /// The store already had the result.
     Cached,
-    /// It ran and its result is there now.
+    /// The job ran and published its result.
     Executed,
-    /// It ran and failed.
+    /// The job ran and failed.
     Failed,
-    /// A source that it reads is not on this machine.
+    /// A source of the job is missing on this machine.
     MissingData,
-    /// Something that it needs failed or is missing.
+    /// A producer has no result.
     Skipped,
-    /// It was stopped on request; what it saved is used next time.
+    /// The job was stopped on request. The next run continues from its checkpoint.
     Interrupted,
-    /// The run ended before its turn came.
+    /// The run ended before the job was started.
     NotRun,
 }
 
-/// What became of a job, with the details.
+/// The outcome of a job, with details.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct NodeResult {
-    /// In one word.
+    /// The outcome.
     pub outcome: Outcome,
-    /// The action key, if it was known.
+    /// The action key, if all inputs were known.
     pub key: Option<String>,
     /// The artifact, if there is one.
     pub content: Option<Digest>,
-    /// Why there is none; for a skipped job, why the job that it needs has none.
+    /// The failure of the job; for a skipped job, the failure of the producer that caused it.
     pub failure: Option<Failure>,
-    /// For a skipped job, the job that it needs.
+    /// For a skipped job, the name of the failed producer.
     pub because_of: Option<String>,
-    /// Wall time, if it ran.
+    /// The wall time in seconds, if the job ran.
     pub wall_secs: Option<f64>,
-    /// The folder with its logs, if it ran.
+    /// The folder with the job's logs, if it ran.
     pub log_dir: Option<PathBuf>,
-    /// Something that the user should know.
+    /// A remark for the user, e.g. that the result was not recorded.
     pub note: Option<String>,
 }
 
 impl NodeResult {
-    /// A result that is only its outcome.
+    /// A result without details.
     pub fn new(outcome: Outcome) -> Self {
         Self {
             outcome,
@@ -135,12 +134,12 @@ impl NodeResult {
     }
 }
 
-/// How many jobs are where.
+/// The number of jobs in each state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
-    /// All jobs of the run.
+    /// All selected jobs.
     pub total: usize,
-    /// Running now.
+    /// Jobs that are running.
     pub running: usize,
     /// See [`Outcome::Cached`].
     pub cached: usize,
@@ -159,7 +158,7 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Counts one more job at rest.
+    /// Counts a finished job.
     pub fn add(&mut self, outcome: Outcome) {
         *match outcome {
             Outcome::Cached => &mut self.cached,
@@ -172,13 +171,13 @@ impl Counts {
         } += 1;
     }
 
-    /// Jobs whose result is there.
+    /// The number of jobs with a result.
     pub fn done(&self) -> usize {
         self.cached + self.executed
     }
 }
 
-/// An event with its time, one line of `events.jsonl`.
+/// A line of `events.jsonl`: an event with its time.
 #[derive(Serialize)]
 struct Line<'a> {
     at_secs: f64,
@@ -186,42 +185,43 @@ struct Line<'a> {
     event: &'a Event,
 }
 
-/// One line of JSON for an event, with the seconds since 1970.
+/// An event as one line of JSON, with the current time in seconds since 1970.
 pub fn json_line(event: &Event) -> serde_json::Result<String> {
     let at_secs = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64();
     serde_json::to_string(&Line { at_secs, event })
 }
 
-/// Writes events to a file and shows them to whoever watches.
+/// Writes events to a file and passes them to a watcher.
 pub(crate) struct EventLog<'a> {
     file: BufWriter<File>,
-    path: PathBuf,
-    /// The first error of writing the file. What a run makes matters more than its diary: the run goes on.
+    /// The first error of writing the file. It does not stop the run.
     fault: Option<io::Error>,
     watcher: &'a mut dyn FnMut(&Event),
 }
 
 impl<'a> EventLog<'a> {
+    /// Opens the file at `path` for appending.
     pub(crate) fn create(path: &Path, watcher: &'a mut dyn FnMut(&Event)) -> io::Result<Self> {
-        let file = File::options().create(true).append(true).open(path).map_err(naming(path))?;
-        Ok(Self { file: BufWriter::new(file), path: path.to_owned(), fault: None, watcher })
+        let file = OpenOptions::new().create(true).append(true).open(path)?;
+        Ok(Self { file: BufWriter::new(file), fault: None, watcher })
     }
 
+    /// Writes an event and passes it to the watcher.
     pub(crate) fn emit(&mut self, event: &Event) {
         let written = json_line(event).map_err(io::Error::from).and_then(|line| writeln!(self.file, "{line}"));
         self.note(written);
         (self.watcher)(event);
     }
 
-    /// Hands what was written to the system, so that others can follow the file.
+    /// Flushes the file, so that other processes can follow it.
     pub(crate) fn flush(&mut self) {
         let flushed = self.file.flush();
         self.note(flushed);
     }
 
-    /// Why the file is not complete, if so.
+    /// The error that made the file incomplete, if there was one.
     pub(crate) fn fault(&self) -> Option<String> {
-        self.fault.as_ref().map(|error| format!("cannot write the run's events ({error}): {}", self.path.display()))
+        self.fault.as_ref().map(|error| format!("cannot write the run's events: {error}"))
     }
 
     fn note(&mut self, written: io::Result<()>) {

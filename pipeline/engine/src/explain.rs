@@ -1,4 +1,4 @@
-//! Why a job runs: the parts in which two keys differ, and which of many changes came first.
+//! Explains why jobs run: the differences between two keys, and the root causes among many changes.
 
 #[cfg(test)]
 mod tests;
@@ -12,40 +12,47 @@ use crate::Code;
 use crate::key::{KeyComponents, KeyInput};
 use crate::plan::Plan;
 
-/// One difference between what a job was and what it is.
+/// One difference between a job's earlier key and its current one.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Change {
-    /// The part of the job that differs.
+    /// The part of the key that differs.
     pub component: Component,
-    /// The difference in words, as `params.iterations 300 → 500`.
+    /// The difference in words, e.g. `params.iterations 300 → 500`.
     pub sentence: String,
 }
 
-/// The parts of a job that can be a reason to run it.
+/// The parts of a job that can be the reason to run it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Component {
-    /// There is no result to reuse: it never ran, was lost, or is to run again by request.
+    /// The record: the job never ran, its result was lost, or it is forced to run.
     Record,
+    /// The stage.
     Stage,
+    /// The code of the stage.
     Code,
+    /// The parameters.
     Params,
+    /// The files of a source.
     Source,
+    /// The type of the artifact.
     Output,
+    /// The class of device.
     Environment,
-    /// What its producers made: the only change that another job can be the cause of.
+    /// The artifacts of the producers: the only change that another job can cause.
     Input,
 }
 
 impl Change {
+    /// A change of one component, described by a sentence.
     pub fn new(component: Component, sentence: impl Into<String>) -> Self {
         Self { component, sentence: sentence.into() }
     }
 }
 
-/// Everything in which `new` differs from `old`; empty for equal keys.
+/// All differences between two keys; none for equal keys.
 pub fn diff(old: &KeyComponents, new: &KeyComponents) -> Vec<Change> {
-    // Named one by one, so that no component is forgotten.
+    // Destructured, so that a new component cannot be forgotten.
     let KeyComponents { stage, code, params, inputs, sources, output, environment } = new;
     let mut changes = Vec::new();
     let mut add = |component, sentence| changes.push(Change::new(component, sentence));
@@ -85,7 +92,7 @@ fn diff_code(old: &Code, new: &Code) -> Vec<String> {
     keys(old, new).iter().filter_map(sentence).collect()
 }
 
-/// Walks two values in step; tables are entered, everything else is compared whole.
+/// Compares two values. Tables are compared key by key, all other values as a whole.
 fn diff_values(key: &str, old: Option<&Value>, new: Option<&Value>, add: &mut impl FnMut(String)) {
     match (old, new) {
         (Some(Value::Object(old)), Some(Value::Object(new))) => {
@@ -95,17 +102,17 @@ fn diff_values(key: &str, old: Option<&Value>, new: Option<&Value>, add: &mut im
                 diff_values(&format!("{key}.{name}"), child(old, name).as_ref(), child(new, name).as_ref(), add);
             }
         }
-        (Some(old), Some(new)) if old != new => add(format!("{key} {} → {}", shown(old), shown(new))),
-        (Some(old), None) => add(format!("{key} {} removed", shown(old))),
-        (None, Some(new)) => add(format!("{key} {} added", shown(new))),
+        (Some(old), Some(new)) if old != new => add(format!("{key} {} → {}", display_value(old), display_value(new))),
+        (Some(old), None) => add(format!("{key} {} removed", display_value(old))),
+        (None, Some(new)) => add(format!("{key} {} added", display_value(new))),
         _ => (),
     }
 }
 
-/// A value as the user would write it.
-fn shown(value: &Value) -> String {
+/// A value as a user would write it.
+fn display_value(value: &Value) -> String {
     match value.as_f64() {
-        // A parameter of type f32 reaches us as f64 with digits that nobody wrote.
+        // As an f64, a parameter of type f32 would print more digits than the user wrote.
         Some(float) if value.is_f64() && f64::from(float as f32) == float => {
             format!("{:?}", float as f32)
         }
@@ -117,7 +124,7 @@ fn diff_inputs(port: &str, old: &[KeyInput], new: &[KeyInput]) -> Vec<String> {
     let by_coordinates = |inputs: &[KeyInput]| -> BTreeMap<String, KeyInput> {
         let name = |(index, input): (usize, &KeyInput)| {
             let values: Vec<String> = input.coordinates.iter().map(|(axis, value)| format!("{axis}={value}")).collect();
-            // Several templates may hand over the same coordinates.
+            // Producers of several templates may have equal coordinates.
             let twins = inputs[..index].iter().filter(|other| other.coordinates == input.coordinates).count();
             (format!("{}{}", values.join(" "), " again".repeat(twins)), input.clone())
         };
@@ -129,8 +136,8 @@ fn diff_inputs(port: &str, old: &[KeyInput], new: &[KeyInput]) -> Vec<String> {
         let label = if name.is_empty() { format!("input {port}") } else { format!("input {port} ({name})") };
         match (old_named.get(name), new_named.get(name)) {
             (Some(old), Some(new)) => sentences.extend(diff_input(&label, old, new)),
-            (Some(_), None) => sentences.push(format!("{label}: gone")),
-            _ => sentences.push(format!("{label}: new")),
+            (Some(_), None) => sentences.push(format!("{label}: removed")),
+            _ => sentences.push(format!("{label}: added")),
         }
     }
     if sentences.is_empty() && old != new {
@@ -168,21 +175,21 @@ fn keys<'a, T>(old: &'a BTreeMap<String, T>, new: &'a BTreeMap<String, T>) -> BT
     old.keys().chain(new.keys()).collect()
 }
 
-/// A first cause: jobs of one template that changed by themselves in the same way, and what follows from them.
+/// A root cause: jobs of one template with the same changes of their own, and the number of jobs that follow from them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RootCause {
-    /// Indices of the jobs, increasing.
+    /// The indices of the jobs, increasing.
     pub nodes: Vec<usize>,
-    /// What changed, without the inputs that changed in consequence of another cause.
+    /// The changes, without those of inputs that have another root cause.
     pub changes: Vec<Change>,
-    /// Further jobs that change only because of their inputs and come after one of these.
+    /// The number of downstream jobs whose inputs are their only change.
     pub consequences: usize,
 }
 
-/// The first causes among all changes of a plan (node index → its changes, as [`diff`] or the scheduler gives them).
+/// The root causes among all changes of a plan. `changes` maps the index of a node to its changes.
 ///
-/// A job is a first cause if something other than its inputs changed, or if its inputs changed although no job
-/// above it did (somebody else's rerun of a stage that is not reproducible, a repaired store).
+/// A job is a root cause if anything other than its inputs changed, or if its inputs changed although none of its
+/// producers did (e.g. another run recomputed a stage that is not reproducible, or the store was repaired).
 pub fn root_causes(plan: &Plan, changes: &BTreeMap<usize, Vec<Change>>) -> Vec<RootCause> {
     let is_changed = |node: &usize| changes.get(node).is_some_and(|changes| !changes.is_empty());
     let mut causes: BTreeMap<(&str, Vec<Change>), BTreeSet<usize>> = BTreeMap::new();

@@ -1,60 +1,60 @@
-//! Failures as typed data: every job that does not finish says which kind of thing went wrong.
+//! Typed failures: every job that does not finish has a kind of failure.
 
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-/// Why a job did not finish. Tables and exit codes are made from these, never from guesses.
+/// The kind of a failure. Tables and exit codes depend on it, never on messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FailureKind {
     /// The data that the job reads is not on this machine.
     MissingData,
-    /// The data is there and wrong.
+    /// The data is invalid.
     BadInput,
-    /// A value that must be finite was not; the message names tensor and iteration.
+    /// A value was not finite; the message names the tensor and the iteration.
     Diverged,
     /// The process ran out of memory.
     OutOfMemory,
     /// The job ran past its time limit.
     Timeout,
-    /// The job was asked to stop; it saved a checkpoint if it had anything to save.
+    /// The job was stopped on request, after it saved a checkpoint if it had anything to save.
     Interrupted,
-    /// The accelerator went away.
+    /// The GPU was lost.
     DeviceLost,
-    /// The machine failed the job: disk full, file not readable.
+    /// The machine failed, e.g. a full disk or an unreadable file.
     World,
-    /// A panic or a signal: a bug of ours.
+    /// A panic or a signal: a bug in this program.
     Crashed,
 }
 
-/// A failure with its kind, one message, and a hint when one is known.
+/// A failure: its kind, a message, and optionally a hint and a file.
 #[derive(Clone, Debug, thiserror::Error, Serialize, Deserialize)]
 #[error("{message}{}{}", .hint.as_ref().map(|hint| format!("; {hint}")).unwrap_or_default(), .path.as_ref().map(|path| format!(": {}", path.display())).unwrap_or_default())]
 pub struct Failure {
-    /// The kind of thing that went wrong.
+    /// The kind of failure.
     pub kind: FailureKind,
-    /// What went wrong, lower case, without a full stop.
+    /// The problem, in lower case, without a full stop.
     pub message: String,
-    /// What to do about it.
+    /// Advice, if there is any.
     pub hint: Option<String>,
-    /// The file concerned; printed last.
+    /// The file that the failure is about; printed last.
     pub path: Option<PathBuf>,
 }
 
 impl Failure {
-    /// A failure of `kind` with a message.
+    /// Creates a failure of `kind` with a message.
     pub fn new(kind: FailureKind, message: impl Into<String>) -> Self {
         Self { kind, message: message.into(), hint: None, path: None }
     }
 
-    /// The same failure with advice.
+    /// Adds advice.
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = Some(hint.into());
         self
     }
 
-    /// The same failure about a file.
+    /// Adds the file that the failure is about.
     pub fn at(mut self, path: impl Into<PathBuf>) -> Self {
         self.path = Some(path.into());
         self

@@ -1,4 +1,4 @@
-//! The plan as a picture: Graphviz DOT or Mermaid, coloured by state.
+//! Draws a plan as Graphviz DOT or Mermaid, coloured by state.
 
 #[cfg(test)]
 mod tests;
@@ -10,30 +10,30 @@ use serde::{Deserialize, Serialize};
 
 use crate::plan::Plan;
 
-/// What is known of a job; where jobs are drawn as one, the last in this order that any of them is in.
+/// The state of a job in a drawing. A box for several jobs has the last of their states in this order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NodeState {
-    /// Nothing was looked up.
+    /// The store was not consulted.
     #[default]
     Unknown,
-    /// Its result is in the store.
+    /// The store has the result.
     Cached,
-    /// It will run.
+    /// The job will run.
     Planned,
-    /// It is running.
+    /// The job is running.
     Running,
-    /// Data is missing, or a producer has no result.
+    /// Data is missing, or a producer cannot have a result.
     Blocked,
-    /// It failed.
+    /// The last run failed.
     Failed,
 }
 
 impl NodeState {
-    /// Every state, in order.
+    /// All states, in order.
     pub const ALL: [Self; 6] = [Self::Unknown, Self::Cached, Self::Planned, Self::Running, Self::Blocked, Self::Failed];
 
-    /// The state's name, as in JSON.
+    /// The state's name, which JSON uses as well.
     pub fn name(self) -> &'static str {
         match self {
             Self::Unknown => "unknown",
@@ -45,7 +45,7 @@ impl NodeState {
         }
     }
 
-    /// A fill on which black text is readable.
+    /// A fill colour on which black text is readable.
     fn colour(self) -> &'static str {
         match self {
             Self::Unknown => "#ffffff",
@@ -58,7 +58,7 @@ impl NodeState {
     }
 }
 
-/// The plan in Graphviz's language. Nodes that `states` lacks are unknown; `collapse` draws one box per template.
+/// The plan in Graphviz's language. Nodes without an entry in `states` are unknown. `collapse` draws one box per template.
 pub fn dot(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> String {
     let drawing = Drawing::new(plan, states, collapse);
     let mut text = format!("digraph {} {{\n", quoted(&plan.recipe));
@@ -73,7 +73,7 @@ pub fn dot(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> 
     text + "}\n"
 }
 
-/// The plan in Mermaid's language, which GitHub draws. Arguments as for [`dot`].
+/// The plan in Mermaid's language, which GitHub renders. The arguments are those of [`dot`].
 pub fn mermaid(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> String {
     let drawing = Drawing::new(plan, states, collapse);
     let mut text = String::from("flowchart LR\n");
@@ -91,17 +91,17 @@ pub fn mermaid(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool)
     text
 }
 
-/// What is drawn, in whatever language.
+/// A drawing, independent of the language.
 struct Drawing {
-    /// Lines of text and state.
+    /// The lines of text and the state of each box.
     boxes: Vec<(Vec<String>, NodeState)>,
-    /// Indices of boxes: from producer to consumer.
+    /// Pairs of box indices: producer, consumer.
     edges: BTreeSet<(usize, usize)>,
 }
 
 impl Drawing {
     fn new(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> Self {
-        // The nodes of each box: one node, or all of a template.
+        // The nodes of each box: one node, or all nodes of a template.
         let mut members: IndexMap<&str, Vec<usize>> = IndexMap::new();
         for (index, node) in plan.nodes.iter().enumerate() {
             members.entry(if collapse { &node.template } else { &node.name }).or_default().push(index);
@@ -110,14 +110,14 @@ impl Drawing {
         for (drawn, nodes) in members.values().enumerate() {
             nodes.iter().for_each(|&index| box_of[index] = drawn);
         }
-        let drawn = |nodes: &Vec<usize>| {
+        let draw = |nodes: &Vec<usize>| {
             let state = |index: &usize| states.get(index).copied().unwrap_or_default();
             let states: Vec<NodeState> = nodes.iter().map(state).collect();
             let worst = states.iter().copied().max().unwrap_or_default();
-            let label = if collapse { collapsed_label(plan, nodes, &states) } else { plain_label(plan, nodes[0]) };
+            let label = if collapse { template_label(plan, nodes, &states) } else { node_label(plan, nodes[0]) };
             (label, worst)
         };
-        let boxes = members.values().map(drawn).collect();
+        let boxes = members.values().map(draw).collect();
         let edge = |(consumer, node): (usize, &crate::Node)| {
             node.producers().into_iter().map(|producer| (box_of[producer], box_of[consumer])).collect::<Vec<_>>()
         };
@@ -125,12 +125,13 @@ impl Drawing {
     }
 }
 
-fn plain_label(plan: &Plan, index: usize) -> Vec<String> {
+/// The name and the stage of a node.
+fn node_label(plan: &Plan, index: usize) -> Vec<String> {
     vec![plan.nodes[index].name.clone(), plan.nodes[index].stage.clone()]
 }
 
-/// Template, number of jobs and stage, and how many are in each known state.
-fn collapsed_label(plan: &Plan, nodes: &[usize], states: &[NodeState]) -> Vec<String> {
+/// The template, the number of its jobs, its stage, and the number of jobs in each known state.
+fn template_label(plan: &Plan, nodes: &[usize], states: &[NodeState]) -> Vec<String> {
     let node = &plan.nodes[nodes[0]];
     let count = |state: NodeState| (state, states.iter().filter(|other| **other == state).count());
     let known = NodeState::ALL.into_iter().filter(|state| *state != NodeState::Unknown).map(count);

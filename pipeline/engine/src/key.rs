@@ -1,4 +1,4 @@
-//! The action key: what a job's result depends on, once its inputs exist.
+//! Action keys: hashes of everything that a job's result depends on, known as soon as its inputs exist.
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -13,50 +13,50 @@ use crate::fingerprint::Code;
 use crate::plan::{DeviceClass, Node, PlanInput, PlanSource};
 use crate::{Coordinates, FailureKind, Measurements, canonical};
 
-/// The name of a result before it exists: equal keys mean equal results. Lower-case hex, 64 characters.
+/// The name of a result before it exists. Equal keys mean equal results. 64 characters of lower-case hex.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ActionKey(String);
 
-/// Everything that a job's result may depend on; stored whole, so that two runs can be compared part by part.
+/// Everything that a job's result may depend on. Records store it unhashed, so that two runs can be compared.
 ///
-/// Not in here, since no result depends on them: names of nodes and recipes, paths, threads, hosts, limits.
+/// Names of nodes and recipes, paths, threads, hosts and limits are left out, because no result depends on them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyComponents {
     /// The stage's id.
     pub stage: String,
-    /// The fingerprint of its code.
+    /// The fingerprint of the stage's code.
     pub code: Code,
     /// The canonical parameters.
     pub params: Value,
-    /// What each port reads, in the order in which the stage sees it.
+    /// The producers on each port, in the order in which the stage sees them.
     pub inputs: BTreeMap<String, Vec<KeyInput>>,
-    /// The digest of each source by name.
+    /// The digest of each source, by the source's name.
     pub sources: BTreeMap<String, String>,
-    /// Name and schema version of the artifact type that the job makes.
+    /// The name and schema version of the job's artifact type.
     pub output: (String, u32),
-    /// The class of device that computes, as `"cpu"` or `"gpu"`.
+    /// The class of device that the job computes on: `"cpu"` or `"gpu"`.
     pub environment: String,
 }
 
-/// One producer on a port.
+/// One producer on a port, as far as the consumer's result may depend on it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyInput {
-    /// The producer's axis values; empty on a port that takes one producer, where the stage cannot tell them apart.
+    /// The producer's axis values; empty on a port for one producer, where they make no difference.
     pub coordinates: Coordinates,
-    /// The digest of its artifact; none if it failed.
+    /// The digest of the artifact; none if the producer failed.
     pub content: Option<String>,
-    /// The digest of its measurements; none unless the port reads them.
+    /// The digest of the measurements; none unless the port reads them.
     pub measurements: Option<String>,
-    /// Why there is no artifact.
+    /// The kind of failure of a producer without an artifact.
     pub failure: Option<FailureKind>,
 }
 
 impl KeyComponents {
     /// The components of `node`'s key.
     ///
-    /// `inputs` holds, per port, one entry per producer in the plan's order with all that is known of it; what the
-    /// stage does not get to see is dropped here: coordinates on a port for one, measurements on a port without them.
+    /// `inputs` holds one complete entry per producer for each port, in the plan's order. Values that the stage does not
+    /// see are removed here: coordinates on a port for one, measurements on a port that does not read them.
     pub fn of(
         node: &Node,
         mut inputs: BTreeMap<String, Vec<KeyInput>>,
@@ -86,9 +86,9 @@ impl KeyComponents {
 }
 
 impl ActionKey {
-    /// SHA-256 over the canonical bytes of the components.
+    /// The key of a job: SHA-256 over the canonical bytes of its components.
     pub fn new(components: &KeyComponents) -> Self {
-        // Named one by one, so that a new component cannot be left out of the key by accident.
+        // Destructured, so that a new component cannot be left out of the key by accident.
         let KeyComponents { stage, code, params, inputs, sources, output, environment } = components;
         let inputs: BTreeMap<&String, Vec<Value>> =
             inputs.iter().map(|(port, producers)| (port, producers.iter().map(input_value).collect())).collect();
@@ -118,9 +118,9 @@ fn input_value(input: &KeyInput) -> Value {
     json!({ "coordinates": coordinates, "content": content, "measurements": measurements, "failure": failure })
 }
 
-/// The plan id of `node` (whose own `plan_id` is ignored): SHA-256 over what the recipe says of it and of everything
-/// above it. `producers` are the nodes of the plan so far.
-pub fn plan_id(node: &Node, producers: &[Node]) -> String {
+/// The plan id of `node`, whose field `plan_id` is ignored: SHA-256 over everything in the plan that can influence its
+/// result, including its direct and indirect producers. `producers` are the plan's nodes up to this one.
+pub(crate) fn plan_id(node: &Node, producers: &[Node]) -> String {
     let Node {
         name: _,
         template: _,

@@ -1,28 +1,29 @@
 //! The job graph: recipes become plans, plans become cached jobs. Knows no stage, no scene and no GPU.
 
-pub mod canonical;
 pub mod digest;
 pub mod event;
 pub mod exit;
 pub mod explain;
-pub mod fingerprint;
 pub mod graph;
 pub mod job;
-pub mod key;
-pub mod lock;
 pub mod plan;
 pub mod recipe;
-pub mod registry;
 pub mod runs;
 pub mod scheduler;
 pub mod status;
 pub mod store;
 
 mod artifact;
+mod canonical;
 mod context;
 mod failure;
+mod fingerprint;
+mod key;
+mod lock;
+mod registry;
 mod resolution;
 mod stage;
+mod suggest;
 
 #[cfg(test)]
 extern crate self as engine;
@@ -33,7 +34,7 @@ pub use artifact::Artifact;
 pub use context::{Coordinates, Input, InputRecord, JobContext, Progress};
 pub use digest::Digest;
 pub use failure::{Failure, FailureKind};
-pub use fingerprint::{Code, CodeTable, CrateCode};
+pub use fingerprint::{Code, CodeTable, CrateCode, UnusedSources};
 pub use key::{ActionKey, KeyComponents, KeyInput};
 pub use plan::{DeviceClass, IdleAxis, Node, Plan, PlanInput, PlanSource};
 pub use registry::{AnyStage, Registry};

@@ -1,4 +1,4 @@
-//! The resolved recipe: every job with its parameters filled in and its producers known, before anything runs.
+//! Plans: resolved recipes, with the full parameters and the producers of every job, before anything runs.
 
 mod axes;
 mod select;
@@ -19,32 +19,34 @@ use crate::{Coordinates, Decision, Measurements};
 pub use axes::IdleAxis;
 pub use select::{NothingSelected, matches_pattern};
 
-/// All jobs of a recipe, producers before consumers; equal recipes give equal plans.
+/// All jobs of a recipe, producers before consumers. Equal recipes give equal plans.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// The recipe's name.
     pub recipe: String,
     /// The jobs in topological order: the producers of a node have smaller indices than the node.
     pub nodes: Vec<Node>,
-    /// Where each parameter value comes from: node name → dotted key → origin.
+    /// The origin of each parameter value: node name → dotted key → origin.
     pub origins: BTreeMap<String, BTreeMap<String, Origin>>,
-    /// Names of the jobs that the recipe has for others, none of which needs them.
+    /// Names of the jobs that were pruned because no consumer reads them.
     pub left_out: Vec<String>,
-    /// What the jobs compute on that compute on a device: the user's choice, not the recipe's.
+    /// The device class of the jobs that compute on a device: the user's choice, not part of the recipe.
     pub device: DeviceClass,
 }
 
-/// A class of devices whose results are taken for the same.
+/// A class of devices whose results count as equal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DeviceClass {
+    /// The processor.
     #[default]
     Cpu,
+    /// Any GPU.
     Gpu,
 }
 
 impl DeviceClass {
-    /// As keys name it.
+    /// The name in keys.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Cpu => "cpu",
@@ -53,76 +55,88 @@ impl DeviceClass {
     }
 }
 
-/// One job.
+/// A job of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
-    /// The template's name and the axis values in axis order, as `train/lego/mcgs/0`; unique in its plan.
+    /// The template's name and the axis values in axis order, e.g. `train/lego/mcgs/0`; unique in a plan.
     pub name: String,
-    /// The recipe's name for this family of jobs.
+    /// The name of the recipe's node, which has one job per combination of axis values.
     pub template: String,
     /// The stage's id.
     pub stage: String,
-    /// The axis values.
+    /// The axis values of the job.
     pub coordinates: Coordinates,
-    /// The parameters as the stage's own type writes them, with defaults filled in.
+    /// The canonical parameters: as the stage's type serializes them, with all defaults.
     pub params: Value,
-    /// One entry per port that the stage declares, in its order.
+    /// One entry per port of the stage, in the stage's order.
     pub inputs: Vec<PlanInput>,
     /// The files and folders outside the store that the job reads.
     pub sources: Vec<PlanSource>,
-    /// Worker threads wanted; 0 means all. Never part of a key.
+    /// Number of worker threads that the job wants; 0 means all. Never part of a key.
     pub threads: usize,
-    /// Whether the job computes on the device that the user chose.
+    /// Whether the job computes on the device that the user chooses.
     pub on_device: bool,
-    /// Name and schema version of the artifact type that the job makes.
+    /// The name and schema version of the job's artifact type.
     pub output: (String, u32),
-    /// The sources below the stage that cannot influence the result.
+    /// The sources of workspace crates that cannot influence the result.
     pub unused_sources: UnusedSources,
     /// The fingerprint of the code that can influence the result.
     pub code: Code,
-    /// What the job does and leaves out, and why. Never part of a key: the parameters say it without the reasons.
+    /// The effects that the job simulates or leaves out, with reasons. Never part of a key; the parameters are.
     pub decisions: Vec<Decision>,
-    /// SHA-256 over everything above that can influence the result, in hex; known before anything runs.
+    /// SHA-256, in hex, over all fields that can influence the result; known before anything runs.
     pub plan_id: String,
 }
 
-/// What one port of a node reads.
+/// The producers on one port of a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PlanInput {
     /// The port's name.
     pub port: String,
-    /// Name and schema version of the artifact type that is read.
+    /// The name and schema version of the artifact type that the port reads.
     pub artifact: (String, u32),
-    /// Whether the port takes any number of producers and failures as outcomes.
+    /// Whether the port takes any number of producers, including failed ones.
     pub many: bool,
-    /// What the job does with the producers' measurements.
+    /// The use of the producers' measurements.
     pub measurements: Measurements,
     /// Indices of the producers in the plan, in the order in which the stage sees them.
     pub producers: Vec<usize>,
 }
 
-/// A file or folder outside the store.
+/// A file or folder outside the store that a job reads.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PlanSource {
-    /// The name that the stage opens it by.
+    /// The stage's name for the source.
     pub name: String,
-    /// Where it lies, relative to the data root.
+    /// The path relative to the data root.
     pub path: PathBuf,
 }
 
-/// Where a parameter value comes from.
+/// The origin of a parameter value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
     /// The stage's own default.
     Default,
     /// A key of a node in a recipe file.
-    File { file: PathBuf, line: usize },
-    /// A key of the `number`-th `[[set]]` (from 1, base recipes first).
-    Set { number: usize, file: PathBuf, line: usize },
+    File {
+        /// The recipe file.
+        file: PathBuf,
+        /// The line number, from 1.
+        line: usize,
+    },
+    /// A key of a `[[set]]` rule; rules are numbered from 1, base recipes first.
+    Set {
+        /// The number of the rule.
+        number: usize,
+        /// The recipe file.
+        file: PathBuf,
+        /// The line number, from 1.
+        line: usize,
+    },
     /// An override on the command line.
     CommandLine,
-    /// What the stage made of the value, given what is known of its inputs.
+    /// The stage's resolution with the facts of the job's inputs.
     Resolved,
 }
 
@@ -148,12 +162,12 @@ impl Node {
 }
 
 impl Plan {
-    /// What a job of the plan computes on.
+    /// The device class that a job of the plan computes on.
     pub fn device_of(&self, node: &Node) -> DeviceClass {
         if node.on_device { self.device } else { DeviceClass::Cpu }
     }
 
-    /// The jobs as a graph: weights are indices into `nodes`, edges point from producer to consumer.
+    /// The jobs as a graph. Node weights are indices into `nodes`; edges point from producer to consumer.
     pub fn graph(&self) -> DiGraph<usize, ()> {
         let mut graph = DiGraph::with_capacity(self.nodes.len(), self.nodes.len());
         for (index, node) in self.nodes.iter().enumerate() {
@@ -170,10 +184,10 @@ impl Plan {
         self.nodes.iter().position(|node| node.name == name)
     }
 
-    /// `nodes` and everything that they need.
+    /// `nodes` and all of their direct and indirect producers.
     pub fn with_ancestors(&self, nodes: &BTreeSet<usize>) -> BTreeSet<usize> {
         let mut found = nodes.clone();
-        // Producers come before their consumers, so that one sweep from the back sees every consumer first.
+        // Producers come before their consumers, so one backward sweep visits every consumer first.
         for index in (0..self.nodes.len()).rev() {
             if found.contains(&index) {
                 found.extend(self.nodes[index].producers());
@@ -182,7 +196,7 @@ impl Plan {
         found
     }
 
-    /// `nodes` and everything that depends on them.
+    /// `nodes` and all of their direct and indirect consumers.
     pub fn with_descendants(&self, nodes: &BTreeSet<usize>) -> BTreeSet<usize> {
         let mut found = nodes.clone();
         for (index, node) in self.nodes.iter().enumerate() {
@@ -193,7 +207,7 @@ impl Plan {
         found
     }
 
-    /// The nodes that no other node reads.
+    /// The nodes without consumers.
     pub fn sinks(&self) -> BTreeSet<usize> {
         let read: BTreeSet<usize> = self.nodes.iter().flat_map(Node::producers).collect();
         (0..self.nodes.len()).filter(|index| !read.contains(index)).collect()

@@ -1,10 +1,11 @@
 //! Recipes: TOML files that say which stages to run over which axes, resolved into a [`Plan`].
 //!
 //! ```toml
-//! extends = ["common/benchmark.toml"]   # relative to this file; tables merge, arrays replace, [[set]] adds up
+//! extends = ["common/benchmark.toml"]   # relative to this file; tables merge, arrays replace, [[set]] accumulates
 //! name = "dnerf-preview"                # default: the file's stem
 //! [axes]                                # their order is the order of names and table columns
 //! scene = ["bouncingballs", "lego"]
+//! method = "all"                        # every value that the stage knows, in its order; { except = ["vcgs"] }: all but
 //! seed = [0, 1]
 //! [nodes.capture]
 //! stage = "sfm-import"
@@ -12,20 +13,21 @@
 //! params = { source = "dnerf/{scene}" } # "{seed}" alone keeps the value's type; "{{x}}" is a literal {x}
 //! [nodes.train]
 //! stage = "training"
-//! over = ["scene", "seed"]
-//! # like = { node = "other", seed = 0 } # starts from the parameters, rules included, of other jobs of its stage
+//! over = ["scene", "method", "seed"]
+//! # like = { node = "other", seed = 0 } # starts from the parameters and rules of another node's jobs
 //! inputs = { capture = "capture" }      # port = node; shared axes agree, others fan in on ports for many
-//! params = { seed = "{seed}" }
-//! [[set]]                               # later rules win; -s on the command line wins over all
+//! params = { method = "{method}", seed = "{seed}" }
+//! [[set]]                               # later rules win; -s on the command line overrides them all
 //! when = { scene = "lego" }
 //! nodes.train.params.iterations = 500
 //! ```
 
+mod all;
+mod draft;
 mod errors;
 mod expand;
 mod link;
 mod load;
-mod nearest;
 mod places;
 mod raw;
 mod resolve;
@@ -37,5 +39,4 @@ pub(crate) mod tests;
 
 pub use errors::{RecipeError, RecipeErrors};
 pub use load::{Overrides, StageOverride};
-pub(crate) use nearest::nearest;
 pub use resolve::{resolve, resolve_with};

@@ -1,4 +1,4 @@
-//! The stages that this binary knows, with their types erased.
+//! The registry: all stages of the binary, with their types erased.
 
 mod params;
 #[cfg(test)]
@@ -15,10 +15,10 @@ use crate::canonical;
 use crate::fingerprint::{Code, CodeTable, UnusedSources, stage_code};
 use crate::{Artifact, Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
 
-/// Digits that tell two builds apart at a glance.
+/// Number of digits that distinguish two builds.
 const SHORT_DIGEST: usize = 12;
 
-/// All stages by id. The one list of stages builds it: `Registry::new(CODE).with::<Training>()`.
+/// All stages by id, e.g. `Registry::new(CODE).with::<Training>()`.
 pub struct Registry {
     code: CodeTable,
     built_with: &'static str,
@@ -41,7 +41,7 @@ pub trait AnyStage: Send + Sync {
     fn output(&self) -> (&'static str, u32);
     /// The default parameters, whether or not they are complete enough to run.
     fn default_params(&self) -> Value;
-    /// The parameters as the stage's type writes them, with defaults filled in; or every problem that was found.
+    /// The parameters as the stage's type serializes them, with all defaults; or all problems.
     fn canonical_params(&self, raw: &Value) -> Result<Value, Vec<ParamProblem>>;
     /// [`Stage::sources`].
     fn sources(&self, params: &Value) -> anyhow::Result<Vec<Source>>;
@@ -52,20 +52,23 @@ pub trait AnyStage: Send + Sync {
     /// [`Stage::resources`].
     fn resources(&self, params: &Value) -> anyhow::Result<Resources>;
     /// [`Stage::unused_sources`].
-    fn unused_sources(&self, params: &Value) -> anyhow::Result<Vec<String>>;
-    /// Opens an artifact of the stage and checks it.
+    fn unused_sources(&self, params: &Value) -> anyhow::Result<UnusedSources>;
+    /// [`Stage::values`].
+    fn values(&self, key: &str) -> Option<Vec<String>>;
+    /// Opens and checks an artifact of the stage.
     fn open(&self, dir: &Path) -> anyhow::Result<()>;
-    /// Runs the stage, checks the value that it returns, opens the output folder again and checks what was read.
+    /// Runs the stage and checks the artifact that it returns, then opens the output folder and checks the artifact that it
+    /// reads.
     fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()>;
 }
 
 impl Registry {
-    /// A registry without stages; `code` is the table of sources that the binary was built from.
+    /// A registry without stages. `code` lists the sources that the binary was built from.
     pub fn new(code: CodeTable) -> Self {
         Self { code, built_with: "unknown", stages: BTreeMap::new() }
     }
 
-    /// The same registry, of a program that this compiler built, as `rustc 1.95.0`. Never part of a key.
+    /// Sets the compiler that built the program, e.g. `rustc 1.95.0`. Never part of a key.
     pub fn compiled_by(mut self, compiler: &'static str) -> Self {
         self.built_with = compiler;
         self
@@ -83,11 +86,11 @@ impl Registry {
         digest[..SHORT_DIGEST].to_owned()
     }
 
-    /// The same registry with one more stage.
+    /// Adds a stage.
     ///
     /// # Panics
     ///
-    /// If the id is taken or no crate of that name is in the code table: a mistake in the one list of stages.
+    /// If the id is taken, or if the code table has no crate of that name.
     pub fn with<S: Stage>(mut self) -> Self {
         assert!(self.code.get(S::ID).is_some(), "no crate in the code table is named like the stage {}", S::ID);
         let taken = self.stages.insert(S::ID, Box::new(Erased::<S>(PhantomData)));
@@ -100,12 +103,12 @@ impl Registry {
         self.stages.get(id).map(Box::as_ref)
     }
 
-    /// All stages by id.
+    /// All stages, ordered by id.
     pub fn stages(&self) -> impl Iterator<Item = &dyn AnyStage> {
         self.stages.values().map(Box::as_ref)
     }
 
-    /// The fingerprint of the code that can influence a result of the stage `id`, without what is `unused`.
+    /// The fingerprint of the code that can influence a result of the stage `id`, without the `unused` sources.
     pub fn code(&self, id: &str, unused: &UnusedSources) -> Code {
         stage_code(&self.code, id, unused)
     }
@@ -159,8 +162,12 @@ impl<S: Stage> AnyStage for Erased<S> {
         Ok(S::resources(&typed::<S>(params)?))
     }
 
-    fn unused_sources(&self, params: &Value) -> anyhow::Result<Vec<String>> {
+    fn unused_sources(&self, params: &Value) -> anyhow::Result<UnusedSources> {
         Ok(S::unused_sources(&typed::<S>(params)?))
+    }
+
+    fn values(&self, key: &str) -> Option<Vec<String>> {
+        S::values(key)
     }
 
     fn open(&self, dir: &Path) -> anyhow::Result<()> {
@@ -171,14 +178,14 @@ impl<S: Stage> AnyStage for Erased<S> {
     }
 
     fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()> {
-        let made = S::run(context, &typed::<S>(params)?)?;
-        made.check().with_context(|| format!("{} made a {} that is not valid", S::ID, S::Output::NAME))?;
-        drop(made);
+        let artifact = S::run(context, &typed::<S>(params)?)?;
+        artifact.check().with_context(|| format!("{} returned a {} that is not valid", S::ID, S::Output::NAME))?;
+        drop(artifact);
         self.open(context.output_dir())
     }
 }
 
-/// Canonical parameters as the stage's type.
+/// Converts canonical parameters into the stage's type.
 fn typed<S: Stage>(params: &Value) -> anyhow::Result<S::Params> {
-    serde_json::from_value(params.clone()).with_context(|| format!("parameters that {} does not understand", S::ID))
+    serde_json::from_value(params.clone()).with_context(|| format!("invalid parameters of {}", S::ID))
 }

@@ -1,5 +1,5 @@
-//! What is known of artifacts before anything runs, and what a job makes of it: parameters that leave nothing open, and
-//! the optional inputs that it really reads.
+//! Static facts of artifacts, known before anything runs, and the resolution of a job from them: parameters without open
+//! choices, and the optional inputs that the job reads.
 
 #[cfg(test)]
 mod tests;
@@ -10,41 +10,42 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// What is known of an artifact before it exists, by name, as `times: 12`; what is not in here is unknown. Engine and
-/// stages agree on no names: a stage and its readers do.
+/// The static facts of an artifact: what is certain about it before it exists, by name, e.g. `times: 12`. A missing fact
+/// is unknown. The names are a convention between a stage and its readers; the engine knows none.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Facts(BTreeMap<String, Value>);
 
 impl Facts {
-    /// The same facts and one more.
+    /// Adds a fact.
     pub fn with(mut self, name: &str, fact: impl Into<Value>) -> Self {
         self.0.insert(name.into(), fact.into());
         self
     }
 
-    /// Whether something holds, where that is known.
+    /// A fact that is true or false, if it is known.
     pub fn flag(&self, name: &str) -> Option<bool> {
         self.0.get(name)?.as_bool()
     }
 
-    /// How many there are of something, where that is known.
+    /// A fact that is a count, if it is known.
     pub fn count(&self, name: &str) -> Option<u64> {
         self.0.get(name)?.as_u64()
     }
 
-    /// A fact of any other shape, where it is known.
+    /// A fact of any other type, if it is known.
     pub fn value(&self, name: &str) -> Option<&Value> {
         self.0.get(name)
     }
 }
 
-/// What a job may know while the recipe is planned. Never what lies in a store: equal recipes and data give equal plans.
+/// The information that resolves a job while the recipe is planned. It never includes the store, so equal recipes and
+/// data give equal plans.
 #[derive(Clone, Debug)]
 pub struct PlanContext<'a> {
-    /// The folder that sources are relative to; it may hold nothing yet.
+    /// The folder that sources are relative to; it may still be empty.
     pub data_root: &'a Path,
-    /// By port, the facts of every producer that the recipe wires to it.
+    /// The facts of all producers that the recipe wires to each port.
     pub inputs: BTreeMap<String, Vec<Facts>>,
 }
 
@@ -54,44 +55,45 @@ impl PlanContext<'_> {
         self.inputs.get(port).is_some_and(|producers| !producers.is_empty())
     }
 
-    /// The facts of the one producer on this port, if there is one.
+    /// The facts of the first producer on this port, if there is one.
     pub fn facts(&self, port: &str) -> Option<&Facts> {
         self.inputs.get(port)?.first()
     }
 }
 
-/// What a job makes of what is known: parameters that leave nothing open, and what it does not need.
+/// The resolution of a job: parameters without open choices, and the inputs that it reads.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolution<P> {
-    /// What the job runs with, and what its key holds.
+    /// The parameters that the job runs with and that are part of its key.
     pub params: P,
-    /// Optional ports that are not read with these parameters: whatever the recipe wires to them is left out.
+    /// Optional ports that the job does not read; their producers are dropped.
     pub unread: BTreeSet<&'static str>,
-    /// By port of [`Arity::Choice`](crate::Arity::Choice), which of its producers is read; by default none.
+    /// Port of [`Arity::Choice`](crate::Arity::Choice) → index of the producer that the job reads. A missing port reads
+    /// none.
     pub chosen: BTreeMap<&'static str, usize>,
-    /// What was decided and why, for the user.
+    /// The decisions with their reasons, for the user.
     pub decisions: Vec<Decision>,
 }
 
-/// Something that a job does or leaves out, and why. No part of a key: equal parameters may have been chosen for different
-/// reasons.
+/// The decision to simulate or leave out an effect, with its reason. Not part of a key, because equal parameters may be
+/// chosen for different reasons.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Decision {
-    /// As `flow`.
+    /// The effect, e.g. `flow`.
     pub effect: String,
-    /// Whether the job does it.
+    /// Whether the job simulates it.
     pub on: bool,
-    /// As `nothing is wired to priors`.
+    /// The reason, e.g. `nothing is wired to priors`.
     pub reason: String,
 }
 
 impl<P> Resolution<P> {
-    /// The parameters as they are; every port is read.
+    /// A resolution that keeps the parameters and reads every optional port.
     pub fn unchanged(params: P) -> Self {
         Self { params, unread: BTreeSet::new(), chosen: BTreeMap::new(), decisions: Vec::new() }
     }
 
-    /// The same with other parameters.
+    /// Replaces the parameters.
     pub(crate) fn map<Q, E>(self, change: impl FnOnce(P) -> Result<Q, E>) -> Result<Resolution<Q>, E> {
         let Self { params, unread, chosen, decisions } = self;
         Ok(Resolution { params: change(params)?, unread, chosen, decisions })

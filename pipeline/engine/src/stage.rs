@@ -1,50 +1,50 @@
-//! What a stage crate tells the engine about itself.
+//! The interface between a stage's crate and the engine.
 
 use std::path::PathBuf;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::{Artifact, Facts, JobContext, PlanContext, Resolution};
+use crate::{Artifact, Facts, JobContext, PlanContext, Resolution, UnusedSources};
 
 /// A stage: a (nearly) pure function from parameters, input artifacts and source folders to one artifact.
 pub trait Stage: 'static {
-    /// Typed parameters. Use `#[serde(default, deny_unknown_fields)]`; the defaults live in `Default`.
+    /// The typed parameters. Use `#[serde(default, deny_unknown_fields)]`; `Default` holds the default values.
     type Params: Serialize + DeserializeOwned + Default + Send + 'static;
-    /// The one artifact type that this stage makes.
+    /// The artifact type that the stage makes.
     type Output: Artifact;
 
-    /// The stable id that recipes name (`"training"`), part of every key.
+    /// The stable id that recipes use, e.g. `"training"`; part of every key.
     const ID: &'static str;
-    /// One line for `--help` and the docs.
+    /// A one-line description for `--help` and the documentation.
     const ABOUT: &'static str;
 
-    /// Whether jobs compute on the device that the user chose ([`JobContext::device`](crate::JobContext::device)); its
-    /// class is then part of their keys.
+    /// Whether jobs compute on the device that the user chooses ([`JobContext::device`](crate::JobContext::device)). If
+    /// so, the device's class is part of their keys.
     const ON_DEVICE: bool = false;
 
-    /// The artifacts that this stage reads.
+    /// The inputs of the stage.
     fn ports() -> Vec<Port>;
 
-    /// Folders or files outside the store that this stage reads, relative to the data root.
+    /// The files and folders outside the store that a job reads, relative to the data root.
     fn sources(_params: &Self::Params) -> Vec<Source> {
         Vec::new()
     }
 
-    /// Problems with the parameters that serde cannot see; reported while planning, all at once.
+    /// Problems with the parameters that serde cannot detect. Planning reports all of them at once.
     fn check_params(_params: &Self::Params) -> Vec<ParamProblem> {
         Vec::new()
     }
 
-    /// What will be known of the artifact before anything runs; by default nothing. Must depend on the parameters, on
-    /// what is known of the inputs and on files below the data root alone; what is not certain is left out.
+    /// The static facts of the artifact: what is certain about it before anything runs. They may depend only on the
+    /// parameters, the facts of the inputs and files below the data root. By default there are none.
     fn facts(_params: &Self::Params, _context: &PlanContext<'_>) -> Facts {
         Facts::default()
     }
 
-    /// Parameters that leave nothing open, given what is known of the inputs, and the optional ports that they do not
-    /// read; by default everything stays as it is. Jobs and readers that this makes superfluous leave the plan.
-    /// Resolving resolved parameters again must change nothing.
+    /// Resolves the parameters with the facts of the inputs: every open choice is made, and optional ports that the job
+    /// does not read are named. Producers that nothing reads any more are pruned from the plan. Must be idempotent. By
+    /// default nothing changes.
     fn resolve(
         params: Self::Params,
         _context: &PlanContext<'_>,
@@ -52,120 +52,125 @@ pub trait Stage: 'static {
         Ok(Resolution::unchanged(params))
     }
 
-    /// What a job needs of the machine. Never part of a key.
+    /// The machine resources that a job uses. Never part of a key.
     fn resources(_params: &Self::Params) -> Resources {
         Resources::default()
     }
 
-    /// Source folders of the stage's own crate (relative to the crate, as `src/methods/mcgs`) that these
-    /// parameters provably do not use, so that an edit there does not rerun the job. This holds for readers too: a stage
-    /// that runs code of this crate on the one artifact that it reads must not need them either.
-    fn unused_sources(_params: &Self::Params) -> Vec<String> {
-        Vec::new()
+    /// Sources of workspace crates that a job with these parameters provably does not use: an edit there does not rerun
+    /// it. The same must hold for stages that read its artifact on a port for one and run code of this crate on it.
+    fn unused_sources(_params: &Self::Params) -> UnusedSources {
+        UnusedSources::new()
     }
 
-    /// Does the work: writes into `context.output_dir()` and returns the artifact.
+    /// All values that the parameter `key` (dotted) can have, in the order of tables, if the stage can list them. A
+    /// recipe's axis may then be `"all"`.
+    fn values(_key: &str) -> Option<Vec<String>> {
+        None
+    }
+
+    /// Runs the job: writes into [`JobContext::output_dir`] and returns the artifact.
     fn run(context: &JobContext, params: &Self::Params) -> anyhow::Result<Self::Output>;
 }
 
-/// One named input of a stage.
+/// A named input of a stage.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Port {
-    /// The name that recipes wire and that [`JobContext::input`] takes.
+    /// The port's name in recipes and for [`JobContext::input`].
     pub name: &'static str,
-    /// [`Artifact::NAME`] and [`Artifact::SCHEMA`] of what is read.
+    /// [`Artifact::NAME`] and [`Artifact::SCHEMA`] of the artifact that the port reads.
     pub artifact: (&'static str, u32),
-    /// How many producers it may have.
+    /// The number of producers that the port takes.
     pub arity: Arity,
-    /// What this stage does with the producers' measurements (times, memory).
+    /// The use of the producers' measurements (times, memory).
     pub measurements: Measurements,
 }
 
 impl Port {
-    /// A port that reads exactly one artifact `A` and not its measurements.
+    /// A port that reads exactly one artifact `A`, without its measurements.
     pub fn one<A: Artifact>(name: &'static str) -> Self {
         Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::One, measurements: Measurements::Unread }
     }
 
-    /// A port that reads one artifact `A` where the recipe wires it to a producer, and none where it does not.
+    /// A port that reads one artifact `A` if the recipe wires it to a producer, otherwise none.
     pub fn optional<A: Artifact>(name: &'static str) -> Self {
         Self { arity: Arity::Optional, ..Self::one::<A>(name) }
     }
 
-    /// A port that reads one artifact `A` of those that the recipe wires to it, or none, as [`Stage::resolve`] chooses.
+    /// A port for which [`Stage::resolve`] chooses at most one artifact `A` among those that the recipe wires to it.
     pub fn choice<A: Artifact>(name: &'static str) -> Self {
         Self { arity: Arity::Choice, ..Self::one::<A>(name) }
     }
 
-    /// A port that reads any number of artifacts `A`; failed producers are handed over as outcomes.
+    /// A port that reads any number of artifacts `A`. Failed producers appear as failures.
     pub fn many<A: Artifact>(name: &'static str) -> Self {
         Self { name, artifact: (A::NAME, A::SCHEMA), arity: Arity::Many, measurements: Measurements::Unread }
     }
 
-    /// The same port, reading the measurements too.
+    /// Makes the port read the producers' measurements, too.
     pub fn with_measurements(mut self) -> Self {
         self.measurements = Measurements::Read;
         self
     }
 
-    /// The same port, passing the measurements on.
+    /// Makes the port relay the producers' measurements.
     pub fn relaying_measurements(mut self) -> Self {
         self.measurements = Measurements::Relayed;
         self
     }
 }
 
-/// What a stage does with the measurements (times, memory) of the producers on a port.
+/// The use that a stage makes of the measurements (times, memory) of the producers on a port.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Measurements {
-    /// Nothing: it does not get to see them.
+    /// The stage does not see them.
     #[default]
     Unread,
-    /// It adds them to its own measurements and to nothing else, as the seconds of a model that a training goes on from:
-    /// no artifact depends on them, so that they are no part of the key.
+    /// The stage adds them to its own measurements only, e.g. the seconds of the model that a training continues. No
+    /// artifact depends on them, so they are not part of the key.
     Relayed,
-    /// It makes its artifact of them, as a table of seconds: they are part of its key.
+    /// The artifact depends on them, e.g. a table of seconds, so they are part of the key.
     Read,
 }
 
-/// How many producers a port has.
+/// The number of producers that a port takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Arity {
-    /// Exactly one; the job is skipped if it failed.
+    /// Exactly one. The job is skipped if the producer failed.
     One,
-    /// One or none, as the recipe says; the job is skipped if there is one and it failed.
+    /// One or none, as the recipe wires it. The job is skipped if the producer failed.
     Optional,
-    /// At most one of any number that the recipe names, chosen while planning; else as [`Arity::Optional`].
+    /// At most one of any number that the recipe wires, chosen while planning. Otherwise like [`Arity::Optional`].
     Choice,
-    /// All instances of the producer; failed ones appear as outcomes, and the job runs.
+    /// All jobs of the wired nodes. The job runs even if some failed; they appear as failures.
     Many,
 }
 
-/// A file or folder outside the store, digested before the job runs.
+/// A file or folder outside the store; digested before the job runs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Source {
-    /// The name that [`JobContext::source`] takes.
+    /// The source's name for [`JobContext::source`].
     pub name: &'static str,
-    /// Where it lies, relative to `--data-root`.
+    /// The path relative to `--data-root`.
     pub path: PathBuf,
 }
 
 /// A problem with one parameter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParamProblem {
-    /// Dotted key below the node's `params`.
+    /// The dotted key below the node's `params`.
     pub key: String,
-    /// What is wrong, lower case, without a full stop.
+    /// The problem, in lower case, without a full stop.
     pub message: String,
-    /// What to do about it.
+    /// Advice, if there is any.
     pub hint: Option<String>,
 }
 
-/// What one job needs of the machine.
+/// The machine resources that one job uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Resources {
-    /// Worker threads; 0 means all that the machine has.
+    /// Number of worker threads; 0 means all of the machine's.
     pub threads: usize,
 }
 

@@ -1,4 +1,4 @@
-//! What a run would do, without doing it: the state of every job, why it would run, and how long it took before.
+//! Predicts a run: the state of every job, the changes that make it run, and its expected time.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,63 +6,64 @@ use serde::Serialize;
 
 use crate::explain::{Change, Component, diff};
 use crate::graph::NodeState;
-use crate::scheduler::{Done, Readiness, Rest, Sources, readiness};
+use crate::scheduler::{Done, NodeOutcome, Readiness, Sources, readiness};
 use crate::store::{ActionRecord, FailureRecord, Lookup};
 use crate::{ActionKey, DeviceClass, Failure, KeyComponents, Node, Plan, Store, lock};
 
-/// What is known of a job without running anything.
+/// The predicted state of a job.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "state", rename_all = "kebab-case")]
 pub enum State {
-    /// Its result is in the store.
+    /// The store has the result.
     Cached {
-        /// The record.
+        /// The action record.
         record: Box<ActionRecord>,
     },
-    /// It will run.
+    /// The job will run.
     WillRun {
-        /// Why.
+        /// The changes that make it run.
         changes: Vec<Change>,
-        /// Its last failure with this very key.
+        /// The last failure with the same key.
         last_failure: Option<Box<FailureRecord>>,
-        /// Whether some process works on it now.
+        /// Whether a process is running the job now.
         running: bool,
-        /// Whether it was interrupted and left a checkpoint to continue from.
+        /// Whether the job was interrupted and continues from a checkpoint.
         has_checkpoint: bool,
     },
-    /// Something above it will run. Without changes of its own it may be cut off, if that gives what it gave before.
+    /// A direct or indirect producer will run. The job is cut off if it has no changes of its own and its inputs stay
+    /// equal.
     Pending {
-        /// Its own changes, and what it waits for.
+        /// The job's own changes, and the producers that it waits for.
         changes: Vec<Change>,
-        /// Whether equal inputs would spare it.
+        /// Whether equal inputs would make the job unnecessary.
         may_be_cut_off: bool,
     },
-    /// A source that it reads is not there.
+    /// A source of the job is missing.
     MissingData {
-        /// Which.
+        /// The failure that names the source.
         failure: Failure,
     },
-    /// Something that it needs cannot be made.
+    /// A direct or indirect producer cannot run.
     Blocked {
-        /// Why not.
+        /// The failure of that producer.
         failure: Failure,
-        /// The job at the root.
+        /// The name of that producer.
         because_of: String,
     },
 }
 
-/// A job's state and how long it is expected to take.
+/// The predicted state and time of a job.
 #[derive(Clone, Debug, Serialize)]
 pub struct Prediction {
-    /// What is known of it.
+    /// The state.
     #[serde(flatten)]
     pub state: State,
-    /// Wall time of earlier runs of the same job, or else the mean over its stage.
+    /// The wall time in seconds of the last run of the same job, otherwise the mean over its stage.
     pub expected_secs: Option<f64>,
 }
 
 impl Prediction {
-    /// The differences that make it run; none if it will not.
+    /// The changes that make the job run; empty if it will not run.
     pub fn changes(&self) -> &[Change] {
         match &self.state {
             State::WillRun { changes, .. } | State::Pending { changes, .. } => changes,
@@ -70,12 +71,12 @@ impl Prediction {
         }
     }
 
-    /// Whether a run would launch it (or might).
+    /// Whether a run would or might launch the job.
     pub fn may_run(&self) -> bool {
         matches!(self.state, State::WillRun { .. } | State::Pending { .. })
     }
 
-    /// The state for a picture.
+    /// The state in a drawing of the plan.
     pub fn node_state(&self) -> NodeState {
         match &self.state {
             State::Cached { .. } => NodeState::Cached,
@@ -87,9 +88,10 @@ impl Prediction {
     }
 }
 
-/// Predicts what a run of `nodes` (closed under producers) would do; `force` would run whatever the store has.
+/// Predicts a run of `nodes`, which must include all of their producers. Nodes in `force` run even if the store has their
+/// results.
 ///
-/// Reads the store and changes nothing in it.
+/// Does not change the store.
 pub fn predict(
     plan: &Plan,
     store: &Store,
@@ -97,7 +99,8 @@ pub fn predict(
     force: &BTreeSet<usize>,
     sources: &Sources,
 ) -> anyhow::Result<BTreeMap<usize, Prediction>> {
-    let mut predictor = Predictor { plan, store, sources, force, history: None, rests: vec![None; plan.nodes.len()] };
+    let mut predictor =
+        Predictor { plan, store, sources, force, history: None, outcomes: vec![None; plan.nodes.len()] };
     nodes.iter().map(|&index| Ok((index, predictor.predict(index)?))).collect()
 }
 
@@ -106,17 +109,17 @@ struct Predictor<'a> {
     store: &'a Store,
     sources: &'a Sources,
     force: &'a BTreeSet<usize>,
-    /// Read when the first job turns out to have to run: a plan that is all cached never needs it.
+    /// Read when the first job has to run: a completely cached plan does not need it.
     history: Option<History>,
-    rests: Vec<Option<Rest>>,
+    outcomes: Vec<Option<NodeOutcome>>,
 }
 
 impl Predictor<'_> {
     fn predict(&mut self, index: usize) -> anyhow::Result<Prediction> {
-        let state = match readiness(self.plan, index, &self.rests, self.sources) {
-            Readiness::AtRest(rest) => {
-                self.rests[index] = Some(rest.clone());
-                at_rest(rest)
+        let state = match readiness(self.plan, index, &self.outcomes, self.sources) {
+            Readiness::Finished(outcome) => {
+                self.outcomes[index] = Some(outcome.clone());
+                blocked_state(outcome)
             }
             Readiness::Ready(components) => self.ready(index, &components)?,
             Readiness::Waiting => self.waiting(index)?,
@@ -136,7 +139,7 @@ impl Predictor<'_> {
             _ if self.force.contains(&index) => vec![Change::new(Component::Record, "forced")],
             Lookup::Hit(record) => {
                 let (content, measurements) = (record.content, record.measurements);
-                self.rests[index] = Some(Rest::Done(Done { key, content, measurements }));
+                self.outcomes[index] = Some(NodeOutcome::Done(Done { key, content, measurements }));
                 return Ok(State::Cached { record });
             }
             Lookup::Damaged { reason, .. } => vec![Change::new(Component::Record, reason)],
@@ -154,14 +157,14 @@ impl Predictor<'_> {
             }
             (true, None) => vec![Change::new(Component::Record, "never ran")],
             (true, Some(previous)) if previous.key == key => {
-                vec![Change::new(Component::Record, "its record is gone")]
+                vec![Change::new(Component::Record, "its record was removed")]
             }
             (true, Some(previous)) => diff(&previous.components, components),
         };
         Ok(State::WillRun { changes, last_failure, running, has_checkpoint })
     }
 
-    /// A job whose inputs are not known: what is known of it is compared, as if its inputs stayed the same.
+    /// The state of a job with unknown inputs: its key is compared as if the inputs stayed equal.
     fn waiting(&mut self, index: usize) -> anyhow::Result<State> {
         let (plan, sources) = (self.plan, self.sources);
         let node = &plan.nodes[index];
@@ -170,10 +173,10 @@ impl Predictor<'_> {
             return Ok(State::Pending { changes, may_be_cut_off: false });
         };
         let digests = sources.digests(node).unwrap_or_default();
-        let supposed = KeyComponents::of(node, previous.components.inputs.clone(), digests, plan.device_of(node));
-        let mut changes = diff(&previous.components, &supposed);
+        let assumed = KeyComponents::of(node, previous.components.inputs.clone(), digests, plan.device_of(node));
+        let mut changes = diff(&previous.components, &assumed);
         let may_be_cut_off = changes.is_empty() && !self.force.contains(&index);
-        let pending = |&producer: &usize| self.rests[producer].is_none();
+        let pending = |&producer: &usize| self.outcomes[producer].is_none();
         let waits_for: Vec<&str> =
             node.producers().iter().copied().filter(|p| pending(p)).map(|p| plan.nodes[p].name.as_str()).collect();
         let more = if waits_for.len() > 1 { format!(" and {} more", waits_for.len() - 1) } else { String::new() };
@@ -190,29 +193,30 @@ impl Predictor<'_> {
         Ok(self.history.get_or_insert_default())
     }
 
-    /// Whether some process holds the action's lock.
+    /// Whether a process holds the action's lock.
     fn is_running(&self, key: &ActionKey) -> bool {
         let file = std::fs::File::open(self.store.lock_file(key.as_str()));
         file.is_ok_and(|file| lock::try_exclusive(&file).is_ok_and(|free| !free))
     }
 }
 
-fn at_rest(rest: Rest) -> State {
-    match rest {
-        Rest::Failed { failure, .. } => State::MissingData { failure },
-        Rest::Skipped { failure, because_of } => State::Blocked { failure, because_of },
-        // A node comes to rest before it is looked up only for want of something.
-        Rest::Done(done) => State::Blocked {
+/// The state of a node that is finished before the store is consulted.
+fn blocked_state(outcome: NodeOutcome) -> State {
+    match outcome {
+        NodeOutcome::Failed { failure, .. } => State::MissingData { failure },
+        NodeOutcome::Skipped { failure, because_of } => State::Blocked { failure, because_of },
+        // `readiness` finishes a node only for lack of data or of a producer's artifact.
+        NodeOutcome::Done(done) => State::Blocked {
             failure: Failure::new(crate::FailureKind::Crashed, format!("unexpected result {}", done.key)),
             because_of: String::new(),
         },
     }
 }
 
-/// What earlier runs recorded.
+/// The records of earlier runs.
 #[derive(Default)]
 pub struct History {
-    /// From oldest to newest.
+    /// The records, oldest first.
     records: Vec<ActionRecord>,
 }
 
@@ -224,8 +228,8 @@ impl History {
         Ok(Self { records })
     }
 
-    /// The newest record of the same job: same name and stage in the same recipe, in a run on that class of devices if
-    /// one is named.
+    /// The newest record of the same job, i.e. with the same recipe, node name and stage. `device` restricts the search to
+    /// runs on that class of devices.
     pub fn newest(&self, recipe: &str, node: &Node, device: Option<DeviceClass>) -> Option<&ActionRecord> {
         let is_same = |record: &&ActionRecord| {
             let made = &record.provenance;
@@ -235,7 +239,7 @@ impl History {
         self.records.iter().rev().find(is_same)
     }
 
-    /// Seconds that the job took last time, or the mean over all jobs of its stage.
+    /// The wall time in seconds of the last run of the job, otherwise the mean over all jobs of its stage.
     fn expected_secs(&self, node: &Node) -> Option<f64> {
         let of_stage = self.records.iter().filter(|record| record.components.stage == node.stage);
         let secs = |record: &ActionRecord| record.provenance.wall_secs;

@@ -10,7 +10,7 @@ use crate::output::{bytes, count, duration, note, print, print_line};
 
 /// Opens the store in `path`; a missing store is an error.
 fn existing(path: &Path) -> Result<Store, CliError> {
-    let store = Store::look(path)?;
+    let store = Store::open_read_only(path)?;
     let none = || CliError::nothing(format!("no store found: {}", path.display()), "name another folder with --store");
     if store.exists() { Ok(store) } else { Err(none()) }
 }

@@ -38,7 +38,7 @@ pub(crate) fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Re
 
 /// Checks that the store can be written or, if it is missing, created; describes it.
 fn try_store(path: &Path) -> anyhow::Result<String> {
-    let store = Store::look(path)?;
+    let store = Store::open_read_only(path)?;
     if !store.exists() {
         let root = store.root();
         let parent = root.ancestors().find(|folder| folder.exists()).unwrap_or(root);

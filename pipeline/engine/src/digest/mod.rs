@@ -11,12 +11,12 @@ use sha2::{Digest as _, Sha256};
 
 pub use source::{SourceDigests, SourceError};
 
-/// The SHA-256 digest of some bytes; written as 64 hexadecimal digits.
+/// A SHA-256 digest; serialized as 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct Digest([u8; 32]);
 
-/// The text is not 64 hexadecimal digits.
+/// The error for a text that is not 64 lower-case hexadecimal digits.
 #[derive(Debug, thiserror::Error)]
 #[error("not a SHA-256 digest: {0:?}")]
 pub struct NotADigest(String);
@@ -27,9 +27,9 @@ impl Digest {
         Self(Sha256::digest(bytes).into())
     }
 
-    /// The digest of a file's contents, read in pieces.
+    /// The digest of a file's contents. Errors name the file.
     pub fn of_file(path: &Path) -> io::Result<Self> {
-        let mut file = std::fs::File::open(path)?;
+        let mut file = fs_err::File::open(path)?;
         let mut hasher = Sha256::new();
         // 256 KiB amortises the system calls and stays in the second-level cache.
         let mut buffer = vec![0; 256 << 10];
@@ -43,7 +43,7 @@ impl Digest {
         }
     }
 
-    /// Reads 64 hexadecimal digits.
+    /// Parses 64 lower-case hexadecimal digits.
     pub fn from_hex(text: &str) -> Result<Self, NotADigest> {
         let wrong = || NotADigest(text.to_owned());
         if text.len() != 64 || !text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f')) {
@@ -57,7 +57,7 @@ impl Digest {
         Ok(Self(bytes))
     }
 
-    /// The first 12 digits: enough for people.
+    /// The first 12 digits, for messages.
     pub fn short(&self) -> String {
         self.to_string()[..12].to_owned()
     }

@@ -1,4 +1,4 @@
-//! Digests of sources (files and folders outside the store), with a cache of file digests by `stat`.
+//! Digests of sources (files and folders outside the store), with a cache of file digests keyed by `stat`.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -13,25 +13,25 @@ use walkdir::WalkDir;
 
 use crate::Digest;
 
-/// A file changed within this time before it was hashed may change again without a new time stamp, so its row in
-/// the cache is not trusted (file systems stamp times as coarsely as 2 s).
+/// A row of the cache is not trusted if the file changed less than this before it was hashed: the file may change again
+/// without a new time stamp, because file systems have time stamps as coarse as 2 s.
 const RACY_NANOS: i128 = 2_000_000_000;
 
-/// Why a source has no digest.
+/// The reason why a source has no digest.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
-    /// Neither a file nor a folder is there.
+    /// The source does not exist.
     #[error("no such file or folder: {}", .0.display())]
     Missing(PathBuf),
-    /// It is there and cannot be read.
+    /// The source cannot be read.
     #[error("cannot read {}: {}", .0.display(), .1)]
     Unreadable(PathBuf, io::Error),
-    /// A name that is not UTF-8 cannot be part of a digest that is the same everywhere.
+    /// A file name is not UTF-8, so it has no portable digest.
     #[error("file name is not UTF-8: {}", .0.display())]
     Name(PathBuf),
 }
 
-/// What `stat` says about a file: equal means unchanged.
+/// The result of `stat` for a file. Equal results mean that the file is unchanged.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 struct Stat {
     dev: u64,
@@ -55,7 +55,7 @@ impl Stat {
     }
 }
 
-/// One row of the cache: what a file looked like when it had this digest.
+/// One row of the cache: a file's digest, and its `stat` when it was hashed.
 #[derive(Clone, Serialize, Deserialize)]
 struct Row {
     stat: Stat,
@@ -64,35 +64,35 @@ struct Row {
 }
 
 impl Row {
-    /// The digest, if the file looks the same and had not been touched shortly before (or after) it was hashed.
+    /// The digest, if the file has the same `stat` and was last changed well before it was hashed.
     fn digest_if(&self, stat: &Stat) -> Option<Digest> {
         let newest_ns = i128::from(stat.mtime_ns.max(stat.ctime_ns));
-        let settled = newest_ns + RACY_NANOS < i128::from(self.hashed_at_ns);
-        (self.stat == *stat && settled).then_some(self.sha256)
+        let is_old = newest_ns + RACY_NANOS < i128::from(self.hashed_at_ns);
+        (self.stat == *stat && is_old).then_some(self.sha256)
     }
 }
 
-/// Digests of sources below one data root; remembers file digests in a JSON file between runs.
+/// Digests of the sources below one data root. A JSON file caches the file digests between runs.
 pub struct SourceDigests {
     rows: Mutex<BTreeMap<PathBuf, Row>>,
     changed: Mutex<bool>,
 }
 
 impl SourceDigests {
-    /// Reads the cache; `rehash` starts with an empty one. An unreadable cache is an empty one.
+    /// Reads the cache. `rehash` ignores it; an unreadable cache counts as empty.
     pub fn load(cache_file: &Path, rehash: bool) -> Self {
         let read = || serde_json::from_slice(&std::fs::read(cache_file).ok()?).ok();
         let rows = if rehash { None } else { read() };
         Self { rows: Mutex::new(rows.unwrap_or_default()), changed: Mutex::new(false) }
     }
 
-    /// The cache's new contents, if they changed since it was loaded or last asked for.
+    /// The cache's contents, if they changed since it was loaded or since the last call.
     pub fn changed_cache(&self) -> serde_json::Result<Option<Vec<u8>>> {
         let changed = std::mem::take(&mut *lock(&self.changed));
         changed.then(|| serde_json::to_vec(&*lock(&self.rows))).transpose()
     }
 
-    /// The digest of a file's contents, or of a folder's sorted relative paths and contents.
+    /// The digest of a file's contents, or of the sorted relative paths and contents of a folder's files.
     pub fn digest(&self, path: &Path) -> Result<Digest, SourceError> {
         let files = files_below(path)?;
         let lines: Vec<String> = files
@@ -102,7 +102,7 @@ impl SourceDigests {
         Ok(Digest::of(lines.concat().as_bytes()))
     }
 
-    /// What `stat` says about every file below `path`, as one digest: unequal means that something moved.
+    /// One digest of the `stat` results of all files below `path`. It changes when any file changes.
     pub fn stat_digest(path: &Path) -> Result<Digest, SourceError> {
         let files = files_below(path)?;
         let stats: Vec<(&str, Stat)> = files
@@ -113,7 +113,7 @@ impl SourceDigests {
         Ok(Digest::of(&bytes))
     }
 
-    /// The digest of one file, from the cache when its row can be trusted.
+    /// The digest of one file, from the cache if its row can be trusted.
     fn file_digest(&self, path: &Path) -> Result<Digest, SourceError> {
         let stat = Stat::of(path).map_err(|error| unreadable(path, error))?;
         let known = lock(&self.rows).get(path).and_then(|row| row.digest_if(&stat));
@@ -129,7 +129,7 @@ impl SourceDigests {
 }
 
 /// All files below `path` (or `path` itself, named ""), with `/`-separated relative names, sorted by name.
-/// Links are followed: a data set may well be spread over disks.
+/// Follows links, because a data set may be spread over several disks.
 fn files_below(path: &Path) -> Result<Vec<(String, PathBuf)>, SourceError> {
     let meta = match std::fs::metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(SourceError::Missing(path.to_owned())),

@@ -15,28 +15,28 @@ fn digest_is_sha256_in_hexadecimal() {
 }
 
 #[test]
-fn folder_digest_sees_names_and_contents_and_nothing_else() {
+fn folder_digest_depends_on_names_and_contents_only() {
     let root = tempfile::tempdir().unwrap();
     let folder = root.path().join("capture");
     fs::create_dir_all(folder.join("images")).unwrap();
     fs::write(folder.join("images/0.png"), "zero").unwrap();
     fs::write(folder.join("poses.json"), "{}").unwrap();
-    let fresh = || SourceDigests::load(&root.path().join("none"), false).digest(&folder).unwrap();
+    let digest = || SourceDigests::load(&root.path().join("none"), false).digest(&folder).unwrap();
 
-    let before = fresh();
+    let before = digest();
     fs::create_dir(folder.join("empty")).unwrap();
     set_modified(&folder.join("poses.json"), Duration::from_secs(5000));
-    assert_eq!(fresh(), before);
+    assert_eq!(digest(), before);
 
     fs::rename(folder.join("images/0.png"), folder.join("images/1.png")).unwrap();
-    let renamed = fresh();
+    let renamed = digest();
     assert_ne!(renamed, before);
     fs::write(folder.join("images/1.png"), "one!").unwrap();
-    assert_ne!(fresh(), renamed);
+    assert_ne!(digest(), renamed);
 }
 
 #[test]
-fn missing_source_is_told_apart() {
+fn a_missing_source_has_an_error_of_its_own() {
     let root = tempfile::tempdir().unwrap();
     let digests = SourceDigests::load(&root.path().join("cache"), false);
     let gone = root.path().join("lego");
@@ -44,30 +44,30 @@ fn missing_source_is_told_apart() {
 }
 
 #[test]
-fn cache_is_used_for_settled_files_and_distrusted_for_fresh_ones() {
+fn cache_is_trusted_for_old_files_only() {
     let root = tempfile::tempdir().unwrap();
     let (file, cache) = (root.path().join("data"), root.path().join("cache"));
     fs::write(&file, "contents").unwrap();
-    let honest = SourceDigests::load(&cache, false);
-    let digest = honest.digest(&file).unwrap();
-    fs::write(&cache, honest.changed_cache().unwrap().unwrap()).unwrap();
-    assert!(honest.changed_cache().unwrap().is_none());
+    let digests = SourceDigests::load(&cache, false);
+    let digest = digests.digest(&file).unwrap();
+    fs::write(&cache, digests.changed_cache().unwrap().unwrap()).unwrap();
+    assert!(digests.changed_cache().unwrap().is_none());
 
-    // A planted wrong digest shows whether the row is believed: ctime is now, so it must not be.
+    // A planted wrong digest shows whether the row is trusted. The file has just changed, so it must not be.
     plant(&cache, 0);
     assert_eq!(SourceDigests::load(&cache, false).digest(&file).unwrap(), digest);
-    // The same row, hashed an hour after the last change, is believed, unless told to rehash.
+    // The row of a file that was hashed an hour after its last change is trusted, unless `rehash` is set.
     plant(&cache, 3600);
     assert_ne!(SourceDigests::load(&cache, false).digest(&file).unwrap(), digest);
     assert_eq!(SourceDigests::load(&cache, true).digest(&file).unwrap(), digest);
-    // A changed file is hashed again however late the row is.
+    // A changed file is always hashed again.
     fs::write(&file, "CONTENTS").unwrap();
     let changed = SourceDigests::load(&cache, false).digest(&file).unwrap();
     assert_eq!(changed, SourceDigests::load(&cache, true).digest(&file).unwrap());
 }
 
 #[test]
-fn stat_digest_sees_a_touched_file() {
+fn stat_digest_changes_with_a_time_stamp() {
     let root = tempfile::tempdir().unwrap();
     fs::write(root.path().join("a"), "a").unwrap();
     let before = SourceDigests::stat_digest(root.path()).unwrap();
@@ -81,7 +81,7 @@ fn set_modified(path: &Path, ago: Duration) {
     File::options().write(true).open(path).unwrap().set_times(times).unwrap();
 }
 
-/// Replaces every digest in the cache by a wrong one, hashed `later_secs` after the file's last change.
+/// Replaces every digest in the cache by a wrong one that was hashed `later_secs` after the file's last change.
 fn plant(cache: &Path, later_secs: i64) {
     let mut rows: serde_json::Value = serde_json::from_slice(&fs::read(cache).unwrap()).unwrap();
     for row in rows.as_object_mut().unwrap().values_mut() {

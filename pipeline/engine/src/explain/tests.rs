@@ -20,7 +20,7 @@ fn equal_keys_have_no_difference() {
 }
 
 #[test]
-fn every_component_has_its_sentence() {
+fn every_component_has_a_sentence() {
     assert_eq!(sentences(|key| key.stage = "b".into()), ["stage training → b"]);
     assert_eq!(sentences(|key| key.environment = "gpu".into()), ["environment cpu → gpu"]);
     assert_eq!(sentences(|key| key.output.1 = 2), ["output model schema 1 → model schema 2"]);
@@ -46,9 +46,9 @@ fn inputs_are_compared_producer_by_producer() {
     assert_eq!(sentences(one), ["input capture: content changed"]);
     let many = |edit: fn(&mut Vec<KeyInput>)| sentences(|key| edit(key.inputs.get_mut("runs").unwrap()));
     assert_eq!(many(|runs| runs[1].measurements = Some("x".into())), ["input runs (scene=lego): measurements changed"]);
-    assert_eq!(many(|runs| drop(runs.remove(0))), ["input runs (scene=ball): gone"]);
-    assert_eq!(many(|runs| runs.push(KeyInput::default())), ["input runs: new"]);
-    assert_eq!(many(|runs| runs.push(runs[0].clone())), ["input runs (scene=ball again): new"]);
+    assert_eq!(many(|runs| drop(runs.remove(0))), ["input runs (scene=ball): removed"]);
+    assert_eq!(many(|runs| runs.push(KeyInput::default())), ["input runs: added"]);
+    assert_eq!(many(|runs| runs.push(runs[0].clone())), ["input runs (scene=ball again): added"]);
     assert_eq!(many(|runs| runs.swap(0, 1)), ["input runs: order changed"]);
     let failed = |runs: &mut Vec<KeyInput>| {
         runs[0] = KeyInput { content: None, failure: Some(FailureKind::Diverged), ..runs[0].clone() };
@@ -61,7 +61,7 @@ fn change(component: Component) -> Vec<Change> {
 }
 
 #[test]
-fn first_causes_are_grouped_and_their_consequences_counted() {
+fn root_causes_are_grouped_and_consequences_counted() {
     // Nodes: 0 1 captures, 2 3 trainings, 4 5 renderings, 6 the table.
     let (params, input) = (change(Component::Params), change(Component::Input));
     let both = [input.clone(), change(Component::Environment)].concat();
@@ -75,7 +75,7 @@ fn first_causes_are_grouped_and_their_consequences_counted() {
 }
 
 #[test]
-fn an_input_that_changed_without_a_cause_above_is_one() {
+fn a_changed_input_without_upstream_change_is_a_root_cause() {
     let changes = BTreeMap::from([(4, change(Component::Input)), (2, Vec::new())]);
     let expected = RootCause { nodes: vec![4], changes: change(Component::Input), consequences: 0 };
     assert_eq!(root_causes(&diamond(), &changes), [expected]);

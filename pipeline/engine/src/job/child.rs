@@ -1,7 +1,7 @@
-//! The scheduler's side: start the child, pass on its progress, and say how it ended.
+//! The scheduler's side of a job: starts the child process, forwards its progress, and determines how it ended.
 
 use std::ffi::OsString;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
@@ -10,14 +10,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context;
+use fs_err as fs;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid};
 
 use super::{JobSpec, JobStatus, Line, failure, log};
-use crate::store::naming;
 use crate::{Failure, FailureKind, Progress};
 
-/// What a job may see of the user's environment: enough to find programs, drivers and temporary space, and nothing
-/// that could change a result behind the key's back.
+/// The environment variables that a job inherits: enough to find programs, drivers and temporary space, but none that
+/// could change a result without changing its key.
 const ENVIRONMENT: [&str; 16] = [
     "PATH",
     "HOME",
@@ -40,26 +40,26 @@ const ENVIRONMENT: [&str; 16] = [
 /// How a child ended.
 #[derive(Debug)]
 pub struct Ended {
-    /// What it left, or what its death means.
+    /// The status that the child left, or the failure derived from its death.
     pub status: JobStatus,
-    /// Its largest resident memory.
+    /// The peak resident memory in bytes.
     pub peak_rss_bytes: Option<u64>,
-    /// The last lines of its log.
+    /// The last lines of the child's logs.
     pub log_tail: Vec<String>,
 }
 
-/// How urgently a child should end; later ones outdo earlier ones.
+/// The urgency of a request to stop a child, in increasing order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stop {
-    /// Save the progress and stop.
+    /// Save the progress, then stop.
     Save,
-    /// End at once, with everything it started.
+    /// Terminate the child and its descendants.
     Terminate,
-    /// Be ended.
+    /// Kill the child and its descendants.
     Kill,
 }
 
-/// A running child, for whoever wants to stop it.
+/// A handle with which other threads stop a child.
 #[derive(Clone, Debug, Default)]
 pub struct ProcessHandle {
     process: Arc<Mutex<Process>>,
@@ -69,16 +69,16 @@ pub struct ProcessHandle {
 #[derive(Debug, Default)]
 struct Process {
     pid: Option<Pid>,
-    /// Kept, since it may be asked for before the process is there.
+    /// Stored, because the request may precede the process.
     stop: Option<Stop>,
 }
 
 impl Process {
     fn send(&self) {
         let (Some(pid), Some(stop)) = (self.pid, self.stop) else { return };
-        // Fails only if the process has ended already, which is what was wanted.
+        // Fails only if the process has already ended, which is the goal.
         let _ = match stop {
-            // Not INT, which a shell has processes in the background ignore: a job that does not listen yet would never stop.
+            // Not INT: shells make background processes ignore it, so a job without its handler yet would never stop.
             Stop::Save => kill_process(pid, Signal::USR1),
             Stop::Terminate => kill_process_group(pid, Signal::TERM),
             Stop::Kill => kill_process_group(pid, Signal::KILL),
@@ -87,21 +87,21 @@ impl Process {
 }
 
 impl ProcessHandle {
-    /// Asks the child to stop, now or as soon as it is there.
+    /// Requests the child to stop, now or as soon as it has started.
     pub fn stop(&self, stop: Stop) {
-        // The lock is held while sending: the id cannot be reaped and given to another process meanwhile.
+        // The lock is held while sending, so that the process cannot be reaped and its id reused.
         let mut process = self.lock();
         process.stop = process.stop.max(Some(stop));
         process.send();
     }
 
-    /// Notes that what follows is due to the time limit.
+    /// Marks the child as past its time limit.
     pub fn mark_timed_out(&self) {
         self.timed_out.store(true, Ordering::SeqCst);
     }
 
-    /// Whether it was asked to stop.
-    pub fn told_to_stop(&self) -> bool {
+    /// Whether a stop was requested.
+    pub fn stop_requested(&self) -> bool {
         self.lock().stop.is_some()
     }
 
@@ -120,10 +120,10 @@ impl ProcessHandle {
     }
 }
 
-/// Runs one job in a child process and waits for it.
+/// Runs one job in a child process and waits until it ends.
 ///
-/// `command` is the program and its first arguments; the path of the job's specification is appended. `lock` becomes
-/// the child's standard input: the lock then lives as long as the child, even if this process dies first.
+/// `command` is the program and its first arguments; the path of the job's specification is appended. `lock` becomes the
+/// child's standard input, so that the child holds the lock even if this process dies first.
 pub fn supervise(
     command: &[OsString],
     spec: &JobSpec,
@@ -131,20 +131,18 @@ pub fn supervise(
     handle: &ProcessHandle,
     on_progress: &(dyn Fn(Progress) + Sync),
 ) -> anyhow::Result<Ended> {
-    fs::create_dir_all(&spec.dir).map_err(naming(&spec.dir)).context("cannot make the job's folder")?;
+    fs::create_dir_all(&spec.dir).context("cannot create the job's folder")?;
     let spec_file = spec.dir.join("job.json");
-    fs::write(&spec_file, serde_json::to_vec_pretty(spec)?)
-        .map_err(naming(&spec_file))
-        .context("cannot write the job")?;
+    fs::write(&spec_file, serde_json::to_vec_pretty(spec)?).context("cannot write the job")?;
     let memory_kills = failure::kernel_memory_kills();
     let mut child = start(command, spec, &spec_file, lock)?;
     let pid = Pid::from_child(&child);
     handle.has_started(pid);
     let stdout = child.stdout.take().context("the child has no output")?;
     let (exit, peak_rss_bytes) = std::thread::scope(|scope| {
-        let reader = scope.spawn(|| pass_on(stdout, &spec.dir.join("stdout"), on_progress));
+        let reader = scope.spawn(|| forward_output(stdout, &spec.dir.join("stdout"), on_progress));
         let ended = reap(pid, handle);
-        // Losing lines of a stage's own output is no reason to fail its job.
+        // Lost lines of a stage's own output do not fail the job.
         let _ = reader.join();
         ended
     })?;
@@ -153,12 +151,12 @@ pub fn supervise(
         signal: exit.signal(),
         code: exit.code(),
         timed_out: handle.timed_out.load(Ordering::SeqCst),
-        told_to_stop: handle.told_to_stop(),
+        stop_requested: handle.stop_requested(),
         kernel_killed_for_memory: failure::kernel_memory_kills() > memory_kills,
         log_tail: &log_tail,
     };
     let status = read_status(&spec.dir).unwrap_or_else(|| JobStatus::Failed(failure::of_death(&death)));
-    Ok(Ended { status: blame_limit(status, death.timed_out), peak_rss_bytes, log_tail })
+    Ok(Ended { status: apply_time_limit(status, death.timed_out), peak_rss_bytes, log_tail })
 }
 
 fn start(command: &[OsString], spec: &JobSpec, spec_file: &Path, lock: &File) -> anyhow::Result<std::process::Child> {
@@ -173,21 +171,21 @@ fn start(command: &[OsString], spec: &JobSpec, spec_file: &Path, lock: &File) ->
         .process_group(0)
         .stdin(lock.try_clone()?)
         .stdout(Stdio::piped())
-        .stderr(File::create(spec.dir.join("stderr"))?)
+        .stderr(fs::File::create(spec.dir.join("stderr"))?.into_parts().0)
         .spawn()
         .with_context(|| format!("cannot start {}", program.display()))
 }
 
-/// Waits for the child's end, ends whatever it started, and reaps it: exit status and peak memory in bytes.
+/// Waits for the child, kills its descendants, and reaps it. Returns the exit status and the peak memory in bytes.
 fn reap(pid: Pid, handle: &ProcessHandle) -> io::Result<(ExitStatus, Option<u64>)> {
-    // First wait without reaping, so that the id stays ours until nobody can signal it any more.
+    // First wait without reaping, so that the id is not reused while the handle can still signal it.
     while let Err(error) = waitid(WaitId::Pid(pid), WaitIdOptions::EXITED | WaitIdOptions::NOWAIT) {
         if error != rustix::io::Errno::INTR {
             return Err(error.into());
         }
     }
     handle.has_ended();
-    // Fails if the group is empty, as it usually is.
+    // Fails if the group is empty, which is the usual case.
     let _ = kill_process_group(pid, Signal::KILL);
     let mut status = 0;
     // SAFETY: an all-zero rusage is a valid value of this plain C struct, and both pointers outlive the call.
@@ -198,13 +196,13 @@ fn reap(pid: Pid, handle: &ProcessHandle) -> io::Result<(ExitStatus, Option<u64>
     if reaped < 0 {
         return Err(io::Error::last_os_error());
     }
-    // Linux counts in KiB, macOS in bytes.
+    // Linux reports KiB, macOS bytes.
     let unit = if cfg!(target_os = "macos") { 1 } else { 1024 };
     Ok((ExitStatus::from_raw(status), u64::try_from(usage.ru_maxrss).ok().map(|size| size * unit)))
 }
 
-/// Passes on progress; any other line that the stage prints goes to a file.
-fn pass_on(stdout: impl io::Read, file: &Path, on_progress: &(dyn Fn(Progress) + Sync)) -> io::Result<()> {
+/// Forwards progress. Any other line that the stage prints goes to a file.
+fn forward_output(stdout: impl io::Read, file: &Path, on_progress: &(dyn Fn(Progress) + Sync)) -> io::Result<()> {
     let mut others = None;
     for line in BufReader::new(stdout).split(b'\n') {
         let line = line?;
@@ -212,7 +210,7 @@ fn pass_on(stdout: impl io::Read, file: &Path, on_progress: &(dyn Fn(Progress) +
             Ok(Line::Progress(progress)) => on_progress(progress),
             Err(_) => {
                 if others.is_none() {
-                    others = Some(File::create(file)?);
+                    others = Some(fs::File::create(file)?);
                 }
                 if let Some(others) = &mut others {
                     others.write_all(&line)?;
@@ -228,11 +226,11 @@ fn read_status(dir: &Path) -> Option<JobStatus> {
     serde_json::from_slice(&fs::read(dir.join("status.json")).ok()?).ok()
 }
 
-/// A job that stopped because its time was up did not stop on request.
-fn blame_limit(status: JobStatus, timed_out: bool) -> JobStatus {
+/// A job that was interrupted because of its time limit has the failure of a timeout.
+fn apply_time_limit(status: JobStatus, timed_out: bool) -> JobStatus {
     match status {
         JobStatus::Failed(failure) if timed_out && failure.kind == FailureKind::Interrupted => {
-            let message = "ran past its time limit; its progress is saved";
+            let message = "exceeded its time limit; its progress is saved";
             JobStatus::Failed(Failure::new(FailureKind::Timeout, message).hint("run again to continue"))
         }
         other => other,

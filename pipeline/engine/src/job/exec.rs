@@ -1,7 +1,6 @@
-//! The child's side: read the inputs, run the stage, publish, leave a status.
+//! The child's side of a job: reads the inputs, runs the stage, publishes the artifact, writes a status.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io::{self, Write};
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
@@ -11,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Context;
+use fs_err as fs;
 use serde_json::{Value, json};
 
 use super::{InputSpec, JobSpec, JobStatus, Line, failure, log, machine, signals};
@@ -18,17 +18,17 @@ use crate::digest::SourceDigests;
 use crate::store::{ActionRecord, Provenance, Publication, Store};
 use crate::{ActionKey, AnyStage, Failure, FailureKind, InputRecord, JobContext, Progress, Registry, exit};
 
-/// Progress is reported at most this often: faster than the eye, slower than any pipe.
+/// The minimum time between two progress reports.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
-/// A job whose scheduler died has so long to save its progress.
+/// The time that a job has to save its progress after its scheduler died.
 const ORPHAN_GRACE: Duration = Duration::from_secs(30);
 
 /// Runs the job described in `spec_file` and returns the process's exit code (see [`exit`]).
 ///
-/// The outcome is in `status.json` beside the specification; an error means that not even that could be written.
+/// The outcome is in `status.json` beside the specification. An error means that it could not be written.
 pub fn execute(spec_file: &Path, registry: &Registry) -> anyhow::Result<u8> {
     let spec: JobSpec = serde_json::from_slice(&fs::read(spec_file).context("cannot read the job")?)?;
-    let stop = signals::stop_flag().context("cannot listen to signals")?;
+    let stop = signals::stop_flag().context("cannot install signal handlers")?;
     stop_with_parent(spec.parent_pid, &stop)?;
     log::init(&spec.dir, &spec.log_filter)?;
     log_panics();
@@ -50,10 +50,10 @@ pub fn execute(spec_file: &Path, registry: &Registry) -> anyhow::Result<u8> {
 
 fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -> anyhow::Result<JobStatus> {
     let store = Store::open(&spec.store)?;
-    // Held until the end, so that nobody sweeps the scratch folder away.
+    // Held until the end, so that no other process removes the scratch folder.
     let _in_use = store.lock_shared()?;
     let key = ActionKey::new(&spec.components);
-    let scratch = store.scratch("job").context("cannot make a scratch folder")?;
+    let scratch = store.scratch("job").context("cannot create a scratch folder")?;
     let context = job_context(spec, &store, &key, scratch.path(), stop)?;
     let stage = registry.get(&spec.components.stage);
     let stage = stage.with_context(|| format!("this program has no stage {}", spec.components.stage))?;
@@ -87,16 +87,16 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
     }
 }
 
-/// Refuses to run with other code than the key names: the program may have been built anew since the plan was made.
+/// Refuses to run if the code differs from the key's: the program may have been rebuilt since the plan was made.
 fn check_code(spec: &JobSpec, registry: &Registry, stage: &dyn AnyStage) -> anyhow::Result<()> {
     if registry.code(stage.id(), &spec.unused_sources) == spec.components.code {
         return Ok(());
     }
-    let changed = Failure::new(FailureKind::World, "the program was built anew while the run was going on");
+    let changed = Failure::new(FailureKind::World, "the pipeline binary was rebuilt during this run");
     Err(changed.hint("run again").into())
 }
 
-/// Writes the action record, unless a source moved under the job or somebody else's record was first.
+/// Writes the action record, unless a source changed during the job or another process's record was first.
 fn commit(
     spec: &JobSpec,
     store: &Store,
@@ -126,7 +126,7 @@ fn commit(
             note: (first.content != content)
                 .then(|| "another run finished first with a different result; the first one is kept".into()),
         }),
-        _ => anyhow::bail!("the store has an unusable record of this very job; run again"),
+        _ => anyhow::bail!("the store has an unusable record of this job; run again"),
     }
 }
 
@@ -150,8 +150,6 @@ fn job_context(
     let sources = spec.sources.iter().map(|(name, source)| (name.clone(), source.path.clone())).collect();
     Ok(JobContext {
         name: spec.node.clone(),
-        coordinates: spec.coordinates.clone(),
-        action_key: key.to_string(),
         threads: spec.threads,
         device: spec.device.clone(),
         profile: spec.profile,
@@ -180,7 +178,7 @@ fn input_record(store: &Store, input: &InputSpec) -> anyhow::Result<InputRecord>
     })
 }
 
-/// Writes progress as JSON lines to standard output: not too often, but the last step always.
+/// Writes progress as JSON lines to standard output, at limited frequency; the last step is always written.
 fn progress_printer() -> impl Fn(Progress) + Send + Sync {
     let last: Mutex<Option<Instant>> = Mutex::new(None);
     move |progress| {
@@ -191,13 +189,13 @@ fn progress_printer() -> impl Fn(Progress) + Send + Sync {
         }
         *last = Some(Instant::now());
         if let Ok(line) = serde_json::to_string(&Line::Progress(progress)) {
-            // Nobody may be listening any more: then progress is of no interest, and the job goes on.
+            // Fails if the scheduler is gone; the job continues.
             let _ = writeln!(io::stdout().lock(), "{line}");
         }
     }
 }
 
-/// Asks the job to stop when the scheduler dies, however it dies, and ends it if it does not.
+/// Requests the job to stop when the scheduler dies, and ends the process if it does not.
 fn stop_with_parent(parent_pid: u32, stop: &Arc<AtomicBool>) -> anyhow::Result<()> {
     #[cfg(target_os = "linux")]
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))?;
@@ -215,7 +213,7 @@ fn stop_with_parent(parent_pid: u32, stop: &Arc<AtomicBool>) -> anyhow::Result<(
     Ok(())
 }
 
-/// Panics go to the log with a backtrace, besides standard error.
+/// Logs panics with a backtrace, in addition to the message on standard error.
 fn log_panics() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
@@ -224,7 +222,7 @@ fn log_panics() {
     }));
 }
 
-/// The largest resident set of this very process image; `None` where the system has no `/proc`.
+/// The peak resident memory of this process in bytes; `None` on systems without `/proc`.
 fn peak_rss_bytes() -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let kibibytes = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix("kB")?;

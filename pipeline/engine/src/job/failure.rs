@@ -1,12 +1,12 @@
-//! From errors, panics and dead processes to typed failures.
+//! Derives typed failures from errors, panics and dead processes.
 
 use std::any::Any;
 use std::io;
 
 use crate::{Failure, FailureKind};
 
-/// The failure that an error of a stage stands for: the first typed [`Failure`] in its chain with the context above
-/// it, or else `World` for an I/O error and `BadInput` for anything else.
+/// The failure of a stage's error: the first typed [`Failure`] in its chain, with the context above it; otherwise `World`
+/// for an I/O error and `BadInput` for any other error.
 pub(super) fn of_error(error: &anyhow::Error) -> Failure {
     let mut context = Vec::new();
     for cause in error.chain() {
@@ -22,21 +22,27 @@ pub(super) fn of_error(error: &anyhow::Error) -> Failure {
     Failure::new(if io_error { FailureKind::World } else { FailureKind::BadInput }, context.join(": "))
 }
 
-/// The failure that a panic stands for.
+/// The failure of a panic.
 pub(super) fn of_panic(payload: &(dyn Any + Send)) -> Failure {
     let text = payload.downcast_ref::<&str>().copied();
     let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message");
     Failure::new(FailureKind::Crashed, format!("panicked: {text}")).hint("this is a bug; the log has a backtrace")
 }
 
-/// What is known of a child that left no status.
+/// The circumstances of a child's death without a status.
 pub(super) struct Death<'a> {
-    pub signal: Option<i32>,
-    pub code: Option<i32>,
-    pub timed_out: bool,
-    pub told_to_stop: bool,
-    pub kernel_killed_for_memory: bool,
-    pub log_tail: &'a [String],
+    /// The signal that ended the child.
+    pub(super) signal: Option<i32>,
+    /// The exit code.
+    pub(super) code: Option<i32>,
+    /// Whether the child was past its time limit.
+    pub(super) timed_out: bool,
+    /// Whether the child was requested to stop.
+    pub(super) stop_requested: bool,
+    /// Whether the kernel killed any process for lack of memory while the child ran.
+    pub(super) kernel_killed_for_memory: bool,
+    /// The last lines of the child's logs.
+    pub(super) log_tail: &'a [String],
 }
 
 /// The failure of a child that left no status.
@@ -44,9 +50,9 @@ pub(super) fn of_death(death: &Death<'_>) -> Failure {
     let out_of_memory =
         |message: &str| Failure::new(FailureKind::OutOfMemory, message).hint("run fewer jobs at once with --jobs 1");
     if death.timed_out {
-        return Failure::new(FailureKind::Timeout, "ran past its time limit and was stopped");
+        return Failure::new(FailureKind::Timeout, "exceeded its time limit and was stopped");
     }
-    if death.told_to_stop {
+    if death.stop_requested {
         return Failure::new(FailureKind::Interrupted, "stopped on request before it saved its progress");
     }
     if death.log_tail.iter().any(|line| line.starts_with("memory allocation of")) {
@@ -64,7 +70,7 @@ pub(super) fn of_death(death: &Death<'_>) -> Failure {
     }
 }
 
-/// How many processes the kernel has killed for lack of memory since it booted; 0 where it does not tell.
+/// The number of processes that the kernel has killed for lack of memory since it booted; 0 if it is unknown.
 pub(super) fn kernel_memory_kills() -> u64 {
     let vmstat = std::fs::read_to_string("/proc/vmstat").unwrap_or_default();
     let count = vmstat.lines().find_map(|line| line.strip_prefix("oom_kill "));
@@ -82,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn typed_failure_is_found_below_its_context() {
+    fn a_typed_failure_keeps_the_context_above_it() {
         let failure = Failure::new(FailureKind::Diverged, "loss is NaN").hint("lower the rate");
         let error = Err::<(), _>(failure).context("iteration 7").context("fine stage").unwrap_err();
         let found = of_error(&error);
@@ -91,26 +97,26 @@ mod tests {
     }
 
     #[test]
-    fn untyped_errors_are_the_input_or_the_world() {
+    fn untyped_errors_are_bad_input_or_the_machine() {
         let full = anyhow::Error::from(io::Error::from(io::ErrorKind::StorageFull)).context("cannot write");
         assert_eq!(of_error(&full).kind, FailureKind::World);
         assert_eq!(of_error(&anyhow::anyhow!("two poses")).kind, FailureKind::BadInput);
     }
 
     #[test]
-    fn deaths_are_told_apart() {
+    fn deaths_have_distinct_kinds() {
         let death = Death {
             signal: Some(libc::SIGKILL),
             code: None,
             timed_out: false,
-            told_to_stop: false,
+            stop_requested: false,
             kernel_killed_for_memory: false,
             log_tail: &[],
         };
         let kind = |death: Death<'_>| of_death(&death).kind;
         assert_eq!(kind(Death { kernel_killed_for_memory: true, ..death }), FailureKind::OutOfMemory);
         assert_eq!(kind(Death { timed_out: true, ..death }), FailureKind::Timeout);
-        assert_eq!(kind(Death { told_to_stop: true, ..death }), FailureKind::Interrupted);
+        assert_eq!(kind(Death { stop_requested: true, ..death }), FailureKind::Interrupted);
         let aborted = ["memory allocation of 64 bytes failed".to_owned()];
         let abort = Death { signal: Some(libc::SIGABRT), log_tail: &aborted, ..death };
         assert_eq!(kind(abort), FailureKind::OutOfMemory);

@@ -1,4 +1,4 @@
-//! The files that a job writes for people.
+//! The log files of a job.
 
 use std::fs;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -7,15 +7,16 @@ use std::path::Path;
 use anyhow::Context;
 use tracing_subscriber::EnvFilter;
 
-/// Sends this process's tracing to the file `log` in `dir`.
+/// Directs this process's tracing output to the file `log` in `dir`.
 pub(super) fn init(dir: &Path, filter: &str) -> anyhow::Result<()> {
-    let file = fs::File::options().create(true).append(true).open(dir.join("log")).context("cannot open the log")?;
-    let filter = EnvFilter::try_new(filter).with_context(|| format!("not a log filter: {filter}"))?;
+    let file = fs_err::OpenOptions::new().create(true).append(true).open(dir.join("log"));
+    let file = file.context("cannot open the log")?.into_parts().0;
+    let filter = EnvFilter::try_new(filter).with_context(|| format!("invalid log filter: {filter}"))?;
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(file).init();
     Ok(())
 }
 
-/// Whether jobs would understand `filter`; the error says what is wrong.
+/// Checks the syntax of a log filter; the error is the parser's message.
 pub fn check_filter(filter: &str) -> Result<(), String> {
     EnvFilter::builder().parse(filter).map(|_| ()).map_err(|error| error.to_string())
 }

@@ -1,4 +1,4 @@
-//! What a job's times were measured on, and the program that it ran, for whoever reads a table of seconds.
+//! A description of the machine and the program, which is stored with a job's measured times.
 
 use std::fs;
 
@@ -6,9 +6,9 @@ use serde_json::{Value, json};
 
 use crate::Registry;
 
-/// The processor, its threads, the memory, the system, and what the program was built from and with; what the system
-/// does not tell is null.
-pub fn card(registry: &Registry) -> Value {
+/// The processor, its threads, the memory, the operating system, and the sources and compiler of the program. Unknown
+/// values are null.
+pub(super) fn card(registry: &Registry) -> Value {
     let system = rustix::system::uname();
     let [name, release, architecture] =
         [system.sysname(), system.release(), system.machine()].map(|text| text.to_string_lossy().into_owned());
@@ -24,7 +24,7 @@ pub fn card(registry: &Registry) -> Value {
     })
 }
 
-/// Physical cores: distinct pairs of socket and core.
+/// The number of physical cores: distinct pairs of socket and core.
 fn cores() -> Option<usize> {
     let text = fs::read_to_string("/proc/cpuinfo").ok()?;
     let of = |processor: &str, key: &str| value_of(processor, key);
@@ -42,7 +42,7 @@ fn first_value(path: &str, key: &str) -> Option<String> {
     value_of(&fs::read_to_string(path).ok()?, key)
 }
 
-/// The value of the first line `key : value`.
+/// The value in the first line of the form `key : value`.
 fn value_of(text: &str, key: &str) -> Option<String> {
     let pairs = text.lines().filter_map(|line| line.split_once(':'));
     let value = pairs.into_iter().find(|(name, _)| name.trim() == key)?.1.trim();
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_found_by_their_whole_key() {
+    fn values_are_found_by_whole_keys() {
         let text = "processor\t: 0\nmodel\t\t: 85\nmodel name\t: A: B\ncore id\t:\n";
         assert_eq!(value_of(text, "model name").as_deref(), Some("A: B"));
         assert_eq!(value_of(text, "model").as_deref(), Some("85"));

@@ -1,4 +1,4 @@
-//! One job: one child process of the same binary, watched by one thread of the scheduler.
+//! Jobs: each is a child process of the same binary, supervised by one thread of the scheduler.
 
 mod child;
 mod exec;
@@ -20,7 +20,7 @@ pub use exec::execute;
 pub use log::check_filter as check_log_filter;
 pub use signals::StopRequests;
 
-/// Everything that a child needs to know, written to `job.json` in the job's folder.
+/// The specification of a job for its child process, written to `job.json` in the job's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct JobSpec {
     /// The store's folder.
@@ -35,74 +35,74 @@ pub struct JobSpec {
     pub plan_id: String,
     /// The node's axis values.
     pub coordinates: Coordinates,
-    /// What the result depends on; its digest is the action key.
+    /// Everything that the result depends on; the digest is the action key.
     pub components: KeyComponents,
-    /// The sources below the stage that cannot influence the result.
+    /// The sources of workspace crates that cannot influence the result.
     pub unused_sources: UnusedSources,
-    /// Producers by port.
+    /// The producers on each port.
     pub inputs: BTreeMap<String, Vec<InputSpec>>,
-    /// Sources by name.
+    /// The sources by name.
     pub sources: BTreeMap<String, SourceSpec>,
-    /// Threads that the job may use.
+    /// The number of threads that the job may use.
     pub threads: usize,
-    /// The device that it computes on.
+    /// The device that the job computes on.
     pub device: String,
-    /// What the run's jobs compute on that compute on a device.
+    /// The device class of the run, for jobs that compute on a device.
     pub device_of_run: DeviceClass,
-    /// Whether it measures closely.
+    /// Whether to profile the job.
     pub profile: bool,
     /// Whether the result replaces an earlier record of the same key (`--force`).
     pub replace: bool,
-    /// Filter of the job's log, as `info` or `training=debug`.
+    /// The filter of the job's log, e.g. `info` or `training=debug`.
     pub log_filter: String,
-    /// Where logs and status go.
+    /// The folder for logs and status.
     pub dir: PathBuf,
-    /// The scheduler's process: when it is gone, the job stops too.
+    /// The id of the scheduler's process. The job stops when that process dies.
     pub parent_pid: u32,
 }
 
-/// A producer as the child finds it.
+/// A producer on one of the job's ports.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct InputSpec {
     /// The producer's node name.
     pub producer: String,
     /// The producer's axis values.
     pub coordinates: Coordinates,
-    /// The digest of its artifact, or why there is none.
+    /// The digest of the artifact, or the failure of the producer.
     pub artifact: Result<Digest, Failure>,
-    /// The digest of its measurements, if the port reads them.
+    /// The digest of the measurements, if the port reads or relays them.
     pub measurements: Option<Digest>,
-    /// Its action key; empty if it has none.
+    /// The action key; empty if the producer has none.
     pub action_key: String,
 }
 
-/// A source as it was when it was digested.
+/// A source, in the state in which it was digested.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SourceSpec {
-    /// Absolute.
+    /// The absolute path.
     pub path: PathBuf,
-    /// What `stat` said of all its files; compared after the job.
+    /// The `stat` digest of all files, which is compared again after the job.
     pub stat: Digest,
 }
 
-/// What the child leaves in `status.json`.
+/// The status of a finished job, which the child writes to `status.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum JobStatus {
-    /// The artifact is in the store.
+    /// The job published its artifact.
     Published {
         /// The digest of the artifact.
         content: Digest,
         /// The digest of the measurements.
         measurements: Digest,
-        /// Something that the user should know, as "not recorded: the source changed".
+        /// A remark for the user, e.g. "not recorded: the source changed".
         note: Option<String>,
     },
-    /// There is no artifact.
+    /// The job failed.
     Failed(Failure),
 }
 
-/// One line on the child's standard output.
+/// A line that the child writes to its standard output.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Line {

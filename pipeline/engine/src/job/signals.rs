@@ -1,4 +1,4 @@
-//! Requests to stop, from signals.
+//! Stop requests from signals.
 
 use std::io;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGPIPE, SIGTERM, SIGUSR1};
 use signal_hook::flag;
 use signal_hook::iterator::Signals;
 
-/// How often the user asked the scheduler to stop, and with which signal last.
+/// The number of stop requests to the scheduler, and the signal of the last one.
 #[derive(Clone, Debug, Default)]
 pub struct StopRequests {
     count: Arc<AtomicUsize>,
@@ -16,7 +16,7 @@ pub struct StopRequests {
 }
 
 impl StopRequests {
-    /// Counts INT, TERM and HUP of this process from now on.
+    /// Starts to count the signals INT, TERM and HUP of this process.
     pub fn listen() -> io::Result<Self> {
         let requests = Self::default();
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
@@ -29,23 +29,23 @@ impl StopRequests {
         Ok(requests)
     }
 
-    /// Asks once more.
+    /// Adds a request with this signal.
     pub fn request(&self, signal: i32) {
         self.signal.store(usize::try_from(signal).unwrap_or(0), Ordering::SeqCst);
         self.count.fetch_add(1, Ordering::SeqCst);
     }
 
-    /// How often stopping was asked for.
+    /// The number of requests.
     pub fn count(&self) -> usize {
         self.count.load(Ordering::SeqCst)
     }
 
-    /// Asks to stop since nobody reads the output any more.
+    /// Adds a request because the reader of the program's output has closed it.
     pub fn reader_is_gone(&self) {
         self.request(SIGPIPE);
     }
 
-    /// What asked last: `INT`, `TERM` or `PIPE`.
+    /// The signal of the last request: `INT`, `TERM` or `PIPE`.
     pub fn last_signal(&self) -> &'static str {
         match i32::try_from(self.signal.load(Ordering::SeqCst)) {
             Ok(SIGTERM) => "TERM",
@@ -55,10 +55,10 @@ impl StopRequests {
     }
 }
 
-/// In a job: the first INT, TERM, USR1 or HUP sets the flag; a TERM after that ends the process at once.
+/// The stop flag of a job. The first INT, TERM, USR1 or HUP sets it; a later TERM ends the process at once.
 pub(super) fn stop_flag() -> io::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
-    // Registered first, so that a single TERM finds the flag still unset.
+    // Registered first, so that this handler sees the flag unset at the first TERM.
     flag::register_conditional_shutdown(SIGTERM, crate::exit::TERMINATED.into(), Arc::clone(&stop))?;
     for signal in [SIGINT, SIGTERM, SIGUSR1, SIGHUP] {
         flag::register(signal, Arc::clone(&stop))?;

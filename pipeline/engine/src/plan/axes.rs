@@ -1,32 +1,32 @@
-//! Whether every axis makes a difference.
+//! Idle axes: axes whose values make no difference.
 
 use std::collections::BTreeSet;
 use std::fmt;
 
 use super::{Node, Plan};
 
-/// An axis whose values are one and the same job, so that seeds, say, would agree to the last digit.
+/// An axis whose values all give the same job: seeds, for example, would agree to the last digit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IdleAxis {
-    /// The axis.
+    /// The axis's name.
     pub axis: String,
-    /// Two jobs that differ in nothing but its value.
+    /// The names of two equal jobs that differ only in the value of this axis.
     pub jobs: [String; 2],
 }
 
 impl fmt::Display for IdleAxis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { axis, jobs: [one, other] } = self;
-        write!(f, "axis `{axis}` changes nothing: {one} and {other} are one job")
+        write!(f, "axis `{axis}` changes nothing: {one} and {other} are the same job")
     }
 }
 
 impl Plan {
-    /// The axes that reach no parameter and no input of a node that is expanded over them, each with the first such node.
+    /// The axes that change no parameter and no input of some node that is expanded over them, each with the first such
+    /// node.
     pub fn idle_axes(&self) -> Vec<IdleAxis> {
         let mut idle = Vec::<IdleAxis>::new();
         let mut seen = BTreeSet::new();
-        // Producers come first in a plan.
         for first in self.nodes.iter().filter(|node| seen.insert(&node.template)) {
             let nodes: Vec<&Node> = self.nodes.iter().filter(|node| node.template == first.template).collect();
             for axis in first.coordinates.keys() {
@@ -38,7 +38,7 @@ impl Plan {
     }
 }
 
-/// Two of the nodes that differ in the axis alone, if all such pairs are one job each.
+/// Two nodes that differ only in the axis, if the nodes of every such pair are the same job.
 fn idle_pair(nodes: &[&Node], axis: &str) -> Option<[String; 2]> {
     let differ_in_axis = |a: &Node, b: &Node| {
         a.coordinates.iter().all(|(name, value)| (b.coordinates.get(name) == Some(value)) != (name == axis))

@@ -1,23 +1,23 @@
-//! Selecting nodes by name: `train`, `train/lego`, `train/*/mcgs*`.
+//! Selects nodes by patterns of names, e.g. `train`, `train/lego`, `train/*/mcgs*`.
 
 use std::collections::BTreeSet;
 
-use crate::recipe::nearest;
-
 use super::Plan;
+use crate::suggest::nearest;
 
-/// A pattern that selects no node.
+/// The error for a pattern that matches no node.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no job matches `{pattern}`{}", .nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default())]
 pub struct NothingSelected {
-    /// The pattern as given.
+    /// The pattern.
     pub pattern: String,
-    /// The name that comes closest.
+    /// The most similar name, if any is similar.
     pub nearest: Option<String>,
 }
 
 impl Plan {
-    /// The nodes whose names match any of `patterns` (all nodes if there are none); a pattern without a match is an error.
+    /// The nodes whose names match any of `patterns`; all nodes if there are no patterns. A pattern without a match is an
+    /// error.
     pub fn select(&self, patterns: &[String]) -> Result<BTreeSet<usize>, NothingSelected> {
         if patterns.is_empty() {
             return Ok((0..self.nodes.len()).collect());
@@ -36,8 +36,7 @@ impl Plan {
     }
 }
 
-/// Whether `name` matches: the pattern's `/`-separated parts match the first parts of the name, each with
-/// `*` for any characters and `?` for one.
+/// Whether the pattern's `/`-separated parts match the first parts of `name`. `*` matches any characters, `?` one.
 pub fn matches_pattern(pattern: &str, name: &str) -> bool {
     let mut parts = name.split('/');
     pattern.trim_end_matches('/').split('/').all(|wanted| parts.next().is_some_and(|part| matches_part(wanted, part)))
@@ -47,7 +46,7 @@ fn matches_part(pattern: &str, text: &str) -> bool {
     let mut rest = pattern.chars();
     match rest.next() {
         None => text.is_empty(),
-        // A star takes the empty string or one character more.
+        // Try every suffix of the text.
         Some('*') => {
             text.char_indices().map(|(at, _)| at).chain([text.len()]).any(|at| matches_part(rest.as_str(), &text[at..]))
         }

@@ -1,4 +1,4 @@
-//! Everything that is wrong with a recipe, at once, each with its place.
+//! The errors of a recipe: all of them at once, each with its place.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -7,24 +7,24 @@ use serde::Serialize;
 
 use super::places::{Place, Texts};
 
-/// One thing that is wrong with a recipe.
+/// One error of a recipe.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RecipeError {
-    /// The file, or `-s` for an override.
+    /// The file, or the option (e.g. `-s`) for an override.
     pub file: PathBuf,
-    /// From 1.
+    /// The line number, from 1.
     pub line: usize,
-    /// In characters, from 1.
+    /// The column in characters, from 1.
     pub column: usize,
-    /// The dotted key concerned, as `nodes.train.params.iterations`; empty if none is.
+    /// The dotted key, e.g. `nodes.train.params.iterations`; empty if the error concerns no key.
     pub key: String,
-    /// What is wrong, lower case, without a full stop.
+    /// The problem, in lower case, without a full stop.
     pub message: String,
-    /// What to do about it: the nearest valid name, the names allowed.
+    /// Advice, e.g. the nearest valid name and all allowed names.
     pub hint: Option<String>,
-    /// The line concerned.
+    /// The text of the line.
     pub source_line: String,
-    /// Characters to mark, from `column` on.
+    /// Number of characters to mark, starting at `column`.
     pub width: usize,
 }
 
@@ -64,13 +64,19 @@ impl fmt::Display for RecipeError {
 /// Collects errors while a recipe is read and resolved.
 #[derive(Default)]
 pub(crate) struct Report {
-    pub texts: Texts,
+    pub(super) texts: Texts,
     errors: Vec<(Place, RecipeError)>,
 }
 
 impl Report {
-    /// Adds an error; the same one counts once, whatever jobs and nodes it concerns.
-    pub fn add(&mut self, place: &Place, key: impl Into<String>, message: impl Into<String>, hint: Option<String>) {
+    /// Adds an error. Errors with the same place and message count once, even if several jobs or nodes have them.
+    pub(super) fn add(
+        &mut self,
+        place: &Place,
+        key: impl Into<String>,
+        message: impl Into<String>,
+        hint: Option<String>,
+    ) {
         let (line, column, source_line) = self.texts.line(place);
         let left = source_line.chars().count().saturating_sub(column - 1);
         let text = self.texts.get(place.text);
@@ -91,22 +97,22 @@ impl Report {
         }
     }
 
-    /// Whether there is an error about `key` at `place` already.
-    pub fn has(&self, place: &Place, key: &str) -> bool {
+    /// Whether an error about `key` at `place` is already in the report.
+    pub(super) fn has(&self, place: &Place, key: &str) -> bool {
         self.errors.iter().any(|(known, error)| known == place && error.key == key)
     }
 
-    /// Whether there is an error about `key` anywhere already.
-    pub fn concerns(&self, key: &str) -> bool {
+    /// Whether any error about `key` is already in the report.
+    pub(super) fn concerns(&self, key: &str) -> bool {
         self.errors.iter().any(|(_, error)| error.key == key)
     }
 
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.errors.is_empty()
     }
 
-    /// The errors so far, or the value.
-    pub fn finish<T>(mut self, value: Option<T>) -> Result<T, RecipeErrors> {
+    /// The value, or the errors if there are any.
+    pub(super) fn finish<T>(mut self, value: Option<T>) -> Result<T, RecipeErrors> {
         self.errors.sort_by_key(|(place, _)| *place);
         let errors: Vec<RecipeError> = self.errors.into_iter().map(|(_, error)| error).collect();
         match value {
@@ -116,15 +122,7 @@ impl Report {
     }
 }
 
-/// "did you mean `x`? allowed: x, y", from what the user wrote and what would have been right.
-pub(crate) fn names_hint<'a>(wrong: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<String> {
-    let allowed: Vec<&str> = allowed.into_iter().collect();
-    let list = match allowed.is_empty() {
-        true => "none is allowed here".into(),
-        false => format!("allowed: {}", allowed.join(", ")),
-    };
-    match super::nearest(wrong, allowed.iter().copied()) {
-        Some(name) => Some(format!("did you mean `{name}`? {list}")),
-        None => Some(list),
-    }
+/// "a → b → a".
+pub(super) fn join_arrows(names: impl Iterator<Item = String>) -> String {
+    names.collect::<Vec<_>>().join(" → ")
 }

@@ -1,41 +1,43 @@
-//! From a template to its jobs: one per combination of axis values, with the parameters of each.
+//! Expands a template into jobs: one per combination of axis values, each with its parameters.
 
 use serde_json::Value;
 
-use super::errors::{Report, names_hint};
+use super::errors::Report;
 use super::raw::{AxisValue, Like, RawRecipe, Template};
 use super::tree::{self, Item, Table, Tree};
 use crate::Coordinates;
+use crate::suggest::names_hint;
 
 /// One job of a template.
-pub(crate) struct Instance {
-    pub name: String,
+pub(super) struct Instance {
+    pub(super) name: String,
     /// Axis index and value, in axis order.
-    pub values: Vec<(usize, AxisValue)>,
-    pub coordinates: Coordinates,
-    /// Parameters as the recipe gives them for these values.
-    pub params: Table,
+    pub(super) values: Vec<(usize, AxisValue)>,
+    pub(super) coordinates: Coordinates,
+    /// The parameters that the recipe gives for these values.
+    pub(super) params: Table,
 }
 
-/// More jobs than this are a slip of the finger: a plan holds some 25 kB of each, and the largest recipes have hundreds.
+/// The maximum number of jobs. More are probably a typing error: a plan takes about 25 kB per job, and the largest
+/// recipes have hundreds of jobs.
 const MAX_JOBS: usize = 20_000;
 
-/// Whether the recipe has too many jobs to expand, which is an error.
-pub(crate) fn has_too_many_jobs(recipe: &RawRecipe, report: &mut Report) -> bool {
+/// Whether the recipe has too many jobs to expand, which is also reported.
+pub(super) fn has_too_many_jobs(recipe: &RawRecipe, report: &mut Report) -> bool {
     let jobs_of = |template: &Template| {
-        let counts = template.over.iter().map(|&axis| there(recipe, template, axis).count());
+        let counts = template.over.iter().map(|&axis| values_for(recipe, template, axis).count());
         counts.fold(1_usize, usize::saturating_mul)
     };
     let jobs = recipe.templates.values().map(jobs_of).fold(0, usize::saturating_add);
     let largest = recipe.templates.iter().max_by_key(|(_, template)| jobs_of(template));
     if let (true, Some((name, template))) = (jobs > MAX_JOBS, largest) {
         let lengths = template.over.iter().map(|&axis| {
-            let axis = (recipe.axis_name(axis), there(recipe, template, axis).count());
-            format!("{} of axis `{}`", axis.1, axis.0)
+            let count = values_for(recipe, template, axis).count();
+            format!("{count} of axis `{}`", recipe.axis_name(axis))
         });
         let message = format!("the recipe has {jobs} jobs, of which {} of node `{name}`", jobs_of(template));
         let hint = format!(
-            "at most {MAX_JOBS} can be planned; a job of `{name}` stands for each value, {}",
+            "at most {MAX_JOBS} can be planned; `{name}` has one job per combination: {}",
             lengths.collect::<Vec<_>>().join(" × ")
         );
         report.add(&template.at, format!("nodes.{name}.over"), message, Some(hint));
@@ -43,19 +45,19 @@ pub(crate) fn has_too_many_jobs(recipe: &RawRecipe, report: &mut Report) -> bool
     jobs > MAX_JOBS
 }
 
-/// The values of an axis that a template is there for.
-fn there<'a>(recipe: &'a RawRecipe, template: &'a Template, axis: usize) -> impl Iterator<Item = &'a AxisValue> {
-    let is_there = move |value: &&AxisValue| template.only.get(&axis).is_none_or(|only| only.contains(&value.text));
-    recipe.axes[axis].values.iter().filter(is_there)
+/// The values of an axis for which a template has jobs.
+fn values_for<'a>(recipe: &'a RawRecipe, template: &'a Template, axis: usize) -> impl Iterator<Item = &'a AxisValue> {
+    let has_jobs = move |value: &&AxisValue| template.only.get(&axis).is_none_or(|only| only.contains(&value.text));
+    recipe.axes[axis].values.iter().filter(has_jobs)
 }
 
-/// All jobs of the template called `name`, the last axis varying fastest, for the values that the template is there for.
-pub(crate) fn instances(recipe: &RawRecipe, name: &str, template: &Template, report: &mut Report) -> Vec<Instance> {
+/// All jobs of the template called `name`; the last axis varies fastest.
+pub(super) fn instances(recipe: &RawRecipe, name: &str, template: &Template, report: &mut Report) -> Vec<Instance> {
     let mut combinations = vec![Vec::new()];
     for &axis in &template.over {
         let longer = |head: &Vec<(usize, AxisValue)>| {
             let with = |value: &AxisValue| head.iter().cloned().chain([(axis, value.clone())]).collect();
-            there(recipe, template, axis).map(with).collect::<Vec<_>>()
+            values_for(recipe, template, axis).map(with).collect::<Vec<_>>()
         };
         combinations = combinations.iter().flat_map(longer).collect();
     }
@@ -86,7 +88,7 @@ fn instance(
     }
 }
 
-/// A template's parameters for these axis values, with every rule for it whose conditions hold.
+/// A template's parameters for these axis values, with all rules whose conditions hold.
 fn params_of(
     recipe: &RawRecipe,
     name: &str,
@@ -115,7 +117,7 @@ fn contains(wanted: &std::collections::BTreeSet<String>, value: &AxisValue) -> b
     wanted.contains(&value.text)
 }
 
-/// Fills `{axis}` in a string; a string that is exactly one placeholder becomes the axis value with its type.
+/// Substitutes `{axis}` in a string. A string that is one placeholder becomes the axis value with its type.
 fn substitute<'a>(
     item: &mut Item,
     key: &str,
@@ -138,10 +140,10 @@ fn substitute<'a>(
             Some(Some(value)) => filled.push(value.value.clone()),
             Some(None) => {
                 let message = format!("this node is not expanded over axis `{axis}`");
-                report.add(&item.at, key, message, Some(format!("add it to the node's `over`: \"{axis}\"")));
+                report.add(&item.at, key, message, Some(format!("add \"{axis}\" to the node's `over`")));
             }
             None => {
-                let names = names_hint(axis, recipe.axes.keys().map(String::as_str)).unwrap_or_default();
+                let names = names_hint(axis, recipe.axes.keys().map(String::as_str));
                 let hint = Some(format!("{names}; for a literal brace write {{{{{axis}}}}}"));
                 report.add(&item.at, key, format!("unknown axis `{axis}`"), hint);
             }
@@ -162,7 +164,7 @@ enum Part<'a> {
     Axis(&'a str),
 }
 
-/// Splits at `{name}`; `{{name}}` is the text `{name}`, and braces around anything else are text.
+/// Splits at `{name}`. `{{name}}` is the text `{name}`; braces around anything else are text.
 fn split(text: &str) -> Vec<Part<'_>> {
     let mut parts = Vec::new();
     let mut rest = text;
@@ -184,7 +186,7 @@ fn split(text: &str) -> Vec<Part<'_>> {
     parts
 }
 
-/// Where the first `{name}` opens, and the length of the name.
+/// The position of the first `{name}`, and the length of the name.
 fn placeholder(text: &str) -> Option<(usize, usize)> {
     text.match_indices('{').find_map(|(open, _)| {
         let length = text[open + 1..].find('}')?;

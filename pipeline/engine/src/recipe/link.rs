@@ -1,13 +1,13 @@
-//! From jobs to the graph: the producers of each, what it makes of what is known of them, and who is needed after that.
+//! Links jobs to their producers, resolves their parameters from the producers' facts, and prunes jobs that nothing reads.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde_json::Value;
 
+use super::draft::{Draft, add_origins, add_problem, derive};
 use super::errors::Report;
 use super::raw::{RawRecipe, Template};
-use super::resolve::{Draft, add_origins, add_problem, known_of};
 use crate::fingerprint::{Code, UnusedSources};
 use crate::key::plan_id;
 use crate::plan::{Node, Origin, Plan, PlanInput};
@@ -17,7 +17,7 @@ use crate::{Arity, Facts, PlanContext, Port, Registry, Resolution};
 /// Axis index and text of each value of a job.
 type Values = Vec<(usize, String)>;
 
-/// Joins the jobs, template by template in the given order, so that producers come first.
+/// Links the jobs, template by template in the given order, which has producers first.
 pub(super) fn link(
     recipe: &RawRecipe,
     registry: &Registry,
@@ -38,9 +38,10 @@ pub(super) fn link(
             left_out: Vec::new(),
             device: Default::default(),
         },
-        made: vec![Vec::new(); drafts.len()],
+        linked: vec![Vec::new(); drafts.len()],
         facts: Vec::new(),
         wired: Vec::new(),
+        unused: Vec::new(),
         codes: BTreeMap::new(),
         report,
     };
@@ -55,19 +56,21 @@ struct Linker<'a> {
     registry: &'a Registry,
     data_root: &'a Path,
     plan: Plan,
-    /// Template → the nodes made of it, each with the axis values that tell it from the others.
-    made: Vec<Vec<(usize, Values)>>,
-    /// What is known of each node's artifact.
+    /// Template → its nodes, each with its axis values.
+    linked: Vec<Vec<(usize, Values)>>,
+    /// The facts of each node's artifact.
     facts: Vec<Facts>,
-    /// The producers that the recipe wires to each node, read or not.
+    /// The producers that the recipe wires to each node, whether it reads them or not.
     wired: Vec<BTreeSet<usize>>,
-    /// Fingerprints by stage and unused sources: many jobs share one.
+    /// The sources that each node's stage declares as unused by the node and its readers.
+    unused: Vec<UnusedSources>,
+    /// Fingerprints by stage and unused sources, because many jobs share one.
     codes: BTreeMap<(&'a str, UnusedSources), Code>,
     report: &'a mut Report,
 }
 
 impl<'a> Linker<'a> {
-    /// Makes a node of a job; its producers are nodes already.
+    /// Adds the node of a job whose producers are nodes already.
     fn add(&mut self, index: usize, mut draft: Draft) {
         let recipe = self.recipe;
         let (template_name, template) = recipe.templates.get_index(index).expect("an index of the recipe");
@@ -75,11 +78,11 @@ impl<'a> Linker<'a> {
         let values: Values = draft.instance.values.iter().map(|(axis, value)| (*axis, value.text.clone())).collect();
         let ports = stage.ports();
         let mut inputs: Vec<PlanInput> =
-            ports.iter().map(|port| plan_input(recipe, template, port, &values, &self.made)).collect();
+            ports.iter().map(|port| plan_input(recipe, template, port, &values, &self.linked)).collect();
         self.wired.push(inputs.iter().flat_map(|input| input.producers.iter().copied()).collect());
         self.refuse_gaps(template_name, template, &ports, &inputs);
 
-        // What the stage makes of what is known of its producers decides which of them it reads.
+        // The facts of the producers decide which of them the stage reads.
         let context = self.context(&inputs);
         let resolution = self.resolve(stage, template_name, template, &mut draft, &context);
         for (input, port) in inputs.iter_mut().zip(&ports) {
@@ -93,7 +96,8 @@ impl<'a> Linker<'a> {
         let facts = stage.facts(&resolution.params, &context);
         self.facts.push(facts.expect("the stage wrote these parameters itself"));
 
-        let unused_sources = unused_sources(stage, draft.known.unused_sources, &inputs, &self.plan.nodes);
+        let unused_sources = unused_sources(&draft.derived.unused_sources, &inputs, &self.plan.nodes, &self.unused);
+        self.unused.push(draft.derived.unused_sources);
         let code = self.codes.entry((stage.id(), unused_sources.clone()));
         let code = code.or_insert_with(|| self.registry.code(stage.id(), &unused_sources)).clone();
         let mut node = Node {
@@ -103,8 +107,8 @@ impl<'a> Linker<'a> {
             coordinates: draft.instance.coordinates,
             params: resolution.params,
             inputs,
-            sources: draft.known.sources,
-            threads: draft.known.threads,
+            sources: draft.derived.sources,
+            threads: draft.derived.threads,
             on_device: stage.on_device(),
             output: (stage.output().0.into(), stage.output().1),
             unused_sources,
@@ -113,12 +117,12 @@ impl<'a> Linker<'a> {
             plan_id: String::new(),
         };
         node.plan_id = plan_id(&node, &self.plan.nodes);
-        self.made[index].push((self.plan.nodes.len(), values));
+        self.linked[index].push((self.plan.nodes.len(), values));
         self.plan.origins.insert(node.name.clone(), draft.origins);
         self.plan.nodes.push(node);
     }
 
-    /// A producer that is there for some values only leaves those who need it for others without.
+    /// Refuses nodes without a producer on a port for one: `only` may give the producer fewer axis values than the node.
     fn refuse_gaps(&mut self, name: &str, template: &Template, ports: &[Port], inputs: &[PlanInput]) {
         for (port, _) in
             ports.iter().zip(inputs).filter(|(port, input)| port.arity == Arity::One && input.producers.is_empty())
@@ -130,14 +134,14 @@ impl<'a> Linker<'a> {
         }
     }
 
-    /// What is known of the producers on each port.
+    /// The facts of the producers on each port.
     fn context(&self, inputs: &[PlanInput]) -> PlanContext<'a> {
         let facts = |input: &PlanInput| input.producers.iter().map(|&index| self.facts[index].clone()).collect();
         let inputs = inputs.iter().map(|input| (input.port.clone(), facts(input))).collect();
         PlanContext { data_root: self.data_root, inputs }
     }
 
-    /// The job's resolved parameters, with what the stage says of them in the draft; problems go to the report.
+    /// Resolves the job's parameters and updates the draft's derived values. Problems go to the report.
     fn resolve(
         &mut self,
         stage: &dyn AnyStage,
@@ -153,15 +157,15 @@ impl<'a> Linker<'a> {
         });
         if resolution.params != draft.params {
             note_resolved(&mut draft.origins, &draft.params, &resolution.params);
-            match known_of(stage, &resolution.params) {
-                Ok(known) => draft.known = known,
+            match derive(stage, &resolution.params) {
+                Ok(derived) => draft.derived = derived,
                 Err(error) => self.report.add(&template.at, format!("nodes.{name}"), format!("{error:#}"), None),
             }
         }
         resolution
     }
 
-    /// The plan without the nodes that the recipe has for others, none of which reads them.
+    /// The plan without the nodes that are wired only to nodes that do not read them.
     fn finish(self) -> Plan {
         let Self { mut plan, wired, .. } = self;
         let has_readers: BTreeSet<usize> = wired.into_iter().flatten().collect();
@@ -183,7 +187,7 @@ impl<'a> Linker<'a> {
     }
 }
 
-/// The origin of every value that a resolution changed or made.
+/// Updates the origins of values that a resolution changed or added.
 fn note_resolved(origins: &mut BTreeMap<String, Origin>, before: &Value, after: &Value) {
     let value_at = |value: &Value, key: &str| {
         key.split('.').try_fold(value, |value, part| value.get(part)).cloned().unwrap_or(Value::Null)
@@ -195,21 +199,28 @@ fn note_resolved(origins: &mut BTreeMap<String, Origin>, before: &Value, after: 
     });
 }
 
-/// What a job does not use: files of its own crate, and of the crates of the producers whose one artifact it reads (what
-/// made the artifact did not use them, so that whoever plays it back does not either).
-fn unused_sources(stage: &dyn AnyStage, own: Vec<String>, inputs: &[PlanInput], nodes: &[Node]) -> UnusedSources {
-    let mut unused = UnusedSources::new();
-    for input in inputs.iter().filter(|input| !input.many) {
-        for producer in input.producers.iter().map(|&index| &nodes[index]) {
-            let theirs = producer.unused_sources.get(&producer.stage).cloned().unwrap_or_default();
-            // Two producers of one stage use what either uses.
-            unused
-                .entry(producer.stage.clone())
-                .and_modify(|both| both.retain(|path| theirs.contains(path)))
-                .or_insert(theirs);
-        }
+/// The sources that a job does not use: those that its own stage declares (`own`), and in crates of which that says
+/// nothing, those that the producers on ports for one artifact declare. The readers of an artifact may run the code
+/// that made it, and so use at most the sources that its producer uses.
+fn unused_sources(
+    own: &UnusedSources,
+    inputs: &[PlanInput],
+    nodes: &[Node],
+    declared: &[UnusedSources],
+) -> UnusedSources {
+    let read = inputs.iter().filter(|input| !input.many).flat_map(|input| input.producers.iter().copied());
+    let read: BTreeSet<usize> = read.collect();
+    let mut unused = own.clone();
+    let crates: BTreeSet<&String> = read.iter().flat_map(|&producer| declared[producer].keys()).collect();
+    for name in crates.into_iter().filter(|name| !own.contains_key(*name)) {
+        // Every producer that runs code of the crate must leave a path unused.
+        let users = read.iter().filter(|&&producer| nodes[producer].code.contains_key(name));
+        let mut paths = users.map(|&producer| declared[producer].get(name).cloned().unwrap_or_default());
+        let first = paths.next().unwrap_or_default();
+        let common =
+            paths.fold(first, |common, other| common.into_iter().filter(|path| other.contains(path)).collect());
+        unused.insert(name.clone(), common);
     }
-    unused.insert(stage.id().into(), own);
     unused
 }
 
@@ -219,14 +230,15 @@ fn plan_input(
     template: &Template,
     port: &Port,
     values: &[(usize, String)],
-    made: &[Vec<(usize, Values)>],
+    linked: &[Vec<(usize, Values)>],
 ) -> PlanInput {
     let agrees = |other: &[(usize, String)]| {
         other.iter().all(|(axis, text)| values.iter().all(|(own, own_text)| own != axis || own_text == text))
     };
     let wires = template.inputs.iter().filter(|wire| wire.port.name == port.name).flat_map(|wire| &wire.from);
     let templates = wires.filter_map(|from| recipe.templates.get_index_of(&from.name));
-    let producers = templates.flat_map(|index| &made[index]).filter(|(_, other)| agrees(other)).map(|(node, _)| *node);
+    let producers =
+        templates.flat_map(|index| &linked[index]).filter(|(_, other)| agrees(other)).map(|(node, _)| *node);
     PlanInput {
         port: port.name.into(),
         artifact: (port.artifact.0.into(), port.artifact.1),

@@ -3,49 +3,51 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use super::errors::Report;
+use super::all::is_all;
+use super::errors::{Report, join_arrows};
 use super::places::Place;
-use super::raw::axis_text;
 use super::tree::{self, Item, Table, Tree};
 
-/// What the command line changes in a recipe.
+/// The changes that the command line makes to a recipe.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {
-    /// Values of the recipe, as `nodes.train.params.iterations=500`.
+    /// Assignments of values, e.g. `nodes.train.params.iterations=500`.
     pub set: Vec<String>,
-    /// Parameters of all jobs of a stage.
+    /// Parameters for all jobs of a stage.
     pub of_stages: Vec<StageOverride>,
 }
 
-/// Parameters that an option of the command line gives to all jobs of a stage.
+/// Parameters that one option of the command line sets for all jobs of a stage.
 #[derive(Clone, Debug)]
 pub struct StageOverride {
     /// The stage's id.
     pub stage: String,
-    /// The option, for messages, as `--budget`.
+    /// The option that messages name, e.g. `--budget`.
     pub option: &'static str,
-    /// The parameters in TOML, as `budget_secs = 60.0`.
+    /// The parameters in TOML, e.g. `budget_secs = 60.0`.
     pub params: String,
 }
 
-/// The merged text of a recipe, before anything is known about its meaning.
+/// The merged text of a recipe, before it is interpreted.
 #[derive(Default)]
-pub(crate) struct Loaded {
+pub(super) struct Loaded {
     /// All layers merged, without `extends` and `set`.
-    pub root: Table,
+    pub(super) root: Table,
     /// The entries of `[[set]]`: base recipes first.
-    pub rules: Vec<Item>,
-    /// The parameters of nodes that the command line overrides, applied after all rules.
-    pub overrides: Vec<Item>,
-    /// Stage → parameters that all of its jobs get from the command line, laid over everything else.
-    pub of_stages: Vec<(String, Table)>,
+    pub(super) rules: Vec<Item>,
+    /// Parameters of nodes from the command line, applied after all rules.
+    pub(super) overrides: Vec<Item>,
+    /// Stage → parameters from the command line for all of its jobs, applied last.
+    pub(super) of_stages: Vec<(String, Table)>,
     /// Every value that any layer gives an axis: a recipe may narrow an axis and keep the rules of its base.
-    pub axis_values: BTreeMap<String, BTreeSet<String>>,
+    pub(super) axis_values: BTreeMap<String, BTreeSet<String>>,
+    /// The axes that any layer writes as all values that a stage lists.
+    pub(super) axes_of_all: BTreeSet<String>,
 }
 
-/// Reads the recipe at `path`; everything wrong goes to `report`. Nothing comes back if a file cannot be read at all:
-/// what the other files say would only raise errors that are none.
-pub(crate) fn load(path: &Path, overrides: &Overrides, report: &mut Report) -> Option<Loaded> {
+/// Reads the recipe at `path` and reports all errors. Returns nothing if a file cannot be read: without it, the other
+/// files would only raise spurious errors.
+pub(super) fn load(path: &Path, overrides: &Overrides, report: &mut Report) -> Option<Loaded> {
     let mut loaded = Loaded::default();
     let root = read(path, None, &mut Vec::new(), report, &mut loaded);
     let tables: Vec<Option<Table>> = overrides
@@ -65,7 +67,7 @@ pub(crate) fn load(path: &Path, overrides: &Overrides, report: &mut Report) -> O
     Some(loaded)
 }
 
-/// Reads one file on top of the files that it extends; `stack` holds the files that are being read.
+/// Reads one file and merges it over the files that it extends; `stack` holds the files that extend it.
 fn read(
     path: &Path,
     named_at: Option<&Item>,
@@ -75,7 +77,7 @@ fn read(
 ) -> Option<Table> {
     let identity = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let content = std::fs::read_to_string(path);
-    // A file that cannot be read is blamed on the line that names it, or on itself.
+    // An unreadable file is an error at the line that names it, or at the file itself.
     let text = report.texts.add(path, content.as_deref().unwrap_or("").into(), false);
     let place = named_at.map_or(Place::new(text, 0..0), |item| item.at);
     if let Err(error) = content {
@@ -96,7 +98,7 @@ fn read(
         let base = path.parent().unwrap_or(Path::new("")).join(item.as_str().unwrap_or_default());
         match read(&base, Some(item), stack, report, loaded) {
             Some(mut base) => {
-                // A name is that of one file.
+                // A recipe does not inherit the name of its base.
                 base.shift_remove("name");
                 tree::merge(&mut merged, base);
             }
@@ -120,7 +122,7 @@ fn extended<'a>(item: &'a Item, report: &mut Report) -> &'a [Item] {
     }
 }
 
-/// Takes the rules out of a layer and notes its axis values.
+/// Moves the rules out of a layer and records its axis values.
 fn add_layer(layer: &mut Table, loaded: &mut Loaded, report: &mut Report) {
     match layer.shift_remove("set") {
         Some(Item { tree: Tree::Array(rules), .. }) => loaded.rules.extend(rules),
@@ -129,7 +131,9 @@ fn add_layer(layer: &mut Table, loaded: &mut Loaded, report: &mut Report) {
     }
     for (axis, item) in layer.get("axes").and_then(Item::as_table).into_iter().flatten() {
         if let Tree::Array(values) = &item.tree {
-            loaded.axis_values.entry(axis.clone()).or_default().extend(values.iter().filter_map(axis_text));
+            loaded.axis_values.entry(axis.clone()).or_default().extend(values.iter().filter_map(Item::axis_text));
+        } else if is_all(item) {
+            loaded.axes_of_all.insert(axis.clone());
         }
     }
 }
@@ -137,7 +141,7 @@ fn add_layer(layer: &mut Table, loaded: &mut Loaded, report: &mut Report) {
 fn read_override(text: usize, report: &mut Report) -> Option<Table> {
     let content = report.texts.get(text).text.clone();
     if toml::de::DeTable::parse(&content).is_err() {
-        let hint = r#"write key.path=VALUE; strings need quotes, as -s 'name="x"'"#.to_owned();
+        let hint = r#"write key.path=VALUE; strings need quotes, e.g. -s 'name="x"'"#.to_owned();
         report.add(&Place::new(text, 0..content.len()), "", "this override is not a TOML assignment", Some(hint));
         return None;
     }
@@ -153,7 +157,7 @@ fn read_override(text: usize, report: &mut Report) -> Option<Table> {
     Some(table)
 }
 
-/// Parameters of nodes wait until all rules are applied; everything else belongs to the recipe itself.
+/// Merges an override. Parameters of nodes are set apart, to be applied after all rules.
 fn add_override(loaded: &mut Loaded, mut table: Table) {
     if let Some(Tree::Table(nodes)) = table.get_mut("nodes").map(|item| &mut item.tree) {
         let mut params = Table::new();
@@ -169,18 +173,13 @@ fn add_override(loaded: &mut Loaded, mut table: Table) {
         nodes.retain(|_, node| node.as_table().is_none_or(|fields| !fields.is_empty()));
         loaded.overrides.extend((!params.is_empty()).then(|| rule(params)));
     }
-    // An override may add values to an axis, but rules need not know them.
+    // Rules need not know the values that an override adds to an axis.
     tree::merge(&mut loaded.root, table);
 }
 
-/// `{ nodes = … }`, the shape of a rule without a condition.
+/// A rule without a condition: `{ nodes = … }`.
 fn rule(nodes: Table) -> Item {
     let place = nodes[0].key_at;
     let nodes = Item { tree: Tree::Table(nodes), key_at: place, at: place };
     Item { tree: Tree::Table(Table::from([("nodes".to_owned(), nodes)])), key_at: place, at: place }
-}
-
-/// "a → b → a".
-pub(crate) fn join_arrows(names: impl Iterator<Item = String>) -> String {
-    names.collect::<Vec<_>>().join(" → ")
 }

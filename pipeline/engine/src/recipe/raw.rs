@@ -1,4 +1,4 @@
-//! What a recipe says, key by key, before stages are asked what they think of it.
+//! The recipe as typed data: keys and types are checked; stages are not consulted yet.
 
 mod conditions;
 
@@ -7,85 +7,86 @@ use std::collections::{BTreeMap, BTreeSet};
 use indexmap::IndexMap;
 use serde_json::Value;
 
-use super::errors::{Report, names_hint};
+use super::errors::Report;
 use super::load::Loaded;
 use super::places::Place;
 use super::tree::{Item, Table, Tree};
+use crate::suggest::names_hint;
 use conditions::{Axes, conditions, only};
 
-pub(crate) use conditions::Conditions;
+pub(super) use conditions::Conditions;
 
-/// A recipe whose keys are all known and of the right type; what was not is in the report and left out here.
+/// A recipe with known keys of the right types. Anything else is an error in the report and is left out.
 #[derive(Default)]
-pub(crate) struct RawRecipe {
-    pub name: Option<String>,
-    pub axes: IndexMap<String, Axis>,
-    pub templates: IndexMap<String, Template>,
-    pub rules: Vec<Rule>,
-    /// Stage → parameters that all of its jobs get from the command line.
-    pub of_stages: Vec<(String, Table)>,
+pub(super) struct RawRecipe {
+    pub(super) name: Option<String>,
+    pub(super) axes: IndexMap<String, Axis>,
+    pub(super) templates: IndexMap<String, Template>,
+    pub(super) rules: Vec<Rule>,
+    /// Stage → parameters from the command line for all of its jobs.
+    pub(super) of_stages: Vec<(String, Table)>,
 }
 
 impl RawRecipe {
     /// The name of the axis with this index.
-    pub fn axis_name(&self, axis: usize) -> &str {
+    pub(super) fn axis_name(&self, axis: usize) -> &str {
         self.axes.get_index(axis).map_or("", |(name, _)| name)
     }
 }
 
 #[derive(Default)]
-pub(crate) struct Axis {
-    pub values: Vec<AxisValue>,
+pub(super) struct Axis {
+    pub(super) values: Vec<AxisValue>,
 }
 
-/// A value of an axis: its text for names and coordinates, itself for parameters.
+/// A value of an axis: as text for names and coordinates, as a typed value for parameters.
 #[derive(Clone)]
-pub(crate) struct AxisValue {
-    pub text: String,
-    pub value: Value,
+pub(super) struct AxisValue {
+    pub(super) text: String,
+    pub(super) value: Value,
 }
 
 /// One `[nodes.NAME]`.
-pub(crate) struct Template {
-    pub at: Place,
-    pub stage: Named,
+pub(super) struct Template {
+    pub(super) at: Place,
+    pub(super) stage: Named,
     /// Indices into the axes, increasing.
-    pub over: Vec<usize>,
-    /// Axis index → the values for which there are jobs; all where an axis is not in here.
-    pub only: Conditions,
-    pub inputs: Vec<Wire>,
-    /// The jobs whose parameters, rules included, lie below this one's.
-    pub like: Option<Like>,
-    pub params: Table,
-    pub params_at: Place,
+    pub(super) over: Vec<usize>,
+    /// Axis index → the values for which there are jobs. Axes without an entry have jobs for all values.
+    pub(super) only: Conditions,
+    pub(super) inputs: Vec<Wire>,
+    /// The jobs whose parameters and rules this node's own override.
+    pub(super) like: Option<Like>,
+    pub(super) params: Table,
+    pub(super) params_at: Place,
 }
 
-/// `like = "template"`, or `like = { node = "template", axis = "value" }` where that template has axes that this one lacks.
-pub(crate) struct Like {
-    pub node: Named,
+/// `like = "template"`, or `like = { node = "template", axis = "value" }` for axes that only the other template has.
+pub(super) struct Like {
+    pub(super) node: Named,
     /// Axis index and value.
-    pub values: Vec<(usize, AxisValue)>,
+    pub(super) values: Vec<(usize, AxisValue)>,
 }
 
 /// A name in the recipe.
 #[derive(Clone)]
-pub(crate) struct Named {
-    pub name: String,
-    pub at: Place,
+pub(super) struct Named {
+    pub(super) name: String,
+    pub(super) at: Place,
 }
 
 /// `port = "template"` or `port = ["template", …]`.
-pub(crate) struct Wire {
-    pub port: Named,
-    pub from: Vec<Named>,
+pub(super) struct Wire {
+    pub(super) port: Named,
+    pub(super) from: Vec<Named>,
 }
 
 /// One `[[set]]`, or the overrides of the command line.
-pub(crate) struct Rule {
-    /// Axis index → the values for which the rule holds.
-    pub when: Conditions,
-    /// Template → parameters to lay over its own.
-    pub params: Vec<(String, Table)>,
+pub(super) struct Rule {
+    /// Axis index → the values for which the rule applies.
+    pub(super) when: Conditions,
+    /// Template → parameters that override its own.
+    pub(super) params: Vec<(String, Table)>,
 }
 
 const ROOT_KEYS: [&str; 5] = ["extends", "name", "axes", "nodes", "set"];
@@ -93,7 +94,7 @@ const NODE_KEYS: [&str; 6] = ["stage", "over", "only", "inputs", "like", "params
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
 /// Reads the merged text.
-pub(crate) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
+pub(super) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
     let mut recipe = RawRecipe { of_stages: loaded.of_stages, ..RawRecipe::default() };
     refuse_unknown(&loaded.root, "", &ROOT_KEYS, report);
     recipe.name = loaded.root.get("name").and_then(|item| recipe_name(item, report));
@@ -121,29 +122,21 @@ fn recipe_name(item: &Item, report: &mut Report) -> Option<String> {
     Some(name)
 }
 
-/// The text of an axis value: strings and integers have one.
-pub(crate) fn axis_text(item: &Item) -> Option<String> {
-    match &item.tree {
-        Tree::Leaf(Value::String(text)) => Some(text.clone()),
-        Tree::Leaf(Value::Number(number)) if number.is_i64() => Some(number.to_string()),
-        _ => None,
-    }
-}
-
 fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
     let key = format!("axes.{axis}");
     check_name(axis, item.key_at, &key, report);
     let Tree::Array(items) = &item.tree else {
-        report.add(&item.at, key, "an axis is an array of strings or integers", None);
+        let hint = "or \"all\", or { except = […] }, where a stage lists the values";
+        report.add(&item.at, key, "an axis is an array of strings or integers", Some(hint.into()));
         return Vec::new();
     };
-    // Values that recipes cannot have are told already, and left out.
+    // Values that recipes cannot contain are reported already and left out.
     if items.is_empty() && !report.concerns(&key) {
         report.add(&item.at, &key, "an axis needs at least one value", None);
     }
     let (mut values, mut known) = (Vec::new(), BTreeSet::new());
     for item in items {
-        let Some(text) = axis_text(item) else {
+        let Some(text) = item.axis_text() else {
             report.add(&item.at, &key, "axis values are strings or integers", None);
             continue;
         };
@@ -151,7 +144,7 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
         if known.insert(text.clone()) {
             values.push(AxisValue { text, value: item.to_json() });
         } else {
-            report.add(&item.at, &key, format!("axis value `{text}` is there twice"), None);
+            report.add(&item.at, &key, format!("axis value `{text}` occurs twice"), None);
         }
     }
     values
@@ -162,7 +155,7 @@ fn template(name: &str, item: &Item, axes: Axes<'_>, report: &mut Report) -> Opt
     check_name(name, item.key_at, &key, report);
     let fields = as_table(item, &key, report)?;
     refuse_unknown(fields, &format!("{key}."), &NODE_KEYS, report);
-    // A node without a stage stays, so that nobody is told that it is unknown.
+    // A node without a stage is kept, so that references to it are not reported as unknown.
     let stage = fields.get("stage").and_then(|item| self::name(item, &format!("{key}.stage"), report));
     let params = fields.get("params");
     let over = over(fields, &key, axes.here, report);
@@ -184,9 +177,9 @@ fn over(fields: &Table, key: &str, axes: &IndexMap<String, Axis>, report: &mut R
     for axis in fields.get("over").map(|item| names(item, &key, report)).unwrap_or_default() {
         match axes.get_index_of(&axis.name) {
             Some(index) if over.insert(index) => (),
-            Some(_) => report.add(&axis.at, &key, format!("axis `{}` is there twice", axis.name), None),
+            Some(_) => report.add(&axis.at, &key, format!("axis `{}` occurs twice", axis.name), None),
             None => {
-                let hint = names_hint(&axis.name, axes.keys().map(String::as_str));
+                let hint = Some(names_hint(&axis.name, axes.keys().map(String::as_str)));
                 report.add(&axis.at, &key, format!("unknown axis `{}`", axis.name), hint);
             }
         }
@@ -213,17 +206,17 @@ fn like(item: &Item, key: &str, axes: &IndexMap<String, Axis>, report: &mut Repo
     };
     let mut values = Vec::new();
     for (axis, item) in fields.iter().filter(|(axis, _)| *axis != "node") {
-        match (axes.get_index_of(axis), axis_text(item)) {
+        match (axes.get_index_of(axis), item.axis_text()) {
             (Some(index), Some(text)) => values.push((index, AxisValue { text, value: item.to_json() })),
             (Some(_), None) => report.add(&item.at, key, "axis values are strings or integers", None),
             (None, _) => {
-                let hint = names_hint(axis, axes.keys().map(String::as_str).chain(["node"]));
+                let hint = Some(names_hint(axis, axes.keys().map(String::as_str).chain(["node"])));
                 report.add(&item.key_at, key, format!("unknown axis `{axis}`"), hint);
             }
         }
     }
     let Some(node) = fields.get("node") else {
-        report.add(&item.at, key, "`like` must say which node, as { node = \"train\" }", None);
+        report.add(&item.at, key, "`like` must name a node, e.g. { node = \"train\" }", None);
         return None;
     };
     Some(Like { node: name(node, key, report)?, values })
@@ -243,13 +236,13 @@ fn rule(
     for (name, item) in table_at(fields, "nodes", "set.nodes", report) {
         let key = format!("set.nodes.{name}");
         let Some(template) = recipe.templates.get(name) else {
-            let hint = names_hint(name, recipe.templates.keys().map(String::as_str));
+            let hint = Some(names_hint(name, recipe.templates.keys().map(String::as_str)));
             report.add(&item.key_at, key, format!("unknown node `{name}`"), hint);
             continue;
         };
         if let Some((&axis, _)) = when.iter().find(|(axis, _)| !template.over.contains(axis)) {
             let axis = recipe.axis_name(axis);
-            let message = format!("node `{name}` is not expanded over axis `{axis}`, which this rule asks for");
+            let message = format!("this rule depends on axis `{axis}`, over which node `{name}` is not expanded");
             report.add(&item.key_at, &key, message, None);
         }
         let Some(fields) = as_table(item, &key, report) else {
@@ -261,37 +254,32 @@ fn rule(
     Some(Rule { when, params })
 }
 
-/// Names of recipes, axes and nodes begin what people write as an argument, which `-` would make an option.
+/// Recipes, axes and nodes are named in command-line arguments, where a leading `-` would make the name an option.
 fn check_name(name: &str, at: Place, key: &str, report: &mut Report) {
     if name.starts_with('-') {
-        report.add(
-            &at,
-            key,
-            format!("the name `{name}` would read as an option"),
-            Some("begin it with a letter".into()),
-        );
+        report.add(&at, key, format!("the name `{name}` looks like an option"), Some("start it with a letter".into()));
     }
     check_characters(name, at, key, report);
 }
 
-/// Names end up in job names, folders and patterns.
+/// Names become parts of job names, folders and patterns.
 fn check_characters(name: &str, at: Place, key: &str, report: &mut Report) {
     let plain = |c: char| c.is_ascii_alphanumeric() || "._+-".contains(c);
     if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
         let part_of = if key == "name" { "a recipe's name" } else { "part of a job's name" };
-        let hint = "use letters, digits, `_`, `-`, `+` and `.`, the last not in front";
+        let hint = "use letters, digits, `_`, `-`, `+` and `.`, without a leading `.`";
         report.add(&at, key, format!("`{name}` cannot be {part_of}"), Some(hint.into()));
     }
 }
 
 fn refuse_unknown(table: &Table, prefix: &str, allowed: &[&str], report: &mut Report) {
     for (key, item) in table.iter().filter(|(key, _)| !allowed.contains(&key.as_str())) {
-        let hint = names_hint(key, allowed.iter().copied());
+        let hint = Some(names_hint(key, allowed.iter().copied()));
         report.add(&item.key_at, format!("{prefix}{key}"), format!("unknown key `{key}`"), hint);
     }
 }
 
-/// The table under `key`; empty if there is none.
+/// The table under `key`; an empty one if the key is missing.
 fn table_at<'a>(parent: &'a Table, key: &str, dotted: &str, report: &mut Report) -> &'a Table {
     static NONE: std::sync::LazyLock<Table> = std::sync::LazyLock::new(Table::new);
     parent.get(key).and_then(|item| as_table(item, dotted, report)).unwrap_or(&NONE)

@@ -1,4 +1,4 @@
-//! TOML as a tree in which every key and value knows where it stands.
+//! TOML as a tree in which every key and value has its place.
 
 use indexmap::IndexMap;
 use serde_json::Value;
@@ -9,18 +9,18 @@ use super::errors::Report;
 use super::places::Place;
 
 /// A table in the order of the file.
-pub(crate) type Table = IndexMap<String, Item>;
+pub(super) type Table = IndexMap<String, Item>;
 
-/// A value with its place and that of its key.
+/// A value, its place and the place of its key.
 #[derive(Clone, Debug)]
-pub(crate) struct Item {
-    pub tree: Tree,
-    pub key_at: Place,
-    pub at: Place,
+pub(super) struct Item {
+    pub(super) tree: Tree,
+    pub(super) key_at: Place,
+    pub(super) at: Place,
 }
 
 #[derive(Clone, Debug)]
-pub(crate) enum Tree {
+pub(super) enum Tree {
     /// A string, number or truth value.
     Leaf(Value),
     Array(Vec<Item>),
@@ -28,7 +28,7 @@ pub(crate) enum Tree {
 }
 
 impl Item {
-    pub fn to_json(&self) -> Value {
+    pub(super) fn to_json(&self) -> Value {
         match &self.tree {
             Tree::Leaf(value) => value.clone(),
             Tree::Array(items) => items.iter().map(Self::to_json).collect(),
@@ -36,16 +36,25 @@ impl Item {
         }
     }
 
-    pub fn as_table(&self) -> Option<&Table> {
+    pub(super) fn as_table(&self) -> Option<&Table> {
         if let Tree::Table(table) = &self.tree { Some(table) } else { None }
     }
 
-    pub fn as_str(&self) -> Option<&str> {
+    pub(super) fn as_str(&self) -> Option<&str> {
         if let Tree::Leaf(Value::String(text)) = &self.tree { Some(text) } else { None }
     }
 
-    /// Calls `f` with this item and all below it, each with its dotted key; this one's is `key`.
-    pub fn visit(&mut self, key: &str, f: &mut impl FnMut(&str, &mut Item)) {
+    /// The item as an axis value: strings and integers have a text.
+    pub(super) fn axis_text(&self) -> Option<String> {
+        match &self.tree {
+            Tree::Leaf(Value::String(text)) => Some(text.clone()),
+            Tree::Leaf(Value::Number(number)) if number.is_i64() => Some(number.to_string()),
+            _ => None,
+        }
+    }
+
+    /// Calls `f` for this item, whose dotted key is `key`, and for all items below it.
+    pub(super) fn visit(&mut self, key: &str, f: &mut impl FnMut(&str, &mut Item)) {
         f(key, self);
         match &mut self.tree {
             Tree::Leaf(_) => (),
@@ -55,12 +64,12 @@ impl Item {
     }
 }
 
-pub(crate) fn table_to_json(table: &Table) -> Value {
+pub(super) fn table_to_json(table: &Table) -> Value {
     table.iter().map(|(key, item)| (key.clone(), item.to_json())).collect()
 }
 
 /// Lays `over` over `base`: tables merge, everything else is replaced.
-pub(crate) fn merge(base: &mut Table, over: Table) {
+pub(super) fn merge(base: &mut Table, over: Table) {
     for (key, item) in over {
         match (base.get_mut(&key).map(|item| &mut item.tree), item.tree) {
             (Some(Tree::Table(base)), Tree::Table(over)) => merge(base, over),
@@ -71,8 +80,8 @@ pub(crate) fn merge(base: &mut Table, over: Table) {
     }
 }
 
-/// The deepest item on the dotted path `key`, and whether it lies at its very end.
-pub(crate) fn find<'a>(table: &'a Table, key: &str) -> Option<(&'a Item, bool)> {
+/// The deepest item on the dotted path `key`, and whether it is at the end of the path.
+pub(super) fn find<'a>(table: &'a Table, key: &str) -> Option<(&'a Item, bool)> {
     let (first, rest) = key.split_once('.').unwrap_or((key, ""));
     let item = table.get(first)?;
     if rest.is_empty() {
@@ -81,8 +90,8 @@ pub(crate) fn find<'a>(table: &'a Table, key: &str) -> Option<(&'a Item, bool)> 
     item.as_table().and_then(|table| find(table, rest)).or(Some((item, false)))
 }
 
-/// Parses text number `text`; all syntax errors are reported, and then there is no tree.
-pub(crate) fn parse(text: usize, report: &mut Report) -> Option<Table> {
+/// Parses text number `text`. Reports all syntax errors and returns no tree if there are any.
+pub(super) fn parse(text: usize, report: &mut Report) -> Option<Table> {
     let content = report.texts.get(text).text.clone();
     let (root, errors) = DeTable::parse_recoverable(&content);
     for error in &errors {
@@ -94,7 +103,7 @@ pub(crate) fn parse(text: usize, report: &mut Report) -> Option<Table> {
 
 fn table(table: &DeTable, text: usize, prefix: &str, report: &mut Report) -> Table {
     let mut entries: Vec<_> = table.iter().collect();
-    // The parser sorts by name; the order of axes and nodes is that of the file.
+    // The parser sorts by name; axes and nodes keep the order of the file.
     entries.sort_by_key(|(key, _)| key.span().start);
     let mut found = Table::new();
     for (key, value) in entries {
@@ -105,7 +114,7 @@ fn table(table: &DeTable, text: usize, prefix: &str, report: &mut Report) -> Tab
     found
 }
 
-/// The item, unless its value is one that recipes cannot have.
+/// The item; none, with an error, if recipes cannot contain its value.
 fn item(value: &Spanned<DeValue>, key_at: Place, dotted: &str, report: &mut Report) -> Option<Item> {
     let at = Place::new(key_at.text, value.span());
     let tree = match value.get_ref() {

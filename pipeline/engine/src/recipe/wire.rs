@@ -1,20 +1,20 @@
-//! Whether the templates of a recipe fit together: stages, ports, types, arity, no cycles.
+//! Checks that the templates of a recipe fit together: stages, ports, types, arity, no cycles.
 
 use crate::registry::AnyStage;
+use crate::suggest::names_hint;
 use crate::{Arity, Port, Registry};
 
-use super::errors::{Report, names_hint};
-use super::load::join_arrows;
+use super::errors::{Report, join_arrows};
 use super::raw::{Like, Named, RawRecipe, Template, Wire};
 
-/// Checks all templates; their indices with producers first (ties in the order of the file), unless there is a cycle.
-pub(crate) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report) -> Option<Vec<usize>> {
+/// Checks all templates. Returns their indices, producers first (ties in the order of the file), unless there is a cycle.
+pub(super) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report) -> Option<Vec<usize>> {
     for (name, template) in &recipe.templates {
         let key = format!("nodes.{name}");
         match registry.get(&template.stage.name) {
             Some(stage) => Checker { recipe, registry, name, template, stage }.check(report),
             None => {
-                let hint = names_hint(&template.stage.name, registry.stages().map(|stage| stage.id()));
+                let hint = Some(names_hint(&template.stage.name, registry.stages().map(|stage| stage.id())));
                 let message = match template.stage.name.as_str() {
                     "" => format!("node `{name}` has no stage"),
                     stage => format!("unknown stage `{stage}`"),
@@ -44,7 +44,7 @@ impl Checker<'_> {
                 Some(port) => self.check_wire(port, wire, report),
                 None => {
                     let message = format!("stage `{}` has no port `{}`", self.stage.id(), wire.port.name);
-                    let hint = names_hint(&wire.port.name, ports.iter().map(|port| port.name));
+                    let hint = Some(names_hint(&wire.port.name, ports.iter().map(|port| port.name)));
                     report.add(&wire.port.at, self.key(&wire.port.name), message, hint);
                 }
             }
@@ -61,12 +61,12 @@ impl Checker<'_> {
         }
     }
 
-    /// Parameters of other jobs make sense for the same stage only, and if it is clear which jobs are meant.
+    /// `like` must name a node of the same stage and determine one job of it.
     fn check_like(&self, report: &mut Report) {
         let Some(Like { node, values }) = &self.template.like else { return };
         let key = format!("nodes.{}.like", self.name);
         let Some(model) = self.recipe.templates.get(&node.name) else {
-            let hint = names_hint(&node.name, self.recipe.templates.keys().map(String::as_str));
+            let hint = Some(names_hint(&node.name, self.recipe.templates.keys().map(String::as_str)));
             return report.add(&node.at, key, format!("unknown node `{}`", node.name), hint);
         };
         let is_known =
@@ -74,9 +74,9 @@ impl Checker<'_> {
         let open = model.over.iter().find(|axis| !is_known(axis)).map(|&axis| self.recipe.axis_name(axis));
         if model.stage.name != self.template.stage.name {
             let message = format!("node `{}` is of stage `{}`", node.name, model.stage.name);
-            report.add(&node.at, key, message, Some("only nodes of one stage have parameters in common".into()));
+            report.add(&node.at, key, message, Some("`like` takes nodes of the same stage".into()));
         } else if model.like.is_some() || node.name == self.name {
-            report.add(&node.at, key, format!("node `{}` is itself like a node", node.name), None);
+            report.add(&node.at, key, format!("node `{}` has a `like` of its own", node.name), None);
         } else if let Some(axis) = open {
             let hint = format!("write like = {{ node = \"{}\", {axis} = … }}", node.name);
             report.add(&node.at, key, format!("there is one `{}` for each {axis}", node.name), Some(hint));
@@ -87,7 +87,7 @@ impl Checker<'_> {
         let key = self.key(port.name);
         let (fits, wanted) = match port.arity {
             Arity::One => (wire.from.len() == 1, "one producer"),
-            // An empty array takes back what a base recipe wires.
+            // An empty array removes the wiring of a base recipe.
             Arity::Optional => (wire.from.len() <= 1, "at most one producer"),
             Arity::Choice | Arity::Many => (true, "any number"),
         };
@@ -97,12 +97,12 @@ impl Checker<'_> {
         }
         for (index, from) in wire.from.iter().enumerate() {
             if wire.from[..index].iter().any(|known| known.name == from.name) {
-                report.add(&from.at, &key, format!("node `{}` is there twice", from.name), None);
+                report.add(&from.at, &key, format!("node `{}` occurs twice", from.name), None);
             }
             match self.recipe.templates.get(&from.name) {
                 Some(producer) => self.check_producer(port, from, producer, report),
                 None => {
-                    let hint = names_hint(&from.name, self.recipe.templates.keys().map(String::as_str));
+                    let hint = Some(names_hint(&from.name, self.recipe.templates.keys().map(String::as_str)));
                     report.add(&from.at, &key, format!("unknown node `{}`", from.name), hint);
                 }
             }
@@ -141,7 +141,7 @@ impl Checker<'_> {
         }
     }
 
-    /// The nodes whose artifacts fit the port.
+    /// The nodes that make an artifact of the port's type.
     fn makers(&self, port: &Port) -> Vec<&str> {
         let fits = |template: &Template| {
             self.registry.get(&template.stage.name).is_some_and(|stage| stage.output() == port.artifact)
@@ -160,7 +160,7 @@ fn producers(recipe: &RawRecipe, template: usize) -> impl Iterator<Item = usize>
     wires.filter_map(|from| recipe.templates.get_index_of(&from.name))
 }
 
-/// Producers first, else in the order of the file; or the indices along a cycle.
+/// The templates with producers first, otherwise in the order of the file; or the indices along a cycle.
 fn order(recipe: &RawRecipe) -> Result<Vec<usize>, Vec<usize>> {
     let mut order = Vec::new();
     while order.len() < recipe.templates.len() {
@@ -169,7 +169,7 @@ fn order(recipe: &RawRecipe) -> Result<Vec<usize>, Vec<usize>> {
         match (0..recipe.templates.len()).find(ready) {
             Some(next) => order.push(next),
             None => {
-                // Every open template reads an open one: following them must come back somewhere.
+                // Every open template reads an open one, so following the producers ends in a cycle.
                 let mut path: Vec<usize> = (0..recipe.templates.len()).find(open).into_iter().collect();
                 loop {
                     let next =
@@ -187,9 +187,9 @@ fn order(recipe: &RawRecipe) -> Result<Vec<usize>, Vec<usize>> {
 
 fn report_cycle(recipe: &RawRecipe, cycle: &[usize], report: &mut Report) {
     let name = |&index: &usize| recipe.templates.get_index(index).map_or(String::new(), |(name, _)| name.clone());
-    // From consumer to producer the path runs against the data; readers expect data to flow along arrows.
+    // The path runs from consumer to producer, against the data; it is printed along the data.
     let names = cycle.iter().chain(cycle.first()).rev().map(name);
-    let message = format!("nodes need each other: {}", join_arrows(names));
+    let message = format!("nodes depend on each other: {}", join_arrows(names));
     let key = format!("nodes.{}.inputs", name(&cycle[0]));
     report.add(&recipe.templates[cycle[0]].at, key, message, None);
 }

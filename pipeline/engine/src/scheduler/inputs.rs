@@ -1,4 +1,4 @@
-//! From producers at rest and digested sources to a job's key components.
+//! Derives the key components of a job from its finished producers and digested sources.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,28 +9,28 @@ use crate::{
     ActionKey, Digest, Failure, FailureKind, KeyComponents, KeyInput, Measurements, Node, Plan, PlanInput, Store,
 };
 
-/// What consumers may know of a job that has come to rest.
+/// The outcome of a finished node, as its consumers see it.
 #[derive(Clone, Debug)]
-pub enum Rest {
-    /// Its artifact is in the store.
+pub enum NodeOutcome {
+    /// The store has the node's artifact.
     Done(Done),
-    /// It has none.
+    /// The node's job failed.
     Failed {
-        /// Why.
+        /// The failure.
         failure: Failure,
-        /// Its key, if it got one.
+        /// The action key, if all inputs were known.
         key: Option<ActionKey>,
     },
-    /// Something that it needs has none.
+    /// The node was skipped because a direct or indirect producer failed.
     Skipped {
-        /// Why the job at the root has none.
+        /// The failure of that producer.
         failure: Failure,
-        /// The job at the root.
+        /// The name of that producer.
         because_of: String,
     },
 }
 
-/// A job's result.
+/// The result of a job.
 #[derive(Clone, Debug)]
 pub struct Done {
     /// The action key.
@@ -41,8 +41,8 @@ pub struct Done {
     pub measurements: Digest,
 }
 
-impl Rest {
-    /// Why there is no artifact.
+impl NodeOutcome {
+    /// The failure, if the node has no artifact.
     pub fn failure(&self) -> Option<&Failure> {
         match self {
             Self::Done(_) => None,
@@ -50,7 +50,7 @@ impl Rest {
         }
     }
 
-    fn as_key_input(&self, producer: &Node) -> KeyInput {
+    fn key_input(&self, producer: &Node) -> KeyInput {
         let coordinates = producer.coordinates.clone();
         match self {
             Self::Done(done) => KeyInput {
@@ -65,7 +65,7 @@ impl Rest {
         }
     }
 
-    fn as_input_spec(&self, producer: &Node, use_of_measurements: Measurements) -> InputSpec {
+    fn input_spec(&self, producer: &Node, use_of_measurements: Measurements) -> InputSpec {
         let (artifact, key, measurements) = match self {
             Self::Done(done) => (Ok(done.content), Some(&done.key), Some(done.measurements)),
             Self::Failed { failure, key } => (Err(failure.clone()), key.as_ref(), None),
@@ -81,7 +81,7 @@ impl Rest {
     }
 }
 
-/// The digests of all sources that some nodes read, by path relative to the data root.
+/// The digests of all sources of the selected nodes, by path relative to the data root.
 #[derive(Default)]
 pub struct Sources(BTreeMap<PathBuf, Result<SourceState, Failure>>);
 
@@ -107,7 +107,7 @@ impl Sources {
         let digests = SourceDigests::load(&store.stat_cache_file(), rehash);
         let states = paths.iter().map(|path| ((*path).clone(), source_state(&digests, data_root, path))).collect();
         if let Some(cache) = digests.changed_cache()? {
-            // Without the cache the next run hashes again, which is only slower.
+            // Without the cache the next run hashes again, which only costs time.
             let _ = store.exists().then(|| store.write_over(&store.stat_cache_file(), &cache));
         }
         Ok(Self(states))
@@ -127,82 +127,88 @@ impl Sources {
         Ok(states.map(|(name, state)| (name.to_owned(), state.digest.to_string())).collect())
     }
 
-    /// The sources of `node` as a job needs them.
-    pub fn specs(&self, node: &Node) -> Result<BTreeMap<String, SourceSpec>, Failure> {
+    /// The sources of `node` for its job's specification, by name.
+    pub(super) fn specs(&self, node: &Node) -> Result<BTreeMap<String, SourceSpec>, Failure> {
         Ok(self.of(node)?.into_iter().map(|(name, state)| (name.to_owned(), state.spec.clone())).collect())
     }
 }
 
 fn source_state(digests: &SourceDigests, data_root: &Path, path: &Path) -> Result<SourceState, Failure> {
-    // The root is the user's and may be relative; the job may run elsewhere.
+    // The user's root may be relative, and the job may run in another folder.
     let absolute = std::path::absolute(data_root.join(path))
         .map_err(|error| Failure::new(FailureKind::World, error.to_string()).at(path))?;
     let failure = |error: SourceError| match error {
-        SourceError::Missing(path) => Failure::new(FailureKind::MissingData, "the data is not there")
-            .hint("put it there or choose another folder with --data-root")
+        SourceError::Missing(path) => Failure::new(FailureKind::MissingData, "the data is missing")
+            .hint("add it, or choose another folder with --data-root")
             .at(path),
         SourceError::Unreadable(path, error) => {
             Failure::new(FailureKind::World, format!("cannot read the data ({error})")).at(path)
         }
         SourceError::Name(path) => Failure::new(FailureKind::BadInput, "a file's name is not UTF-8").at(path),
     };
-    // Looked at before hashing, so that a change at any time from now on is seen after the job.
+    // Taken before hashing, so that a change at any later time is detected after the job.
     let stat = SourceDigests::stat_digest(&absolute).map_err(failure)?;
     let digest = digests.digest(&absolute).map_err(failure)?;
     Ok(SourceState { digest, spec: SourceSpec { path: absolute, stat } })
 }
 
-/// Whether a job can run.
+/// Whether a node's job can run.
 pub enum Readiness {
-    /// Some producer is not at rest.
+    /// A producer is not finished.
     Waiting,
-    /// It comes to rest without running: its data is missing, or something that it needs.
-    AtRest(Rest),
-    /// All that its result depends on is known.
+    /// The node is finished without running, because data or a producer's artifact is missing.
+    Finished(NodeOutcome),
+    /// Everything that the result depends on is known.
     Ready(Box<KeyComponents>),
 }
 
-/// Whether node `index` can run, given what became of the nodes so far.
+/// Whether the job of node `index` can run, given the outcomes of the nodes so far.
 ///
-/// On a port for many, producers without an artifact are outcomes that the job shows, unless one was interrupted (the
-/// table would have to be made again).
-pub fn readiness(plan: &Plan, index: usize, rests: &[Option<Rest>], sources: &Sources) -> Readiness {
+/// A port for many accepts producers without an artifact and passes their failures to the job, unless one was interrupted:
+/// the job would have to run again when that producer continues.
+pub fn readiness(plan: &Plan, index: usize, outcomes: &[Option<NodeOutcome>], sources: &Sources) -> Readiness {
     let node = &plan.nodes[index];
     let digests = match sources.digests(node) {
         Ok(digests) => digests,
-        Err(failure) => return Readiness::AtRest(Rest::Failed { failure, key: None }),
+        Err(failure) => return Readiness::Finished(NodeOutcome::Failed { failure, key: None }),
     };
-    if let Some(rest) = node.inputs.iter().find_map(|port| blocked_by(plan, port, rests)) {
-        return Readiness::AtRest(rest);
+    if let Some(outcome) = node.inputs.iter().find_map(|port| blocked_by(plan, port, outcomes)) {
+        return Readiness::Finished(outcome);
     }
     let mut inputs = BTreeMap::new();
     for port in &node.inputs {
-        let key_input = |&producer: &usize| Some(rests[producer].as_ref()?.as_key_input(&plan.nodes[producer]));
+        let key_input = |&producer: &usize| Some(outcomes[producer].as_ref()?.key_input(&plan.nodes[producer]));
         let Some(producers) = port.producers.iter().map(key_input).collect() else { return Readiness::Waiting };
         inputs.insert(port.port.clone(), producers);
     }
     Readiness::Ready(Box::new(KeyComponents::of(node, inputs, digests, plan.device_of(node))))
 }
 
-/// The rest that a job comes to because of a producer on this port, if one keeps it from running.
-fn blocked_by(plan: &Plan, port: &PlanInput, rests: &[Option<Rest>]) -> Option<Rest> {
-    let failure = |producer: usize| rests[producer].as_ref().and_then(Rest::failure);
+/// The outcome of a job that cannot run because of a producer on this port, if there is such a producer.
+fn blocked_by(plan: &Plan, port: &PlanInput, outcomes: &[Option<NodeOutcome>]) -> Option<NodeOutcome> {
+    let failure = |producer: usize| outcomes[producer].as_ref().and_then(NodeOutcome::failure);
     let blocks = |&producer: &usize| match failure(producer) {
         None => false,
         Some(failure) => !port.many || failure.kind == FailureKind::Interrupted,
     };
     let producer = port.producers.iter().copied().find(blocks)?;
-    Some(match rests[producer].clone()? {
-        Rest::Failed { failure, .. } => Rest::Skipped { failure, because_of: plan.nodes[producer].name.clone() },
+    Some(match outcomes[producer].clone()? {
+        NodeOutcome::Failed { failure, .. } => {
+            NodeOutcome::Skipped { failure, because_of: plan.nodes[producer].name.clone() }
+        }
         skipped => skipped,
     })
 }
 
-/// The producers of `node`, all at rest, as its job finds them.
-pub fn input_specs(plan: &Plan, node: &Node, rests: &[Option<Rest>]) -> BTreeMap<String, Vec<InputSpec>> {
+/// The finished producers of `node` for its job's specification, by port.
+pub(super) fn input_specs(
+    plan: &Plan,
+    node: &Node,
+    outcomes: &[Option<NodeOutcome>],
+) -> BTreeMap<String, Vec<InputSpec>> {
     let specs = |port: &PlanInput| {
         let spec =
-            |&producer: &usize| Some(rests[producer].as_ref()?.as_input_spec(&plan.nodes[producer], port.measurements));
+            |&producer: &usize| Some(outcomes[producer].as_ref()?.input_spec(&plan.nodes[producer], port.measurements));
         port.producers.iter().filter_map(spec).collect()
     };
     node.inputs.iter().map(|port| (port.port.clone(), specs(port))).collect()

@@ -1,4 +1,4 @@
-//! Launching: thread slots, and the thread that watches over one child.
+//! Launches jobs: thread slots, and the thread that supervises one child.
 
 use std::path::PathBuf;
 use std::sync::mpsc::Sender;
@@ -8,30 +8,35 @@ use anyhow::Context;
 
 use super::{Message, RunOptions, Scheduler, inputs};
 use crate::job::{Ended, JobSpec, JobStatus, ProcessHandle, supervise};
-use crate::store::{FailureRecord, Lookup, Provenance, Store, naming};
+use crate::store::{ActionRecord, FailureRecord, Lookup, Provenance, Store};
 use crate::{ActionKey, DeviceClass, Failure, FailureKind, KeyComponents, Node, Progress, lock};
 
-/// A job with a thread of its own.
+/// A launched job, which has a supervising thread.
 pub(super) struct Running {
+    /// The action key.
     pub(super) key: ActionKey,
+    /// The handle that stops the child.
     pub(super) handle: ProcessHandle,
+    /// The number of threads that the job may use.
     pub(super) threads: usize,
+    /// The folder for logs and status.
     pub(super) dir: PathBuf,
+    /// The last reported progress.
     pub(super) progress: Progress,
-    /// None while it waits for another run's result.
+    /// The start of the process; none while the job waits for another run's result.
     pub(super) process_started: Option<Instant>,
-    /// How often it was told that its time is up.
+    /// The number of stop requests sent because of the time limit.
     pub(super) time_warnings: usize,
 }
 
 impl Scheduler<'_> {
-    /// Launches queued jobs in plan order while there are slots.
-    pub(super) fn launch_what_fits(&mut self) -> anyhow::Result<()> {
+    /// Launches queued jobs in plan order while slots are free.
+    pub(super) fn launch_jobs(&mut self) -> anyhow::Result<()> {
         while let Some((&index, _)) = self.queue.first_key_value() {
             let threads = self.threads_of(index);
             let used: usize = self.running.values().map(|job| job.threads).sum();
             let fits = self.running.len() < self.options.jobs.max(1) && used + threads <= self.options.threads.max(1);
-            if self.launching_has_ended() || !fits {
+            if self.has_stopped_launching() || !fits {
                 break;
             }
             if let Some((index, components)) = self.queue.pop_first() {
@@ -41,7 +46,7 @@ impl Scheduler<'_> {
         Ok(())
     }
 
-    /// Threads that a node gets: as many as it wants, at most all.
+    /// The number of threads for a node: as many as it wants, at most all of the run.
     fn threads_of(&self, index: usize) -> usize {
         let all = self.options.threads.max(1);
         match self.plan.nodes[index].threads {
@@ -71,7 +76,7 @@ impl Scheduler<'_> {
             coordinates: node.coordinates.clone(),
             components,
             unused_sources: node.unused_sources.clone(),
-            inputs: inputs::input_specs(self.plan, node, &self.rests),
+            inputs: inputs::input_specs(self.plan, node, &self.outcomes),
             sources,
             threads,
             device: self.device_of(node),
@@ -83,7 +88,7 @@ impl Scheduler<'_> {
             parent_pid: std::process::id(),
         };
         let handle = ProcessHandle::default();
-        let watch = Watch {
+        let supervisor = Supervisor {
             index,
             spec,
             key: key.clone(),
@@ -92,9 +97,9 @@ impl Scheduler<'_> {
             handle: handle.clone(),
             sender: self.sender.clone(),
         };
-        // The kernel ties the child's life to this thread's, and the thread's to the scheduler's.
+        // The kernel ends the child with this thread, and this thread with the scheduler.
         let name = format!("job {}", node.name);
-        std::thread::Builder::new().name(name).spawn(move || watch.run()).context("cannot start a thread")?;
+        std::thread::Builder::new().name(name).spawn(move || supervisor.run()).context("cannot start a thread")?;
         let progress = Progress::default();
         let job = Running { key, handle, threads, dir, progress, process_started: None, time_warnings: 0 };
         self.running.insert(index, job);
@@ -102,8 +107,8 @@ impl Scheduler<'_> {
     }
 }
 
-/// One job's thread.
-struct Watch {
+/// The thread that supervises one job.
+struct Supervisor {
     index: usize,
     spec: JobSpec,
     key: ActionKey,
@@ -113,24 +118,23 @@ struct Watch {
     sender: Sender<Message>,
 }
 
-impl Watch {
+impl Supervisor {
     fn run(self) {
         let clock = Instant::now();
         let message = match self.find_or_run() {
-            Ok(Ok(found)) => Message::Found(self.index, found),
+            Ok(Ok(record)) => Message::Found(self.index, record),
             Ok(Err(ended)) => Message::Ended(self.index, Ok(ended), clock.elapsed()),
             Err(error) => Message::Ended(self.index, Err(error), clock.elapsed()),
         };
-        self.tell(message);
+        self.send(message);
     }
 
-    /// Takes the action's lock, then the result that another run made meanwhile, or else runs the child.
-    fn find_or_run(&self) -> anyhow::Result<Result<Box<crate::store::ActionRecord>, Ended>> {
-        let lock_file = self.store.lock_file(self.key.as_str());
-        let lock = lock::open(&lock_file).map_err(naming(&lock_file)).context("cannot open a lock")?;
+    /// Takes the action's lock. Then returns the result of another run if there is one by now, otherwise runs the child.
+    fn find_or_run(&self) -> anyhow::Result<Result<Box<ActionRecord>, Ended>> {
+        let lock = lock::open(&self.store.lock_file(self.key.as_str())).context("cannot open a lock")?;
         if !lock::try_exclusive(&lock)? {
-            self.tell(Message::Waiting(self.index));
-            if !lock::wait_exclusive(&lock, || self.handle.told_to_stop())? {
+            self.send(Message::Waiting(self.index));
+            if !lock::wait_exclusive(&lock, || self.handle.stop_requested())? {
                 return Ok(Err(stopped_while_waiting()));
             }
         }
@@ -139,8 +143,8 @@ impl Watch {
         {
             return Ok(Ok(record));
         }
-        self.tell(Message::Started(self.index));
-        let on_progress = |progress| self.tell(Message::Progress(self.index, progress));
+        self.send(Message::Started(self.index));
+        let on_progress = |progress| self.send(Message::Progress(self.index, progress));
         let ended = supervise(&self.options.command, &self.spec, &lock, &self.handle, &on_progress)?;
         if let JobStatus::Failed(failure) = &ended.status
             && failure.kind != FailureKind::Interrupted
@@ -165,8 +169,8 @@ impl Watch {
         self.store.put_failure(&FailureRecord::new(components, provenance, failure.clone(), ended.log_tail.clone()))
     }
 
-    fn tell(&self, message: Message) {
-        // The scheduler is gone only if it failed; nobody wants to know any more.
+    fn send(&self, message: Message) {
+        // Fails only if the scheduler itself failed; then no thread needs the message.
         let _ = self.sender.send(message);
     }
 }

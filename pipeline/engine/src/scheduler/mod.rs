@@ -1,8 +1,8 @@
 //! The scheduler: runs a plan's jobs as child processes, several at a time, and keeps going when one fails.
 //!
-//! One thread owns the state; each running job has a thread of its own that waits for the child and sends messages.
-//! A node is looked at when all its producers are at rest: its action key is known then, so that an unchanged input
-//! cuts the rerun off, however it came about.
+//! One thread owns the state. Each running job has a thread that waits for the child and sends messages. A node is
+//! dispatched when all its producers are finished. Its action key is known then, so unchanged inputs cut the rerun off,
+//! even if the producers ran again.
 
 mod inputs;
 mod launch;
@@ -19,53 +19,53 @@ use anyhow::Context;
 
 use crate::event::{Counts, Event, EventLog, NodeResult, Outcome};
 use crate::job::{Ended, JobStatus, StopRequests};
-use crate::store::{ActionRecord, Lookup, naming};
+use crate::store::{ActionRecord, Lookup};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents, Plan, Progress, Store};
 
-pub use inputs::{Done, Readiness, Rest, Sources, readiness};
+pub use inputs::{Done, NodeOutcome, Readiness, Sources, readiness};
 pub use summary::RunSummary;
 
 use launch::Running;
 
-/// How often the scheduler looks at clocks and stop requests while jobs run.
+/// The time between two checks of clocks and stop requests while jobs run.
 const TICK: Duration = Duration::from_millis(50);
 
-/// How a plan is run; nothing here can change a result.
+/// The options of a run. None of them can change a result.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
     /// The folder that sources are relative to.
     pub data_root: PathBuf,
-    /// The nodes that are asked for; what they need is added.
+    /// The requested nodes; their producers are added.
     pub targets: BTreeSet<usize>,
-    /// Nodes that run even if their results are there.
+    /// Nodes that run even if the store has their results.
     pub force: BTreeSet<usize>,
-    /// At most so many children at once.
+    /// The maximum number of children at a time.
     pub jobs: usize,
-    /// Threads of all children together.
+    /// The maximum total number of threads of all children.
     pub threads: usize,
-    /// The device of the jobs that compute on one, as [`JobContext::device`](crate::JobContext::device) tells it to them.
+    /// The value of [`JobContext::device`](crate::JobContext::device) for jobs that compute on a device.
     pub device: String,
-    /// Whether jobs measure closely what time goes into.
+    /// Whether to profile the jobs.
     pub profile: bool,
-    /// Launch nothing more after so many failures.
+    /// Launch no more jobs after this many failures.
     pub max_failures: Option<usize>,
-    /// Stop a job that runs longer.
+    /// Stop jobs that run longer than this.
     pub timeout: Option<Duration>,
-    /// Hash sources again, whatever the cache says.
+    /// Hash sources again instead of using the cache.
     pub rehash: bool,
-    /// Filter of the jobs' logs.
+    /// The filter of the jobs' logs.
     pub log_filter: String,
-    /// The program, with its first arguments, that runs the job whose specification is appended.
+    /// The program and its first arguments; the path of a job's specification is appended.
     pub command: Vec<OsString>,
-    /// Requests to stop.
+    /// The user's stop requests.
     pub stop: StopRequests,
-    /// How often to say that the run is still there.
+    /// The time between two heartbeat events.
     pub heartbeat: Duration,
 }
 
-/// Runs the targets of `plan` and what they need, telling `watcher` what happens.
+/// Runs the targets of `plan` and their producers. `watcher` receives every event.
 ///
-/// Failed jobs are part of the summary; an error means that the store or the machine failed the scheduler itself.
+/// Failed jobs are part of the summary. An error means that the store or the machine failed the scheduler itself.
 pub fn run(
     plan: &Plan,
     store: &Store,
@@ -77,9 +77,7 @@ pub fn run(
     let selected = plan.with_ancestors(&options.targets);
     let (run, run_dir) = new_run(store)?;
     let plan_file = run_dir.join("plan.json");
-    std::fs::write(&plan_file, serde_json::to_vec(plan)?)
-        .map_err(naming(&plan_file))
-        .context("cannot write the plan")?;
+    fs_err::write(&plan_file, serde_json::to_vec(plan)?).context("cannot write the plan")?;
     let mut events = EventLog::create(&run_dir.join("events.jsonl"), watcher)?;
     events.emit(&Event::Planned { run: run.clone(), recipe: plan.recipe.clone(), jobs: selected.len() });
     let sources = Sources::digest(plan, &selected, &options.data_root, store, options.rehash)?;
@@ -88,29 +86,32 @@ pub fn run(
     scheduler.run()?;
     let mut summary = scheduler.finish(clock.elapsed().as_secs_f64());
     let path = run_dir.join("summary.json");
-    if let Err(error) = std::fs::write(&path, serde_json::to_vec_pretty(&summary)?) {
-        // The caller still learns what came of the jobs.
-        summary.not_kept.get_or_insert(format!("cannot write the run's summary ({error}): {}", path.display()));
+    if let Err(error) = fs_err::write(&path, serde_json::to_vec_pretty(&summary)?) {
+        // The caller still gets the summary.
+        summary.not_kept.get_or_insert(format!("cannot write the run's summary: {error}"));
     }
     Ok(summary)
 }
 
-/// A new run's name (its start, sortable) and folder.
+/// The name (start time and process id, sortable) and the folder of a new run.
 fn new_run(store: &Store) -> anyhow::Result<(String, PathBuf)> {
     let now = humantime::format_rfc3339_millis(SystemTime::now()).to_string();
     let name = format!("{}-{}", now.replace(['-', ':'], ""), std::process::id());
     let dir = store.run_dir(&name);
-    std::fs::create_dir_all(&dir).map_err(naming(&dir)).context("cannot make the run's folder")?;
+    fs_err::create_dir_all(&dir).context("cannot create the run's folder")?;
     Ok((name, dir))
 }
 
-/// What the threads of running jobs tell the scheduler.
+/// Messages from the threads of running jobs; each begins with the index of the node.
 enum Message {
+    /// The job waits for another run's result.
     Waiting(usize),
+    /// The job's process has started.
     Started(usize),
     Progress(usize, Progress),
-    /// Another run made the result meanwhile.
+    /// Another run has made the result in the meantime.
     Found(usize, Box<ActionRecord>),
+    /// The job's process has ended, after this time.
     Ended(usize, anyhow::Result<Ended>, Duration),
 }
 
@@ -122,18 +123,18 @@ struct Scheduler<'a> {
     sources: Sources,
     events: EventLog<'a>,
     selected: BTreeSet<usize>,
-    /// Selected consumers of each node.
+    /// The selected consumers of each node.
     consumers: Vec<Vec<usize>>,
-    /// Producers of each node that are not at rest.
+    /// The number of unfinished producers of each node.
     unfinished_producers: Vec<usize>,
-    /// Nodes whose producers are all at rest and that nobody has looked at yet.
-    fresh: BTreeSet<usize>,
-    /// Nodes that have to run, first come first served in plan order: no job overtakes, so none starves.
+    /// Nodes whose producers are all finished and that are not dispatched yet.
+    ready: BTreeSet<usize>,
+    /// Nodes that have to run, in plan order. Jobs are launched strictly in this order, so none starves.
     queue: BTreeMap<usize, Box<KeyComponents>>,
     running: BTreeMap<usize, Running>,
-    /// Action keys in the queue or running, and the nodes that wait for the same result.
+    /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
     in_flight: BTreeMap<ActionKey, Vec<usize>>,
-    rests: Vec<Option<Rest>>,
+    outcomes: Vec<Option<NodeOutcome>>,
     results: BTreeMap<usize, NodeResult>,
     counts: Counts,
     stops_seen: usize,
@@ -160,7 +161,7 @@ impl<'a> Scheduler<'a> {
                 unfinished_producers[index] += 1;
             }
         }
-        let fresh = selected.iter().copied().filter(|&index| unfinished_producers[index] == 0).collect();
+        let ready = selected.iter().copied().filter(|&index| unfinished_producers[index] == 0).collect();
         let (sender, receiver) = channel();
         Self {
             plan,
@@ -173,11 +174,11 @@ impl<'a> Scheduler<'a> {
             selected,
             consumers,
             unfinished_producers,
-            fresh,
+            ready,
             queue: BTreeMap::new(),
             running: BTreeMap::new(),
             in_flight: BTreeMap::new(),
-            rests: vec![None; plan.nodes.len()],
+            outcomes: vec![None; plan.nodes.len()],
             results: BTreeMap::new(),
             stops_seen: 0,
             last_heartbeat: Instant::now(),
@@ -188,31 +189,35 @@ impl<'a> Scheduler<'a> {
 
     fn run(&mut self) -> anyhow::Result<()> {
         loop {
-            while let Some(index) = self.fresh.pop_first() {
-                self.look_at(index)?;
+            while let Some(index) = self.ready.pop_first() {
+                self.dispatch(index)?;
             }
-            self.watch_stop_requests();
-            self.launch_what_fits()?;
+            self.handle_stop_requests();
+            self.launch_jobs()?;
             if self.running.is_empty() {
-                // Nothing runs and nothing fits: nothing is left, or launching has ended.
+                // No job runs and none can be launched: all are finished, or launching has stopped.
                 return Ok(());
             }
             self.events.flush();
             match self.receiver.recv_timeout(TICK) {
-                Ok(message) => self.receive(message)?,
+                Ok(message) => self.receive(message),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the jobs' threads are gone"),
             }
-            self.watch_time_limits();
-            self.beat()?;
+            self.enforce_time_limit();
+            self.emit_heartbeat();
         }
     }
 
-    /// Decides about a node whose producers are all at rest: without running, from the store, or into the queue.
-    fn look_at(&mut self, index: usize) -> anyhow::Result<()> {
-        let components = match readiness(self.plan, index, &self.rests, &self.sources) {
+    /// Handles a node whose producers are all finished: finishes it without running, takes the result from the store, or
+    /// queues its job.
+    fn dispatch(&mut self, index: usize) -> anyhow::Result<()> {
+        let components = match readiness(self.plan, index, &self.outcomes, &self.sources) {
             Readiness::Waiting => return Ok(()),
-            Readiness::AtRest(rest) => return self.settle(index, rest, None),
+            Readiness::Finished(outcome) => {
+                self.finish_node(index, outcome, None);
+                return Ok(());
+            }
             Readiness::Ready(components) => components,
         };
         let key = ActionKey::new(&components);
@@ -222,7 +227,10 @@ impl<'a> Scheduler<'a> {
         }
         if !self.options.force.contains(&index) {
             match self.store.lookup(&key) {
-                Lookup::Hit(record) => return self.settle_from(index, &record),
+                Lookup::Hit(record) => {
+                    self.finish_from_record(index, &record);
+                    return Ok(());
+                }
                 Lookup::Damaged { reason, paths } => {
                     let message = format!("{} runs again: {reason}", self.plan.nodes[index].name);
                     self.events.emit(&Event::Warning { message });
@@ -236,112 +244,102 @@ impl<'a> Scheduler<'a> {
         Ok(())
     }
 
-    fn receive(&mut self, message: Message) -> anyhow::Result<()> {
+    fn receive(&mut self, message: Message) {
         let name = |index: usize| self.plan.nodes[index].name.clone();
         match message {
-            Message::Waiting(index) => {
-                self.events.emit(&Event::Waiting { node: name(index) });
-                Ok(())
-            }
+            Message::Waiting(index) => self.events.emit(&Event::Waiting { node: name(index) }),
             Message::Started(index) => {
-                let Some(job) = self.running.get_mut(&index) else { return Ok(()) };
+                let Some(job) = self.running.get_mut(&index) else { return };
                 job.process_started = Some(Instant::now());
                 let (key, threads) = (job.key.to_string(), job.threads);
-                {
-                    self.events.emit(&Event::Started { node: name(index), key, threads });
-                    Ok(())
-                }
+                self.events.emit(&Event::Started { node: name(index), key, threads });
             }
             Message::Progress(index, progress) => {
-                let Some(job) = self.running.get_mut(&index) else { return Ok(()) };
+                let Some(job) = self.running.get_mut(&index) else { return };
                 job.progress = progress.clone();
-                {
-                    self.events.emit(&Event::Progress { node: name(index), progress });
-                    Ok(())
-                }
+                self.events.emit(&Event::Progress { node: name(index), progress });
             }
             Message::Found(index, record) => {
-                let Some(job) = self.running.remove(&index) else { return Ok(()) };
-                let followers = self.in_flight.remove(&job.key).unwrap_or_default();
-                [index].into_iter().chain(followers).try_for_each(|index| self.settle_from(index, &record))
+                let Some(job) = self.running.remove(&index) else { return };
+                self.finish_from_record(index, &record);
+                for follower in self.in_flight.remove(&job.key).unwrap_or_default() {
+                    self.finish_from_record(follower, &record);
+                }
             }
             Message::Ended(index, ended, wall) => self.receive_end(index, ended, wall),
         }
     }
 
-    /// A child is gone: its node comes to rest, and every node that waited for the same result.
-    fn receive_end(&mut self, index: usize, ended: anyhow::Result<Ended>, wall: Duration) -> anyhow::Result<()> {
-        let Some(job) = self.running.remove(&index) else { return Ok(()) };
+    /// Finishes the node of an ended child, and all nodes that waited for the same result.
+    fn receive_end(&mut self, index: usize, ended: anyhow::Result<Ended>, wall: Duration) {
+        let Some(job) = self.running.remove(&index) else { return };
         let key = job.key.clone();
-        let (rest, note) = match ended.map(|ended| ended.status) {
+        let (outcome, note) = match ended.map(|ended| ended.status) {
             Ok(JobStatus::Published { content, measurements, note }) => {
-                (Rest::Done(Done { key: key.clone(), content, measurements }), note)
+                (NodeOutcome::Done(Done { key: key.clone(), content, measurements }), note)
             }
-            Ok(JobStatus::Failed(failure)) => (Rest::Failed { failure, key: Some(key.clone()) }, None),
+            Ok(JobStatus::Failed(failure)) => (NodeOutcome::Failed { failure, key: Some(key.clone()) }, None),
             Err(error) => {
                 let failure = Failure::new(FailureKind::World, format!("{error:#}"));
-                (Rest::Failed { failure, key: Some(key.clone()) }, None)
+                (NodeOutcome::Failed { failure, key: Some(key.clone()) }, None)
             }
         };
-        let followers = self.in_flight.remove(&key).unwrap_or_default();
-        let mut result = NodeResult::new(outcome_of(&rest, Outcome::Executed));
+        let mut result = NodeResult::new(summarize(&outcome, Outcome::Executed));
         result.wall_secs = Some(wall.as_secs_f64());
         result.log_dir = Some(job.dir);
         result.note = note;
-        self.settle(index, rest.clone(), Some(result))?;
-        followers.into_iter().try_for_each(|follower| self.settle(follower, rest.clone(), None))
+        self.finish_node(index, outcome.clone(), Some(result));
+        for follower in self.in_flight.remove(&key).unwrap_or_default() {
+            self.finish_node(follower, outcome.clone(), None);
+        }
     }
 
-    fn settle_from(&mut self, index: usize, record: &ActionRecord) -> anyhow::Result<()> {
+    fn finish_from_record(&mut self, index: usize, record: &ActionRecord) {
         self.store.touch(record);
         let done = Done { key: record.key.clone(), content: record.content, measurements: record.measurements };
-        self.settle(index, Rest::Done(done), None)
+        self.finish_node(index, NodeOutcome::Done(done), None);
     }
 
-    /// Brings a node to rest and tells its consumers. `result` says more if the job ran.
-    fn settle(&mut self, index: usize, rest: Rest, result: Option<NodeResult>) -> anyhow::Result<()> {
-        let mut result = result.unwrap_or_else(|| NodeResult::new(outcome_of(&rest, Outcome::Cached)));
-        result.failure = rest.failure().cloned();
-        match &rest {
-            Rest::Done(done) => {
+    /// Records the outcome of a node and releases its consumers. `result` has the details of a job that ran.
+    fn finish_node(&mut self, index: usize, outcome: NodeOutcome, result: Option<NodeResult>) {
+        let mut result = result.unwrap_or_else(|| NodeResult::new(summarize(&outcome, Outcome::Cached)));
+        result.failure = outcome.failure().cloned();
+        match &outcome {
+            NodeOutcome::Done(done) => {
                 result.key = Some(done.key.to_string());
                 result.content = Some(done.content);
             }
-            Rest::Failed { key, .. } => result.key = key.as_ref().map(ToString::to_string),
-            Rest::Skipped { because_of, .. } => result.because_of = Some(because_of.clone()),
+            NodeOutcome::Failed { key, .. } => result.key = key.as_ref().map(ToString::to_string),
+            NodeOutcome::Skipped { because_of, .. } => result.because_of = Some(because_of.clone()),
         }
         self.counts.add(result.outcome);
-        self.rests[index] = Some(rest);
+        self.outcomes[index] = Some(outcome);
         let node = self.plan.nodes[index].name.clone();
         self.events.emit(&Event::Finished { node, result: result.clone() });
         self.results.insert(index, result);
         for &consumer in &self.consumers[index] {
             self.unfinished_producers[consumer] -= 1;
             if self.unfinished_producers[consumer] == 0 {
-                self.fresh.insert(consumer);
+                self.ready.insert(consumer);
             }
         }
-        Ok(())
     }
 
-    fn beat(&mut self) -> anyhow::Result<()> {
+    fn emit_heartbeat(&mut self) {
         if self.last_heartbeat.elapsed() < self.options.heartbeat {
-            return Ok(());
+            return;
         }
         self.last_heartbeat = Instant::now();
         let counts = Counts { running: self.running.len(), ..self.counts };
         let running =
             self.running.iter().map(|(&index, job)| (self.plan.nodes[index].name.clone(), job.progress.clone()));
-        {
-            self.events.emit(&Event::Heartbeat { counts, running: running.collect() });
-            Ok(())
-        }
+        self.events.emit(&Event::Heartbeat { counts, running: running.collect() });
     }
 
-    /// Counts what never got its turn, and closes the books.
+    /// Counts the nodes that were never dispatched, and summarizes the run.
     fn finish(mut self, wall_secs: f64) -> RunSummary {
         for &index in &self.selected {
-            if self.rests[index].is_none() {
+            if self.outcomes[index].is_none() {
                 self.counts.add(Outcome::NotRun);
                 self.results.insert(index, NodeResult::new(Outcome::NotRun));
             }
@@ -361,19 +359,19 @@ impl<'a> Scheduler<'a> {
         }
     }
 
-    /// Names of the selected nodes that no selected node reads.
+    /// The names of the selected nodes without selected consumers.
     fn selected_sinks(&self) -> Vec<String> {
         let sinks = self.selected.iter().filter(|&&index| self.consumers[index].is_empty());
         sinks.map(|&index| self.plan.nodes[index].name.clone()).collect()
     }
 }
 
-/// The outcome of a node at rest; `done` is the word for one that has its artifact.
-fn outcome_of(rest: &Rest, done: Outcome) -> Outcome {
-    match rest {
-        Rest::Done(_) => done,
-        Rest::Skipped { .. } => Outcome::Skipped,
-        Rest::Failed { failure, .. } => match failure.kind {
+/// The outcome in a word; `done` is the word for a node with an artifact.
+fn summarize(outcome: &NodeOutcome, done: Outcome) -> Outcome {
+    match outcome {
+        NodeOutcome::Done(_) => done,
+        NodeOutcome::Skipped { .. } => Outcome::Skipped,
+        NodeOutcome::Failed { failure, .. } => match failure.kind {
             FailureKind::MissingData => Outcome::MissingData,
             FailureKind::Interrupted => Outcome::Interrupted,
             _ => Outcome::Failed,

@@ -1,4 +1,4 @@
-//! Stopping: on request, after too many failures, and when a job's time is up.
+//! Stops jobs: on request, after too many failures, and at a job's time limit.
 
 use std::time::Duration;
 
@@ -6,12 +6,12 @@ use super::Scheduler;
 use crate::event::Event;
 use crate::job::Stop;
 
-/// After its time limit a job has so long to save its progress, and as long again after TERM.
+/// The time that a job has to save its progress after its time limit, and to end after TERM.
 const TIME_LIMIT_GRACE: Duration = Duration::from_secs(10);
 
 impl Scheduler<'_> {
-    /// Acts on each request to stop once: ask the jobs to save their progress, then TERM, then KILL.
-    pub(super) fn watch_stop_requests(&mut self) {
+    /// Handles each new stop request: the first makes jobs save their progress, the second sends TERM, later ones KILL.
+    pub(super) fn handle_stop_requests(&mut self) {
         let requests = self.options.stop.count();
         while self.stops_seen < requests {
             self.stops_seen += 1;
@@ -19,11 +19,11 @@ impl Scheduler<'_> {
             let message = match self.stops_seen {
                 1 => {
                     handles.for_each(|handle| handle.stop(Stop::Save));
-                    "launching nothing more; running jobs save their progress (again: end them)"
+                    "no new jobs; running jobs save their progress (again: terminate them)"
                 }
                 2 => {
                     handles.for_each(|handle| handle.stop(Stop::Terminate));
-                    "ending running jobs (again: kill them)"
+                    "terminating running jobs (again: kill them)"
                 }
                 _ => {
                     handles.for_each(|handle| handle.stop(Stop::Kill));
@@ -34,13 +34,13 @@ impl Scheduler<'_> {
         }
     }
 
-    /// Whether nothing more is to be launched.
-    pub(super) fn launching_has_ended(&self) -> bool {
+    /// Whether the scheduler launches no more jobs.
+    pub(super) fn has_stopped_launching(&self) -> bool {
         self.stops_seen > 0 || self.options.max_failures.is_some_and(|limit| self.counts.failed >= limit.max(1))
     }
 
-    /// Asks jobs past the time limit to stop, then ends them, then kills them.
-    pub(super) fn watch_time_limits(&mut self) {
+    /// Requests jobs past the time limit to stop, then terminates them, then kills them.
+    pub(super) fn enforce_time_limit(&mut self) {
         let Some(limit) = self.options.timeout else { return };
         for job in self.running.values_mut() {
             let Some(started) = job.process_started else { continue };
@@ -58,7 +58,7 @@ impl Scheduler<'_> {
         }
     }
 
-    /// The exit code's reason, if the run was stopped on request.
+    /// The signal that stopped the run, if it was stopped on request.
     pub(super) fn stopped_by(&self) -> Option<String> {
         (self.stops_seen > 0).then(|| self.options.stop.last_signal().to_owned())
     }

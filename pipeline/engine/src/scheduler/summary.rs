@@ -1,4 +1,4 @@
-//! What a run came to.
+//! The summary of a run.
 
 use std::collections::BTreeMap;
 
@@ -7,31 +7,31 @@ use serde::{Deserialize, Serialize};
 use crate::event::{Counts, NodeResult, Outcome};
 use crate::{Failure, exit};
 
-/// What a run came to; kept as `summary.json` in its folder.
+/// The summary of a run, stored as `summary.json` in its folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunSummary {
     /// The run's name.
     pub run: String,
     /// The recipe's name.
     pub recipe: String,
-    /// How many jobs came to what.
+    /// The number of jobs with each outcome.
     pub counts: Counts,
-    /// Wall time of the run.
+    /// The wall time of the run in seconds.
     pub wall_secs: f64,
-    /// The signal that stopped it, if one did.
+    /// The signal that stopped the run, if it was stopped.
     pub stopped_by: Option<String>,
-    /// The nodes that nothing reads: what the run was for.
+    /// The names of the selected nodes without selected consumers: the goals of the run.
     pub sinks: Vec<String>,
-    /// Why events or this summary could not be kept in the run's folder, if so.
+    /// The error that kept the events or this summary out of the run's folder, if there was one.
     #[serde(default)]
     pub not_kept: Option<String>,
-    /// What became of each node.
+    /// The result of each node.
     pub results: BTreeMap<String, NodeResult>,
 }
 
 impl RunSummary {
-    /// The program's exit code (see [`exit`]). Missing data alone is no failure while anything at the end of the
-    /// graph could be made of data that is there, unless the user requires all data.
+    /// The program's exit code (see [`exit`]). Missing data alone is not a failure if a sink has a result that depends on
+    /// available data, unless `require_data` is set.
     pub fn exit_code(&self, require_data: bool) -> u8 {
         let counts = &self.counts;
         if let Some(signal) = &self.stopped_by {
@@ -51,14 +51,13 @@ impl RunSummary {
             return exit::FAILED;
         }
         let some_sink_is_done = self.sinks.iter().any(|name| self.is_done(name));
-        // A table that shows nothing but missing data is made all the same; it is no success.
-        let on_the_way = |name: &&String| !self.sinks.contains(name);
-        let of_something =
-            counts.missing_data == 0 || self.results.keys().filter(on_the_way).any(|name| self.is_done(name));
-        if some_sink_is_done && of_something { exit::OK } else { exit::NOTHING }
+        // A table of nothing but missing data has a result, too, but it is not a success.
+        let is_inner = |name: &&String| !self.sinks.contains(name);
+        let has_data = counts.missing_data == 0 || self.results.keys().filter(is_inner).any(|name| self.is_done(name));
+        if some_sink_is_done && has_data { exit::OK } else { exit::NOTHING }
     }
 
-    /// Failed jobs with their failures, by name.
+    /// The failed jobs: name, result and failure, ordered by name.
     pub fn failures(&self) -> impl Iterator<Item = (&str, &NodeResult, &Failure)> {
         let failed = self.results.iter().filter(|(_, result)| result.outcome == Outcome::Failed);
         failed.filter_map(|(name, result)| Some((name.as_str(), result, result.failure.as_ref()?)))

@@ -1,22 +1,23 @@
-//! Blobs: bytes named by their SHA-256.
+//! Blobs: files named by the SHA-256 of their bytes.
 
-use std::fs;
+use std::fs::{Metadata, Permissions};
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use fs_err as fs;
 use tempfile::TempPath;
 
-use super::{Store, naming};
+use super::{Store, at_path};
 use crate::Digest;
 
 impl Store {
-    /// Where the blob called `digest` lies, if it is there: `cas/ab/cdef…`.
+    /// The path of the blob with this digest: `cas/ab/cdef…`.
     pub fn blob_path(&self, digest: &Digest) -> PathBuf {
         self.root.join(blob_name(digest))
     }
 
-    /// The blob's bytes, checked against its name.
+    /// Reads a blob and checks its bytes against the digest.
     pub fn read_blob(&self, digest: &Digest) -> io::Result<Vec<u8>> {
         let bytes = fs::read(self.blob_path(digest))?;
         if Digest::of(&bytes) != *digest {
@@ -25,43 +26,43 @@ impl Store {
         Ok(bytes)
     }
 
-    /// Adds bytes as a blob, durably.
+    /// Stores bytes durably as a blob.
     pub(super) fn put_bytes(&self, bytes: &[u8]) -> io::Result<Digest> {
         let digest = Digest::of(bytes);
         let file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
         let mut open = file.as_file();
         let written = open.write_all(bytes);
-        let protected = written.and_then(|()| open.set_permissions(fs::Permissions::from_mode(0o444)));
-        protected.and_then(|()| open.sync_all()).map_err(naming(file.path()))?;
+        let protected = written.and_then(|()| open.set_permissions(Permissions::from_mode(0o444)));
+        protected.and_then(|()| open.sync_all()).map_err(at_path(file.path()))?;
         self.place(file.into_temp_path(), &digest, bytes.len() as u64)?;
         Ok(digest)
     }
 
-    /// Moves a finished file (synced, read-only, on this file system) to the blob called `digest`.
+    /// Moves a finished file (synced, read-only, on this file system) to the path of the blob `digest`.
     ///
-    /// A blob that is already there and whole stays, and the file is removed; a damaged one goes to quarantine.
+    /// If the blob exists and is intact, it stays and the file is removed. A damaged blob is moved to quarantine.
     pub(super) fn place(&self, file: TempPath, digest: &Digest, size_bytes: u64) -> io::Result<()> {
         let path = self.blob_path(digest);
         let folder = path.parent().unwrap_or(&self.root);
-        fs::create_dir_all(folder).map_err(naming(folder))?;
-        if path.exists() && !is_whole(&path, digest, size_bytes) {
+        fs::create_dir_all(folder)?;
+        if path.exists() && !is_intact(&path, digest, size_bytes) {
             self.quarantine(&path)?;
         }
         match file.persist_noclobber(&path) {
-            Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(naming(&path)(error.error)),
+            Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(at_path(&path)(error.error)),
             _ => Ok(()),
         }
     }
 
-    /// Moves something damaged out of the way, keeping it for inspection.
+    /// Moves a damaged file or folder to quarantine, where it is kept for inspection.
     pub(super) fn quarantine(&self, path: &Path) -> io::Result<()> {
         let folder = self.root.join("quarantine");
         fs::create_dir_all(&folder)?;
         let name = path.strip_prefix(&self.root).unwrap_or(path).to_string_lossy().replace('/', "-");
-        // A second damaged file of this name gets a number; the loop ends at the first free one.
+        // Damaged files of the same name are numbered.
         let free = (0..).map(|number| folder.join(format!("{name}.{number}"))).find(|target| !target.exists());
         match fs::rename(path, free.unwrap_or_else(|| folder.join(name))) {
-            // Another process was faster.
+            // Another process has moved it already.
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
             other => other,
         }
@@ -75,13 +76,13 @@ pub(super) fn blob_name(digest: &Digest) -> PathBuf {
 }
 
 /// Whether the file has this size and this digest.
-pub(super) fn is_whole(path: &Path, digest: &Digest, size_bytes: u64) -> bool {
+pub(super) fn is_intact(path: &Path, digest: &Digest, size_bytes: u64) -> bool {
     let right_size = fs::symlink_metadata(path).is_ok_and(|meta| meta.is_file() && meta.len() == size_bytes);
     right_size && Digest::of_file(path).is_ok_and(|found| found == *digest)
 }
 
-/// When the file's contents or its inode last changed, in nanoseconds since 1970.
-pub(super) fn changed_ns(meta: &fs::Metadata) -> i128 {
+/// The time of the last change of a file's contents or inode, in nanoseconds since 1970.
+pub(super) fn changed_ns(meta: &Metadata) -> i128 {
     let nanos = |secs: i64, nanos: i64| i128::from(secs) * 1_000_000_000 + i128::from(nanos);
     nanos(meta.mtime(), meta.mtime_nsec()).max(nanos(meta.ctime(), meta.ctime_nsec()))
 }

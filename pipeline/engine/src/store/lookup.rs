@@ -1,39 +1,39 @@
-//! Looking up actions: a hit is believed only if everything that it names is there.
+//! Looks up actions. A hit counts only if all of its blobs are present and intact.
 
-use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use fs_err as fs;
 use rayon::prelude::*;
 
 use super::{ActionRecord, Manifest, Store, blob};
 use crate::{ActionKey, Digest};
 
-/// What the store knows of an action.
+/// The result of looking up an action.
 #[derive(Debug)]
 pub enum Lookup {
-    /// It is done, and every file is there.
+    /// The action is done, and all of its files are intact.
     Hit(Box<ActionRecord>),
-    /// It was never done.
+    /// The store has no record of the action.
     Miss,
-    /// It was done, but something is missing or corrupt: do it again. [`Store::discard`] clears the way.
+    /// The record or a file is missing or corrupt, so the action has to run again after [`Store::discard`].
     Damaged {
-        /// What is wrong, for people.
+        /// The problem, as a message for the user.
         reason: String,
-        /// What to move to quarantine.
+        /// The files to move to quarantine.
         paths: Vec<PathBuf>,
     },
 }
 
 impl Store {
-    /// Looks up an action. Sizes are compared always; contents unless the marker says that they matched after the
-    /// last change of any of the files.
+    /// Looks up an action. File sizes are always checked. Contents are checked unless the marker shows that they matched
+    /// after the last change of any file.
     pub fn lookup(&self, key: &ActionKey) -> Lookup {
         let path = self.record_path(key);
         let damaged = |reason: String| Lookup::Damaged { reason, paths: vec![path.clone()] };
         let record = match self.read_action_record(key) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Lookup::Miss,
-            Err(error) => return damaged(format!("the record cannot be read ({error})")),
+            Err(error) => return damaged(format!("the record is unreadable ({error})")),
             Ok(None) => return damaged("the record is damaged or of another version".into()),
             Ok(Some(record)) => record,
         };
@@ -53,21 +53,21 @@ impl Store {
         }
     }
 
-    /// Moves what a lookup found damaged to quarantine, so that the producer can publish again.
+    /// Moves damaged files, as found by a lookup, to quarantine, so that the job can publish again.
     pub fn discard(&self, paths: &[PathBuf]) -> std::io::Result<()> {
         paths.iter().try_for_each(|path| self.quarantine(path))
     }
 
-    /// The manifest called `content`.
+    /// The manifest with the digest `content`.
     pub fn manifest(&self, content: &Digest) -> anyhow::Result<Manifest> {
         Manifest::parse(&self.read_blob(content)?)
     }
 
-    /// Blobs of an artifact that are missing or corrupt, each with the reason.
+    /// The missing or corrupt blobs of an artifact, each with the problem.
     pub(super) fn faults(&self, content: &Digest) -> Vec<(PathBuf, String)> {
         let manifest = match self.manifest(content) {
             Ok(manifest) => manifest,
-            Err(error) => return vec![(self.blob_path(content), format!("the manifest cannot be read ({error:#})"))],
+            Err(error) => return vec![(self.blob_path(content), format!("the manifest is unreadable ({error:#})"))],
         };
         let marker = self.root.join("verified").join(content.to_string());
         let verified_ns = fs::metadata(&marker).map_or(i128::MIN, |meta| blob::changed_ns(&meta));
@@ -85,25 +85,25 @@ impl Store {
         }
         let faults: Vec<_> = manifest.files.par_iter().filter_map(check).collect();
         if faults.is_empty() {
-            // Without the marker the next lookup hashes again, which is only slower.
-            let _ = File::create(&marker);
+            // Without the marker the next lookup hashes again, which only costs time.
+            let _ = fs::File::create(&marker);
         }
         faults
     }
 
     fn measurement_fault(&self, measurements: &Digest) -> Option<(PathBuf, String)> {
         let error = self.read_blob(measurements).err()?;
-        Some((self.blob_path(measurements), format!("the measurements cannot be read ({error})")))
+        Some((self.blob_path(measurements), format!("the measurements are unreadable ({error})")))
     }
 }
 
-/// What is wrong with a blob, if anything. Its contents are read only if it changed at or after `verified_ns`
-/// ("at": a change within the clock's tick cannot be told from one before it).
+/// The problem with a blob, if there is one. Its contents are read only if it changed at or after `verified_ns`: a change
+/// in the same clock tick cannot be distinguished from an earlier one.
 fn blob_fault(path: &Path, digest: &Digest, size_bytes: u64, verified_ns: i128) -> Option<&'static str> {
     let Ok(meta) = fs::symlink_metadata(path) else { return Some("is missing") };
     if !meta.is_file() || meta.len() != size_bytes {
         return Some("has the wrong size");
     }
     let trusted = blob::changed_ns(&meta) < verified_ns;
-    (!trusted && !blob::is_whole(path, digest, size_bytes)).then_some("is corrupt")
+    (!trusted && !blob::is_intact(path, digest, size_bytes)).then_some("is corrupt")
 }

@@ -1,12 +1,12 @@
-//! Looking after a store: verify, collect garbage, measure.
+//! Store maintenance: verification, garbage collection, disk usage.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::Context;
+use fs_err as fs;
 use rayon::prelude::*;
 use walkdir::WalkDir;
 
@@ -14,38 +14,38 @@ use super::results::is_own;
 use super::{ActionRecord, Store};
 use crate::Digest;
 
-/// One thing that is wrong in the store.
+/// A damaged file in the store.
 #[derive(Clone, Debug)]
 pub struct Damage {
-    /// The file concerned.
+    /// The damaged file.
     pub path: PathBuf,
-    /// What is wrong, naming the jobs that are affected.
+    /// The problem; for a record, with the name of its job.
     pub message: String,
 }
 
-/// What a collection removed (or would remove).
+/// The result of a garbage collection: what it removed, or would remove.
 #[derive(Clone, Debug, Default)]
 pub struct GcReport {
-    /// Jobs whose results go: node name, seconds that a rerun would take, and size.
+    /// The jobs whose results are removed: node name, wall time of the job in seconds, size in bytes.
     pub jobs: Vec<(String, f64, u64)>,
-    /// Files removed.
+    /// The number of removed files.
     pub files: usize,
-    /// Their size together.
+    /// The total size in bytes.
     pub size_bytes: u64,
 }
 
-/// Size and number of files of one part of the store.
+/// The disk usage of one part of the store.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Usage {
-    /// Number of files.
+    /// The number of files.
     pub files: usize,
-    /// Their size together.
+    /// The total size in bytes.
     pub size_bytes: u64,
 }
 
 impl Store {
-    /// Hashes every blob and follows every record. With `repair`, what is damaged goes to quarantine, together with
-    /// the records that need it, so that the next run makes it again.
+    /// Hashes every blob and checks the blobs of every record. `repair` moves damaged blobs and the records that need them
+    /// to quarantine, so that the next run recomputes them.
     pub fn verify(&self, repair: bool) -> anyhow::Result<Vec<Damage>> {
         let blobs = files_below(&self.root.join("cas"))?;
         let corrupt: Vec<PathBuf> = blobs.into_par_iter().filter(|path| !self.is_sound(path)).collect();
@@ -64,16 +64,16 @@ impl Store {
         Ok(damages)
     }
 
-    /// Whether a blob's contents hash to its name.
+    /// Whether the digest of a blob's contents matches its name.
     fn is_sound(&self, path: &Path) -> bool {
         let named = |digest: Digest| self.blob_path(&digest) == path;
         Digest::of_file(path).is_ok_and(named)
     }
 
-    /// What is wrong with a record, if anything.
+    /// The problem with a record, if there is one.
     fn record_damage(&self, path: &Path, corrupt: &[PathBuf]) -> Option<String> {
         let read = || -> Option<ActionRecord> { serde_json::from_slice(&fs::read(path).ok()?).ok() };
-        let Some(record) = read() else { return Some("record cannot be read".into()) };
+        let Some(record) = read() else { return Some("record is unreadable".into()) };
         let blobs = self.blobs_of(&record);
         let broken = |blob: &&Digest| {
             let path = self.blob_path(blob);
@@ -83,21 +83,22 @@ impl Store {
             Err(error) => format!("{error:#}"),
             Ok(blobs) => format!("{} of its blobs are missing or corrupt", blobs.iter().filter(broken).count()),
         };
-        let whole = blobs.is_ok_and(|blobs| !blobs.iter().any(|blob| broken(&blob)));
-        (!whole).then(|| format!("{}: {message}", record.provenance.node))
+        let is_intact = blobs.is_ok_and(|blobs| !blobs.iter().any(|blob| broken(&blob)));
+        (!is_intact).then(|| format!("{}: {message}", record.provenance.node))
     }
 
     /// Every blob that a record needs: manifest, measurements, files.
     fn blobs_of(&self, record: &ActionRecord) -> anyhow::Result<BTreeSet<Digest>> {
-        let manifest = self.manifest(&record.content).context("the manifest cannot be read")?;
+        let manifest = self.manifest(&record.content).context("the manifest is unreadable")?;
         let own = [record.content, record.measurements];
         Ok(manifest.files.iter().map(|file| file.sha256).chain(own).collect())
     }
 
-    /// Removes records that neither one of `keep_plan_ids` names nor a run made or used within `max_age`, then
-    /// everything that no record needs. The caller holds the store's exclusive lock.
+    /// Removes the records whose plan id is not in `keep_plan_ids` and that no run made or used within `max_age`, then
+    /// everything that no remaining record needs. The caller holds the store's exclusive lock.
     ///
-    /// Removed besides: views, links to results, markers, locks and failures without a record, scratch, old checkpoints and quarantine.
+    /// This includes the views, result links and markers of removed artifacts, all locks and scratch files, and checkpoints,
+    /// failures, quarantined files and run folders older than `max_age`.
     pub fn gc(&self, keep_plan_ids: &BTreeSet<String>, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
         let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {
@@ -109,7 +110,7 @@ impl Store {
         report.jobs.sort_by(|a, b| a.0.cmp(&b.0));
         let mut needed = BTreeSet::new();
         for record in &kept {
-            // A record whose manifest is unreadable is damaged; the next lookup deals with it.
+            // A record without a readable manifest is damaged; the next lookup handles it.
             needed.extend(self.blobs_of(record).unwrap_or_default());
         }
         let mut doomed: Vec<PathBuf> = dropped.iter().map(|record| self.record_path(&record.key)).collect();
@@ -118,7 +119,7 @@ impl Store {
             report.files += 1;
             report.size_bytes += fs::symlink_metadata(path).map_or(0, |meta| meta.len());
             if !dry_run {
-                fs::remove_file(path).with_context(|| format!("cannot remove {}", path.display()))?;
+                fs::remove_file(path)?;
             }
         }
         if !dry_run {
@@ -127,7 +128,7 @@ impl Store {
         Ok(report)
     }
 
-    /// Files that no kept record needs.
+    /// The files that no kept record needs.
     fn unneeded_files(
         &self,
         kept: &[ActionRecord],
@@ -152,7 +153,7 @@ impl Store {
             name.is_some_and(|name| contents.contains(name.to_string_lossy().as_ref()))
         };
         let mut links = files_below(&self.root.join("results"))?;
-        // What people put beside the links is theirs.
+        // Files that users put next to the links are kept.
         links.retain(|link| is_own(link) && !leads_to_kept(link));
         files.extend(links);
         files.extend(files_below(&self.root.join("tmp"))?);
@@ -173,7 +174,7 @@ impl Store {
             for entry in WalkDir::new(path).min_depth(1).contents_first(true) {
                 let entry = entry?;
                 if entry.file_type().is_dir() {
-                    // Fails, as it should, where something is left.
+                    // Fails for folders that are not empty, which are kept.
                     let _ = fs::remove_dir(entry.path());
                 }
             }
@@ -181,7 +182,7 @@ impl Store {
         Ok(())
     }
 
-    /// Sizes of the store's parts by name.
+    /// The disk usage of the store's parts, by name of the file or folder in the store's root.
     pub fn usage(&self) -> io::Result<BTreeMap<String, Usage>> {
         let mut usage: BTreeMap<String, Usage> = BTreeMap::new();
         for path in files_below(&self.root)? {
@@ -194,15 +195,15 @@ impl Store {
         Ok(usage)
     }
 
-    /// Marks a record as used now, so that collections by age keep it.
+    /// Marks a record as used now, so that garbage collection by age keeps it.
     pub(crate) fn touch(&self, record: &ActionRecord) {
-        // The time stamp only orders collections: a failure here is of no consequence.
-        let file = fs::File::options().append(true).open(self.record_path(&record.key));
-        let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
+        // An error is ignored: the time stamp matters only for garbage collection.
+        let file = fs::OpenOptions::new().append(true).open(self.record_path(&record.key));
+        let _ = file.and_then(|file| file.file().set_modified(SystemTime::now()));
     }
 }
 
-/// All files and links below `dir`, sorted; none if there is no such folder.
+/// All files and links below `dir`, sorted; none if the folder is missing.
 pub(super) fn files_below(dir: &Path) -> io::Result<Vec<PathBuf>> {
     if !dir.exists() {
         return Ok(Vec::new());

@@ -10,7 +10,7 @@ use walkdir::WalkDir;
 
 use crate::Digest;
 
-/// A folder's files, sorted by path. Times, modes and empty folders are not part of an artifact.
+/// The files of a folder, sorted by path. Times, modes and empty folders are not part of an artifact.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {
     version: u32,
@@ -30,17 +30,17 @@ pub struct ManifestFile {
 }
 
 impl Manifest {
-    /// Hashes every file below `dir` in parallel.
+    /// Hashes every file below `dir`, in parallel.
     ///
-    /// Refused: no file at all, links, names that are not UTF-8, and names that differ only by case (they would
-    /// collide on other file systems).
+    /// Refuses folders without files, links, names that are not UTF-8, and names that differ only by case, because they
+    /// collide on other file systems.
     pub fn of_folder(dir: &Path) -> anyhow::Result<Self> {
         let mut paths = Vec::new();
         let mut folded = BTreeMap::new();
         for entry in WalkDir::new(dir).min_depth(1) {
             let entry = entry.context("cannot list the artifact's folder")?;
             let relative = relative_name(dir, entry.path())?;
-            ensure!(!entry.path_is_symlink(), "an artifact cannot hold links: {relative}");
+            ensure!(!entry.path_is_symlink(), "an artifact cannot contain links: {relative}");
             if let Some(other) = folded.insert(relative.to_lowercase(), relative.clone()) {
                 bail!("two names in an artifact differ only by case: {other} and {relative}");
             }
@@ -58,12 +58,12 @@ impl Manifest {
         Ok(Self { version: 1, files: files.context("cannot hash the artifact")? })
     }
 
-    /// The manifest's own bytes; their digest is the digest of the folder.
+    /// The serialized manifest; its digest is the digest of the folder.
     pub fn bytes(&self) -> anyhow::Result<Vec<u8>> {
         Ok(serde_json::to_vec(self)?)
     }
 
-    /// Reads a manifest, refusing paths that lead out of the folder.
+    /// Parses a manifest. Paths that lead out of the folder are errors.
     pub fn parse(bytes: &[u8]) -> anyhow::Result<Self> {
         let manifest: Self = serde_json::from_slice(bytes).context("not a manifest")?;
         ensure!(manifest.version == 1, "unknown manifest version {}", manifest.version);
@@ -74,7 +74,7 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// The size of all files together.
+    /// The total size of the files in bytes.
     pub fn size_bytes(&self) -> u64 {
         self.files.iter().map(|file| file.size_bytes).sum()
     }

@@ -3,16 +3,16 @@
 //! ```text
 //! FORMAT                      version of this layout
 //! cas/ab/cdef…                blobs, read-only
-//! verified/<manifest>         marker: the manifest's blobs matched their names at this file's time
+//! verified/<manifest>         marker: the manifest's blobs matched their names at the time of this file
 //! views/<manifest>/…          a folder of links into cas, for reading in place
-//! results/<recipe>/<node>     link to the view of the node's last result, for people
-//! records/<action key>.json   what a job made and from what: the commit point of a publication
+//! results/<recipe>/<node>     link to the view of the node's last result, for users
+//! records/<action key>.json   a job's result and inputs: the commit point of a publication
 //! failures/<action key>.json  the last failure of an action; never a cache hit
-//! checkpoints/<action key>/   what an interrupted job saved
+//! checkpoints/<action key>/   checkpoints of an interrupted job
 //! runs/<run>/                 plan, events and one folder per job with its logs
-//! locks/, tmp/, quarantine/   economy, scratch, and what was found damaged
+//! locks/, tmp/, quarantine/   advisory locks, scratch files, damaged files
 //! ```
-//! Locks only save work; correctness rests on content addressing and on renames that never replace.
+//! Locks only save work. Correctness rests on content addressing and on renames that never replace a file.
 
 mod blob;
 mod lookup;
@@ -23,12 +23,13 @@ mod record;
 mod results;
 mod view;
 
-use std::fs;
+use std::fs::File;
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use fs_err as fs;
 
 use crate::{Failure, FailureKind};
 
@@ -38,26 +39,26 @@ pub use manifest::{Manifest, ManifestFile};
 pub use publish::Publication;
 pub use record::{ActionRecord, FailureRecord, Provenance};
 
-/// The version of the layout. A store of a newer version is refused, since this binary cannot know its rules.
+/// The version of the layout. A store of another version is refused, because this binary does not know its rules.
 const FORMAT: u32 = 1;
 
-/// What the temporary file is called that becomes FORMAT.
+/// The prefix of the temporary file that becomes FORMAT.
 const NEW_FORMAT_PREFIX: &str = ".FORMAT-";
 
-/// The folders of a store; those that are not there from the start are made when needed.
+/// The folders of a new store. Others are created when needed.
 const FOLDERS: [&str; 9] = ["cas", "verified", "views", "records", "failures", "checkpoints", "runs", "locks", "tmp"];
 
-/// A store on a local disk; cheap to clone, holds no lock and no open file.
+/// A store on a local disk. It is cheap to clone, and holds no lock and no open file.
 #[derive(Clone, Debug)]
 pub struct Store {
     root: PathBuf,
 }
 
 impl Store {
-    /// Opens the store in `root`, making it if there is nothing or an empty folder. A folder with anything else in it
-    /// is refused: collections would take foreign files for garbage.
+    /// Opens the store in `root`. A missing or empty folder becomes a store. A folder with other files is refused, because
+    /// garbage collection would remove them.
     pub fn open(root: &Path) -> anyhow::Result<Self> {
-        let make = |error| Failure::new(FailureKind::World, format!("cannot make the store ({error})")).at(root);
+        let make = |error| Failure::new(FailureKind::World, format!("cannot create the store ({error})")).at(root);
         fs::create_dir_all(root).map_err(make)?;
         let store = Self { root: fs::canonicalize(root).map_err(make)? };
         if !store.exists() {
@@ -71,10 +72,10 @@ impl Store {
         Ok(store)
     }
 
-    /// Opens the store in `root` to look at it and makes nothing: where there is no store, it reads as an empty one.
-    pub fn look(root: &Path) -> anyhow::Result<Self> {
+    /// Opens the store in `root` for reading and creates nothing. A missing store reads as an empty one.
+    pub fn open_read_only(root: &Path) -> anyhow::Result<Self> {
         let absolute = if root.exists() { fs::canonicalize(root) } else { std::path::absolute(root) };
-        let store = Self { root: absolute.map_err(naming(root)).context("cannot open the store")? };
+        let store = Self { root: absolute.context("cannot open the store")? };
         if store.exists() {
             store.check_format()?;
         } else if store.root.exists() {
@@ -83,12 +84,12 @@ impl Store {
         Ok(store)
     }
 
-    /// Whether there is a store, or only the place for one.
+    /// Whether the store exists.
     pub fn exists(&self) -> bool {
         self.format_file().exists()
     }
 
-    /// The store's folder, absolute.
+    /// The absolute path of the store's folder.
     pub fn root(&self) -> &Path {
         &self.root
     }
@@ -98,76 +99,75 @@ impl Store {
         self.root.join("runs").join(run)
     }
 
-    /// The folder in which an interrupted job of `action_key` left its checkpoint.
+    /// The folder for checkpoints of interrupted jobs with this action key.
     pub fn checkpoint_dir(&self, action_key: &str) -> PathBuf {
         self.root.join("checkpoints").join(action_key)
     }
 
-    /// Whether an interrupted job of `action_key` left anything to continue from.
+    /// Whether an interrupted job with this action key left a checkpoint.
     pub fn has_checkpoint(&self, action_key: &crate::ActionKey) -> bool {
         let entries = fs::read_dir(self.checkpoint_dir(action_key.as_str()));
         entries.is_ok_and(|mut entries| entries.next().is_some())
     }
 
-    /// The file whose lock a runner of `action_key` holds.
+    /// The file that a job with this action key locks while it runs.
     pub fn lock_file(&self, action_key: &str) -> PathBuf {
         self.root.join("locks").join(action_key)
     }
 
-    /// The cache of source digests.
+    /// The file that caches source digests.
     pub fn stat_cache_file(&self) -> PathBuf {
         self.root.join("sources.json")
     }
 
-    /// Marks the store as in use until the returned file is dropped: nothing is swept away meanwhile.
-    pub fn lock_shared(&self) -> io::Result<fs::File> {
+    /// Marks the store as in use until the returned file is dropped. Scratch files are not removed in the meantime.
+    pub fn lock_shared(&self) -> io::Result<File> {
         let path = self.root.join("LOCK");
-        let file = crate::lock::open(&path).map_err(naming(&path))?;
-        file.lock_shared().map_err(naming(&path))?;
+        let file = crate::lock::open(&path)?;
+        file.lock_shared().map_err(at_path(&path))?;
         Ok(file)
     }
 
-    /// The store for this process alone, or nothing if anybody uses it.
-    pub fn try_lock_exclusive(&self) -> anyhow::Result<Option<fs::File>> {
+    /// Locks the store for this process alone; `None` if another process uses it.
+    pub fn try_lock_exclusive(&self) -> anyhow::Result<Option<File>> {
         let path = self.root.join("LOCK");
-        let file = crate::lock::open(&path).map_err(naming(&path)).context("cannot lock the store")?;
-        Ok(crate::lock::try_exclusive(&file).map_err(naming(&path)).context("cannot lock the store")?.then_some(file))
+        let file = crate::lock::open(&path).context("cannot lock the store")?;
+        Ok(crate::lock::try_exclusive(&file).map_err(at_path(&path)).context("cannot lock the store")?.then_some(file))
     }
 
-    /// Marks the store as in use, after sweeping away what crashed runs left in `tmp`, if nobody else is there.
-    pub fn enter(&self) -> anyhow::Result<fs::File> {
+    /// Marks the store as in use. If no other process uses it, scratch files of crashed runs are removed first.
+    pub fn enter(&self) -> anyhow::Result<File> {
         if let Some(_alone) = self.try_lock_exclusive()? {
             for entry in fs::read_dir(self.root.join("tmp"))? {
                 let path = entry?.path();
-                let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-                removed.with_context(|| format!("cannot remove {}", path.display()))?;
+                if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) }?;
             }
         }
         self.lock_shared().context("cannot lock the store")
     }
 
-    /// A fresh folder on the store's file system; removed when dropped. The caller holds the lock, shared.
+    /// Creates a scratch folder on the store's file system, which is removed when dropped. The caller holds the shared lock.
     pub fn scratch(&self, purpose: &str) -> io::Result<tempfile::TempDir> {
         tempfile::Builder::new().prefix(&format!("{purpose}-")).tempdir_in(self.root.join("tmp"))
     }
 
-    /// Writes a file that must not exist yet, durably: temporary file (where the next run sweeps, if this process is
-    /// killed), fsync, rename that never replaces.
+    /// Writes a file durably that must not exist yet: temporary file (in the folder that the next run cleans), fsync, rename
+    /// that never replaces.
     fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
         let mut file = new_file("", &self.root.join("tmp"))?;
-        file.write_all(bytes).map_err(naming(path))?;
-        file.as_file().sync_all().map_err(naming(path))?;
-        file.persist_noclobber(path).map_err(|error| naming(path)(error.error))?;
+        file.write_all(bytes).map_err(at_path(path))?;
+        file.as_file().sync_all().map_err(at_path(path))?;
+        file.persist_noclobber(path).map_err(|error| at_path(path)(error.error))?;
         sync_dir(path.parent().unwrap_or(&self.root))
     }
 
-    /// Writes a file, replacing what is there in one step.
+    /// Writes a file atomically, replacing an existing one.
     pub(crate) fn write_over(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
         let mut file = new_file("", &self.root.join("tmp"))?;
-        file.write_all(bytes).map_err(naming(path))?;
-        file.persist(path).map_err(|error| naming(path)(error.error))?;
+        file.write_all(bytes).map_err(at_path(path))?;
+        file.persist(path).map_err(|error| at_path(path)(error.error))?;
         Ok(())
     }
 
@@ -175,21 +175,21 @@ impl Store {
         self.root.join("FORMAT")
     }
 
-    /// An error if the folder, which has no FORMAT, holds anything but another process's beginnings of a store.
+    /// Fails if the folder, which has no FORMAT, has any file except those of another process that is creating the store.
     fn refuse_foreign_folder(&self) -> anyhow::Result<()> {
-        let entries = fs::read_dir(&self.root).map_err(naming(&self.root)).context("cannot open the store")?;
+        let entries = fs::read_dir(&self.root).context("cannot open the store")?;
         for entry in entries {
-            let begun = entry?.file_name().to_string_lossy().starts_with(NEW_FORMAT_PREFIX);
-            // Another process may have made the whole store since it was looked for.
-            if !begun && !self.exists() {
-                let foreign = Failure::new(FailureKind::BadInput, "this folder is not a store and is not empty");
-                return Err(foreign.hint("give another folder with --store").at(&self.root).into());
+            let is_begun = entry?.file_name().to_string_lossy().starts_with(NEW_FORMAT_PREFIX);
+            // Another process may have created the store since the check for FORMAT.
+            if !is_begun && !self.exists() {
+                let foreign = Failure::new(FailureKind::BadInput, "the folder is not empty and is not a store");
+                return Err(foreign.hint("choose another folder with --store").at(&self.root).into());
             }
         }
         Ok(())
     }
 
-    /// Makes FORMAT, the first file of a store. Two processes may do so at once; both write the same line.
+    /// Creates FORMAT, the first file of a store. Two processes may do so at once; both write the same line.
     fn write_format(&self) -> io::Result<()> {
         let mut file = new_file(NEW_FORMAT_PREFIX, &self.root)?;
         file.write_all(format!("{FORMAT}\n").as_bytes())?;
@@ -203,17 +203,17 @@ impl Store {
     fn check_format(&self) -> anyhow::Result<()> {
         let path = self.format_file();
         match fs::read_to_string(&path) {
-            Err(error) => Err(error).with_context(|| format!("cannot read {}", path.display())),
+            Err(error) => Err(error.into()),
             Ok(text) => match text.trim().parse::<u32>() {
                 Ok(FORMAT) => Ok(()),
                 Ok(version) => Err(Failure::new(
                     FailureKind::World,
-                    format!("the store has format {version}, this program knows format {FORMAT}"),
+                    format!("the store has format {version}, but this program supports format {FORMAT}"),
                 )
                 .hint("use a newer program, or another folder with --store")
                 .at(path)
                 .into()),
-                Err(_) => Err(Failure::new(FailureKind::World, "this is not a store: FORMAT holds no number")
+                Err(_) => Err(Failure::new(FailureKind::World, "this is not a store: FORMAT is not a number")
                     .hint("choose another folder with --store")
                     .at(path)
                     .into()),
@@ -222,19 +222,19 @@ impl Store {
     }
 }
 
-/// The same error, with the file that it is about at the end of its message.
-pub(crate) fn naming(path: &Path) -> impl Fn(io::Error) -> io::Error {
+/// Adds the path to the message of an error that does not name its file.
+fn at_path(path: &Path) -> impl Fn(io::Error) -> io::Error {
     move |error| io::Error::new(error.kind(), format!("{error}: {}", path.display()))
 }
 
-/// A temporary file with the rights that the user's umask gives any new file, so that colleagues may read what it becomes.
+/// A temporary file with the permissions that the umask gives to new files; by default it would be private.
 fn new_file(prefix: &str, dir: &Path) -> io::Result<tempfile::NamedTempFile> {
-    let rights = fs::Permissions::from_mode(0o666); // less the umask
+    let rights = std::fs::Permissions::from_mode(0o666); // minus the umask
     tempfile::Builder::new().prefix(prefix).permissions(rights).tempfile_in(dir)
 }
 
 fn sync_dir(dir: &Path) -> io::Result<()> {
-    fs::File::open(dir).and_then(|file| file.sync_all()).map_err(naming(dir))
+    fs::File::open(dir).and_then(|file| file.sync_all())
 }
 
 #[cfg(test)]

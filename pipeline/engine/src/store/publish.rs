@@ -1,51 +1,53 @@
-//! Publication: blobs first, the record last.
+//! Publishes artifacts: blobs first, the record last.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File, Permissions};
+use std::fs::Permissions;
 use std::io;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use fs_err as fs;
+use fs_err::File;
 use rayon::prelude::*;
 use serde_json::Value;
 use tempfile::TempPath;
 
-use super::{Manifest, Store, naming, sync_dir};
+use super::{Manifest, Store, sync_dir};
 use crate::Digest;
 
-/// Up to so many files and folders are synced one by one (about 4 ms each on a slow disk); above, one `syncfs` of the
-/// whole file system is cheaper, although it also waits for everybody else's writes.
+/// Up to this number of files and folders are synced one by one (about 4 ms each on a slow disk). For more, one `syncfs`
+/// of the whole file system is cheaper, although it waits for the writes of other processes, too.
 const MAX_SINGLE_SYNCS: usize = 64;
 
-/// What a publication put into the store.
+/// A published artifact.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Publication {
-    /// The digest of the folder (of its manifest).
+    /// The digest of the artifact's manifest.
     pub content: Digest,
     /// The digest of the measurements.
     pub measurements: Digest,
-    /// The size of all files together.
+    /// The total size of the files in bytes.
     pub size_bytes: u64,
-    /// How many files the artifact has.
+    /// The number of files.
     pub files: usize,
 }
 
 impl Store {
-    /// Moves the folder `dir` (on this file system) into the store, with its measurements. `dir` is used up.
+    /// Moves the folder `dir`, which must be on the store's file system, into the store, together with its measurements.
     ///
-    /// Afterwards all blobs are durable; whoever looks up a record finds nothing new until the record is written.
+    /// Afterwards all blobs are durable. The artifact becomes visible when its record is written.
     pub fn publish(&self, dir: &Path, measurements: &Value) -> anyhow::Result<Publication> {
         let manifest = Manifest::of_folder(dir)?;
         self.place_files(dir, &manifest).context("cannot store the artifact")?;
         let content = self.put_bytes(&manifest.bytes()?).context("cannot store the manifest")?;
         let measurements = self.put_bytes(&measurement_bytes(measurements)?).context("cannot store measurements")?;
         let marker = self.root.join("verified").join(content.to_string());
-        File::create(&marker).map_err(naming(&marker))?;
+        File::create(marker)?;
         Ok(Publication { content, measurements, size_bytes: manifest.size_bytes(), files: manifest.files.len() })
     }
 
-    /// Makes every file durable, then moves it to its name, then makes the names durable.
+    /// Makes the files durable, moves them to their blobs' paths, then makes the folders durable.
     fn place_files(&self, dir: &Path, manifest: &Manifest) -> io::Result<()> {
         let path_of = |name: &str| dir.join(name);
         let paths: Vec<PathBuf> = manifest.files.iter().map(|file| path_of(&file.path)).collect();
@@ -67,14 +69,14 @@ impl Store {
         paths.par_iter().try_for_each(|path| sync_dir(path))
     }
 
-    /// A readable form of the measurements that a publication stored.
+    /// Reads the measurements of a publication.
     pub fn read_measurements(&self, digest: &Digest) -> anyhow::Result<Value> {
         let bytes = self.read_blob(digest).context("cannot read measurements")?;
         serde_json::from_slice(&bytes).context("measurements are not JSON")
     }
 }
 
-/// JSON with sorted keys, so that equal measurements have equal digests.
+/// JSON with sorted keys, because equal measurements must have equal digests.
 fn measurement_bytes(measurements: &Value) -> anyhow::Result<Vec<u8>> {
     Ok(serde_json::to_vec(measurements)?)
 }

@@ -1,20 +1,20 @@
-//! Action records: what a job made, from what, when and where.
+//! Action records: the results and failures of jobs, with their keys and provenance.
 
-use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::PathBuf;
 
 use anyhow::Context;
+use fs_err as fs;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{Store, naming};
+use super::Store;
 use crate::{ActionKey, DeviceClass, Digest, Failure, KeyComponents};
 
-/// The version of both record types. A record of another version is a miss.
+/// The version of both record types. A record of another version counts as missing.
 const VERSION: u32 = 1;
 
-/// A finished action. Its existence is what makes a later run skip the job.
+/// A finished action. Later runs reuse its result.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ActionRecord {
     version: u32,
@@ -22,11 +22,11 @@ pub struct ActionRecord {
     pub key: ActionKey,
     /// Everything that the result depends on.
     pub components: KeyComponents,
-    /// Who made it.
+    /// The job that made it.
     pub provenance: Provenance,
     /// The digest of the artifact's manifest.
     pub content: Digest,
-    /// The size of the artifact.
+    /// The size of the artifact in bytes.
     pub size_bytes: u64,
     /// The number of files in the artifact.
     pub files: usize,
@@ -34,7 +34,7 @@ pub struct ActionRecord {
     pub measurements: Digest,
 }
 
-/// An action that failed. Kept for people; never a cache hit.
+/// A failed action, recorded for the user. Never a cache hit.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FailureRecord {
     version: u32,
@@ -42,15 +42,15 @@ pub struct FailureRecord {
     pub key: ActionKey,
     /// Everything that the result would have depended on.
     pub components: KeyComponents,
-    /// Who tried.
+    /// The job that failed.
     pub provenance: Provenance,
-    /// Why it failed.
+    /// The failure.
     pub failure: Failure,
-    /// The last lines of its log.
+    /// The last lines of the job's logs.
     pub log_tail: Vec<String>,
 }
 
-/// Who ran an action, when and where; never part of a key.
+/// The job that ran an action, with time and machine. Never part of a key.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// The recipe's name.
@@ -61,23 +61,23 @@ pub struct Provenance {
     pub plan_id: String,
     /// The run that executed the job.
     pub run: String,
-    /// What the run had its jobs compute on that compute on a device; also where this job does not.
+    /// The device class of the run, even if this job does not compute on a device.
     #[serde(default)]
     pub device: DeviceClass,
     /// The machine's name.
     pub host: String,
-    /// The job's threads.
+    /// The number of threads of the job.
     pub threads: usize,
-    /// Start, in seconds since 1970.
+    /// The start in seconds since 1970.
     pub started_at_secs: f64,
-    /// Wall time of the last (uninterrupted) attempt.
+    /// The wall time in seconds of the last attempt, without earlier, interrupted ones.
     pub wall_secs: f64,
-    /// The job's largest resident memory, where the system tells.
+    /// The peak resident memory in bytes, if the system reports it.
     pub peak_rss_bytes: Option<u64>,
 }
 
 impl ActionRecord {
-    /// A record of what `publication` put into the store.
+    /// Creates the record of a published artifact.
     pub fn new(components: KeyComponents, provenance: Provenance, publication: &super::Publication) -> Self {
         let super::Publication { content, measurements, size_bytes, files } = *publication;
         let key = ActionKey::new(&components);
@@ -86,7 +86,7 @@ impl ActionRecord {
 }
 
 impl FailureRecord {
-    /// A record of a failure.
+    /// Creates the record of a failure.
     pub fn new(components: KeyComponents, provenance: Provenance, failure: Failure, log_tail: Vec<String>) -> Self {
         Self { version: VERSION, key: ActionKey::new(&components), components, provenance, failure, log_tail }
     }
@@ -101,7 +101,7 @@ impl Store {
         self.root.join("failures").join(format!("{key}.json"))
     }
 
-    /// Commits a publication. The first record of a key wins: `false` if one was there already.
+    /// Commits a publication. Returns `false` if the key already has a record, which is kept.
     pub fn put_record(&self, record: &ActionRecord) -> anyhow::Result<bool> {
         let bytes = serde_json::to_vec_pretty(record)?;
         match self.write_new(&self.record_path(&record.key), &bytes) {
@@ -110,7 +110,7 @@ impl Store {
         }
     }
 
-    /// Moves a record aside, so that a forced job's result takes its place.
+    /// Moves a record to quarantine, so that the result of a forced job can replace it.
     pub fn retire_record(&self, key: &ActionKey) -> io::Result<()> {
         match self.record_path(key) {
             path if path.exists() => self.quarantine(&path),
@@ -118,43 +118,43 @@ impl Store {
         }
     }
 
-    /// Remembers why an action failed; the latest failure replaces earlier ones.
+    /// Records a failure, replacing an earlier failure of the action.
     pub fn put_failure(&self, record: &FailureRecord) -> anyhow::Result<()> {
         let bytes = serde_json::to_vec_pretty(record)?;
         self.write_over(&self.failure_path(&record.key), &bytes).context("cannot write the failure record")
     }
 
-    /// The last failure of this action, if it is newer than nothing else: a success removes it.
+    /// The last failure of this action, unless the action has succeeded since.
     pub fn failure(&self, key: &ActionKey) -> Option<FailureRecord> {
         read_record(&fs::read(self.failure_path(key)).ok()?)
     }
 
-    /// Forgets the failure of an action that has succeeded.
+    /// Removes the failure of an action that has succeeded.
     pub fn clear_failure(&self, key: &ActionKey) {
-        // A leftover would only be shown, never believed, so that an error here changes nothing.
+        // An error is ignored: failure records are only displayed.
         let _ = fs::remove_file(self.failure_path(key));
     }
 
-    /// The record of `key`, if there is a readable one of this version; its blobs are not looked at.
+    /// The record of `key`, if it is readable and of this version. Does not check its blobs.
     pub(super) fn read_action_record(&self, key: &ActionKey) -> io::Result<Option<ActionRecord>> {
         let bytes = fs::read(self.record_path(key))?;
         Ok(read_record(&bytes).filter(|record: &ActionRecord| record.version == VERSION && record.key == *key))
     }
 
-    /// All readable records, in no particular order of meaning but always the same one (by key).
+    /// All readable records, ordered by key.
     pub fn records(&self) -> io::Result<Vec<ActionRecord>> {
         let folder = self.root.join("records");
         if !self.exists() {
             return Ok(Vec::new());
         }
-        let entries = fs::read_dir(&folder).map_err(naming(&folder))?;
+        let entries = fs::read_dir(&folder)?;
         let mut paths: Vec<PathBuf> = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
         paths.sort();
         Ok(paths.iter().filter_map(|path| read_record(&fs::read(path).ok()?)).collect())
     }
 }
 
-/// A record, or nothing if the bytes are not one: a truncated file is a miss, never a crash.
+/// Parses a record. Invalid bytes, e.g. of a truncated file, count as a missing record.
 fn read_record<R: DeserializeOwned>(bytes: &[u8]) -> Option<R> {
     serde_json::from_slice(bytes).ok()
 }

@@ -1,21 +1,22 @@
-//! Results by name: links for people, who do not read digests.
+//! Links to results by name, for users.
 
-use std::fs;
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::symlink;
 use std::path::{Component, Path, PathBuf};
 
-use super::{Store, naming};
+use fs_err as fs;
+
+use super::{Store, at_path};
 use crate::Digest;
 
 impl Store {
-    /// The link to the last result of a node, `results/<recipe>/<node>`; the slashes of a node's name make folders.
+    /// The link to the last result of a node, `results/<recipe>/<node>`. Slashes in the node's name become folders.
     pub fn result_link(&self, recipe: &str, node: &str) -> PathBuf {
         self.root.join("results").join(recipe).join(node)
     }
 
-    /// Lets the link of each node lead to the view of its artifact; links that do already are not touched, and what the
-    /// store did not make is an error.
+    /// Points the link of each node to the view of its artifact. Correct links are not touched. A file that the store did
+    /// not make is never replaced; it is an error.
     pub fn link_results<'a>(
         &self,
         recipe: &str,
@@ -30,31 +31,31 @@ impl Store {
                 continue;
             }
             self.view(content)?;
-            self.make_way(&link)?;
-            // Renamed into place, so that there is a link at any time.
+            self.clear_path(&link)?;
+            // Renamed into place, so that the link always exists.
             let new = scratch.path().join("link");
-            symlink(&target, &new).map_err(naming(&link))?;
-            fs::rename(&new, &link).map_err(naming(&link))?;
+            symlink(&target, &new).map_err(at_path(&link))?;
+            fs::rename(&new, &link)?;
         }
         Ok(())
     }
 
-    /// The view as seen from the folder of `link`: relative, so that a store can be moved as a whole.
+    /// The path of the view relative to the folder of `link`, so that the store can be moved as a whole.
     fn target_from(&self, link: &Path, content: &Digest) -> PathBuf {
         let depth = link.strip_prefix(&self.root).unwrap_or(link).components().count().saturating_sub(1);
         let up = std::iter::repeat_n("..", depth);
         up.chain(["views", &content.to_string()]).collect()
     }
 
-    /// Makes the folders above `link` and nothing at `link` itself. An earlier version of the recipe may have had a node
-    /// where there is a folder now (a link, which must not be followed into the store), or the other way round.
-    fn make_way(&self, link: &Path) -> io::Result<()> {
+    /// Creates the folders above `link` and removes an old link or folder at `link`. An earlier version of the recipe may
+    /// have had a node whose link is now in the place of a folder (it must not be followed into the store), or vice versa.
+    fn clear_path(&self, link: &Path) -> io::Result<()> {
         let results = self.root.join("results");
         let inside = link.strip_prefix(&results).unwrap_or(Path::new(".."));
         if !inside.components().all(|part| matches!(part, Component::Normal(_))) {
-            return Err(naming(link)(io::Error::new(
+            return Err(at_path(link)(io::Error::new(
                 ErrorKind::InvalidInput,
-                "results lie below the store's own folder",
+                "results must be below the store's folder",
             )));
         }
         let folders: Vec<&Path> = link.ancestors().skip(1).take_while(|folder| folder.starts_with(&results)).collect();
@@ -63,33 +64,33 @@ impl Store {
                 remove_own(folder)?;
             }
             if !folder.exists() {
-                fs::create_dir(folder).map_err(naming(folder))?;
+                fs::create_dir(folder)?;
             }
         }
         remove_own(link)
     }
 }
 
-/// Removes a link that the store made, or a folder of such links; anything else stays and is an error.
+/// Removes a link that the store made, or a folder of such links. Anything else is kept and is an error.
 fn remove_own(path: &Path) -> io::Result<()> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(naming(path)(error)),
+        Err(error) => Err(error),
         Ok(meta) if meta.is_dir() => {
-            for entry in fs::read_dir(path).map_err(naming(path))? {
-                remove_own(&entry.map_err(naming(path))?.path())?;
+            for entry in fs::read_dir(path)? {
+                remove_own(&entry?.path())?;
             }
-            fs::remove_dir(path).map_err(naming(path))
+            fs::remove_dir(path)
         }
-        Ok(_) if is_own(path) => fs::remove_file(path).map_err(naming(path)),
+        Ok(_) if is_own(path) => fs::remove_file(path),
         Ok(_) => {
-            let foreign = "this is in the way of a result, and the store did not make it";
-            Err(naming(path)(io::Error::new(ErrorKind::AlreadyExists, foreign)))
+            let foreign = "a file that the store did not make is in the place of a result";
+            Err(at_path(path)(io::Error::new(ErrorKind::AlreadyExists, foreign)))
         }
     }
 }
 
-/// Whether this is a link to a view: nothing else in the folder of results is the store's.
+/// Whether this is a link to a view. The store makes no other files in the folder of results.
 pub(super) fn is_own(path: &Path) -> bool {
     let leads_to_view =
         |target: PathBuf| target.is_relative() && target.parent().is_some_and(|up| up.ends_with("views"));

@@ -223,7 +223,9 @@ fn foreign_folders_are_refused_and_left_alone() {
     let foreign = root.path().join("runs/my results.txt");
     fs::create_dir_all(foreign.parent().unwrap()).unwrap();
     fs::write(&foreign, "years of work").unwrap();
-    for message in [Store::open(root.path()), Store::look(root.path())].map(|opened| opened.unwrap_err().to_string()) {
+    for message in
+        [Store::open(root.path()), Store::open_read_only(root.path())].map(|opened| opened.unwrap_err().to_string())
+    {
         assert!(message.contains("not a store and is not empty") && message.contains("--store"), "{message}");
     }
     assert_eq!(super::maintenance::files_below(root.path()).unwrap(), [foreign]);
@@ -233,14 +235,14 @@ fn foreign_folders_are_refused_and_left_alone() {
 fn looking_makes_nothing_and_reads_as_an_empty_store() {
     let root = tempfile::tempdir().unwrap();
     let place = root.path().join("store");
-    let store = Store::look(&place).unwrap();
+    let store = Store::open_read_only(&place).unwrap();
     assert!(!store.exists() && store.records().unwrap().is_empty() && matches!(store.lookup(&key("a")), Lookup::Miss));
     assert!(crate::runs::run_dirs(&store).unwrap().is_empty());
     assert!(!place.exists());
     // An empty folder becomes a store, and one that another process has begun.
     fs::create_dir(&place).unwrap();
     fs::write(place.join(".FORMAT-begun"), "").unwrap();
-    assert!(Store::open(&place).unwrap().exists() && Store::look(&place).unwrap().exists());
+    assert!(Store::open(&place).unwrap().exists() && Store::open_read_only(&place).unwrap().exists());
 }
 
 #[test]

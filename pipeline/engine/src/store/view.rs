@@ -1,22 +1,22 @@
-//! Views: folders of links into `cas`, so that artifacts are read in place.
+//! Views: folders of links into `cas`, through which artifacts are read in place.
 //!
-//! An artifact with a page is one that people open, keep and send: all of its files are copied. A browser follows a link
-//! first, and then takes a file without an extension for text; and a folder of links cannot leave the store.
+//! The files of an artifact with a web page are copied instead, because users open, keep and send it: a browser resolves
+//! a link and treats its target, which has no extension, as text, and a folder of links cannot leave the store.
 
-use std::fs;
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use fs_err as fs;
 
 use super::{Manifest, Store, blob};
 use crate::Digest;
 
 impl Store {
-    /// A folder that shows the artifact: `views/<digest>`, built once, checked and reused.
+    /// The folder `views/<digest>` with the artifact's files. It is built once, and checked before it is reused.
     ///
-    /// The links are relative, so that a store can be moved as a whole.
+    /// The links are relative, so that the store can be moved as a whole.
     pub fn view(&self, content: &Digest) -> anyhow::Result<PathBuf> {
         let manifest = self.manifest(content).context("cannot read an artifact's manifest")?;
         let view = self.root.join("views").join(content.to_string());
@@ -24,7 +24,7 @@ impl Store {
             self.quarantine(&view)?;
         }
         if !view.exists() {
-            self.build_view(&view, &manifest).context("cannot make a view of an artifact")?;
+            self.build_view(&view, &manifest).context("cannot build the view of an artifact")?;
         }
         Ok(view)
     }
@@ -37,25 +37,25 @@ impl Store {
         for file in &manifest.files {
             let link = building.join(&file.path);
             fs::create_dir_all(link.parent().unwrap_or(&building))?;
-            match is_for_people(manifest) {
+            match has_page(manifest) {
                 true => fs::copy(self.blob_path(&file.sha256), link).map(drop)?,
                 false => symlink(link_target(&file.path, &file.sha256), link)?,
             }
         }
         match fs::rename(&building, view) {
-            // Another process made the same view.
+            // Another process has built the same view.
             Err(error) if matches!(error.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) => Ok(()),
             other => other,
         }
     }
 }
 
-/// Whether people open the artifact, which has a page then.
-fn is_for_people(manifest: &Manifest) -> bool {
+/// Whether the artifact has a web page.
+fn has_page(manifest: &Manifest) -> bool {
     manifest.files.iter().any(|file| file.path.ends_with(".html"))
 }
 
-/// Where the link at `path` in a view points: out of the folders of `path`, the view and `views`, then into `cas`.
+/// The target of the link at `path` in a view: up from the folders of `path`, the view and `views`, then into `cas`.
 fn link_target(path: &str, digest: &Digest) -> PathBuf {
     let depth = path.matches('/').count() + 2;
     std::iter::repeat_n(Path::new(".."), depth).chain([blob::blob_name(digest).as_path()]).collect()
@@ -64,8 +64,8 @@ fn link_target(path: &str, digest: &Digest) -> PathBuf {
 fn is_complete(view: &Path, manifest: &Manifest) -> bool {
     let is_right = |file: &super::ManifestFile| {
         let path = view.join(&file.path);
-        match is_for_people(manifest) {
-            true => blob::is_whole(&path, &file.sha256, file.size_bytes),
+        match has_page(manifest) {
+            true => blob::is_intact(&path, &file.sha256, file.size_bytes),
             false => fs::read_link(path).is_ok_and(|target| target == link_target(&file.path, &file.sha256)),
         }
     };

@@ -9,7 +9,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use captures::CaptureArtifact;
-use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage};
+use engine::{
+    Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage, UnusedSources,
+};
 use scene::Capture;
 use serde::Deserialize as _;
 use serde_json::Value;
@@ -70,8 +72,8 @@ impl Stage for Training {
         Resources { threads: 0 }
     }
 
-    fn unused_sources(params: &TrainingParams) -> Vec<String> {
-        methods::unused_sources(&params.method)
+    fn unused_sources(params: &TrainingParams) -> UnusedSources {
+        [(Self::ID.into(), methods::unused_sources(&params.method))].into()
     }
 
     fn run(context: &JobContext, params: &TrainingParams) -> anyhow::Result<Model> {

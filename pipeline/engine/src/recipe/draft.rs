@@ -1,0 +1,148 @@
+//! Drafts: the jobs of a recipe with canonical parameters, before they are linked to their producers.
+
+use std::collections::BTreeMap;
+use std::path::Component;
+
+use serde_json::Value;
+
+use super::errors::Report;
+use super::expand::{Instance, instances};
+use super::raw::{RawRecipe, Template};
+use super::tree::{self, Table};
+use crate::fingerprint::UnusedSources;
+use crate::plan::{Origin, PlanSource};
+use crate::registry::AnyStage;
+use crate::{ParamProblem, Registry};
+
+/// A job without producers: its parameters, and what its stage derives from them.
+pub(super) struct Draft {
+    /// The job as the recipe has it.
+    pub(super) instance: Instance,
+    /// The canonical parameters.
+    pub(super) params: Value,
+    /// What the stage derives from the parameters.
+    pub(super) derived: Derived,
+    /// The origin of each parameter.
+    pub(super) origins: BTreeMap<String, Origin>,
+}
+
+/// What a stage derives from the parameters of a job.
+pub(super) struct Derived {
+    /// The files and folders that the job reads.
+    pub(super) sources: Vec<PlanSource>,
+    /// Worker threads; 0 means all.
+    pub(super) threads: usize,
+    /// Sources that the job does not use.
+    pub(super) unused_sources: UnusedSources,
+}
+
+/// Turns templates into drafts.
+pub(super) struct Drafter<'a> {
+    /// The recipe.
+    pub(super) recipe: &'a RawRecipe,
+    /// The stages.
+    pub(super) registry: &'a Registry,
+    /// Receives the errors.
+    pub(super) report: &'a mut Report,
+}
+
+impl Drafter<'_> {
+    /// The jobs of the template with this index. Jobs with errors are reported and left out.
+    pub(super) fn drafts(&mut self, template: usize) -> Vec<Draft> {
+        let (name, template) = self.recipe.templates.get_index(template).expect("an index of the recipe");
+        let instances = instances(self.recipe, name, template, self.report);
+        let Some(stage) = self.registry.get(&template.stage.name) else {
+            return Vec::new();
+        };
+        instances.into_iter().filter_map(|instance| self.draft(name, template, stage, instance)).collect()
+    }
+
+    fn draft(
+        &mut self,
+        name: &str,
+        template: &Template,
+        stage: &dyn AnyStage,
+        mut instance: Instance,
+    ) -> Option<Draft> {
+        let of_stage = self.recipe.of_stages.iter().filter(|(id, _)| id == stage.id());
+        of_stage.for_each(|(_, params)| tree::merge(&mut instance.params, params.clone()));
+        let params = match stage.canonical_params(&tree::table_to_json(&instance.params)) {
+            Ok(params) => params,
+            Err(problems) => {
+                let mut add = |problem| add_problem(name, template, &instance.params, problem, self.report);
+                problems.iter().for_each(&mut add);
+                return None;
+            }
+        };
+        let derived = derive(stage, &params)
+            .map_err(|error| self.report.add(&template.at, format!("nodes.{name}"), format!("{error:#}"), None))
+            .ok()?;
+        for source in &derived.sources {
+            let inside = source.path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+            if !inside || source.path.as_os_str().is_empty() {
+                let message =
+                    format!("source `{}` must lie under the data root: {}", source.name, source.path.display());
+                let hint = Some(
+                    "write a relative path without `..`; --data-root sets the folder that it is relative to".into(),
+                );
+                self.report.add(&template.params_at, format!("nodes.{name}.params"), message, hint);
+            }
+        }
+        let mut origins = BTreeMap::new();
+        add_origins(&mut origins, "", &params, &|key| match tree::find(&instance.params, key) {
+            Some((item, true)) => self.report.texts.origin(&item.key_at),
+            _ => Origin::Default,
+        });
+        Some(Draft { instance, params, derived, origins })
+    }
+}
+
+/// Reports a problem with a parameter at the key that sets it, or at `params` if no key does.
+pub(super) fn add_problem(
+    node: &str,
+    template: &Template,
+    params: &Table,
+    problem: &ParamProblem,
+    report: &mut Report,
+) {
+    let place = match tree::find(params, &problem.key) {
+        Some((item, true)) if !problem.message.starts_with("unknown key") => item.at,
+        Some((item, _)) => item.key_at,
+        None => template.params_at,
+    };
+    let dot = if problem.key.is_empty() { "" } else { "." };
+    let key = format!("nodes.{node}.params{dot}{}", problem.key);
+    // One line of the recipe may be wrong for hundreds of jobs, with a different message for each.
+    if !report.has(&place, &key) {
+        report.add(&place, key, problem.message.clone(), problem.hint.clone());
+    }
+}
+
+/// What the stage derives from canonical parameters.
+pub(super) fn derive(stage: &dyn AnyStage, params: &Value) -> anyhow::Result<Derived> {
+    let source = |source: crate::Source| PlanSource { name: source.name.into(), path: source.path };
+    Ok(Derived {
+        sources: stage.sources(params)?.into_iter().map(source).collect(),
+        threads: stage.resources(params)?.threads,
+        unused_sources: stage.unused_sources(params)?,
+    })
+}
+
+/// Records the origin of each value. Tables are entered; any other value has one origin.
+pub(super) fn add_origins(
+    origins: &mut BTreeMap<String, Origin>,
+    key: &str,
+    value: &Value,
+    origin: &impl Fn(&str) -> Origin,
+) {
+    match value.as_object() {
+        Some(map) if !map.is_empty() => {
+            let prefix = if key.is_empty() { String::new() } else { format!("{key}.") };
+            map.iter().for_each(|(name, value)| add_origins(origins, &format!("{prefix}{name}"), value, origin));
+        }
+        _ if key.is_empty() => (),
+        _ => {
+            origins.insert(key.into(), origin(key));
+        }
+    }
+}
