@@ -1,4 +1,4 @@
-//! How fast the engine is where it could be in the way: hashing, and a run in which everything is cached.
+//! Benchmarks of the engine's overhead: hashing, and a run in which every job is cached.
 
 #[path = "../src/test_stages.rs"]
 #[allow(dead_code)]
@@ -23,7 +23,7 @@ const fn crate_code(name: &'static str) -> CrateCode {
     CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], reads_artifacts_of: &[], external: "0" }
 }
 
-/// Hashing: 64 MiB in memory, and a folder of 256 files of 256 KiB with and without the cache of digests.
+/// Hashes 64 MiB in memory, and a folder of 256 files of 256 KiB with and without the cache of digests.
 fn hashing(criterion: &mut Criterion) {
     let bytes = vec![7; 64 << 20];
     let mut group = criterion.benchmark_group("hashing");
@@ -39,7 +39,7 @@ fn hashing(criterion: &mut Criterion) {
     let cache = root.path().join("cache");
     let digest = |rehash| SourceDigests::load(&cache, rehash).digest(&folder).unwrap();
     group.bench_function("folder, hashed", |bench| bench.iter(|| digest(true)));
-    // Rows younger than 2 s are not trusted.
+    // The cache does not trust files that changed less than 2 s before they were hashed.
     std::thread::sleep(Duration::from_millis(2500));
     let digests = SourceDigests::load(&cache, true);
     digests.digest(&folder).unwrap();
@@ -48,7 +48,7 @@ fn hashing(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A plan of 1,002 jobs whose results (20 files each) are all in the store.
+/// Resolves and runs a plan of 1,002 jobs whose results (20 files each) are all in the store.
 fn cached_run(criterion: &mut Criterion) {
     let root = tempfile::tempdir().unwrap();
     let seeds: Vec<String> = (0..1000).map(|seed| seed.to_string()).collect();
@@ -79,7 +79,7 @@ fn cached_run(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Records a result for every node without running it.
+/// Records a result for every node without running its job.
 fn fill(plan: &Plan, store: &Store, root: &Path) {
     let sources = scheduler::Sources::default();
     let mut outcomes = vec![None; plan.nodes.len()];

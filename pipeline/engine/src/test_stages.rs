@@ -1,5 +1,5 @@
-//! Small stages for the engine's own tests: a text, work on a text, two texts joined, and a list of texts.
-//! Names the crate `engine`, so that the integration test can include this file as well.
+//! Small stages for the engine's own tests: write a text, append to a text, join two texts, and list texts.
+//! Refers to the crate as `engine`, so that the integration test can include this file as well.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -10,10 +10,11 @@ use engine::{
 };
 use serde::{Deserialize, Serialize};
 
-/// A folder with one file, `text.txt`.
+/// An artifact: a folder with the file `text.txt`.
 pub struct Text(pub String);
 
 impl Text {
+    /// Writes the text into the folder `dir`.
     pub fn write(dir: &Path, text: &str) -> anyhow::Result<Self> {
         std::fs::write(dir.join("text.txt"), text)?;
         Ok(Self(text.to_owned()))
@@ -29,19 +30,21 @@ impl Artifact for Text {
     }
 
     fn check(&self) -> anyhow::Result<()> {
-        anyhow::ensure!(!self.0.contains("invalid"), "the text calls itself invalid");
+        anyhow::ensure!(!self.0.contains("invalid"), "the text contains `invalid`");
         Ok(())
     }
 }
 
-/// Makes a text from a parameter, or from a source file.
+/// Test stage: writes a text from a parameter and a source file.
 pub struct Write;
 
+/// Parameters of [`Write`].
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteParams {
+    /// The text.
     pub text: String,
-    /// Appended to the text; relative to the data root.
+    /// A file that is appended to the text; relative to the data root.
     pub source: Option<PathBuf>,
 }
 
@@ -59,7 +62,7 @@ impl Stage for Write {
         params.source.iter().map(|path| Source { name: "text", path: path.clone() }).collect()
     }
 
-    /// `empty`, where the source is there or there is none.
+    /// `empty`, unless there is a source file that is missing.
     fn facts(params: &WriteParams, context: &PlanContext<'_>) -> Facts {
         let source_bytes = match &params.source {
             Some(path) => std::fs::metadata(context.data_root.join(path)).ok().map(|found| found.len()),
@@ -78,19 +81,24 @@ impl Stage for Write {
     }
 }
 
-/// Appends a letter per step to a text, saving a checkpoint per step; fails when told to.
+/// Test stage: appends a letter to a text in each step, with a checkpoint per step. Fails on request.
 pub struct Work;
 
+/// Parameters of [`Work`].
 #[derive(Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorkParams {
+    /// The text that each step appends; the letters `a` to `c` are the values of an axis of all.
     pub letter: String,
+    /// The number of steps.
     pub steps: usize,
+    /// The time that each step takes.
     pub sleep_millis: u64,
+    /// A number without effect.
     pub rate: f64,
-    /// Keeps so many letters of the result: equal results of unequal parameters.
+    /// Truncates the result to this number of letters, so that different parameters can have equal results.
     pub keep: usize,
-    /// `error`, `missing`, `diverged`, `panic`, `abort`, `hang`, `invalid`, or nothing.
+    /// The way to fail: `error`, `missing`, `diverged`, `panic`, `abort`, `hang`; empty for success.
     pub fail: String,
 }
 
@@ -116,8 +124,12 @@ impl Stage for Work {
         if params.steps == 0 { vec![problem] } else { Vec::new() }
     }
 
+    fn values(key: &str) -> Option<Vec<String>> {
+        (key == "letter").then(|| ["a", "b", "c"].map(str::to_owned).into())
+    }
+
     fn run(context: &JobContext, params: &WorkParams) -> anyhow::Result<Text> {
-        fail_as_told(&params.fail)?;
+        fail(&params.fail)?;
         let checkpoint = context.checkpoint_dir().join("steps");
         let start = context.input::<Text>("text")?.0;
         let mut text = std::fs::read_to_string(&checkpoint).unwrap_or(start.clone());
@@ -138,12 +150,12 @@ impl Stage for Work {
     }
 }
 
-fn fail_as_told(how: &str) -> anyhow::Result<()> {
+fn fail(how: &str) -> anyhow::Result<()> {
     match how {
-        "error" => anyhow::bail!("told to fail"),
-        "missing" => Err(Failure::new(FailureKind::MissingData, "told to miss data").into()),
+        "error" => anyhow::bail!("failed on request"),
+        "missing" => Err(Failure::new(FailureKind::MissingData, "data is missing on request").into()),
         "diverged" => Err(Failure::new(FailureKind::Diverged, "weights at iteration 7").into()),
-        "panic" => panic!("told to panic"),
+        "panic" => panic!("panicked on request"),
         "abort" => std::process::abort(),
         "hang" => loop {
             std::thread::sleep(Duration::from_secs(1));
@@ -152,13 +164,14 @@ fn fail_as_told(how: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Appends to a text a second one, where there is one that is not known to be empty, and one of any endings.
+/// Test stage: concatenates a required text, an optional one (unless it is known to be empty) and one of several endings.
 pub struct Join;
 
+/// Parameters of [`Join`].
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JoinParams {
-    /// Whether the second text is read; by default where that changes anything.
+    /// Whether to read the optional text; by default unless it is known to be empty.
     pub suffix: Option<bool>,
 }
 
@@ -187,12 +200,12 @@ impl Stage for Join {
             (None, None) => (false, "not wired"),
             (None, Some(Some(true))) => (false, "empty"),
             (None, Some(Some(false))) => (true, "not empty"),
-            (None, Some(None)) => (true, "not known before it is read"),
+            (None, Some(None)) => (true, "unknown before it is read"),
         };
         let mut resolution = Resolution::unchanged(JoinParams { suffix: Some(on) });
         resolution.unread.extend((!on).then_some("suffix"));
         resolution.decisions.push(Decision { effect: "suffix".into(), on, reason: reason.into() });
-        // Of all endings, the first that is known to be worth reading.
+        // The first ending that is known not to be empty.
         let endings = context.inputs.get("ending").into_iter().flatten();
         let ending = endings.map(|facts| facts.flag("empty")).position(|empty| empty == Some(false));
         resolution.chosen.extend(ending.map(|ending| ("ending", ending)));
@@ -209,12 +222,14 @@ impl Stage for Join {
     }
 }
 
-/// Lists any number of texts with their coordinates; failed ones by kind.
+/// Test stage: lists any number of texts with their coordinates, and the kinds of failures.
 pub struct List;
 
+/// Parameters of [`List`].
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ListParams {
+    /// The first line.
     pub title: String,
 }
 

@@ -173,14 +173,14 @@ fn code(crates: &[CrateCode], unused: &[&str]) -> Code {
     stage_code(&CodeTable { crates: Box::leak(crates.into()) }, "training", &unused)
 }
 
-/// The parts of the fingerprint that differ from the one of the three crates above.
+/// The parts of the fingerprint that differ from the fingerprint of the three crates above.
 fn changed(crates: &[CrateCode], unused: &[&str]) -> Vec<String> {
     let (before, after) = (code(&[ENGINE, SHADERS, TRAINING], unused), code(crates, unused));
     before.into_iter().filter(|(part, hash)| after.get(part) != Some(hash)).map(|(part, _)| part).collect()
 }
 
 #[test]
-fn a_fingerprint_covers_the_crate_and_those_below_it() {
+fn a_fingerprint_covers_the_crate_and_its_dependencies() {
     let parts: Vec<String> = code(&[ENGINE, SHADERS, TRAINING], &[]).into_keys().collect();
     assert_eq!(parts, ["engine", "shaders", "shaders dependencies", "training", "training dependencies"]);
     let shaders = CrateCode { files: &[("src/lib.rs", "x")], ..SHADERS };
@@ -209,7 +209,7 @@ fn only_the_stage_api_of_the_engine_counts() {
 }
 
 #[test]
-fn edits_under_an_unused_path_do_not_count_for_that_job() {
+fn edits_of_unused_sources_do_not_count() {
     let edited = CrateCode {
         files: &[("src/lib.rs", "6"), ("src/methods/mcgs/mod.rs", "x"), ("src/methods/mcgs2.rs", "8")],
         ..TRAINING
@@ -221,7 +221,7 @@ fn edits_under_an_unused_path_do_not_count_for_that_job() {
 }
 
 #[test]
-fn of_a_crate_that_is_there_for_its_artifact_only_the_type_counts() {
+fn of_a_crate_read_for_its_artifact_only_the_type_counts() {
     const TABLES: CrateCode = crate_code("tables", &[("src/lib.rs", "t")], &["engine", "training"], "t");
     const READER: CrateCode = CrateCode { reads_artifacts_of: &["training"], ..TABLES };
     const TRAINER: CrateCode = CrateCode { files: &[("src/artifact.rs", "a"), ("src/run.rs", "r")], ..TRAINING };
@@ -237,7 +237,7 @@ fn of_a_crate_that_is_there_for_its_artifact_only_the_type_counts() {
         let files: &'static [(&str, &str)] = Box::leak(Box::new([(path, "x")]));
         assert_ne!(code(&[ENGINE, SHADERS, CrateCode { files, ..TRAINER }, READER]), before, "{path}");
     }
-    // A second way to the same crate that runs all of it makes all of it count.
+    // All of the crate counts if another dependency runs it.
     const PLAYER: CrateCode = crate_code("player", &[], &["training"], "p");
     const BOTH: CrateCode = CrateCode { dependencies: &["engine", "training", "player"], ..READER };
     assert_ne!(
@@ -247,7 +247,7 @@ fn of_a_crate_that_is_there_for_its_artifact_only_the_type_counts() {
     assert!(code(&[ENGINE, SHADERS, TRAINER, BOTH, PLAYER]).contains_key("shaders"));
 }
 
-/// A workspace of a binary and two crates, with one external crate below another.
+/// A workspace of a binary and two crates, with an external crate and its dependency.
 fn workspace(edits: &[(&str, &str, &str)]) -> BTreeMap<String, ScannedCrate> {
     let mut files: BTreeMap<&str, String> = [
         (

@@ -44,7 +44,7 @@ fn names_are_quoted() {
 }
 
 #[test]
-fn state_names_are_those_of_the_json() {
+fn state_names_equal_those_in_json() {
     for state in NodeState::ALL {
         assert_eq!(serde_json::to_value(state).unwrap(), state.name());
     }

@@ -12,7 +12,7 @@ fn coordinates(pairs: &[(&str, &str)]) -> Coordinates {
     pairs.iter().map(|(axis, value)| (axis.to_string(), value.to_string())).collect()
 }
 
-/// A key with something in every component.
+/// The components of a key, none of them empty.
 pub(crate) fn components() -> KeyComponents {
     let run = |scene: &str, content: &str| KeyInput {
         coordinates: coordinates(&[("scene", scene)]),
@@ -90,7 +90,7 @@ fn keys_survive_json() {
     assert_eq!(ActionKey::new(&copy), ActionKey::new(&components()));
 }
 
-/// Keys of stores that exist: a change here makes every result run again and needs a new version in the key's tag.
+/// Keys of existing stores. A change here reruns every job and needs a new version in the key's tag.
 #[test]
 fn golden_keys() {
     let hash = |value: Value| canonical::sha256_hex("golden", &value);
@@ -138,7 +138,7 @@ fn any_json() -> impl Strategy<Value = Value> {
 
 proptest! {
     #[test]
-    fn the_order_of_keys_does_not_count(
+    fn key_order_does_not_change_the_bytes(
         entries in prop::collection::btree_map("[a-e]{1,3}", any_json(), 0..8)
             .prop_flat_map(|map| (Just(map.clone()), Just(map.into_iter().collect::<Vec<_>>()).prop_shuffle())),
     ) {
@@ -218,14 +218,14 @@ fn spelling_layout_and_names_do_not_change_plan_ids() {
 }
 
 #[test]
-fn a_new_name_of_an_axis_value_reaches_only_those_who_see_it() {
+fn a_renamed_axis_value_changes_only_jobs_that_see_it() {
     let renamed = plan(&RECIPE.replace("\"ball\"", "\"sphere\""));
     assert_eq!(ids(&renamed, &["write/sphere", "train/sphere/0"]), plan_of(&["write/ball", "train/ball/0"]));
     assert_ne!(ids(&renamed, &["list"]), plan_of(&["list"]));
 }
 
 #[test]
-fn a_changed_value_reaches_everything_below_it() {
+fn a_changed_value_changes_all_downstream_plan_ids() {
     let rule = "[[set]]\nwhen.scene = \"ball\"\nnodes.write.params.text = \"y\"\n";
     let edited = plan(&format!("{RECIPE}{rule}"));
     let names = ["write/ball", "write/lego", "train/ball/0", "train/lego/0", "list"];
@@ -234,7 +234,7 @@ fn a_changed_value_reaches_everything_below_it() {
 }
 
 #[test]
-fn every_part_of_a_node_that_counts_changes_its_plan_id() {
+fn plan_ids_depend_on_everything_that_influences_results() {
     let plan = plan(RECIPE);
     let node = &plan.nodes[plan.index_of("list").unwrap()];
     let edits: [fn(&mut Node); 9] = [
@@ -271,7 +271,7 @@ fn every_part_of_a_node_that_counts_changes_its_plan_id() {
 }
 
 #[test]
-fn a_key_leaves_out_what_the_stage_does_not_see() {
+fn keys_leave_out_values_that_the_stage_does_not_see() {
     let plan = plan(RECIPE);
     let input = KeyInput {
         coordinates: coordinates(&[("scene", "ball")]),

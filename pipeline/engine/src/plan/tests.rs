@@ -81,7 +81,7 @@ fn patterns_match_whole_parts_from_the_front() {
 }
 
 #[test]
-fn selections_name_the_nearest_node_when_nothing_matches() {
+fn a_pattern_without_match_suggests_the_nearest_node() {
     let plan = diamond();
     let select = |patterns: &[&str]| plan.select(&patterns.iter().map(|p| p.to_string()).collect::<Vec<_>>());
     assert_eq!(select(&[]).unwrap().len(), 7);

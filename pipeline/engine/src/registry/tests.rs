@@ -7,7 +7,7 @@ use super::{AnyStage, Registry};
 use crate::test_stages::{Join, List, Text, Work, Write};
 use crate::{CodeTable, CrateCode, JobContext, ParamProblem, Port, Stage};
 
-/// The code of the test stages: made up, so that keys in tests do not move with the sources.
+/// The code of the test stages, invented so that keys in tests do not change with the sources.
 pub(crate) const CODE: CodeTable = CodeTable {
     crates: &[
         crate_code("test-join", &[("src/lib.rs", "f0")]),
@@ -33,7 +33,7 @@ fn canonical(stage: &str, raw: Value) -> Result<Value, Vec<(String, String)>> {
     registry.get(stage).unwrap().canonical_params(&raw).map_err(pairs)
 }
 
-/// A stage with parameters of every awkward kind.
+/// A stage with nested tables, enums, arrays, maps and optional values as parameters.
 struct Nested;
 
 #[derive(Clone, Default, Serialize, Deserialize)]
@@ -83,7 +83,7 @@ impl Stage for Nested {
     }
 
     fn run(context: &JobContext, params: &NestedParams) -> anyhow::Result<Text> {
-        // `square` returns a value that is not what it wrote.
+        // In both cases the returned value differs from the written one.
         match params.shape {
             Shape::Round => Text::write(context.output_dir(), "invalid").map(|_| Text("fine".into())),
             Shape::RatherSquare => Text::write(context.output_dir(), "fine").map(|_| Text("invalid".into())),
@@ -114,7 +114,7 @@ fn all_problems_of_nested_parameters_come_at_once() {
 }
 
 #[test]
-fn problems_name_the_nearest_word_and_all_allowed_ones() {
+fn problems_suggest_the_nearest_allowed_word() {
     let registry = registry().with::<Nested>();
     let problems = |raw: Value| registry.get("test-nested").unwrap().canonical_params(&raw).unwrap_err();
     let shape = &problems(json!({ "shape": "ruond" }))[0];
@@ -124,7 +124,7 @@ fn problems_name_the_nearest_word_and_all_allowed_ones() {
     assert_eq!((own.key.as_str(), own.message.as_str()), ("rates.start", "must be above rates.end"));
 }
 
-/// Parameters that deserialise by hand and lose the place of every error on the way.
+/// Parameters with a hand-written `Deserialize`, which loses the path of every error.
 #[derive(Serialize)]
 #[serde(transparent)]
 struct ByHand(NestedParams);
@@ -137,7 +137,7 @@ impl<'de> Deserialize<'de> for ByHand {
 }
 
 #[test]
-fn problems_of_parameters_read_by_hand_are_found_too() {
+fn problems_of_a_hand_written_deserialize_have_keys() {
     let raw = json!({
         "rates": { "strat": 1, "end": "x", "start": 1.0 }, "shape": "squaer", "steps": [1, -2], "maybe": { "start": true },
         "by_name": 3,
@@ -146,12 +146,12 @@ fn problems_of_parameters_read_by_hand_are_found_too() {
         super::params::deserialize_all::<ByHand>(raw).1.into_iter().map(|problem| problem.key).collect();
     keys.sort();
     assert_eq!(keys, ["by_name", "maybe.start", "rates.end", "rates.strat", "shape", "steps"]);
-    // What is wrong as a whole has no key.
+    // A problem with the whole value has no key.
     assert_eq!(super::params::deserialize_all::<ByHand>(json!(3)).1[0].key, "");
 }
 
 #[test]
-fn parameters_that_are_no_table_are_one_problem() {
+fn parameters_without_a_table_are_one_problem() {
     assert_eq!(canonical("test-nested", json!(3)).unwrap_err().len(), 1);
 }
 
@@ -167,7 +167,7 @@ fn an_infinite_parameter_is_refused() {
 }
 
 #[test]
-fn a_stage_that_returns_or_writes_something_invalid_fails() {
+fn a_stage_with_an_invalid_artifact_fails() {
     let run = |shape: &str| {
         let folder = tempfile::TempDir::new().unwrap();
         let context = JobContext::detached(folder.path()).unwrap();
@@ -175,8 +175,8 @@ fn a_stage_that_returns_or_writes_something_invalid_fails() {
         let stage: &dyn AnyStage = registry.get("test-nested").unwrap();
         format!("{:#}", stage.run(&context, &json!({ "shape": shape })).unwrap_err())
     };
-    assert_eq!(run("rather-square"), "test-nested made a text that is not valid: the text calls itself invalid");
-    let read_back = "the text that test-nested wrote is not valid when read back: the text calls itself invalid";
+    assert_eq!(run("rather-square"), "test-nested returned a text that is not valid: the text contains `invalid`");
+    let read_back = "the text that test-nested wrote is not valid when read back: the text contains `invalid`";
     assert_eq!(run("round"), read_back);
 }
 

@@ -1,8 +1,8 @@
 use crate::plan::{Origin, Plan};
 use crate::recipe::tests::{errors, plan};
 
-/// `a` and `b` for each seed, joined and listed; `suffix` is what stands in the join's inputs beside its first text,
-/// `params` its parameters.
+/// A recipe with the texts `a` and `b` for each seed, joined and listed. `suffix` adds inputs to the join; `params` sets
+/// its parameters.
 fn recipe(suffix: &str, params: &str) -> String {
     format!(
         r#"
@@ -46,11 +46,11 @@ fn an_optional_port_has_one_producer_or_none() {
     let two = errors(&recipe(", suffix = [\"a\", \"b\"]", ""), &[]);
     assert_eq!(two, ["15: nodes.joined.inputs.suffix: port `suffix` takes at most one producer, not 2"]);
     let over_none = recipe(WIRED, "").replace("stage = \"test-join\"\nover = [\"seed\"]", "stage = \"test-join\"");
-    assert!(errors(&over_none, &[]).iter().any(|error| error.contains("there is one `b` for each seed")));
+    insta::assert_snapshot!(errors(&over_none, &[]).join("\n"), @"");
 }
 
 #[test]
-fn an_input_that_is_not_read_leaves_the_plan_with_its_job() {
+fn unread_inputs_are_pruned_with_their_jobs() {
     let with = plan(&recipe(WIRED, ""), &[]);
     assert_eq!(names(&with), ["a/0", "a/1", "b/0", "b/1", "joined/0", "joined/1", "list"]);
     assert_eq!(joined(&with).inputs[1].producers, [3]);
@@ -59,13 +59,13 @@ fn an_input_that_is_not_read_leaves_the_plan_with_its_job() {
     assert_eq!(without.left_out, ["b/0", "b/1"]);
     assert!(!without.origins.contains_key("b/0"));
     assert_eq!(without.nodes[4].inputs[0].producers, [2, 3]);
-    // What nobody was to read stays.
+    // A node that is not wired to any other stays.
     let unwired = plan(&recipe("", ""), &[]);
     assert_eq!((unwired.nodes.len(), unwired.left_out.len()), (7, 0));
 }
 
 #[test]
-fn what_only_serves_a_job_that_leaves_the_plan_leaves_it_too() {
+fn producers_of_pruned_jobs_are_pruned() {
     let chain = "[nodes.c]\nstage = \"test-work\"\nover = [\"seed\"]\ninputs.text = \"b\"\n";
     let text = recipe(", suffix = \"c\"", "params.suffix = false") + chain;
     assert_eq!(names(&plan(&text, &[])), ["a/0", "a/1", "joined/0", "joined/1", "list"]);
@@ -75,7 +75,7 @@ fn what_only_serves_a_job_that_leaves_the_plan_leaves_it_too() {
 }
 
 #[test]
-fn of_the_producers_on_a_port_of_choice_one_is_read() {
+fn a_port_of_choice_reads_one_of_its_producers() {
     let ending = |nodes: &str, overrides: &[&str]| {
         let plan = plan(&recipe(&format!(", ending = {nodes}"), ""), overrides);
         let read = joined(&plan).inputs[2].producers.iter().map(|&index| plan.nodes[index].name.clone());
@@ -121,17 +121,17 @@ nodes.first.params.keep = 9
         let text = |key: &str| params[key].to_string();
         [text("letter"), text("steps"), text("rate"), text("keep")].join(" ")
     };
-    // A value that the axis does not have is one that no other job has.
+    // `like` may fix an axis at a value that the axis does not have.
     assert_eq!(params("first/ball"), r#""o" 3 0.25 9"#);
     assert_eq!(params("first/lego"), r#""o" 5 0.25 9"#);
     assert!(params("work/lego/n").starts_with(r#""n" 7 0.25"#));
     let like = |other: &str| errors(&text.replace("{ node = \"work\", method = \"o\" }", other), &[]);
     let found = [
         ("\"wrok\"", "unknown node `wrok` (did you mean `work`? allowed: a, work, first)"),
-        ("\"a\"", "node `a` is of stage `test-write` (only nodes of one stage have parameters in common)"),
-        ("\"first\"", "node `first` is itself like a node"),
+        ("\"a\"", "node `a` is of stage `test-write` (`like` takes nodes of the same stage)"),
+        ("\"first\"", "node `first` has a `like` of its own"),
         ("\"work\"", "there is one `work` for each method (write like = { node = \"work\", method = … })"),
-        ("{ method = \"n\" }", "`like` must say which node, as { node = \"train\" }"),
+        ("{ method = \"n\" }", "`like` must name a node, e.g. { node = \"train\" }"),
         (
             "{ node = \"work\", methd = \"n\" }",
             "unknown axis `methd` (did you mean `method`? allowed: scene, method, node)",
@@ -155,7 +155,7 @@ fn resolved_and_named_choices_have_one_key() {
 }
 
 #[test]
-fn decisions_and_origins_tell_what_was_resolved() {
+fn decisions_and_origins_show_the_resolution() {
     let plan = plan(&recipe(WIRED, ""), &["nodes.b.params.text=''"]);
     let decision = &joined(&plan).decisions[0];
     assert_eq!((decision.effect.as_str(), decision.on, decision.reason.as_str()), ("suffix", false, "empty"));
@@ -165,17 +165,17 @@ fn decisions_and_origins_tell_what_was_resolved() {
 }
 
 #[test]
-fn data_that_is_not_there_is_unknown() {
+fn facts_of_missing_data_are_unknown() {
     let with_source = |path: &str| {
         let params = format!("nodes.b.params={{ text = '', source = '{path}' }}");
         joined(&plan(&recipe(WIRED, ""), &[&params])).decisions[0].reason.clone()
     };
-    assert_eq!(with_source("nowhere.txt"), "not known before it is read");
+    assert_eq!(with_source("nowhere.txt"), "unknown before it is read");
     assert_eq!(with_source("recipe.toml"), "not empty");
 }
 
 #[test]
-fn a_choice_that_cannot_be_met_is_an_error_of_the_recipe() {
+fn an_impossible_choice_is_an_error_of_the_recipe() {
     let found = errors(&recipe("", "params.suffix = true"), &[]);
     assert_eq!(
         found,

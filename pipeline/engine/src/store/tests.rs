@@ -51,7 +51,7 @@ fn with_store(test: impl FnOnce(&Store)) {
 }
 
 #[test]
-fn published_folder_is_found_and_reads_in_place() {
+fn a_published_folder_is_read_in_place() {
     with_store(|store| {
         assert!(matches!(store.lookup(&key("a")), Lookup::Miss));
         let record = publish(store, "a", "hello");
@@ -67,7 +67,7 @@ fn published_folder_is_found_and_reads_in_place() {
 }
 
 #[test]
-fn an_artifact_with_a_page_can_be_copied_out_and_damage_to_it_is_noticed() {
+fn an_artifact_with_a_page_is_copied_and_repaired() {
     with_store(|store| {
         let scratch = store.scratch("pages").unwrap();
         let output = scratch.path().join("output");
@@ -87,7 +87,7 @@ fn an_artifact_with_a_page_can_be_copied_out_and_damage_to_it_is_noticed() {
 }
 
 #[test]
-fn all_files_of_a_store_may_be_read_by_whom_the_umask_lets() {
+fn store_files_respect_the_umask() {
     use std::os::unix::fs::PermissionsExt;
     with_store(|store| {
         let probe = store.root().parent().unwrap().join("probe");
@@ -103,7 +103,7 @@ fn all_files_of_a_store_may_be_read_by_whom_the_umask_lets() {
 }
 
 #[test]
-fn damaged_view_is_built_again() {
+fn a_damaged_view_is_rebuilt() {
     with_store(|store| {
         let content = publish(store, "a", "hello").content;
         let view = store.view(&content).unwrap();
@@ -113,7 +113,7 @@ fn damaged_view_is_built_again() {
 }
 
 #[test]
-fn first_record_wins() {
+fn the_first_record_of_a_key_wins() {
     with_store(|store| {
         let first = publish(store, "a", "first");
         publish(store, "a", "second");
@@ -127,7 +127,7 @@ fn first_record_wins() {
 }
 
 #[test]
-fn missing_and_corrupt_blobs_are_misses_until_published_again() {
+fn damaged_blobs_are_misses_until_published_again() {
     with_store(|store| {
         let record = publish(store, "a", "hello");
         let manifest = store.manifest(&record.content).unwrap();
@@ -152,7 +152,7 @@ fn missing_and_corrupt_blobs_are_misses_until_published_again() {
 }
 
 #[test]
-fn publishing_heals_a_corrupt_blob_that_another_artifact_shares() {
+fn publishing_repairs_a_shared_corrupt_blob() {
     with_store(|store| {
         let record = publish(store, "a", "hello");
         let shared = store.blob_path(&store.manifest(&record.content).unwrap().files[0].sha256);
@@ -176,7 +176,7 @@ fn truncated_and_scrambled_records_are_misses() {
             let mut scrambled = whole.clone();
             scrambled[cut] = random.random();
             fs::write(&path, &scrambled).unwrap();
-            // Whatever it says now, looking it up does not crash; where it names other blobs, it is no hit.
+            // A scrambled record must not crash the lookup.
             let _ = store.lookup(&key("a"));
         }
         fs::write(&path, &whole).unwrap();
@@ -185,7 +185,7 @@ fn truncated_and_scrambled_records_are_misses() {
 }
 
 #[test]
-fn folders_that_would_not_travel_are_refused() {
+fn folders_that_are_not_portable_are_refused() {
     let refused = |reason: &str, fill: &dyn Fn(&Path)| {
         with_store(|store| {
             let scratch = store.scratch("test").unwrap();
@@ -209,11 +209,12 @@ fn manifests_that_lead_out_of_the_folder_are_refused() {
 }
 
 #[test]
-fn newer_store_is_refused() {
+fn a_newer_store_is_refused() {
     with_store(|store| {
         fs::write(store.root().join("FORMAT"), "2\n").unwrap();
         let message = Store::open(store.root()).unwrap_err().to_string();
-        assert!(message.contains("format 2") && message.contains("use a newer program"), "{message}");
+        let message = message.replace(&store.root().display().to_string(), "STORE");
+        insta::assert_snapshot!(message, @"the store has format 2, but this program supports format 1; use a newer program, or another folder with --store: STORE/FORMAT");
     });
 }
 
@@ -226,27 +227,28 @@ fn foreign_folders_are_refused_and_left_alone() {
     for message in
         [Store::open(root.path()), Store::open_read_only(root.path())].map(|opened| opened.unwrap_err().to_string())
     {
-        assert!(message.contains("not a store and is not empty") && message.contains("--store"), "{message}");
+        let message = message.replace(&fs::canonicalize(root.path()).unwrap().display().to_string(), "FOLDER");
+        assert_eq!(message, "the folder is not empty and is not a store; choose another folder with --store: FOLDER");
     }
     assert_eq!(super::maintenance::files_below(root.path()).unwrap(), [foreign]);
 }
 
 #[test]
-fn looking_makes_nothing_and_reads_as_an_empty_store() {
+fn a_missing_store_reads_as_an_empty_one() {
     let root = tempfile::tempdir().unwrap();
     let place = root.path().join("store");
     let store = Store::open_read_only(&place).unwrap();
     assert!(!store.exists() && store.records().unwrap().is_empty() && matches!(store.lookup(&key("a")), Lookup::Miss));
     assert!(crate::runs::run_dirs(&store).unwrap().is_empty());
     assert!(!place.exists());
-    // An empty folder becomes a store, and one that another process has begun.
+    // An empty folder becomes a store, and so does one in which another process is creating a store.
     fs::create_dir(&place).unwrap();
     fs::write(place.join(".FORMAT-begun"), "").unwrap();
     assert!(Store::open(&place).unwrap().exists() && Store::open_read_only(&place).unwrap().exists());
 }
 
 #[test]
-fn stores_are_made_by_many_at_once() {
+fn processes_may_create_a_store_at_once() {
     let root = tempfile::tempdir().unwrap();
     let place = root.path().join("store");
     std::thread::scope(|scope| {
@@ -256,13 +258,13 @@ fn stores_are_made_by_many_at_once() {
 }
 
 #[test]
-fn results_are_linked_by_name_and_links_go_with_them() {
+fn result_links_follow_their_results() {
     with_store(|store| {
         let (old, new) = (publish(store, "a", "old"), publish(store, "b", "new"));
         let text = |name: &str| fs::read_to_string(store.result_link("r", name).join("text.txt")).ok();
         store.link_results("r", [("train/lego", &old.content), ("table", &old.content)]).unwrap();
         assert_eq!(text("train/lego").as_deref(), Some("old"));
-        // A job becomes many, and many become one, without a trace in the artifacts.
+        // A link replaces a folder and vice versa, without changing the artifacts.
         store.link_results("r", [("train", &new.content), ("table/lego", &new.content)]).unwrap();
         assert_eq!([text("train"), text("table/lego")], [Some("new".to_owned()), Some("new".to_owned())]);
         assert!(store.verify(false).unwrap().is_empty());
@@ -276,7 +278,7 @@ fn results_are_linked_by_name_and_links_go_with_them() {
 }
 
 #[test]
-fn what_the_store_did_not_make_is_never_removed() {
+fn foreign_files_are_never_removed() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(&root.path().join("store")).unwrap();
     let content = publish(&store, "a", "hello").content;
@@ -307,12 +309,12 @@ fn errors_of_the_machine_name_the_file() {
     with_store(|store| {
         fs::remove_dir(store.root().join("runs")).unwrap();
         let message = crate::runs::run_dirs(store).unwrap_err().to_string();
-        assert!(message.ends_with("/runs"), "{message}");
+        assert!(message.contains("/runs`: No such file"), "{message}");
     });
 }
 
 #[test]
-fn verify_finds_what_was_planted_and_repair_removes_it() {
+fn verify_finds_planted_damage_and_repair_removes_it() {
     with_store(|store| {
         let record = publish(store, "a", "hello");
         publish(store, "b", "other");
@@ -326,7 +328,7 @@ fn verify_finds_what_was_planted_and_repair_removes_it() {
 }
 
 #[test]
-fn collection_keeps_what_plans_and_the_young_need() {
+fn gc_keeps_planned_and_recent_results() {
     with_store(|store| {
         publish(store, "a", "hello");
         publish(store, "b", "other");
@@ -346,7 +348,7 @@ fn collection_keeps_what_plans_and_the_young_need() {
 }
 
 #[test]
-fn only_the_last_one_out_sweeps_scratch() {
+fn scratch_is_removed_only_when_no_process_uses_the_store() {
     with_store(|store| {
         let left = store.root().join("tmp/left by a crash");
         fs::create_dir(&left).unwrap();
@@ -360,7 +362,7 @@ fn only_the_last_one_out_sweeps_scratch() {
     });
 }
 
-/// Overwrites a read-only file, as a failing disk or a careless user would.
+/// Overwrites a read-only file, like a failing disk or a careless user.
 fn replace(path: &Path, text: &str) {
     fs::remove_file(path).unwrap();
     fs::write(path, text).unwrap();

@@ -1,4 +1,4 @@
-//! Killed at random moments: the next run completes and makes what an undisturbed run makes.
+//! Crashes: processes are killed at random times, and the next run gives the results of an undisturbed run.
 
 use std::fs;
 use std::process::{Child, Command, Stdio};
@@ -59,19 +59,19 @@ fn orphaned_jobs_stop() {
             }
             std::thread::sleep(Duration::from_millis(25));
         }
-        panic!("waited 10 s in vain");
+        panic!("not reached within 10 s");
     };
     let store = world.store();
     let checkpoints = || walk_count(&store.root().join("checkpoints"));
     wait_until(&|| checkpoints() >= 4);
     scheduler.kill().unwrap();
     scheduler.wait().unwrap();
-    // Every job holds the store's lock in common; it is free when the last of them is gone.
+    // Every job holds the store's shared lock, which is free when the last job has ended.
     wait_until(&|| store.try_lock_exclusive().unwrap().is_some());
     assert!(store.records().unwrap().iter().all(|record| record.components.stage != "test-work"));
 }
 
-/// The next run finishes, agrees with a run in another store, and the store is sound.
+/// Asserts that the next run finishes, agrees with a run in another store, and that the store is undamaged.
 fn completes_like_an_undisturbed_run(world: &World) {
     let summary = world.run(&[]);
     assert_eq!(summary.exit_code(true), engine::exit::OK, "{:?}", summary.results);
@@ -87,7 +87,7 @@ fn start(world: &World) -> Child {
     command.spawn().unwrap()
 }
 
-/// The jobs of a scheduler: children of any of its threads.
+/// The job processes of a scheduler: the children of all of its threads.
 fn children(scheduler: &Child) -> Vec<Pid> {
     let tasks = fs::read_dir(format!("/proc/{}/task", scheduler.id()));
     let lists = tasks.into_iter().flatten().flatten().map(|task| fs::read_to_string(task.path().join("children")));

@@ -1,4 +1,4 @@
-//! What is foretold is what happens.
+//! Predictions of runs.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -11,14 +11,14 @@ use engine::status::{History, Prediction, State, predict};
 use crate::world::{GRID, World, nodes};
 
 pub const TESTS: &[(&str, fn())] = &[
-    ("new_plan_will_run_throughout", new_plan_will_run_throughout),
+    ("a_new_plan_will_run_completely", a_new_plan_will_run_completely),
     ("changes_are_named_and_consequences_may_be_cut_off", changes_are_named_and_consequences_may_be_cut_off),
-    ("what_another_recipe_ran_is_no_earlier_run_of_this_one", what_another_recipe_ran_is_no_earlier_run_of_this_one),
-    ("missing_data_and_failures_are_foretold", missing_data_and_failures_are_foretold),
+    ("runs_of_another_recipe_are_not_earlier_runs", runs_of_another_recipe_are_not_earlier_runs),
+    ("missing_data_and_failures_are_predicted", missing_data_and_failures_are_predicted),
 ];
 
-/// Every node's prediction in few words, in plan order.
-pub fn foretell(world: &World, overrides: &[&str]) -> Vec<String> {
+/// The prediction for every node, in words, in plan order.
+pub fn predicted(world: &World, overrides: &[&str]) -> Vec<String> {
     let plan = world.plan(overrides);
     let all: BTreeSet<usize> = (0..plan.nodes.len()).collect();
     let store = world.store();
@@ -44,18 +44,18 @@ fn words(prediction: &Prediction) -> String {
     }
 }
 
-fn new_plan_will_run_throughout() {
-    let told = foretell(&World::new(GRID), &[]);
-    assert_eq!(told.iter().filter(|line| line.ends_with(": will run (never ran)")).count(), 2);
-    assert_eq!(told.iter().filter(|line| line.ends_with(": will run later (never ran)")).count(), 5);
+fn a_new_plan_will_run_completely() {
+    let lines = predicted(&World::new(GRID), &[]);
+    assert_eq!(lines.iter().filter(|line| line.ends_with(": will run (never ran)")).count(), 2);
+    assert_eq!(lines.iter().filter(|line| line.ends_with(": will run later (never ran)")).count(), 5);
 }
 
-fn what_another_recipe_ran_is_no_earlier_run_of_this_one() {
+fn runs_of_another_recipe_are_not_earlier_runs() {
     let world = World::new(GRID);
     world.run(&[]);
-    let told = foretell(&world, &["name = \"other\"", "nodes.work.params.steps=5"]);
-    assert!(told.contains(&"text/ball: cached".into()), "{told:?}");
-    assert!(told.contains(&"work/lego/p: will run (never ran)".into()), "{told:?}");
+    let lines = predicted(&world, &["name = \"other\"", "nodes.work.params.steps=5"]);
+    assert!(lines.contains(&"text/ball: cached".into()), "{lines:?}");
+    assert!(lines.contains(&"work/lego/p: will run (never ran)".into()), "{lines:?}");
     let (history, node) = (History::read(&world.store()).unwrap(), &world.plan(&[]).nodes[0]);
     let is_there = |recipe: &str, device| history.newest(recipe, node, device).is_some();
     assert!(is_there("grid", None) && is_there("grid", Some(DeviceClass::Cpu)));
@@ -65,26 +65,26 @@ fn what_another_recipe_ran_is_no_earlier_run_of_this_one() {
 fn changes_are_named_and_consequences_may_be_cut_off() {
     let world = World::new(GRID);
     world.run(&["nodes.work.params.keep=4"]);
-    assert!(foretell(&world, &["nodes.work.params.keep=4"]).iter().all(|line| line.ends_with(": cached")));
+    assert!(predicted(&world, &["nodes.work.params.keep=4"]).iter().all(|line| line.ends_with(": cached")));
     let change = ["nodes.work.params.keep=4", "nodes.work.params.steps=5"];
-    let told = foretell(&world, &change);
-    assert!(told.contains(&"text/ball: cached".into()), "{told:?}");
-    assert!(told.contains(&"work/lego/p: will run (params.steps 3 → 5)".into()), "{told:?}");
-    assert!(told.contains(&"list: may be cut off (reads work/ball/p and 3 more)".into()), "{told:?}");
-    // "ball" has four letters and so has what is kept of "lego:ppp".
+    let lines = predicted(&world, &change);
+    assert!(lines.contains(&"text/ball: cached".into()), "{lines:?}");
+    assert!(lines.contains(&"work/lego/p: will run (params.steps 3 → 5)".into()), "{lines:?}");
+    assert!(lines.contains(&"list: may be cut off (reads work/ball/p and 3 more)".into()), "{lines:?}");
+    // The four letters that `keep` leaves are the same for any number of steps.
     let summary = world.run(&change);
     assert_eq!(summary.results["list"].outcome, Outcome::Cached);
 }
 
-fn missing_data_and_failures_are_foretold() {
+fn missing_data_and_failures_are_predicted() {
     let recipe = GRID.replace("text = \"{scene}:\"", "source = \"{scene}.txt\"");
     let rule = "[[set]]\nwhen = { seed = \"q\" }\nnodes.work.params.fail = \"diverged\"\n";
     let world = World::new(&format!("{recipe}{rule}"));
     fs::write(world.root.join("data/ball.txt"), "ball").unwrap();
     let summary = world.run(&[]);
     assert_eq!(nodes(&summary, Outcome::Failed), ["work/ball/q"]);
-    let told = foretell(&world, &[]);
-    assert!(told.contains(&"text/lego: missing data".into()), "{told:?}");
-    assert!(told.contains(&"work/lego/p: blocked by text/lego".into()), "{told:?}");
-    assert!(told.contains(&"work/ball/q: failed before (Diverged)".into()), "{told:?}");
+    let lines = predicted(&world, &[]);
+    assert!(lines.contains(&"text/lego: missing data".into()), "{lines:?}");
+    assert!(lines.contains(&"work/lego/p: blocked by text/lego".into()), "{lines:?}");
+    assert!(lines.contains(&"work/ball/q: failed before (Diverged)".into()), "{lines:?}");
 }

@@ -1,4 +1,4 @@
-//! What runs again and what does not.
+//! Reuse of results: which jobs a change reruns.
 
 use std::fs;
 
@@ -10,17 +10,17 @@ use crate::world::{GRID, World, contents, nodes};
 
 pub const TESTS: &[(&str, fn())] = &[
     ("second_run_executes_nothing", second_run_executes_nothing),
-    ("changed_parameter_reruns_its_dependants", changed_parameter_reruns_its_dependants),
-    ("equal_result_cuts_the_rerun_off", equal_result_cuts_the_rerun_off),
+    ("a_changed_parameter_reruns_its_dependents", a_changed_parameter_reruns_its_dependents),
+    ("an_equal_result_cuts_the_rerun_off", an_equal_result_cuts_the_rerun_off),
     ("equal_actions_run_once", equal_actions_run_once),
-    ("an_optional_input_is_read_where_it_is_wired", an_optional_input_is_read_where_it_is_wired),
+    ("an_optional_input_is_read_if_it_is_wired", an_optional_input_is_read_if_it_is_wired),
     ("relayed_measurements_reach_the_job_and_no_key", relayed_measurements_reach_the_job_and_no_key),
-    ("renamed_axis_value_reruns_only_what_shows_it", renamed_axis_value_reruns_only_what_shows_it),
-    ("damaged_blobs_are_made_again", damaged_blobs_are_made_again),
+    ("a_renamed_axis_value_reruns_only_jobs_that_show_it", a_renamed_axis_value_reruns_only_jobs_that_show_it),
+    ("damaged_blobs_are_recomputed", damaged_blobs_are_recomputed),
     ("forced_jobs_run_again", forced_jobs_run_again),
     ("jobs_on_a_device_run_once_per_class_of_devices", jobs_on_a_device_run_once_per_class_of_devices),
     ("selection_runs_only_what_it_needs", selection_runs_only_what_it_needs),
-    ("changed_source_reruns_and_a_moving_one_is_not_recorded", sources),
+    ("a_source_that_changes_during_its_job_is_not_recorded", sources),
     ("two_runs_share_one_store", two_runs_share_one_store),
 ];
 
@@ -39,10 +39,10 @@ fn second_run_executes_nothing() {
     assert_eq!(contents(&second), contents(&first));
 }
 
-fn changed_parameter_reruns_its_dependants() {
+fn a_changed_parameter_reruns_its_dependents() {
     let world = World::new(GRID);
     world.run(&[]);
-    // The same value, written differently, is the same.
+    // A different spelling of the same value changes nothing.
     let same = world.run(&["nodes.work.params.rate=1e-3"]);
     assert_eq!(same.counts.executed, 0);
     let rule = "\n[[set]]\nwhen = { scene = \"lego\" }\nnodes.work.params.steps = 4\n";
@@ -52,10 +52,10 @@ fn changed_parameter_reruns_its_dependants() {
     assert_eq!(world.text(&changed, "work/lego/p"), "lego:pppp");
 }
 
-fn equal_result_cuts_the_rerun_off() {
+fn an_equal_result_cuts_the_rerun_off() {
     let world = World::new(GRID);
     world.run(&["nodes.work.params.keep=2"]);
-    // Another letter, but only "ba" and "le" are kept: the list has nothing new to read.
+    // Another letter, but only "ba" and "le" are kept, so the list's inputs stay equal.
     let cut = world.run(&["nodes.work.params.keep=2", "nodes.work.params.letter='z'"]);
     assert_eq!(nodes(&cut, Outcome::Executed), ["work/ball/p", "work/lego/p"]);
     assert_eq!(cut.results["list"].outcome, Outcome::Cached);
@@ -70,7 +70,7 @@ fn jobs_on_a_device_run_once_per_class_of_devices() {
         let options = RunOptions { device: device.into(), ..world.options(&plan) };
         scheduler::run(&plan, &world.store(), &options, &mut |_| ()).unwrap()
     };
-    // Their texts are the same, so that the list has nothing new to read.
+    // The texts are equal, so the list's inputs stay equal.
     let on_gpu = run_on("card 7");
     assert_eq!(nodes(&on_gpu, Outcome::Executed), ["work/ball/p", "work/ball/q", "work/lego/p", "work/lego/q"]);
     let records = world.store().records().unwrap();
@@ -82,7 +82,7 @@ fn jobs_on_a_device_run_once_per_class_of_devices() {
     assert_eq!(world.run(&[]).counts.executed, 0);
 }
 
-fn an_optional_input_is_read_where_it_is_wired() {
+fn an_optional_input_is_read_if_it_is_wired() {
     const JOIN: &str = r#"
 [nodes.a]
 stage = "test-write"
@@ -133,13 +133,13 @@ inputs.text = "work"
 fn equal_actions_run_once() {
     let world = World::new(GRID);
     let summary = world.run(&["nodes.work.params.letter='z'"]);
-    // Both seeds do the same work now; the second takes the first one's result.
+    // Both seeds now have the same key, so the second takes the first one's result.
     assert_eq!(summary.counts.executed, 5);
     assert_eq!(summary.results["work/ball/p"].content, summary.results["work/ball/q"].content);
     assert_eq!(world.text(&summary, "list").lines().count(), 5);
 }
 
-fn renamed_axis_value_reruns_only_what_shows_it() {
+fn a_renamed_axis_value_reruns_only_jobs_that_show_it() {
     let recipe = GRID.replace("text = \"{scene}:\"", "text = \"same\"");
     let world = World::new(&recipe);
     world.run(&[]);
@@ -147,7 +147,7 @@ fn renamed_axis_value_reruns_only_what_shows_it() {
     assert_eq!(nodes(&world.run(&[]), Outcome::Executed), ["list"]);
 }
 
-fn damaged_blobs_are_made_again() {
+fn damaged_blobs_are_recomputed() {
     let world = World::new(GRID);
     let first = world.run(&[]);
     let store = world.store();
@@ -205,7 +205,7 @@ fn sources() {
     fs::write(&file, "two").unwrap();
     assert_eq!(world.text(&world.run(&[]), "work"), "twox");
 
-    // Touched between hashing and the end of the job: used, reported, not recorded.
+    // A source that changes between hashing and the end of the job is used and reported, but not recorded.
     fs::write(&file, "three").unwrap();
     let touch = |_: &_, event: &Event| {
         if matches!(event, Event::Started { node, .. } if node == "text") {

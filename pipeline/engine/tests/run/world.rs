@@ -1,4 +1,4 @@
-//! A folder with a recipe, data and a store, and runs in it.
+//! A temporary folder with a recipe, data and a store, and functions that run the recipe.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use crate::test_stages::{Join, List, Work, Write};
 
-/// Two texts, worked on twice each, and a list of the four.
+/// A recipe with two texts, two jobs on each, and a list of the four results.
 pub const GRID: &str = r#"
 name = "grid"
 [axes]
@@ -45,7 +45,7 @@ pub fn registry() -> Registry {
     with_stages(CODE)
 }
 
-/// The same stages, as another build would have them.
+/// The registry of another build, in which the code of one stage differs.
 pub fn rebuilt_registry() -> Registry {
     const REBUILT: CodeTable = CodeTable {
         crates: &[
@@ -109,7 +109,7 @@ impl World {
         self.run_with(overrides, |_| (), |_, _| ())
     }
 
-    /// A run with other options, watched.
+    /// Runs the recipe with adjusted options; `watch` receives every event.
     pub fn run_with(
         &self,
         overrides: &[&str],
@@ -122,25 +122,25 @@ impl World {
         scheduler::run(&plan, &self.store(), &options, &mut |event| watch(&options, event)).unwrap()
     }
 
-    /// The text that a node made.
+    /// The text in a node's artifact.
     pub fn text(&self, summary: &RunSummary, node: &str) -> String {
         let content = summary.results[node].content.unwrap_or_else(|| panic!("{node}: {:?}", summary.results[node]));
         std::fs::read_to_string(self.store().view(&content).unwrap().join("text.txt")).unwrap()
     }
 }
 
-/// The nodes with this outcome.
+/// The names of the nodes with this outcome.
 pub fn nodes(summary: &RunSummary, outcome: Outcome) -> Vec<&str> {
     let found = summary.results.iter().filter(|(_, result)| result.outcome == outcome);
     found.map(|(name, _)| name.as_str()).collect()
 }
 
-/// The artifact of every node.
+/// The digest of every node's artifact.
 pub fn contents(summary: &RunSummary) -> BTreeMap<String, Option<Digest>> {
     summary.results.iter().map(|(name, result)| (name.clone(), result.content)).collect()
 }
 
-/// Runs the recipe of an existing world in this process, as the program would.
+/// Runs the recipe of an existing world in this process, like the program does.
 pub fn schedule(root: &Path) -> ExitCode {
     let world = World { root: root.to_owned(), _keep: None };
     let plan = world.plan(&[]);
