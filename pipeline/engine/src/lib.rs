@@ -1,4 +1,5 @@
-//! The job graph: recipes become plans, plans become cached jobs. Knows no stage, no scene and no GPU.
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs, unreachable_pub)]
 
 pub mod digest;
 pub mod event;

@@ -11,11 +11,11 @@ use engine::{
 use serde::{Deserialize, Serialize};
 
 /// An artifact: a folder with the file `text.txt`.
-pub struct Text(pub String);
+pub(crate) struct Text(pub(crate) String);
 
 impl Text {
     /// Writes the text into the folder `dir`.
-    pub fn write(dir: &Path, text: &str) -> anyhow::Result<Self> {
+    pub(crate) fn write(dir: &Path, text: &str) -> anyhow::Result<Self> {
         std::fs::write(dir.join("text.txt"), text)?;
         Ok(Self(text.to_owned()))
     }
@@ -36,16 +36,16 @@ impl Artifact for Text {
 }
 
 /// Test stage: writes a text from a parameter and a source file.
-pub struct Write;
+pub(crate) struct Write;
 
 /// Parameters of [`Write`].
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct WriteParams {
+pub(crate) struct WriteParams {
     /// The text.
-    pub text: String,
+    pub(crate) text: String,
     /// A file that is appended to the text; relative to the data root.
-    pub source: Option<PathBuf>,
+    pub(crate) source: Option<PathBuf>,
 }
 
 impl Stage for Write {
@@ -82,24 +82,24 @@ impl Stage for Write {
 }
 
 /// Test stage: appends a letter to a text in each step, with a checkpoint per step. Fails on request.
-pub struct Work;
+pub(crate) struct Work;
 
 /// Parameters of [`Work`].
 #[derive(Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct WorkParams {
+pub(crate) struct WorkParams {
     /// The text that each step appends; the letters `a` to `c` are the values of an axis of all.
-    pub letter: String,
+    pub(crate) letter: String,
     /// The number of steps.
-    pub steps: usize,
+    pub(crate) steps: usize,
     /// The time that each step takes.
-    pub sleep_millis: u64,
+    pub(crate) sleep_millis: u64,
     /// A number without effect.
-    pub rate: f64,
+    pub(crate) rate: f64,
     /// Truncates the result to this number of letters, so that different parameters can have equal results.
-    pub keep: usize,
+    pub(crate) keep: usize,
     /// The way to fail: `error`, `missing`, `diverged`, `panic`, `abort`, `hang`; empty for success.
-    pub fail: String,
+    pub(crate) fail: String,
 }
 
 impl Default for WorkParams {
@@ -165,14 +165,14 @@ fn fail(how: &str) -> anyhow::Result<()> {
 }
 
 /// Test stage: concatenates a required text, an optional one (unless it is known to be empty) and one of several endings.
-pub struct Join;
+pub(crate) struct Join;
 
 /// Parameters of [`Join`].
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct JoinParams {
+pub(crate) struct JoinParams {
     /// Whether to read the optional text; by default unless it is known to be empty.
-    pub suffix: Option<bool>,
+    pub(crate) suffix: Option<bool>,
 }
 
 impl Stage for Join {
@@ -223,14 +223,14 @@ impl Stage for Join {
 }
 
 /// Test stage: lists any number of texts with their coordinates, and the kinds of failures.
-pub struct List;
+pub(crate) struct List;
 
 /// Parameters of [`List`].
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct ListParams {
+pub(crate) struct ListParams {
     /// The first line.
-    pub title: String,
+    pub(crate) title: String,
 }
 
 impl Stage for List {

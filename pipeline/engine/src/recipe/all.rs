@@ -17,27 +17,24 @@ pub(super) fn expand(loaded: &mut Loaded, registry: &Registry, report: &mut Repo
         let values = values_of(axis, &loaded.root, registry).unwrap_or_default();
         loaded.axis_values.entry(axis.clone()).or_default().extend(values);
     }
-    let axes: Vec<String> =
-        loaded.root.get("axes").and_then(Item::as_table).into_iter().flatten().map(|(name, _)| name.clone()).collect();
-    for axis in axes {
-        let Some(item) = axis_item(&loaded.root, &axis) else { continue };
-        let Some(except) = exceptions(&axis, item, report) else { continue };
-        let place = item.at;
-        let Some(values) = values_of(&axis, &loaded.root, registry) else {
+    let axes = loaded.root.get("axes").and_then(Item::as_table).cloned().unwrap_or_default();
+    for (axis, item) in &axes {
+        let Some(except) = exceptions(axis, item, report) else { continue };
+        let values = values_of(axis, &loaded.root, registry).unwrap_or_else(|| {
             let hint =
                 format!("write them as an array: no stage lists the values of a parameter that is \"{{{axis}}}\"");
-            report.add(&place, format!("axes.{axis}"), format!("unknown values of axis `{axis}`"), Some(hint));
-            continue;
-        };
-        refuse_unknown(&axis, &except, &values, report);
+            report.add(&item.at, format!("axes.{axis}"), format!("unknown values of axis `{axis}`"), Some(hint));
+            Vec::new()
+        });
+        if !values.is_empty() {
+            refuse_unknown(axis, &except, &values, report);
+        }
         let excluded: BTreeSet<&str> = except.iter().filter_map(Item::as_str).collect();
         let kept = values.into_iter().filter(|value| !excluded.contains(value.as_str()));
-        let items = kept.map(|value| Item { tree: Tree::Leaf(Value::String(value)), key_at: place, at: place });
-        let items = Tree::Array(items.collect());
-        if let Some(Tree::Table(axes)) = loaded.root.get_mut("axes").map(|item| &mut item.tree)
-            && let Some(item) = axes.get_mut(&axis)
-        {
-            item.tree = items;
+        let leaf = |value| Item { tree: Tree::Leaf(Value::String(value)), key_at: item.at, at: item.at };
+        let array = Item { tree: Tree::Array(kept.map(leaf).collect()), ..*item };
+        if let Some(Tree::Table(axes)) = loaded.root.get_mut("axes").map(|item| &mut item.tree) {
+            axes.insert(axis.clone(), array);
         }
     }
 }
@@ -45,10 +42,6 @@ pub(super) fn expand(loaded: &mut Loaded, registry: &Registry, report: &mut Repo
 /// Whether an axis is written as all values that a stage lists, or all but some.
 pub(super) fn is_all(item: &Item) -> bool {
     item.as_str() == Some("all") || item.as_table().is_some()
-}
-
-fn axis_item<'a>(root: &'a Table, axis: &str) -> Option<&'a Item> {
-    root.get("axes")?.as_table()?.get(axis)
 }
 
 /// The exceptions of an axis of all values; none for an axis of another kind.

@@ -461,5 +461,10 @@ fn an_axis_of_all_needs_a_stage_that_lists_its_values() {
         ["seed = \"all\"", "method = { except = [\"d\", \"c\"] }", "method = { but = [\"c\"] }", "method = \"a\""];
     let all: Vec<String> =
         found.iter().flat_map(|axis| with(axis)).filter(|error| error.starts_with("1: axes")).collect();
-    insta::assert_snapshot!(all.join("\n"), @"");
+    insta::assert_snapshot!(all.join("\n"), @r#"
+    1: axes.seed: unknown values of axis `seed` (write them as an array: no stage lists the values of a parameter that is "{seed}")
+    1: axes.method: axis `method` has no value `d` (allowed: a, b, c)
+    1: axes.method: unknown key `but` (allowed: except)
+    1: axes.method: an axis is an array of strings or integers (or "all", or { except = […] }, where a stage lists the values)
+    "#);
 }

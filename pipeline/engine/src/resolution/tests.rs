@@ -46,7 +46,10 @@ fn an_optional_port_has_one_producer_or_none() {
     let two = errors(&recipe(", suffix = [\"a\", \"b\"]", ""), &[]);
     assert_eq!(two, ["15: nodes.joined.inputs.suffix: port `suffix` takes at most one producer, not 2"]);
     let over_none = recipe(WIRED, "").replace("stage = \"test-join\"\nover = [\"seed\"]", "stage = \"test-join\"");
-    insta::assert_snapshot!(errors(&over_none, &[]).join("\n"), @"");
+    insta::assert_snapshot!(errors(&over_none, &[]).join("\n"), @r"
+    14: nodes.joined.inputs.text: port `text` takes one producer, but there is one `a` for each seed (add seed to nodes.joined.over)
+    14: nodes.joined.inputs.suffix: port `suffix` takes one producer, but there is one `b` for each seed (add seed to nodes.joined.over)
+    ");
 }
 
 #[test]

@@ -60,7 +60,14 @@ fn failures_are_typed_and_other_jobs_continue() {
     assert_eq!(summary.results["more/abort"].because_of.as_deref(), Some("work/abort"));
     // The list has all five, and the kinds of failures.
     let list = world.text(&summary, "list");
-    insta::assert_snapshot!(list, @"");
+    let lines = [
+        r#"{"way": "no"} txxxx"#,
+        r#"{"way": "error"} BadInput"#,
+        r#"{"way": "diverged"} Diverged"#,
+        r#"{"way": "panic"} Crashed"#,
+        r#"{"way": "abort"} Crashed"#,
+    ];
+    assert_eq!(list.trim_start(), lines.join("\n"));
     assert_eq!(summary.exit_code(false), exit::FAILED);
     // A failure is never a cache hit; the unchanged list is.
     let again = world.run(&[]);
@@ -71,7 +78,7 @@ fn invalid_artifacts_are_not_published() {
     let world = World::new("[nodes.text]\nstage = \"test-write\"\nparams = { text = \"invalid\" }\n");
     let summary = world.run(&[]);
     let message = summary.results["text"].failure.as_ref().unwrap().to_string();
-    insta::assert_snapshot!(message, @"");
+    assert_eq!(message, "test-write returned a text that is not valid: the text contains `invalid`");
     assert!(world.store().records().unwrap().is_empty());
 }
 
@@ -81,7 +88,7 @@ fn code_that_changed_since_the_plan_is_refused() {
     let summary = world.run_with(&[], rebuilt, |_, _| ());
     assert_eq!(nodes(&summary, Outcome::Executed), ["list", "text"]);
     let message = summary.results["work/no"].failure.as_ref().unwrap().to_string();
-    insta::assert_snapshot!(message, @"the pipeline binary was rebuilt during this run; run again");
+    assert_eq!(message, "the pipeline binary was rebuilt during this run; run again");
 }
 
 fn failing_fast_launches_no_more_jobs() {
