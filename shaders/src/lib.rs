@@ -1,4 +1,4 @@
-//! The differentiable kernels, on floors: a module imports only what stands on its own floor or below. Every kernel is one
+//! The differentiable kernels, on floors: a module imports only modules of its own floor or below. Every kernel is one
 //! folder with its equations, its readable reference, its fast body, its tests and its kernels for a GPU.
 //!
 //! | floor | modules | |
@@ -6,13 +6,13 @@
 //! | 1 | [`gpu`] | the second device: adapters, arrays, kernels in WGSL, launches |
 //! | 2 | [`tape`] | scalars, tensors and the tape that differentiates coarse operations |
 //! | 3 | [`pointwise`] | operations written once as an expression: f32, f64, WGSL and their gradients |
-//! | 4 | [`arrays`] | rows, sums, sorting, sampling: what lies between large kernels |
+//! | 4 | [`arrays`] | rows, sums, sorting, sampling: the operations between large kernels |
 //! | 5 | [`geometry`] | cameras, quaternions, neighbours, points in images |
 //! | 5 | [`networks`] | layers of neural networks and fields |
 //! | 5 | [`losses`] | distances between images, histograms |
 //! | 5 | [`adam`] | the optimiser |
 //! | 6 | [`rasteriser`] | 3D Gaussians to images: sources of splats, projection, binning, blending |
-//! | 7 | [`check`] | what kernels are compared with: finite differences, the other device |
+//! | 7 | [`check`] | comparisons with finite differences and with the other device |
 
 pub mod adam;
 pub mod arrays;

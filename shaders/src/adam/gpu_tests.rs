@@ -66,7 +66,7 @@ fn a_gpu_that_updates_otherwise_is_noticed() {
 }
 
 #[test]
-fn whoever_shares_the_values_keeps_them() {
+fn shared_tensors_keep_their_values() {
     let Some(gpu) = test_gpu() else { return };
     let mut group = Group::new("shared", tensor(50, 1));
     let before = group.tensor().clone();
@@ -88,11 +88,11 @@ fn step_of_many(step: impl FnOnce(&mut [Update])) -> Vec<Group> {
 }
 
 #[test]
-fn a_gpu_tells_the_largest_magnitudes_of_every_group() {
+fn a_gpu_returns_the_largest_magnitudes_of_every_group() {
     let Some(gpu) = test_gpu() else { return };
     let compare = || {
-        let mut told = Tensor::zeros([0]);
-        let found = step_of_many(|updates| told = Adam::default().step_on(gpu, updates));
+        let mut magnitudes = Tensor::zeros([0]);
+        let found = step_of_many(|updates| magnitudes = Adam::default().step_on(gpu, updates));
         let expected = step_of_many(|updates| Adam::default().step(updates));
         let mut figures = Vec::new();
         for (found, expected) in found.iter().zip(&expected) {
@@ -103,7 +103,7 @@ fn a_gpu_tells_the_largest_magnitudes_of_every_group() {
         }
         figures.truncate(2 * 19);
         let disagreement = |mismatch| Disagreement { what: "the largest magnitudes".into(), mismatch };
-        agree(&told, &Tensor::from_vec([19, 2], figures), 0.0).map_err(disagreement)?;
+        agree(&magnitudes, &Tensor::from_vec([19, 2], figures), 0.0).map_err(disagreement)?;
         Ok(20)
     };
     let faults = [("& 0x7fffffffu", ""), ("adam.maxima + local", "local"), ("max(found, ", "(")];
@@ -115,9 +115,9 @@ fn a_gpu_tells_the_largest_magnitudes_of_every_group() {
 fn an_update_in_parts_gives_equal_bytes() {
     let Some(gpu) = test_gpu() else { return };
     let result = || {
-        let mut told = Tensor::zeros([0]);
-        let groups = step_of_many(|updates| told = Adam::default().step_on(gpu, updates));
-        let tensors = groups.iter().flat_map(Group::tensors).chain([&told]);
+        let mut magnitudes = Tensor::zeros([0]);
+        let groups = step_of_many(|updates| magnitudes = Adam::default().step_on(gpu, updates));
+        let tensors = groups.iter().flat_map(Group::tensors).chain([&magnitudes]);
         bits(&tensors.map(|tensor| (String::new(), tensor.clone())).collect::<Vec<_>>())
     };
     assert!(assert_equal_in_parts(result) == 0, "each part is an item of its own");

@@ -1,4 +1,4 @@
-//! Operations on arrays that lie between the large kernels: rows, sums, sorting and sampling.
+//! The operations between the large kernels: rows, sums, sorting and sampling.
 
 pub mod magnitude;
 pub mod rows;

@@ -17,7 +17,7 @@ const MIN_BYTES: u64 = 256;
 pub struct Pool {
     /// Buffers that recorded, unsubmitted kernels may still use: later recorded kernels may reuse them, the host may not.
     recent: BTreeMap<u64, Vec<wgpu::Buffer>>,
-    /// The others.
+    /// Buffers that no recorded kernel uses.
     free: BTreeMap<u64, Vec<wgpu::Buffer>>,
     bytes: u64,
 }

@@ -24,7 +24,7 @@ pub fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
 pub fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disagreement>) {
     compare().unwrap_or_else(|error| panic!("{error}"));
     for &fault in faults {
-        assert!(with_fault(fault, &compare).is_err(), "nobody notices {fault:?}");
+        assert!(with_fault(fault, &compare).is_err(), "the fault {fault:?} goes unnoticed");
     }
 }
 

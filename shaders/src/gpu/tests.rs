@@ -77,7 +77,7 @@ fn an_operation_without_a_kernel_runs_on_the_cpu() {
 }
 
 #[test]
-fn a_tensor_is_read_back_when_asked_for_and_written_on_the_host_only() {
+fn writing_a_tensor_moves_it_to_the_host() {
     let Some(gpu) = test_gpu() else { return };
     let mut tape = Tape::<f32>::new(Device::Gpu(gpu));
     let x = tape.leaf(Tensor::from_vec([3], vec![1.0, 2.0, 3.0]));
@@ -129,7 +129,7 @@ fn many_launches_between_two_readbacks_all_run() {
 }
 
 #[test]
-fn an_adapter_that_is_not_there_is_refused_with_those_that_are() {
+fn an_unknown_adapter_is_refused_with_the_list_of_adapters() {
     match choose("no such adapter") {
         Err(AdapterError::NotFound { found, .. }) => assert_eq!(found.len(), adapters().len()),
         Err(error) => assert_eq!(error, AdapterError::None),

@@ -146,7 +146,7 @@ impl<T: Real> Tape<T> {
         }
     }
 
-    /// The same tape with a fixed capacity: its renders on a GPU allocate buffers for this many intersections and never wait
+    /// This tape with a fixed capacity: its renders on a GPU allocate buffers for this many intersections and never wait
     /// for their number. A render with more of them is invalid, which [`Readback::overflowed`] reports.
     pub fn with_capacity(self, intersections: usize) -> Self {
         Self { capacity: Some(intersections), ..self }

@@ -21,14 +21,14 @@ impl Device {
         if id == "cpu" { Ok(Self::Cpu) } else { Ok(Self::Gpu(crate::gpu::choose(id)?.open()?)) }
     }
 
-    /// Has everything asked for so far begun, and waits for nothing.
+    /// Submits all recorded work without waiting.
     pub fn submit(self) {
         if let Self::Gpu(gpu) = self {
             gpu.submit();
         }
     }
 
-    /// Waits until everything asked for so far is done, as a clock needs it.
+    /// Waits until all recorded work is finished, e.g. to measure time.
     pub fn wait(self) {
         if let Self::Gpu(gpu) = self {
             gpu.wait();
@@ -188,7 +188,7 @@ impl<T: Real> Tensor<T> {
         if Arc::get_mut(&mut self.elements).is_none() {
             *self = Self::from_vec(std::mem::take(&mut self.shape), self.as_slice().to_vec());
         }
-        let elements = Arc::get_mut(&mut self.elements).expect("nobody shares them");
+        let elements = Arc::get_mut(&mut self.elements).expect("the elements are not shared");
         elements.host();
         // A copy elsewhere would be out of date.
         elements.gpu = OnceLock::new();
@@ -201,7 +201,7 @@ impl<T: Real> Tensor<T> {
         if Arc::get_mut(&mut self.elements).is_none() {
             *self = Self::from_gpu(self.shape(), self.on_gpu(gpu).copied());
         }
-        let elements = Arc::get_mut(&mut self.elements).expect("nobody shares them");
+        let elements = Arc::get_mut(&mut self.elements).expect("the elements are not shared");
         // A copy on the host would be out of date.
         elements.host = OnceLock::new();
         elements.gpu.get().expect("it is there")

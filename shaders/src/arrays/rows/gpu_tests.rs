@@ -149,7 +149,7 @@ fn a_gpu_takes_weighted_means() {
 }
 
 #[test]
-fn a_gpu_differentiates_only_what_is_asked_for() {
+fn a_gpu_computes_only_requested_gradients() {
     let Some(gpu) = test_gpu() else { return };
     let constant = tensor(20, 1, 9);
     compare(gpu, "scale_rows of a constant", &[tensor(20, 3, 1)], TIGHT, |tape, vars| {

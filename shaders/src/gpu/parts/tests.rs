@@ -56,7 +56,7 @@ pub fn assert_equal_in_parts<R: PartialEq>(result: impl Fn() -> R) -> usize {
     let (found, split) = in_parts(&result);
     assert!(found == result(), "{split} launches, with arrays in parts, compute something else");
     let (mistaken, _) = with_fault(("parts", "_1_part[at - ", "_1_part[1u + at - "), || in_parts(&result));
-    assert!(split == 0 || mistaken != found, "nobody notices that parts are mistaken");
+    assert!(split == 0 || mistaken != found, "swapped parts go unnoticed");
     split
 }
 

@@ -71,7 +71,7 @@ fn declared_name(line: &str) -> Option<&str> {
     declares.then(|| rest.split(|letter| !is_of_word(letter)).next())?
 }
 
-/// A declaration that stands in for an extern one; `index` tells bindings apart.
+/// A declaration in place of an extern one; `index` distinguishes bindings.
 fn stub(declaration: &str, index: usize) -> String {
     match declaration.split(['<', ' ']).next() {
         Some("fn") => match declaration.split_once("-> ") {

@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_interleave_bits_and_hold_what_lies_outside() {
+    fn cells_interleave_bits_and_clamp_points_outside() {
         assert_eq!(morton_cell(&[-1.0, -1.0, -1.0]), 0);
         assert_eq!(morton_cell(&[-0.8, -1.0, -1.0]), 1);
         assert_eq!(morton_cell(&[-1.0, -0.8, -1.0]), 2);

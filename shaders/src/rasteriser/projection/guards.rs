@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn what_happens_to_splats_that_are_not_there_is_not_counted() {
+    fn hidden_splats_are_not_counted() {
         for device in [Some(Device::Cpu), test_gpu().map(Device::Gpu)].into_iter().flatten() {
             let hidden = SplatTensors { opacity_logits: Tensor::full([300, 1], HIDDEN_LOGIT as f32), ..guarded(300) };
             assert_eq!(events_of(device, hidden), [0; 6]);

@@ -61,7 +61,7 @@ pub struct SlicedVars {
     pub factors: Var,
     /// [N, 1] the logits of the opacities times their share at the instant.
     pub opacity_logits: Var,
-    /// [N, 1] 1 for those that are there, else 0; no gradient comes from here.
+    /// [N, 1] 1 for present Gaussians, otherwise 0; without gradient.
     pub present: Var,
 }
 

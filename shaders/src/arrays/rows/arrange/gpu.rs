@@ -105,7 +105,7 @@ pub fn among_zeros<T: Real>(gpu: Gpu, x: &Tensor<T>, first: usize, shape: &[usiz
     Tensor::from_gpu(shape, cut(gpu, x.on_gpu(gpu), [x.rows(), x.row_len()], range))
 }
 
-/// One row as often as asked for.
+/// One row repeated.
 pub fn repeat_row<T: Real>(gpu: Gpu, row: &Tensor<T>, rows: usize) -> Tensor<T> {
     let columns = row.len();
     let y = GpuArray::new(gpu, rows * columns);

@@ -34,14 +34,14 @@ pub fn columns<T: Real>(tape: &mut Tape<T>, x: Var, range: Range<usize>) -> Var 
     tape.apply_one(Columns { range }, &[x])
 }
 
-/// One row as often as asked for: [C] or [1, C] → [rows, C].
+/// One row repeated `rows` times: [C] or [1, C] → [rows, C].
 pub fn repeat_row<T: Real>(tape: &mut Tape<T>, row: Var, rows: usize) -> Var {
     let shape = tape.value(row).shape();
     assert!(shape.len() == 1 || shape[0] == 1, "repeat_row: {shape:?} is more than one row");
     tape.apply_one(RepeatRow { rows }, &[row])
 }
 
-/// The same elements in the same order under another shape.
+/// Reshapes x without reordering its elements.
 pub fn reshape<T: Real>(tape: &mut Tape<T>, x: Var, shape: impl Into<Vec<usize>>) -> Var {
     tape.apply_one(Reshape { shape: shape.into() }, &[x])
 }

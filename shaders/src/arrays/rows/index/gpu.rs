@@ -35,7 +35,7 @@ pub(crate) struct GpuIndex {
     rows: usize,
     /// [M].
     pub row_of_item: GpuArray,
-    /// Made when they are first asked for.
+    /// Built on first use.
     sorted: OnceLock<Sorted>,
 }
 
@@ -46,8 +46,8 @@ pub(crate) struct Sorted {
     pub items: GpuArray,
     /// [N + 1]: the items of row n are `items[starts[n]..starts[n + 1]]`.
     pub starts: GpuArray,
-    /// Where the segments of every pass of a sum begin: the first of items, the next of the sums before. None where
-    /// `starts` tells it for the only pass: no row has many items, or nobody on the host knows.
+    /// The segment starts of every pass of a sum: first segments of items, then of partial sums. Empty if one pass over
+    /// `starts` suffices: no row has many items, or the host does not know their number.
     passes: Vec<GpuArray>,
 }
 

@@ -31,8 +31,8 @@ uniforms! {
 }
 
 impl WindowAttention {
-    /// Records the first kernel, or the second one for windows that are too long for it: `work` tells how many invocations a
-    /// row has, and how many numbers per token of the window each of them holds.
+    /// Records the first kernel, or the second one for windows that are too long for it: `work` returns the
+    /// invocations per row and the numbers per token of the window that each of them keeps.
     fn launch<T: Real>(
         &self,
         gpu: Gpu,
