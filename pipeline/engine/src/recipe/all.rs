@@ -39,14 +39,9 @@ pub(super) fn expand(loaded: &mut Loaded, registry: &Registry, report: &mut Repo
     }
 }
 
-/// Whether an axis is written as all values that a stage lists, or all but some.
-pub(super) fn is_all(item: &Item) -> bool {
-    item.as_str() == Some("all") || item.as_table().is_some()
-}
-
 /// The exceptions of an axis of all values; none for an axis of another kind.
 fn exceptions(axis: &str, item: &Item, report: &mut Report) -> Option<Vec<Item>> {
-    if !is_all(item) {
+    if !item.is_all_axis() {
         return None;
     }
     let Some(fields) = item.as_table() else { return Some(Vec::new()) };

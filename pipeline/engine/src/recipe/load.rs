@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use super::all::is_all;
 use super::errors::{Report, join_arrows};
 use super::places::Place;
 use super::tree::{self, Item, Table, Tree};
@@ -132,7 +131,7 @@ fn add_layer(layer: &mut Table, loaded: &mut Loaded, report: &mut Report) {
     for (axis, item) in layer.get("axes").and_then(Item::as_table).into_iter().flatten() {
         if let Tree::Array(values) = &item.tree {
             loaded.axis_values.entry(axis.clone()).or_default().extend(values.iter().filter_map(Item::axis_text));
-        } else if is_all(item) {
+        } else if item.is_all_axis() {
             loaded.axes_of_all.insert(axis.clone());
         }
     }

@@ -44,6 +44,11 @@ impl Item {
         if let Tree::Leaf(Value::String(text)) = &self.tree { Some(text) } else { None }
     }
 
+    /// Whether the item is an axis of all values that a stage lists, or of all but some.
+    pub(super) fn is_all_axis(&self) -> bool {
+        self.as_str() == Some("all") || self.as_table().is_some()
+    }
+
     /// The item as an axis value: strings and integers have a text.
     pub(super) fn axis_text(&self) -> Option<String> {
         match &self.tree {

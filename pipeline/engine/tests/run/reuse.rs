@@ -100,7 +100,7 @@ inputs = { text = "a" }
     let both = world.run(&["nodes.joined.inputs.suffix='b'"]);
     assert_eq!(nodes(&both, Outcome::Executed), ["joined"]);
     assert_eq!(world.text(&both, "joined"), "ab");
-    // What is left to the stage has the key of what it comes to.
+    // An automatic choice has the key of the explicit choice that it resolves to.
     let named = world.run(&["nodes.joined.inputs.suffix='b'", "nodes.joined.params.suffix=true"]);
     assert_eq!(named.counts.executed, 0);
     let without = world.run(&["nodes.joined.inputs.suffix='b'", "nodes.joined.params.suffix=false"]);
