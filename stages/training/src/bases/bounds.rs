@@ -1,17 +1,16 @@
-//! The box of a scene: what reads coordinates reads them in its box, so that neither where the world's origin lies nor
-//! how long its unit is changes what is learnt.
+//! The box of a scene. Networks read coordinates relative to it, so the origin and the unit of the world do not matter.
 
 use shaders::arrays::rows::in_unit_box;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::model::{ModelState, Variables};
 
-/// The thinnest box, as a share of its longest side, so that a planar cloud does not divide by zero.
+/// Minimum thickness of a box, as a share of its longest side, so that a planar cloud causes no division by zero.
 const MIN_SIDE: f64 = 1e-3;
-/// Half a side of an even distribution in median absolute deviations: half of the points lie within half of the side.
+/// Half a side of a uniform distribution in median absolute deviations: half of the points lie within half of the side.
 const HALF_SIDE_IN_DEVIATIONS: f64 = 2.0;
 
-/// Smallest and largest corner (world).
+/// A box in world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Bounds {
     /// Smallest corner.
@@ -21,7 +20,7 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// The smallest box around positions (one at least), with some thickness along every axis.
+    /// The smallest box around positions (at least one), with some thickness along every axis.
     pub(crate) fn enclosing(positions: &[[f32; 3]]) -> Self {
         let low = along(positions, |values| values.into_iter().fold(f64::INFINITY, f64::min));
         let high = along(positions, |values| values.into_iter().fold(f64::NEG_INFINITY, f64::max));
@@ -34,8 +33,8 @@ impl Bounds {
         }
     }
 
-    /// The cube that evenly distributed positions (one at least) fill; a few that lie far off do not widen it, as they
-    /// do the clouds of structure from motion.
+    /// The cube that uniformly distributed positions (at least one) would fill. Outliers, frequent in clouds of structure
+    /// from motion, do not enlarge it.
     pub(crate) fn typical_cube(positions: &[[f32; 3]]) -> Self {
         let center = along(positions, median);
         let deviations: Vec<[f32; 3]> = positions
@@ -43,7 +42,7 @@ impl Bounds {
             .map(|point| std::array::from_fn(|axis| (f64::from(point[axis]) - center[axis]).abs() as f32))
             .collect();
         let widest = along(&deviations, median).into_iter().fold(0.0, f64::max);
-        // Where most points are in one place, what is around them says how large the scene is.
+        // If most points coincide, the remaining ones determine the size.
         let half = match HALF_SIDE_IN_DEVIATIONS * widest {
             0.0 => along(&deviations, |values| values.into_iter().fold(0.0, f64::max)).into_iter().fold(0.0, f64::max),
             half => half,
@@ -52,19 +51,19 @@ impl Bounds {
         Self { low: center.map(|value| value - half), high: center.map(|value| value + half) }
     }
 
-    /// Adds the box to the model as `{name}.bounds` ([2, 3]; it never learns).
+    /// Adds the box to the model as `{name}.bounds` ([2, 3]; not trained).
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, name: &str) {
         let values = [self.low, self.high].concat().into_iter().map(T::from_f64).collect();
         state.insert(tensor_name(name), Tensor::from_vec([2, 3], values));
     }
 }
 
-/// What a box that was inserted under that name is called in the model.
+/// The tensor name of the box `name`.
 pub(crate) fn tensor_name(name: &str) -> String {
     format!("{name}.bounds")
 }
 
-/// Positions [N, 3] (world) in the box of that name, as [−1, 1].
+/// Maps world positions [N, 3] in the box `name` to [−1, 1].
 pub(crate) fn inside<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, positions: Var) -> Var {
     let bounds = tape.value(model.get(&tensor_name(name)));
     let side = |side: usize| bounds.as_slice().as_chunks::<3>().0[side];
@@ -72,13 +71,13 @@ pub(crate) fn inside<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str,
     in_unit_box(tape, positions, low, high)
 }
 
-/// Half the first side of the box of that name: what a unit of [`inside`] is in the world, where the box is a cube.
+/// Half the first side of the box `name`: the world length of a unit of [`inside`], for a cube.
 pub(crate) fn half_side<T: Real>(tape: &Tape<T>, model: &Variables, name: &str) -> f64 {
     let bounds = tape.value(model.get(&tensor_name(name)));
     0.5 * (bounds.row(1)[0].to_f64() - bounds.row(0)[0].to_f64())
 }
 
-/// One figure per axis of the values along it.
+/// Applies a function to the values along each axis.
 fn along(positions: &[[f32; 3]], figure: impl Fn(Vec<f64>) -> f64) -> [f64; 3] {
     std::array::from_fn(|axis| figure(positions.iter().map(|point| f64::from(point[axis])).collect()))
 }

@@ -1,8 +1,8 @@
-//! Canonical Gaussians that first learn as if nothing moved, then together with what moves them: the training of
-//! Deformable 3D Gaussians (Yang et al. 2024) and of its successors.
+//! Canonical Gaussians that are trained first as a static scene, then together with their motion: the training of
+//! Deformable 3D Gaussians (Yang et al. 2024) and its successors.
 //!
-//! Two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: step sizes and density control go on where
-//! the warm-up left them; only the optimiser's moments start afresh.
+//! There are two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: learning rates and density control
+//! continue from the warm-up; only the optimizer's moments restart.
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
@@ -17,19 +17,19 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, stretch};
 use crate::shared::Shared;
 
-/// The Gaussians learn as if nothing moved.
+/// The Gaussians are trained as a static scene.
 pub(crate) const WARM_UP: &str = "warm-up";
-/// Everything learns.
+/// All tensors are trained.
 pub(crate) const ALL: &str = "all";
 
-/// The published code multiplies the step sizes of positions by this instead of by the scene's extent.
+/// The published code scales the learning rate of positions by this instead of by the scene's extent.
 const POSITION_RATE_FACTOR: f64 = 5.0;
 
-/// The least standard deviation, scene units: the logarithm of nothing is not finite.
+/// Minimum standard deviation, scene units, because the logarithm of zero is not finite.
 const MIN_SCALE: f64 = 1e-9;
 
 pointwise! {
-    /// y = ln max(|eˢ + Δ|, floor), the logarithm of a scale s that Δ changes after activation. A covariance knows only the
+    /// y = ln max(|eˢ + Δ|, floor): the logarithm of a scale s changed by Δ after activation. A covariance contains only the
     /// square of a scale, so its sign has no meaning.
     fn changed_log_scale(s, change) with(floor) -> y {
         return log(max(abs(exp(s) + change), floor));
@@ -52,7 +52,7 @@ pub(crate) struct CanonicalGaussians {
 }
 
 impl CanonicalGaussians {
-    /// With what all methods understand.
+    /// The base with these shared parameters.
     pub(crate) fn new(shared: &Shared) -> Self {
         Self { shared: shared.clone() }
     }
@@ -67,7 +67,7 @@ impl CanonicalGaussians {
         self.shared.phase(name)
     }
 
-    /// The Gaussians' steps before a phase, before stretching.
+    /// Steps of the Gaussians before a phase, before stretching.
     fn steps_before(&self, phase: &str) -> u64 {
         if phase == ALL { self.iterations(WARM_UP) } else { 0 }
     }
@@ -109,17 +109,17 @@ impl<T: Real> Base<T> for CanonicalGaussians {
     }
 }
 
-/// Where canonical Gaussians are at one moment; their scales change after activation.
+/// Attributes of canonical Gaussians at one moment; scales change after activation.
 pub(crate) struct Moved {
-    /// [N, 3], scene units.
+    /// [N, 3] positions, scene units.
     pub positions: Var,
     /// [N, 4] quaternions, normalised by the rasteriser.
     pub rotations: Var,
-    /// [N, 3], added to the standard deviations, scene units; `None` where they stay.
+    /// [N, 3] changes of the standard deviations, scene units; `None` for constant scales.
     pub scale_changes: Option<Var>,
 }
 
-/// Canonical Gaussians at one moment.
+/// Replaces the attributes of canonical Gaussians by those at one moment.
 pub(crate) fn moved<T: Real>(tape: &mut Tape<T>, canonical: SplatVars, moved: Moved) -> SplatVars {
     let Moved { positions, rotations, scale_changes } = moved;
     let (canonical_scales, _) = scales_and_rotations(&canonical);
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn scales_that_vanish_or_turn_negative_stay_finite() {
+    fn zero_and_negative_scales_stay_finite() {
         let mut tape = Tape::<f32>::new(Device::Cpu);
         let scales = tape.leaf(Tensor::zeros([3]));
         let changes = tape.leaf(Tensor::from_vec([3], vec![-1.0, -3.0, 0.0]));

@@ -1,9 +1,9 @@
-//! The coordinate network of Deformable 3D Gaussians (Yang et al. 2024, section 3.3): where and when, positionally encoded,
-//! pass eight layers of 256 ReLUs, between which the input is joined in once more; linear heads say what changes.
+//! The coordinate network of Deformable 3D Gaussians (Yang et al. 2024, section 3.3): positionally encoded position and time
+//! pass eight layers of 256 ReLUs with a skip connection of the input; linear heads predict the changes.
 //!
-//! The network sees the world in the scene's box (`{name}.bounds`, [`crate::bases::bounds`]), and its shifts are in units
-//! of it. The published code reads world coordinates as they are, which its scenes keep near [−1, 1]; at coordinates of
-//! 10⁴ the highest frequencies of f32 would be noise.
+//! The network reads positions relative to the scene's box (`{name}.bounds`, [`crate::bases::bounds`]), and its shifts are
+//! in units of the box. The published code reads world coordinates, which its scenes keep near [−1, 1]; at coordinates of
+//! 10⁴ the highest frequencies in f32 would be noise.
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
@@ -19,10 +19,10 @@ use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
-/// Coordinates of a position.
+/// Number of coordinates of a position.
 const AXES: usize = 3;
 
-/// Sizes, encodings and step sizes of the network; by default the published ones for synthetic scenes.
+/// Sizes, encodings and learning rate of the network; the defaults are the published ones for synthetic scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct CoordinateMlpSettings {
@@ -30,16 +30,16 @@ pub(crate) struct CoordinateMlpSettings {
     pub depth: usize,
     /// Width of the hidden layers.
     pub width: usize,
-    /// The layer after which the encoded input is joined in again, counted from 1; 0 for never.
+    /// The layer after which the encoded input is concatenated again, counted from 1; 0: never.
     pub skip_after: usize,
     /// Frequencies of the encoded position.
     pub position_bands: usize,
     /// Frequencies of the encoded time.
     pub time_bands: usize,
-    /// What a small network makes of the encoded time before it enters; 0 where it enters as it is, as in the published
-    /// settings for real scenes, together with 10 bands.
+    /// Outputs of a small network that processes the encoded time; 0 passes the encoded time on unchanged (the published
+    /// settings for real scenes, with 10 bands).
     pub time_features: usize,
-    /// Step sizes.
+    /// Learning rate.
     pub rate: LogLinear,
 }
 
@@ -57,9 +57,9 @@ impl Default for CoordinateMlpSettings {
     }
 }
 
-/// A layer beyond takes gigabytes; whoever asks for more mistyped.
+/// Maximum size: a larger layer takes gigabytes, so a larger value is a typing error.
 const MOST_CHANNELS: usize = 4096;
-/// At 2²⁰ the phase of a coordinate of 1 is lost in the rounding of f32.
+/// Maximum frequencies: at 2²⁰ the phase of a coordinate of 1 is lost to rounding in f32.
 const MOST_BANDS: usize = 20;
 
 impl CoordinateMlpSettings {
@@ -77,7 +77,7 @@ impl CoordinateMlpSettings {
         }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error for settings that cannot work.
     pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             ((1..=64).contains(&self.depth), "depth must be 1 to 64"),
@@ -94,11 +94,11 @@ impl CoordinateMlpSettings {
 /// A linear map of the last hidden layer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Head {
-    /// As `position`; its tensors are `{network}.{name}.…`.
+    /// The name, e.g. `position`; the tensors are `{network}.{name}.…`.
     pub name: &'static str,
-    /// Columns.
+    /// Number of outputs.
     pub outputs: usize,
-    /// How it starts.
+    /// Initial weights.
     pub first: FirstWeights,
 }
 
@@ -112,7 +112,7 @@ pub(crate) struct CoordinateMlp {
 }
 
 impl CoordinateMlp {
-    /// A network whose hidden layers start as `first` says.
+    /// A network whose hidden layers have the initial weights `first`.
     pub(crate) fn new(
         name: &'static str,
         settings: &CoordinateMlpSettings,
@@ -122,7 +122,7 @@ impl CoordinateMlp {
         Self { name, settings: settings.clone(), first, heads: heads.to_vec() }
     }
 
-    /// Adds the box in which the network sees the points, and all layers.
+    /// Adds the box of the points and all layers.
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
         Bounds::typical_cube(&points.positions).insert(state, self.name);
         let CoordinateMlpSettings { depth, width, time_features, .. } = self.settings;
@@ -141,14 +141,14 @@ impl CoordinateMlp {
         }
     }
 
-    /// The step sizes of this network's tensors.
+    /// The learning rate of this network's tensors.
     pub(crate) fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
         (belongs(tensor, self.name) && tensor != bounds::tensor_name(self.name)).then_some(self.settings.rate)
     }
 
     /// The last hidden layer at every position [N, 3] (world) and time in [0, 1]: [T·N, width], time by time.
     ///
-    /// Positions enter without gradient, as published: a Gaussian does not move to where the motion suits it better.
+    /// Positions enter without gradient, as published: the motion model does not pull Gaussians to other positions.
     pub(crate) fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
         let input = self.input(tape, model, positions, times);
         let mut hidden = None;
@@ -163,7 +163,7 @@ impl CoordinateMlp {
         hidden.expect("at least one layer")
     }
 
-    /// The output of a head that speaks of lengths, for hidden rows: scene units.
+    /// The output of a head in scene units, for hidden rows.
     pub(crate) fn lengths<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         let inside = self.head(tape, model, head, hidden);
         let half_side = bounds::half_side(tape, model, self.name);
@@ -175,7 +175,7 @@ impl CoordinateMlp {
         apply_layer(tape, model, &self.tensor(head), hidden, Activation::Identity)
     }
 
-    /// Encoded positions beside what is made of the times: [T·N, input columns].
+    /// Encoded positions and times: [T·N, input columns].
     fn input<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, times: &[f64]) -> Var {
         let held = tape.detach(positions);
         let inside = bounds::inside(tape, model, self.name, held);

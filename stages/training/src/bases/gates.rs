@@ -1,11 +1,11 @@
-//! Gates that are either open or closed, and learn all the same.
+//! Trainable gates that are either open or closed.
 
 use shaders::pointwise;
 use shaders::pointwise::add;
 use shaders::tape::{Real, Tape, Var};
 
 pointwise! {
-    /// y = what must be added to x for 1 where x > threshold, else 0; NaN for a NaN.
+    /// y = (1 if x > threshold, otherwise 0) − x; NaN for a NaN.
     fn to_step(x) with(threshold) -> y {
         return select(0.0, 1.0, x > threshold) - x;
     }
@@ -14,7 +14,7 @@ pointwise! {
     }
 }
 
-/// 1 where x > `threshold`, else 0, with the gradient of x itself: the straight-through estimator (Bengio, Léonard and
+/// 1 where x > `threshold`, otherwise 0, with the gradient of x: the straight-through estimator (Bengio, Léonard and
 /// Courville 2013). Any shape.
 pub(crate) fn straight_through<T: Real>(tape: &mut Tape<T>, x: Var, threshold: f64) -> Var {
     let to_step = to_step(tape, x, threshold);

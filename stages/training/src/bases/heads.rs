@@ -8,7 +8,7 @@ use shaders::tape::{Real, Tape, Var};
 use crate::bases::layers::{FirstWeights, apply_layer, apply_layers, insert_layer};
 use crate::model::{ModelState, Variables};
 
-/// Sizes of a network, and the names of its tensors: `{name}.trunk`, `{name}.{head}.0` and `{name}.{head}.1`.
+/// Sizes of a network with the tensors `{name}.trunk`, `{name}.{head}.0` and `{name}.{head}.1`.
 #[derive(Clone, Debug)]
 pub(crate) struct HeadedNetwork {
     name: &'static str,
@@ -19,17 +19,17 @@ pub(crate) struct HeadedNetwork {
 }
 
 impl HeadedNetwork {
-    /// `features` → `width` → the outputs of each head.
+    /// A network `features` → `width` → the outputs of each head.
     pub(crate) fn new(name: &'static str, features: usize, width: usize, heads: Vec<(&'static str, usize)>) -> Self {
         Self { name, features, width, heads, silent_heads: Vec::new() }
     }
 
-    /// Further heads, which always start at 0. They are drawn last: all other tensors are those of the network without.
+    /// Adds heads that always start at 0. They are drawn last, so all other tensors equal those of the network without them.
     pub(crate) fn with_silent_heads(self, silent_heads: Vec<(&'static str, usize)>) -> Self {
         Self { silent_heads, ..self }
     }
 
-    /// Adds trunk and heads; `zero_heads` lets every head start at 0.
+    /// Adds trunk and heads; with `zero_heads` every head starts at 0.
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
         let last = if zero_heads { FirstWeights::Zero } else { FirstWeights::Xavier };
         insert_layer(state, &format!("{}.trunk", self.name), self.features, self.width, FirstWeights::Xavier, random);
@@ -41,7 +41,7 @@ impl HeadedNetwork {
         }
     }
 
-    /// What every head begins with: the trunk of features [N, F], and the ReLU that is applied once for all heads.
+    /// The common input of all heads: trunk and ReLU of features [N, F].
     pub(crate) fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Var {
         apply_layer(tape, model, &format!("{}.trunk", self.name), features, Activation::Relu)
     }

@@ -8,12 +8,12 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::model::{ModelState, Variables};
 
-/// How the first weights and biases are drawn.
+/// The distribution of the initial weights and biases.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum FirstWeights {
     /// Uniform in ±√(6 / (inputs + outputs)) (Glorot and Bengio 2010); biases in ±1/√inputs.
     Xavier,
-    /// Weights and biases uniform in ±1/√inputs, where PyTorch starts unless told otherwise.
+    /// Weights and biases uniform in ±1/√inputs, the default of PyTorch.
     FanIn,
     /// Uniform in ±√(6 / inputs) (He et al. 2015); no biases.
     He,
@@ -62,7 +62,7 @@ pub(crate) fn apply_layer<T: Real>(
     linear(tape, x, weight, bias, activation)
 }
 
-/// As [`apply_layer`] for several layers at once, each a name and an x.
+/// Applies several layers ([`apply_layer`]) at once, each given by its name and its x.
 pub(crate) fn apply_layers<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
@@ -94,13 +94,13 @@ pub(crate) fn apply_matrix<T: Real>(tape: &mut Tape<T>, model: &Variables, name:
     linear(tape, x, weight, no_bias, Activation::Identity)
 }
 
-/// A tensor of uniform draws, the same in every precision.
+/// A tensor of uniform random values, equal in every precision.
 pub(crate) fn uniform<T: Real>(shape: &[usize], low: f64, high: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
     let draw = |_| T::from_f64(low + (high - low) * random.random::<f64>());
     Tensor::from_vec(shape, (0..shape.iter().product()).map(draw).collect())
 }
 
-/// A tensor of normal draws around 0, the same in every precision.
+/// A tensor of normal random values around 0, equal in every precision.
 pub(crate) fn normal<T: Real>(shape: &[usize], deviation: f64, random: &mut ChaCha8Rng) -> Tensor<T> {
     let draw = |_| {
         let standard: f64 = StandardNormal.sample(random);

@@ -1,4 +1,4 @@
-//! Gaussians that no training view shows where something moves: they skip what moves the others.
+//! The static mask: Gaussians that reach no moving pixel in any training view skip the motion model.
 
 use shaders::arrays::rows::{RowIndex, concat_rows, gather};
 use shaders::geometry::camera::PinholeCamera;
@@ -11,7 +11,7 @@ use crate::effects::{Effect, Effects, Need};
 use crate::method::{Start, Step};
 use crate::model::{ModelState, Variables};
 
-/// The effect of every method whose motion model moves Gaussians one by one.
+/// The effect, offered by every method whose motion model moves Gaussians one by one.
 pub(crate) const SKIP_STILL: Effect = Effect {
     name: "skip-still",
     about: "Gaussians that no view shows where something moves skip the motion model",
@@ -19,15 +19,15 @@ pub(crate) const SKIP_STILL: Effect = Effect {
     by_default: false,
 };
 
-/// Standard deviations that a Gaussian reaches: beyond, less than 1/255 of an opaque one is left (√(2·ln 255)).
+/// The reach of a Gaussian in standard deviations, √(2·ln 255): beyond, an opaque one contributes less than 1/255.
 const REACH: f64 = 3.33;
 
-/// What tells the Gaussians that may move (1) from those that stand still (0): [N, 1]; it never learns, and what density
-/// control makes of a Gaussian is as that was.
+/// Flags [N, 1] of the Gaussians that may move (1) or are static (0). They are not trained, and density control copies them
+/// to the children of a Gaussian.
 const MAY_MOVE: &str = "gaussians.may_move";
 
-/// Adds, where the effect is on, which Gaussians may move: those that reach, in some training view, a pixel that moves. A
-/// view whose moving part is not known shows nothing; where that holds of all views, all may move.
+/// Adds the flags if the effect is on. A Gaussian may move if it reaches a moving pixel in any training view. Views without
+/// a known moving part are ignored; if it is unknown in all views, all Gaussians may move.
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, effects: &Effects, start: &Start<'_>) -> anyhow::Result<()> {
     if !effects.has(SKIP_STILL.name) {
         return Ok(());
@@ -55,7 +55,7 @@ pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, effects: &Effects, star
     Ok(())
 }
 
-/// Counts the Gaussians that skip the motion model, once for every view of a step.
+/// Counts the Gaussians that skip the motion model, once per view of a step.
 pub(crate) fn count_skipped<T: Real>(step: &mut Step<'_, T>) {
     let Some(flags) = step.model.find(MAY_MOVE) else { return };
     let flags = step.tape.value(flags);
@@ -64,7 +64,7 @@ pub(crate) fn count_skipped<T: Real>(step: &mut Step<'_, T>) {
     step.count_skipped("motion of still Gaussians", views * still, views * all);
 }
 
-/// Canonical Gaussians of which those that may move were moved by `motion`, which is told their rows (`None`: all).
+/// Moves the canonical Gaussians that may move by `motion`, which receives their rows (`None`: all).
 pub(crate) fn move_some<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
@@ -78,7 +78,7 @@ pub(crate) fn move_some<T: Real>(
         return canonical;
     }
     let all = flags.len();
-    // Where a Gaussian is found among all of them, followed by those that were moved.
+    // The index of each Gaussian in all Gaussians followed by the moved ones.
     let mut place: Vec<u32> = (0..all as u32).collect();
     rows.iter().enumerate().for_each(|(at, &row)| place[row as usize] = (all + at) as u32);
     let merged = RowIndex::new(place, all + rows.len());
@@ -108,7 +108,7 @@ fn map(splats: SplatVars, f: impl FnMut(Var) -> Var) -> SplatVars {
     SplatVars { positions, shape: ShapeVars::ScaleRotation { log_scales, rotations }, opacity_logits, sh }
 }
 
-/// The pixels [x₀, x₁, y₀, y₁] (each end included, px) around a ball in the image; `None` where it lies behind the camera.
+/// The bounding box [x₀, x₁, y₀, y₁] (inclusive, px) of a ball in the image; `None` for a ball behind the camera.
 fn footprint(camera: &PinholeCamera, center_world: [f64; 3], radius: f64) -> Option<[f64; 4]> {
     let [x, y, z] = [0, 1, 2].map(|row| {
         let rotation = camera.rotation[row];
@@ -120,11 +120,11 @@ fn footprint(camera: &PinholeCamera, center_world: [f64; 3], radius: f64) -> Opt
     (z > 0.0).then_some([u - reach_x, u + reach_x, v - reach_y, v + reach_y])
 }
 
-/// How many pixels of every upper left part of a map are nonzero, so that any rectangle is counted at once.
+/// A summed-area table of the nonzero pixels of a map, which counts those of any rectangle in constant time.
 struct RunningCounts {
     width: usize,
     height: usize,
-    /// [height + 1, width + 1].
+    /// Counts [height + 1, width + 1].
     counts: Vec<u32>,
 }
 
@@ -147,7 +147,7 @@ impl RunningCounts {
         if !(x1 >= 0.0 && y1 >= 0.0 && x0 < self.width as f64 && y0 < self.height as f64) {
             return false;
         }
-        // Pixel i covers [i, i + 1); a cast from below zero or from beyond any integer saturates.
+        // Pixel i covers [i, i + 1); casts of values outside of the integer range saturate.
         let (x0, y0) = (x0 as usize, y0 as usize);
         let (x1, y1) = ((x1 as usize).min(self.width - 1) + 1, (y1 as usize).min(self.height - 1) + 1);
         let at = |x: usize, y: usize| self.counts[y * (self.width + 1) + x];
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn only_those_that_may_move_are_moved_and_gradients_reach_all() {
+    fn only_unmasked_gaussians_move_and_all_get_gradients() {
         let mut tape = Tape::new(Device::Cpu);
         let before = canonical(&mut tape);
         let model = flagged(&mut tape, [0.0, 1.0, 0.0, 1.0, 1.0]);
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_may_move_the_motion_model_does_not_run() {
+    fn a_fully_static_scene_skips_the_motion_model() {
         let mut tape = Tape::new(Device::Cpu);
         let before = canonical(&mut tape);
         let model = flagged(&mut tape, [0.0; 5]);

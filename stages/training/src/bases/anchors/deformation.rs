@@ -1,5 +1,5 @@
-//! What moves anchors and the Gaussians they spawn: a hexplane field and heads each (Kwak et al. 2025, MoDec-GS, global
-//! and local deformation).
+//! The deformation of anchors and of the Gaussians they spawn: one hexplane field with heads each (Kwak et al. 2025,
+//! MoDec-GS, global and local deformation).
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -22,7 +22,7 @@ const ANCHOR_FIELD: &str = "anchor_field";
 const ANCHOR_NETWORK: &str = "anchor_network";
 const GAUSSIAN_FIELD: &str = "gaussian_field";
 const GAUSSIAN_NETWORK: &str = "gaussian_network";
-/// A plane of 4096² texels with 32 channels takes 2 GB; whoever asks for more mistyped.
+/// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
 const MOST_TEXELS: usize = 4096;
 
 /// The planes of one field.
@@ -35,7 +35,7 @@ pub(crate) struct FieldSettings {
     pub spatial_resolution: usize,
     /// Texels along time in the published code's counting, of which it reads half.
     pub time_resolution: usize,
-    /// One set of planes each; multiplies the spatial resolution.
+    /// Multipliers of the spatial resolution, one set of planes each.
     pub multipliers: Vec<usize>,
     /// Weights of the planes' regularisers.
     pub regularizers: PlaneWeights,
@@ -45,19 +45,19 @@ pub(crate) struct FieldSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct DeformationSettings {
-    /// Where anchors go, and how their features, offsets and scales change.
+    /// The field of the anchors: positions, features, offsets and scales.
     pub anchors: FieldSettings,
-    /// Where the Gaussians go that they spawn, and how their shapes change.
+    /// The field of the spawned Gaussians: positions and shapes.
     pub gaussians: FieldSettings,
-    /// Which part of the time axis is read.
+    /// The part of the time axis in use.
     pub time_axis: TimeAxis,
     /// Width of both networks.
     pub width: usize,
-    /// Whether every head starts at zero, so that `fine` starts without motion; the published code draws them at random.
+    /// Whether every head starts at zero, so that `fine` starts without motion; the published code starts at random.
     pub zero_heads: bool,
-    /// Step sizes of the planes, as a share of the scene's extent.
+    /// Learning rate of the planes, as a share of the scene's extent.
     pub plane_rate: LogLinear,
-    /// Step sizes of the networks, as a share of the scene's extent.
+    /// Learning rate of the networks, as a share of the scene's extent.
     pub network_rate: LogLinear,
 }
 
@@ -103,7 +103,7 @@ impl FieldSettings {
 }
 
 impl DeformationSettings {
-    /// Small, moving from the start, and with regularisers that weigh enough to be seen.
+    /// Small, moving from the start, and with regularisers of noticeable weight.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         let weights = PlaneWeights { spatial_smoothness: 0.1, temporal_smoothness: 0.1, time_to_one: 0.1 };
@@ -117,7 +117,7 @@ impl DeformationSettings {
         Self { anchors: field.clone(), gaussians: field, width: 8, zero_heads: false, ..Self::default() }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error for settings that cannot work.
     pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             (self.anchors.works() && self.gaussians.works(), "fields need 1 to 4096 texels and weights from 0 on"),
@@ -127,7 +127,7 @@ impl DeformationSettings {
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
-    /// The step size of a tensor of either field; the boxes never learn.
+    /// The learning rate of a tensor of either field; the boxes are not trained.
     pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().any(|field| Field::is_plane(field, tensor)) {
             return Some(self.plane_rate.scaled(scene.extent));
@@ -137,16 +137,16 @@ impl DeformationSettings {
     }
 }
 
-/// What a field says about M anchors.
+/// Changes of M anchors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AnchorChange {
-    /// [M, 3] scene units.
+    /// [M, 3] displacements, scene units.
     pub positions: Var,
-    /// [M, F].
+    /// [M, F] changes of features.
     pub features: Var,
-    /// [M, 3K].
+    /// [M, 3K] changes of offsets.
     pub offsets: Var,
-    /// [M, 6], added to logarithms.
+    /// [M, 6], added to the logarithmic scales.
     pub log_scales: Var,
 }
 
@@ -187,7 +187,7 @@ impl AnchorDeformation {
         self.field.inside(tape, model, positions)
     }
 
-    /// As [`AnchorDeformation::at`], the displacements [M, 3] alone.
+    /// The displacements [M, 3] of [`AnchorDeformation::at`] alone.
     pub(crate) fn displacements<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -219,7 +219,7 @@ pub(crate) struct GaussianDeformation {
 }
 
 impl GaussianDeformation {
-    /// The field.
+    /// The field with these settings.
     pub(crate) fn new(settings: &DeformationSettings) -> Self {
         let field = settings.gaussians.build(GAUSSIAN_FIELD, settings.time_axis);
         let heads = vec![("position", 3), ("scale", 3), ("rotation", 4)];
@@ -235,7 +235,8 @@ impl GaussianDeformation {
         Ok(())
     }
 
-    /// Gaussians at a time in [0, 1]: positions, logarithmic scales and unit quaternions plus what the heads say.
+    /// Gaussians at a time in [0, 1]: the outputs of the heads are added to positions, logarithmic scales and unit
+    /// quaternions.
     pub(crate) fn deform<T: Real>(
         &self,
         tape: &mut Tape<T>,

@@ -1,9 +1,7 @@
-//! Anchors come where Gaussians pull and go where nothing is drawn (Lu et al. 2024, section 3.3, with the constants of the
-//! published code).
+//! Growing and pruning of anchors (Lu et al. 2024, section 3.3, with the constants of the published code).
 //!
-//! Growing looks at Gaussians whose projected means have a large gradient, level by level: the larger the gradient, the
-//! smaller the cell that must be free of anchors to become one. Pruning removes anchors whose Gaussians stayed
-//! transparent.
+//! Growing adds anchors at Gaussians whose projected means have a large gradient, level by level: the larger the gradient,
+//! the smaller the cell that must be free of anchors. Pruning removes anchors whose Gaussians stayed transparent.
 
 mod statistics;
 
@@ -21,9 +19,9 @@ use crate::schedule::stretch;
 use crate::shared::Density;
 use statistics::Statistics;
 
-/// Cells shrink by this factor from level to level, and the gradient that they ask for doubles.
+/// Cells shrink by this factor from level to level, and their gradient threshold doubles.
 const CELL_SHRINK: f64 = 4.0;
-/// A Gaussian is judged once it was seen in this share of what an anchor needs.
+/// A Gaussian needs this share of the observations that an anchor needs.
 const SEEN_SHARE: f64 = 0.5;
 
 /// Grows and prunes anchors.
@@ -38,14 +36,14 @@ pub(crate) struct AnchorGrowth {
 
 /// A cell that becomes an anchor.
 struct Candidate {
-    /// The anchors whose Gaussians asked for it.
+    /// The anchors of the Gaussians in the cell.
     parents: Vec<usize>,
     /// The largest gradient of those Gaussians.
     gradient: f32,
 }
 
 impl AnchorGrowth {
-    /// Control of [`ANCHORS`], its schedule stretched by `schedule_scale`.
+    /// Growth of [`ANCHORS`], with a schedule stretched by `schedule_scale`.
     pub(crate) fn new(density: &Density, settings: &AnchorSettings, schedule_scale: f64) -> Self {
         let density = Density {
             from: stretch(density.from, schedule_scale),
@@ -63,18 +61,18 @@ impl AnchorGrowth {
         }
     }
 
-    /// The looks at an anchor that it takes to judge it.
-    fn looks_needed(&self) -> f64 {
+    /// The number of views of an anchor that a decision needs.
+    fn views_needed(&self) -> f64 {
         self.density.interval as f64 * self.growth.success
     }
 
     fn grow(&mut self, optimizer: &mut Optimizer, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
-        let gradients = self.statistics.mean_gradients(SEEN_SHARE * self.looks_needed());
+        let gradients = self.statistics.mean_gradients(SEEN_SHARE * self.views_needed());
         let places = gaussian_positions(optimizer)?;
         for level in 0..self.growth.levels {
             let cell_size = self.voxel_size * self.growth.largest_cell / CELL_SHRINK.powi(level as i32);
             let threshold = self.density.gradient_threshold as f32 * 2_f32.powi(level as i32);
-            // Half of the candidates wait on the first level, a quarter on the second, …
+            // Half of the candidates are skipped on the first level, a quarter on the second, …
             let passing = 1.0 - 0.5_f64.powi(level as i32 + 1);
             let passes = |(slot, gradient): (usize, &Option<f32>)| {
                 let gradient = (*gradient).filter(|gradient| *gradient >= threshold)?;
@@ -84,13 +82,12 @@ impl AnchorGrowth {
             let free = self.free_cells(optimizer, &asking, &places, cell_size)?;
             add_anchors(optimizer, free, cell_size)?;
         }
-        self.statistics.forget_seen(SEEN_SHARE * self.looks_needed());
+        self.statistics.reset_gradients(SEEN_SHARE * self.views_needed());
         self.statistics.resize(optimizer.population_len(ANCHORS)?);
         Ok(())
     }
 
-    /// The cells of Gaussians (slot, gradient) that hold no anchor, at most as many as the cap on Gaussians allows: the
-    /// largest gradients first.
+    /// The cells of Gaussians (slot, gradient) that hold no anchor, up to the cap on Gaussians: the largest gradients first.
     fn free_cells(
         &self,
         optimizer: &Optimizer,
@@ -120,23 +117,23 @@ impl AnchorGrowth {
         Ok(free)
     }
 
-    /// Removes anchors that were looked at often enough and whose Gaussians were transparent; never all, as where there
-    /// is nothing to see: the most opaque one stays.
+    /// Removes anchors that were in view often enough and whose Gaussians were transparent. The most opaque anchor always
+    /// stays, so an empty scene keeps one.
     fn prune(&mut self, optimizer: &mut Optimizer) -> anyhow::Result<()> {
-        let opacities = self.statistics.mean_opacities(self.looks_needed());
+        let opacities = self.statistics.mean_opacities(self.views_needed());
         let opacity = |anchor: usize| opacities[anchor].unwrap_or(1.0);
         let most_opaque = (0..opacities.len()).map(opacity).fold(0.0, f32::max);
         let min_opacity = most_opaque.min(self.density.min_opacity as f32);
         let keep: Vec<bool> = (0..opacities.len()).map(|anchor| opacity(anchor) >= min_opacity).collect();
         optimizer.keep(ANCHORS, &keep)?;
-        self.statistics.forget_looks(self.looks_needed());
+        self.statistics.reset_opacities(self.views_needed());
         self.statistics.keep(&keep);
         Ok(())
     }
 }
 
-/// Appends an anchor at the centre of every free cell: as its first parent, but with the largest value that any parent has
-/// of every feature, without offsets, and as large as its cell.
+/// Appends an anchor at the centre of every free cell: a copy of its first parent, with the maximum of every feature over
+/// all parents, zero offsets, and scales of the size of the cell.
 fn add_anchors(optimizer: &mut Optimizer, free: Vec<([i64; 3], Candidate)>, cell_size: f64) -> anyhow::Result<()> {
     let first_new = optimizer.population_len(ANCHORS)?;
     let first_parents: Vec<usize> = free.iter().map(|(_, candidate)| candidate.parents[0]).collect();
@@ -161,7 +158,7 @@ fn add_anchors(optimizer: &mut Optimizer, free: Vec<([i64; 3], Candidate)>, cell
     optimizer.edit(&name("log_scales"), |scales| scales[6 * first_new..].fill(cell_size.ln() as f32))
 }
 
-/// Where the N·K Gaussians are while nothing moves.
+/// Canonical positions of the N·K Gaussians.
 fn gaussian_positions(optimizer: &Optimizer) -> anyhow::Result<Vec<[f32; 3]>> {
     let tensor = |attribute: &str| optimizer.tensor(&format!("{ANCHORS}.{attribute}"));
     let (positions, offsets, log_scales) = (tensor("positions")?, tensor("offsets")?, tensor("log_scales")?);

@@ -1,4 +1,4 @@
-//! First values of anchors on a point cloud (Lu et al. 2024, section 3.1).
+//! Initial values of anchors on a point cloud (Lu et al. 2024, section 3.1).
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ pub(super) fn center(cell: [i64; 3], size: f64) -> [f32; 3] {
     cell.map(|axis| (axis as f64 * size) as f32)
 }
 
-/// The centres of the voxels that hold points, in the order of their cells, and for each the first of its points.
+/// The centres of the voxels that hold points, in the order of their cells, each with the index of its first point.
 pub(crate) fn voxels(positions: &[[f32; 3]], size: f64) -> Vec<([f32; 3], usize)> {
     let mut first = BTreeMap::new();
     for (index, &position) in positions.iter().enumerate() {
@@ -28,7 +28,7 @@ pub(crate) fn voxels(positions: &[[f32; 3]], size: f64) -> Vec<([f32; 3], usize)
     first.into_iter().map(|(cell, index)| (center(cell, size), index)).collect()
 }
 
-/// Adds anchors at `positions`: features and offsets zero, scales the root of the mean squared distance to the three
+/// Adds anchors at `positions` with zero features and offsets. Scales are the root mean square distance to the three
 /// nearest anchors.
 pub(crate) fn insert_anchors<T: Real>(
     state: &mut ModelState<T>,

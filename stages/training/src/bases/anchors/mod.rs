@@ -3,9 +3,9 @@
 //!
 //! | tensor | shape | |
 //! |---|---|---|
-//! | `anchors.positions` | [N, 3] | scene units; never learn |
-//! | `anchors.features` | [N, F] | what the networks read |
-//! | `anchors.offsets` | [N, 3K] | of the K Gaussians, in units of the first three scales |
+//! | `anchors.positions` | [N, 3] | scene units; not trained |
+//! | `anchors.features` | [N, F] | inputs of the networks |
+//! | `anchors.offsets` | [N, 3K] | offsets of the K Gaussians, in units of the first three scales |
 //! | `anchors.log_scales` | [N, 6] | logarithms: three scales of the offsets, three of the Gaussians |
 //! | `views.{opacity, shape, color}.{0, 1}` | | networks of feature and view direction |
 
@@ -41,16 +41,16 @@ use crate::shared::{Density, Harmonics, Loss, Shared};
 pub(crate) const ANCHORS: &str = "anchors";
 /// Warm-up without motion.
 pub(crate) const COARSE: &str = "coarse";
-/// Everything learns.
+/// All tensors are trained.
 pub(crate) const FINE: &str = "fine";
-/// 8192 values per anchor are far beyond any use: whoever asks for more mistyped.
+/// Maximum values per anchor, far beyond any use: a larger value is a typing error.
 const MOST_VALUES: usize = 8192;
 
-/// Anchors, their networks and how they learn.
+/// Settings of anchors, their networks and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct AnchorSettings {
-    /// Side of the voxels that hold at most one first anchor, scene units.
+    /// Side of the voxels, scene units; each holds at most one initial anchor.
     pub voxel_size: f64,
     /// Values of an anchor's feature.
     pub features: usize,
@@ -58,32 +58,32 @@ pub(crate) struct AnchorSettings {
     pub offsets: usize,
     /// Width of the view networks.
     pub width: usize,
-    /// Where new anchors come from; when and how many is `density`'s business.
+    /// Criteria for new anchors; the table `density` sets their schedule and number.
     pub growth: Growth,
-    /// Step size of the features.
+    /// Learning rate of the features.
     pub feature_rate: f64,
-    /// Step size of the offsets, as a share of the scene's extent.
+    /// Learning rate of the offsets, as a share of the scene's extent.
     pub offset_rate: LogLinear,
-    /// Step size of the logarithmic scales.
+    /// Learning rate of the logarithmic scales.
     pub scale_rate: f64,
-    /// Step size of the opacity network.
+    /// Learning rate of the opacity network.
     pub opacity_network_rate: LogLinear,
-    /// Step size of the shape network.
+    /// Learning rate of the shape network.
     pub shape_network_rate: LogLinear,
-    /// Step size of the colour network.
+    /// Learning rate of the colour network.
     pub color_network_rate: LogLinear,
 }
 
-/// Where new anchors come from.
+/// Criteria for new anchors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Growth {
-    /// Sizes of cells that are searched for room, each a quarter of the one before and at twice the gradient.
+    /// Number of cell sizes, each a quarter of the previous one with twice its gradient threshold.
     pub levels: u32,
     /// Side of the largest cells, in voxels.
     pub largest_cell: f64,
-    /// Share of an interval's iterations that must have looked at an anchor (for its Gaussians: half that share must have
-    /// seen one) before it is judged.
+    /// Share of an interval's iterations in which an anchor must be in view before it may be pruned; its Gaussians must be
+    /// visible in half that share before they may add anchors.
     pub success: f64,
     /// Statistics are collected from this iteration on.
     pub statistics_from: u64,
@@ -114,14 +114,14 @@ impl Default for Growth {
 }
 
 impl AnchorSettings {
-    /// Small, with voxels that hold the points of the test scene apart, and with statistics from the first step on.
+    /// Small, with voxels that separate the points of the test scene, and with statistics from the first step on.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         let growth = Growth { statistics_from: 0, ..Growth::default() };
         Self { voxel_size: 0.05, features: 4, offsets: 4, width: 16, growth, ..Self::default() }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error for settings that cannot work.
     pub(crate) fn check(&self) -> Result<(), String> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let few = |count: usize| (1..=MOST_VALUES).contains(&count);
@@ -139,7 +139,7 @@ impl AnchorSettings {
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
-    /// The step size of a tensor of the anchors or their networks.
+    /// The learning rate of a tensor of the anchors or their networks.
     pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         let (owner, rest) = tensor.split_once('.')?;
         match (owner, rest.split('.').next()?) {
@@ -154,7 +154,7 @@ impl AnchorSettings {
     }
 }
 
-/// What all methods on anchors share of what all methods understand, as the published settings for DyCheck have it.
+/// Shared defaults of all methods on anchors: the published settings for DyCheck.
 pub(crate) fn shared_defaults() -> Shared {
     let density = Density { from: 1500, until: 15_000, min_opacity: 0.01, ..Density::default() };
     let mut shared = Shared {
@@ -169,11 +169,11 @@ pub(crate) fn shared_defaults() -> Shared {
     shared
 }
 
-/// L1 + 0.2·(1 − SSIM) with the published weights is this many times the mix of all methods, (1 − λ)·L1 + λ·(1 − SSIM), at
+/// The published loss L1 + 0.2·(1 − SSIM) is this multiple of the loss of all methods, (1 − λ)·L1 + λ·(1 − SSIM), at
 /// λ = 1/6.
 const PHOTOMETRIC_WEIGHT: f64 = 1.2;
 
-/// Compares a render, both times `mask` [H, W, 3] where there is one, with its view's image.
+/// Adds the photometric loss of a render against its view's image; both are multiplied by the `mask` [H, W, 3], if any.
 pub(crate) fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &TrainingView<T>, mask: Option<Var>) {
     let target = step.tape.constant(view.image.clone());
     let [color, target] = match mask {
@@ -196,7 +196,7 @@ impl AnchoredGaussians {
         Self { shared: shared.clone(), settings: settings.clone() }
     }
 
-    /// The stored anchors' Gaussians as a camera sees them.
+    /// The Gaussians that the stored anchors spawn for a camera.
     pub(crate) fn spawn<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -206,7 +206,7 @@ impl AnchoredGaussians {
         spawn(tape, model, &Anchors::stored(model), camera)
     }
 
-    /// The initial tensors with anchors at these positions.
+    /// Adds the initial tensors, with anchors at these positions.
     pub(crate) fn insert<T: Real>(
         &self,
         state: &mut ModelState<T>,
@@ -219,7 +219,7 @@ impl AnchoredGaussians {
         Ok(())
     }
 
-    /// One anchor in every voxel that holds a point.
+    /// One position for every voxel that holds a point.
     pub(crate) fn positions(&self, points: &PointCloud) -> Vec<[f32; 3]> {
         voxels(&points.positions, self.settings.voxel_size).into_iter().map(|(center, _)| center).collect()
     }
@@ -262,18 +262,18 @@ impl<T: Real> Base<T> for AnchoredGaussians {
 /// N anchors at one moment.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Anchors {
-    /// [N, 3] world, scene units.
+    /// [N, 3] world positions, scene units.
     pub positions: Var,
-    /// [N, F].
+    /// [N, F] features.
     pub features: Var,
-    /// [N, 3K] in units of the first three scales.
+    /// [N, 3K] offsets in units of the first three scales.
     pub offsets: Var,
-    /// [N, 6] natural logarithms.
+    /// [N, 6] natural logarithms of the scales.
     pub log_scales: Var,
 }
 
 impl Anchors {
-    /// The anchors as they are stored.
+    /// The stored anchors of the model.
     pub(crate) fn stored(model: &Variables) -> Self {
         let var = |attribute: &str| model.get(&format!("{ANCHORS}.{attribute}"));
         Self {

@@ -32,7 +32,7 @@ fn state_at(positions: &[[f32; 3]]) -> ModelState<f32> {
     state
 }
 
-/// Every iteration counts, every interval is ten of them.
+/// Growth with statistics from the first iteration and intervals of ten.
 fn growth(change: impl FnOnce(&mut Density)) -> AnchorGrowth {
     let mut density = Density { interval: 10, from: 0, until: 1000, min_opacity: 0.1, ..Density::default() };
     change(&mut density);
@@ -40,7 +40,7 @@ fn growth(change: impl FnOnce(&mut Density)) -> AnchorGrowth {
     AnchorGrowth::new(&density, &settings, 1.0)
 }
 
-/// What a render says about anchors of two Gaussians each.
+/// Values of a render of anchors with two Gaussians each.
 #[derive(Clone)]
 struct Seen {
     gaussians: ScreenGradients,
@@ -48,7 +48,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// Gradients and opacities of every Gaussian; every anchor is looked at.
+    /// Gradients and opacities of every Gaussian, with every anchor in view.
     fn of(gradients: &[f32], opacities: &[f32]) -> Self {
         let gaussians = ScreenGradients {
             gradient_ndc: gradients.iter().map(|&gradient| [gradient, 0.0]).collect(),
@@ -93,14 +93,14 @@ fn a_voxel_holds_one_anchor_at_its_centre() {
 }
 
 #[test]
-fn anchors_without_pull_stay_as_they_are() {
+fn anchors_without_gradients_do_not_change() {
     let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
     let quiet = Seen::of(&[1e-6; 4], &[0.5; 4]);
     assert_eq!(after_interval(&mut growth(|_| ()), state.clone(), &quiet), state);
 }
 
 #[test]
-fn a_pulled_gaussian_far_from_anchors_becomes_one() {
+fn a_gaussian_with_a_large_gradient_becomes_an_anchor() {
     let mut state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
     // The second Gaussian of the first anchor is 100 units above it.
     let mut offsets = Tensor::zeros([2, 6]);
@@ -123,7 +123,7 @@ fn a_pulled_gaussian_far_from_anchors_becomes_one() {
 }
 
 #[test]
-fn no_more_anchors_grow_than_the_cap_on_gaussians_allows() {
+fn growth_respects_the_cap_on_gaussians() {
     let mut state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
     let mut offsets = Tensor::zeros([2, 6]);
     (0..4).for_each(|slot| offsets.make_mut()[3 * slot + 1] = 100.0 * (slot + 1) as f32);
@@ -138,7 +138,7 @@ fn no_more_anchors_grow_than_the_cap_on_gaussians_allows() {
 }
 
 #[test]
-fn transparent_anchors_go_and_those_that_no_camera_looked_at_stay() {
+fn only_transparent_anchors_in_view_are_pruned() {
     let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0], [0.0, 40.0, 0.0]]);
     let mut quiet = Seen::of(&[0.0; 6], &[0.04, 0.05, 0.5, 0.0, 0.0, 0.0]);
     quiet.anchors.in_view.make_mut()[2] = 0.0;
@@ -147,7 +147,7 @@ fn transparent_anchors_go_and_those_that_no_camera_looked_at_stay() {
 }
 
 #[test]
-fn the_last_anchor_stays_however_transparent_it_is() {
+fn the_last_anchor_is_never_pruned() {
     let state = state_at(&[[0.0; 3], [40.0, 0.0, 0.0]]);
     let left = after_interval(&mut growth(|_| ()), state, &Seen::of(&[0.0; 4], &[0.01, 0.0, 0.0, 0.02]));
     assert_eq!(positions(&left), [[40.0, 0.0, 0.0]]);
@@ -165,7 +165,7 @@ fn statistics_survive_a_checkpoint() {
 }
 
 #[test]
-fn spawned_gaussians_know_their_slots_and_who_is_in_view() {
+fn spawned_gaussians_have_slots_and_parents_in_view() {
     let mut state: ModelState<f64> = state_at(&[[0.0; 3], [0.0, 0.0, -20.0], [50.0, 0.0, 0.0]]).cast();
     insert_view_networks(&mut state, &settings(), &mut generator(1, Stream::Initial));
     // Opacities that do not depend on the view: one of two Gaussians.
@@ -194,7 +194,7 @@ fn scattered() -> ModelState<f32> {
     state
 }
 
-/// Statistics of three steps of two views each on a device, and how often somebody waited for them.
+/// Statistics of three steps of two views each on a device, and the number of readbacks.
 fn observed_on(device: Device) -> (serde_json::Value, u64) {
     let (state, mut control, mut waits) = (scattered(), growth(|_| ()), 0);
     let settings = RasterSettings { sh_degree: 0, ..RasterSettings::default() };
@@ -220,7 +220,7 @@ fn observed_on(device: Device) -> (serde_json::Value, u64) {
 }
 
 #[test]
-fn a_gpu_adds_up_the_same_statistics_and_nobody_waits() {
+fn a_gpu_adds_the_same_statistics_without_readbacks() {
     let Some(gpu) = test_gpu() else { return };
     let ((on_cpu, _), (on_gpu, waits)) = (observed_on(Device::Cpu), observed_on(Device::Gpu(gpu)));
     assert_eq!(waits, 0);
@@ -228,7 +228,7 @@ fn a_gpu_adds_up_the_same_statistics_and_nobody_waits() {
         let values: Vec<f64> = saved[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
         Tensor::from_vec([values.len()], values)
     };
-    for (name, tolerance) in [("seen_count", 0.0), ("look_count", 0.0), ("opacity_sum", 1e-5), ("gradient_sum", 2e-3)] {
+    for (name, tolerance) in [("seen_count", 0.0), ("view_count", 0.0), ("opacity_sum", 1e-5), ("gradient_sum", 2e-3)] {
         let [cpu, gpu] = [&on_cpu, &on_gpu].map(|saved| values(saved, name));
         check::agree(&gpu, &cpu, tolerance).unwrap_or_else(|mismatch| panic!("{name}: {mismatch}"));
         let zeros = cpu.as_slice().iter().filter(|value| **value == 0.0).count();

@@ -1,5 +1,4 @@
-//! The networks that turn an anchor's feature and the direction it is seen from into Gaussians (Lu et al. 2024, section
-//! 3.2).
+//! The networks that map an anchor's feature and its viewing direction to Gaussians (Lu et al. 2024, section 3.2).
 
 use std::sync::Arc;
 
@@ -18,9 +17,9 @@ use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
 use crate::method::{ParentVars, SplatRows};
 use crate::model::{ModelState, Variables};
 
-/// The networks' tensors are called `views.…`.
+/// Prefix of the networks' tensors.
 pub(super) const VIEWS: &str = "views";
-/// An anchor this near the camera, scene units, is seen from no direction rather than from an infinite one.
+/// Minimum distance in the viewing direction's denominator, scene units: a nearer anchor has no direction.
 const MIN_DISTANCE: f64 = 1e-8;
 
 /// Adds the three networks: F + 3 → width → outputs.
@@ -37,16 +36,16 @@ pub(crate) fn insert_view_networks<T: Real>(
     }
 }
 
-/// The Gaussians of one view, and which of the N·K they are.
+/// The Gaussians of one view, with their slots among the N·K possible ones.
 #[derive(Clone, Debug)]
 pub(crate) struct SpawnedGaussians {
-    /// What is drawn.
+    /// The splats.
     pub splats: SplatVars,
-    /// [M]: anchor·K + k; `None`: all of them in order (see [`neural_gaussians`]).
+    /// [M] slot anchor·K + k of each splat; `None`: all slots in order (see [`neural_gaussians`]).
     pub slots: Option<Arc<Vec<u32>>>,
-    /// N·K.
+    /// Number of slots, N·K.
     count: usize,
-    /// Of the N anchors.
+    /// The N anchors.
     parents: ParentVars,
 }
 
@@ -58,7 +57,7 @@ impl SpawnedGaussians {
     }
 }
 
-/// The Gaussians of anchors as a camera sees them.
+/// The Gaussians that anchors spawn for a camera.
 pub(crate) fn spawn<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
@@ -87,9 +86,9 @@ pub(crate) fn spawn<T: Real>(
     SpawnedGaussians { splats, slots, count, parents }
 }
 
-/// What a camera says about anchors at `positions` [N, 3] whose networks give `opacities` [N, K].
+/// Values of anchors at `positions` [N, 3] for a camera, given the `opacities` [N, K] of their networks.
 fn parents<T: Real>(tape: &mut Tape<T>, positions: Var, opacities: Var, camera: &PinholeCamera) -> ParentVars {
-    // Gaussians at or below 0 are not there.
+    // Gaussians with an opacity at or below 0 are not drawn.
     let opacities = relu(tape, opacities);
     ParentVars { in_view: in_view(tape, positions, camera), opacity: row_sum(tape, opacities) }
 }

@@ -22,19 +22,19 @@ use crate::schedule::LogLinear;
 /// The population of nodes.
 pub(crate) const NODES: &str = "nodes";
 
-/// How many nodes there are and whom they carry.
+/// The number of nodes, their reach and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct ControlNodeSettings {
-    /// Nodes.
+    /// Number of nodes.
     pub count: usize,
-    /// Nodes that each Gaussian follows.
+    /// Number of nodes that each Gaussian follows.
     pub per_gaussian: usize,
-    /// First reach of a node, as a share of the size of all.
+    /// Initial reach of a node, as a share of the extent of all nodes.
     pub first_radius: f64,
-    /// Nodes that each node stays rigid to.
+    /// Number of neighbours to which each node stays rigid.
     pub rigid_neighbors: usize,
-    /// Step sizes.
+    /// Learning rate.
     pub rate: LogLinear,
 }
 
@@ -50,7 +50,7 @@ impl Default for ControlNodeSettings {
     }
 }
 
-/// Every Gaussian is compared with every node; whoever asks for more mistyped.
+/// Maximum nodes: every Gaussian is compared with every node, so a larger value is a typing error.
 const MOST_NODES: usize = 65_536;
 
 impl ControlNodeSettings {
@@ -60,7 +60,7 @@ impl ControlNodeSettings {
         Self { count: 5, rigid_neighbors: 3, first_radius: 0.5, ..Self::default() }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error for settings that cannot work.
     pub(crate) fn check(&self) -> Result<(), String> {
         let few = |count: usize| (1..=MOST_NODES).contains(&count);
         let good = [
@@ -86,7 +86,7 @@ pub(crate) fn rows_of<T: Real>(tensor: &Tensor<T>, chosen: &[usize]) -> Tensor<T
     Tensor::from_vec([chosen.len(), tensor.row_len()], values)
 }
 
-/// (1, 0, 0, 0) in every row: no rotation.
+/// Identity quaternions (1, 0, 0, 0), one per row.
 pub(crate) fn identity_rotations<T: Real>(tape: &mut Tape<T>, rows: usize) -> Var {
     let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO];
     tape.constant(Tensor::from_vec([rows, 4], identity.repeat(rows)))

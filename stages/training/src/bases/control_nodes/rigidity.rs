@@ -7,14 +7,14 @@ use shaders::geometry::quaternion;
 use shaders::pointwise::{square, sub};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-/// Who stays rigid to whom.
+/// Pairs of nodes that stay rigid to each other.
 pub(crate) struct Rigidity {
     neighbors: Neighbors,
     owner_of_edge: RowIndex,
 }
 
 impl Rigidity {
-    /// Edges from each node to the nodes nearest to it where they lie now [M, D]. `None` for a single node.
+    /// Edges from each node to its nearest nodes at the current positions [M, D]; `None` for a single node.
     pub(crate) fn new<T: Real>(positions: &Tensor<T>, per_node: usize) -> Option<Self> {
         let neighbors = Neighbors::nearest_others(positions, per_node);
         let per_node = neighbors.per_point();
@@ -27,7 +27,8 @@ impl Rigidity {
 
     /// Σ ‖(p'ⱼ − p'ᵢ) − Rᵢ(pⱼ − pᵢ)‖² over all edges from i to j, shape [1], between positions p and p' [M, 3] of two moments.
     ///
-    /// Rᵢ is the rotation that fits the edges of i best. It is held fixed: where it is best, its derivative vanishes.
+    /// Rᵢ is the rotation that fits the edges of i best. It is held constant, because the derivative by the optimal rotation
+    /// vanishes.
     pub(crate) fn energy<T: Real>(&self, tape: &mut Tape<T>, before: Var, after: Var) -> Var {
         let [edges_before, edges_after] = [before, after].map(|positions| self.edges(tape, positions));
         let rotations = quaternion::best_rotations(tape, edges_before, edges_after, self.neighbors.per_point());
@@ -45,8 +46,8 @@ impl Rigidity {
     }
 }
 
-/// The published weight of the energy as a share of the first: 1 until iteration 5000, falling on a straight line in the
-/// logarithm to 0.1 at 10 000, gone after 20 000.
+/// The published weight of the energy relative to the initial one: 1 until iteration 5000, log-linear decay to 0.1 at
+/// 10 000, 0 after 20 000.
 pub(crate) fn published_decay(iteration: f64) -> f64 {
     let share = ((iteration - 5000.0) / 5000.0).clamp(0.0, 1.0);
     if iteration > 20_000.0 { 0.0 } else { 0.1_f64.powf(share) }

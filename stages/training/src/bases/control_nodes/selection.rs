@@ -1,4 +1,4 @@
-//! Which points become nodes.
+//! Selection of points as nodes.
 
 use rayon::prelude::*;
 use shaders::tape::{Real, Tensor};
@@ -6,8 +6,8 @@ use shaders::tape::{Real, Tensor};
 /// Points per parallel chunk.
 const POINTS_PER_CHUNK: usize = 4096;
 
-/// `count` rows of `points` [N, D] that lie far apart, all where there are fewer: the first point, then again and again the
-/// one farthest from those chosen (Gonzalez 1985). Of equally far ones the first.
+/// Up to `count` rows of `points` [N, D] that lie far apart: the first point, then repeatedly the point farthest from those
+/// chosen (Gonzalez 1985); the first one among equals.
 pub(crate) fn farthest_points<T: Real>(points: &Tensor<T>, count: usize) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(count.min(points.rows()));
     let mut distances = vec![T::from_f64(f64::INFINITY); points.rows()];
@@ -28,7 +28,7 @@ pub(crate) fn farthest_points<T: Real>(points: &Tensor<T>, count: usize) -> Vec<
     chosen
 }
 
-/// Lowers every distance to that from `from` where that is nearer.
+/// Lowers every distance to the distance from `from`, if that is smaller.
 fn lower_distances<T: Real>(points: &Tensor<T>, first: usize, from: &[T], distances: &mut [T]) {
     for (at, distance) in distances.iter_mut().enumerate() {
         let squared = points.row(first + at).iter().zip(from).map(|(&a, &b)| (a - b) * (a - b)).sum();

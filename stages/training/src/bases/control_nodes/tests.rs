@@ -24,7 +24,7 @@ fn rigidly_moved(positions: &Tensor<f64>, rotation: DQuat) -> Tensor<f64> {
 }
 
 #[test]
-fn farthest_points_spread_and_are_all_different() {
+fn farthest_points_spread_and_are_distinct() {
     let line = Tensor::from_vec([6, 1], vec![0.0, 1.0, 2.0, 3.0, 10.0, 4.0]);
     assert_eq!(farthest_points(&line, 3), [0, 4, 5]);
     let points = tensor(200, 3, 1);
@@ -52,7 +52,7 @@ fn a_rigid_motion_has_no_energy_and_a_stretch_has() {
 }
 
 #[test]
-fn the_energy_has_the_gradient_of_central_differences_though_rotations_are_fixed() {
+fn the_energy_gradient_agrees_with_central_differences() {
     let (before, after) = (tensor(9, 3, 1), tensor(9, 3, 2));
     let rigidity = Rigidity::new(&before, 4).unwrap();
     gradients(|tape, vars| rigidity.energy(tape, vars[0], vars[1]), &[before, after], TOLERANCE).unwrap();

@@ -1,9 +1,9 @@
 //! Adaptive density control of Kerbl et al. 2023 (section 5.2, with the constants of the published code).
 //!
-//! Gradients are those of the projected mean in normalised device coordinates, averaged over the steps that saw the
-//! Gaussian. Departures: one round acts on the statistics before it (a clone is never split in the same round, as in
-//! the published code), the optimiser's step of the same iteration comes first, and a hard cap takes the largest
-//! gradients when a round would exceed it.
+//! Gradients are those by the projected mean in normalised device coordinates, averaged over the steps in which the Gaussian
+//! is visible. Departures: a round uses only statistics from before it (as in the published code, a clone is never split in
+//! the same round), the optimizer's step of the same iteration comes first, and a hard cap keeps the largest gradients when
+//! a round would exceed it.
 
 use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
@@ -17,7 +17,7 @@ use crate::shared::Density;
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
-/// Scales of the children: 0.8 · [`SPLIT_CHILDREN`] times smaller, as in the published code.
+/// Divisor of the children's scales: 0.8 · [`SPLIT_CHILDREN`] (published code).
 const SPLIT_SHRINK: f32 = 1.6;
 
 /// Clones, splits and prunes the rows of one population of Gaussians.
@@ -31,28 +31,28 @@ pub(crate) struct AdaptiveDensity {
     statistics: Statistics,
 }
 
-/// Along how many axes the children of a split Gaussian are drawn and shrunk.
+/// The axes along which the children of a split Gaussian are drawn and shrunk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Dimensions {
-    /// Tensors `rotations`, `positions`, `log_scales`.
+    /// Three: the tensors `rotations`, `positions` and `log_scales`.
     Space,
-    /// Tensors `rotations_left` and `rotations_right`, `times` and `log_scales_time` as well (Yang et al. 2024).
+    /// Four: also `rotations_left`, `rotations_right`, `times` and `log_scales_time` (Yang et al. 2024).
     SpaceTime,
 }
 
-/// What density control does after one iteration.
+/// The actions of density control after one iteration.
 struct Round {
-    /// Clones and splits.
+    /// Clone and split.
     grows: bool,
-    /// Prunes, if there are enough Gaussians.
+    /// Prune, if there are enough Gaussians.
     shrinks: bool,
-    /// Resets opacities.
+    /// Reset opacities.
     resets: bool,
 }
 
 impl AdaptiveDensity {
-    /// Control of `population`, its schedule stretched by `schedule_scale`; `reset_at_start` resets opacities once when
-    /// rounds begin (the published code does so on a white background).
+    /// Density control of `population` with a schedule stretched by `schedule_scale`. `reset_at_start` resets opacities once
+    /// when rounds begin (the published code does so on a white background).
     pub(crate) fn new(population: &str, params: &Density, schedule_scale: f64, reset_at_start: bool) -> Self {
         let params = Density {
             from: stretch(params.from, schedule_scale),
@@ -64,17 +64,17 @@ impl AdaptiveDensity {
         Self { population, params, reset_at_start, steps_before: 0, dimensions, statistics }
     }
 
-    /// The same schedule in a phase that goes on where earlier ones, of so many steps together, ended.
+    /// Continues the schedule of earlier phases with `steps_before` steps in total.
     pub(crate) fn after(self, steps_before: u64) -> Self {
         Self { steps_before, ..self }
     }
 
-    /// The same for Gaussians in space and time: their children are drawn in four dimensions.
+    /// Density control of Gaussians in space and time, whose children are drawn in four dimensions.
     pub(crate) fn in_space_time(self) -> Self {
         Self { dimensions: Dimensions::SpaceTime, ..self }
     }
 
-    /// What there is to do after an iteration of the whole schedule.
+    /// The actions after an iteration of the whole schedule.
     fn round(&self, iteration: u64) -> Round {
         let Density { interval, from, until, prune_interval, opacity_reset_interval, .. } = self.params;
         let (is_open, has_begun) = (iteration < until, iteration > from);
@@ -110,7 +110,7 @@ impl AdaptiveDensity {
         Ok(())
     }
 
-    /// Gaussians above the threshold, in order; the largest gradients where a cap does not let all of them grow.
+    /// Gaussians above the threshold, in order; only those with the largest gradients if the cap does not allow all of them.
     fn candidates(&self, count: usize) -> Vec<usize> {
         let rows = self.statistics.rows();
         let mean = |at: usize| rows[at][GRADIENT_SUM] / rows[at][SEEN_COUNT].max(1.0);
@@ -155,7 +155,7 @@ impl AdaptiveDensity {
         Ok(())
     }
 
-    /// A draw from every parent relative to its mean; nothing along the fourth axis.
+    /// Draws an offset from the distribution of every parent; zero along the fourth axis.
     fn offsets(
         &self,
         optimizer: &Optimizer,
@@ -172,7 +172,8 @@ impl AdaptiveDensity {
         Ok(parents.iter().map(&mut draw).collect())
     }
 
-    /// The same in space and time: p ↦ q_l ⊗ p ⊗ q̄_r of a draw p = t + xi + yj + zk along the axes.
+    /// Draws an offset in space and time from the distribution of every parent: p ↦ q_l ⊗ p ⊗ q̄_r of a draw
+    /// p = t + xi + yj + zk along the axes.
     fn offsets_in_space_time(
         &self,
         optimizer: &Optimizer,
@@ -191,7 +192,7 @@ impl AdaptiveDensity {
         Ok(parents.iter().map(&mut draw).collect())
     }
 
-    /// Removes Gaussians that are transparent, and those that are too large once opacities have been reset.
+    /// Removes transparent Gaussians and, if `sizes_count`, those that are too large.
     fn prune(&mut self, optimizer: &mut Optimizer, extent: f64, sizes_count: bool) -> anyhow::Result<()> {
         let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
         let opacities = self.tensor(optimizer, "opacity_logits")?;
@@ -209,7 +210,7 @@ impl AdaptiveDensity {
         Ok(())
     }
 
-    /// Lowers every opacity to the reset value at most and forgets its moments.
+    /// Clamps every opacity to the reset value and resets its moments.
     fn reset_opacity(&self, optimizer: &mut Optimizer) -> anyhow::Result<()> {
         let name = format!("{}.opacity_logits", self.population);
         let ceiling = logit(self.params.opacity_reset_to) as f32;
@@ -264,7 +265,7 @@ impl StepHook for AdaptiveDensity {
     }
 }
 
-/// ln(p / (1 − p)).
+/// The logit ln(p / (1 − p)).
 pub(crate) fn logit(share: f64) -> f64 {
     (share / (1.0 - share)).ln()
 }
@@ -279,7 +280,7 @@ fn largest_scales(log_scales: &[f32]) -> Vec<f32> {
         .collect()
 }
 
-/// The rotation of a raw quaternion (w, x, y, z); the identity where it has no direction.
+/// The rotation of a raw quaternion (w, x, y, z); the identity for a quaternion of length 0.
 fn rotation(wxyz: &[f32]) -> glam::Quat {
     let raw = glam::Quat::from_xyzw(wxyz[1], wxyz[2], wxyz[3], wxyz[0]);
     if raw.length_squared() >= 1e-12 { raw.normalize() } else { glam::Quat::IDENTITY }

@@ -1,9 +1,10 @@
-//! The harmonics in use: constant and higher coefficients, which are stored apart because their step sizes differ.
+//! Spherical harmonics up to the degree in use. Constant and higher coefficients are stored separately, because their
+//! learning rates differ.
 
 use shaders::arrays::rows::{columns, concat_columns, reshape};
 use shaders::tape::{Real, Tape, Var};
 
-/// [N, 1, 3] and [N, R, 3] to [N, (degree + 1)², 3]: the constant coefficient followed by the first higher ones.
+/// Joins constant [N, 1, 3] and higher coefficients [N, R, 3] to [N, (degree + 1)², 3].
 pub(crate) fn active_harmonics<T: Real>(tape: &mut Tape<T>, sh_dc: Var, sh_rest: Var, degree: usize) -> Var {
     let rest = (degree + 1).pow(2) - 1;
     let (count, stored) = (tape.value(sh_rest).rows(), tape.value(sh_rest).shape()[1]);
@@ -16,7 +17,7 @@ pub(crate) fn active_harmonics<T: Real>(tape: &mut Tape<T>, sh_dc: Var, sh_rest:
     reshape(tape, joined, [count, 1 + rest, 3])
 }
 
-/// [N, 3·K] to [N, (degree + 1)², 3]: the first coefficients of rows that hold K of them.
+/// The first (degree + 1)² of K coefficients: [N, 3·K] to [N, (degree + 1)², 3].
 pub(crate) fn leading_harmonics<T: Real>(tape: &mut Tape<T>, rows: Var, degree: usize) -> Var {
     let (count, leading) = (tape.value(rows).rows(), (degree + 1).pow(2));
     let leading_columns = columns(tape, rows, 0..3 * leading);

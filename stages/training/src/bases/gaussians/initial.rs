@@ -1,4 +1,4 @@
-//! First values of Gaussians on a point cloud (Kerbl et al. 2023).
+//! Initial values of Gaussians on a point cloud (Kerbl et al. 2023).
 
 use anyhow::Context as _;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -13,11 +13,11 @@ use crate::data::SceneFacts;
 use crate::model::ModelState;
 use crate::shared::Shared;
 
-/// The first opacity.
+/// The initial opacity.
 const INITIAL_OPACITY: f64 = 0.1;
-/// Neighbours whose distance sets the first size.
+/// Number of neighbours whose distance sets the initial size.
 const NEIGHBORS: usize = 3;
-/// Smallest mean squared distance, so that doubled points do not make Gaussians of no size (published code).
+/// Minimum mean squared distance, so that duplicate points do not give Gaussians of size 0 (published code).
 const MIN_SQUARED_DISTANCE: f64 = 1e-7;
 
 /// Adds the population [`GAUSSIANS`] on the points. A Gaussian without neighbours gets the size [`LONE_SCALE`].
@@ -33,8 +33,8 @@ pub(crate) fn insert_initial<T: Real>(
 /// Adds `{population}.positions`, `.log_scales`, `.rotations`, `.opacity_logits`, `.sh_dc` and, above degree 0,
 /// `.sh_rest`.
 ///
-/// Scales are the root of the mean squared distance to the three nearest points, rotations the identity, opacity 0.1,
-/// colours the points' as the constant harmonic, higher harmonics zero. `lone_scale` is the size of a point without
+/// Scales are the root mean square distance to the three nearest points, rotations the identity, opacities 0.1. The
+/// points' colours set the constant harmonic; higher harmonics are zero. `lone_scale` is the size of a point without
 /// neighbours.
 pub(crate) fn insert_gaussians<T: Real>(
     state: &mut ModelState<T>,
@@ -64,7 +64,7 @@ pub(crate) fn insert_gaussians<T: Real>(
     Ok(())
 }
 
-/// The root of the mean squared distance of each point to its three nearest neighbours; `lone_scale` for a point without
+/// The root mean square distance of each point to its three nearest neighbours; `lone_scale` for a point without
 /// neighbours.
 pub(crate) fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Result<Vec<f64>> {
     let positions: Vec<[f64; 3]> = points.positions.iter().map(|point| point.map(f64::from)).collect();
@@ -74,7 +74,7 @@ pub(crate) fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Re
     let tree: ImmutableKdTree<f64, 3> =
         ImmutableKdTree::new_from_slice(&positions).context("cannot index the initial points")?;
     let scale = |point: &[f64; 3]| {
-        // The nearest point is the point itself (or its double, at the same distance 0).
+        // The nearest point is the point itself (or a duplicate at distance 0).
         let wanted = std::num::NonZero::new(NEIGHBORS + 1).expect("not zero");
         let found = tree.query(point).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
         let squared: f64 = found.iter().skip(1).map(|neighbor| neighbor.distance).sum();

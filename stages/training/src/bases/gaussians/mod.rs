@@ -1,4 +1,4 @@
-//! Gaussians in the parametrisation of Kerbl et al. 2023: tensors, first values, step sizes and density control.
+//! Gaussians in the parametrisation of Kerbl et al. 2023: tensors, initial values, learning rates and density control.
 //!
 //! | tensor | shape | stored as |
 //! |---|---|---|
@@ -31,16 +31,14 @@ use crate::model::Variables;
 use crate::schedule::LogLinear;
 use crate::shared::LearningRates;
 
-/// The size of a Gaussian without neighbours, as a share of the scene's extent: the size above which density control
-/// splits.
+/// The size of a Gaussian without neighbours, as a share of the scene's extent; density control splits larger ones.
 pub(crate) const LONE_SCALE: f64 = 0.01;
 
-/// The population that most methods have.
+/// The population of Gaussians of most methods.
 pub(crate) const GAUSSIANS: &str = "gaussians";
 
-/// The step size of an attribute of a population of Gaussians; `None` for other tensors.
-///
-/// Positions move in shares of the scene's extent.
+/// The learning rate of an attribute of a population of Gaussians; `None` for other tensors. The rate of positions is a
+/// share of the scene's extent.
 pub(crate) fn learning_rate(
     rates: &LearningRates,
     population: &str,
@@ -59,7 +57,7 @@ pub(crate) fn learning_rate(
     }
 }
 
-/// A population as it is stored, without motion.
+/// A stored population, without motion.
 pub(crate) fn static_splats<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
@@ -78,7 +76,7 @@ pub(crate) fn static_splats<T: Real>(
     }
 }
 
-/// The values of splats on a tape, for files.
+/// The values of the visible splats on a tape, for files.
 pub(crate) fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> Gaussians {
     let there = present(tape, splats);
     let rows = |var| -> Vec<&[f32]> {
@@ -103,7 +101,7 @@ pub(crate) fn baked(tape: &Tape<f32>, splats: &SplatVars, sh_degree: usize) -> G
     }
 }
 
-/// Which of the splats are there ([`HIDDEN_LOGIT`]).
+/// The rows of the splats that are not hidden ([`HIDDEN_LOGIT`]).
 pub(crate) fn present(tape: &Tape<f32>, splats: &SplatVars) -> Vec<u32> {
     let logits = tape.value(splats.opacity_logits).as_slice();
     let is_there = |row: &u32| logits[*row as usize] != HIDDEN_LOGIT as f32;

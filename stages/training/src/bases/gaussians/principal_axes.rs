@@ -1,18 +1,18 @@
-//! Axes and standard deviations of a covariance that is given by a factor, for files that store nothing else.
+//! Axes and standard deviations of a covariance given by a factor, for file formats that store only these.
 
 use glam::{DMat3, DQuat, DVec3};
 
-/// Sweeps over all pairs of columns; three or four reach the rounding of f64.
+/// Maximum sweeps over all pairs of columns; three or four reach the precision of f64.
 const MAX_SWEEPS: usize = 12;
-/// Two columns whose cosine is below are orthogonal to rounding.
+/// Columns with a smaller cosine are orthogonal up to rounding.
 const ORTHOGONAL: f64 = 1e-15;
-/// The smallest standard deviation in scene units: flat Gaussians have a logarithm, too.
+/// Minimum standard deviation in scene units, so that flat Gaussians have a finite logarithm.
 const MIN_SCALE: f64 = 1e-9;
 
 /// Logarithms of the standard deviations and the quaternion (w, x, y, z) of the covariance FFᵀ, F in rows.
 ///
-/// One-sided Jacobi rotations (Hestenes 1958) turn F from the right until its columns are orthogonal: they are the axes,
-/// as long as the standard deviations. Small ones keep their digits, which FFᵀ would lose.
+/// One-sided Jacobi rotations (Hestenes 1958) multiply F from the right until its columns are orthogonal. The columns are
+/// then the axes, and their lengths the standard deviations. Small ones keep their precision, which FFᵀ would lose.
 pub(crate) fn principal_axes(factor: &[f32]) -> ([f32; 3], [f32; 4]) {
     let rows: [f64; 9] = std::array::from_fn(|at| f64::from(factor[at]));
     let mut columns = DMat3::from_cols_array(&rows).transpose().to_cols_array_2d().map(DVec3::from);
@@ -28,7 +28,7 @@ pub(crate) fn principal_axes(factor: &[f32]) -> ([f32; 3], [f32; 4]) {
     (log_scales, [rotation.w, rotation.x, rotation.y, rotation.z].map(|value| value as f32))
 }
 
-/// Rotates two columns within their plane until they are orthogonal; `false` if they were.
+/// Rotates two columns within their plane until they are orthogonal; `false` if they already are.
 fn orthogonalise(columns: &mut [DVec3; 3], a: usize, b: usize) -> bool {
     let (first, second) = (columns[a], columns[b]);
     let (aa, bb, ab) = (first.length_squared(), second.length_squared(), first.dot(second));
@@ -44,7 +44,7 @@ fn orthogonalise(columns: &mut [DVec3; 3], a: usize, b: usize) -> bool {
     true
 }
 
-/// The rotation whose first axes are the directions of the longest columns; missing directions are made up.
+/// The rotation whose first axes are the directions of the longest columns; missing directions are completed.
 fn right_handed([first, second, _]: [DVec3; 3]) -> DMat3 {
     let x = first.try_normalize().unwrap_or(DVec3::X);
     let y = (second - second.dot(x) * x).try_normalize().unwrap_or_else(|| x.any_orthonormal_vector());

@@ -1,4 +1,4 @@
-//! What renders said about Gaussians since they were last judged.
+//! Statistics of Gaussians over the renders since the last round of density control.
 
 use serde::{Deserialize, Serialize};
 use shaders::rasteriser::screen::COLUMNS;
@@ -6,18 +6,20 @@ use shaders::tape::Tensor;
 
 use crate::method::{ScreenGradients, ScreenStats};
 
-/// Per Gaussian, since the last round.
+/// Sums per Gaussian since the last round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Vec<f32>", into = "Vec<f32>")]
 pub(crate) struct Statistics {
-    /// [N, 3], as [`shaders::rasteriser::screen::observe`] adds them up: the sum of the gradients' norms, steps that saw the Gaussian,
-    /// and its largest radius in pixels.
+    /// [N, 3] from [`shaders::rasteriser::screen::observe`]: the sum of the gradients' norms, the number of steps in which
+    /// the Gaussian is visible, and its largest radius in pixels.
     rows: Tensor<f32>,
 }
 
-/// Columns of the statistics.
+/// Column of the sum of the gradients' norms.
 pub(crate) const GRADIENT_SUM: usize = 0;
+/// Column of the number of steps in which the Gaussian is visible.
 pub(crate) const SEEN_COUNT: usize = 1;
+/// Column of the largest radius in pixels.
 pub(crate) const RADIUS_PX: usize = 2;
 
 impl Default for Statistics {
@@ -39,17 +41,17 @@ impl From<Statistics> for Vec<f32> {
 }
 
 impl Statistics {
-    /// By Gaussian.
+    /// The statistics of each Gaussian, on the host.
     pub(crate) fn rows(&self) -> &[[f32; COLUMNS]] {
         self.rows.as_slice().as_chunks().0
     }
 
-    /// [N, 3], wherever it is.
+    /// The statistics [N, 3] on their device.
     pub(crate) fn tensor(&self) -> &Tensor<f32> {
         &self.rows
     }
 
-    /// Adds the renders of one step; on the GPU that rendered, if one did.
+    /// Adds the renders of one step, on the GPU that rendered them if there is one.
     pub(crate) fn observe(&mut self, stats: &ScreenStats<'_>) {
         self.resize(stats.rows());
         match stats.observe_on_gpu(&self.rows) {
@@ -58,7 +60,7 @@ impl Statistics {
         }
     }
 
-    /// Room for so many Gaussians; new ones were never seen.
+    /// Resizes to a number of Gaussians; new ones have no statistics.
     pub(crate) fn resize(&mut self, count: usize) {
         if self.rows.rows() != count {
             let mut values = std::mem::take(self).rows.into_vec();
@@ -67,7 +69,7 @@ impl Statistics {
         }
     }
 
-    /// Adds the renders of one step.
+    /// Adds the renders of one step on the host.
     fn add(&mut self, screen: &ScreenGradients) {
         let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
         for (at, row) in rows.iter_mut().enumerate().filter(|(at, _)| screen.visible[*at]) {
@@ -78,17 +80,17 @@ impl Statistics {
         }
     }
 
-    /// Drops the Gaussians whose flag is false.
+    /// Removes the Gaussians whose flag is false.
     pub(crate) fn keep(&mut self, keep: &[bool]) {
         self.resize(keep.len());
         let kept = self.rows().iter().zip(keep).filter(|(_, keep)| **keep).flat_map(|(row, _)| row);
         *self = kept.copied().collect::<Vec<f32>>().into();
     }
 
-    /// Starts anew with the gradients of the Gaussians that `were_judged`, by their rows; radii count until they were judged.
-    pub(crate) fn forget_gradients(&mut self, were_judged: impl Fn(&[f32; COLUMNS]) -> bool) {
+    /// Resets gradient sum and step count of the Gaussians whose row satisfies `is_used`.
+    pub(crate) fn reset_gradients(&mut self, is_used: impl Fn(&[f32; COLUMNS]) -> bool) {
         let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
-        for row in rows.iter_mut().filter(|row| were_judged(row)) {
+        for row in rows.iter_mut().filter(|row| is_used(row)) {
             (row[GRADIENT_SUM], row[SEEN_COUNT]) = (0.0, 0.0);
         }
     }

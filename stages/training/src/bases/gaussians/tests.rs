@@ -62,7 +62,7 @@ fn positions(state: &ModelState<f32>) -> Vec<[f32; 3]> {
 }
 
 #[test]
-fn first_sizes_are_the_root_mean_square_distance_to_three_neighbours() {
+fn initial_sizes_are_distances_to_three_neighbours() {
     let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [50.0, 0.0, 0.0]];
     let points = PointCloud { colors: vec![[128; 3]; positions.len()], positions };
     let mut state = ModelState::<f64>::new();
@@ -101,18 +101,18 @@ fn small_gaussians_are_cloned_and_large_ones_split() {
 }
 
 #[test]
-fn unseen_and_quiet_gaussians_stay_as_they_are() {
+fn unseen_and_quiet_gaussians_do_not_change() {
     let before = four_gaussians();
     assert_eq!(act(&density(), before.clone(), &[0.0; 4], 10), before);
     assert_eq!(act(&density(), before.clone(), &[1e-4; 4], 10), before);
-    // Not a round, not yet, no longer.
+    // Between two rounds, before the first and after the last.
     assert_eq!(act(&density(), before.clone(), &[1.0; 4], 11), before);
     assert_eq!(act(&Density { from: 10, ..density() }, before.clone(), &[1.0; 4], 10), before);
     assert_eq!(act(&Density { until: 10, ..density() }, before.clone(), &[1.0; 4], 10), before);
 }
 
 #[test]
-fn the_mean_runs_over_the_steps_that_saw_the_gaussian() {
+fn means_cover_only_steps_with_a_visible_gaussian() {
     let mut control = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false);
     let mut optimizer = optimizer(four_gaussians());
     // Seen once with 3e-4 and never again: mean 3e-4. Seen three times with 1e-4 twice: mean 1.67e-4, below 2e-4.
@@ -149,7 +149,7 @@ fn transparent_and_oversized_gaussians_are_pruned() {
 }
 
 #[test]
-fn reset_lowers_opacity_and_forgets_its_moments() {
+fn a_reset_lowers_opacity_and_clears_its_moments() {
     let resetting = Density { opacity_reset_interval: 5, ..density() };
     let mut control = AdaptiveDensity::new(GAUSSIANS, &resetting, 1.0, false);
     let mut state = four_gaussians();
@@ -198,7 +198,7 @@ fn harmonics_in_use_have_the_right_gradients() {
 }
 
 #[test]
-fn children_in_space_time_are_spread_along_their_parents_longest_axis() {
+fn children_in_space_time_follow_the_longest_axis() {
     let mut state = four_gaussians();
     let mut rows = |attribute: &str, row: &[f32]| {
         state.insert(format!("gaussians.{attribute}"), Tensor::from_vec([4, row.len()], row.repeat(4)));

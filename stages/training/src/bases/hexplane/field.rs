@@ -10,30 +10,30 @@ use crate::bases::layers::uniform;
 use crate::method::Step;
 use crate::model::{ModelState, Variables};
 
-/// First values of the spatial planes (published code); time planes start at 1, which means "no change".
+/// Initial values of the spatial planes (published code); time planes start at 1, which means "no change".
 const SPATIAL_START: [f64; 2] = [0.1, 0.5];
-/// What a plane's name has after its field's.
+/// Infix of the planes' tensor names.
 const PLANE: &str = ".plane_";
 
-/// Where normalised time in [0, 1] falls on the time axis of the planes.
+/// The mapping of normalised time in [0, 1] to the time axis of the planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum TimeAxis {
-    /// On all of it, with half the texels: the same used capacity as the published code, nothing idle.
+    /// The whole axis with half the texels: the used capacity of the published code without idle texels.
     Full,
-    /// On the upper half only, as in the published code, whose lower half is never read.
+    /// The upper half only: the published code never reads the lower half.
     UpperHalf,
 }
 
-/// Weights of the regularisers of a field's planes; 0 leaves one out.
+/// Weights of the regularisers of a field's planes; 0 disables one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct PlaneWeights {
-    /// Of Σ over spatial planes of the mean squared second difference along the height axis.
+    /// Weight of Σ over spatial planes of the mean squared second difference along the height axis.
     pub spatial_smoothness: f64,
-    /// Of Σ over time planes of the mean squared second difference along time.
+    /// Weight of Σ over time planes of the mean squared second difference along time.
     pub temporal_smoothness: f64,
-    /// Of Σ over time planes of mean |1 − P|.
+    /// Weight of Σ over time planes of mean |1 − P|.
     pub time_to_one: f64,
 }
 
@@ -102,8 +102,8 @@ impl Field {
 
     /// Adds the regularisers of the planes to a step's losses; one of weight 0 is not evaluated.
     ///
-    /// The two of the time planes are weighed so that they equal the published code's, whose means run over the idle
-    /// lower half as well (see [`TimeAxis`]).
+    /// The weights of the two time regularisers are adapted so that they equal the published code's, whose means include
+    /// the idle lower half (see [`TimeAxis`]).
     pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>, weights: &PlaneWeights) {
         let time_factor = match self.time_axis {
             TimeAxis::Full => 0.5,

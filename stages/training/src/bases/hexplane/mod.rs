@@ -1,8 +1,7 @@
-//! Canonical Gaussians moved by a hexplane field and a small network: 4DGaussians (Wu et al. 2024), the base of every
-//! method that builds on it.
+//! Canonical Gaussians moved by a hexplane field and a small network: 4DGaussians (Wu et al. 2024).
 //!
-//! Two phases. `coarse` fits Gaussians to all frames as if nothing moved; it knows nothing of the field but its box, so
-//! methods can share it. `fine` adds the field and the network, and learns everything.
+//! There are two phases. `coarse` fits static Gaussians to all frames; it depends only on the box of the field, so methods
+//! can share it. `fine` adds the field and the network and trains all tensors.
 
 pub(crate) mod field;
 mod network;
@@ -34,12 +33,12 @@ use network::Network;
 
 /// Static warm-up.
 pub(crate) const COARSE: &str = "coarse";
-/// Everything learns.
+/// All tensors are trained.
 pub(crate) const FINE: &str = "fine";
 /// The name of the field.
 const FIELD: &str = "field";
 
-/// Where it is off there is no field and no network: `fine` goes on as `coarse` did.
+/// Without this effect there is neither field nor network, and `fine` continues like `coarse`.
 pub(crate) const MOTION: Effect = Effect {
     name: "motion",
     about: "a hexplane field moves the Gaussians",
@@ -47,12 +46,12 @@ pub(crate) const MOTION: Effect = Effect {
     by_default: true,
 };
 
-/// `coarse` as other methods on this base can share it: it reads nothing of [`HexplaneSettings`].
+/// The shared phase `coarse` of all methods on this base; it reads nothing of [`HexplaneSettings`].
 pub(crate) fn coarse_sharing() -> CoarseSharing {
     CoarseSharing { base: "hexplane", phase: COARSE, settings: serde_json::Value::Null }
 }
 
-/// The field, the network and their training.
+/// Settings of the field, the network and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct HexplaneSettings {
@@ -60,16 +59,16 @@ pub(crate) struct HexplaneSettings {
     pub channels: usize,
     /// Texels along x, y and z at multiplier 1.
     pub spatial_resolution: usize,
-    /// Texels along time in the published code's counting (it reads only half of them, see `time_axis`); absent: half
-    /// the number of different training times, which is what its D-NeRF settings amount to.
+    /// Texels along time in the published code's counting (it reads only half of them, see `time_axis`); unset: half the
+    /// number of distinct training times, as in its D-NeRF settings.
     pub time_resolution: Option<usize>,
-    /// One set of planes each; multiplies the spatial resolution.
+    /// Multipliers of the spatial resolution, one set of planes each.
     pub multipliers: Vec<usize>,
     /// Width of the network.
     pub width: usize,
-    /// Which part of the time axis is read.
+    /// The part of the time axis in use.
     pub time_axis: TimeAxis,
-    /// What the network moves.
+    /// The attributes that the network changes.
     pub heads: Heads,
     /// Whether the last layer of every head starts at zero, so that `fine` starts without motion; the published code
     /// draws it at random.
@@ -78,11 +77,11 @@ pub(crate) struct HexplaneSettings {
     pub spatial_smoothness: f64,
     /// Weight of the second differences along time.
     pub temporal_smoothness: f64,
-    /// Weight of the time planes' distance to 1.
+    /// Weight of the distance of the time planes from 1.
     pub time_to_one: f64,
-    /// Step sizes of the planes, as a share of the scene's extent.
+    /// Learning rate of the planes, as a share of the scene's extent.
     pub plane_rate: LogLinear,
-    /// Step sizes of the network, as a share of the scene's extent.
+    /// Learning rate of the network, as a share of the scene's extent.
     pub network_rate: LogLinear,
 }
 
@@ -106,11 +105,11 @@ impl Default for HexplaneSettings {
     }
 }
 
-/// A plane of 4096² texels with 32 channels takes 2 GB; whoever asks for more mistyped.
+/// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
 const MOST_TEXELS: usize = 4096;
 
 impl HexplaneSettings {
-    /// Small, with every head, and regularisers that weigh enough to be seen.
+    /// Small, with every head, and regularisers of noticeable weight.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         Self {
@@ -126,7 +125,7 @@ impl HexplaneSettings {
         }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error for settings that cannot work.
     pub(crate) fn check(&self) -> Result<(), String> {
         let sizes = [self.channels, self.spatial_resolution, self.width, self.time_resolution.unwrap_or(1)];
         let weights = [self.spatial_smoothness, self.temporal_smoothness, self.time_to_one];
@@ -141,8 +140,8 @@ impl HexplaneSettings {
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
-    /// What all methods understand, as the published D-NeRF settings have it: L1 alone, 2000 random points, pruning
-    /// only beyond 200 000 Gaussians, no opacity reset.
+    /// Shared defaults from the published D-NeRF settings: L1 alone, 2000 random points, pruning only beyond 200 000
+    /// Gaussians, no opacity reset.
     pub(crate) fn shared_defaults() -> Shared {
         let density = Density {
             max_count: 360_000,
@@ -164,7 +163,7 @@ impl HexplaneSettings {
     }
 }
 
-/// The base: every part of a method that builds on it.
+/// The base: canonical Gaussians with a field and a network.
 pub(crate) struct HexplaneGaussians {
     shared: Shared,
     settings: HexplaneSettings,
@@ -182,14 +181,13 @@ impl HexplaneGaussians {
         Self { further_heads, ..self }
     }
 
-    /// Whether anything moves in a phase. Without the effect `motion` there is neither field nor network, and `fine`
-    /// goes on as `coarse` does.
+    /// Whether Gaussians move in a phase. Without the effect `motion` there is neither field nor network, and `fine`
+    /// continues like `coarse`.
     pub(crate) fn moves(&self, phase: &str) -> bool {
         phase == FINE && self.shared.effects.has(MOTION.name)
     }
 
-    /// Where points [N, 3] of the canonical space are at a time in [0, 1]; as [`Base::splats`] moves the
-    /// Gaussians, for any points and without the other attributes.
+    /// Moves canonical points [N, 3] to a time in [0, 1], in the same way as [`Base::splats`] moves the Gaussians.
     pub(crate) fn move_points<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -202,7 +200,7 @@ impl HexplaneGaussians {
         self.network(scene).move_points(tape, model, features, positions)
     }
 
-    /// What a further head says of points that were moved.
+    /// The output of a further head for moved points.
     pub(crate) fn further_head<T: Real>(
         &self,
         tape: &mut Tape<T>,

@@ -11,22 +11,22 @@ use crate::bases::gaussians::leading_harmonics;
 use crate::bases::heads::HeadedNetwork;
 use crate::model::{ModelState, Variables};
 
-/// The name of the network: its tensors are called `network.…`.
+/// The name of the network, the prefix of its tensors.
 pub(crate) const NETWORK: &str = "network";
 
-/// Which attributes the network moves.
+/// The attributes that the network changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Heads {
-    /// Positions.
+    /// Change positions.
     pub position: bool,
-    /// Logarithmic scales.
+    /// Change logarithmic scales.
     pub scale: bool,
-    /// Raw quaternions.
+    /// Change raw quaternions.
     pub rotation: bool,
-    /// Opacity logits.
+    /// Change opacity logits.
     pub opacity: bool,
-    /// Spherical harmonics.
+    /// Change spherical harmonics.
     pub harmonics: bool,
 }
 
@@ -57,14 +57,14 @@ impl Default for Heads {
 /// Name and number of outputs of a head that a method adds; it starts at zero.
 pub(crate) type FurtherHead = (&'static str, usize);
 
-/// The network and the attributes that it moves.
+/// The network and the attributes that it changes.
 pub(crate) struct Network {
     layers: HeadedNetwork,
     heads: Heads,
 }
 
 impl Network {
-    /// `features` → `width` → heads and further heads that move no attribute; `sh_count` harmonics per channel.
+    /// A network `features` → `width` → heads, with further heads that change no attribute; `sh_count` harmonics per channel.
     pub(crate) fn new(
         features: usize,
         width: usize,
@@ -81,7 +81,7 @@ impl Network {
         self.layers.insert(state, zero_heads, random);
     }
 
-    /// Splats plus what the heads say at features [N, F].
+    /// Splats plus the outputs of the heads at features [N, F].
     pub(crate) fn deform<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -116,7 +116,7 @@ impl Network {
         SplatVars { positions, shape, opacity_logits, sh }
     }
 
-    /// Positions [N, 3] plus what the head says at features [N, F], and what the other heads begin with.
+    /// Positions [N, 3] plus the output of their head at features [N, F], and the common input of the other heads.
     pub(crate) fn move_points<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -135,11 +135,11 @@ impl Network {
     }
 }
 
-/// Points at a moment.
+/// Points at one moment.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MovedPoints {
-    /// [N, 3] world.
+    /// [N, 3] world positions.
     pub positions: Var,
-    /// [N, width]: what every head of the network reads.
+    /// [N, width] common input of all heads.
     pub hidden: Var,
 }

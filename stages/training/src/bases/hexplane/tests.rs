@@ -32,7 +32,7 @@ fn fine_model_of(base: HexplaneGaussians) -> (HexplaneGaussians, ModelState<f64>
     (base, state)
 }
 
-/// The test scene's views with the facts of these tests.
+/// The views of the test scene with the scene facts of these tests.
 fn dataset() -> Dataset {
     let dir = tempfile::tempdir().unwrap();
     let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
@@ -69,13 +69,13 @@ fn attributes(base: &HexplaneGaussians, state: &ModelState<f64>, phase: &str, ti
 }
 
 #[test]
-fn zero_heads_do_not_move_anything_at_any_time() {
+fn zero_heads_move_nothing() {
     let (base, state) = fine_model(&HexplaneSettings { zero_heads: true, ..HexplaneSettings::tiny() });
     let canonical = attributes(&base, &state, COARSE, 0.0);
     for time in [0.0, 0.37, 1.0] {
         assert_eq!(attributes(&base, &state, FINE, time), canonical, "time {time}");
     }
-    // The planted fault: heads drawn at random must be seen to move.
+    // A planted fault: random heads must be detected as motion.
     let (base, state) = fine_model(&HexplaneSettings::tiny());
     assert_ne!(attributes(&base, &state, FINE, 0.37), attributes(&base, &state, COARSE, 0.37));
 }
@@ -98,7 +98,7 @@ fn heads_that_are_off_have_no_parameters() {
 }
 
 #[test]
-fn without_motion_there_is_no_field_and_fine_goes_on_as_coarse() {
+fn without_motion_fine_continues_like_coarse() {
     let shared = Shared { effects: Effects::Named(BTreeSet::new()), ..HexplaneSettings::shared_defaults() };
     let base = HexplaneGaussians::new(&shared, HexplaneSettings::tiny());
     let points = PointCloud { positions: vec![[0.0; 3], [1.0; 3]], colors: vec![[9; 3]; 2] };
@@ -109,7 +109,7 @@ fn without_motion_there_is_no_field_and_fine_goes_on_as_coarse() {
 }
 
 #[test]
-fn points_move_as_the_gaussians_do_and_further_heads_change_nothing_else() {
+fn points_move_like_gaussians() {
     let settings = HexplaneSettings::tiny();
     let (base, state) = fine_model(&settings);
     let (extended, with_head) = fine_model_of(base_of(&settings).with_further_heads(vec![("velocity", 3)]));

@@ -1,4 +1,4 @@
-//! Gaussians in space and time (Yang et al. 2024), of which every instant shows a slice.
+//! Gaussians in space and time (Yang et al. 2024); a render at one time shows a slice of them.
 //!
 //! | tensor | shape | stored as |
 //! |---|---|---|
@@ -18,12 +18,12 @@ use crate::bases::layers::uniform;
 use crate::method::Step;
 use crate::model::{ModelState, Variables};
 
-/// Gaussians of which a smaller share of the opacity is left are not drawn (published code): 2.45 standard deviations.
+/// Gaussians with a smaller share of their opacity left are hidden (published code); 2.45 standard deviations.
 pub(crate) const LEAST_SHARE: f64 = 0.05;
 
-/// How far beyond the clip the first times are drawn, as a share of it (published code).
+/// Margin of the initial times beyond the clip, as a share of the clip (published code).
 const TIME_MARGIN: f64 = 0.1;
-/// The first variance along time, as a share of the clip's squared length (published code).
+/// The initial variance along time, as a share of the clip's squared length (published code).
 const INITIAL_VARIANCE_TIME: f64 = 0.2;
 
 /// The parameters of a population, with the logarithms of its spatial scales [N, 3].
@@ -39,13 +39,13 @@ pub(crate) fn parameters(model: &Variables, population: &str, log_scales: Var) -
     }
 }
 
-/// Cuts a population at a time in [0, 1]; Gaussians with less than [`LEAST_SHARE`] of their opacity are not there.
+/// Slices a population at a time in [0, 1]; Gaussians with less than [`LEAST_SHARE`] of their opacity are hidden.
 pub(crate) fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, time: f64) -> SlicedVars {
     slicing4d::slice(tape, parameters, time, LEAST_SHARE)
 }
 
-/// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: spread
-/// over the clip, a fifth of it in variance, at rest.
+/// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: times
+/// spread over the clip, a variance of a fifth of its squared length, and no motion.
 pub(crate) fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: usize, random: &mut ChaCha8Rng) {
     let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO].repeat(count);
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{population}.{attribute}"), tensor);
@@ -55,7 +55,7 @@ pub(crate) fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, 
     insert("rotations_right", Tensor::from_vec([count, 4], identity));
 }
 
-/// Counts the Gaussians that a slice leaves out, as the work of `what`.
+/// Counts the Gaussians that a slice hides as skipped work `what`.
 pub(crate) fn count_skipped<T: Real>(step: &mut Step<'_, T>, what: &'static str, sliced: &SlicedVars) {
     let count = step.tape.value(sliced.present).len();
     let present = total(step.tape, sliced.present);

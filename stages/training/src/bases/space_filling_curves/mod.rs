@@ -8,20 +8,20 @@
 #[cfg(test)]
 mod tests;
 
-/// Bits per coordinate at most, so that three of them fit into 64.
+/// Maximum bits per coordinate, so that three coordinates fit into 64 bits.
 const MOST_BITS: u32 = 16;
 
-/// Which curve.
+/// A space-filling curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Curve {
-    /// Consecutive cells share a face.
+    /// Hilbert curve: consecutive cells share a face.
     Hilbert,
-    /// Interleaved bits.
+    /// Z-order curve: interleaved bits.
     ZOrder,
 }
 
 impl Curve {
-    /// The place on the curve of a cell whose coordinates are below 2^bits.
+    /// The index on the curve of a cell whose coordinates are below 2^bits.
     pub(crate) fn place(self, cell: [u32; 3], bits: u32) -> u64 {
         assert!(bits <= MOST_BITS && cell.iter().all(|&axis| u64::from(axis) < 1 << bits), "a cell outside the cube");
         match self {
@@ -30,8 +30,8 @@ impl Curve {
         }
     }
 
-    /// The indices of positions in the order of the curve through cells of side `cell_size` (larger where there would be
-    /// more than 2^16 of them along an axis). Positions of one cell keep their order.
+    /// The indices of positions in the order of the curve through cells of side `cell_size`, or larger cells if there were
+    /// more than 2^16 of them along an axis. Positions of one cell keep their order.
     pub(crate) fn order(self, positions: &[[f32; 3]], cell_size: f64) -> Vec<u32> {
         let low: [f64; 3] = std::array::from_fn(|axis| extreme(positions, axis, f64::min));
         let high: [f64; 3] = std::array::from_fn(|axis| extreme(positions, axis, f64::max));
@@ -82,9 +82,9 @@ fn interleave([x, y, z]: [u32; 3], bits: u32) -> u64 {
     (0..bits).map(triple).fold(0, |code, triple| code | triple)
 }
 
-/// Skilling's transform: coordinates whose interleaved bits are the place on the Hilbert curve.
+/// Skilling's transform: coordinates whose interleaved bits are the index on the Hilbert curve.
 fn hilbert_transpose(mut x: [u32; 3], bits: u32) -> [u32; 3] {
-    // Undoes the rotations and reflections of the sub-cubes, from the largest to the smallest.
+    // Undo the rotations and reflections of the sub-cubes, from the largest to the smallest.
     for bit in (1..bits).rev() {
         let below = (1 << bit) - 1;
         for axis in 0..3 {

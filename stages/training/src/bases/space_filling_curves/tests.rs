@@ -30,7 +30,7 @@ fn both_curves_visit_every_cell_once() {
 }
 
 #[test]
-fn consecutive_cells_of_the_hilbert_curve_share_a_face_and_those_of_the_z_order_do_not() {
+fn only_the_hilbert_curve_has_adjacent_cells() {
     for bits in 1..=5 {
         assert!(steps(&walk(Curve::Hilbert, bits)).all(|step| step == 1), "{bits} bits");
     }
@@ -45,7 +45,7 @@ fn the_z_order_interleaves_with_x_first() {
 }
 
 #[test]
-fn an_order_is_a_permutation_whatever_the_cells() {
+fn every_order_is_a_permutation() {
     let positions = random_positions(200);
     for curve in [Curve::Hilbert, Curve::ZOrder] {
         for cell_size in [1e-12, 0.05, 100.0] {
@@ -74,7 +74,7 @@ fn neighbours_on_a_curve_are_close_in_space() {
 }
 
 #[test]
-fn every_pair_comes_once_and_jumps_are_left_out() {
+fn pairs_are_unique_and_without_jumps() {
     let mut positions: Vec<[f32; 3]> = (0..10).map(|at| [at as f32, 0.0, 0.0]).collect();
     positions.push([1000.0, 0.0, 0.0]);
     let order: Vec<u32> = (0..11).collect();
