@@ -125,6 +125,40 @@ fn an_edit_reruns_what_it_can_influence() {
     assert_eq!(rerun(&before, &edited), jobs(&before, |name| !name.starts_with("capture")));
 }
 
+/// The files of a folder with this extension, relative to the workspace.
+fn files_of(folder: &str, extension: &str) -> Vec<String> {
+    let files = WalkDir::new(root().join(folder)).into_iter().map(|entry| entry.expect("readable").into_path());
+    let relative = |path: PathBuf| path.strip_prefix(root()).expect("below the root").display().to_string();
+    files.filter(|path| path.extension().is_some_and(|it| it == extension)).map(relative).collect()
+}
+
+#[test]
+fn an_edit_of_a_private_kernel_reruns_one_method() {
+    let sources = Sources::copy();
+    let ci = |code: CodeTable| plan(&root().join("recipes/ci.toml"), code, &[]);
+    let before = ci(sources.code());
+    let after = |file: &str| rerun(&before, &ci(sources.code_with(file, more_code)));
+    let of = |method: &str| jobs(&before, |name| name.contains(&format!("/{method}/")) || name == "report");
+    assert!(of("kineticgs").len() > 3 && of("mcgs").len() > 3, "{:?}", of("kineticgs"));
+    assert_eq!(after("shaders/src/losses/histogram/mod.rs"), of("kineticgs"));
+    assert_eq!(after("shaders/src/networks/layer_norm/layer_norm.wgsl"), of("mcgs"));
+    // The planted fault: a kernel that several methods use.
+    assert!(after("shaders/src/networks/attention/mod.rs").is_superset(&of("l4dgs")));
+    assert!(after("shaders/src/networks/attention/mod.rs").is_superset(&of("kineticgs")));
+}
+
+#[test]
+fn an_edit_of_a_claim_reruns_only_tables() {
+    let sources = Sources::copy();
+    let before = quickstart(sources.code(), &[]);
+    let claims = files_of("stages/table-generation/claims", "toml");
+    assert!(claims.len() > 5, "{claims:?}");
+    for file in claims {
+        let after = quickstart(sources.code_with(&file, more_code), &[]);
+        assert_eq!(rerun(&before, &after), jobs(&before, |name| name == "report"), "{file}");
+    }
+}
+
 /// Early cutoff spares a job whose inputs turn out equal, unless the job's own code changed.
 #[test]
 fn an_edit_changes_the_code_of_the_stages_that_run_it() {

@@ -13,6 +13,7 @@ mod dialect;
 mod editing;
 mod evidence;
 mod imports;
+mod kernels;
 mod links;
 mod numerics;
 mod product;

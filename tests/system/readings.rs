@@ -14,7 +14,7 @@ use crate::sources::{ScannedCrate, Sources, read, tokens::rust_tokens};
 const VOCABULARY: [&str; 2] = ["engine", "scene"];
 
 /// The tokens of Rust source without comments and tests. Each bracket is one token.
-fn tokens(source: &str) -> Vec<String> {
+pub(crate) fn tokens(source: &str) -> Vec<String> {
     let kept = rust_tokens(source).expect("the sources are Rust");
     let mut found = Vec::new();
     flatten(kept.parse().expect("the kept tokens are Rust"), &mut found);

@@ -1,5 +1,6 @@
 //! Every recipe plans, and a wrong one is refused with all of its errors.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use walkdir::WalkDir;
@@ -27,6 +28,25 @@ fn every_recipe_plans() {
         let plan = engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data"));
         let plan = plan.unwrap_or_else(|errors| panic!("{}:\n{errors}", recipe.display()));
         assert!(plan.nodes.iter().any(|node| node.stage == "table-generation"), "{} has no table", recipe.display());
+    }
+}
+
+/// The values of an axis in a plan.
+fn values<'a>(plan: &'a engine::Plan, axis: &str) -> BTreeSet<&'a str> {
+    plan.nodes.iter().filter_map(|node| node.coordinates.get(axis)).map(String::as_str).collect()
+}
+
+#[test]
+fn every_method_is_in_ci_and_in_the_hard_cases() {
+    let stages = cli::stages();
+    let methods = stages.get("training").and_then(|stage| stage.values("method")).expect("training lists its methods");
+    let all: BTreeSet<&str> = methods.iter().map(String::as_str).collect();
+    assert!(all.len() > 5, "{all:?}");
+    for name in ["ci", "hard-cases", "suite-synthetic"] {
+        let plan =
+            engine::recipe::resolve(&root().join(format!("recipes/{name}.toml")), &[], &stages, Path::new("data"));
+        let plan = plan.unwrap_or_else(|errors| panic!("{errors}"));
+        assert_eq!(values(&plan, "method"), all, "{name}");
     }
 }
 

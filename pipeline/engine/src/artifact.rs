@@ -20,8 +20,8 @@ pub trait Artifact: Sized {
     fn check(&self) -> anyhow::Result<()>;
 }
 
-/// Declares the artifact type of a stage whose data type lives in `scene`, which does not depend on the engine: a newtype
-/// that dereferences to `$inner`, opened by `$inner::open` and checked by `$inner::check`.
+/// Declares the artifact type of a stage whose data type lives in `scene`, which does not depend on the engine: a
+/// newtype that dereferences to `$inner`, opened by `$inner::open` and checked by `$inner::check`.
 #[macro_export]
 macro_rules! artifact {
     ($(#[$doc:meta])* pub struct $name:ident($inner:ty) = $label:literal @ $schema:expr;) => {

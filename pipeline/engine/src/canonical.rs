@@ -11,7 +11,8 @@ pub(crate) fn bytes(value: &Value) -> Vec<u8> {
     bytes
 }
 
-/// SHA-256, in hex, of the canonical bytes of `value` in the domain `tag`, which names the kind and version of the data.
+/// SHA-256, in hex, of the canonical bytes of `value` in the domain `tag`, which names the kind and version of the
+/// data.
 pub(crate) fn sha256_hex(tag: &str, value: &Value) -> String {
     let mut message = Vec::new();
     append_text(&mut message, b's', tag);

@@ -45,8 +45,8 @@ impl CodeTable {
 /// `"shaders dependencies"` for its external dependencies, so that a change can name the crate.
 pub type Code = BTreeMap<String, String>;
 
-/// The files of this crate that can influence a stage's result. All others plan, schedule and store: they decide whether
-/// and where a job runs, but not the bytes that the stage reads.
+/// The files of this crate that can influence a stage's result. All others plan, schedule and store: they decide
+/// whether and where a job runs, but not the bytes that the stage reads.
 const ENGINE_API: [&str; 4] = ["src/artifact.rs", "src/context.rs", "src/failure.rs", "src/stage.rs"];
 
 /// The files of a stage's crate that readers of its artifact run: the type, and the exports that lead to it.
@@ -64,8 +64,8 @@ enum Extent {
 /// The sources that a job provably does not use: crate → files and folders, relative to the crate.
 pub type UnusedSources = BTreeMap<String, Vec<String>>;
 
-/// The fingerprint of the stage with the crate `stage`: its sources and those of all direct and indirect dependencies in
-/// the workspace, without the `unused` ones.
+/// The fingerprint of the stage with the crate `stage`: its sources and those of all direct and indirect dependencies
+/// in the workspace, without the `unused` ones.
 pub(crate) fn stage_code(table: &CodeTable, stage: &str, unused: &UnusedSources) -> Code {
     let mut code = Code::new();
     for (name, extent) in closure(table, stage) {

@@ -58,7 +58,8 @@ impl NodeState {
     }
 }
 
-/// The plan in Graphviz's language. Nodes without an entry in `states` are unknown. `collapse` draws one box per template.
+/// The plan in Graphviz's language. Nodes without an entry in `states` are unknown. `collapse` draws one box per
+/// template.
 pub fn dot(plan: &Plan, states: &BTreeMap<usize, NodeState>, collapse: bool) -> String {
     let drawing = Drawing::new(plan, states, collapse);
     let mut text = format!("digraph {} {{\n", quoted(&plan.recipe));

@@ -55,8 +55,8 @@ pub struct KeyInput {
 impl KeyComponents {
     /// The components of `node`'s key.
     ///
-    /// `inputs` holds one complete entry per producer for each port, in the plan's order. Values that the stage does not
-    /// see are removed here: coordinates on a port for one, measurements on a port that does not read them.
+    /// `inputs` holds one complete entry per producer for each port, in the plan's order. Values that the stage does
+    /// not see are removed here: coordinates on a port for one, measurements on a port that does not read them.
     pub fn of(
         node: &Node,
         mut inputs: BTreeMap<String, Vec<KeyInput>>,

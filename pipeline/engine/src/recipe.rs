@@ -5,7 +5,7 @@
 //! name = "dnerf-preview"                # default: the file's stem
 //! [axes]                                # their order is the order of names and table columns
 //! scene = ["bouncingballs", "lego"]
-//! method = "all"                        # every value that the stage knows, in its order; { except = ["vcgs"] }: all but
+//! method = "all"                        # all values that the stage lists; or { except = ["vcgs"] }: all but some
 //! seed = [0, 1]
 //! [nodes.capture]
 //! stage = "sfm-import"

@@ -57,8 +57,8 @@ pub trait AnyStage: Send + Sync {
     fn values(&self, key: &str) -> Option<Vec<String>>;
     /// Opens and checks an artifact of the stage.
     fn open(&self, dir: &Path) -> anyhow::Result<()>;
-    /// Runs the stage and checks the artifact that it returns, then opens the output folder and checks the artifact that it
-    /// reads.
+    /// Runs the stage and checks the artifact that it returns, then opens the output folder and checks the artifact
+    /// that it reads.
     fn run(&self, context: &JobContext, params: &Value) -> anyhow::Result<()>;
 }
 

@@ -1,5 +1,5 @@
-//! Static facts of artifacts, known before anything runs, and the resolution of a job from them: parameters without open
-//! choices, and the optional inputs that the job reads.
+//! Static facts of artifacts, known before anything runs, and the resolution of a job from them: parameters without
+//! open choices, and the optional inputs that the job reads.
 
 #[cfg(test)]
 mod tests;
@@ -10,8 +10,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// The static facts of an artifact: what is certain about it before it exists, by name, e.g. `times: 12`. A missing fact
-/// is unknown. The names are a convention between a stage and its readers; the engine knows none.
+/// The static facts of an artifact: what is certain about it before it exists, by name, e.g. `times: 12`. A missing
+/// fact is unknown. The names are a convention between a stage and its readers; the engine knows none.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Facts(BTreeMap<String, Value>);

@@ -88,8 +88,8 @@ impl Prediction {
     }
 }
 
-/// Predicts a run of `nodes`, which must include all of their producers. Nodes in `force` run even if the store has their
-/// results.
+/// Predicts a run of `nodes`, which must include all of their producers. Nodes in `force` run even if the store has
+/// their results.
 ///
 /// Does not change the store.
 pub fn predict(
@@ -228,8 +228,8 @@ impl History {
         Ok(Self { records })
     }
 
-    /// The newest record of the same job, i.e. with the same recipe, node name and stage. `device` restricts the search to
-    /// runs on that class of devices.
+    /// The newest record of the same job, i.e. with the same recipe, node name and stage. `device` restricts the search
+    /// to runs on that class of devices.
     pub fn newest(&self, recipe: &str, node: &Node, device: Option<DeviceClass>) -> Option<&ActionRecord> {
         let is_same = |record: &&ActionRecord| {
             let made = &record.provenance;

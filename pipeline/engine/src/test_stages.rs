@@ -164,7 +164,8 @@ fn fail(how: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Test stage: concatenates a required text, an optional one (unless it is known to be empty) and one of several endings.
+/// Test stage: concatenates a required text, an optional one (unless it is known to be empty) and one of several
+/// endings.
 pub(crate) struct Join;
 
 /// Parameters of [`Join`].

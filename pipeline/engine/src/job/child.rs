@@ -122,8 +122,8 @@ impl ProcessHandle {
 
 /// Runs one job in a child process and waits until it ends.
 ///
-/// `command` is the program and its first arguments; the path of the job's specification is appended. `lock` becomes the
-/// child's standard input, so that the child holds the lock even if this process dies first.
+/// `command` is the program and its first arguments; the path of the job's specification is appended. `lock` becomes
+/// the child's standard input, so that the child holds the lock even if this process dies first.
 pub fn supervise(
     command: &[OsString],
     spec: &JobSpec,

@@ -5,8 +5,8 @@ use std::io;
 
 use crate::{Failure, FailureKind};
 
-/// The failure of a stage's error: the first typed [`Failure`] in its chain, with the context above it; otherwise `World`
-/// for an I/O error and `BadInput` for any other error.
+/// The failure of a stage's error: the first typed [`Failure`] in its chain, with the context above it; otherwise
+/// `World` for an I/O error and `BadInput` for any other error.
 pub(super) fn of_error(error: &anyhow::Error) -> Failure {
     let mut context = Vec::new();
     for cause in error.chain() {

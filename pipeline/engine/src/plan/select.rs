@@ -16,8 +16,8 @@ pub struct NothingSelected {
 }
 
 impl Plan {
-    /// The nodes whose names match any of `patterns`; all nodes if there are no patterns. A pattern without a match is an
-    /// error.
+    /// The nodes whose names match any of `patterns`; all nodes if there are no patterns. A pattern without a match is
+    /// an error.
     pub fn select(&self, patterns: &[String]) -> Result<BTreeSet<usize>, NothingSelected> {
         if patterns.is_empty() {
             return Ok((0..self.nodes.len()).collect());

@@ -1,4 +1,5 @@
-//! Links jobs to their producers, resolves their parameters from the producers' facts, and prunes jobs that nothing reads.
+//! Links jobs to their producers, resolves their parameters from the producers' facts, and prunes jobs that nothing
+//! reads.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -122,7 +123,8 @@ impl<'a> Linker<'a> {
         self.plan.nodes.push(node);
     }
 
-    /// Refuses nodes without a producer on a port for one: `only` may give the producer fewer axis values than the node.
+    /// Refuses nodes without a producer on a port for one: `only` may give the producer fewer axis values than the
+    /// node.
     fn refuse_gaps(&mut self, name: &str, template: &Template, ports: &[Port], inputs: &[PlanInput]) {
         for (port, _) in
             ports.iter().zip(inputs).filter(|(port, input)| port.arity == Arity::One && input.producers.is_empty())

@@ -16,7 +16,8 @@ use crate::plan::Plan;
 /// stages of `registry`: every job with its full parameters, producers and plan id.
 ///
 /// All errors are reported at once, except that inputs are resolved only if the recipe has no other errors. Stages may
-/// read files below `data_root`, so the available data decides which effects a job simulates. The store decides nothing.
+/// read files below `data_root`, so the available data decides which effects a job simulates. The store decides
+/// nothing.
 pub fn resolve(path: &Path, overrides: &[String], registry: &Registry, data_root: &Path) -> Result<Plan, RecipeErrors> {
     let overrides = Overrides { set: overrides.to_vec(), ..Overrides::default() };
     resolve_with(path, &overrides, registry, data_root)
@@ -55,7 +56,8 @@ pub fn resolve_with(
     }
 }
 
-/// The name of a recipe that states none: the file's stem without leading `.` and `-`, which a folder's name must not have.
+/// The name of a recipe that states none: the file's stem without leading `.` and `-`, which a folder's name must not
+/// have.
 fn name_of_file(path: &Path) -> String {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let name = stem.trim_start_matches(['.', '-']);

@@ -7,7 +7,8 @@ use crate::{Arity, Port, Registry};
 use super::errors::{Report, join_arrows};
 use super::raw::{Like, Named, RawRecipe, Template, Wire};
 
-/// Checks all templates. Returns their indices, producers first (ties in the order of the file), unless there is a cycle.
+/// Checks all templates. Returns their indices, producers first (ties in the order of the file), unless there is a
+/// cycle.
 pub(super) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report) -> Option<Vec<usize>> {
     for (name, template) in &recipe.templates {
         let key = format!("nodes.{name}");

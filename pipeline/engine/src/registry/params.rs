@@ -14,7 +14,8 @@ pub(super) fn canonical<S: Stage>(raw: &Value) -> Result<Value, Vec<ParamProblem
     let Some(params) = params else {
         return Err(problems);
     };
-    // `deserialize_all` replaced bad values by defaults. Skip problems of `check_params` with keys that are already reported.
+    // `deserialize_all` replaced bad values by defaults. Skip problems of `check_params` with keys that are already
+    // reported.
     let reported: BTreeSet<String> = problems.iter().map(|problem| problem.key.clone()).collect();
     problems.extend(S::check_params(&params).into_iter().filter(|problem| !reported.contains(&problem.key)));
     if !problems.is_empty() {

@@ -1,8 +1,8 @@
 use crate::plan::{Origin, Plan};
 use crate::recipe::tests::{errors, plan};
 
-/// A recipe with the texts `a` and `b` for each seed, joined and listed. `suffix` adds inputs to the join; `params` sets
-/// its parameters.
+/// A recipe with the texts `a` and `b` for each seed, joined and listed. `suffix` adds inputs to the join; `params`
+/// sets its parameters.
 fn recipe(suffix: &str, params: &str) -> String {
     format!(
         r#"

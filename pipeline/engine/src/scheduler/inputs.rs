@@ -164,8 +164,8 @@ pub enum Readiness {
 
 /// Whether the job of node `index` can run, given the outcomes of the nodes so far.
 ///
-/// A port for many accepts producers without an artifact and passes their failures to the job, unless one was interrupted:
-/// the job would have to run again when that producer continues.
+/// A port for many accepts producers without an artifact and passes their failures to the job, unless one was
+/// interrupted: the job would have to run again when that producer continues.
 pub fn readiness(plan: &Plan, index: usize, outcomes: &[Option<NodeOutcome>], sources: &Sources) -> Readiness {
     let node = &plan.nodes[index];
     let digests = match sources.digests(node) {

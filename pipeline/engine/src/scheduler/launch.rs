@@ -129,7 +129,8 @@ impl Supervisor {
         self.send(message);
     }
 
-    /// Takes the action's lock. Then returns the result of another run if there is one by now, otherwise runs the child.
+    /// Takes the action's lock. Then returns the result of another run if there is one by now, otherwise runs the
+    /// child.
     fn find_or_run(&self) -> anyhow::Result<Result<Box<ActionRecord>, Ended>> {
         let lock = lock::open(&self.store.lock_file(self.key.as_str())).context("cannot open a lock")?;
         if !lock::try_exclusive(&lock)? {

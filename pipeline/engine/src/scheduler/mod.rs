@@ -209,8 +209,8 @@ impl<'a> Scheduler<'a> {
         }
     }
 
-    /// Handles a node whose producers are all finished: finishes it without running, takes the result from the store, or
-    /// queues its job.
+    /// Handles a node whose producers are all finished: finishes it without running, takes the result from the store,
+    /// or queues its job.
     fn dispatch(&mut self, index: usize) -> anyhow::Result<()> {
         let components = match readiness(self.plan, index, &self.outcomes, &self.sources) {
             Readiness::Waiting => return Ok(()),

@@ -30,8 +30,8 @@ pub struct RunSummary {
 }
 
 impl RunSummary {
-    /// The program's exit code (see [`exit`]). Missing data alone is not a failure if a sink has a result that depends on
-    /// available data, unless `require_data` is set.
+    /// The program's exit code (see [`exit`]). Missing data alone is not a failure if a sink has a result that depends
+    /// on available data, unless `require_data` is set.
     pub fn exit_code(&self, require_data: bool) -> u8 {
         let counts = &self.counts;
         if let Some(signal) = &self.stopped_by {

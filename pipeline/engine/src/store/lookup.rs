@@ -26,8 +26,8 @@ pub enum Lookup {
 }
 
 impl Store {
-    /// Looks up an action. File sizes are always checked. Contents are checked unless the marker shows that they matched
-    /// after the last change of any file.
+    /// Looks up an action. File sizes are always checked. Contents are checked unless the marker shows that they
+    /// matched after the last change of any file.
     pub fn lookup(&self, key: &ActionKey) -> Lookup {
         let path = self.record_path(key);
         let damaged = |reason: String| Lookup::Damaged { reason, paths: vec![path.clone()] };
@@ -97,8 +97,8 @@ impl Store {
     }
 }
 
-/// The problem with a blob, if there is one. Its contents are read only if it changed at or after `verified_ns`: a change
-/// in the same clock tick cannot be distinguished from an earlier one.
+/// The problem with a blob, if there is one. Its contents are read only if it changed at or after `verified_ns`: a
+/// change in the same clock tick cannot be distinguished from an earlier one.
 fn blob_fault(path: &Path, digest: &Digest, size_bytes: u64, verified_ns: i128) -> Option<&'static str> {
     let Ok(meta) = fs::symlink_metadata(path) else { return Some("is missing") };
     if !meta.is_file() || meta.len() != size_bytes {

@@ -44,8 +44,8 @@ pub struct Usage {
 }
 
 impl Store {
-    /// Hashes every blob and checks the blobs of every record. `repair` moves damaged blobs and the records that need them
-    /// to quarantine, so that the next run recomputes them.
+    /// Hashes every blob and checks the blobs of every record. `repair` moves damaged blobs and the records that need
+    /// them to quarantine, so that the next run recomputes them.
     pub fn verify(&self, repair: bool) -> anyhow::Result<Vec<Damage>> {
         let blobs = files_below(&self.root.join("cas"))?;
         let corrupt: Vec<PathBuf> = blobs.into_par_iter().filter(|path| !self.is_sound(path)).collect();
@@ -97,8 +97,8 @@ impl Store {
     /// Removes the records whose plan id is not in `keep_plan_ids` and that no run made or used within `max_age`, then
     /// everything that no remaining record needs. The caller holds the store's exclusive lock.
     ///
-    /// This includes the views, result links and markers of removed artifacts, all locks and scratch files, and checkpoints,
-    /// failures, quarantined files and run folders older than `max_age`.
+    /// This includes the views, result links and markers of removed artifacts, all locks and scratch files, and
+    /// checkpoints, failures, quarantined files and run folders older than `max_age`.
     pub fn gc(&self, keep_plan_ids: &BTreeSet<String>, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
         let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {

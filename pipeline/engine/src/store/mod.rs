@@ -55,8 +55,8 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the store in `root`. A missing or empty folder becomes a store. A folder with other files is refused, because
-    /// garbage collection would remove them.
+    /// Opens the store in `root`. A missing or empty folder becomes a store. A folder with other files is refused,
+    /// because garbage collection would remove them.
     pub fn open(root: &Path) -> anyhow::Result<Self> {
         let make = |error| Failure::new(FailureKind::World, format!("cannot create the store ({error})")).at(root);
         fs::create_dir_all(root).map_err(make)?;
@@ -146,13 +146,14 @@ impl Store {
         self.lock_shared().context("cannot lock the store")
     }
 
-    /// Creates a scratch folder on the store's file system, which is removed when dropped. The caller holds the shared lock.
+    /// Creates a scratch folder on the store's file system, which is removed when dropped. The caller holds the shared
+    /// lock.
     pub fn scratch(&self, purpose: &str) -> io::Result<tempfile::TempDir> {
         tempfile::Builder::new().prefix(&format!("{purpose}-")).tempdir_in(self.root.join("tmp"))
     }
 
-    /// Writes a file durably that must not exist yet: temporary file (in the folder that the next run cleans), fsync, rename
-    /// that never replaces.
+    /// Writes a file durably that must not exist yet: temporary file (in the folder that the next run cleans), fsync,
+    /// rename that never replaces.
     fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
         let mut file = new_file("", &self.root.join("tmp"))?;
@@ -175,7 +176,8 @@ impl Store {
         self.root.join("FORMAT")
     }
 
-    /// Fails if the folder, which has no FORMAT, has any file except those of another process that is creating the store.
+    /// Fails if the folder, which has no FORMAT, has any file except those of another process that is creating the
+    /// store.
     fn refuse_foreign_folder(&self) -> anyhow::Result<()> {
         let entries = fs::read_dir(&self.root).context("cannot open the store")?;
         for entry in entries {

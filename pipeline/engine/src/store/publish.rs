@@ -16,8 +16,8 @@ use tempfile::TempPath;
 use super::{Manifest, Store, sync_dir};
 use crate::Digest;
 
-/// Up to this number of files and folders are synced one by one (about 4 ms each on a slow disk). For more, one `syncfs`
-/// of the whole file system is cheaper, although it waits for the writes of other processes, too.
+/// Up to this number of files and folders are synced one by one (about 4 ms each on a slow disk). For more, one
+/// `syncfs` of the whole file system is cheaper, although it waits for the writes of other processes, too.
 const MAX_SINGLE_SYNCS: usize = 64;
 
 /// A published artifact.
@@ -34,7 +34,8 @@ pub struct Publication {
 }
 
 impl Store {
-    /// Moves the folder `dir`, which must be on the store's file system, into the store, together with its measurements.
+    /// Moves the folder `dir`, which must be on the store's file system, into the store, together with its
+    /// measurements.
     ///
     /// Afterwards all blobs are durable. The artifact becomes visible when its record is written.
     pub fn publish(&self, dir: &Path, measurements: &Value) -> anyhow::Result<Publication> {

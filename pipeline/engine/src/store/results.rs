@@ -15,8 +15,8 @@ impl Store {
         self.root.join("results").join(recipe).join(node)
     }
 
-    /// Points the link of each node to the view of its artifact. Correct links are not touched. A file that the store did
-    /// not make is never replaced; it is an error.
+    /// Points the link of each node to the view of its artifact. Correct links are not touched. A file that the store
+    /// did not make is never replaced; it is an error.
     pub fn link_results<'a>(
         &self,
         recipe: &str,
@@ -47,8 +47,9 @@ impl Store {
         up.chain(["views", &content.to_string()]).collect()
     }
 
-    /// Creates the folders above `link` and removes an old link or folder at `link`. An earlier version of the recipe may
-    /// have had a node whose link is now in the place of a folder (it must not be followed into the store), or vice versa.
+    /// Creates the folders above `link` and removes an old link or folder at `link`. An earlier version of the recipe
+    /// may have had a node whose link is now in the place of a folder (it must not be followed into the store), or vice
+    /// versa.
     fn clear_path(&self, link: &Path) -> io::Result<()> {
         let results = self.root.join("results");
         let inside = link.strip_prefix(&results).unwrap_or(Path::new(".."));

@@ -1,7 +1,8 @@
 //! Views: folders of links into `cas`, through which artifacts are read in place.
 //!
-//! The files of an artifact with a web page are copied instead, because users open, keep and send it: a browser resolves
-//! a link and treats its target, which has no extension, as text, and a folder of links cannot leave the store.
+//! The files of an artifact with a web page are copied instead, because users open, keep and send it: a browser
+//! resolves a link and treats its target, which has no extension, as text, and a folder of links cannot leave the
+//! store.
 
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::symlink;

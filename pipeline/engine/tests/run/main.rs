@@ -1,5 +1,5 @@
-//! Complete runs with small stages. This binary contains the tests, and doubles as the scheduler process that is killed and
-//! as the child process of every job.
+//! Complete runs with small stages. This binary contains the tests, and doubles as the scheduler process that is killed
+//! and as the child process of every job.
 
 mod crash;
 mod outcomes;

@@ -16,6 +16,7 @@ mod vcgs;
 
 use std::sync::LazyLock;
 
+use engine::UnusedSources;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -54,6 +55,9 @@ pub(crate) fn registry() -> &'static [Registration] {
 pub(crate) trait MethodFolder: 'static {
     /// The name in recipes and tables, equal to the folder's.
     const NAME: &'static str;
+    /// The kernel folders below `shaders/src` that only this method uses, e.g. `losses/histogram`. An edit there reruns no
+    /// other method. A test of the workspace derives them from the sources.
+    const KERNELS: &'static [&'static str] = &[];
     /// The method's own table of parameters.
     type Settings: Serialize + DeserializeOwned + Default;
 
@@ -96,6 +100,7 @@ type Build<T> = fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<T>>>;
 pub(crate) struct Registration {
     /// The name in recipes and tables.
     pub name: &'static str,
+    kernels: &'static [&'static str],
     /// The method's defaults for the tables of all methods.
     pub shared_defaults: fn() -> Shared,
     own_effects: fn() -> Vec<Effect>,
@@ -113,6 +118,7 @@ impl Registration {
     fn of<M: MethodFolder>() -> Self {
         Self {
             name: M::NAME,
+            kernels: M::KERNELS,
             shared_defaults: M::shared_defaults,
             own_effects: M::effects,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
@@ -181,7 +187,15 @@ pub(crate) fn find(name: &str) -> Result<&'static Registration, UnknownName> {
     found.ok_or_else(|| UnknownName { got: name.into(), known: &NAMES })
 }
 
-/// The folders of all other methods: an edit there cannot change the result of this one.
-pub(crate) fn unused_sources(name: &str) -> Vec<String> {
-    NAMES.iter().filter(|other| **other != name).map(|other| format!("src/methods/{other}")).collect()
+/// The names of all methods, in the order of the tables.
+pub(crate) fn names() -> &'static [&'static str] {
+    &NAMES
+}
+
+/// The folders and kernels of all other methods: an edit there cannot change the result of this one.
+pub(crate) fn unused_sources(name: &str) -> UnusedSources {
+    let others = || METHODS.iter().filter(|other| other.name != name);
+    let folders = others().map(|other| format!("src/methods/{}", other.name)).collect();
+    let kernels = others().flat_map(|other| other.kernels).map(|kernel| format!("src/{kernel}")).collect();
+    [("training".to_owned(), folders), ("shaders".to_owned(), kernels)].into()
 }

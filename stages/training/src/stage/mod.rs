@@ -73,7 +73,11 @@ impl Stage for Training {
     }
 
     fn unused_sources(params: &TrainingParams) -> UnusedSources {
-        [(Self::ID.into(), methods::unused_sources(&params.method))].into()
+        methods::unused_sources(&params.method)
+    }
+
+    fn values(key: &str) -> Option<Vec<String>> {
+        (key == "method").then(|| methods::names().iter().map(|name| name.to_string()).collect())
     }
 
     fn run(context: &JobContext, params: &TrainingParams) -> anyhow::Result<Model> {

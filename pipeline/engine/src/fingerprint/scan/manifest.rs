@@ -49,8 +49,8 @@ impl Manifest {
     }
 }
 
-/// Adds the dependencies and build dependencies of one table of a manifest. Development dependencies do not count, nor do
-/// workspace crates below `tests/`, which hold helpers for tests.
+/// Adds the dependencies and build dependencies of one table of a manifest. Development dependencies do not count, nor
+/// do workspace crates below `tests/`, which hold helpers for tests.
 fn add_dependencies(
     found: &mut BTreeMap<String, BTreeMap<String, Table>>,
     target: &str,

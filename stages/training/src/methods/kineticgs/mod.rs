@@ -42,6 +42,7 @@ pub(crate) struct Kineticgs;
 
 impl MethodFolder for Kineticgs {
     const NAME: &'static str = "kineticgs";
+    const KERNELS: &'static [&'static str] = &["losses/histogram"];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {

@@ -36,6 +36,7 @@ pub(crate) struct L4dgs;
 
 impl MethodFolder for L4dgs {
     const NAME: &'static str = "l4dgs";
+    const KERNELS: &'static [&'static str] = &["networks/convolution", "networks/group_norm", "networks/pooling"];
     type Settings = L4dgsSettings;
 
     fn shared_defaults() -> Shared {

@@ -48,6 +48,7 @@ pub(crate) struct Mcgs;
 
 impl MethodFolder for Mcgs {
     const NAME: &'static str = "mcgs";
+    const KERNELS: &'static [&'static str] = &["networks/layer_norm"];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {

@@ -29,6 +29,7 @@ pub(crate) struct Phys4dgs;
 
 impl MethodFolder for Phys4dgs {
     const NAME: &'static str = "phys4dgs";
+    const KERNELS: &'static [&'static str] = &["arrays/sample"];
     type Settings = Phys4dgsSettings;
 
     fn shared_defaults() -> Shared {

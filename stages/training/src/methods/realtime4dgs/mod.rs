@@ -36,6 +36,7 @@ pub(crate) struct Realtime4dgs;
 
 impl MethodFolder for Realtime4dgs {
     const NAME: &'static str = "realtime4dgs";
+    const KERNELS: &'static [&'static str] = &["networks/temporal_harmonics"];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
