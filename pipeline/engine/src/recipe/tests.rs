@@ -327,7 +327,8 @@ fn a_recipe_with_too_many_jobs_is_refused() {
 
 #[test]
 fn an_invalid_value_is_reported_once() {
-    assert_eq!(errors(GRID, &["axes.seed = [18446744073709551616]"]).len(), 1);
+    let out_of_range = "1: axes.seed: integer out of range";
+    assert_eq!(errors(GRID, &["axes.seed = [18446744073709551616]"]), [out_of_range]);
     assert_eq!(
         errors(GRID, &["nodes.train.params.keep = {}"]),
         ["1: nodes.train.params.keep: invalid type: table, expected a non-negative whole number",]
