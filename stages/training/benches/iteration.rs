@@ -10,14 +10,14 @@ use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, Intrinsics, Prot
 use serde_json::json;
 use training::{Dataset, NOTHING, Trainer, TrainingParams};
 
-/// As the program has it: the system's allocator hands tens of megabytes per step back to the kernel.
+/// The allocator of the `pipeline` binary: the system's allocator returns tens of megabytes per step to the kernel.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 const SIZE: u32 = 200;
 const GAUSSIANS: usize = 20_000;
 const VIEWS: usize = 8;
-/// Iterations behind the table of activities.
+/// Iterations averaged in the table of activities.
 const TABLE_ITERATIONS: u64 = 50;
 
 fn iterations(criterion: &mut Criterion) {
@@ -59,7 +59,7 @@ fn print_table(method: &str, trainer: &mut Trainer<'_>) {
     }
 }
 
-/// Views of smooth colours from a circle of cameras.
+/// Writes a capture of smooth colours, viewed from a circle of cameras.
 fn capture(dir: &std::path::Path) -> scene::Result<Capture> {
     let protocol = Protocol {
         dataset: "benchmark".into(),

@@ -1,5 +1,6 @@
 //! Trains on a capture folder without the engine: `train_folder CAPTURE OUT [key=value …]`, keys as in a recipe's
-//! `params` (`method=static3dgs schedule_scale=0.1 density.until=500`). Prints the curve and where the time went.
+//! `params` (`method=static3dgs schedule_scale=0.1 density.until=500`). Prints the curve and the milliseconds of each
+//! activity.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;

@@ -1,4 +1,4 @@
-//! The artifact of training: every learnable tensor by name, and what is needed to use them.
+//! The artifact of training: every tensor of a model by name, and the header needed to use them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,20 +17,20 @@ const TENSORS: &str = "model.safetensors";
 /// A trained model: `model.json` (the header) and `model.safetensors` (every tensor, f32, by name).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// What the tensors are.
+    /// Everything that is not a tensor: method, parameters, scene and effects.
     pub header: ModelHeader,
     /// Tensors by name, e.g. `gaussians.positions`.
     pub tensors: BTreeMap<String, NamedTensor>,
 }
 
-/// The largest magnitude that a tensor's gradient had, as trainings measure it.
+/// The largest magnitude of a tensor's gradient during a training, and the step at which it occurred.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LargestGradient {
-    /// Loss per unit of the tensor.
+    /// The largest absolute value in the gradient, loss per unit of the tensor.
     pub magnitude: f64,
-    /// The phase in which it was.
+    /// The phase in which it occurred.
     pub phase: String,
-    /// The step within the phase.
+    /// The step within that phase.
     pub iteration: u64,
 }
 
@@ -46,23 +46,24 @@ pub struct ModelHeader {
     pub protocol: Protocol,
     /// The colour behind the Gaussians, in [0, 1].
     pub background: [f32; 3],
-    /// Seconds to the [0, 1] that the motion model sees.
+    /// Maps seconds of the capture to the normalised time in [0, 1] of the motion model.
     pub time_map: TimeMap,
     /// 1.1 × the largest distance of a training camera from their mean, scene units.
     pub scene_extent: f64,
-    /// Different times among the training views.
+    /// Number of distinct times among the training views.
     pub time_count: usize,
-    /// Spherical-harmonics degree that was reached.
+    /// Spherical-harmonics degree at the end of the training.
     pub sh_degree: usize,
-    /// Gaussians in the model.
+    /// Number of Gaussians in the model.
     pub n_gaussians: u64,
-    /// Optimiser steps per phase, in order.
+    /// Name and optimizer steps of every phase, in order.
     pub iterations: Vec<(String, u64)>,
     /// The seed of every random choice.
     pub seed: u64,
-    /// The method's effects: whether each was simulated, and why.
+    /// The decision on every effect of the method: whether it was simulated, and the reason.
     pub effects: Vec<Decision>,
-    /// The prompts that the method was trained with, in the order of their embeddings; none where it reads no words.
+    /// The prompts that the method was trained with, in the order of their embeddings; empty for methods without
+    /// prompts.
     pub prompts: Vec<String>,
 }
 
@@ -71,7 +72,7 @@ pub struct ModelHeader {
 pub struct NamedTensor {
     /// Sizes, outermost first.
     pub shape: Vec<usize>,
-    /// The values.
+    /// The values in row-major order.
     pub values: Vec<f32>,
 }
 
@@ -84,7 +85,7 @@ impl Model {
         save_tensors(&self.tensors, &dir.join(TENSORS))
     }
 
-    /// Bytes of all tensors on disk: what a reader of the table calls the model's size.
+    /// The model's size in result tables: the bytes of all tensor values on disk.
     pub fn size_bytes(&self) -> u64 {
         self.tensors.values().map(|tensor| 4 * tensor.values.len() as u64).sum()
     }

@@ -6,9 +6,9 @@
 //! | the loop | `trainer` (steps, speculation, checkpoints, telemetry), `player` (a trained model in use) |
 //! | the methods | `params` (the parameters of one training), `methods` (one folder each), `bases` (what they build on) |
 //! | the contract | `method` (what a method is and what a step offers it) |
-//! | the ground | `data` (views and optional inputs), `artifact` (models on disk), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `clock`, `device` |
+//! | the foundations | `data` (views and optional inputs), `artifact` (models on disk), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `clock`, `device` |
 //!
-//! Modules depend only on layers below and never in a circle.
+//! Modules depend only on the layers below, without cycles.
 
 #![warn(missing_docs, unreachable_pub)]
 

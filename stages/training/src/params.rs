@@ -1,8 +1,8 @@
 //! The parameters of one training, as a recipe gives them.
 //!
-//! The tables that every method understands are [`Shared`]; each method has its own defaults for them. The settings of a
-//! single method are a table with the name of the method. Only the chosen method's table is kept, so a change of another
-//! method's settings never retrains this one.
+//! The tables that every method understands are [`Shared`]; each method has its own defaults for them. The settings of
+//! a single method are a table with the name of the method. Only the chosen method's table is kept, so a change of
+//! another method's settings never retrains this one.
 
 use engine::ParamProblem;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -11,7 +11,7 @@ use serde_json::{Map, Value};
 use crate::methods::{self, Registration, UnknownName};
 use crate::shared::{Shared, merge};
 
-/// The method of a recipe that names none.
+/// The method of recipes that do not name one.
 const DEFAULT_METHOD: &str = "static3dgs";
 
 /// The parameters of one training.
@@ -25,7 +25,7 @@ pub struct TrainingParams {
     pub(crate) settings: Value,
 }
 
-/// Why a table is not the parameters of a training.
+/// The reason why a table is not valid as the parameters of a training.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum InvalidTable {
     /// The method is not registered.
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn another_methods_table_is_checked_and_left_out() {
+    fn another_methods_table_is_checked_and_dropped() {
         let plain = read(json!({ "method": "static3dgs" })).unwrap();
         let with_other = json!({ "method": "static3dgs", "deformable4dgs": { "time_resolution": 75 } });
         assert_eq!(read(with_other).unwrap(), plain);
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_cannot_work_are_refused_by_key() {
+    fn invalid_values_are_reported_by_key() {
         let bad = [
             ("schedule_scale", json!({ "schedule_scale": -1.0 })),
             ("schedule_scale", json!({ "schedule_scale": 1e300 })),

@@ -19,7 +19,7 @@ use crate::trainer::to_bytes;
 /// Pixels per side.
 pub(crate) const SIZE: u32 = 24;
 
-/// What the capture shows.
+/// The parameters of the test capture.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TestScene {
     /// Training views, evenly over time.
@@ -104,8 +104,8 @@ impl TestScene {
         }
     }
 
-    /// Everything that the optional inputs of a training can give, of the training views: exact depth, flow to half a
-    /// second later as the same camera sees it, velocity, what moves, and made-up features.
+    /// Every optional input of a training, for the training views: exact depth, optical flow to half a second later in
+    /// the same camera, velocity, moving parts, and random features.
     pub(crate) fn supplements(&self, dataset: &Dataset) -> Supplements {
         let views = &dataset.capture.views;
         let mut found = Supplements { features: Some(test_features(views.len())), ..Supplements::default() };

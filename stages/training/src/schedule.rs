@@ -48,12 +48,12 @@ impl LogLinear {
         Self { steps: stretch(self.steps, factor), ..*self }
     }
 
-    /// The rest of the law after this many steps.
+    /// The remaining decay after this many steps.
     pub(crate) fn after(&self, steps: u64) -> Self {
         Self { start: self.at(steps), end: self.end, steps: self.steps.saturating_sub(steps).max(1) }
     }
 
-    /// Positive and finite at both ends, over at least one step.
+    /// Whether both ends are valid rates and the decay takes at least one step.
     pub(crate) fn is_valid(&self) -> bool {
         let good = |rate: f64| rate > 0.0 && rate.is_finite();
         good(self.start) && good(self.end) && self.steps > 0
@@ -61,11 +61,11 @@ impl LogLinear {
 }
 
 /// Maximum learning rate. Adam moves a value by about its rate per step; with larger steps it cannot converge.
-pub(crate) const MOST_RATE: f64 = 10.0;
+pub(crate) const MAX_RATE: f64 = 10.0;
 
 /// Whether a value is a valid learning rate.
 pub(crate) fn is_rate(rate: f64) -> bool {
-    rate > 0.0 && rate <= MOST_RATE
+    rate > 0.0 && rate <= MAX_RATE
 }
 
 /// `steps` times `factor`, rounded; at least 1 unless `steps` is 0.
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_law_has_the_rates_of_its_ends_and_middle() {
+    fn a_decay_has_the_rates_of_its_ends_and_middle() {
         let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
         for (step, expected) in [(0, 1e-2), (50, 1e-3), (100, 1e-4), (1000, 1e-4)] {
             assert!((law.at(step) / expected - 1.0).abs() <= 1e-12, "step {step}: {}", law.at(step));
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rest_of_a_law_continues_it() {
+    fn the_remaining_decay_continues_the_whole() {
         let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
         for (left_at, step) in [(30, 20), (30, 70), (30, 500), (0, 50), (100, 3), (200, 3)] {
             let (rest, whole) = (law.after(left_at).at(step), law.at(left_at + step));

@@ -33,8 +33,8 @@ impl Bounds {
         }
     }
 
-    /// The cube that uniformly distributed positions (at least one) would fill. Outliers, frequent in clouds of structure
-    /// from motion, do not enlarge it.
+    /// The cube that uniformly distributed positions (at least one) would fill. Outliers, frequent in clouds of
+    /// structure from motion, do not enlarge it.
     pub(crate) fn typical_cube(positions: &[[f32; 3]]) -> Self {
         let center = along(positions, median);
         let deviations: Vec<[f32; 3]> = positions

@@ -1,8 +1,8 @@
 //! Canonical Gaussians that are trained first as a static scene, then together with their motion: the training of
 //! Deformable 3D Gaussians (Yang et al. 2024) and its successors.
 //!
-//! There are two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: learning rates and density control
-//! continue from the warm-up; only the optimizer's moments restart.
+//! There are two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: learning rates and density
+//! control continue from the warm-up; only the optimizer's moments restart.
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
@@ -29,8 +29,8 @@ const POSITION_RATE_FACTOR: f64 = 5.0;
 const MIN_SCALE: f64 = 1e-9;
 
 pointwise! {
-    /// y = ln max(|eˢ + Δ|, floor): the logarithm of a scale s changed by Δ after activation. A covariance contains only the
-    /// square of a scale, so its sign has no meaning.
+    /// y = ln max(|eˢ + Δ|, floor): the logarithm of a scale s changed by Δ after activation. A covariance contains
+    /// only the square of a scale, so its sign has no meaning.
     fn changed_log_scale(s, change) with(floor) -> y {
         return log(max(abs(exp(s) + change), floor));
     }

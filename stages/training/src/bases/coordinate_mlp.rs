@@ -1,9 +1,9 @@
-//! The coordinate network of Deformable 3D Gaussians (Yang et al. 2024, section 3.3): positionally encoded position and time
-//! pass eight layers of 256 ReLUs with a skip connection of the input; linear heads predict the changes.
+//! The coordinate network of Deformable 3D Gaussians (Yang et al. 2024, section 3.3): positionally encoded position and
+//! time pass eight layers of 256 ReLUs with a skip connection of the input; linear heads predict the changes.
 //!
-//! The network reads positions relative to the scene's box (`{name}.bounds`, [`crate::bases::bounds`]), and its shifts are
-//! in units of the box. The published code reads world coordinates, which its scenes keep near [−1, 1]; at coordinates of
-//! 10⁴ the highest frequencies in f32 would be noise.
+//! The network reads positions relative to the scene's box (`{name}.bounds`, [`crate::bases::bounds`]), and its shifts
+//! are in units of the box. The published code reads world coordinates, which its scenes keep near [−1, 1]; at
+//! coordinates of 10⁴ the highest frequencies in f32 would be noise.
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
@@ -36,8 +36,8 @@ pub(crate) struct CoordinateMlpSettings {
     pub position_bands: usize,
     /// Frequencies of the encoded time.
     pub time_bands: usize,
-    /// Outputs of a small network that processes the encoded time; 0 passes the encoded time on unchanged (the published
-    /// settings for real scenes, with 10 bands).
+    /// Outputs of a small network that processes the encoded time; 0 passes the encoded time on unchanged (the
+    /// published settings for real scenes, with 10 bands).
     pub time_features: usize,
     /// Learning rate.
     pub rate: LogLinear,
@@ -58,9 +58,9 @@ impl Default for CoordinateMlpSettings {
 }
 
 /// Maximum size: a larger layer takes gigabytes, so a larger value is a typing error.
-const MOST_CHANNELS: usize = 4096;
+const MAX_CHANNELS: usize = 4096;
 /// Maximum frequencies: at 2²⁰ the phase of a coordinate of 1 is lost to rounding in f32.
-const MOST_BANDS: usize = 20;
+const MAX_BANDS: usize = 20;
 
 impl CoordinateMlpSettings {
     /// Small, with every part.
@@ -77,14 +77,14 @@ impl CoordinateMlpSettings {
         }
     }
 
-    /// An error for settings that cannot work.
+    /// Checks the settings; the error is the reason why they are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             ((1..=64).contains(&self.depth), "depth must be 1 to 64"),
-            ((1..=MOST_CHANNELS).contains(&self.width), "width must be 1 to 4096"),
+            ((1..=MAX_CHANNELS).contains(&self.width), "width must be 1 to 4096"),
             (self.skip_after < self.depth, "skip_after must be less than depth"),
-            (self.position_bands.max(self.time_bands) <= MOST_BANDS, "bands must be 20 at most"),
-            (self.time_features <= MOST_CHANNELS, "time_features must be 4096 at most"),
+            (self.position_bands.max(self.time_bands) <= MAX_BANDS, "bands must be 20 at most"),
+            (self.time_features <= MAX_CHANNELS, "time_features must be 4096 at most"),
             (self.rate.is_valid(), "rates must be positive"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn neither_the_origin_nor_the_unit_of_the_world_changes_what_is_said() {
+    fn origin_and_unit_of_the_world_change_no_output() {
         let near = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 30, 2);
         let to_far = |point: [f32; 3]| point.map(|value| 1e4 + 50.0 * value);
         let far = PointCloud { positions: near.positions.iter().copied().map(to_far).collect(), ..near.clone() };

@@ -46,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_is_no_number_shows_on_every_device() {
+    fn a_gate_of_nan_is_nan_on_every_device() {
         for device in [Some(Device::Cpu), test_gpu().map(Device::Gpu)].into_iter().flatten() {
             let mut tape = Tape::<f32>::new(device);
             let x = tape.leaf(Tensor::from_vec([3], vec![f32::NAN, 0.1, 0.7]));

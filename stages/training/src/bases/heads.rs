@@ -1,5 +1,5 @@
-//! The network shape of hexplane methods: one trunk layer and a small head per attribute, each ReLU, Linear, ReLU, Linear
-//! (Wu et al. 2024, section 4.3).
+//! The network shape of hexplane methods: one trunk layer and a small head per attribute, each ReLU, Linear, ReLU,
+//! Linear (Wu et al. 2024, section 4.3).
 
 use rand_chacha::ChaCha8Rng;
 use shaders::networks::linear::Activation;
@@ -24,7 +24,8 @@ impl HeadedNetwork {
         Self { name, features, width, heads, silent_heads: Vec::new() }
     }
 
-    /// Adds heads that always start at 0. They are drawn last, so all other tensors equal those of the network without them.
+    /// Adds heads that always start at 0. They are drawn last, so all other tensors equal those of the network without
+    /// them.
     pub(crate) fn with_silent_heads(self, silent_heads: Vec<(&'static str, usize)>) -> Self {
         Self { silent_heads, ..self }
     }

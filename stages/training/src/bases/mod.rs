@@ -1,4 +1,4 @@
-//! What methods are built from. Bases know the trainer's vocabulary and no method.
+//! The building blocks of methods. A base uses the contract of [`crate::method`] and knows no method.
 
 pub(crate) mod anchors;
 pub(crate) mod bounds;

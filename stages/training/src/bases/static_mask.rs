@@ -22,12 +22,12 @@ pub(crate) const SKIP_STILL: Effect = Effect {
 /// The reach of a Gaussian in standard deviations, √(2·ln 255): beyond, an opaque one contributes less than 1/255.
 const REACH: f64 = 3.33;
 
-/// Flags [N, 1] of the Gaussians that may move (1) or are static (0). They are not trained, and density control copies them
-/// to the children of a Gaussian.
+/// Flags [N, 1] of the Gaussians that may move (1) or are static (0). They are not trained, and density control copies
+/// them to the children of a Gaussian.
 const MAY_MOVE: &str = "gaussians.may_move";
 
-/// Adds the flags if the effect is on. A Gaussian may move if it reaches a moving pixel in any training view. Views without
-/// a known moving part are ignored; if it is unknown in all views, all Gaussians may move.
+/// Adds the flags if the effect is on. A Gaussian may move if it reaches a moving pixel in any training view. Views
+/// without a known moving part are ignored; if it is unknown in all views, all Gaussians may move.
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, effects: &Effects, start: &Start<'_>) -> anyhow::Result<()> {
     if !effects.has(SKIP_STILL.name) {
         return Ok(());

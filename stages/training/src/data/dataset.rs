@@ -1,4 +1,4 @@
-//! The training views in memory, and the scene facts that methods may know.
+//! The training views in memory, and the facts of the scene that methods may read.
 
 use std::collections::BTreeSet;
 
@@ -25,14 +25,14 @@ pub struct Dataset {
     pub curve_split: Split,
 }
 
-/// What methods may know of the scene.
+/// The facts of a scene that methods may read.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SceneFacts {
     /// 1.1 × the largest distance of a training camera from their mean, scene units.
     pub extent: f64,
-    /// Seconds to [0, 1].
+    /// Maps seconds of the capture to the normalised time in [0, 1].
     pub time_map: TimeMap,
-    /// The colour behind the Gaussians.
+    /// The colour behind the Gaussians, in [0, 1].
     pub background: [f32; 3],
     /// Number of distinct times among the training views.
     pub time_count: usize,
@@ -45,9 +45,9 @@ pub(crate) struct TrainingView<T: Real> {
     pub index: usize,
     /// Intrinsics and pose.
     pub camera: PinholeCamera,
-    /// In [0, 1].
+    /// Normalised time in [0, 1].
     pub time: f64,
-    /// [H, W, 3] in [0, 1].
+    /// The image [H, W, 3] in [0, 1].
     pub image: Tensor<T>,
 }
 
@@ -57,14 +57,15 @@ pub struct LoadedView {
     pub index: usize,
     /// Intrinsics and pose.
     pub camera: PinholeCamera,
-    /// In [0, 1].
+    /// Normalised time in [0, 1].
     pub time: f64,
-    /// [H, W, 3] sRGB.
+    /// The image [H, W, 3], 8-bit sRGB.
     pub pixels: Vec<u8>,
 }
 
 impl Dataset {
-    /// Reads every training view and `curve_views` views for the curve; 8 bit per value stay in memory.
+    /// Reads every training view and `curve_views` views for the curve; the images stay in memory with 8 bits per
+    /// value.
     pub fn load(capture: Capture, curve_views: usize) -> anyhow::Result<Self> {
         let train_views: Vec<_> = capture.views_of(Split::Train).collect();
         if train_views.is_empty() {
@@ -127,7 +128,7 @@ impl LoadedView {
         self.with_image(self.image())
     }
 
-    /// [H, W, 3] in [0, 1].
+    /// The image [H, W, 3] in working precision, in [0, 1].
     pub(crate) fn image<T: Real>(&self) -> Tensor<T> {
         let levels: Vec<T> = (0..=255).map(|level| T::from_f64(f64::from(level) / 255.0)).collect();
         let values = self.pixels.iter().map(|&value| levels[usize::from(value)]).collect();
@@ -182,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn thinning_keeps_the_asked_count_and_the_pairs() {
+    fn thinning_keeps_the_requested_count_and_the_pairs() {
         let points = PointCloud {
             positions: (0..10).map(|at| [at as f32; 3]).collect(),
             colors: (0..10).map(|at| [at as u8; 3]).collect(),

@@ -1,6 +1,6 @@
-//! What training may know beyond images, poses and times; all of it is optional.
+//! The optional inputs of a training, beyond images, poses and times.
 //!
-//! A method reads only what its active effects need; whatever a recipe does not give is empty here.
+//! A method reads only the inputs that its active effects need. An input that the recipe does not wire is empty here.
 
 use engine::Facts;
 use image::RgbImage;

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use shaders::tape::{Device, Real, Tensor};
 
 /// Capacity of the cache, bytes: little memory for a GPU that can train on views of their size.
-const MOST_BYTES: usize = 2 << 30;
+const MAX_BYTES: usize = 2 << 30;
 
 /// Tensors of views that many steps read. A GPU receives each of them once, up to the capacity of the cache; on the CPU
 /// they are recomputed, because caching them would double the memory of the data set.
@@ -44,7 +44,7 @@ impl<T: Real> ViewConstants<T> {
         }
         let tensor = make().moved_to(device);
         let bytes = size_of::<T>() * tensor.len();
-        if kept.bytes + bytes <= MOST_BYTES {
+        if kept.bytes + bytes <= MAX_BYTES {
             kept.bytes += bytes;
             kept.tensors.insert((what, view), tensor.clone());
         }

@@ -1,7 +1,7 @@
 //! The contract between the trainer and the methods.
 //!
-//! The trainer knows phases, tensors by name, losses by name and step hooks; their meaning is up to the method. Everything
-//! is generic over the precision, so a whole step can be checked in f64.
+//! The trainer knows phases, tensors by name, losses by name and step hooks; their meaning is up to the method.
+//! Everything is generic over the precision, so a whole step can be checked in f64.
 
 mod hooks;
 mod language;
@@ -38,7 +38,7 @@ pub(crate) struct Moment<'a> {
     pub scene: &'a SceneFacts,
     /// The phase's name; after training the last one.
     pub phase: &'a str,
-    /// In [0, 1].
+    /// Normalised time in [0, 1].
     pub time: f64,
     /// The camera, for colours and anchors that depend on the viewpoint.
     pub camera: &'a PinholeCamera,
@@ -56,7 +56,7 @@ pub(crate) struct Start<'a> {
 }
 
 impl<'a> Start<'a> {
-    /// What methods may know of the scene.
+    /// The facts of the scene that methods may read.
     pub(crate) fn scene(&self) -> &'a SceneFacts {
         &self.dataset.scene
     }
@@ -67,7 +67,7 @@ impl<'a> Start<'a> {
     }
 }
 
-/// A kind of model and its standard training: what methods are built on. A base knows no method.
+/// A kind of model and its standard training, shared by the methods that build on it. A base knows no method.
 pub(crate) trait Base<T: Real>: Send + Sync {
     /// The phases in order.
     fn phases(&self) -> Vec<Phase>;
@@ -109,8 +109,8 @@ pub(crate) trait Base<T: Real>: Send + Sync {
     }
 }
 
-/// A method of dynamic (or static) Gaussian splatting: a base and whatever differs from it. By default the base answers
-/// every question and the loss is photometric.
+/// A method of dynamic (or static) Gaussian splatting: a base and the differences from it. By default, every call is
+/// forwarded to the base and the loss is photometric.
 pub(crate) trait Method<T: Real>: Send + Sync {
     /// The base; the method itself, if it builds on none of [`crate::bases`].
     fn base(&self) -> &dyn Base<T>;
@@ -151,7 +151,8 @@ pub(crate) trait Method<T: Real>: Send + Sync {
         self.base().splats(tape, model, moment)
     }
 
-    /// The rows of the model that [`Method::splats`] returns, if they change with the moment; `None`: all rows in order.
+    /// The rows of the model that [`Method::splats`] returns, if they change with the moment; `None`: all rows in
+    /// order.
     fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
         self.base().rows(tape, model, moment)
     }

@@ -1,4 +1,4 @@
-//! One training step: what a method sees of it, and its forward and backward pass, in any precision.
+//! One training step: its interface for methods, and its forward and backward pass, in any precision.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -70,7 +70,7 @@ pub(crate) struct RenderRecord {
     pub rows: Option<SplatRows>,
 }
 
-/// One training step as a method sees it.
+/// One training step: the inputs of a method's losses and the recorder of its results.
 pub(crate) struct Step<'a, T: Real> {
     /// Records every operation.
     pub tape: &'a mut Tape<T>,
@@ -80,9 +80,9 @@ pub(crate) struct Step<'a, T: Real> {
     pub views: &'a [TrainingView<T>],
     /// The scene.
     pub scene: &'a SceneFacts,
-    /// All training views, for what looks at more than this step's.
+    /// All training views, for losses that need more than the views of this step.
     pub dataset: &'a Dataset,
-    /// What the optional inputs gave.
+    /// The optional inputs.
     pub supplements: &'a Supplements,
     /// The tables that every method understands.
     pub shared: &'a Shared,
@@ -94,13 +94,13 @@ pub(crate) struct Step<'a, T: Real> {
     pub sh_degree: usize,
     /// How renders are rasterised.
     pub raster: RasterSettings,
-    /// The method's own random draws.
+    /// The random stream of the method.
     pub random: &'a mut ChaCha8Rng,
-    /// Where the time goes.
+    /// Attributes the time of the step to activities.
     pub clock: &'a mut PhaseClock,
     /// Constant tensors of views on the step's device.
     pub(crate) constants: &'a ViewConstants<T>,
-    /// What the method has recorded so far.
+    /// The losses, renders and work counters recorded so far.
     pub(crate) recorded: Recorded,
 }
 
@@ -131,8 +131,8 @@ impl<'a, T: Real> Step<'a, T> {
         }
     }
 
-    /// Renders splats, and their `features` [N, F] if given, into a view. The screen-space gradients of the render drive
-    /// the `observed` population.
+    /// Renders splats, and their `features` [N, F] if given, into a view. The screen-space gradients of the render
+    /// drive the `observed` population.
     pub(crate) fn render(
         &mut self,
         splats: &SplatVars,

@@ -84,8 +84,8 @@ impl Optimizer {
         Ok(())
     }
 
-    /// [`Optimizer::step`] on a GPU, without waiting for it. Returns the largest magnitudes of each gradient and of the new
-    /// values, [count, 2].
+    /// [`Optimizer::step`] on a GPU, without waiting for it. Returns the largest magnitudes of each gradient and of the
+    /// new values, [count, 2].
     pub(crate) fn step_on(
         &mut self,
         gpu: Gpu,

@@ -4,7 +4,7 @@ use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
 use super::check::Checks;
-use crate::schedule::{LogLinear, MOST_RATE, is_rate};
+use crate::schedule::{LogLinear, MAX_RATE, is_rate};
 
 /// Learning rates of the Gaussians' attributes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,7 +41,7 @@ impl LearningRates {
     pub(super) fn problems(&self) -> Vec<ParamProblem> {
         let Self { position, sh_dc, sh_rest, opacity, scale, rotation } = *self;
         let is_good = position.is_valid() && is_rate(position.start.max(position.end));
-        let message = format!("must be in (0, {MOST_RATE}]");
+        let message = format!("must be in (0, {MAX_RATE}]");
         let constant =
             [("sh_dc", sh_dc), ("sh_rest", sh_rest), ("opacity", opacity), ("scale", scale), ("rotation", rotation)];
         let checks = Checks::of("learning_rates").require("position", is_good, &*message);

@@ -53,8 +53,8 @@ impl Trainer<'_> {
         }
     }
 
-    /// The error for a value that is not finite. It names the value, the step, and the origin: a tensor of the model, the
-    /// first operation with such an output, or the backward pass.
+    /// The error for a value that is not finite. It names the value, the step, and the origin: a tensor of the model,
+    /// the first operation with such an output, or the backward pass.
     fn not_finite(&self, what: &str, tape: Option<&Tape<f32>>) -> anyhow::Error {
         let origin = match (self.state.optimizer.first_bad_tensor(), tape.map(Tape::first_non_finite_op)) {
             (Some(tensor), Some(_)) => format!("because {tensor} was not before the step"),

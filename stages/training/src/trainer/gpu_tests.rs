@@ -10,8 +10,8 @@ use crate::data::NOTHING;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
-/// Tolerance of a step's loss between devices, relative to the loss of the first step. Rounding errors grow from step to
-/// step: Adam divides gradients by their magnitude, so the smallest ones count in full.
+/// Tolerance of a step's loss between devices, relative to the loss of the first step. Rounding errors grow from step
+/// to step: Adam divides gradients by their magnitude, so the smallest ones count in full.
 const LOSS: f64 = 0.01;
 /// Tolerance of the final PSNR between devices, dB.
 const PSNR: f64 = 0.1;

@@ -1,11 +1,11 @@
 //! The training loop, which knows no method.
 //!
-//! One step draws views, binds the tensors to a tape, lets the method compute its losses, differentiates them, steps the
-//! optimizer and runs the step hooks. Each phase begins with a fresh optimizer. Nothing depends on the number of threads
-//! or on the clock, so a training resumed from a checkpoint ends in the same bytes as an undisturbed one.
+//! One step draws views, binds the tensors to a tape, lets the method compute its losses, differentiates them, steps
+//! the optimizer and runs the step hooks. Each phase begins with a fresh optimizer. Nothing depends on the number of
+//! threads or on the clock, so a training resumed from a checkpoint ends in the same bytes as an undisturbed one.
 //!
-//! A [`Trainer`] is a `Setup`, which steps only read, a `TrainState`, which each step maps to the next, and `Telemetry`,
-//! which no step reads.
+//! A [`Trainer`] is a `Setup`, which steps only read, a `TrainState`, which each step maps to the next, and
+//! `Telemetry`, which no step reads.
 
 mod checkpoint;
 mod curve;

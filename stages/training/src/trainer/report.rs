@@ -110,8 +110,8 @@ fn loss_shares(sums: &BTreeMap<String, f64>, clock: &ClockReading) -> BTreeMap<S
     sums.iter().map(share).collect()
 }
 
-/// Milliseconds per step of every activity in every phase that has begun; the last of `phases` has completed `iteration`
-/// steps.
+/// Milliseconds per step of every activity in every phase that has begun; the last of `phases` has completed
+/// `iteration` steps.
 fn milliseconds_by_phase(
     clock: &ClockReading,
     phases: &[Phase],

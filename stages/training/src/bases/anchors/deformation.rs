@@ -23,7 +23,7 @@ const ANCHOR_NETWORK: &str = "anchor_network";
 const GAUSSIAN_FIELD: &str = "gaussian_field";
 const GAUSSIAN_NETWORK: &str = "gaussian_network";
 /// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
-const MOST_TEXELS: usize = 4096;
+const MAX_TEXELS: usize = 4096;
 
 /// The planes of one field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -94,7 +94,7 @@ impl FieldSettings {
     }
 
     fn works(&self) -> bool {
-        let few = |size: &usize| (1..=MOST_TEXELS).contains(size);
+        let few = |size: &usize| (1..=MAX_TEXELS).contains(size);
         let PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one } = self.regularizers;
         [self.channels, self.spatial_resolution, self.time_resolution].iter().chain(&self.multipliers).all(few)
             && !self.multipliers.is_empty()
@@ -117,11 +117,11 @@ impl DeformationSettings {
         Self { anchors: field.clone(), gaussians: field, width: 8, zero_heads: false, ..Self::default() }
     }
 
-    /// An error for settings that cannot work.
+    /// Checks the settings; the error is the reason why they are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             (self.anchors.works() && self.gaussians.works(), "fields need 1 to 4096 texels and weights from 0 on"),
-            ((1..=MOST_TEXELS).contains(&self.width), "the width of the networks must be 1 to 4096"),
+            ((1..=MAX_TEXELS).contains(&self.width), "the width of the networks must be 1 to 4096"),
             (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))

@@ -1,7 +1,8 @@
 //! Growing and pruning of anchors (Lu et al. 2024, section 3.3, with the constants of the published code).
 //!
-//! Growing adds anchors at Gaussians whose projected means have a large gradient, level by level: the larger the gradient,
-//! the smaller the cell that must be free of anchors. Pruning removes anchors whose Gaussians stayed transparent.
+//! Growing adds anchors at Gaussians whose projected means have a large gradient, level by level: the larger the
+//! gradient, the smaller the cell that must be free of anchors. Pruning removes anchors whose Gaussians stayed
+//! transparent.
 
 mod statistics;
 
@@ -87,7 +88,8 @@ impl AnchorGrowth {
         Ok(())
     }
 
-    /// The cells of Gaussians (slot, gradient) that hold no anchor, up to the cap on Gaussians: the largest gradients first.
+    /// The cells of Gaussians (slot, gradient) that hold no anchor, up to the cap on Gaussians: the largest gradients
+    /// first.
     fn free_cells(
         &self,
         optimizer: &Optimizer,
@@ -117,8 +119,8 @@ impl AnchorGrowth {
         Ok(free)
     }
 
-    /// Removes anchors that were in view often enough and whose Gaussians were transparent. The most opaque anchor always
-    /// stays, so an empty scene keeps one.
+    /// Removes anchors that were in view often enough and whose Gaussians were transparent. The most opaque anchor
+    /// always stays, so an empty scene keeps one.
     fn prune(&mut self, optimizer: &mut Optimizer) -> anyhow::Result<()> {
         let opacities = self.statistics.mean_opacities(self.views_needed());
         let opacity = |anchor: usize| opacities[anchor].unwrap_or(1.0);
@@ -132,8 +134,8 @@ impl AnchorGrowth {
     }
 }
 
-/// Appends an anchor at the centre of every free cell: a copy of its first parent, with the maximum of every feature over
-/// all parents, zero offsets, and scales of the size of the cell.
+/// Appends an anchor at the centre of every free cell: a copy of its first parent, with the maximum of every feature
+/// over all parents, zero offsets, and scales of the size of the cell.
 fn add_anchors(optimizer: &mut Optimizer, free: Vec<([i64; 3], Candidate)>, cell_size: f64) -> anyhow::Result<()> {
     let first_new = optimizer.population_len(ANCHORS)?;
     let first_parents: Vec<usize> = free.iter().map(|(_, candidate)| candidate.parents[0]).collect();

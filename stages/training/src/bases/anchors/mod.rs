@@ -1,5 +1,5 @@
-//! Anchors that spawn Gaussians for every view (Lu et al. 2024, Scaffold-GS), and hexplane fields that move both (Kwak et
-//! al. 2025, MoDec-GS).
+//! Anchors that spawn Gaussians for every view (Lu et al. 2024, Scaffold-GS), and hexplane fields that move both (Kwak
+//! et al. 2025, MoDec-GS).
 //!
 //! | tensor | shape | |
 //! |---|---|---|
@@ -44,7 +44,7 @@ pub(crate) const COARSE: &str = "coarse";
 /// All tensors are trained.
 pub(crate) const FINE: &str = "fine";
 /// Maximum values per anchor, far beyond any use: a larger value is a typing error.
-const MOST_VALUES: usize = 8192;
+const MAX_VALUES: usize = 8192;
 
 /// Settings of anchors, their networks and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -82,8 +82,8 @@ pub(crate) struct Growth {
     pub levels: u32,
     /// Side of the largest cells, in voxels.
     pub largest_cell: f64,
-    /// Share of an interval's iterations in which an anchor must be in view before it may be pruned; its Gaussians must be
-    /// visible in half that share before they may add anchors.
+    /// Share of an interval's iterations in which an anchor must be in view before it may be pruned; its Gaussians must
+    /// be visible in half that share before they may add anchors.
     pub success: f64,
     /// Statistics are collected from this iteration on.
     pub statistics_from: u64,
@@ -121,10 +121,10 @@ impl AnchorSettings {
         Self { voxel_size: 0.05, features: 4, offsets: 4, width: 16, growth, ..Self::default() }
     }
 
-    /// An error for settings that cannot work.
+    /// Checks the settings; the error is the reason why they are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
-        let few = |count: usize| (1..=MOST_VALUES).contains(&count);
+        let few = |count: usize| (1..=MAX_VALUES).contains(&count);
         let rates = [self.offset_rate, self.opacity_network_rate, self.shape_network_rate, self.color_network_rate];
         let Growth { levels, largest_cell, success, .. } = self.growth;
         let good = [
@@ -184,7 +184,7 @@ pub(crate) fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &Tr
     step.add_loss("photometric", PHOTOMETRIC_WEIGHT / step.views.len() as f64, value);
 }
 
-/// Anchors that stand still, and their training.
+/// Static anchors and their training.
 pub(crate) struct AnchoredGaussians {
     shared: Shared,
     settings: AnchorSettings,

@@ -237,7 +237,7 @@ fn a_gpu_adds_the_same_statistics_without_readbacks() {
 }
 
 #[test]
-fn settings_that_cannot_work_are_refused() {
+fn invalid_settings_are_refused() {
     settings().check().unwrap();
     DeformationSettings::default().check().unwrap();
     let bad = [

@@ -51,7 +51,7 @@ impl Default for ControlNodeSettings {
 }
 
 /// Maximum nodes: every Gaussian is compared with every node, so a larger value is a typing error.
-const MOST_NODES: usize = 65_536;
+const MAX_NODES: usize = 65_536;
 
 impl ControlNodeSettings {
     /// A few nodes.
@@ -60,9 +60,9 @@ impl ControlNodeSettings {
         Self { count: 5, rigid_neighbors: 3, first_radius: 0.5, ..Self::default() }
     }
 
-    /// An error for settings that cannot work.
+    /// Checks the settings; the error is the reason why they are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
-        let few = |count: usize| (1..=MOST_NODES).contains(&count);
+        let few = |count: usize| (1..=MAX_NODES).contains(&count);
         let good = [
             (few(self.count) && few(self.per_gaussian), "nodes.count and nodes.per_gaussian must be 1 to 65536"),
             (few(self.rigid_neighbors), "nodes.rigid_neighbors must be 1 to 65536"),

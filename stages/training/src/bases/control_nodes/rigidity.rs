@@ -25,10 +25,11 @@ impl Rigidity {
         Some(Self { neighbors, owner_of_edge: RowIndex::new(owners, positions.rows()) })
     }
 
-    /// Σ ‖(p'ⱼ − p'ᵢ) − Rᵢ(pⱼ − pᵢ)‖² over all edges from i to j, shape [1], between positions p and p' [M, 3] of two moments.
+    /// Σ ‖(p'ⱼ − p'ᵢ) − Rᵢ(pⱼ − pᵢ)‖² over all edges from i to j, shape [1], between positions p and p' [M, 3] of two
+    /// moments.
     ///
-    /// Rᵢ is the rotation that fits the edges of i best. It is held constant, because the derivative by the optimal rotation
-    /// vanishes.
+    /// Rᵢ is the rotation that fits the edges of i best. It is held constant, because the derivative by the optimal
+    /// rotation vanishes.
     pub(crate) fn energy<T: Real>(&self, tape: &mut Tape<T>, before: Var, after: Var) -> Var {
         let [edges_before, edges_after] = [before, after].map(|positions| self.edges(tape, positions));
         let rotations = quaternion::best_rotations(tape, edges_before, edges_after, self.neighbors.per_point());

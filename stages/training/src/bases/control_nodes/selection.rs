@@ -6,8 +6,8 @@ use shaders::tape::{Real, Tensor};
 /// Points per parallel chunk.
 const POINTS_PER_CHUNK: usize = 4096;
 
-/// Up to `count` rows of `points` [N, D] that lie far apart: the first point, then repeatedly the point farthest from those
-/// chosen (Gonzalez 1985); the first one among equals.
+/// Up to `count` rows of `points` [N, D] that lie far apart: the first point, then repeatedly the point farthest from
+/// those chosen (Gonzalez 1985); the first one among equals.
 pub(crate) fn farthest_points<T: Real>(points: &Tensor<T>, count: usize) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(count.min(points.rows()));
     let mut distances = vec![T::from_f64(f64::INFINITY); points.rows()];

@@ -1,9 +1,9 @@
 //! Adaptive density control of Kerbl et al. 2023 (section 5.2, with the constants of the published code).
 //!
-//! Gradients are those by the projected mean in normalised device coordinates, averaged over the steps in which the Gaussian
-//! is visible. Departures: a round uses only statistics from before it (as in the published code, a clone is never split in
-//! the same round), the optimizer's step of the same iteration comes first, and a hard cap keeps the largest gradients when
-//! a round would exceed it.
+//! Gradients are those by the projected mean in normalised device coordinates, averaged over the steps in which the
+//! Gaussian is visible. Departures: a round uses only statistics from before it (as in the published code, a clone is
+//! never split in the same round), the optimizer's step of the same iteration comes first, and a hard cap keeps the
+//! largest gradients when a round would exceed it.
 
 use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
@@ -51,8 +51,8 @@ struct Round {
 }
 
 impl AdaptiveDensity {
-    /// Density control of `population` with a schedule stretched by `schedule_scale`. `reset_at_start` resets opacities once
-    /// when rounds begin (the published code does so on a white background).
+    /// Density control of `population` with a schedule stretched by `schedule_scale`. `reset_at_start` resets opacities
+    /// once when rounds begin (the published code does so on a white background).
     pub(crate) fn new(population: &str, params: &Density, schedule_scale: f64, reset_at_start: bool) -> Self {
         let params = Density {
             from: stretch(params.from, schedule_scale),
@@ -110,7 +110,8 @@ impl AdaptiveDensity {
         Ok(())
     }
 
-    /// Gaussians above the threshold, in order; only those with the largest gradients if the cap does not allow all of them.
+    /// Gaussians above the threshold, in order; only those with the largest gradients if the cap does not allow all of
+    /// them.
     fn candidates(&self, count: usize) -> Vec<usize> {
         let rows = self.statistics.rows();
         let mean = |at: usize| rows[at][GRADIENT_SUM] / rows[at][SEEN_COUNT].max(1.0);

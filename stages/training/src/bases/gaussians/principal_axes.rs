@@ -11,8 +11,8 @@ const MIN_SCALE: f64 = 1e-9;
 
 /// Logarithms of the standard deviations and the quaternion (w, x, y, z) of the covariance FFᵀ, F in rows.
 ///
-/// One-sided Jacobi rotations (Hestenes 1958) multiply F from the right until its columns are orthogonal. The columns are
-/// then the axes, and their lengths the standard deviations. Small ones keep their precision, which FFᵀ would lose.
+/// One-sided Jacobi rotations (Hestenes 1958) multiply F from the right until its columns are orthogonal. The columns
+/// are then the axes, and their lengths the standard deviations. Small ones keep their precision, which FFᵀ would lose.
 pub(crate) fn principal_axes(factor: &[f32]) -> ([f32; 3], [f32; 4]) {
     let rows: [f64; 9] = std::array::from_fn(|at| f64::from(factor[at]));
     let mut columns = DMat3::from_cols_array(&rows).transpose().to_cols_array_2d().map(DVec3::from);
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_a_very_small_ball() {
+    fn a_zero_covariance_is_a_tiny_ball() {
         let (log_scales, rotation) = principal_axes(&[0.0; 9]);
         assert!(log_scales.iter().all(|value| value.is_finite()));
         assert!((rotation.iter().map(|value| value * value).sum::<f32>() - 1.0).abs() <= 1e-6);

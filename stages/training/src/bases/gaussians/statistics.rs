@@ -10,8 +10,8 @@ use crate::method::{ScreenGradients, ScreenStats};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Vec<f32>", into = "Vec<f32>")]
 pub(crate) struct Statistics {
-    /// [N, 3] from [`shaders::rasteriser::screen::observe`]: the sum of the gradients' norms, the number of steps in which
-    /// the Gaussian is visible, and its largest radius in pixels.
+    /// [N, 3] from [`shaders::rasteriser::screen::observe`]: the sum of the gradients' norms, the number of steps in
+    /// which the Gaussian is visible, and its largest radius in pixels.
     rows: Tensor<f32>,
 }
 

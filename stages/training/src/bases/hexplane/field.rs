@@ -102,8 +102,8 @@ impl Field {
 
     /// Adds the regularisers of the planes to a step's losses; one of weight 0 is not evaluated.
     ///
-    /// The weights of the two time regularisers are adapted so that they equal the published code's, whose means include
-    /// the idle lower half (see [`TimeAxis`]).
+    /// The weights of the two time regularisers are adapted so that they equal the published code's, whose means
+    /// include the idle lower half (see [`TimeAxis`]).
     pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>, weights: &PlaneWeights) {
         let time_factor = match self.time_axis {
             TimeAxis::Full => 0.5,

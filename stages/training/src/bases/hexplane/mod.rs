@@ -1,7 +1,7 @@
 //! Canonical Gaussians moved by a hexplane field and a small network: 4DGaussians (Wu et al. 2024).
 //!
-//! There are two phases. `coarse` fits static Gaussians to all frames; it depends only on the box of the field, so methods
-//! can share it. `fine` adds the field and the network and trains all tensors.
+//! There are two phases. `coarse` fits static Gaussians to all frames; it depends only on the box of the field, so
+//! methods can share it. `fine` adds the field and the network and trains all tensors.
 
 pub(crate) mod field;
 mod network;
@@ -59,8 +59,8 @@ pub(crate) struct HexplaneSettings {
     pub channels: usize,
     /// Texels along x, y and z at multiplier 1.
     pub spatial_resolution: usize,
-    /// Texels along time in the published code's counting (it reads only half of them, see `time_axis`); unset: half the
-    /// number of distinct training times, as in its D-NeRF settings.
+    /// Texels along time in the published code's counting (it reads only half of them, see `time_axis`); unset: half
+    /// the number of distinct training times, as in its D-NeRF settings.
     pub time_resolution: Option<usize>,
     /// Multipliers of the spatial resolution, one set of planes each.
     pub multipliers: Vec<usize>,
@@ -106,7 +106,7 @@ impl Default for HexplaneSettings {
 }
 
 /// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
-const MOST_TEXELS: usize = 4096;
+const MAX_TEXELS: usize = 4096;
 
 impl HexplaneSettings {
     /// Small, with every head, and regularisers of noticeable weight.
@@ -125,11 +125,11 @@ impl HexplaneSettings {
         }
     }
 
-    /// An error for settings that cannot work.
+    /// Checks the settings; the error is the reason why they are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         let sizes = [self.channels, self.spatial_resolution, self.width, self.time_resolution.unwrap_or(1)];
         let weights = [self.spatial_smoothness, self.temporal_smoothness, self.time_to_one];
-        let few = |size: &usize| (1..=MOST_TEXELS).contains(size);
+        let few = |size: &usize| (1..=MAX_TEXELS).contains(size);
         let good = [
             (sizes.iter().all(few), "channels, resolutions and width must be 1 to 4096"),
             (!self.multipliers.is_empty() && self.multipliers.iter().all(few), "multipliers must be 1 to 4096"),

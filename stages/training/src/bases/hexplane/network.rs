@@ -64,7 +64,8 @@ pub(crate) struct Network {
 }
 
 impl Network {
-    /// A network `features` → `width` → heads, with further heads that change no attribute; `sh_count` harmonics per channel.
+    /// A network `features` → `width` → heads, with further heads that change no attribute; `sh_count` harmonics per
+    /// channel.
     pub(crate) fn new(
         features: usize,
         width: usize,

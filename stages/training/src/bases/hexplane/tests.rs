@@ -135,7 +135,7 @@ fn time_texels_follow_the_training_times_and_the_axis() {
 }
 
 #[test]
-fn settings_that_cannot_work_are_refused() {
+fn invalid_settings_are_refused() {
     HexplaneSettings::default().check().unwrap();
     let bad = [
         HexplaneSettings { multipliers: Vec::new(), ..HexplaneSettings::default() },

@@ -19,7 +19,7 @@ use crate::method::Step;
 use crate::model::{ModelState, Variables};
 
 /// Gaussians with a smaller share of their opacity left are hidden (published code); 2.45 standard deviations.
-pub(crate) const LEAST_SHARE: f64 = 0.05;
+pub(crate) const MIN_SHARE: f64 = 0.05;
 
 /// Margin of the initial times beyond the clip, as a share of the clip (published code).
 const TIME_MARGIN: f64 = 0.1;
@@ -39,9 +39,9 @@ pub(crate) fn parameters(model: &Variables, population: &str, log_scales: Var) -
     }
 }
 
-/// Slices a population at a time in [0, 1]; Gaussians with less than [`LEAST_SHARE`] of their opacity are hidden.
+/// Slices a population at a time in [0, 1]; Gaussians with less than [`MIN_SHARE`] of their opacity are hidden.
 pub(crate) fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, time: f64) -> SlicedVars {
-    slicing4d::slice(tape, parameters, time, LEAST_SHARE)
+    slicing4d::slice(tape, parameters, time, MIN_SHARE)
 }
 
 /// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: times

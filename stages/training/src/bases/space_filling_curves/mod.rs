@@ -1,5 +1,5 @@
-//! Space-filling curves: an order of cells in which neighbours along the curve are neighbours in space, so that pairs of
-//! close points are found by one sort.
+//! Space-filling curves: an order of cells in which neighbours along the curve are neighbours in space, so that pairs
+//! of close points are found by one sort.
 //!
 //! The Hilbert curve is Skilling's transform (Skilling 2004, Programming the Hilbert curve, AIP Conference Proceedings
 //! 707): consecutive cells share a face. The Z-order curve (Morton 1966) interleaves the bits of the coordinates; it is
@@ -9,7 +9,7 @@
 mod tests;
 
 /// Maximum bits per coordinate, so that three coordinates fit into 64 bits.
-const MOST_BITS: u32 = 16;
+const MAX_BITS: u32 = 16;
 
 /// A space-filling curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,20 +23,20 @@ pub(crate) enum Curve {
 impl Curve {
     /// The index on the curve of a cell whose coordinates are below 2^bits.
     pub(crate) fn place(self, cell: [u32; 3], bits: u32) -> u64 {
-        assert!(bits <= MOST_BITS && cell.iter().all(|&axis| u64::from(axis) < 1 << bits), "a cell outside the cube");
+        assert!(bits <= MAX_BITS && cell.iter().all(|&axis| u64::from(axis) < 1 << bits), "a cell outside the cube");
         match self {
             Self::Hilbert => interleave(hilbert_transpose(cell, bits), bits),
             Self::ZOrder => interleave(cell, bits),
         }
     }
 
-    /// The indices of positions in the order of the curve through cells of side `cell_size`, or larger cells if there were
-    /// more than 2^16 of them along an axis. Positions of one cell keep their order.
+    /// The indices of positions in the order of the curve through cells of side `cell_size`, or larger cells if there
+    /// were more than 2^16 of them along an axis. Positions of one cell keep their order.
     pub(crate) fn order(self, positions: &[[f32; 3]], cell_size: f64) -> Vec<u32> {
         let low: [f64; 3] = std::array::from_fn(|axis| extreme(positions, axis, f64::min));
         let high: [f64; 3] = std::array::from_fn(|axis| extreme(positions, axis, f64::max));
         let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
-        let most_cells = ((1_u64 << MOST_BITS) - 1) as f64;
+        let most_cells = ((1_u64 << MAX_BITS) - 1) as f64;
         let cell_size = cell_size.max(longest / most_cells).max(f64::MIN_POSITIVE);
         let bits = u32::BITS - ((longest / cell_size) as u32).leading_zeros();
         let place = |position: &[f32; 3]| {

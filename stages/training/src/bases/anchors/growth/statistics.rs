@@ -20,7 +20,8 @@ pointwise! {
     }
 }
 
-/// Sums per anchor and per Gaussian (slot), K slots per anchor. They stay on the device that renders until they are read.
+/// Sums per anchor and per Gaussian (slot), K slots per anchor. They stay on the device that renders until they are
+/// read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Saved", into = "Saved")]
 pub(crate) struct Statistics {
