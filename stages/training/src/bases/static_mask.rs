@@ -14,7 +14,7 @@ use crate::model::{ModelState, Variables};
 /// The effect, offered by every method whose motion model moves Gaussians one by one.
 pub(crate) const SKIP_STILL: Effect = Effect {
     name: "skip-still",
-    about: "Gaussians that no view shows where something moves skip the motion model",
+    about: "Gaussians that reach no moving pixel in any training view skip the motion model",
     needs: &[Need::Layers, Need::Effect("motion")],
     by_default: false,
 };
