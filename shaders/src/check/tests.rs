@@ -1,5 +1,5 @@
 use super::*;
-use crate::tape::Op;
+use crate::tape::{Backward, Op};
 
 /// y = x², with a gradient that is wrong by a factor `1 + fault` in one element.
 struct Square {
@@ -16,14 +16,8 @@ impl Op<f64> for Square {
         vec![Tensor::from_vec(inputs[0].shape(), squares)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<f64>],
-        _outputs: &[&Tensor<f64>],
-        output_grads: &[Option<&Tensor<f64>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<f64>>> {
-        let dy = output_grads[0].unwrap().as_slice();
+    fn backward(&mut self, pass: Backward<f64>) -> Vec<Option<Tensor<f64>>> {
+        let (inputs, dy) = (pass.inputs, pass.dy().as_slice());
         let mut dx: Vec<f64> = inputs[0].as_slice().iter().zip(dy).map(|(x, dy)| 2.0 * x * dy).collect();
         dx[2] *= 1.0 + self.fault;
         vec![Some(Tensor::from_vec(inputs[0].shape(), dx))]

@@ -4,7 +4,7 @@ use super::*;
 use crate::check::conformance::{self, Tolerance, compare, run};
 pub(crate) use crate::check::test_gpu;
 use crate::pointwise;
-use crate::tape::{Device, Op, Tape, Tensor, Var};
+use crate::tape::{Backward, Device, Op, Tape, Tensor, Var};
 
 /// The bits of results.
 pub(crate) fn bits(results: &[(String, Tensor<f32>)]) -> Vec<Vec<u32>> {
@@ -49,14 +49,8 @@ impl Op<f32> for PlusOne {
         vec![Tensor::from_vec(inputs[0].shape(), inputs[0].as_slice().iter().map(|x| x + 1.0).collect())]
     }
 
-    fn backward(
-        &mut self,
-        _inputs: &[&Tensor<f32>],
-        _outputs: &[&Tensor<f32>],
-        output_grads: &[Option<&Tensor<f32>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<f32>>> {
-        vec![output_grads[0].cloned()]
+    fn backward(&mut self, pass: Backward<f32>) -> Vec<Option<Tensor<f32>>> {
+        vec![Some(pass.dy().clone())]
     }
 }
 

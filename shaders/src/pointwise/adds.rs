@@ -2,7 +2,7 @@
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk};
-use crate::tape::{Op, Real, Tape, Tensor, Var, sums_on_gpu};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, sums_on_gpu};
 
 /// The sums of pairs of equal shape, each equal to [`super::add`]. A GPU computes them in one launch.
 pub fn adds<T: Real>(tape: &mut Tape<T>, pairs: &[[Var; 2]]) -> Vec<Var> {
@@ -33,19 +33,24 @@ impl<T: Real> Op<T> for Adds {
     }
 
     /// The gradient of a sum is the gradient of both of its terms, on either device.
-    fn backward(
-        &mut self,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { output_grads, needs, .. } = pass;
         let term = |(index, &needed): (usize, &bool)| output_grads[index / 2].filter(|_| needed).cloned();
         needs.iter().enumerate().map(term).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Adds {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(sums_on_gpu(gpu, inputs.as_chunks().0))
+    }
+
+    fn backward_gpu(&mut self, _gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        self.backward(pass)
     }
 }
 

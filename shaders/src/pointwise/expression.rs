@@ -2,7 +2,7 @@ use std::any::Any;
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// `kernel(inputs, constants, out)`: the value of every element.
 pub type ValueKernel<T> = fn(&[&[T]], &[T], &mut [T]);
@@ -79,14 +79,9 @@ impl<T: Real> Op<T> for Pointwise<T> {
         vec![Tensor::from_vec(shape, out)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, needs, .. } = pass;
+        let dy = pass.dy();
         let gradient = |input: usize| {
             if self.expression.passes_on(input) {
                 return dy.clone();
@@ -103,20 +98,20 @@ impl<T: Real> Op<T> for Pointwise<T> {
         (0..inputs.len()).map(|input| needs[input].then(|| gradient(input))).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Pointwise<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.value_on_gpu(gpu, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
-        Some(self.gradients_on_gpu(gpu, inputs, outputs[0], dy, needs))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, needs, .. } = pass;
+        let dy = pass.dy();
+        self.gradients_on_gpu(gpu, inputs, outputs[0], dy, needs)
     }
 }
 

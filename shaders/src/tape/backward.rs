@@ -3,25 +3,23 @@
 use std::ops::Range;
 use std::time::Instant;
 
+use super::op::{Backward, Op};
 use super::totals::add_to;
-use super::{Device, Op, Profile, Real, Tensor, Value, Var};
+use super::{Profile, Real, Tensor, Value, Var};
+use crate::gpu::Gpu;
 
 /// An operation that was applied.
 pub(super) struct Node<T: Real> {
     pub op: Box<dyn Op<T>>,
+    /// The GPU on which it ran forwards; `None`: the CPU.
+    pub gpu: Option<Gpu>,
     pub inputs: Vec<Var>,
     pub outputs: Range<usize>,
 }
 
 impl<T: Real> Node<T> {
     /// Adds this node's contribution to the gradients of its inputs; skipped if no gradient reached its outputs.
-    pub fn backward(
-        &mut self,
-        device: Device,
-        values: &[Value<T>],
-        gradients: &mut Gradients<T>,
-        profile: &mut Profile,
-    ) {
+    pub fn backward(&mut self, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
         // Inputs were created before outputs.
         let (of_inputs, of_outputs) = gradients.tensors.split_at_mut(self.outputs.start);
         let output_grads: Vec<_> = of_outputs[..self.outputs.len()].iter().map(Option::as_ref).collect();
@@ -35,11 +33,10 @@ impl<T: Real> Node<T> {
         let mut totals: Vec<_> = self.inputs.iter().map(|var| of_inputs[var.0].take()).collect();
 
         let start = Instant::now();
-        let on_gpu = device
-            .gpu()
-            .is_some_and(|gpu| self.op.accumulate_gpu(gpu, &inputs, &outputs, &output_grads, &needs, &mut totals));
-        if !on_gpu {
-            self.op.accumulate(&inputs, &outputs, &output_grads, &needs, &mut totals);
+        let pass = Backward { inputs: &inputs, outputs: &outputs, output_grads: &output_grads, needs: &needs };
+        match (self.gpu, self.op.gpu()) {
+            (Some(gpu), Some(on_gpu)) => on_gpu.accumulate_gpu(gpu, pass, &mut totals),
+            _ => self.op.accumulate(pass, &mut totals),
         }
         profile.entry(self.op.name()).backward.add(start.elapsed());
 

@@ -6,6 +6,7 @@
 
 mod backward;
 pub mod chunks;
+mod op;
 mod pair_sums;
 mod profile;
 mod readback;
@@ -19,94 +20,22 @@ mod upstream;
 
 use std::time::Instant;
 
-use crate::gpu::Gpu;
 pub use backward::Gradients;
 use backward::Node;
+pub(crate) use op::exactly;
+pub use op::{Backward, GpuOp, Op};
 pub(crate) use pair_sums::sums_on_gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub(crate) use readback::DeferredCount;
 pub use readback::{PendingReadback, Readback};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
-use totals::add_all;
 pub(crate) use totals::total_on_gpu;
 pub(crate) use upstream::upstream;
 
 /// A value on a tape.
 #[derive(Copy, Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Var(usize);
-
-/// A differentiable operation. Its body for the CPU is `forward` and `backward`; where it has kernels for a GPU, the tape
-/// asks those first. A body gets its inputs wherever they are: [`Tensor`] brings them to where they are asked for.
-pub trait Op<T: Real>: Send {
-    /// The name in profiles and messages.
-    fn name(&self) -> &'static str;
-
-    /// The outputs; `self` may keep what the backward pass needs.
-    fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>>;
-
-    /// The gradient of each input, of the input's shape, given the gradients of those outputs that have one.
-    ///
-    /// `needs[i]` tells whether input `i` takes part in differentiation: where it does not, the result is not looked at
-    /// and `None` saves work. `None` where it does means zero.
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>>;
-
-    /// As [`Op::forward`] with kernels for a GPU; `None` if there are none for these inputs.
-    fn forward_gpu(&mut self, _gpu: Gpu, _inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        None
-    }
-
-    /// As [`Op::backward`] with kernels for a GPU; `None` if there are none for these inputs.
-    fn backward_gpu(
-        &mut self,
-        _gpu: Gpu,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        _output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        None
-    }
-
-    /// Adds what [`Op::backward`] returns to `totals`, the gradients of the inputs so far (`None`: zero).
-    ///
-    /// For an operation that touches little of a large input: adding in place saves it a pass over all of that input.
-    fn accumulate(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) {
-        let terms = self.backward(inputs, outputs, output_grads, needs);
-        add_all(self.name(), totals, terms, needs);
-    }
-
-    /// As [`Op::accumulate`] with kernels for a GPU; `false`, with nothing done, if there are none for these inputs.
-    fn accumulate_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) -> bool {
-        let terms = self.backward_gpu(gpu, inputs, outputs, output_grads, needs);
-        let has_kernels = terms.is_some();
-        if let Some(terms) = terms {
-            add_all(self.name(), totals, terms, needs);
-        }
-        has_kernels
-    }
-}
 
 struct Value<T: Real> {
     tensor: Tensor<T>,
@@ -255,11 +184,11 @@ impl<T: Real> Tape<T> {
     pub fn apply(&mut self, mut op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
         let tensors: Vec<&Tensor<T>> = inputs.iter().map(|&var| self.value(var)).collect();
         let start = Instant::now();
-        let on_gpu = match self.device {
-            Device::Cpu => None,
-            Device::Gpu(gpu) => op.forward_gpu(gpu, &tensors),
+        let on_gpu = self.device.gpu().and_then(|gpu| Some((gpu, op.gpu()?.forward_gpu(gpu, &tensors)?)));
+        let (gpu, outputs) = match on_gpu {
+            Some((gpu, outputs)) => (Some(gpu), outputs),
+            None => (None, op.forward(&tensors)),
         };
-        let outputs = on_gpu.unwrap_or_else(|| op.forward(&tensors));
         self.profile.entry(op.name()).forward.add(start.elapsed());
 
         let needs_gradient = inputs.iter().any(|&var| self.needs_gradient(var));
@@ -267,7 +196,7 @@ impl<T: Real> Tape<T> {
         let vars: Vec<Var> = outputs.into_iter().map(|tensor| self.push(tensor, needs_gradient)).collect();
         if needs_gradient {
             let outputs = first..self.values.len();
-            self.nodes.push(Node { op: Box::new(op), inputs: inputs.to_vec(), outputs });
+            self.nodes.push(Node { op: Box::new(op), gpu, inputs: inputs.to_vec(), outputs });
         }
         vars
     }
@@ -290,7 +219,7 @@ impl<T: Real> Tape<T> {
             gradients.accumulate("seed", *var, self.value(*var), seed.clone());
         }
         for node in self.nodes.iter_mut().rev() {
-            node.backward(self.device, &self.values, &mut gradients, &mut self.profile);
+            node.backward(&self.values, &mut gradients, &mut self.profile);
         }
         gradients
     }

@@ -12,14 +12,9 @@ impl Op<f64> for Product {
         vec![elementwise(inputs[0], inputs[1])]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<f64>],
-        _outputs: &[&Tensor<f64>],
-        output_grads: &[Option<&Tensor<f64>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<f64>>> {
-        let dy = output_grads[0].unwrap();
+    fn backward(&mut self, pass: Backward<f64>) -> Vec<Option<Tensor<f64>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         (0..2).map(|i| needs[i].then(|| elementwise(dy, inputs[1 - i]))).collect()
     }
 }

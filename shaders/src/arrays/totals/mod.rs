@@ -8,7 +8,7 @@ use crate::arrays::rows::{divide_rows, reshape};
 use crate::gpu::Gpu;
 use crate::pointwise;
 use crate::tape::chunks::sum;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 pointwise! {
     /// w·x; 0 where w is 0, even if x is not finite.
@@ -61,30 +61,25 @@ impl<T: Real> Op<T> for Total {
         vec![Tensor::scalar(T::from_f64(sum(x.len(), |index| x[index].to_f64()) * self.factor(x.len())))]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
         let factor = T::from_f64(self.factor(inputs[0].len()));
-        vec![output_grads[0].map(|dy| Tensor::full(inputs[0].shape(), dy.as_slice()[0] * factor))]
+        vec![Some(Tensor::full(inputs[0].shape(), pass.dy().as_slice()[0] * factor))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Total {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::total(gpu, inputs[0], self.factor(inputs[0].len()))])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
         let factor = self.factor(inputs[0].len());
-        Some(vec![output_grads[0].map(|dy| gpu::total_gradient(gpu, inputs[0], dy, factor))])
+        vec![Some(gpu::total_gradient(gpu, inputs[0], pass.dy(), factor))]
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Neighbors, for_each_row, gpu};
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 
 /// Σₖ wₙₖ·vₖ over the nodes k of point n, for weights [N, K] and values [M, C] → [N, C].
 pub fn blend<T: Real>(tape: &mut Tape<T>, weights: Var, values: Var, neighbors: &Neighbors) -> Var {
@@ -21,7 +21,7 @@ impl<T: Real> Op<T> for Blend {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let &[weights, values] = inputs else { unreachable!("two inputs") };
+        let [weights, values] = exactly(inputs);
         let columns = values.row_len();
         let mut out = vec![T::ZERO; weights.rows() * columns];
         for_each_row(&mut out, columns, |point, out| {
@@ -32,14 +32,9 @@ impl<T: Real> Op<T> for Blend {
         vec![Tensor::from_vec([weights.rows(), columns], out)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let (&[weights, values], Some(dy)) = (inputs, output_grads[0]) else { return vec![None; 2] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let ([weights, values], dy) = (exactly(inputs), pass.dy());
         let to_weights = || {
             let mut out = vec![T::ZERO; weights.len()];
             for_each_row(&mut out, weights.row_len(), |point, out| {
@@ -62,18 +57,18 @@ impl<T: Real> Op<T> for Blend {
         vec![needs[0].then(to_weights), needs[1].then(to_values)]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Blend {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::blend(gpu, &self.neighbors, [inputs[0], inputs[1]])])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(gpu::blend_backward(gpu, &self.neighbors, [inputs[0], inputs[1]], output_grads[0]?, needs))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        gpu::blend_backward(gpu, &self.neighbors, [inputs[0], inputs[1]], pass.dy(), needs)
     }
 }

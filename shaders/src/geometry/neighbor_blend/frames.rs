@@ -6,7 +6,7 @@ use crate::geometry::algebra::{
     transposed,
 };
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Positions and motions of the nodes of [`blend_frames`].
 #[derive(Clone, Copy, Debug)]
@@ -93,14 +93,9 @@ impl<T: Real> Op<T> for BlendFrames {
         vec![Tensor::from_vec(points.shape(), out)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; 5] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        let dy = pass.dy();
         let (weights, points, frames) = (inputs[0], inputs[1], Frame::all(inputs));
         let mut to_weights = vec![T::ZERO; weights.len()];
         for_each_row(&mut to_weights, weights.row_len(), |point, out| {
@@ -123,19 +118,18 @@ impl<T: Real> Op<T> for BlendFrames {
         gradients
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for BlendFrames {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::blend_frames(gpu, &self.neighbors, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(gpu::blend_frames_backward(gpu, &self.neighbors, inputs, output_grads[0]?))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        gpu::blend_frames_backward(gpu, &self.neighbors, pass.inputs, pass.dy())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Neighbors, for_each_row, gpu};
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Added to every weight before they are divided by their sum, so that a point far from all nodes follows them equally
 /// (published code).
@@ -99,14 +99,9 @@ impl<T: Real> Op<T> for Weights {
         vec![Tensor::from_vec([self.neighbors.points(), per_point], weights)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dweights) = output_grads[0] else { return vec![None; inputs.len()] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, needs, .. } = pass;
+        let dweights = pass.dy();
         let named = Inputs::new(inputs);
         let unnormalised = self.before_division(&named, outputs[0], dweights);
         let to_points = needs[0].then(|| self.to_points(&named, &unnormalised));
@@ -116,19 +111,19 @@ impl<T: Real> Op<T> for Weights {
         gradients
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Weights {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::weights(gpu, &self.neighbors, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(gpu::weights_backward(gpu, &self.neighbors, inputs, [outputs[0], output_grads[0]?]))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, .. } = pass;
+        gpu::weights_backward(gpu, &self.neighbors, inputs, [outputs[0], pass.dy()])
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{NOWHERE, PinholeCamera};
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tensor};
+use crate::tape::{Backward, GpuOp, Op, Real, Tensor, exactly};
 
 /// A camera in the working precision.
 pub struct Pinhole<T> {
@@ -75,13 +75,8 @@ impl<T: Real> Op<T> for Project<T> {
         vec![Tensor::from_vec([count, 2], pixels), Tensor::from_vec([count], depths)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, .. } = pass;
         let [fx, fy] = self.camera.focal;
         let mut gradient = Vec::with_capacity(inputs[0].len());
         for (index, point) in inputs[0].as_slice().as_chunks::<3>().0.iter().enumerate() {
@@ -98,19 +93,19 @@ impl<T: Real> Op<T> for Project<T> {
         vec![Some(Tensor::from_vec(inputs[0].shape(), gradient))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Project<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(self.project_on_gpu(gpu, inputs[0]))
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![Some(self.backward_on_gpu(gpu, inputs[0], output_grads))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, .. } = pass;
+        vec![Some(self.backward_on_gpu(gpu, inputs[0], output_grads))]
     }
 }
 
@@ -141,14 +136,8 @@ impl<T: Real> Op<T> for Unproject<T> {
         vec![Tensor::from_vec([depths.len(), 3], points)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let ([pixels, depths], Some(d_points)) = (inputs, output_grads[0]) else { return vec![None, None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let ([pixels, depths], d_points) = (exactly(pass.inputs), pass.dy());
         let (mut d_pixels, mut d_depths) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(depths.len()));
         let rows = pixels.as_slice().as_chunks::<2>().0.iter().zip(d_points.as_slice().as_chunks::<3>().0);
         for ((pixel, d_point), &depth) in rows.zip(depths.as_slice()) {
@@ -160,18 +149,17 @@ impl<T: Real> Op<T> for Unproject<T> {
         vec![Some(Tensor::from_vec(pixels.shape(), d_pixels)), Some(Tensor::from_vec(depths.shape(), d_depths))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Unproject<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.unproject_on_gpu(gpu, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(self.backward_on_gpu(gpu, inputs, output_grads[0]?))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        self.backward_on_gpu(gpu, pass.inputs, pass.dy())
     }
 }

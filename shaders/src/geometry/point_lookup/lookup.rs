@@ -1,7 +1,7 @@
 //! Values of an image between its pixels.
 
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tensor};
+use crate::tape::{Backward, GpuOp, Op, Real, Tensor};
 
 /// The interpolation of a lookup.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -138,14 +138,9 @@ impl<T: Real> Op<T> for Lookup {
     }
 
     /// Gradients of the image are added point by point, in order.
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(d_values) = output_grads[0] else { return vec![None, None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let d_values = pass.dy();
         let [image, pixels] = [inputs[0].as_slice(), inputs[1].as_slice()];
         let mut d_image = needs[0].then(|| vec![T::ZERO; image.len()]);
         let mut d_pixels = vec![T::ZERO; pixels.len()];
@@ -171,19 +166,19 @@ impl<T: Real> Op<T> for Lookup {
         ]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Lookup {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.values_on_gpu(gpu, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(self.backward_on_gpu(gpu, inputs, output_grads[0]?, needs))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        self.backward_on_gpu(gpu, inputs, pass.dy(), needs)
     }
 }
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::check::{TOLERANCE, gradients, noise};
-use crate::tape::{Device, Op, Tensor};
+use crate::tape::{Backward, Device, Op, Tensor};
 
 const NEAR: f64 = 0.1;
 const EDGES: Sampling = Sampling::NearestAcrossEdges { relative: 0.1 };
@@ -71,14 +71,8 @@ impl<O: Op<f64>> Op<f64> for Faulty<O> {
         self.0.forward(inputs)
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<f64>],
-        outputs: &[&Tensor<f64>],
-        output_grads: &[Option<&Tensor<f64>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<f64>>> {
-        let mut found = self.0.backward(inputs, outputs, output_grads, needs);
+    fn backward(&mut self, pass: Backward<f64>) -> Vec<Option<Tensor<f64>>> {
+        let mut found = self.0.backward(pass);
         if let Some(gradient) = &mut found[self.1] {
             gradient.make_mut().iter_mut().for_each(|value| *value *= 1.001);
         }

@@ -11,7 +11,7 @@ mod tests;
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Added to shares before the logarithm, so that an empty bin contributes 0 and not 0·∞.
 const EMPTY_BIN: f64 = 1e-8;
@@ -69,14 +69,9 @@ impl<T: Real> Op<T> for SoftHistogram {
         vec![Tensor::from_vec([self.bins], (0..self.bins).map(|bin| T::from_f64(share(bin))).collect())]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0].map(Tensor::as_slice) else { return vec![None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        let dy = pass.dy().as_slice();
         let x = inputs[0].as_slice();
         let factor = T::from_f64(1.0 / (self.width * x.len() as f64));
         let mut gradient = vec![T::ZERO; x.len()];
@@ -89,19 +84,18 @@ impl<T: Real> Op<T> for SoftHistogram {
         vec![Some(Tensor::from_vec(inputs[0].shape(), gradient))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for SoftHistogram {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.shares_on_gpu(gpu, inputs[0])])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![Some(self.backward_on_gpu(gpu, inputs[0], output_grads[0]?))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(self.backward_on_gpu(gpu, pass.inputs[0], pass.dy()))]
     }
 }
 
@@ -118,32 +112,26 @@ impl<T: Real> Op<T> for DivergenceFromUniform {
         vec![Tensor::scalar(T::from_f64(inputs[0].as_slice().iter().map(|share| term(share.to_f64())).sum()))]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        let dy = pass.dy();
         let (bins, dy) = (inputs[0].len() as f64, dy.as_slice()[0].to_f64());
         let slope = |share: f64| ((share + EMPTY_BIN) * bins).ln() + share / (share + EMPTY_BIN);
         let gradient = inputs[0].as_slice().iter().map(|share| T::from_f64(dy * slope(share.to_f64()))).collect();
         vec![Some(Tensor::from_vec(inputs[0].shape(), gradient))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for DivergenceFromUniform {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::divergence(gpu, inputs[0])])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![Some(gpu::divergence_backward(gpu, inputs[0], output_grads[0]?))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(gpu::divergence_backward(gpu, pass.inputs[0], pass.dy()))]
     }
 }

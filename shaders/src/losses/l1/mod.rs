@@ -8,7 +8,7 @@ use crate::gpu::Gpu;
 use crate::losses::ssim::{Window, ssim};
 use crate::pointwise;
 use crate::tape::chunks::{CHUNK, for_each_chunk, sum};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 pointwise! {
     /// y = (1 − λ)·l1 + λ·(1 − ssim)
@@ -41,14 +41,9 @@ impl<T: Real> Op<T> for L1 {
         vec![Tensor::scalar(T::from_f64(total / render.len() as f64))]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; 2] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        let dy = pass.dy();
         let (render, target) = (inputs[0].as_slice(), inputs[1].as_slice());
         let share = dy.as_slice()[0] / T::from_f64(render.len() as f64);
         let mut gradient = vec![T::ZERO; render.len()];
@@ -64,19 +59,19 @@ impl<T: Real> Op<T> for L1 {
         vec![Some(Tensor::from_vec(inputs[0].shape(), gradient)), None]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for L1 {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::l1(gpu, inputs[0], inputs[1])])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![output_grads[0].map(|dy| gpu::l1_gradient(gpu, inputs[0], inputs[1], dy)), None])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        vec![Some(gpu::l1_gradient(gpu, inputs[0], inputs[1], pass.dy())), None]
     }
 }
 

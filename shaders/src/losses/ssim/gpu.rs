@@ -67,13 +67,14 @@ impl<T: Real> Ssim<T> {
     }
 
     /// The gradient of the render.
-    pub(super) fn backward_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>], dy: &Tensor<T>) -> Option<Tensor<T>> {
+    pub(super) fn backward_on_gpu(&self, gpu: Gpu, inputs: &[&Tensor<T>], dy: &Tensor<T>) -> Tensor<T> {
         let block = ImageBlock::new(&self.layout);
+        let gradients = self.on_gpu.as_ref().expect("the forward pass kept them");
         let dx = GpuArray::new(gpu, inputs[0].len());
-        let read = [inputs[0].on_gpu(gpu), inputs[1].on_gpu(gpu), self.on_gpu.as_ref()?, dy.on_gpu(gpu)];
+        let read = [inputs[0].on_gpu(gpu), inputs[1].on_gpu(gpu), gradients, dy.on_gpu(gpu)];
         let arrays = [&read.map(Binding::Read)[..], &[Binding::Write(&dx)]].concat();
         BACKWARD.launch(gpu, &[], &block, &arrays, block.groups());
-        Some(Tensor::from_gpu(inputs[0].shape(), dx))
+        Tensor::from_gpu(inputs[0].shape(), dx)
     }
 }
 

@@ -17,7 +17,7 @@ mod reference;
 mod tests;
 
 use crate::gpu::{Gpu, GpuArray};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Taps on either side of the centre of the window.
 const RADIUS: usize = 5;
@@ -164,14 +164,9 @@ impl<T: Real> Op<T> for Ssim<T> {
         vec![Tensor::scalar(T::from_f64(sum / self.layout.windows() as f64))]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None, None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        let dy = pass.dy();
         let per_window = dy.as_slice()[0] / T::from_f64(self.layout.windows() as f64);
         let (x, y) = (inputs[0].as_slice(), inputs[1].as_slice());
         let mut dx = vec![T::ZERO; x.len()];
@@ -183,19 +178,17 @@ impl<T: Real> Op<T> for Ssim<T> {
         vec![Some(Tensor::from_vec(inputs[0].shape(), dx)), None]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Ssim<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.forward_on_gpu(gpu, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None, None]) };
-        Some(vec![Some(self.backward_on_gpu(gpu, inputs, dy)?), None])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(self.backward_on_gpu(gpu, pass.inputs, pass.dy())), None]
     }
 }

@@ -1,5 +1,5 @@
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// The weights [O, kernel height, kernel width, C] of an ordinary convolution that equals the central-difference convolution
 /// Σₙ w(n)·(x(p + n) − θ·x(p)) (Yu et al. 2020): the central weight less θ·Σₙ w(n). The kernel must have a centre.
@@ -41,14 +41,8 @@ impl<T: Real> Op<T> for CentralDifference {
         vec![reduced]
     }
 
-    fn backward(
-        &mut self,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let dy = pass.dy();
         let mut dweight = dy.clone();
         let theta = T::from_f64(self.theta);
         for taps in dweight.make_mut().chunks_exact_mut(self.taps * self.channels) {
@@ -60,18 +54,17 @@ impl<T: Real> Op<T> for CentralDifference {
         vec![Some(dweight)]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for CentralDifference {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.reduce_on_gpu(gpu, inputs[0], false)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![Some(self.reduce_on_gpu(gpu, output_grads[0]?, true))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(self.reduce_on_gpu(gpu, pass.dy(), true))]
     }
 }

@@ -17,7 +17,7 @@ mod tests;
 pub use central_difference::central_difference;
 
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Where the taps of a kernel fall.
 #[derive(Copy, Clone, Debug, PartialEq, Eq)]
@@ -129,14 +129,9 @@ impl<T: Real> Op<T> for Convolution {
         vec![Tensor::from_vec([height, width, outputs], y)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; 3] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         let [x, weight] = [0, 1].map(|input| inputs[input].as_slice());
         let needs = [needs[0], needs[1], needs[2]];
         let InputGradients { x, weight, bias } = if T::as_f32(x).is_some() {
@@ -148,19 +143,19 @@ impl<T: Real> Op<T> for Convolution {
         [x, weight, bias].into_iter().zip(inputs).map(shaped).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Convolution {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.forward_on_gpu(gpu, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(self.backward_on_gpu(gpu, inputs, output_grads[0]?, needs))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        self.backward_on_gpu(gpu, inputs, pass.dy(), needs)
     }
 }
 

@@ -86,8 +86,8 @@ impl GroupNorm {
         gpu: Gpu,
         inputs: &[&Tensor<T>],
         dy: &Tensor<T>,
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let GpuStatistics { means, inverses } = self.on_gpu.as_ref()?;
+    ) -> Vec<Option<Tensor<T>>> {
+        let GpuStatistics { means, inverses } = self.on_gpu.as_ref().expect("the forward pass kept them");
         let (x, statistics) = (inputs[0], [means, inverses].map(Binding::Read));
         let [x_read, scale, dy] = [x, inputs[1], dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
         let arrays = [&[x_read, dy][..], &statistics].concat();
@@ -101,6 +101,6 @@ impl GroupNorm {
         let arrays = [&[x_read, scale, dy][..], &statistics, &sums, &[Binding::Write(&dx)]].concat();
         BACKWARD.launch(gpu, &specialisation, &self.block(x), &arrays, dx.len().div_ceil(GROUP));
         let gradients = [dx, to_scale, to_shift].into_iter().zip(inputs);
-        Some(gradients.map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect())
+        gradients.map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }
 }

@@ -10,7 +10,7 @@ mod tests;
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::{for_each_chunk, map_chunks};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use gpu::GpuStatistics;
 
 /// ε of Wu and He 2018.
@@ -111,14 +111,9 @@ impl<T: Real> Op<T> for GroupNorm {
     }
 
     /// With x̂ = (x − μ)/√(σ² + ε) and g = γ·dy: dx = (g − mean(g) − x̂·mean(g·x̂))/√(σ² + ε), means over the group.
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0].map(Tensor::as_slice) else { return vec![None; 3] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy().as_slice();
         let (x, scale) = (inputs[0].as_slice(), inputs[1].as_slice());
         let pixels = x.len() / self.channels;
         let count = (pixels * (self.channels / self.groups)) as f64;
@@ -151,18 +146,17 @@ impl<T: Real> Op<T> for GroupNorm {
         vec![needs[0].then(dx), needs[1].then(|| per_channel(1)), needs[2].then(|| per_channel(0))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for GroupNorm {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.forward_on_gpu(gpu, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        self.backward_on_gpu(gpu, inputs, output_grads[0]?)
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        self.backward_on_gpu(gpu, pass.inputs, pass.dy())
     }
 }

@@ -24,7 +24,7 @@ pub use plane_means::{PlaneMean, plane_means};
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::for_each_chunk;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// The axes (a, b) of the six planes of a scale; axis 3 is time.
 pub const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
@@ -131,27 +131,13 @@ impl<T: Real> Op<T> for Hexplane<T> {
         vec![Tensor::from_vec([positions.rows(), features], out)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let mut totals = vec![None; inputs.len()];
-        self.accumulate(inputs, outputs, output_grads, needs, &mut totals);
-        totals
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        pass.from_zero(|totals| self.accumulate(pass, totals))
     }
 
-    fn accumulate(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) {
-        let Some(dy) = output_grads[0] else { return };
+    fn accumulate(&mut self, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         let field = Field { planes: &inputs[1..], time: self.time };
         let start = |(total, input): (&mut Option<Tensor<T>>, &&Tensor<T>)| {
             total.take().unwrap_or_else(|| Tensor::zeros(input.shape()))
@@ -168,23 +154,25 @@ impl<T: Real> Op<T> for Hexplane<T> {
         }
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Hexplane<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::forward(gpu, &Field { planes: &inputs[1..], time: self.time }, inputs[0])])
     }
 
-    fn accumulate_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) -> bool {
-        let Some(dy) = output_grads[0] else { return true };
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        pass.from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
+    }
+
+    fn accumulate_gpu(&mut self, gpu: Gpu, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         let field = Field { planes: &inputs[1..], time: self.time };
         gpu::add_gradients(gpu, &field, inputs[0], dy, totals);
         totals.iter_mut().zip(needs).filter(|(_, needed)| !**needed).for_each(|(total, _)| *total = None);
-        true
     }
 }

@@ -7,7 +7,7 @@ mod tests;
 use crate::arrays::rows::{RowMap, map_rows};
 use crate::gpu::Gpu;
 use crate::tape::chunks::map_chunks;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 
 /// Added to the variance, the customary value: a row of equal values becomes zeros.
 const EPSILON: f64 = 1e-5;
@@ -68,14 +68,8 @@ impl RowMap<1> for Standardize {
         Some(gpu::standardize(gpu, x))
     }
 
-    fn gradient_gpu<T: Real>(
-        &self,
-        gpu: Gpu,
-        [x]: [&Tensor<T>; 1],
-        y: &Tensor<T>,
-        dy: &Tensor<T>,
-    ) -> Option<[Tensor<T>; 1]> {
-        Some([gpu::standardize_backward(gpu, [x, y, dy])])
+    fn gradient_gpu<T: Real>(&self, gpu: Gpu, [x]: [&Tensor<T>; 1], y: &Tensor<T>, dy: &Tensor<T>) -> [Tensor<T>; 1] {
+        [gpu::standardize_backward(gpu, [x, y, dy])]
     }
 }
 
@@ -87,7 +81,7 @@ impl<T: Real> Op<T> for AffineColumns {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let &[x, scale, offset] = inputs else { unreachable!("three inputs") };
+        let [x, scale, offset] = exactly(inputs);
         let mut y = x.clone();
         for row in y.make_mut().chunks_exact_mut(x.row_len()) {
             let by_column = scale.as_slice().iter().zip(offset.as_slice());
@@ -96,14 +90,8 @@ impl<T: Real> Op<T> for AffineColumns {
         vec![y]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let (&[x, scale, _], Some(dy)) = (inputs, output_grads[0]) else { return vec![None; 3] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let ([x, scale, _], dy) = (exactly(pass.inputs), pass.dy());
         let columns = x.row_len();
         let mut dx = dy.clone();
         for row in dx.make_mut().chunks_exact_mut(columns) {
@@ -125,18 +113,18 @@ impl<T: Real> Op<T> for AffineColumns {
         vec![Some(dx), total(0), total(1)]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for AffineColumns {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::affine_columns(gpu, [inputs[0], inputs[1], inputs[2]])])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(gpu::affine_columns_backward(gpu, [inputs[0], inputs[1], inputs[2]], output_grads[0]?))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        gpu::affine_columns_backward(gpu, [inputs[0], inputs[1], inputs[2]], pass.dy())
     }
 }

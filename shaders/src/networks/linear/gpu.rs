@@ -4,7 +4,7 @@ use super::Activation;
 use super::product::{self, EACH_ARRAYS, Output, Product, SUM_ARRAYS};
 use crate::gpu::grouped::Grouped;
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel};
-use crate::tape::{Real, Tensor, total_on_gpu};
+use crate::tape::{Backward, Real, Tensor, total_on_gpu};
 
 const LAYERS: Grouped =
     Grouped { kernel: Kernel { name: "linear", text: include_str!("linear.wgsl") }, shared: 0, arrays: EACH_ARRAYS };
@@ -100,14 +100,11 @@ pub fn forward<T: Real>(gpu: Gpu, layers: &[Places], activation: Activation, inp
 }
 
 /// The inputs of the backward pass of layers.
-pub struct Backward<'a, T: Real> {
+pub struct LayersBackward<'a, T: Real> {
     pub gpu: Gpu,
     pub layers: &'a [Places],
     pub activation: Activation,
-    pub inputs: &'a [&'a Tensor<T>],
-    pub outputs: &'a [&'a Tensor<T>],
-    pub output_grads: &'a [Option<&'a Tensor<T>>],
-    pub needs: &'a [bool],
+    pub pass: Backward<'a, T>,
 }
 
 /// A layer whose output has a gradient.
@@ -117,25 +114,25 @@ struct Live<'a, T: Real> {
     dy: &'a Tensor<T>,
 }
 
-impl<'a, T: Real> Backward<'a, T> {
+impl<'a, T: Real> LayersBackward<'a, T> {
     /// Adds the gradients of the inputs that need one to their totals.
     pub fn add_gradients(&self, totals: &mut [Option<Tensor<T>>]) {
-        let layers = self.layers.iter().zip(self.outputs).zip(self.output_grads);
+        let layers = self.layers.iter().zip(self.pass.outputs).zip(self.pass.output_grads);
         let live = |((&places, &y), dy): ((&Places, &&'a Tensor<T>), &Option<&'a Tensor<T>>)| {
             dy.map(|dy| Live { places, y, dy })
         };
         let live: Vec<Live<'a, T>> = layers.filter_map(live).collect();
-        let mut xs: Vec<usize> = live.iter().map(|layer| layer.places.x).filter(|&x| self.needs[x]).collect();
+        let mut xs: Vec<usize> = live.iter().map(|layer| layer.places.x).filter(|&x| self.pass.needs[x]).collect();
         xs.sort_unstable();
         xs.dedup();
         let xs: Vec<(usize, bool)> = xs.into_iter().map(|x| (x, self.prepare(totals, x))).collect();
-        let needed = |layer: &&Live<T>| self.needs[layer.places.weight] || self.needs[layer.places.bias];
+        let needed = |layer: &&Live<T>| self.pass.needs[layer.places.weight] || self.pass.needs[layer.places.bias];
         let with_weights: Vec<&Live<'a, T>> = live.iter().filter(needed).collect();
         // Unneeded gradients are computed as well, and dropped.
         let mut unneeded: Vec<Option<Tensor<T>>> = vec![None; totals.len()];
         let mut adds = Vec::new();
         for layer in &with_weights {
-            adds.push([layer.places.weight, layer.places.bias].map(|place| match self.needs[place] {
+            adds.push([layer.places.weight, layer.places.bias].map(|place| match self.pass.needs[place] {
                 true => self.prepare(totals, place),
                 false => self.prepare(&mut unneeded, place),
             }));
@@ -183,7 +180,7 @@ impl<'a, T: Real> Backward<'a, T> {
         [totals, unneeded]: [&'b [Option<Tensor<T>>]; 2],
     ) -> (Vec<Product<'b>>, Vec<[Output<'b>; 2]>) {
         let output = |place: usize, adds| {
-            let totals = if self.needs[place] { totals } else { unneeded };
+            let totals = if self.pass.needs[place] { totals } else { unneeded };
             (Binding::Write(self.total(totals, place)), adds)
         };
         let products = live.iter().map(|layer| self.product(Direction::Weights, layer)).collect();
@@ -196,7 +193,7 @@ impl<'a, T: Real> Backward<'a, T> {
 
     /// The product of a layer with A = dz, i.e. dy where y is positive.
     fn product(&self, direction: Direction, layer: &Live<'a, T>) -> Product<'a> {
-        let [x, weight] = [layer.places.x, layer.places.weight].map(|place| self.inputs[place]);
+        let [x, weight] = [layer.places.x, layer.places.weight].map(|place| self.pass.inputs[place]);
         let other = if let Direction::Weights = direction { x } else { weight };
         let arrays = [layer.dy, other, layer.y].map(|tensor| Binding::Read(tensor.on_gpu(self.gpu)));
         direction.product(layer.dy.rows(), sizes(weight), arrays)
@@ -204,7 +201,7 @@ impl<'a, T: Real> Backward<'a, T> {
 
     /// Makes the total of an input writable for kernels; returns whether they accumulate into it.
     fn prepare(&self, totals: &mut [Option<Tensor<T>>], place: usize) -> bool {
-        total_on_gpu(self.gpu, &mut totals[place], self.inputs[place].shape()).1
+        total_on_gpu(self.gpu, &mut totals[place], self.pass.inputs[place].shape()).1
     }
 
     fn total<'b>(&self, totals: &'b [Option<Tensor<T>>], place: usize) -> &'b GpuArray {

@@ -3,7 +3,7 @@
 use super::gpu::{self, Places};
 use super::{Activation, Linear};
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// One of several layers: x [N, I], weight [O, I], bias [O].
 #[derive(Clone, Copy, Debug)]
@@ -49,56 +49,45 @@ impl<T: Real> Op<T> for Linears {
         layers.flat_map(|(layer, places)| layer.forward(&places.all().map(|place| inputs[place]))).collect()
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let mut totals = vec![None; inputs.len()];
-        self.accumulate(inputs, outputs, output_grads, needs, &mut totals);
-        totals
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        pass.from_zero(|totals| self.accumulate(pass, totals))
     }
 
     /// Layer by layer from the last one on, as if each were an operation of its own.
-    fn accumulate(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) {
+    fn accumulate(&mut self, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
+        let Backward { inputs, outputs, output_grads, needs } = pass;
         for (index, (layer, places)) in self.layers.iter_mut().zip(&self.places).enumerate().rev() {
+            if output_grads[index].is_none() {
+                continue;
+            }
             let (places, own) = (places.all(), index..index + 1);
             let mut of_layer = places.map(|place| totals[place].take());
-            layer.accumulate(
-                &places.map(|place| inputs[place]),
-                &outputs[own.clone()],
-                &output_grads[own],
-                &places.map(|place| needs[place]),
-                &mut of_layer,
-            );
+            let of_pass = Backward {
+                inputs: &places.map(|place| inputs[place]),
+                outputs: &outputs[own.clone()],
+                output_grads: &output_grads[own],
+                needs: &places.map(|place| needs[place]),
+            };
+            layer.accumulate(of_pass, &mut of_layer);
             places.into_iter().zip(of_layer).for_each(|(place, total)| totals[place] = total);
         }
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Linears {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(gpu::forward(gpu, &self.places, self.activation, inputs))
     }
 
-    fn accumulate_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) -> bool {
-        let (layers, activation) = (&self.places[..], self.activation);
-        gpu::Backward { gpu, layers, activation, inputs, outputs, output_grads, needs }.add_gradients(totals);
-        true
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        pass.from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
+    }
+
+    fn accumulate_gpu(&mut self, gpu: Gpu, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
+        gpu::LayersBackward { gpu, layers: &self.places, activation: self.activation, pass }.add_gradients(totals);
     }
 }

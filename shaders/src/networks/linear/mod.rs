@@ -18,7 +18,7 @@ pub use layers::{Layer, linears};
 use rayon::prelude::*;
 
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use matrix::Matrix;
 
 /// Rows per chunk: enough to amortise packing W once per chunk, few enough that x, y and dy of a layer of 64 to 256
@@ -62,7 +62,7 @@ impl<T: Real> Op<T> for Linear {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let &[x, weight, bias] = inputs else { unreachable!("three inputs") };
+        let [x, weight, bias] = exactly(inputs);
         let mut y = vec![T::ZERO; x.rows() * self.outputs];
         let x_chunks = x.as_slice().par_chunks(ROWS_PER_CHUNK * self.inputs);
         y.par_chunks_mut(ROWS_PER_CHUNK * self.outputs).zip(x_chunks).for_each(|(y, x)| {
@@ -72,14 +72,9 @@ impl<T: Real> Op<T> for Linear {
         vec![Tensor::from_vec([x.rows(), self.outputs], y)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let (&[x, weight, bias], Some(dy)) = (inputs, output_grads[0]) else { return vec![None; 3] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, needs, .. } = pass;
+        let ([x, weight, bias], dy) = (exactly(inputs), pass.dy());
         let mut dx = needs[0].then(|| vec![T::ZERO; x.len()]);
         let chunks: Vec<WeightGradients<T>> = chunks_of(&mut dx, x.rows(), self.inputs)
             .into_par_iter()
@@ -103,22 +98,22 @@ impl<T: Real> Op<T> for Linear {
         ]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Linear {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(gpu::forward(gpu, &[OWN], self.activation, inputs))
     }
 
-    fn accumulate_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) -> bool {
-        let (layers, activation) = (&[OWN][..], self.activation);
-        gpu::Backward { gpu, layers, activation, inputs, outputs, output_grads, needs }.add_gradients(totals);
-        true
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        pass.from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
+    }
+
+    fn accumulate_gpu(&mut self, gpu: Gpu, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
+        gpu::LayersBackward { gpu, layers: &[OWN], activation: self.activation, pass }.add_gradients(totals);
     }
 }
 

@@ -13,7 +13,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// The mean of every cell, [rows, columns, C], of an image [H, W, C].
 pub fn average_pool<T: Real>(tape: &mut Tape<T>, image: Var, rows: usize, columns: usize) -> Var {
@@ -80,14 +80,9 @@ impl<T: Real> Op<T> for AveragePool {
         vec![Tensor::from_vec([vertical.cells, horizontal.cells, channels], grid)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dgrid) = output_grads[0] else { return vec![None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        let dgrid = pass.dy();
         let Self { vertical, horizontal, channels } = *self;
         let dgrid = dgrid.as_slice();
         let mut dimage = vec![T::ZERO; inputs[0].len()];
@@ -104,19 +99,18 @@ impl<T: Real> Op<T> for AveragePool {
         vec![Some(Tensor::from_vec(inputs[0].shape(), dimage))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for AveragePool {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.pool_on_gpu(gpu, inputs[0])])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![Some(self.backward_on_gpu(gpu, inputs[0], output_grads[0]?))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(self.backward_on_gpu(gpu, pass.inputs[0], pass.dy()))]
     }
 }
 

@@ -83,7 +83,7 @@ impl RowMap<2> for Waves {
         inputs: [&Tensor<T>; 2],
         _y: &Tensor<T>,
         dy: &Tensor<T>,
-    ) -> Option<[Tensor<T>; 2]> {
-        Some(self.gradient_on_gpu(gpu, inputs, dy))
+    ) -> [Tensor<T>; 2] {
+        self.gradient_on_gpu(gpu, inputs, dy)
     }
 }

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use crate::gpu::Gpu;
 use crate::rasteriser::projection::ProjectedVars;
-use crate::tape::{DeferredCount, Op, Real, Tape, Tensor, chunks};
+use crate::tape::{Backward, DeferredCount, GpuOp, Op, Real, Tape, Tensor, chunks, exactly};
 use ellipse::Ellipse;
 pub use gpu::GpuLists;
 
@@ -200,7 +200,7 @@ impl<T: Real> Op<T> for Binning {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let &[means2d, conics, depths, cutoffs] = inputs else { unreachable!("four inputs") };
+        let [means2d, conics, depths, cutoffs] = exactly(inputs);
         let splats = Splats {
             means2d: means2d.as_slice().as_chunks().0,
             conics: conics.as_slice().as_chunks().0,
@@ -211,22 +211,26 @@ impl<T: Real> Op<T> for Binning {
         Vec::new()
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        _output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        vec![None; inputs.len()]
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![None; pass.inputs.len()]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Binning {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        let &[means2d, conics, depths, cutoffs] = inputs else { unreachable!("four inputs") };
+        let [means2d, conics, depths, cutoffs] = exactly(inputs);
         // If there are too many, the CPU counts them for the message.
         let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid, self.capacity)?;
         self.publish(Ok(Lists::Gpu(Box::new(lists))));
         Some(Vec::new())
+    }
+
+    fn backward_gpu(&mut self, _gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        self.backward(pass)
     }
 }
 

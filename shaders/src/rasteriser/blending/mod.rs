@@ -29,7 +29,7 @@ use crate::gpu::Gpu;
 use crate::rasteriser::binning::{Lists, TILE};
 use crate::rasteriser::projection::ProjectedVars;
 use crate::rasteriser::settings::RasterSettings;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use packed::{PackedSplats, Tile};
 
 /// Pixels of a tile, and so the length of one of its planes.
@@ -329,13 +329,8 @@ impl<T: Real> Op<T> for Blend<T> {
         images
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, output_grads, .. } = pass;
         let rows = self.splat_rows(&self.entry_rows(outputs, output_grads));
         let rows = rows.par_chunks_exact(ROW_COLORS + 3 + self.extra_count());
         let conics = inputs[1].as_slice().as_chunks::<3>().0;
@@ -363,6 +358,12 @@ impl<T: Real> Op<T> for Blend<T> {
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Blend<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         let lists = self.lists.clone();
         match &*lists {
@@ -371,17 +372,8 @@ impl<T: Real> Op<T> for Blend<T> {
         }
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        match &*self.lists {
-            Lists::Gpu(lists) => Some(self.backward_on_gpu(gpu, inputs, outputs, output_grads, lists)),
-            Lists::Host(_) => None,
-        }
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Lists::Gpu(lists) = &*self.lists else { unreachable!("the forward pass ran on the GPU") };
+        self.backward_on_gpu(gpu, pass, lists)
     }
 }

@@ -24,7 +24,7 @@ use scene::gaussians::SH_C0;
 
 use crate::gpu::Gpu;
 use crate::rasteriser::splats::HIDDEN_LOGIT;
-use crate::tape::{Device, Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, Device, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use backward::Gradients;
 
 /// Opacities are kept this far from 0 and 1, where their logit is infinite; the difference is invisible in an image.
@@ -189,7 +189,7 @@ impl<T: Real> Op<T> for Spawn {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let &[positions, log_scales, offsets, opacities, shapes, colors] = inputs else { unreachable!("six inputs") };
+        let [positions, log_scales, offsets, opacities, shapes, colors] = exactly(inputs);
         let (chosen, count) = (&self.chosen, self.chosen.count());
         let to_position = chosen.rows(3, |anchor, k, row: &mut [T]| {
             let (center, offset, scale) =
@@ -220,13 +220,8 @@ impl<T: Real> Op<T> for Spawn {
         ]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, needs, .. } = pass;
         let of = Gradients { chosen: &self.chosen, inputs, output_grads };
         vec![
             needs[0].then(|| of.positions()).flatten(),
@@ -238,19 +233,19 @@ impl<T: Real> Op<T> for Spawn {
         ]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Spawn {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(self.spawn_on_gpu(gpu, inputs))
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(self.backward_on_gpu(gpu, inputs, output_grads))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, .. } = pass;
+        self.backward_on_gpu(gpu, inputs, output_grads)
     }
 }
 

@@ -26,7 +26,7 @@ use crate::geometry::camera::PinholeCamera;
 use crate::gpu::{Gpu, GpuArray};
 use crate::rasteriser::settings::RasterSettings;
 use crate::rasteriser::splats::{ShapeVars, SplatVars};
-use crate::tape::{DeferredCount, Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, DeferredCount, GpuOp, Op, Real, Tape, Tensor, Var};
 use reference::{Projected, Splat, SplatGradient, View};
 use shape::Shape;
 
@@ -170,13 +170,8 @@ impl<T: Real> Op<T> for Projection<T> {
         ]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, output_grads, .. } = pass;
         let mut gradients: Vec<Vec<T>> = inputs.iter().map(|input| vec![T::ZERO; input.len()]).collect();
         let [positions, logits, sh, shapes @ ..] = &mut gradients[..] else { unreachable!("four or five inputs") };
         let rows = positions.as_chunks_mut::<3>().0.par_iter_mut().zip(logits);
@@ -209,19 +204,19 @@ impl<T: Real> Op<T> for Projection<T> {
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Projection<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(self.project_on_gpu(gpu, inputs))
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(self.backward_on_gpu(gpu, inputs, outputs[5], output_grads))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, output_grads, .. } = pass;
+        self.backward_on_gpu(gpu, inputs, outputs[5], output_grads)
     }
 }
 

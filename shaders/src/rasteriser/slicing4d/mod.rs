@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use crate::gpu::Gpu;
 use crate::rasteriser::splats::HIDDEN_LOGIT;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use reference::{Gaussian, Sliced};
 
 /// Gaussians per parallel chunk: tens of microseconds.
@@ -116,13 +116,8 @@ impl<T: Real> Op<T> for Slicing {
         ]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, .. } = pass;
         let backward = |row| {
             let gaussian = self.present(inputs, row)?;
             Some(reference::backward(&gaussian, &upstream_of(output_grads, row)))
@@ -143,19 +138,19 @@ impl<T: Real> Op<T> for Slicing {
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Slicing {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(self.slice_on_gpu(gpu, inputs))
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(self.backward_on_gpu(gpu, inputs, output_grads))
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, .. } = pass;
+        self.backward_on_gpu(gpu, inputs, output_grads)
     }
 }
 

@@ -2,7 +2,7 @@ use super::reference::{Gaussian, slice as slice_one};
 use super::*;
 use crate::check::{self, TOLERANCE, noise};
 use crate::geometry::algebra::{Mat3, product as product3, rotation, scale_columns, transposed as transposed3};
-use crate::tape::Device;
+use crate::tape::{Backward, Device};
 
 const COUNT: usize = 5;
 const TIME: f64 = 0.45;
@@ -88,14 +88,8 @@ impl Op<f64> for NearlyIdentity {
         vec![inputs[0].clone()]
     }
 
-    fn backward(
-        &mut self,
-        _inputs: &[&Tensor<f64>],
-        _outputs: &[&Tensor<f64>],
-        output_grads: &[Option<&Tensor<f64>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<f64>>> {
-        let gradient = output_grads[0].unwrap();
+    fn backward(&mut self, pass: Backward<f64>) -> Vec<Option<Tensor<f64>>> {
+        let gradient = pass.output_grads[0].unwrap();
         let values = gradient.as_slice().iter().enumerate().map(|(at, value)| value * (1.0 + 1e-4 * (at % 2) as f64));
         vec![Some(Tensor::from_vec(gradient.shape(), values.collect()))]
     }

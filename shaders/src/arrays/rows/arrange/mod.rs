@@ -7,7 +7,7 @@ use std::ops::Range;
 use super::with_rows;
 use crate::gpu::Gpu;
 use crate::tape::chunks::map_chunks;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Rows per partial sum of the backward pass of [`repeat_row`].
 const ROWS_PER_CHUNK: usize = 4096;
@@ -63,14 +63,9 @@ impl<T: Real> Op<T> for ConcatColumns {
         vec![Tensor::from_vec([rows, columns], joined)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         let mut first = 0;
         let mut part_of = |(input, &needed): (&&Tensor<T>, &bool)| {
             let range = first..first + input.row_len();
@@ -80,21 +75,21 @@ impl<T: Real> Op<T> for ConcatColumns {
         inputs.iter().zip(needs).map(&mut part_of).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for ConcatColumns {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::concat_columns(gpu, inputs)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
-        Some(gpu::split(gpu, dy, dy.rows(), shapes))
+        gpu::split(gpu, dy, dy.rows(), shapes)
     }
 }
 
@@ -115,14 +110,9 @@ impl<T: Real> Op<T> for ConcatRows {
         vec![Tensor::from_vec(joined_shape(inputs), slices.concat())]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; inputs.len()] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         let mut rest = dy.as_slice();
         let mut part_of = |(input, &needed): (&&Tensor<T>, &bool)| {
             let part = rest.split_off(..input.len()).expect("as many rows");
@@ -131,21 +121,21 @@ impl<T: Real> Op<T> for ConcatRows {
         inputs.iter().zip(needs).map(&mut part_of).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for ConcatRows {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::concat_rows(gpu, inputs, joined_shape(inputs))])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None; inputs.len()]) };
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, needs, .. } = pass;
+        let dy = pass.dy();
         let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
-        Some(gpu::split(gpu, dy, 1, shapes))
+        gpu::split(gpu, dy, 1, shapes)
     }
 }
 
@@ -162,14 +152,9 @@ impl<T: Real> Op<T> for Columns {
         vec![Tensor::from_vec([inputs[0].rows(), self.range.len()], cut_columns(inputs[0], self.range.clone()))]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let inputs = pass.inputs;
+        let dy = pass.dy();
         let mut dx = Tensor::zeros(inputs[0].shape());
         let columns = inputs[0].row_len();
         for (row, dx) in dx.make_mut().chunks_exact_mut(columns).enumerate() {
@@ -178,19 +163,18 @@ impl<T: Real> Op<T> for Columns {
         vec![Some(dx)]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Columns {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::columns(gpu, inputs[0], &self.range)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![output_grads[0].map(|dy| gpu::among_zeros(gpu, dy, self.range.start, inputs[0].shape()))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(gpu::among_zeros(gpu, pass.dy(), self.range.start, pass.inputs[0].shape()))]
     }
 }
 
@@ -212,14 +196,8 @@ impl<T: Real> Op<T> for RepeatRow {
         vec![Tensor::from_vec([self.rows, row.len()], row.repeat(self.rows))]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let dy = pass.dy();
         let partial_sum = |rows: Range<usize>| {
             let mut sum = vec![0.0; dy.row_len()];
             rows.for_each(|row| sum.iter_mut().zip(dy.row(row)).for_each(|(sum, value)| *sum += value.to_f64()));
@@ -229,22 +207,21 @@ impl<T: Real> Op<T> for RepeatRow {
         for part in map_chunks(dy.rows(), ROWS_PER_CHUNK, partial_sum) {
             total.iter_mut().zip(part).for_each(|(total, part)| *total += part);
         }
-        vec![Some(Tensor::from_vec(inputs[0].shape(), total.into_iter().map(T::from_f64).collect()))]
+        vec![Some(Tensor::from_vec(pass.inputs[0].shape(), total.into_iter().map(T::from_f64).collect()))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for RepeatRow {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![gpu::repeat_row(gpu, inputs[0], self.rows)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![output_grads[0].map(|dy| gpu::sum_rows(gpu, dy, inputs[0].shape()))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(gpu::sum_rows(gpu, pass.dy(), pass.inputs[0].shape()))]
     }
 }
 
@@ -261,29 +238,22 @@ impl<T: Real> Op<T> for Reshape {
         vec![inputs[0].clone().reshape(self.shape.clone())]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        vec![output_grads[0].map(|dy| dy.clone().reshape(inputs[0].shape()))]
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(pass.dy().clone().reshape(pass.inputs[0].shape()))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Reshape {
     // Elements stay where they are.
     fn forward_gpu(&mut self, _gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(self.forward(inputs))
     }
 
-    fn backward_gpu(
-        &mut self,
-        _gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(self.backward(inputs, outputs, output_grads, needs))
+    fn backward_gpu(&mut self, _gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        self.backward(pass)
     }
 }

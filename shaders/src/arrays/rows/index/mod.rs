@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::with_rows;
 use crate::gpu::{Gpu, GpuArray};
 use crate::tape::chunks::for_each_chunk;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use gpu::GpuIndex;
 
 /// Elements per parallel chunk of a gather.
@@ -177,29 +177,22 @@ impl<T: Real> Op<T> for Gather {
         vec![self.index.gather(inputs[0])]
     }
 
-    fn backward(
-        &mut self,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        vec![output_grads[0].map(|dy| self.index.sum(dy, |_| T::ONE))]
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(self.index.sum(pass.dy(), |_| T::ONE))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for Gather {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.index.gather_on_gpu(gpu, inputs[0], false)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![output_grads[0].map(|dy| self.index.sum_on_gpu(gpu, dy, false))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(self.index.sum_on_gpu(gpu, pass.dy(), false))]
     }
 }
 
@@ -223,14 +216,8 @@ impl<T: Real> Op<T> for SegmentSum {
         vec![self.index.sum(inputs[0], |items| self.factor(items))]
     }
 
-    fn backward(
-        &mut self,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let dy = pass.dy();
         let mut scaled = dy.clone();
         if self.mean {
             let columns = dy.row_len().max(1);
@@ -242,18 +229,17 @@ impl<T: Real> Op<T> for SegmentSum {
         vec![Some(self.index.gather(&scaled))]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for SegmentSum {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(vec![self.index.sum_on_gpu(gpu, inputs[0], self.mean)])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![output_grads[0].map(|dy| self.index.gather_on_gpu(gpu, dy, self.mean))])
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![Some(self.index.gather_on_gpu(gpu, pass.dy(), self.mean))]
     }
 }

@@ -5,7 +5,7 @@ use std::array::from_fn;
 use rayon::prelude::*;
 
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use gpu::RowKernel;
 pub use gpu::RowWgsl;
 #[cfg(test)]
@@ -33,20 +33,22 @@ pub trait RowMap<const I: usize>: Sized + Send + Sync + 'static {
         None
     }
 
-    /// As [`RowMap::value`] for all rows, with kernels for a GPU; `None` if there are none for these inputs.
+    /// [`RowMap::value`] for all rows, with kernels for a GPU; `None` if there are none for these inputs: the map then runs on
+    /// the CPU in both directions.
     fn value_gpu<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; I]) -> Option<Tensor<T>> {
         Some(RowKernel::new(self, inputs.map(Tensor::row_len))?.value(gpu, inputs))
     }
 
-    /// As [`RowMap::gradient`] for all rows, with kernels for a GPU; `None` if there are none for these inputs.
+    /// [`RowMap::gradient`] for all rows, with kernels for a GPU; called only if [`RowMap::value_gpu`] computed the output.
     fn gradient_gpu<T: Real>(
         &self,
         gpu: Gpu,
         inputs: [&Tensor<T>; I],
         y: &Tensor<T>,
         dy: &Tensor<T>,
-    ) -> Option<[Tensor<T>; I]> {
-        Some(RowKernel::new(self, inputs.map(Tensor::row_len))?.gradients(gpu, inputs, y, dy))
+    ) -> [Tensor<T>; I] {
+        let kernel = RowKernel::new(self, inputs.map(Tensor::row_len)).expect("a kernel computed the output");
+        kernel.gradients(gpu, inputs, y, dy)
     }
 }
 
@@ -78,14 +80,9 @@ impl<T: Real, M: RowMap<I>, const I: usize> Op<T> for MapRows<M, I> {
         vec![Tensor::from_vec([rows, columns], y)]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let Some(dy) = output_grads[0] else { return vec![None; I] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, .. } = pass;
+        let dy = pass.dy();
         let columns: [usize; I] = from_fn(|input| inputs[input].row_len());
         let mut gradients: [Vec<T>; I] = from_fn(|input| vec![T::ZERO; inputs[input].len()]);
         let mut parts = gradients.each_mut().map(|gradient| gradient.as_mut_slice());
@@ -106,19 +103,19 @@ impl<T: Real, M: RowMap<I>, const I: usize> Op<T> for MapRows<M, I> {
         inputs.iter().zip(gradients).map(|(input, values)| Some(Tensor::from_vec(input.shape(), values))).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real, M: RowMap<I>, const I: usize> GpuOp<T> for MapRows<M, I> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        Some(vec![self.map.value_gpu(gpu, from_fn(|input| inputs[input]))?])
+        Some(vec![self.map.value_gpu(gpu, exactly(inputs))?])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let gradients = self.map.gradient_gpu(gpu, from_fn(|input| inputs[input]), outputs[0], output_grads[0]?)?;
-        Some(gradients.map(Some).into())
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, .. } = pass;
+        let gradients = self.map.gradient_gpu(gpu, exactly(inputs), outputs[0], pass.dy());
+        gradients.map(Some).into()
     }
 }

@@ -169,14 +169,8 @@ impl RowMap<1> for Normalize {
         Some(gpu::normalize(gpu, x, self.epsilon))
     }
 
-    fn gradient_gpu<T: Real>(
-        &self,
-        gpu: Gpu,
-        [x]: [&Tensor<T>; 1],
-        y: &Tensor<T>,
-        dy: &Tensor<T>,
-    ) -> Option<[Tensor<T>; 1]> {
-        Some([gpu::normalize_gradient(gpu, [x, y, dy], self.epsilon)])
+    fn gradient_gpu<T: Real>(&self, gpu: Gpu, [x]: [&Tensor<T>; 1], y: &Tensor<T>, dy: &Tensor<T>) -> [Tensor<T>; 1] {
+        [gpu::normalize_gradient(gpu, [x, y, dy], self.epsilon)]
     }
 }
 

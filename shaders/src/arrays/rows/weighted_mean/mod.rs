@@ -4,7 +4,7 @@ mod gpu;
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk, sum};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use gpu::WeightedMeanOnGpu;
 
 /// Σₙ wₙ‖aₙ − bₙ‖² / (K·Σₙ wₙ), shape [1], for a, b [N, K] and weights w ≥ 0 [N] or [N, 1]; 0 where all weights are 0.
@@ -35,21 +35,16 @@ impl<T: Real> Op<T> for WeightedMean {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let &[a, b, weights] = inputs else { unreachable!("three inputs") };
+        let [a, b, weights] = exactly(inputs);
         let weights = weights.as_slice();
         self.weight_sum = sum(weights.len(), |row| weights[row].to_f64());
         let total = sum(weights.len(), |row| weights[row].to_f64() * squared_distance(a.row(row), b.row(row)));
         vec![Tensor::scalar(T::from_f64(self.factor(a.row_len()) * total))]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
-        let (&[a, b, weights], Some(dy)) = (inputs, output_grads[0]) else { return vec![None; 3] };
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, needs, .. } = pass;
+        let ([a, b, weights], dy) = (exactly(inputs), pass.dy());
         let columns = a.row_len();
         let factor = self.factor(columns) * dy.as_slice()[0].to_f64();
         let by_values = |sign: f64| {
@@ -71,22 +66,22 @@ impl<T: Real> Op<T> for WeightedMean {
         vec![needs[0].then(|| by_values(1.0)), needs[1].then(|| by_values(-1.0)), needs[2].then(by_weights)]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for WeightedMean {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         let (of_gpu, mean) = WeightedMeanOnGpu::new(gpu, inputs);
         self.on_gpu = Some(of_gpu);
         Some(vec![mean])
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Some(dy) = output_grads[0] else { return Some(vec![None; 3]) };
-        Some(self.on_gpu.as_ref()?.gradients(gpu, inputs, outputs[0], dy).map(Some).into())
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, .. } = pass;
+        let dy = pass.dy();
+        self.on_gpu.as_ref().expect("the forward pass kept it").gradients(gpu, inputs, outputs[0], dy).map(Some).into()
     }
 }
 

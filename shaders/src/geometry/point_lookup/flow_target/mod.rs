@@ -11,7 +11,7 @@ mod tests;
 use super::PinholeCamera;
 use super::camera_maps::Pinhole;
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// A point is seen where its depth differs from the view's by less than this share.
 pub const DEPTH_TOLERANCE: f64 = 0.05;
@@ -113,28 +113,21 @@ impl<T: Real> Op<T> for FlowTarget<T> {
         of_three.into_iter().chain([Tensor::from_vec([count, 1], seen)]).collect()
     }
 
-    fn backward(
-        &mut self,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        _output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, _pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
         vec![None]
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for FlowTarget<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(gpu::targets(gpu, &self.maps, inputs[0]))
     }
 
-    fn backward_gpu(
-        &mut self,
-        _gpu: Gpu,
-        _inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        _output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        Some(vec![None])
+    fn backward_gpu(&mut self, _gpu: Gpu, _pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        vec![None]
     }
 }

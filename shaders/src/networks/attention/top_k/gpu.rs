@@ -81,8 +81,8 @@ impl<T: Real> TopK<T> {
         gpu: Gpu,
         inputs: &[&Tensor<T>],
         output_grads: &[Option<&Tensor<T>>],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
-        let Kept { chosen, probabilities } = self.on_gpu.as_ref()?;
+    ) -> Vec<Option<Tensor<T>>> {
+        let Kept { chosen, probabilities } = self.on_gpu.as_ref().expect("the forward pass kept them");
         let (layout, block) = (self.layout, self.block());
         let [query, key, value] = [0, 1, 2].map(|input| Binding::Read(inputs[input].on_gpu(gpu)));
         let kept = [chosen, probabilities].map(Binding::Read);
@@ -100,6 +100,6 @@ impl<T: Real> TopK<T> {
         let groups = layout.keys * layout.heads * (2 * layout.depth).div_ceil(KEYS_GROUP);
         KEYS_BACKWARD.launch(gpu, &[arriving], &block, &of_keys, groups);
         let gradients = [to_query, to_key, to_value].into_iter().zip(inputs);
-        Some(gradients.map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect())
+        gradients.map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }
 }

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::softmax::{softmax, softmax_backward};
 use crate::gpu::Gpu;
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use gpu::Kept;
 
 /// Outputs of [`top_k_attention`].
@@ -201,13 +201,8 @@ impl<T: Real> Op<T> for TopK<T> {
         ]
     }
 
-    fn backward(
-        &mut self,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, needs, .. } = pass;
         if self.kept == 0 {
             return vec![None; 3];
         }
@@ -228,18 +223,18 @@ impl<T: Real> Op<T> for TopK<T> {
         (0..3).map(|input| needs[input].then(|| side_by_side(input))).collect()
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for TopK<T> {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         self.forward_on_gpu(gpu, inputs)
     }
 
-    fn backward_gpu(
-        &mut self,
-        gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        _needs: &[bool],
-    ) -> Option<Vec<Option<Tensor<T>>>> {
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, output_grads, .. } = pass;
         self.backward_on_gpu(gpu, inputs, output_grads)
     }
 }

@@ -122,7 +122,7 @@ impl RowMap<3> for WindowAttention {
         inputs: [&Tensor<T>; 3],
         _y: &Tensor<T>,
         dy: &Tensor<T>,
-    ) -> Option<[Tensor<T>; 3]> {
-        Some(self.gradient_on_gpu(gpu, inputs, dy))
+    ) -> [Tensor<T>; 3] {
+        self.gradient_on_gpu(gpu, inputs, dy)
     }
 }

@@ -4,7 +4,7 @@ use super::{PlaneMean, Term};
 use crate::arrays::sums::{BLOCK, GROUP, LANES};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
-use crate::tape::{Real, Tensor, total_on_gpu};
+use crate::tape::{Backward, Real, Tensor, total_on_gpu};
 
 const SUMS: Grouped = Grouped {
     kernel: Kernel { name: "plane means", text: include_str!("plane_sums.wgsl") },
@@ -90,14 +90,8 @@ pub fn sums_of_means<T: Real>(gpu: Gpu, planes: &[&Tensor<T>], terms: &[Term]) -
 }
 
 /// Adds the gradients of the terms, times their upstream gradients, to the totals of the planes that need one.
-pub fn add_mean_gradients<T: Real>(
-    gpu: Gpu,
-    planes: &[&Tensor<T>],
-    terms: &[Term],
-    dys: &[Option<&Tensor<T>>],
-    needs: &[bool],
-    totals: &mut [Option<Tensor<T>>],
-) {
+pub fn add_mean_gradients<T: Real>(gpu: Gpu, pass: Backward<T>, terms: &[Term], totals: &mut [Option<Tensor<T>>]) {
+    let Backward { inputs: planes, output_grads: dys, needs, .. } = pass;
     let mut items = Vec::new();
     for (index, (plane, total)) in planes.iter().zip(totals).enumerate().filter(|(index, _)| needs[*index]) {
         let arriving = |mean: PlaneMean| {

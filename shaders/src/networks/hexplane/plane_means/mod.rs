@@ -4,7 +4,7 @@ mod gpu;
 
 use crate::gpu::Gpu;
 use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
-use crate::tape::{Op, Real, Tape, Tensor, Var};
+use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// A mean over the elements of a plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,13 +79,8 @@ impl<T: Real> Op<T> for PlaneMeans {
         self.terms.iter().map(|term| Tensor::scalar(T::from_f64(sum(term)))).collect()
     }
 
-    fn backward(
-        &mut self,
-        planes: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-    ) -> Vec<Option<Tensor<T>>> {
+    fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs: planes, output_grads, needs, .. } = pass;
         let mut gradients: Vec<Option<Tensor<T>>> = vec![None; planes.len()];
         for (Term { mean, planes: chosen }, dy) in self.terms.iter().zip(output_grads).rev() {
             let Some(dy) = dy else { continue };
@@ -103,21 +98,22 @@ impl<T: Real> Op<T> for PlaneMeans {
         gradients
     }
 
+    fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Real> GpuOp<T> for PlaneMeans {
     fn forward_gpu(&mut self, gpu: Gpu, planes: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         Some(gpu::sums_of_means(gpu, planes, &self.terms))
     }
 
-    fn accumulate_gpu(
-        &mut self,
-        gpu: Gpu,
-        planes: &[&Tensor<T>],
-        _outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
-        needs: &[bool],
-        totals: &mut [Option<Tensor<T>>],
-    ) -> bool {
-        gpu::add_mean_gradients(gpu, planes, &self.terms, output_grads, needs, totals);
-        true
+    fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
+        pass.from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
+    }
+
+    fn accumulate_gpu(&mut self, gpu: Gpu, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
+        gpu::add_mean_gradients(gpu, pass, &self.terms, totals);
     }
 }
 

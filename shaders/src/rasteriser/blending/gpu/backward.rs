@@ -5,7 +5,7 @@ use super::{Blend, BlendBlock, Kept};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
 use crate::rasteriser::binning::GpuLists;
 use crate::rasteriser::blending::ROW_COLORS;
-use crate::tape::{Real, Tensor, upstream};
+use crate::tape::{Backward, Real, Tensor, upstream};
 
 /// Pixels are added up by shuffles in subgroups.
 pub(super) const IN_SUBGROUPS: Kernel =
@@ -62,11 +62,10 @@ impl<T: Real> Blend<T> {
     pub(in crate::rasteriser::blending) fn backward_on_gpu(
         &self,
         gpu: Gpu,
-        inputs: &[&Tensor<T>],
-        outputs: &[&Tensor<T>],
-        output_grads: &[Option<&Tensor<T>>],
+        pass: Backward<T>,
         lists: &GpuLists,
     ) -> Vec<Option<Tensor<T>>> {
+        let Backward { inputs, outputs, output_grads, .. } = pass;
         let count = inputs[0].rows();
         // Gradients of extras are allocated even without extras: every binding of a kernel must exist.
         let [depth_len, features_len] = [count * self.depth_count, count * self.feature_count];
