@@ -3,7 +3,7 @@
 
 use super::{Coefficients, Group};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::tape::Tensor;
 
 const ADAM: Grouped = Grouped {
@@ -22,7 +22,6 @@ const ADAM: Grouped = Grouped {
 
 /// Elements per invocation, and invocations per workgroup.
 const ELEMENTS: usize = 4;
-const GROUP: usize = 256;
 /// The largest magnitude of the gradient, and that of the new values.
 pub const FIGURES: usize = 2;
 
@@ -71,7 +70,7 @@ fn items<'a>(
     let read = [gradient, values, first, second].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let arrays: Vec<Binding> = read.into_iter().chain(written.iter().map(Binding::Write)).collect();
     let constants = |len| AdamItem { beta1, beta2, step_size, second_moment_scale, epsilon, len, maxima };
-    Item::in_parts(gpu, gradient.len(), GROUP * ELEMENTS, &arrays, constants)
+    Item::in_parts(gpu, gradient.len(), WORKGROUP_SIZE * ELEMENTS, &arrays, constants)
 }
 
 #[cfg(test)]

@@ -163,7 +163,7 @@ impl AdapterReport {
     fn lacking(&self) -> Option<String> {
         let needs = [
             ("arrays per kernel", self.max_arrays, STORAGE_ARRAYS),
-            ("invocations per workgroup", self.max_workgroup_size, WORKGROUP_SIZE),
+            ("invocations per workgroup", self.max_workgroup_size, WORKGROUP_SIZE as u32),
             ("bytes of workgroup memory", self.max_workgroup_bytes, WORKGROUP_BYTES),
         ];
         let short = needs.iter().filter(|(_, has, needed)| has < needed);

@@ -1,7 +1,7 @@
 //! Copies of arrays.
 
-use super::launch::{Kernel, WORKGROUP_SIZE, uniforms};
-use super::{Binding, GpuArray};
+use super::launch::{Kernel, uniforms};
+use super::{Binding, GpuArray, Groups};
 
 const COPY: Kernel = Kernel { name: "copy", text: include_str!("copy.wgsl") };
 
@@ -16,8 +16,7 @@ impl GpuArray {
     pub fn copied(&self) -> Self {
         let copy = Self::new(self.gpu(), self.len());
         let arrays = [Binding::Read(self), Binding::Write(&copy)];
-        let groups = self.len().div_ceil(WORKGROUP_SIZE as usize);
-        COPY.launch(self.gpu(), &[], &SizeBlock { len: self.len() as u32 }, &arrays, groups);
+        COPY.launch(self.gpu(), &[], &SizeBlock { len: self.len() as u32 }, &arrays, Groups::Over(self.len()));
         copy
     }
 }

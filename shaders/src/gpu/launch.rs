@@ -9,7 +9,7 @@ use super::{Binding, Context, Gpu, Groups, count, lock, wgsl};
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
 pub const STORAGE_ARRAYS: u32 = 16;
 /// Invocations per workgroup of every kernel for which no other number is stated; the least that WebGPU guarantees.
-pub const WORKGROUP_SIZE: u32 = 256;
+pub const WORKGROUP_SIZE: usize = 256;
 /// Workgroups along the first dimension of a dispatch; a larger dispatch is folded (`flat_group` in WGSL). The least that
 /// WebGPU guarantees.
 const MAX_GROUPS: u32 = 65_535;
@@ -33,6 +33,8 @@ pub struct Pipeline {
     pub launches: AtomicU64,
     /// While timestamps are taken.
     pub nanoseconds: AtomicU64,
+    /// Invocations per workgroup, if the text states a number.
+    pub workgroup_size: Option<usize>,
     pub compute: wgpu::ComputePipeline,
     pub layout: wgpu::BindGroupLayout,
 }
@@ -40,7 +42,7 @@ pub struct Pipeline {
 /// Invocations that share a row of `len` terms: a power of two up to a workgroup, each with a few terms.
 pub fn lanes_for(len: usize) -> usize {
     let terms = 4;
-    len.div_ceil(terms).next_power_of_two().min(WORKGROUP_SIZE as usize)
+    len.div_ceil(terms).next_power_of_two().min(WORKGROUP_SIZE)
 }
 
 /// Columns of `len` that a workgroup adds up at once: a power of two up to 128 bytes, as memory is read.
@@ -140,7 +142,7 @@ impl Gpu {
     /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Arrays that are
     /// larger than a binding are bound in parts; panics with a [`super::GpuFailure`] if there are too many parts.
     pub fn launch(self, launch: &Launch) {
-        if matches!(launch.groups, Groups::Count(0)) {
+        if launch.groups.is_empty() {
             return;
         }
         for binding in launch.arrays {
@@ -164,6 +166,11 @@ impl Gpu {
     }
 }
 
+/// Invocations per workgroup that the text of a kernel states as a number; `None` if it names a constant.
+fn workgroup_size(source: &str) -> Option<usize> {
+    source.split("@workgroup_size(").nth(1)?.split(')').next()?.parse().ok()
+}
+
 /// The workgroups folded into two dimensions, each within the limit.
 pub fn folded(groups: usize) -> [u32; 2] {
     let groups = u32::try_from(groups).expect("fewer than 2³² workgroups");
@@ -184,6 +191,8 @@ impl Context {
 
     fn compile(&self, launch: &Launch) -> Pipeline {
         let label = Some(launch.name.as_str());
+        let source = (launch.source)();
+        let workgroup_size = workgroup_size(&source);
         let entry = |binding: u32, ty: wgpu::BufferBindingType| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::COMPUTE,
@@ -200,7 +209,7 @@ impl Context {
             self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
         let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label,
-            source: wgpu::ShaderSource::Wgsl((launch.source)().into()),
+            source: wgpu::ShaderSource::Wgsl(source.into()),
         });
         let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label,
@@ -220,7 +229,14 @@ impl Context {
             cache: None,
         });
         let kernel = launch.kernel().to_owned();
-        Pipeline { kernel, launches: AtomicU64::new(0), nanoseconds: AtomicU64::new(0), compute, layout }
+        Pipeline {
+            kernel,
+            launches: AtomicU64::new(0),
+            nanoseconds: AtomicU64::new(0),
+            workgroup_size,
+            compute,
+            layout,
+        }
     }
 
     pub fn bind_group(&self, pipeline: &Pipeline, launch: &Launch, constants: wgpu::BufferBinding) -> wgpu::BindGroup {

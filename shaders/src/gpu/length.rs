@@ -14,6 +14,8 @@ pub struct Length {
 pub enum Groups<'a> {
     /// This many.
     Count(usize),
+    /// One invocation per element, for this many elements, in workgroups of the kernel's own size.
+    Over(usize),
     /// As a kernel wrote them: three numbers from this element of the array on.
     Indirect(&'a GpuArray, usize),
 }
@@ -24,9 +26,15 @@ impl From<usize> for Groups<'_> {
     }
 }
 
+impl Groups<'_> {
+    /// Whether no invocation runs, as far as the host knows.
+    pub(super) fn is_empty(self) -> bool {
+        matches!(self, Self::Count(0) | Self::Over(0))
+    }
+}
+
 impl Length {
-    /// Elements per workgroup of [`Length::groups`] and of [`Length::blocks`].
-    pub const GROUP: usize = 256;
+    /// Elements per workgroup of [`Length::blocks`].
     pub const BLOCK: usize = 1024;
 
     /// For a kernel to write.
@@ -39,7 +47,7 @@ impl Length {
         &self.array
     }
 
-    /// One invocation per element, [`Length::GROUP`] to a workgroup, and one workgroup at least.
+    /// One invocation per element, [`WORKGROUP_SIZE`](super::WORKGROUP_SIZE) to a workgroup, and one workgroup at least.
     pub fn groups(&self) -> Groups<'_> {
         Groups::Indirect(&self.array, 2)
     }

@@ -34,7 +34,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
 pub(crate) use array::GpuArray;
 pub(crate) use binding::{ALIGNMENT, Binding};
-pub(crate) use launch::{Kernel, Launch, columns_for, lanes_for, uniforms};
+pub(crate) use launch::{Kernel, Launch, WORKGROUP_SIZE, columns_for, lanes_for, uniforms};
 pub(crate) use length::{Groups, Length};
 pub use profile::{KernelCost, Usage};
 pub use rates::Rates;

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use super::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 
 /// Vectors that are copied: 64 MiB, more than caches hold.
 const COPIED: usize = 1 << 22;
@@ -14,8 +14,6 @@ const STEPS: usize = 64;
 const FLOPS_PER_STEP: usize = 4 * 4 * 2;
 /// Runs; the fastest counts, as nothing makes a run too fast.
 const RUNS: usize = 5;
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 /// With zero steps, the kernel only copies its input to its output.
 const ARITHMETIC: Kernel = Kernel { name: "arithmetic", text: include_str!("arithmetic.wgsl") };
@@ -60,7 +58,7 @@ impl Gpu {
             let before = self.usage();
             let start = Instant::now();
             let constants = Constants { count: vectors as u32 };
-            ARITHMETIC.launch(self, &[("STEPS", steps as u32)], &constants, &arrays, vectors.div_ceil(GROUP));
+            ARITHMETIC.launch(self, &[("STEPS", steps as u32)], &constants, &arrays, Groups::Over(vectors));
             self.wait();
             let elapsed = start.elapsed().as_secs_f64();
             let stamped = self.usage().since(&before).kernels.get(ARITHMETIC.name).map_or(0.0, |cost| cost.secs);

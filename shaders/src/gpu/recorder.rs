@@ -24,9 +24,13 @@ enum Workgroups {
 }
 
 impl Workgroups {
-    fn new(groups: Groups) -> Self {
+    fn new(groups: Groups, pipeline: &Pipeline) -> Self {
         match groups {
             Groups::Count(count) => Self::Direct(folded(count)),
+            Groups::Over(elements) => {
+                let size = pipeline.workgroup_size.expect("a kernel over elements states its workgroup size");
+                Self::Direct(folded(elements.div_ceil(size)))
+            }
             Groups::Indirect(array, at) => Self::Indirect(array.buffer().clone(), 4 * at as u64),
         }
     }
@@ -69,7 +73,7 @@ impl Recorder {
         self.dispatches.push(Dispatch {
             pipeline: pipeline.clone(),
             bind_group,
-            groups: Workgroups::new(launch.groups),
+            groups: Workgroups::new(launch.groups, pipeline),
         });
     }
 

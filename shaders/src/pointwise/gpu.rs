@@ -1,11 +1,9 @@
 //! The kernels around the WGSL text of expressions.
 
 use super::expression::{Expression, Pointwise};
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, wgsl};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Launch, wgsl};
 use crate::tape::{Real, Tensor};
 
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 /// Constants per vector of the kernel's block of constants.
 const LANES: usize = 4;
 
@@ -86,7 +84,7 @@ impl<T: Real> Pointwise<T> {
     /// Launches a kernel over `len` elements.
     fn launch(&self, gpu: Gpu, name: String, source: &dyn Fn() -> String, len: usize, arrays: &[Binding]) {
         let block = self.block();
-        let (constants, groups) = (bytemuck::cast_slice(&block), len.div_ceil(GROUP).into());
+        let (constants, groups) = (bytemuck::cast_slice(&block), Groups::Over(len));
         gpu.launch(&Launch { name, source, constants, arrays, groups });
     }
 

@@ -2,16 +2,13 @@
 
 use super::{Real, Tensor};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
 
 const SUMS: Grouped = Grouped {
     kernel: Kernel { name: "sums of pairs", text: include_str!("pair_sums.wgsl") },
     shared: 0,
     arrays: &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::write("y")],
 };
-
-/// Elements per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct SumItem as "Item" { len: u32 }
@@ -23,7 +20,7 @@ pub fn sums_on_gpu<T: Real>(gpu: Gpu, pairs: &[[&Tensor<T>; 2]]) -> Vec<Tensor<T
     let mut items = Vec::new();
     for ([a, b], sum) in pairs.iter().zip(&sums) {
         let arrays = [Binding::Read(a.on_gpu(gpu)), Binding::Read(b.on_gpu(gpu)), Binding::Write(sum)];
-        items.extend(Item::in_parts(gpu, sum.len(), GROUP, &arrays, |len| SumItem { len }));
+        items.extend(Item::in_parts(gpu, sum.len(), WORKGROUP_SIZE, &arrays, |len| SumItem { len }));
     }
     SUMS.launch(gpu, &[], &[], &items);
     pairs.iter().zip(sums).map(|([a, _], sum)| Tensor::from_gpu(a.shape(), sum)).collect()

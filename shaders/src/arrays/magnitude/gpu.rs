@@ -1,11 +1,9 @@
 //! The search for the largest: a launch and a readback for all tensors.
 
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::tape::Tensor;
 
-/// Values per workgroup and per invocation.
-const GROUP: usize = 256;
 const VALUES: usize = 16;
 
 pub(super) const LARGEST: Grouped = Grouped {
@@ -30,7 +28,7 @@ pub(super) fn largest_magnitudes(tensors: &[&Tensor<f32>]) -> Vec<f32> {
     for (slot, tensor) in tensors.iter().enumerate() {
         let constants = |count| Constants { count, slot: slot as u32 };
         let arrays = [Binding::Read(tensor.on_gpu(gpu))];
-        items.extend(Item::in_parts(gpu, tensor.len(), GROUP * VALUES, &arrays, constants));
+        items.extend(Item::in_parts(gpu, tensor.len(), WORKGROUP_SIZE * VALUES, &arrays, constants));
     }
     LARGEST.launch(gpu, &specialisation(), &[Binding::Write(&largest)], &items);
     let mut bits = vec![0.0_f32; tensors.len()];

@@ -3,14 +3,11 @@
 use super::{SampleSize, SampledRows};
 use crate::arrays::rows::RowIndex;
 use crate::arrays::sort::sort;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 pub(super) const KEYS: Kernel = Kernel { name: "sample, keys", text: include_str!("sample_keys.wgsl") };
 pub(super) const CHOOSE: Kernel = Kernel { name: "sample", text: include_str!("sample.wgsl") };
-
-/// Rows and places per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     pub(super) struct KeysBlock as "Keys" {
@@ -32,13 +29,13 @@ pub(super) fn sample<T: Real>(gpu: Gpu, candidates: &Tensor<T>, size: SampleSize
     let keys = GpuArray::new(gpu, rows);
     let block = KeysBlock { rows: rows as u32, seed };
     let arrays = [Binding::Read(candidates.on_gpu(gpu)), Binding::Write(&keys)];
-    KEYS.launch(gpu, &[], &block, &arrays, rows.div_ceil(GROUP));
+    KEYS.launch(gpu, &[], &block, &arrays, Groups::Over(rows));
     let (sorted, order) = sort(gpu, &keys, u32::BITS);
 
     let [row_of_place, weights] = [(); 2].map(|()| GpuArray::new(gpu, places));
     let block = SampleBlock { rows: rows as u32, places: places as u32, share: size.share as f32 };
     let read = [&sorted, &order].map(Binding::Read);
     let arrays = [&read[..], &[&row_of_place, &weights].map(Binding::Write)].concat();
-    CHOOSE.launch(gpu, &[], &block, &arrays, places.div_ceil(GROUP));
+    CHOOSE.launch(gpu, &[], &block, &arrays, Groups::Over(places));
     SampledRows { rows: RowIndex::of_gpu(row_of_place, rows), weights: Tensor::from_gpu([places], weights) }
 }

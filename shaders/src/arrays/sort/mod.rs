@@ -4,7 +4,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, Length, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, Length, WORKGROUP_SIZE, uniforms};
 
 const SCAN: Kernel = Kernel { name: "scan", text: include_str!("scan_input.wgsl") };
 const SCAN_ADD: Kernel = Kernel { name: "scan, offsets", text: include_str!("scan_add.wgsl") };
@@ -15,8 +15,6 @@ const STARTS: Kernel = Kernel { name: "sort, starts", text: include_str!("sort_s
 
 /// Elements per workgroup of every kernel but the offsets and starts.
 const BLOCK: usize = Length::BLOCK;
-/// Elements per workgroup of the offsets and starts, and invocations of those of the rows.
-const ADD_GROUP: usize = 256;
 /// Bits per pass, and the digits that they make.
 const DIGIT_BITS: u32 = 8;
 const DIGITS: usize = 1 << DIGIT_BITS;
@@ -60,7 +58,7 @@ pub fn sums_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], len: usize) -> Gpu
     if blocks > 1 {
         let before = exclusive_sums(gpu, &block_sums);
         let arrays = [Binding::Read(&before), Binding::Write(&sums)];
-        SCAN_ADD.launch(gpu, &[], &constants, &arrays, len.div_ceil(ADD_GROUP));
+        SCAN_ADD.launch(gpu, &[], &constants, &arrays, Groups::Over(len));
     }
     sums
 }
@@ -131,8 +129,8 @@ impl<'a> Run<'a> {
         let (gpu, constants, totals) = (self.gpu, self.constants(keys, shift), GpuArray::new(self.gpu, DIGITS));
         let (length, last_pass) = (self.length(keys), next_counts.is_empty());
         let last = ("LAST", u32::from(last_pass));
-        let lanes = self.blocks.next_power_of_two().min(ADD_GROUP);
-        let groups = if self.blocks == 0 { 0 } else { DIGITS * lanes / ADD_GROUP };
+        let lanes = self.blocks.next_power_of_two().min(WORKGROUP_SIZE);
+        let groups = if self.blocks == 0 { 0 } else { DIGITS * lanes / WORKGROUP_SIZE };
         let arrays = [length, Binding::Write(counts), Binding::Write(&totals), Binding::Write(next_counts)];
         ROWS.launch(gpu, &[self.counted(), ("LANES", lanes as u32), last], &constants, &arrays, groups);
         let sorted = [(); 2].map(|()| GpuArray::new(gpu, keys.len()));
@@ -150,7 +148,7 @@ pub fn starts(gpu: Gpu, sorted_keys: &GpuArray, count: usize) -> GpuArray {
     let starts = GpuArray::new(gpu, count + 1);
     let constants = StartsBlock { len: sorted_keys.len() as u32 };
     let arrays = [Binding::Read(sorted_keys), Binding::Write(&starts)];
-    STARTS.launch(gpu, &[], &constants, &arrays, starts.len().div_ceil(ADD_GROUP));
+    STARTS.launch(gpu, &[], &constants, &arrays, Groups::Over(starts.len()));
     starts
 }
 

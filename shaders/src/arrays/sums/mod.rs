@@ -4,17 +4,15 @@
 #[cfg(test)]
 mod tests;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, WORKGROUP_SIZE, uniforms};
 
 const ROWS: Kernel = Kernel { name: "sums of rows", text: include_str!("sums_of_rows.wgsl") };
 const TOTAL: Kernel = Kernel { name: "total", text: include_str!("total_input.wgsl") };
 
-/// Invocations per workgroup, which share one sum (`gpu/row_sum.wgsl`).
-pub const GROUP: usize = 256;
 /// Elements per workgroup of a total, and so of kernels that make terms of a total.
 pub const BLOCK: usize = 4096;
 /// All invocations of a workgroup share one sum.
-pub const LANES: (&str, u32) = ("LANES", GROUP as u32);
+pub const LANES: (&str, u32) = ("LANES", WORKGROUP_SIZE as u32);
 /// The most rows that a single invocation adds in one pass.
 const MOST_ROWS: usize = 1024;
 
@@ -42,7 +40,7 @@ pub fn over_rows(gpu: Gpu, x: &GpuArray, columns: usize) -> GpuArray {
     let constants = RowsBlock { rows: rows as u32, columns: columns as u32, rows_per_block: rows_per_block as u32 };
     let sums = GpuArray::new(gpu, blocks * columns);
     let arrays = [Binding::Read(x), Binding::Write(&sums)];
-    ROWS.launch(gpu, &[], &constants, &arrays, (blocks * columns).div_ceil(GROUP));
+    ROWS.launch(gpu, &[], &constants, &arrays, Groups::Over(blocks * columns));
     if blocks == 1 { sums } else { over_rows(gpu, &sums, columns) }
 }
 

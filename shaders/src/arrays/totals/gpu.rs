@@ -1,7 +1,7 @@
 //! The kernels of totals.
 
-use crate::arrays::sums::{self, GROUP};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::arrays::sums;
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 const SPREAD: Kernel = Kernel { name: "total backward", text: include_str!("total_bwd.wgsl") };
@@ -22,7 +22,7 @@ pub fn total_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>, factor: 
     let gradient = GpuArray::new(gpu, x.len());
     let block = SpreadBlock { factor: factor as f32 };
     let arrays = [Binding::Read(dy.on_gpu(gpu)), Binding::Write(&gradient)];
-    SPREAD.launch(gpu, &[], &block, &arrays, x.len().div_ceil(GROUP));
+    SPREAD.launch(gpu, &[], &block, &arrays, Groups::Over(x.len()));
     Tensor::from_gpu(x.shape(), gradient)
 }
 

@@ -5,7 +5,7 @@
 mod tests;
 
 use super::Neighbors;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, columns_for, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, columns_for, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const NEAREST: Kernel = Kernel { name: "nearest nodes", text: include_str!("nearest.wgsl") };
@@ -26,10 +26,6 @@ const FRAMES_POINTS: Kernel = Kernel { name: "blend frames backward", text: incl
 const FRAMES_NODES: Kernel =
     Kernel { name: "blend frames backward, nodes", text: include_str!("frames_nodes_bwd.wgsl") };
 
-/// Invocations per workgroup.
-const GROUP: usize = 256;
-/// Points per workgroup of the search, and of the frames: few, because each invocation holds many numbers.
-const POINTS_GROUP: usize = 64;
 /// The most axes that an invocation keeps in registers, for the point whose nodes it searches and for gradients.
 const MAX_AXES: usize = 32;
 /// The most nodes per point that an invocation keeps in registers.
@@ -82,7 +78,7 @@ pub(super) fn nearest<T: Real>(
     let node_of_item = GpuArray::new(gpu, points.rows() * per_point);
     let [points_read, nodes_read] = read(gpu, [points, nodes]);
     let arrays = [points_read, nodes_read, Binding::Write(&node_of_item)];
-    let (others, groups) = (("OTHERS", u32::from(others)), points.rows().div_ceil(POINTS_GROUP));
+    let (others, groups) = (("OTHERS", u32::from(others)), Groups::Over(points.rows()));
     let sizes = [points.rows(), nodes.rows(), axes, per_point].map(|size| size as u32);
     let block = NearestBlock { points: sizes[0], nodes: sizes[1], axes: sizes[2], kept: sizes[3] };
     if (1..=MAX_AXES).contains(&axes) && per_point <= MAX_KEPT {
@@ -111,10 +107,10 @@ impl Neighbors {
         [&followers.items, &followers.starts].map(Binding::Read)
     }
 
-    /// Invocations that share the followers of a node, and the workgroups that they make for all nodes.
-    fn lanes(&self) -> (usize, usize) {
+    /// Invocations that share the followers of a node, and the workgroups for all nodes.
+    fn lanes(&self) -> (usize, Groups<'static>) {
         let lanes = lanes_for(self.points() * self.per_point() / self.nodes().max(1));
-        (lanes, (self.nodes() * lanes).div_ceil(GROUP))
+        (lanes, Groups::Over(self.nodes() * lanes))
     }
 }
 
@@ -132,7 +128,7 @@ pub(super) fn blend<T: Real>(gpu: Gpu, neighbors: &Neighbors, [weights, values]:
     let y = GpuArray::new(gpu, points * columns);
     let arrays =
         [&read(gpu, [weights, values])[..], &[neighbors.node_of_item_on_gpu(gpu), Binding::Write(&y)]].concat();
-    BLEND.launch(gpu, &[], &blend_block(neighbors, columns), &arrays, y.len().div_ceil(GROUP));
+    BLEND.launch(gpu, &[], &blend_block(neighbors, columns), &arrays, Groups::Over(y.len()));
     Tensor::from_gpu([points, columns], y)
 }
 
@@ -149,7 +145,7 @@ pub(super) fn blend_backward<T: Real>(
         let gradient = GpuArray::new(gpu, weights.len());
         let [values, dy] = read(gpu, [values, dy]);
         let arrays = [values, neighbors.node_of_item_on_gpu(gpu), dy, Binding::Write(&gradient)];
-        BLEND_WEIGHTS.launch(gpu, &[], &block, &arrays, gradient.len().div_ceil(GROUP));
+        BLEND_WEIGHTS.launch(gpu, &[], &block, &arrays, Groups::Over(gradient.len()));
         Tensor::from_gpu(weights.shape(), gradient)
     };
     let to_values = || {
@@ -181,7 +177,7 @@ pub(super) fn weights<T: Real>(gpu: Gpu, neighbors: &Neighbors, inputs: &[&Tenso
     let (placed, gated) = placed(gpu, inputs);
     let arrays = [&placed[..], &[neighbors.node_of_item_on_gpu(gpu), Binding::Write(&weights)]].concat();
     let block = weights_block(neighbors, inputs[0]);
-    WEIGHTS.launch(gpu, &[gated], &block, &arrays, neighbors.points().div_ceil(GROUP));
+    WEIGHTS.launch(gpu, &[gated], &block, &arrays, Groups::Over(neighbors.points()));
     Tensor::from_gpu(shape, weights)
 }
 
@@ -201,7 +197,7 @@ pub(super) fn weights_backward<T: Real>(
     let [weights, dweights] = read(gpu, [weights, dweights]);
     let written = [&unnormalised, &to_points].map(Binding::Write);
     let of_points = [&placed[..], &[neighbors.node_of_item_on_gpu(gpu), weights, dweights], &written].concat();
-    WEIGHTS_POINTS.launch(gpu, &[gated], &block, &of_points, neighbors.points().div_ceil(GROUP));
+    WEIGHTS_POINTS.launch(gpu, &[gated], &block, &of_points, Groups::Over(neighbors.points()));
 
     let (lanes, groups) = neighbors.lanes();
     let written = [&to_nodes, &to_radii, &to_gates].map(Binding::Write);
@@ -228,7 +224,7 @@ pub(super) fn blend_frames<T: Real>(gpu: Gpu, neighbors: &Neighbors, inputs: &[&
     let y = GpuArray::new(gpu, inputs[1].len());
     let mut arrays = frames_inputs(gpu, inputs);
     arrays.extend([neighbors.node_of_item_on_gpu(gpu), Binding::Write(&y)]);
-    FRAMES.launch(gpu, &[], &frames_block(neighbors), &arrays, neighbors.points().div_ceil(POINTS_GROUP));
+    FRAMES.launch(gpu, &[], &frames_block(neighbors), &arrays, Groups::Over(neighbors.points()));
     Tensor::from_gpu(inputs[1].shape(), y)
 }
 
@@ -244,7 +240,7 @@ pub(super) fn blend_frames_backward<T: Real>(
     let mut of_points = frames_inputs(gpu, inputs);
     of_points.extend([neighbors.node_of_item_on_gpu(gpu), dy]);
     of_points.extend(gradients[..2].iter().map(Binding::Write));
-    FRAMES_POINTS.launch(gpu, &[], &block, &of_points, neighbors.points().div_ceil(POINTS_GROUP));
+    FRAMES_POINTS.launch(gpu, &[], &block, &of_points, Groups::Over(neighbors.points()));
 
     let mut of_nodes = frames_inputs(gpu, inputs);
     of_nodes.extend(neighbors.followers_on_gpu(gpu));

@@ -8,7 +8,7 @@ use super::Sampling;
 use super::camera_maps::{Pinhole, Project, Unproject};
 use super::lookup::Lookup;
 use crate::arrays::sort::{sort, starts};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
 const PROJECT: Kernel = Kernel { name: "project points", text: include_str!("project.wgsl") };
@@ -20,11 +20,6 @@ const LOOKUP: Kernel = Kernel { name: "lookup", text: include_str!("lookup.wgsl"
 const VALID: Kernel = Kernel { name: "lookup, validity", text: include_str!("lookup_valid.wgsl") };
 const LOOKUP_BACKWARD: Kernel = Kernel { name: "lookup backward", text: include_str!("lookup_bwd.wgsl") };
 const IMAGE_BACKWARD: Kernel = Kernel { name: "lookup backward, image", text: include_str!("lookup_image_bwd.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
-/// Positions per workgroup of the lookups: few, because each invocation holds a window.
-const LOOKUP_GROUP: usize = 64;
 
 uniforms! {
     struct CameraBlock as "Camera" {
@@ -80,7 +75,7 @@ impl<T: Real> Project<T> {
         let count = points.rows();
         let (pixels, depths) = (GpuArray::new(gpu, 2 * count), GpuArray::new(gpu, count));
         let arrays = [Binding::Read(points.on_gpu(gpu)), Binding::Write(&pixels), Binding::Write(&depths)];
-        PROJECT.launch(gpu, &[], &self.block(points), &arrays, count.div_ceil(GROUP));
+        PROJECT.launch(gpu, &[], &self.block(points), &arrays, Groups::Over(count));
         vec![Tensor::from_gpu([count, 2], pixels), Tensor::from_gpu([count], depths)]
     }
 
@@ -94,7 +89,7 @@ impl<T: Real> Project<T> {
         let gradient = GpuArray::new(gpu, points.len());
         let (mask, by_output) = upstream(gpu, output_grads, points.on_gpu(gpu));
         let arrays = [&[Binding::Read(points.on_gpu(gpu))][..], &by_output, &[Binding::Write(&gradient)]].concat();
-        let groups = points.rows().div_ceil(GROUP);
+        let groups = Groups::Over(points.rows());
         PROJECT_BACKWARD.launch(gpu, &[("ARRIVING", mask)], &self.block(points), &arrays, groups);
         Tensor::from_gpu(points.shape(), gradient)
     }
@@ -107,7 +102,7 @@ impl<T: Real> Unproject<T> {
         let points = GpuArray::new(gpu, 3 * count);
         let read = [0, 1].map(|input| Binding::Read(inputs[input].on_gpu(gpu)));
         let arrays = [&read[..], &[Binding::Write(&points)]].concat();
-        UNPROJECT.launch(gpu, &[], &camera_block(&self.camera, 0.0, count), &arrays, count.div_ceil(GROUP));
+        UNPROJECT.launch(gpu, &[], &camera_block(&self.camera, 0.0, count), &arrays, Groups::Over(count));
         Tensor::from_gpu([count, 3], points)
     }
 
@@ -122,7 +117,7 @@ impl<T: Real> Unproject<T> {
         let gradients = [0, 1].map(|input| GpuArray::new(gpu, inputs[input].len()));
         let read = [inputs[0], inputs[1], d_points].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
         let arrays = [&read[..], &gradients.each_ref().map(Binding::Write)].concat();
-        let groups = count.div_ceil(GROUP);
+        let groups = Groups::Over(count);
         UNPROJECT_BACKWARD.launch(gpu, &[], &camera_block(&self.camera, 0.0, count), &arrays, groups);
         gradients.into_iter().zip(inputs).map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }
@@ -148,7 +143,7 @@ impl Lookup {
         let valid = GpuArray::new(gpu, count);
         let read = [image, pixels].map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays = [&read[..], &[Binding::Write(&valid)]].concat();
-        VALID.launch(gpu, &[self.edges()], &self.block(count), &arrays, count.div_ceil(LOOKUP_GROUP));
+        VALID.launch(gpu, &[self.edges()], &self.block(count), &arrays, Groups::Over(count));
         Tensor::from_gpu([count], valid)
     }
 
@@ -157,7 +152,7 @@ impl Lookup {
         let values = GpuArray::new(gpu, count * self.channels);
         let read = [0, 1].map(|input| Binding::Read(inputs[input].on_gpu(gpu)));
         let arrays = [&read[..], &[Binding::Write(&values)]].concat();
-        LOOKUP.launch(gpu, &[self.edges()], &self.block(count), &arrays, count.div_ceil(LOOKUP_GROUP));
+        LOOKUP.launch(gpu, &[self.edges()], &self.block(count), &arrays, Groups::Over(count));
         Tensor::from_gpu([count, self.channels], values)
     }
 
@@ -174,7 +169,7 @@ impl Lookup {
         let [texels, weights] = [(); 2].map(|()| GpuArray::new(gpu, 4 * count));
         let read = [inputs[0], inputs[1], d_values].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
         let arrays = [&read[..], &[&to_pixels, &texels, &weights].map(Binding::Write)].concat();
-        LOOKUP_BACKWARD.launch(gpu, &[self.edges()], &self.block(count), &arrays, count.div_ceil(LOOKUP_GROUP));
+        LOOKUP_BACKWARD.launch(gpu, &[self.edges()], &self.block(count), &arrays, Groups::Over(count));
         let to_image = needs[0].then(|| {
             // The number of texels encodes "no texel".
             let bits = (self.width * self.height).ilog2() + 1;
@@ -185,7 +180,7 @@ impl Lookup {
             let read = [&corners, &starts, &weights, d_values.on_gpu(gpu)].map(Binding::Read);
             let arrays = [&read[..], &[Binding::Write(&gradient)]].concat();
             let block = CornersBlock { len, channels };
-            IMAGE_BACKWARD.launch(gpu, &[], &block, &arrays, gradient.len().div_ceil(GROUP));
+            IMAGE_BACKWARD.launch(gpu, &[], &block, &arrays, Groups::Over(gradient.len()));
             Tensor::from_gpu(inputs[0].shape(), gradient)
         });
         vec![to_image, Some(Tensor::from_gpu(inputs[1].shape(), to_pixels))]

@@ -1,13 +1,10 @@
 //! The rotation between two lists of vectors.
 
 use super::Quaternion;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
 const FIT: Kernel = Kernel { name: "best rotations", text: include_str!("fit.wgsl") };
-
-/// Owners per workgroup: few, because each invocation holds two matrices.
-const GROUP: usize = 64;
 
 /// Sweeps of Jacobi's method: it converges quadratically, four or five reach the precision of f64.
 const SWEEPS: usize = 8;
@@ -57,7 +54,7 @@ fn on_gpu<T: Real>(gpu: Gpu, before: &Tensor<T>, after: &Tensor<T>, per_owner: u
     let rotations = GpuArray::new(gpu, 4 * vectors);
     let block = FitBlock { owners: owners as u32, per_owner: per_owner as u32 };
     let read = [before, after].map(|vectors| Binding::Read(vectors.on_gpu(gpu)));
-    FIT.launch(gpu, &[], &block, &[&read[..], &[Binding::Write(&rotations)]].concat(), owners.div_ceil(GROUP));
+    FIT.launch(gpu, &[], &block, &[&read[..], &[Binding::Write(&rotations)]].concat(), Groups::Over(owners));
     Tensor::from_gpu([vectors, 4], rotations)
 }
 

@@ -5,7 +5,7 @@
 mod tests;
 
 use super::SoftHistogram;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::tape::{Real, Tensor};
 
 const BLOCKS: Kernel = Kernel { name: "soft histogram", text: include_str!("histogram.wgsl") };
@@ -13,12 +13,10 @@ const TOTAL: Kernel = Kernel { name: "soft histogram, total", text: include_str!
 const BACKWARD: Kernel = Kernel { name: "soft histogram backward", text: include_str!("histogram_bwd.wgsl") };
 const DIVERGENCE: Kernel = Kernel { name: "divergence from uniform", text: include_str!("divergence.wgsl") };
 
-/// Invocations per workgroup, which is also the most bins of one workgroup.
-const GROUP: usize = 256;
 /// Values per workgroup of the shares.
 const BLOCK: usize = 4096;
 /// All invocations of a workgroup share one sum.
-const LANES: (&str, u32) = ("LANES", GROUP as u32);
+const LANES: (&str, u32) = ("LANES", WORKGROUP_SIZE as u32);
 
 uniforms! {
     struct HistogramBlock as "Histogram" {
@@ -55,7 +53,7 @@ impl SoftHistogram {
     pub(super) fn shares_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>) -> Tensor<T> {
         let blocks = x.len().div_ceil(BLOCK);
         let block_shares = GpuArray::new(gpu, blocks * self.bins);
-        let columns = self.bins.next_power_of_two().min(GROUP);
+        let columns = self.bins.next_power_of_two().min(WORKGROUP_SIZE);
         let groups = blocks * self.bins.div_ceil(columns);
         let arrays = [Binding::Read(x.on_gpu(gpu)), Binding::Write(&block_shares)];
         BLOCKS.launch(gpu, &[("COLUMNS", columns as u32)], &self.block(x.len()), &arrays, groups);
@@ -71,7 +69,7 @@ impl SoftHistogram {
         let gradient = GpuArray::new(gpu, x.len());
         let read = [x, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
         let arrays = [&read[..], &[Binding::Write(&gradient)]].concat();
-        BACKWARD.launch(gpu, &[], &self.block(x.len()), &arrays, gradient.len().div_ceil(GROUP));
+        BACKWARD.launch(gpu, &[], &self.block(x.len()), &arrays, Groups::Over(gradient.len()));
         Tensor::from_gpu(x.shape(), gradient)
     }
 }

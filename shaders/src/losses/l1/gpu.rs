@@ -1,7 +1,7 @@
 //! The kernels of the mean distance.
 
-use crate::arrays::sums::{GROUP, total_of};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::arrays::sums::total_of;
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 const L1: Kernel = Kernel { name: "l1", text: include_str!("l1.wgsl") };
@@ -26,7 +26,7 @@ pub fn l1_gradient<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>, dy
     let read = [render, target, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let arrays = [&read[..], &[Binding::Write(&gradient)]].concat();
     let block = DistanceBlock { len: render.len() as u32, factor: 1.0 / render.len() as f32 };
-    L1_BACKWARD.launch(gpu, &[], &block, &arrays, render.len().div_ceil(GROUP));
+    L1_BACKWARD.launch(gpu, &[], &block, &arrays, Groups::Over(render.len()));
     Tensor::from_gpu(render.shape(), gradient)
 }
 

@@ -7,7 +7,7 @@ mod tests;
 use super::central_difference::CentralDifference;
 use super::{Convolution, Layout};
 use crate::gpu::grouped::Grouped;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::networks::linear::product::{self, Product};
 use crate::tape::{Real, Tensor};
 
@@ -17,9 +17,6 @@ const CONVOLUTION: Grouped = Grouped {
     arrays: product::EACH_ARRAYS,
 };
 const CENTRAL: Kernel = Kernel { name: "central difference", text: include_str!("central_difference.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct CentralBlock as "Central" {
@@ -140,7 +137,7 @@ impl CentralDifference {
         let block = CentralBlock { len, taps, channels, theta: self.theta as f32 };
         let arrays = [Binding::Read(weight.on_gpu(gpu)), Binding::Write(&reduced)];
         let backward = ("BACKWARD", u32::from(is_backward));
-        CENTRAL.launch(gpu, &[backward], &block, &arrays, reduced.len().div_ceil(GROUP));
+        CENTRAL.launch(gpu, &[backward], &block, &arrays, Groups::Over(reduced.len()));
         Tensor::from_gpu(weight.shape(), reduced)
     }
 }

@@ -6,7 +6,7 @@ mod tests;
 
 use super::GroupNorm;
 use crate::gpu::column_sums::Terms;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::tape::{Real, Tensor};
 
 const TERMS: Kernel = Kernel { name: "group norm, terms", text: include_str!("group_norm_terms.wgsl") };
@@ -15,9 +15,6 @@ const FORWARD: Kernel = Kernel { name: "group norm", text: include_str!("group_n
 const BACKWARD_TERMS: Kernel =
     Kernel { name: "group norm backward, terms", text: include_str!("group_norm_bwd_terms.wgsl") };
 const BACKWARD: Kernel = Kernel { name: "group norm backward", text: include_str!("group_norm_bwd.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct StatisticsBlock as "Statistics" {
@@ -62,7 +59,7 @@ impl GroupNorm {
         let statistic = GpuArray::new(gpu, self.groups);
         let [pixels, blocks, groups] = [rows, blocks, self.groups].map(|size| size as u32);
         let arrays = [Binding::Read(&block_sums), Binding::Write(&statistic)];
-        let specialisation = [&specialisation[..], &[("LANES", GROUP as u32)]].concat();
+        let specialisation = [&specialisation[..], &[("LANES", WORKGROUP_SIZE as u32)]].concat();
         let block = StatisticsBlock { pixels, blocks, groups };
         STATISTICS.launch(gpu, &specialisation, &block, &arrays, self.groups);
         statistic
@@ -75,7 +72,7 @@ impl GroupNorm {
         let y = GpuArray::new(gpu, x.len());
         let read = inputs.iter().map(|input| input.on_gpu(gpu)).chain([&means, &inverses]).map(Binding::Read);
         let arrays: Vec<Binding> = read.chain([Binding::Write(&y)]).collect();
-        FORWARD.launch(gpu, &[self.per_group()], &self.block(x), &arrays, y.len().div_ceil(GROUP));
+        FORWARD.launch(gpu, &[self.per_group()], &self.block(x), &arrays, Groups::Over(y.len()));
         self.on_gpu = Some(GpuStatistics { means, inverses });
         Tensor::from_gpu(x.shape(), y)
     }
@@ -99,7 +96,7 @@ impl GroupNorm {
         let dx = GpuArray::new(gpu, x.len());
         let sums = [&to_shift, &to_scale].map(Binding::Read);
         let arrays = [&[x_read, scale, dy][..], &statistics, &sums, &[Binding::Write(&dx)]].concat();
-        BACKWARD.launch(gpu, &specialisation, &self.block(x), &arrays, dx.len().div_ceil(GROUP));
+        BACKWARD.launch(gpu, &specialisation, &self.block(x), &arrays, Groups::Over(dx.len()));
         let gradients = [dx, to_scale, to_shift].into_iter().zip(inputs);
         gradients.map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }

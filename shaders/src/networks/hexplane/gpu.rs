@@ -8,7 +8,7 @@ use super::Field;
 use super::scales::{ScaleItem, cells, scales};
 use crate::arrays::sort::{sort, starts};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{ALIGNMENT, Binding, Gpu, GpuArray, Kernel, parts};
+use crate::gpu::{ALIGNMENT, Binding, Gpu, GpuArray, Kernel, WORKGROUP_SIZE, parts};
 use crate::tape::{Real, Tensor, total_on_gpu};
 
 const FORWARD: Grouped =
@@ -46,8 +46,6 @@ const GRADIENTS: &[ItemArray] = &[
     ItemArray::write("g_zt"),
 ];
 
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 /// Gradients of values at most, 1 GiB of them: a step needs little more memory for millions of points than for many.
 const MOST_VALUES: usize = 1 << 28;
 /// Entries of the list by cells that one invocation adds.
@@ -79,7 +77,7 @@ pub fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Te
     let (points, channels) = (positions.rows(), field.channels());
     let features = GpuArray::new(gpu, points * channels * field.scales());
     let shared = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&features)];
-    let items = readers(gpu, &scales(field, points), field.planes, (points * channels).div_ceil(GROUP));
+    let items = readers(gpu, &scales(field, points), field.planes, (points * channels).div_ceil(WORKGROUP_SIZE));
     FORWARD.launch(gpu, &[], &shared, &items);
     Tensor::from_gpu([points, channels * field.scales()], features)
 }
@@ -167,7 +165,7 @@ impl CellList {
         let (cells, points) = (cells(scales), scales[0].points());
         let cell_of_entry = GpuArray::new(gpu, 6 * scales.len() * points);
         let shared = [positions, Binding::Write(&cell_of_entry)];
-        CELLS.launch(gpu, &[], &shared, &bare(scales, points.div_ceil(GROUP)));
+        CELLS.launch(gpu, &[], &shared, &bare(scales, points.div_ceil(WORKGROUP_SIZE)));
         let bits = usize::BITS - cells.saturating_sub(1).leading_zeros();
         let (sorted, entries) = sort(gpu, &cell_of_entry, bits);
         let starts = starts(gpu, &sorted, cells);
@@ -201,7 +199,7 @@ impl<T: Real> Part<'_, T> {
         let g_values = GpuArray::new(self.gpu, self.scales[0].values(self.scales.len()));
         let shared = [self.positions, dy, Binding::Write(&g_values), g_positions];
         let items = readers(self.gpu, self.scales, self.planes, 0);
-        let groups = points.div_ceil((GROUP / channels).max(1));
+        let groups = points.div_ceil((WORKGROUP_SIZE / channels).max(1));
         BACKWARD.launch_together(self.gpu, &[("ADDS", u32::from(adds))], &shared, &items, groups);
         g_values
     }
@@ -211,7 +209,7 @@ impl<T: Real> Part<'_, T> {
         let corners = GpuArray::new(self.gpu, corners(self.scales));
         let read = [g_values, &self.list.cells, &self.list.entries].map(Binding::Read);
         let shared = [&[self.positions][..], &read, &[Binding::Write(&corners)]].concat();
-        let groups = (blocks(self.scales) * self.scales[0].channels()).div_ceil(GROUP);
+        let groups = (blocks(self.scales) * self.scales[0].channels()).div_ceil(WORKGROUP_SIZE);
         BLOCKS.launch_together(self.gpu, &[], &shared, &bare(self.scales, 0), groups);
         corners
     }
@@ -225,7 +223,7 @@ impl<T: Real> Part<'_, T> {
                 item.constants.adds |= u32::from(adds) << index;
                 item.arrays.push(Binding::Write(gradient));
             }
-            item.groups = planes.iter().map(|plane| plane.len()).sum::<usize>().div_ceil(GROUP);
+            item.groups = planes.iter().map(|plane| plane.len()).sum::<usize>().div_ceil(WORKGROUP_SIZE);
         }
         let shared = [Binding::Read(&self.list.starts), Binding::Read(corners)];
         TEXELS.launch(self.gpu, &[], &shared, &items);

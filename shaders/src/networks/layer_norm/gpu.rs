@@ -5,16 +5,13 @@
 mod tests;
 
 use crate::gpu::column_sums::Terms;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const STANDARDIZE: Kernel = Kernel { name: "standardize", text: include_str!("layer_norm.wgsl") };
 const STANDARDIZE_BACKWARD: Kernel = Kernel { name: "standardize backward", text: include_str!("layer_norm_bwd.wgsl") };
 const AFFINE: Kernel = Kernel { name: "affine columns", text: include_str!("affine.wgsl") };
 const AFFINE_TERMS: Kernel = Kernel { name: "affine columns backward", text: include_str!("affine_terms.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct NormBlock as "Norm" {
@@ -35,7 +32,7 @@ fn launch<T: Real>(gpu: Gpu, kernel: &Kernel, x: &Tensor<T>, arrays: &[Binding])
     let (rows, columns) = (x.rows(), x.row_len());
     let lanes = lanes_for(columns);
     let block = NormBlock { rows: rows as u32, columns: columns as u32 };
-    kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
+    kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, Groups::Over(rows * lanes));
 }
 
 pub(super) fn standardize<T: Real>(gpu: Gpu, x: &Tensor<T>) -> Tensor<T> {
@@ -57,7 +54,7 @@ fn affine<T: Real>(gpu: Gpu, [x, scale, offset]: [&Tensor<T>; 3], is_backward: b
     let read = [x, scale, offset].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let arrays = [&read[..], &[Binding::Write(&y)]].concat();
     let block = AffineBlock { len: x.len() as u32, columns: x.row_len() as u32 };
-    AFFINE.launch(gpu, &[("BACKWARD", u32::from(is_backward))], &block, &arrays, x.len().div_ceil(GROUP));
+    AFFINE.launch(gpu, &[("BACKWARD", u32::from(is_backward))], &block, &arrays, Groups::Over(x.len()));
     Tensor::from_gpu(x.shape(), y)
 }
 

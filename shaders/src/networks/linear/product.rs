@@ -2,7 +2,7 @@
 //! launch has several products.
 
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
 
 /// The arrays of a kernel of products with one output each (`separate_outputs.wgsl`).
 pub const EACH_ARRAYS: &[ItemArray] =
@@ -24,8 +24,6 @@ const STEP: usize = 16;
 const LEAST_TERMS: usize = 512;
 /// Workgroups that occupy a large GPU.
 const ENOUGH_GROUPS: usize = 512;
-/// Elements per workgroup of the sums of parts.
-const GROUP: usize = 256;
 
 uniforms! {
     struct ProductItem as "Item" {
@@ -185,7 +183,7 @@ pub fn each_with_sums(
         let [rows, columns, parts] = [product.rows, product.columns + 1, parts].map(|size| size as u32);
         let adds = u32::from(y.1) | u32::from(sums.1) << 1;
         let arrays = vec![Binding::Read(partial), y.0, sums.0];
-        let groups = (product.rows * (product.columns + 1)).div_ceil(GROUP);
+        let groups = (product.rows * (product.columns + 1)).div_ceil(WORKGROUP_SIZE);
         totals.push(Item { constants: PartsItem { rows, columns, parts, adds }, arrays, groups });
     }
     kernel.launch(gpu, &specialised(specialisation, false), &[], &items);

@@ -5,14 +5,11 @@
 mod tests;
 
 use super::AveragePool;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const FORWARD: Kernel = Kernel { name: "average pool", text: include_str!("pooling.wgsl") };
 const BACKWARD: Kernel = Kernel { name: "average pool backward", text: include_str!("pooling_bwd.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct PoolBlock as "Pool" {
@@ -36,7 +33,7 @@ impl AveragePool {
         let pixels_per_cell = image.len() / grid.len().max(1);
         let lanes = lanes_for(pixels_per_cell);
         let arrays = [Binding::Read(image.on_gpu(gpu)), Binding::Write(&grid)];
-        let groups = (grid.len() * lanes).div_ceil(GROUP);
+        let groups = Groups::Over(grid.len() * lanes);
         FORWARD.launch(gpu, &[("LANES", lanes as u32)], &self.block(), &arrays, groups);
         Tensor::from_gpu(shape, grid)
     }
@@ -44,7 +41,7 @@ impl AveragePool {
     pub(super) fn backward_on_gpu<T: Real>(&self, gpu: Gpu, image: &Tensor<T>, dgrid: &Tensor<T>) -> Tensor<T> {
         let gradient = GpuArray::new(gpu, image.len());
         let arrays = [Binding::Read(dgrid.on_gpu(gpu)), Binding::Write(&gradient)];
-        BACKWARD.launch(gpu, &[], &self.block(), &arrays, gradient.len().div_ceil(GROUP));
+        BACKWARD.launch(gpu, &[], &self.block(), &arrays, Groups::Over(gradient.len()));
         Tensor::from_gpu(image.shape(), gradient)
     }
 }

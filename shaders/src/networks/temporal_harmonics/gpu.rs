@@ -5,15 +5,12 @@
 mod tests;
 
 use super::Waves;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const FORWARD: Kernel = Kernel { name: "temporal harmonics", text: include_str!("temporal_harmonics.wgsl") };
 const BACKWARD: Kernel =
     Kernel { name: "temporal harmonics backward", text: include_str!("temporal_harmonics_bwd.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct WavesBlock as "Waves" {
@@ -35,7 +32,7 @@ impl Waves {
     pub(super) fn value_on_gpu<T: Real>(&self, gpu: Gpu, [waves, times]: [&Tensor<T>; 2]) -> Tensor<T> {
         let y = GpuArray::new(gpu, waves.rows() * self.used);
         let arrays = [Binding::Read(waves.on_gpu(gpu)), Binding::Read(times.on_gpu(gpu)), Binding::Write(&y)];
-        FORWARD.launch(gpu, &[], &self.block(waves), &arrays, y.len().div_ceil(GROUP));
+        FORWARD.launch(gpu, &[], &self.block(waves), &arrays, Groups::Over(y.len()));
         Tensor::from_gpu([waves.rows(), self.used], y)
     }
 
@@ -49,7 +46,7 @@ impl Waves {
         let read = [waves, times, dy].map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays = [&read[..], &gradients.each_ref().map(Binding::Write)].concat();
         let lanes = lanes_for(self.stored);
-        let groups = (waves.rows() * lanes).div_ceil(GROUP);
+        let groups = Groups::Over(waves.rows() * lanes);
         BACKWARD.launch(gpu, &[("LANES", lanes as u32)], &self.block(waves), &arrays, groups);
         let [of_waves, of_times] = gradients;
         [Tensor::from_gpu(waves.shape(), of_waves), Tensor::from_gpu(times.shape(), of_times)]

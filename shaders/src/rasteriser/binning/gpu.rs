@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use super::{Grid, MAX_INTERSECTIONS};
 use crate::arrays::sort::{SUM_CAP, sort, sort_first, sums_of};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, Length, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, Length, uniforms};
 use crate::tape::{Real, Tensor};
 
-const GROUP: usize = Length::GROUP;
 const COUNT: Kernel = Kernel { name: "binning, counts", text: include_str!("binning_count.wgsl") };
 const RANK: Kernel = Kernel { name: "binning, ranks", text: include_str!("binning_rank.wgsl") };
 const HITS: Kernel = Kernel { name: "binning, hits", text: include_str!("binning_hits.wgsl") };
@@ -100,7 +99,7 @@ pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, capacity: Op
     // Depth order, in which those that meet no tile come last.
     let (counts, keys) = (GpuArray::new(gpu, count), GpuArray::new(gpu, count));
     let arrays = [&ellipses[..], &[Binding::Read(depths), Binding::Write(&counts), Binding::Write(&keys)]].concat();
-    COUNT.launch(gpu, &[], &GridBlock::new(grid, count, 0), &arrays, count.div_ceil(GROUP));
+    COUNT.launch(gpu, &[], &GridBlock::new(grid, count, 0), &arrays, Groups::Over(count));
     let (sorted_keys, order) = sort(gpu, &keys, u32::BITS);
 
     // The number of tiles of each rank, and the start of its hits.
@@ -131,7 +130,7 @@ fn hits(
     let written = [&found[0], &found[1], length].map(Binding::Write);
     let arrays = [ellipses, &[order, hit_starts].map(Binding::Read), &written].concat();
     let count = order.len();
-    HITS.launch(gpu, &[], &GridBlock::new(grid, count, capacity), &arrays, count.div_ceil(GROUP).max(1));
+    HITS.launch(gpu, &[], &GridBlock::new(grid, count, capacity), &arrays, Groups::Over(count.max(1)));
     found
 }
 

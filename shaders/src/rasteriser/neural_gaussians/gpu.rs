@@ -5,16 +5,13 @@
 mod tests;
 
 use super::{Chosen, Spawn};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
 const FORWARD: Kernel = Kernel { name: "neural gaussians", text: include_str!("neural_gaussians.wgsl") };
 const BACKWARD: Kernel = Kernel { name: "neural gaussians backward", text: include_str!("neural_gaussians_bwd.wgsl") };
 const ANCHORS_BACKWARD: Kernel =
     Kernel { name: "neural gaussians backward, anchors", text: include_str!("neural_gaussians_anchors_bwd.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct SpawnBlock as "Spawn" {
@@ -38,7 +35,7 @@ impl Spawn {
         let outputs = shapes.each_ref().map(|shape| GpuArray::new(gpu, shape.iter().product()));
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays: Vec<Binding> = read.chain(outputs.iter().map(Binding::Write)).collect();
-        FORWARD.launch(gpu, &[], &self.chosen.block(), &arrays, count.div_ceil(GROUP));
+        FORWARD.launch(gpu, &[], &self.chosen.block(), &arrays, Groups::Over(count));
         shapes.into_iter().zip(outputs).map(|(shape, array)| Tensor::from_gpu(shape, array)).collect()
     }
 
@@ -58,11 +55,11 @@ impl Spawn {
 
         let (mask, by_output) = upstream(gpu, output_grads, otherwise);
         let of_gaussians = [&[log_scales, opacities, shapes][..], &by_output, &written[2..]].concat();
-        BACKWARD.launch(gpu, &[("ARRIVING", mask)], &block, &of_gaussians, self.chosen.count().div_ceil(GROUP));
+        BACKWARD.launch(gpu, &[("ARRIVING", mask)], &block, &of_gaussians, Groups::Over(self.chosen.count()));
 
         let (mask, by_output) = upstream(gpu, &output_grads[..2], otherwise);
         let of_anchors = [&[log_scales, offsets][..], &by_output, &written[..2]].concat();
-        let groups = self.chosen.anchors.div_ceil(GROUP);
+        let groups = Groups::Over(self.chosen.anchors);
         ANCHORS_BACKWARD.launch(gpu, &[("ARRIVING", mask)], &block, &of_anchors, groups);
         gradients.into_iter().zip(inputs).map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }

@@ -2,11 +2,8 @@
 
 use super::reference::View;
 use super::{Projection, ShapeInputs};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
-
-/// Splats per workgroup: few, because each invocation holds many numbers.
-const GROUP: usize = 64;
 
 /// F = R_q·diag(eˢ), after the algebra.
 pub(super) const FORWARD: Kernel = Kernel { name: "projection", text: include_str!("projection.wgsl") };
@@ -86,7 +83,7 @@ impl<T: Real> Projection<T> {
         let events = self.events.as_ref().expect("there on a GPU");
         bindings.push(Binding::Write(events));
         let specialisation = specialisation(self.view.sh_degree, ShapeInputs::of(inputs));
-        FORWARD.launch(gpu, &specialisation, &self.block(count), &bindings, count.div_ceil(GROUP));
+        FORWARD.launch(gpu, &specialisation, &self.block(count), &bindings, Groups::Over(count));
         shapes.into_iter().zip(arrays).map(|(shape, array)| Tensor::from_gpu(shape, array)).collect()
     }
 
@@ -111,7 +108,7 @@ impl<T: Real> Projection<T> {
 
         let [degree, given] = specialisation(self.view.sh_degree, ShapeInputs::of(inputs));
         let specialisation = [degree, given, ("ARRIVING", mask)];
-        BACKWARD.launch(gpu, &specialisation, &self.block(count), &bindings, count.div_ceil(GROUP));
+        BACKWARD.launch(gpu, &specialisation, &self.block(count), &bindings, Groups::Over(count));
         gradients.into_iter().zip(inputs).map(|(array, input)| Some(Tensor::from_gpu(input.shape(), array))).collect()
     }
 }

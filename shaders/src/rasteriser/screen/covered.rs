@@ -1,14 +1,11 @@
 use scene::LabelMap;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::rasteriser::binning::Lists;
 use crate::rasteriser::render::Rendered;
 use crate::tape::{Real, Tape, Tensor};
 
 const COVERED: Kernel = Kernel { name: "covered centres", text: include_str!("covered.wgsl") };
-
-/// Splats per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct MaskBlock as "Mask" {
@@ -49,7 +46,7 @@ fn covered_on_gpu<T: Real>(gpu: Gpu, means_px: &Tensor<T>, rank_of_splat: &GpuAr
     let block = MaskBlock { count: count as u32, width: labels.width, height: labels.height };
     let read = [means_px.on_gpu(gpu), rank_of_splat, &mask].map(Binding::Read);
     let arrays = [&read[..], &[Binding::Write(&covered)]].concat();
-    COVERED.launch(gpu, &[], &block, &arrays, count.div_ceil(GROUP));
+    COVERED.launch(gpu, &[], &block, &arrays, Groups::Over(count));
     Tensor::from_gpu([count], covered)
 }
 

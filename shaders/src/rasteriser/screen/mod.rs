@@ -7,14 +7,12 @@ mod tests;
 
 pub use covered::covered;
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::rasteriser::binning::Lists;
 use crate::rasteriser::render::Rendered;
 use crate::tape::{Gradients, Tape, Tensor};
 
 const SCREEN: Kernel = Kernel { name: "screen statistics", text: include_str!("screen.wgsl") };
-/// Splats per workgroup.
-const GROUP: usize = 256;
 /// Columns of the statistics.
 pub const COLUMNS: usize = 3;
 
@@ -76,7 +74,7 @@ pub fn observe(
         let arrays = [&read[..], &[&sums, &observed].map(Binding::Write), &[splats]].concat();
         let rows = ("ROWS", u32::from(splat_of_row.is_some()));
         let specialisation = [("FIRST", u32::from(index == 0)), ("LAST", u32::from(index == last)), rows];
-        SCREEN.launch(gpu, &specialisation, &constants, &arrays, count.div_ceil(GROUP));
+        SCREEN.launch(gpu, &specialisation, &constants, &arrays, Groups::Over(count));
     }
     Some(Tensor::from_gpu([count, COLUMNS], observed))
 }

@@ -5,15 +5,12 @@
 mod tests;
 
 use super::Slicing;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::rasteriser::splats::HIDDEN_LOGIT;
 use crate::tape::{Real, Tensor, upstream};
 
 const FORWARD: Kernel = Kernel { name: "slicing4d", text: include_str!("slicing4d.wgsl") };
 const BACKWARD: Kernel = Kernel { name: "slicing4d backward", text: include_str!("slicing4d_bwd.wgsl") };
-
-/// Gaussians per workgroup: few, because each invocation holds many numbers.
-const GROUP: usize = 64;
 
 uniforms! {
     struct SlicingBlock as "Slicing" {
@@ -37,7 +34,7 @@ impl Slicing {
         let outputs = shapes.each_ref().map(|shape| GpuArray::new(gpu, shape.iter().product()));
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays: Vec<Binding> = read.chain(outputs.iter().map(Binding::Write)).collect();
-        FORWARD.launch(gpu, &[], &self.block(count), &arrays, count.div_ceil(GROUP));
+        FORWARD.launch(gpu, &[], &self.block(count), &arrays, Groups::Over(count));
         shapes.into_iter().zip(outputs).map(|(shape, array)| Tensor::from_gpu(shape, array)).collect()
     }
 
@@ -53,7 +50,7 @@ impl Slicing {
         let gradients: Vec<GpuArray> = inputs.iter().map(|input| GpuArray::new(gpu, input.len())).collect();
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu))).chain(of_outputs);
         let arrays: Vec<Binding> = read.chain(gradients.iter().map(Binding::Write)).collect();
-        BACKWARD.launch(gpu, &[("ARRIVING", mask)], &self.block(count), &arrays, count.div_ceil(GROUP));
+        BACKWARD.launch(gpu, &[("ARRIVING", mask)], &self.block(count), &arrays, Groups::Over(count));
         let tensor = |(array, input): (GpuArray, &&Tensor<T>)| Some(Tensor::from_gpu(input.shape(), array));
         gradients.into_iter().zip(inputs).map(tensor).collect()
     }

@@ -3,13 +3,10 @@
 use std::ops::Range;
 
 use crate::arrays::sums;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 const COLUMNS: Kernel = Kernel { name: "columns", text: include_str!("columns.wgsl") };
-
-/// Elements per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     #[derive(Default)]
@@ -25,7 +22,7 @@ uniforms! {
 }
 
 fn copy(gpu: Gpu, from: &GpuArray, to: &GpuArray, columns: &ColumnsBlock) {
-    let groups = (columns.rows as usize * columns.width as usize).div_ceil(GROUP);
+    let groups = Groups::Over(columns.rows as usize * columns.width as usize);
     COLUMNS.launch(gpu, &[], columns, &[Binding::Read(from), Binding::Write(to)], groups);
 }
 

@@ -5,14 +5,12 @@ use std::sync::OnceLock;
 use super::RowIndex;
 use crate::arrays::rows::with_rows;
 use crate::arrays::sort;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 const GATHER: Kernel = Kernel { name: "gather", text: include_str!("gather.wgsl") };
 const SEGMENT_SUM: Kernel = Kernel { name: "segment_sum", text: include_str!("segment_sum.wgsl") };
 
-/// Elements per workgroup.
-const GROUP: usize = 256;
 /// The most terms that one invocation adds: a longer row is split, and the sums of its parts are added.
 const LONGEST: u32 = 64;
 
@@ -111,7 +109,7 @@ impl RowIndex {
         let read = [x.on_gpu(gpu), &lists.row_of_item, starts].map(Binding::Read);
         let arrays = [&read[..], &[Binding::Write(&y)]].concat();
         let constants = ItemsBlock { columns: columns as u32 };
-        GATHER.launch(gpu, &[("MEAN", u32::from(mean))], &constants, &arrays, y.len().div_ceil(GROUP));
+        GATHER.launch(gpu, &[("MEAN", u32::from(mean))], &constants, &arrays, Groups::Over(y.len()));
         Tensor::from_gpu(with_rows(x.shape(), self.len()), y)
     }
 
@@ -128,7 +126,7 @@ impl RowIndex {
             let is_last = pass + 1 == passes.len();
             let specialisation = [("INDIRECT", u32::from(pass == 0)), ("MEAN", u32::from(mean && is_last))];
             let constants = SegmentsBlock { columns: columns as u32 };
-            SEGMENT_SUM.launch(gpu, &specialisation, &constants, &arrays, y.len().div_ceil(GROUP));
+            SEGMENT_SUM.launch(gpu, &specialisation, &constants, &arrays, Groups::Over(y.len()));
             sums = Some(y);
         }
         Tensor::from_gpu(with_rows(x.shape(), self.rows()), sums.expect("at least one pass"))

@@ -5,11 +5,8 @@ use std::array::from_fn;
 use std::fmt::Write;
 
 use super::RowMap;
-use crate::gpu::{Binding, Gpu, GpuArray, Launch, uniforms, wgsl};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Launch, uniforms, wgsl};
 use crate::tape::{Real, Tensor};
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 /// The WGSL of a [`RowMap`]: functions of a row and a column of the output, e.g. `value(row, column)`.
 ///
@@ -92,7 +89,7 @@ impl<const I: usize> RowKernel<I> {
         [rows, columns]: [usize; 2],
         arrays: &[Binding],
     ) {
-        let (block, groups) = (self.block(rows), (rows * columns).div_ceil(GROUP).into());
+        let (block, groups) = (self.block(rows), Groups::Over(rows * columns));
         gpu.launch(&Launch { name, source, constants: bytemuck::bytes_of(&block), arrays, groups });
     }
 

@@ -1,14 +1,11 @@
 //! The median of some elements on a GPU, by sorting them.
 
 use crate::arrays::sort::sort;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 const KEYS: Kernel = Kernel { name: "median, keys", text: include_str!("median_keys.wgsl") };
 const MEDIAN: Kernel = Kernel { name: "median", text: include_str!("median.wgsl") };
-
-/// Elements per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct MedianBlock as "Median" {
@@ -21,7 +18,7 @@ pub fn median<T: Real>(gpu: Gpu, x: &Tensor<T>, flags: &Tensor<T>) -> Tensor<T> 
     let block = MedianBlock { len: x.len() as u32 };
     let (keys, median) = (GpuArray::new(gpu, x.len()), GpuArray::new(gpu, 1));
     let arrays = [Binding::Read(x.on_gpu(gpu)), Binding::Read(flags.on_gpu(gpu)), Binding::Write(&keys)];
-    KEYS.launch(gpu, &[], &block, &arrays, x.len().div_ceil(GROUP));
+    KEYS.launch(gpu, &[], &block, &arrays, Groups::Over(x.len()));
     let (sorted, _) = sort(gpu, &keys, u32::BITS);
     MEDIAN.launch(gpu, &[], &block, &[Binding::Read(&sorted), Binding::Write(&median)], 1);
     Tensor::from_gpu([1], median)

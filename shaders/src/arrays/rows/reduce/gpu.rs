@@ -1,13 +1,10 @@
 //! Rows of length one on a GPU, however wide.
 
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, lanes_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};
 
 const FORWARD: Kernel = Kernel { name: "normalize", text: include_str!("normalize.wgsl") };
 const BACKWARD: Kernel = Kernel { name: "normalize backward", text: include_str!("normalize_bwd.wgsl") };
-
-/// Invocations per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     struct LengthsBlock as "Lengths" {
@@ -21,7 +18,7 @@ uniforms! {
 fn launch(gpu: Gpu, kernel: &Kernel, [rows, columns]: [usize; 2], epsilon: f64, arrays: &[Binding]) {
     let lanes = lanes_for(columns);
     let block = LengthsBlock { rows: rows as u32, columns: columns as u32, epsilon: epsilon as f32 };
-    kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, (rows * lanes).div_ceil(GROUP));
+    kernel.launch(gpu, &[("LANES", lanes as u32)], &block, arrays, Groups::Over(rows * lanes));
 }
 
 /// x / max(‖x‖, ε) of every row.

@@ -1,7 +1,7 @@
 //! The weighted mean of squared differences on a GPU.
 
-use crate::arrays::sums::{GROUP, LANES, over_rows};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::arrays::sums::{LANES, over_rows};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::tape::{Real, Tensor};
 
 const TERMS: Kernel = Kernel { name: "weighted mean, terms", text: include_str!("weighted_terms.wgsl") };
@@ -30,7 +30,7 @@ impl WeightedBlock {
 impl WeightedMeanOnGpu {
     /// The mean for a, b and weights.
     pub fn new<T: Real>(gpu: Gpu, inputs: &[&Tensor<T>]) -> (Self, Tensor<T>) {
-        let (block, groups) = (WeightedBlock::of(inputs[0]), inputs[0].rows().div_ceil(GROUP));
+        let (block, groups) = (WeightedBlock::of(inputs[0]), inputs[0].rows().div_ceil(WORKGROUP_SIZE));
         let (terms, mean) = (GpuArray::new(gpu, 2 * groups), GpuArray::new(gpu, 1));
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
         let arrays: Vec<Binding> = read.chain([Binding::Write(&terms)]).collect();
@@ -52,7 +52,7 @@ impl WeightedMeanOnGpu {
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
         let numbers = [mean.on_gpu(gpu), dy.on_gpu(gpu), &self.sums].map(Binding::Read);
         let arrays: Vec<Binding> = read.chain(numbers).chain(gradients.iter().map(Binding::Write)).collect();
-        BACKWARD.launch(gpu, &[], &WeightedBlock::of(inputs[0]), &arrays, inputs[0].len().div_ceil(GROUP));
+        BACKWARD.launch(gpu, &[], &WeightedBlock::of(inputs[0]), &arrays, Groups::Over(inputs[0].len()));
         let mut inputs = inputs.iter();
         gradients.map(|array| Tensor::from_gpu(inputs.next().expect("as many").shape(), array))
     }

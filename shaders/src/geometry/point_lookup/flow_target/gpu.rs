@@ -2,13 +2,10 @@
 
 use super::{DEPTH_TOLERANCE, FlowMaps};
 use crate::geometry::point_lookup::PinholeCamera;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 pub(super) const TARGETS: Kernel = Kernel { name: "flow targets", text: include_str!("flow_target.wgsl") };
-
-/// Points per workgroup.
-const GROUP: usize = 256;
 
 uniforms! {
     pub(super) struct FlowBlock as "Flow" {
@@ -63,7 +60,7 @@ pub(super) fn targets<T: Real>(gpu: Gpu, maps: &FlowMaps<T>, points: &Tensor<T>)
     let written = [&positions, &free, &seen].map(Binding::Write);
     let arrays = [&[Binding::Read(points.on_gpu(gpu))][..], &views, &written].concat();
     let knows_arrival = ("KNOWS_ARRIVAL", u32::from(maps.depth_to.is_some()));
-    TARGETS.launch(gpu, &[knows_arrival], &block(maps, count), &arrays, count.div_ceil(GROUP));
+    TARGETS.launch(gpu, &[knows_arrival], &block(maps, count), &arrays, Groups::Over(count));
     let of_three = [positions, free].map(|array| Tensor::from_gpu([count, 3], array));
     of_three.into_iter().chain([Tensor::from_gpu([count, 1], seen)]).collect()
 }

@@ -5,7 +5,7 @@
 mod tests;
 
 use super::TopK;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, WORKGROUP_SIZE, columns_for, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
 const CHOOSE: Kernel = Kernel { name: "top-k attention", text: include_str!("top_k_attention.wgsl") };
@@ -14,11 +14,9 @@ const BACKWARD: Kernel = Kernel { name: "top-k attention backward", text: includ
 const KEYS_BACKWARD: Kernel =
     Kernel { name: "top-k attention backward, keys", text: include_str!("top_k_attention_keys_bwd.wgsl") };
 
-/// Invocations per workgroup of the kernels over queries, and of that over keys.
-const GROUP: usize = 256;
 const KEYS_GROUP: usize = 64;
 /// All invocations of a workgroup share one sum.
-const LANES: (&str, u32) = ("LANES", GROUP as u32);
+const LANES: (&str, u32) = ("LANES", WORKGROUP_SIZE as u32);
 
 uniforms! {
     struct TopKBlock as "TopK" {
@@ -69,7 +67,7 @@ impl<T: Real> TopK<T> {
 
         let mean = GpuArray::new(gpu, layout.queries * layout.keys);
         let arrays = [Binding::Read(&chosen), Binding::Read(&probabilities), Binding::Write(&mean)];
-        MEAN.launch(gpu, &[], &block, &arrays, mean.len().div_ceil(GROUP));
+        MEAN.launch(gpu, &[], &block, &arrays, Groups::Over(mean.len()));
         self.on_gpu = Some(Kept { chosen, probabilities });
         let mixed = Tensor::from_gpu([layout.queries, layout.width()], mixed);
         Some(vec![mixed, Tensor::from_gpu([layout.queries, layout.keys], mean)])

@@ -5,7 +5,7 @@
 mod tests;
 
 use super::WindowAttention;
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor};
 
 const FORWARD: Kernel = Kernel { name: "window attention", text: include_str!("window_attention.wgsl") };
@@ -15,8 +15,6 @@ const LONG_FORWARD: Kernel =
 const LONG_BACKWARD: Kernel =
     Kernel { name: "attention to long windows backward", text: include_str!("long_window_attention_bwd.wgsl") };
 
-/// Invocations per workgroup: few, because each holds the probabilities of its window.
-const GROUP: usize = 64;
 /// The longest window that an invocation keeps in registers.
 const MAX_WINDOW: usize = 32;
 
@@ -47,7 +45,7 @@ impl WindowAttention {
         let rows = queries.rows();
         let block = WindowBlock { rows: rows as u32, queries: of_queries, channels, heads, factor: self.factor() };
         let [per_row, numbers] = work(&block).map(|count| count as usize);
-        let groups = (rows * per_row).div_ceil(GROUP);
+        let groups = Groups::Over(rows * per_row);
         if window <= MAX_WINDOW {
             return short.launch(gpu, &specialisation, &block, arrays, groups);
         }

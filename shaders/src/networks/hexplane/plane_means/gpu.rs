@@ -1,9 +1,9 @@
 //! Means over planes: one launch for all planes of all means.
 
 use super::{PlaneMean, Term};
-use crate::arrays::sums::{BLOCK, GROUP, LANES};
+use crate::arrays::sums::{BLOCK, LANES};
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::tape::{Backward, Real, Tensor, total_on_gpu};
 
 const SUMS: Grouped = Grouped {
@@ -114,7 +114,7 @@ pub fn add_mean_gradients<T: Real>(gpu: Gpu, pass: Backward<T>, terms: &[Term], 
         };
         let read = [Some(*plane), dys[0], dys[1]].map(|tensor| Binding::Read(tensor.unwrap_or(plane).on_gpu(gpu)));
         let arrays = read.into_iter().chain([Binding::Write(gradient)]).collect();
-        items.push(Item { constants, arrays, groups: plane.len().div_ceil(GROUP) });
+        items.push(Item { constants, arrays, groups: plane.len().div_ceil(WORKGROUP_SIZE) });
     }
     GRADIENTS.launch(gpu, &[], &[], &items);
 }

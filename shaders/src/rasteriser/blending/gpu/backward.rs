@@ -2,7 +2,7 @@
 
 use super::plan::Plan;
 use super::{Blend, BlendBlock, Kept};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::rasteriser::binning::GpuLists;
 use crate::rasteriser::blending::ROW_COLORS;
 use crate::tape::{Backward, Real, Tensor, upstream};
@@ -18,8 +18,6 @@ pub(super) const BY_SPLATS: Kernel =
     Kernel { name: "blending backward", text: include_str!("../blending_bwd_splats.wgsl") };
 pub(super) const SUM: Kernel = Kernel { name: "blending, sums", text: include_str!("../blending_sum.wgsl") };
 
-/// Invocations per workgroup.
-const WORKGROUP_SIZE: usize = 256;
 /// The most columns of a splat that are added up side by side, by an invocation each.
 const LARGEST_LANES: usize = 32;
 /// Entries that are staged at once: one word of bits.

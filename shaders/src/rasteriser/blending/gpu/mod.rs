@@ -6,7 +6,7 @@ mod plan;
 mod tests;
 
 use super::{Blend, Constants};
-use crate::gpu::{Binding, Gpu, GpuArray, Kernel, uniforms};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::rasteriser::binning::{GpuLists, Grid};
 use crate::rasteriser::settings::RasterSettings;
 use crate::tape::{Real, Tensor};
@@ -15,8 +15,6 @@ use plan::Plan;
 const PACK: Kernel = Kernel { name: "blending, records", text: include_str!("../blending_pack.wgsl") };
 const FORWARD: Kernel = Kernel { name: "blending", text: include_str!("../blending.wgsl") };
 
-/// Splats per workgroup.
-const PACK_GROUP: usize = 256;
 /// Entries of a tile that are staged at once: one for each invocation.
 const BATCH: u32 = 256;
 /// Elements of a splat's record.
@@ -117,7 +115,7 @@ impl<T: Real> Blend<T> {
         let arrays: Vec<Binding> = [Binding::Read(&lists.order)].into_iter().chain(read).chain(written).collect();
         let constants = PackBlock { count: count as u32, features: self.feature_count as u32 };
         let [_, depth, _] = self.specialisation();
-        PACK.launch(gpu, &[depth], &constants, &arrays, count.div_ceil(PACK_GROUP));
+        PACK.launch(gpu, &[depth], &constants, &arrays, Groups::Over(count));
         (records, extras)
     }
 }
