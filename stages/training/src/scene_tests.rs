@@ -26,7 +26,7 @@ pub(crate) struct TestScene {
     pub train_views: usize,
     /// Validation views at the first and the last time.
     pub val_views: usize,
-    /// How far the blobs move from start to end, scene units.
+    /// Distance that the blobs move from start to end, scene units.
     pub travel: f32,
     /// Pixels per side.
     pub size: u32,

@@ -79,19 +79,19 @@ mod tests {
 
     #[test]
     fn a_decay_has_the_rates_of_its_ends_and_middle() {
-        let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
+        let decay = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
         for (step, expected) in [(0, 1e-2), (50, 1e-3), (100, 1e-4), (1000, 1e-4)] {
-            assert!((law.at(step) / expected - 1.0).abs() <= 1e-12, "step {step}: {}", law.at(step));
+            assert!((decay.at(step) / expected - 1.0).abs() <= 1e-12, "step {step}: {}", decay.at(step));
         }
         assert_eq!(LogLinear::constant(0.05).at(7), 0.05);
-        assert!((law.stretched(0.5).at(25) / 1e-3 - 1.0).abs() <= 1e-12);
+        assert!((decay.stretched(0.5).at(25) / 1e-3 - 1.0).abs() <= 1e-12);
     }
 
     #[test]
     fn the_remaining_decay_continues_the_whole() {
-        let law = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
+        let decay = LogLinear { start: 1e-2, end: 1e-4, steps: 100 };
         for (left_at, step) in [(30, 20), (30, 70), (30, 500), (0, 50), (100, 3), (200, 3)] {
-            let (rest, whole) = (law.after(left_at).at(step), law.at(left_at + step));
+            let (rest, whole) = (decay.after(left_at).at(step), decay.at(left_at + step));
             assert!((rest / whole - 1.0).abs() <= 1e-12, "left at {left_at}, step {step}: {rest} instead of {whole}");
         }
     }

@@ -78,8 +78,8 @@ pub(crate) fn half_side<T: Real>(tape: &Tape<T>, model: &Variables, name: &str) 
 }
 
 /// Applies a function to the values along each axis.
-fn along(positions: &[[f32; 3]], figure: impl Fn(Vec<f64>) -> f64) -> [f64; 3] {
-    std::array::from_fn(|axis| figure(positions.iter().map(|point| f64::from(point[axis])).collect()))
+fn along(positions: &[[f32; 3]], reduce: impl Fn(Vec<f64>) -> f64) -> [f64; 3] {
+    std::array::from_fn(|axis| reduce(positions.iter().map(|point| f64::from(point[axis])).collect()))
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -89,8 +89,8 @@ impl<T: Real> Base<T> for CanonicalGaussians {
     /// The learning rates of the Gaussians. That of the positions does not restart in [`ALL`].
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if tensor == "gaussians.positions" {
-            let law = self.shared.learning_rates.position.scaled(POSITION_RATE_FACTOR);
-            return Some(law.after(self.steps_before(phase)));
+            let rate = self.shared.learning_rates.position.scaled(POSITION_RATE_FACTOR);
+            return Some(rate.after(self.steps_before(phase)));
         }
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
     }

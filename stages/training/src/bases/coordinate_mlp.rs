@@ -275,7 +275,7 @@ mod tests {
         let near = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 30, 2);
         let to_far = |point: [f32; 3]| point.map(|value| 1e4 + 50.0 * value);
         let far = PointCloud { positions: near.positions.iter().copied().map(to_far).collect(), ..near.clone() };
-        let said = |points: &PointCloud| {
+        let outputs_on = |points: &PointCloud| {
             let settings = CoordinateMlpSettings::tiny();
             let heads = [Head { name: "position", outputs: 3, first: FirstWeights::FanIn }];
             let network = CoordinateMlp::new("network", &settings, FirstWeights::FanIn, &heads);
@@ -289,7 +289,7 @@ mod tests {
             let lengths = network.lengths(&mut tape, &model, "position", hidden);
             tape.value(lengths).as_slice().to_vec()
         };
-        let (here, there) = (said(&near), said(&far));
+        let (here, there) = (outputs_on(&near), outputs_on(&far));
         let differ = |(here, there): (&f64, &f64)| !((50.0 * here - there).abs() <= 0.05);
         assert!(!here.iter().zip(&there).any(differ) && here.iter().any(|length| length.abs() > 0.01));
     }

@@ -11,18 +11,18 @@ const MAX_BYTES: usize = 2 << 30;
 /// Tensors of views that many steps read. A GPU receives each of them once, up to the capacity of the cache; on the CPU
 /// they are recomputed, because caching them would double the memory of the data set.
 pub(crate) struct ViewConstants<T: Real> {
-    kept: Mutex<Kept<T>>,
+    cache: Mutex<Cache<T>>,
 }
 
 /// Cached tensors by name and the view's index.
-struct Kept<T: Real> {
+struct Cache<T: Real> {
     tensors: BTreeMap<(&'static str, usize), Tensor<T>>,
     bytes: usize,
 }
 
 impl<T: Real> Default for ViewConstants<T> {
     fn default() -> Self {
-        Self { kept: Mutex::new(Kept { tensors: BTreeMap::new(), bytes: 0 }) }
+        Self { cache: Mutex::new(Cache { tensors: BTreeMap::new(), bytes: 0 }) }
     }
 }
 
@@ -38,15 +38,15 @@ impl<T: Real> ViewConstants<T> {
         if device == Device::Cpu {
             return make();
         }
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(tensor) = kept.tensors.get(&(what, view)) {
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(tensor) = cache.tensors.get(&(what, view)) {
             return tensor.clone();
         }
         let tensor = make().moved_to(device);
         let bytes = size_of::<T>() * tensor.len();
-        if kept.bytes + bytes <= MAX_BYTES {
-            kept.bytes += bytes;
-            kept.tensors.insert((what, view), tensor.clone());
+        if cache.bytes + bytes <= MAX_BYTES {
+            cache.bytes += bytes;
+            cache.tensors.insert((what, view), tensor.clone());
         }
         tensor
     }

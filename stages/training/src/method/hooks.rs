@@ -42,7 +42,7 @@ pub(crate) trait StepHook: DynClone + Send {
 
 dyn_clone::clone_trait_object!(StepHook);
 
-/// What a [`StepHook`] may read and change after the optimizer's step.
+/// The values that a [`StepHook`] may read and change after the optimizer's step.
 pub(crate) struct AfterStep<'a> {
     /// The completed step, counted from 1 within the phase.
     pub iteration: u64,

@@ -5,7 +5,7 @@ use shaders::tape::{Real, Tape, Var};
 use crate::data::Supplements;
 use crate::model::Variables;
 
-/// What a method with semantic features provides.
+/// The interface of methods with semantic features.
 pub(crate) trait Language<T: Real>: Send + Sync {
     /// The semantic features [N, features] of the Gaussians, if the model has any.
     fn semantics(&self, model: &Variables) -> Option<Var>;

@@ -208,7 +208,7 @@ pub(crate) fn too_large(error: TooManyIntersections) -> Failure {
 /// Gaussians nearer than this are not drawn, scene units (Kerbl et al. 2023).
 const NEAR_VIEW: f64 = 0.2;
 
-/// How every stage rasterises a model of this scene.
+/// The rasteriser settings of every render of a model of this scene, during and after training.
 pub(crate) fn raster_settings(scene: &SceneFacts, sh_degree: usize) -> RasterSettings {
     RasterSettings { background: scene.background, sh_degree, near_view: NEAR_VIEW, ..RasterSettings::default() }
 }

@@ -1,4 +1,4 @@
-//! What the renders of a step show of a population: screen-space gradients, visibility and radii.
+//! Screen-space statistics of a population in the renders of a step: gradients, visibility and radii.
 
 use std::cell::OnceCell;
 
@@ -19,16 +19,16 @@ pub(crate) struct ScreenStats<'a> {
     parents: Vec<Parents>,
 }
 
-/// What a render shows of the N parents of a population's rows: the values of [`ParentVars`].
+/// Values of one render about the N parents of a population's rows, evaluated from [`ParentVars`].
 #[derive(Clone, Debug)]
 pub(crate) struct Parents {
-    /// [N, 1]: 1 where the parent lies in the view, else 0.
+    /// [N, 1]: 1 where the parent lies in the view, otherwise 0.
     pub in_view: Tensor<f32>,
     /// [N, 1]: the sum of the opacities of the parent's splats.
     pub opacity: Tensor<f32>,
 }
 
-/// What one step's renders show of each Gaussian of a population.
+/// Screen-space gradient, visibility and radius of each Gaussian of a population in the renders of one step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ScreenGradients {
     /// [N, 2] gradient of the loss by the projected mean, normalised device coordinates, summed over the renders.
@@ -77,7 +77,7 @@ impl<'a> ScreenStats<'a> {
         Self { parents: vec![parents], ..self }
     }
 
-    /// What each render shows of the parents of the rows; empty for a population without parents.
+    /// The values of the rows' parents, one item per render; empty for a population without parents.
     pub(crate) fn parents(&self) -> &[Parents] {
         &self.parents
     }

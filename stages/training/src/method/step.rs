@@ -30,7 +30,7 @@ pub(crate) struct SplatRows {
 /// Values of one render about the N parents of its splats, each of which owns equally many rows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ParentVars {
-    /// [N, 1]: 1 where the parent lies in the view, drawn or not, else 0.
+    /// [N, 1]: 1 where the parent lies in the view, drawn or not, otherwise 0.
     pub in_view: Var,
     /// [N, 1]: the sum of the opacities of the parent's splats.
     pub opacity: Var,
@@ -92,7 +92,7 @@ pub(crate) struct Step<'a, T: Real> {
     pub iteration: u64,
     /// Spherical-harmonics degree in use.
     pub sh_degree: usize,
-    /// How renders are rasterised.
+    /// Settings of the rasteriser for the renders of the step.
     pub raster: RasterSettings,
     /// The random stream of the method.
     pub random: &'a mut ChaCha8Rng,
@@ -104,7 +104,7 @@ pub(crate) struct Step<'a, T: Real> {
     pub(crate) recorded: Recorded,
 }
 
-/// What a method records during a step.
+/// The losses, renders and work counters that a method records during a step.
 #[derive(Default)]
 pub(crate) struct Recorded {
     losses: Vec<NamedLoss>,

@@ -1,4 +1,4 @@
-//! The tables `harmonics`, `loss` and `curve`: how renders look, how they are compared, and when they are measured.
+//! The tables `harmonics`, `loss` and `curve`: colours of renders, their comparison with images, and the quality curve.
 
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};

@@ -53,7 +53,7 @@ fn train(device: Device, rate: f64) -> Trained {
     train_with(device, rate, |_| ()).unwrap()
 }
 
-/// How two trainings differ, if they do.
+/// A description of the difference between two trainings; `None` within the tolerances.
 fn difference(found: &Trained, expected: &Trained) -> Option<String> {
     let errors = found.losses.iter().zip(&expected.losses).map(|(found, expected)| (found - expected).abs());
     let (step, loss) = errors.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -153,7 +153,7 @@ fn anchors_grow_repeat_and_resume_on_a_gpu() {
     let anchors = |model: &Model| model.tensors["anchors.features"].shape[0];
     assert!(anchors(&undisturbed) > 12, "no anchor grew");
     for interrupted_after in [None, Some(8), Some(12), Some(14)] {
-        let (_, again) = train_anchors(&scene, Device::Gpu(gpu), interrupted_after);
-        assert_eq!(bits(&again), bits(&undisturbed), "interrupted after {interrupted_after:?} steps");
+        let (_, model) = train_anchors(&scene, Device::Gpu(gpu), interrupted_after);
+        assert_eq!(bits(&model), bits(&undisturbed), "interrupted after {interrupted_after:?} steps");
     }
 }

@@ -83,8 +83,11 @@ fn a_nan_in_any_tensor_or_moment_is_named() {
                 poisoned += 1;
                 let found = end_of(&scene, &params, with_nan);
                 let is_named = found.as_ref().is_some_and(|failure| {
-                    let said = |text: &str| failure.message.contains(text);
-                    failure.kind == FailureKind::Diverged && said(tensor) && said(&phase) && said("iteration")
+                    let mentions = |text: &str| failure.message.contains(text);
+                    failure.kind == FailureKind::Diverged
+                        && mentions(tensor)
+                        && mentions(&phase)
+                        && mentions("iteration")
                 });
                 if !is_named {
                     complaints.push(format!("{} in {phase}: {name}: {found:?}", entry.name));

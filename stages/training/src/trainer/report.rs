@@ -45,7 +45,7 @@ pub struct Report {
     pub skipped_work: SkippedWork,
     /// The largest gradient of every tensor since the last resumption.
     pub largest_gradients: BTreeMap<String, LargestGradient>,
-    /// How often the rasteriser clamped a number, summed over renders since the last resumption.
+    /// Number of values that the rasteriser clamped, by guard, summed over renders since the last resumption.
     pub guards: BTreeMap<&'static str, u64>,
 }
 

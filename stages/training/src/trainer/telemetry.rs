@@ -9,7 +9,7 @@ use super::curve::CurvePoint;
 use crate::artifact::LargestGradient;
 use crate::method::{SkippedWork, merge_skipped};
 
-/// What a training measures besides its model.
+/// The measurements of a running training.
 #[derive(Clone, Default)]
 pub(super) struct Telemetry {
     /// The part that a resumed training continues.

@@ -79,8 +79,8 @@ impl AnchorGrowth {
                 let gradient = (*gradient).filter(|gradient| *gradient >= threshold)?;
                 (random.random::<f64>() < passing).then_some((slot, gradient))
             };
-            let asking: Vec<(usize, f32)> = gradients.iter().enumerate().filter_map(passes).collect();
-            let free = self.free_cells(optimizer, &asking, &places, cell_size)?;
+            let candidates: Vec<(usize, f32)> = gradients.iter().enumerate().filter_map(passes).collect();
+            let free = self.free_cells(optimizer, &candidates, &places, cell_size)?;
             add_anchors(optimizer, free, cell_size)?;
         }
         self.statistics.reset_gradients(SEEN_SHARE * self.views_needed());
@@ -93,7 +93,7 @@ impl AnchorGrowth {
     fn free_cells(
         &self,
         optimizer: &Optimizer,
-        asking: &[(usize, f32)],
+        candidates: &[(usize, f32)],
         places: &[[f32; 3]],
         cell_size: f64,
     ) -> anyhow::Result<Vec<([i64; 3], Candidate)>> {
@@ -101,7 +101,7 @@ impl AnchorGrowth {
         let taken: BTreeSet<[i64; 3]> = anchors.iter().map(|&position| cell(position, cell_size)).collect();
         let per_anchor = self.per_anchor;
         let mut free: BTreeMap<[i64; 3], Candidate> = BTreeMap::new();
-        for &(slot, gradient) in asking {
+        for &(slot, gradient) in candidates {
             let cell = cell(places[slot], cell_size);
             if taken.contains(&cell) {
                 continue;

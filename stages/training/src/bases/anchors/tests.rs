@@ -196,34 +196,34 @@ fn scattered() -> ModelState<f32> {
 
 /// Statistics of three steps of two views each on a device, and the number of readbacks.
 fn observed_on(device: Device) -> (serde_json::Value, u64) {
-    let (state, mut control, mut waits) = (scattered(), growth(|_| ()), 0);
+    let (state, mut control, mut readbacks) = (scattered(), growth(|_| ()), 0);
     let settings = RasterSettings { sh_degree: 0, ..RasterSettings::default() };
     for step in 0..3 {
         let mut tape = Tape::new(device);
         let model = state.bind(&mut tape, |_| true);
-        let look = |view: i32, tape: &mut Tape<f32>| {
+        let render_view = |view: i32, tape: &mut Tape<f32>| {
             let camera = PinholeCamera { translation: [f64::from(step), f64::from(view), 5.0], ..camera() };
             let spawned = spawn(tape, &model, &Anchors::stored(&model), &camera);
             let rendered = render(tape, &spawned.splats, None, &camera, &settings).unwrap();
             let (population, rows) = (ANCHORS.into(), spawned.rows());
             RenderRecord { population, rendered, size_px: [20.0; 2], count: rows.count, rows: Some(rows) }
         };
-        let renders: Vec<RenderRecord> = (0..2).map(|view| look(view, &mut tape)).collect();
+        let renders: Vec<RenderRecord> = (0..2).map(|view| render_view(view, &mut tape)).collect();
         let weights = Tensor::from_vec([20, 20, 3], noise(1200, 4).iter().map(|&weight| weight as f32).collect());
         let gradients = tape.backward(&[0, 1].map(|view| (renders[view].rendered.color, weights.clone())));
         let before = readbacks_of_this_thread();
         let populations = ScreenStats::by_population(&renders, &tape, &gradients);
         populations.iter().for_each(|stats| control.observe(stats));
-        waits += readbacks_of_this_thread() - before;
+        readbacks += readbacks_of_this_thread() - before;
     }
-    (control.save(), waits)
+    (control.save(), readbacks)
 }
 
 #[test]
 fn a_gpu_adds_the_same_statistics_without_readbacks() {
     let Some(gpu) = test_gpu() else { return };
-    let ((on_cpu, _), (on_gpu, waits)) = (observed_on(Device::Cpu), observed_on(Device::Gpu(gpu)));
-    assert_eq!(waits, 0);
+    let ((on_cpu, _), (on_gpu, readbacks)) = (observed_on(Device::Cpu), observed_on(Device::Gpu(gpu)));
+    assert_eq!(readbacks, 0);
     let values = |saved: &serde_json::Value, name: &str| {
         let values: Vec<f64> = saved[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
         Tensor::from_vec([values.len()], values)
