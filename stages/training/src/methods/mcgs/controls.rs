@@ -1,5 +1,5 @@
-//! What changes from step to step without being learnt, kept in the model so that a checkpoint and a render know it: the
-//! shares of the mixture, what is left of the noise, and how visible every node is.
+//! Values that change per step without being learnt: the mixing shares, the noise level and the visibility of every
+//! node. They are model tensors, so that checkpoints and renders include them.
 
 use shaders::arrays::rows::{columns, concat_columns};
 use shaders::geometry::neighbor_blend::{Neighbors, blend};
@@ -13,10 +13,11 @@ use crate::method::{AfterStep, ScreenStats, StepHook};
 use crate::model::ModelState;
 use crate::schedule::stretch;
 
-/// What one step counts in the running mean: the memory is of a hundred views, about one round through a capture.
+/// Weight of one step in the running mean of visibility: a memory of about a hundred views, roughly one pass over a
+/// capture.
 const STEP_SHARE: f64 = 0.01;
 
-/// Adds the tensors of this module.
+/// Adds the mixing shares and, if `has_noise`, the noise level and the visibility of the nodes.
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise: bool) -> anyhow::Result<()> {
     state.insert(SHARES, Tensor::full([2], T::from_f64(settings.mixing.first)));
     if has_noise {
@@ -27,7 +28,7 @@ pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, ha
     Ok(())
 }
 
-/// Raises the shares and lowers the noise, evenly.
+/// Raises the mixing shares and lowers the noise, both linearly in the iteration.
 #[derive(Clone)]
 pub(crate) struct Ramp {
     shares: [f64; 3],
@@ -36,7 +37,7 @@ pub(crate) struct Ramp {
 }
 
 impl Ramp {
-    /// For a phase that begins after `steps_before` steps of the same schedule.
+    /// The ramp of a phase that begins after `steps_before` steps of the same schedule.
     pub(crate) fn new(settings: &Settings, steps_before: u64, schedule_scale: f64) -> Self {
         let left = |until: u64| stretch(until.saturating_sub(steps_before), schedule_scale).max(1);
         let mixing = &settings.mixing;
@@ -47,7 +48,7 @@ impl Ramp {
         }
     }
 
-    /// λ_pos and λ_rot after so many steps.
+    /// The mixing shares [λ_pos, λ_rot] after `iteration` steps.
     fn shares_at(&self, iteration: u64) -> [f64; 2] {
         let [first, position, rotation] = self.shares;
         let progress = (iteration as f64 / self.shares_until as f64).min(1.0);
@@ -70,18 +71,18 @@ impl StepHook for Ramp {
     }
 }
 
-/// Follows how much of every node's Gaussians is seen.
+/// Maintains a running mean of the visible share of every node's Gaussians.
 #[derive(Clone)]
 pub(crate) struct Visibility {
     per_gaussian: usize,
-    /// The step after which nobody asks any more.
+    /// First iteration at which visibility is no longer needed, because no noise is left.
     noise_until: u64,
     /// [N, 3] statistics of the latest step alone: the second column is 1 for visible Gaussians.
     seen: Option<Statistics>,
 }
 
 impl Visibility {
-    /// For Gaussians that follow so many nodes, as long as a ramp has noise left.
+    /// Observes Gaussians that follow `per_gaussian` nodes each, as long as the ramp has noise left.
     pub(crate) fn new(per_gaussian: usize, ramp: &Ramp) -> Self {
         Self { per_gaussian, noise_until: ramp.noise_until, seen: None }
     }
@@ -105,14 +106,14 @@ impl StepHook for Visibility {
         let [gaussians, nodes, before] =
             ["gaussians.positions", "nodes.positions", VISIBILITY].map(|name| optimizer.tensor(name));
         let neighbors = Neighbors::nearest(gaussians?, nodes?, self.per_gaussian);
-        let after = followed(seen.tensor(), before?, &neighbors);
+        let after = updated_visibility(seen.tensor(), before?, &neighbors);
         optimizer.set_values(VISIBILITY, after)
     }
 }
 
 pointwise! {
-    /// A running mean with one more value, seen/all, unless that is of nothing.
-    fn with_one_more(before, seen, all) with(share) -> y {
+    /// The running mean `before`, updated with the value seen / all; unchanged where all is 0.
+    fn updated_mean(before, seen, all) with(share) -> y {
         return select(before + share * (seen / all - before), before, all == 0.0);
     }
     gradients(dy) {
@@ -122,15 +123,15 @@ pointwise! {
     }
 }
 
-/// The means [M, 1] after a step with these statistics [N, 3] of its Gaussians, on the device where they are.
-fn followed(statistics: &Tensor<f32>, before: &Tensor<f32>, neighbors: &Neighbors) -> Tensor<f32> {
+/// The running means [M, 1] updated with the statistics [N, 3] of one step, on the statistics' device.
+fn updated_visibility(statistics: &Tensor<f32>, before: &Tensor<f32>, neighbors: &Neighbors) -> Tensor<f32> {
     let (gaussians, nodes) = (neighbors.points(), neighbors.nodes());
     let mut tape = Tape::new(statistics.device());
     let statistics = tape.constant(statistics.clone());
     let seen = columns(&mut tape, statistics, SEEN_COUNT..SEEN_COUNT + 1);
-    let everyone = tape.constant(Tensor::full([gaussians, 1], 1.0));
-    let counted = concat_columns(&mut tape, &[seen, everyone]);
-    // What reaches a node of the Gaussians that blend its value is the sum over them.
+    let ones = tape.constant(Tensor::full([gaussians, 1], 1.0));
+    let counted = concat_columns(&mut tape, &[seen, ones]);
+    // The gradient of a blend with weights of 1 sums over the Gaussians that follow each node.
     let weights = tape.constant(Tensor::full([gaussians, neighbors.per_point()], 1.0));
     let of_nodes = tape.leaf(Tensor::zeros([nodes, 2]));
     let blended = blend(&mut tape, weights, of_nodes, neighbors);
@@ -139,7 +140,7 @@ fn followed(statistics: &Tensor<f32>, before: &Tensor<f32>, neighbors: &Neighbor
     let sums = tape.constant(sums);
     let [seen, all] = [0, 1].map(|column| columns(&mut tape, sums, column..column + 1));
     let before = tape.constant(before.clone());
-    let after = with_one_more(&mut tape, before, seen, all, STEP_SHARE);
+    let after = updated_mean(&mut tape, before, seen, all, STEP_SHARE);
     tape.value(after).clone()
 }
 
@@ -151,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn means_follow_what_is_seen() {
+    fn visibility_is_a_running_mean_of_seen_shares() {
         let tensor = |shape: [usize; 2], values: &[f32]| Tensor::from_vec(shape, values.to_vec());
         let gaussians = tensor([4, 1], &[0.0, 0.1, 0.2, 1.0]);
         let nodes = tensor([3, 1], &[0.0, 1.0, 9.0]);
@@ -159,14 +160,14 @@ mod tests {
         let before = tensor([3, 1], &[0.5, 1.0, 0.25]);
         for device in [Some(Device::Cpu), test_gpu().map(Device::Gpu)].into_iter().flatten() {
             let [statistics, before] = [&statistics, &before].map(|tensor| tensor.clone().moved_to(device));
-            let after = followed(&statistics, &before, &Neighbors::nearest(&gaussians, &nodes, 1));
+            let after = updated_visibility(&statistics, &before, &Neighbors::nearest(&gaussians, &nodes, 1));
             let expected = [0.5 + 0.01 * (2.0 / 3.0 - 0.5), 0.99, 0.25];
             assert!(after.as_slice().iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-6), "{after:?}");
         }
     }
 
     #[test]
-    fn shares_grow_and_noise_fades_evenly_from_the_start_of_motion() {
+    fn shares_grow_and_noise_fades_linearly() {
         let ramp = Ramp::new(&Settings::default(), 3000, 0.5);
         assert_eq!(ramp.shares_at(0), [0.0; 2]);
         assert_eq!(ramp.shares_at(3000), [0.25; 2]);

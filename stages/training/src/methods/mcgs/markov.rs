@@ -1,5 +1,5 @@
-//! The Markov chain: the last states of every node, encoded, looked back on and continued by one step (equations 3 to 5, 14
-//! and 15).
+//! The Markov chain: encodes the last states of every node, attends over them and predicts the next step (equations 3
+//! to 5, 14 and 15).
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -21,21 +21,21 @@ use crate::model::{ModelState, Variables};
 /// Columns of a state: position and quaternion.
 const STATE: usize = 7;
 
-/// First standard deviation of the embedding of time within the window: of the order of the encoder's outputs. The states
-/// of a window hardly differ from each other, so that with less the attention could not tell them apart.
+/// Initial standard deviation of the time embedding within the window, of the order of the encoder's outputs. The
+/// states of one window are nearly equal, so the attention could not distinguish them by a smaller embedding.
 const FIRST_EMBEDDING: f64 = 0.5;
 
-/// Sizes of the chain.
+/// Sizes of the Markov chain.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct ChainSettings {
-    /// States that are looked back on.
+    /// Number of previous states in the window.
     pub window: usize,
-    /// Width of the encoder, of the attention and of the predictor.
+    /// Width of the encoder, the attention and the predictor.
     pub width: usize,
     /// Attention heads.
     pub heads: usize,
-    /// Whether the attention is told how long ago a state was.
+    /// Whether the attention receives an embedding of the age of each state.
     pub embeds_time: bool,
 }
 
@@ -46,7 +46,7 @@ impl Default for ChainSettings {
 }
 
 impl ChainSettings {
-    /// Why these settings cannot work, if so.
+    /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         let good = [
             ((1..=1024).contains(&self.window), "chain.window must be 1 to 1024"),
@@ -57,27 +57,27 @@ impl ChainSettings {
     }
 }
 
-/// Encoder, attention and predictor; tensors are called `chain.…`.
+/// Encoder, attention and predictor of the chain; its tensors are named `chain.…`.
 pub(crate) struct Chain {
     settings: ChainSettings,
     attends: bool,
 }
 
 impl Chain {
-    /// The name of the network.
+    /// Prefix of the chain's tensor names.
     pub(crate) const NAME: &'static str = "chain";
 
-    /// A chain that looks back over its window if it `attends`, else at the last state alone.
+    /// A chain that attends over its window if `attends`; otherwise it reads only the last state.
     pub(crate) fn new(settings: &ChainSettings, attends: bool) -> Self {
         Self { settings: settings.clone(), attends }
     }
 
-    /// States that a prediction looks back on.
+    /// Number of previous states that a prediction reads.
     pub(crate) fn window(&self) -> usize {
         if self.attends { self.settings.window } else { 1 }
     }
 
-    /// Adds all layers; the predictor's last one starts at zero, so that a node stays where it was.
+    /// Adds all layers. The predictor's last layer starts at zero, so that nodes initially keep their last state.
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
         let width = self.settings.width;
         for (layer, inputs) in [STATE, width].into_iter().enumerate() {
@@ -99,14 +99,14 @@ impl Chain {
         insert_layer(state, "chain.predictor.2", width, STATE, FirstWeights::Zero, random);
     }
 
-    /// The motion at `times` times of M nodes from the states before: `history` holds ([`Chain::window`] + times)·M rows,
-    /// state by state, of which the last of all is not looked at. The result has times·M rows.
+    /// Predicts the motion of M nodes at `times` times from the states before each. `history` holds ([`Chain::window`]
+    /// + times)·M rows, state by state; its last state is not read. The result has times·M rows.
     ///
-    /// A prediction is the last state and the step that the network says (equations 5, 12 and 13): Δμ + δμ and δq⊗Δq, δq
-    /// that of (1, 0, 0, 0) + δ.
+    /// A prediction is the last state plus the predicted step (equations 5, 12 and 13): Δμ + δμ and δq⊗Δq, where δq is
+    /// (1, 0, 0, 0) + δ, normalised.
     ///
-    /// The network speaks of both in what a frame is of the capture's duration, and of lengths in the scene's extent:
-    /// within a frame little happens, and an output of the order of 1 would throw nodes across the scene.
+    /// The network outputs steps in units of one frame's share of the capture's duration, and lengths in scene extents:
+    /// the motion within a frame is small, and unscaled outputs of the order of 1 would throw nodes across the scene.
     pub(crate) fn predict<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -125,7 +125,7 @@ impl Chain {
         let seen = match self.attends {
             true => {
                 let encoded = self.encode(tape, model, history, nodes);
-                self.look_back(tape, model, encoded, nodes, times)
+                self.attend(tape, model, encoded, nodes, times)
             }
             false => {
                 let newest = NodeMotion {
@@ -151,8 +151,8 @@ impl Chain {
         }
     }
 
-    /// h = MLP([μ, q]) of every state (equation 3); μ in the box of the scene, q on the side of the identity, since −q would
-    /// be encoded otherwise.
+    /// h = MLP([μ, q]) of every state (equation 3). μ is relative to the scene's box; the sign of q is chosen on the
+    /// side of the identity, because q and −q would be encoded differently.
     fn encode<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, history: NodeMotion, nodes: usize) -> Var {
         let rows = tape.value(history.translations).rows();
         let canonical = tape.detach(model.get("nodes.positions"));
@@ -173,8 +173,8 @@ impl Chain {
         hidden
     }
 
-    /// Attention of the newest state to the window of every node and time (equations 14 and 15).
-    fn look_back<T: Real>(
+    /// Attention of the newest state over the window, for every node and time (equations 14 and 15).
+    fn attend<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
@@ -184,7 +184,7 @@ impl Chain {
     ) -> Var {
         let (window, width) = (self.window(), self.settings.width);
         let windows = times * nodes;
-        // Row (time, node, state of the window) of what is looked at is row (time + state, node) of what is encoded.
+        // Attention row (time, node, state of the window) reads encoded row (time + state, node).
         let items = 0..windows * window;
         let row_of_item = items.clone().map(|item| {
             let (at, state) = (item / window, item % window);
@@ -209,7 +209,7 @@ impl Chain {
         apply_matrix(tape, model, "chain.output", attended)
     }
 
-    /// MLP_φ: three layers (equation 5).
+    /// MLP_φ, three layers: the predicted step (equation 5).
     fn step<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, seen: Var) -> Var {
         let first = apply_layer(tape, model, "chain.predictor.0", seen, Activation::Relu);
         let second = apply_layer(tape, model, "chain.predictor.1", first, Activation::Relu);

@@ -1,4 +1,4 @@
-//! MCGS: control nodes whose motion is half said by a coordinate network, half predicted from their last states.
+//! MCGS: control nodes with motion that a coordinate network and a Markov chain over previous states predict together.
 
 mod controls;
 mod markov;
@@ -33,17 +33,17 @@ use motion::Nodes;
 use node_motion::{NodeMotion, Predictions, frame_interval};
 use settings::Settings;
 
-/// [2]: λ_pos and λ_rot.
+/// [2]: the mixing shares λ_pos and λ_rot.
 const SHARES: &str = "mixing.shares";
-/// [1]: what is left of the noise, 1 to 0.
+/// [1]: the remaining noise level, from 1 down to 0.
 const NOISE: &str = "mixing.noise";
-/// [M, 1]: a running mean of the share of a node's Gaussians that a step's view saw, 1 at first.
+/// [M, 1]: running mean of the share of a node's Gaussians that are visible per step; initially 1.
 const VISIBILITY: &str = "nodes.visibility";
 
-/// Gaussians fainter than this do not become nodes: they mark no surface.
+/// Gaussians below this opacity do not become nodes, because they mark no surface.
 const MIN_NODE_OPACITY: f64 = 0.1;
 
-/// MCGS: control nodes whose motion follows a Markov chain.
+/// MCGS: control nodes with motion that follows a Markov chain.
 pub(crate) struct Mcgs;
 
 impl MethodFolder for Mcgs {
@@ -174,14 +174,14 @@ impl<T: Real> Method<T> for MarkovGaussians {
             hooks.push(Box::new(ramp));
             hooks.extend(visibility.map(|hook| Box::new(hook) as Box<dyn StepHook>));
         }
-        // Density control comes last: it changes the number of Gaussians, which the other hooks have observed.
+        // Density control runs last: it changes the number of Gaussians that the other hooks have observed.
         hooks.extend(Method::<T>::base(self).hooks(phase, scene));
         hooks
     }
 }
 
 impl MarkovGaussians {
-    /// Nodes on Gaussians that lie far apart.
+    /// Places the nodes on Gaussians that are far apart.
     fn choose_nodes<T: Real>(&self, state: &mut ModelState<T>) -> anyhow::Result<()> {
         let positions = state.get("gaussians.positions")?;
         let opacities = state.get("gaussians.opacity_logits")?.as_slice();
@@ -197,10 +197,11 @@ impl MarkovGaussians {
         Ok(())
     }
 
-    /// The nodes' motion at the time of a training view, and the losses that look at the frames around it.
+    /// Node motion at the time of a training view; adds the losses over the neighbouring frames.
     ///
-    /// Some views are given the direct branch alone. The mixture goes on from that branch's last state: were images to show
-    /// the mixture only, whatever in the branch changes its sign from frame to frame would leave every mixture as it is.
+    /// A random share of the views renders the direct branch alone. The mixture continues that branch's previous state,
+    /// so with mixtures alone, an error in the branch that alternates in sign from frame to frame would never show in
+    /// an image.
     fn training_motion<T: Real>(&self, step: &mut Step<'_, T>, time: f64) -> NodeMotion {
         if step.random.random::<f64>() < self.settings.mixing.direct_views {
             step.count_skipped("chain in views of the direct branch", 1, 1);
@@ -233,7 +234,7 @@ impl MarkovGaussians {
         self.noisy(step, &of_middle)
     }
 
-    /// The mixture of direct and predicted motion, with noise on what was predicted where the scene calls for it.
+    /// The mixture of direct and predicted motion, with noise on the prediction if the effect is on.
     fn noisy<T: Real>(&self, step: &mut Step<'_, T>, predictions: &Predictions) -> NodeMotion {
         let predictions = match self.has_noise {
             true => noise::disturb(step, predictions, &self.settings.noise),
@@ -242,8 +243,9 @@ impl MarkovGaussians {
         self.nodes.mix(step.tape, step.model, &predictions)
     }
 
-    /// The rigidity of the nodes between a frame and the next, among those that are near each other at that time: on the
-    /// canonical nodes, which a warm-up without motion leaves on the trails of what moves, different things lie side by side.
+    /// Rigidity of the nodes from one frame to the next, among neighbours at that frame. Neighbours of the canonical
+    /// nodes may belong to different objects, because the static warm-up leaves nodes along the trails of moving
+    /// objects.
     fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, weight: f64, frames: &[NodeMotion]) {
         let nodes = step.model.get("nodes.positions");
         let [before, after] = [1, 2].map(|frame| add(step.tape, nodes, frames[frame].translations));
@@ -253,7 +255,7 @@ impl MarkovGaussians {
         step.add_loss("rigidity", weight, energy);
     }
 
-    /// The weight of rigidity; its schedule counts all steps.
+    /// The weight of rigidity; its schedule counts the steps of all phases.
     fn rigidity_weight(&self, iteration: u64) -> f64 {
         if !self.is_rigid {
             return 0.0;

@@ -1,4 +1,4 @@
-//! How the nodes move: a direct branch, the Markov chain, and their mixture; and how they carry the Gaussians.
+//! Node motion from a direct branch, the Markov chain and their mixture, and its application to the Gaussians.
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
@@ -22,11 +22,11 @@ use crate::data::SceneFacts;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
-/// What the direct branch says; next to no motion at first.
+/// Output heads of the direct branch, whose initial motion is close to zero.
 const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
 
-/// The nodes with both branches.
+/// The control nodes with both motion branches.
 pub(crate) struct Nodes {
     settings: Settings,
     network: CoordinateMlp,
@@ -34,7 +34,7 @@ pub(crate) struct Nodes {
 }
 
 impl Nodes {
-    /// With the method's settings.
+    /// Nodes with the method's settings; the chain attends over its window if `attends`.
     pub(crate) fn new(settings: &Settings, attends: bool) -> Self {
         let heads = [TRANSLATION, ROTATION];
         let network = CoordinateMlp::new(NETWORK, &settings.network, FirstWeights::FanIn, &heads);
@@ -57,8 +57,8 @@ impl Nodes {
 
     /// Both branches at times that follow each other by one frame interval.
     ///
-    /// The states that the chain looks back on are the direct branch's, so that any time can be asked for by itself; they
-    /// are held fixed. Times before the start are the start's.
+    /// The chain reads previous states of the direct branch, so that any time can be predicted on its own. No gradient
+    /// flows into those states. Times before the start are clamped to the start.
     pub(crate) fn predict<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -83,7 +83,7 @@ impl Nodes {
         Predictions { direct, chained }
     }
 
-    /// The direct branch at every time.
+    /// The motion of the direct branch at every time.
     pub(crate) fn direct<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, times: &[f64]) -> NodeMotion {
         let hidden = self.network.hidden(tape, model, model.get("nodes.positions"), times);
         let translations = self.network.lengths(tape, model, TRANSLATION.name, hidden);
@@ -93,7 +93,7 @@ impl Nodes {
         NodeMotion { translations, rotations: quaternion::normalize(tape, raw) }
     }
 
-    /// (1 − λ)·direct + λ·chained, spherically for rotations (equations 10 and 11).
+    /// (1 − λ)·direct + λ·chained; rotations are interpolated spherically (equations 10 and 11).
     pub(crate) fn mix<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, predictions: &Predictions) -> NodeMotion {
         let Predictions { direct, chained } = predictions;
         let shares = tape.value(model.get(SHARES)).as_slice().to_vec();
@@ -105,7 +105,7 @@ impl Nodes {
         }
     }
 
-    /// Motions of several times, one by one.
+    /// Splits the motions of several times into one motion per time.
     pub(crate) fn split<T: Real>(&self, tape: &mut Tape<T>, motions: &NodeMotion, times: usize) -> Vec<NodeMotion> {
         let nodes = tape.value(motions.translations).rows() / times;
         let part = |time: usize| {
@@ -116,7 +116,7 @@ impl Nodes {
         (0..times).map(part).collect()
     }
 
-    /// The Gaussians where their nodes take them: x + Σ wₖ·Δμₖ and Δq⊗q, Δq the blend of the nodes' rotations.
+    /// Moves the Gaussians with their nodes: x + Σ wₖ·Δμₖ and Δq⊗q, where Δq is the blend of the nodes' rotations.
     pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -140,7 +140,7 @@ impl Nodes {
         let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), count);
         let weights = weights(tape, points, nodes, log_radii, None, &neighbors);
         let shift = blend(tape, weights, motion.translations, &neighbors);
-        // q and −q are one rotation, but do not add up to it.
+        // q and −q are the same rotation, but cancel in a sum.
         let identity = identity_rotations(tape, tape.value(motion.rotations).rows());
         let aligned = quaternion::align(tape, motion.rotations, identity);
         let sum = blend(tape, weights, aligned, &neighbors);
@@ -152,7 +152,7 @@ impl Nodes {
     }
 }
 
-/// `first..first + count` as indices.
+/// The indices `first..first + count`.
 fn rows(first: usize, count: usize) -> Vec<u32> {
     (first..first + count).map(|row| row as u32).collect()
 }

@@ -1,32 +1,32 @@
-//! The motion of nodes, as either branch states it.
+//! The motion of nodes, as both branches represent it.
 
 use shaders::tape::Var;
 
 use crate::data::SceneFacts;
 
-/// The network of the direct branch.
+/// Prefix of the direct branch's network tensors.
 pub(crate) const NETWORK: &str = "network";
 
-/// Changes of nodes against the canonical moment, time by time where there are several.
+/// Motion of M nodes relative to the canonical nodes at T times, stored time by time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NodeMotion {
-    /// [T·M, 3], scene units.
+    /// Translations [T·M, 3], scene units.
     pub translations: Var,
-    /// [T·M, 4] unit quaternions.
+    /// Rotations [T·M, 4], unit quaternions.
     pub rotations: Var,
 }
 
-/// What both branches say of the same nodes and times.
+/// Predictions of both branches for the same nodes and times.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Predictions {
-    /// From where and when alone (equations 8 and 9).
+    /// From position and time alone (equations 8 and 9).
     pub direct: NodeMotion,
-    /// From the states before (equation 5).
+    /// From the previous states (equation 5).
     pub chained: NodeMotion,
 }
 
 impl Predictions {
-    /// Every tensor mapped.
+    /// Applies `f` to every tensor.
     pub(crate) fn map(&self, mut f: impl FnMut(Var) -> Var) -> Self {
         let mut both = |NodeMotion { translations, rotations }| NodeMotion {
             translations: f(translations),
@@ -36,7 +36,7 @@ impl Predictions {
     }
 }
 
-/// The time from one frame to the next, in shares of the whole time.
+/// Duration of a frame as a share of the clip.
 pub(crate) fn frame_interval(scene: &SceneFacts) -> f64 {
     1.0 / scene.time_count.saturating_sub(1).max(1) as f64
 }

@@ -1,4 +1,4 @@
-//! Noise on what the chain predicts, annealed, and stronger for nodes whose Gaussians are seldom seen (equations 6 and 7).
+//! Annealed noise on the chain's prediction, stronger for nodes with rarely visible Gaussians (equations 6 and 7).
 
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
@@ -12,15 +12,15 @@ use super::node_motion::{NodeMotion, Predictions};
 use super::{NOISE, VISIBILITY};
 use crate::method::Step;
 
-/// How strong, and until when.
+/// Strength and duration of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct NoiseSettings {
-    /// First standard deviation of positions, as a share of the scene's extent.
+    /// Initial standard deviation of positions, as a share of the scene's extent.
     pub position: f64,
-    /// First standard deviation of quaternions.
+    /// Initial standard deviation of quaternions.
     pub rotation: f64,
-    /// The iteration at which nothing is left, counted from the start of the training.
+    /// The iteration at which the noise reaches zero, counted from the start of the training.
     pub until: u64,
 }
 
@@ -30,8 +30,8 @@ impl Default for NoiseSettings {
     }
 }
 
-/// Δμ + η·N(0, σ²) and SLERP(Δq, Δq + N(0, σ²), η_q) of the chained motion of one time; η = 1 + 2(1 − visibility) per node,
-/// η_q half of it, at most 1.
+/// Adds noise to the chained motion of one time: Δμ + η·N(0, σ²) and SLERP(Δq, Δq + N(0, σ²), η_q), with η = 1 + 2(1 −
+/// visibility) per node and η_q half of it, at most 1.
 pub(crate) fn disturb<T: Real>(
     step: &mut Step<'_, T>,
     predictions: &Predictions,
@@ -58,7 +58,7 @@ pub(crate) fn disturb<T: Real>(
     Predictions { chained: NodeMotion { translations, rotations }, ..*predictions }
 }
 
-/// [M, columns] normal draws.
+/// [M, columns] normal samples with this standard deviation.
 fn draws<T: Real>(step: &mut Step<'_, T>, columns: usize, deviation: f64) -> Tensor<T> {
     let nodes = step.tape.value(step.model.get(VISIBILITY)).rows();
     let mut draw = || {

@@ -10,16 +10,16 @@ use shaders::tape::{Real, Tape, Var};
 use super::node_motion::{NodeMotion, frame_interval};
 use crate::method::Step;
 
-/// Weights, once lengths per frame are measured in scene extents per duration of the capture.
+/// Weights of the physics losses, for lengths per frame in scene extents per duration of the capture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct PhysicsSettings {
-    /// λ_a, of acceleration.
+    /// λ_a, the weight of acceleration.
     pub acceleration: f64,
     /// λ_s, weight of the speed penalty. It pulls towards no motion, so it must be small.
     #[serde(rename = "haste")]
     pub speed_penalty: f64,
-    /// α, share of the angular speed in the speed penalty.
+    /// α, the share of the angular speed in the speed penalty.
     pub turning: f64,
 }
 
@@ -29,9 +29,9 @@ impl Default for PhysicsSettings {
     }
 }
 
-/// λ_a·mean ‖μ₊ − 2μ + μ₋‖² / u² + λ_s·(mean ‖μ₊ − μ‖₁ / u + α·mean ‖q₊ − q‖₁) over the nodes at three frames; what
-/// moves by the scene's extent while the capture lasts moves by u per frame. A unit that shrank with the motion would pull
-/// the harder the less moves.
+/// λ_a·mean ‖μ₊ − 2μ + μ₋‖² / u² + λ_s·(mean ‖μ₊ − μ‖₁ / u + α·mean ‖q₊ − q‖₁) over the nodes at three frames. The unit
+/// u is the displacement per frame of an object that crosses the scene's extent in the duration of the capture. A unit
+/// derived from the motion itself would penalise small motion more than large motion.
 pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSettings, frames: &[NodeMotion]) {
     let [before, now, after] = frames else { unreachable!("three frames") };
     let per_unit = 1.0 / (step.scene.extent * frame_interval(step.scene));
@@ -58,7 +58,7 @@ pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSett
     step.add_loss("haste", settings.speed_penalty, speed);
 }
 
-/// The mean over rows of the sum of each.
+/// Sums every row and returns the mean over the rows.
 fn mean_over_rows<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     let sums = row_sum(tape, x);
     mean(tape, sums)

@@ -1,4 +1,4 @@
-//! What only this method understands.
+//! Settings specific to MCGS.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,39 +8,39 @@ use super::physics::PhysicsSettings;
 use crate::bases::control_nodes::ControlNodeSettings;
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 
-/// The method's table.
+/// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
-    /// The network of the direct motion.
+    /// The network of the direct branch.
     pub network: CoordinateMlpSettings,
-    /// The nodes.
+    /// The control nodes.
     pub nodes: ControlNodeSettings,
     /// The Markov chain.
     pub chain: ChainSettings,
-    /// How the two motions are mixed.
+    /// How direct and predicted motion are mixed.
     pub mixing: Mixing,
-    /// The effect `noise`.
+    /// Noise of the effect `noise`.
     pub noise: NoiseSettings,
-    /// First weight of the effect `arap`.
+    /// Initial rigidity weight of the effect `arap`.
     pub rigidity: f64,
-    /// The effect `physics`.
+    /// Weights of the effect `physics`.
     pub physics: PhysicsSettings,
 }
 
-/// The chain's shares λ of the motion (equations 10 and 11), which grow evenly.
+/// The chain's shares λ of the motion (equations 10 and 11), which grow linearly.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Mixing {
-    /// λ where motion begins.
+    /// λ at the start of motion.
     pub first: f64,
-    /// λ_pos in the end.
+    /// Final λ_pos.
     pub position: f64,
-    /// λ_rot in the end.
+    /// Final λ_rot.
     pub rotation: f64,
-    /// The iteration at which that is reached, counted from the start of the training.
+    /// The iteration that reaches the final shares, counted from the start of the training.
     pub until: u64,
-    /// The share of training views that are shown the direct motion alone.
+    /// Share of the training views that render the direct branch alone.
     pub direct_views: f64,
 }
 
@@ -65,8 +65,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Small, with every part, and losses that weigh enough to be seen, but not so much that small gradients are lost in
-    /// the rounding of their sum.
+    /// Small settings with every part on. Each loss weighs enough to show, but not so much that small gradients drown
+    /// in the rounding of their sum.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         Self {
@@ -80,7 +80,7 @@ impl Settings {
         }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         self.network.check()?;
         self.nodes.check()?;

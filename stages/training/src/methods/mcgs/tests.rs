@@ -29,7 +29,7 @@ fn without_motion_there_are_neither_nodes_nor_networks() {
 }
 
 #[test]
-fn attention_is_its_maps_and_its_window() {
+fn attention_adds_projections_and_a_time_embedding() {
     let (without, with) = (train(&["motion"]), train(&["motion", "attention"]));
     assert!(with.ran("window_attention") && !without.ran("window_attention"));
     let added: Vec<_> = with.tensors.difference(&without.tensors).map(String::as_str).collect();
@@ -40,7 +40,7 @@ fn attention_is_its_maps_and_its_window() {
 }
 
 #[test]
-fn noise_is_its_strength_and_the_visibility() {
+fn noise_adds_its_level_and_node_visibility() {
     let (without, with) = (train(&["motion"]), train(&["motion", "noise"]));
     let added: Vec<_> = with.tensors.difference(&without.tensors).map(String::as_str).collect();
     assert_eq!(added, ["mixing.noise", "nodes.visibility"]);
@@ -48,7 +48,7 @@ fn noise_is_its_strength_and_the_visibility() {
 }
 
 #[test]
-fn rigidity_and_physics_cost_operations_and_no_tensors() {
+fn rigidity_and_physics_add_operations_but_no_tensors() {
     let plain = train(&["motion"]);
     for (effect, operation) in [("arap", "quaternion_rotate"), ("physics", "magnitude")] {
         let with = train(&["motion", effect]);
@@ -57,7 +57,7 @@ fn rigidity_and_physics_cost_operations_and_no_tensors() {
     }
 }
 
-/// Nodes with settings, their state and canonical positions.
+/// Nodes with these settings, and a state with their tensors and canonical positions.
 fn nodes(settings: &Settings, attends: bool) -> (Nodes, ModelState<f64>) {
     let nodes = Nodes::new(settings, attends);
     let mut state = ModelState::new();
@@ -69,7 +69,7 @@ fn nodes(settings: &Settings, attends: bool) -> (Nodes, ModelState<f64>) {
 }
 
 #[test]
-fn several_times_at_once_are_each_time_alone() {
+fn batched_times_equal_single_times() {
     let (nodes, state) = nodes(&Settings::tiny(), true);
     let scene = scene(11);
     let mut tape = Tape::new(Device::Cpu);
@@ -89,7 +89,7 @@ fn several_times_at_once_are_each_time_alone() {
 }
 
 #[test]
-fn a_chain_that_has_learnt_nothing_stays_at_the_last_state() {
+fn an_untrained_chain_repeats_the_last_state() {
     for attends in [true, false] {
         let (nodes, state) = nodes(&Settings::tiny(), attends);
         let mut tape = Tape::new(Device::Cpu);
@@ -121,7 +121,7 @@ fn views_of_the_direct_branch_skip_the_chain() {
 }
 
 #[test]
-fn the_window_begins_with_the_start_of_the_video() {
+fn states_before_the_start_repeat_the_first() {
     let (nodes, state) = nodes(&Settings::tiny(), true);
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
@@ -132,7 +132,7 @@ fn the_window_begins_with_the_start_of_the_video() {
 }
 
 #[test]
-fn no_motion_leaves_the_gaussians_where_they_are() {
+fn zero_node_motion_leaves_gaussians_unchanged() {
     let (nodes, mut state) = nodes(&Settings::tiny(), true);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
     gaussians::insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01).unwrap();
