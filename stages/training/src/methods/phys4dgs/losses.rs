@@ -1,4 +1,4 @@
-//! Equations 3 to 11, in frames and motion units.
+//! Physical losses (equations 3 to 11), in units of frames and motion units.
 
 use rand::RngExt as _;
 use shaders::arrays::rows::weighted_mean_squared_difference;
@@ -17,29 +17,29 @@ use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::data::TrainingView;
 use crate::method::Step;
 
-/// Components of a vector: the reduction averages over them, the paper's squared norms sum.
+/// Components of a vector. The reduction averages over them, whereas the paper's squared norms sum over them.
 const AXES: f64 = 3.0;
 
-/// What the model says of M Gaussians, per frame; [M, 3] each.
+/// Predicted motion of M Gaussians per frame; tensors are [M, 3].
 struct Kinematics {
-    /// v^sf at t, t + δt, …: from one evaluation of the field to the next.
+    /// v^sf at t, t + δt, …: displacement from one evaluation of the field to the next.
     moved: Vec<Var>,
-    /// v^attr at t.
+    /// v^attr at t, the predicted velocity.
     velocity: Option<Var>,
-    /// δv^attr at t, t + δt.
+    /// δv^attr at t and t + δt, the predicted change of velocity.
     variations: Vec<Var>,
 }
 
-/// How squared differences become losses.
+/// Factors that turn squared differences into losses.
 struct Scales {
-    /// [M] of 1 and 0: who counts.
+    /// [M] mask of compared Gaussians.
     weights: Var,
-    /// The ramp, over the squared motion unit and the number of views.
+    /// The ramp, divided by the squared motion unit and the number of views.
     factor: f64,
 }
 
 impl PhysicalGaussians {
-    /// Adds the physical losses of one view (eq 11), `gain` times their weights.
+    /// Adds the physical losses of one view (eq 11), with their weights multiplied by `gain`.
     pub(super) fn physical_losses<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -72,18 +72,18 @@ impl PhysicalGaussians {
         Ok(())
     }
 
-    /// Evaluates the heads that some loss needs, at the instants that some loss needs.
+    /// Evaluates the heads that active losses need, at the instants that they need.
     fn kinematics<T: Real>(&self, step: &mut Step<'_, T>, followed: &Trajectories) -> Kinematics {
         let moved = followed.displacements(step.tape);
-        // The heads speak in motion units, so that their outputs are of the order of 1.
+        // The heads output motion units, so that their values are of the order of 1.
         let unit = motion_unit(step.scene);
         let mut head = |name: &str, instant: usize| {
             let points = &followed.points[instant];
-            let said = self.base.further_head(step.tape, step.model, step.scene, name, points);
-            scale(step.tape, said, unit)
+            let output = self.base.further_head(step.tape, step.model, step.scene, name, points);
+            scale(step.tape, output, unit)
         };
         let velocity = self.parts.needs_velocity().then(|| head(VELOCITY_HEAD.0, 0));
-        // A change of velocity is compared with two displacements, a change of that with three.
+        // δv at t is compared over two displacements; the jerk also compares δv at t + δt, over three.
         let variations = match self.parts.needs_variation() {
             true => usize::from(moved.len() >= 2) + usize::from(self.parts.higher_order && moved.len() >= 3),
             false => 0,
@@ -92,7 +92,7 @@ impl PhysicalGaussians {
         Kinematics { moved, velocity, variations }
     }
 
-    /// Velocities (eq 3, at t and at t + δt), displacements (eq 5, at t) and how slowly velocities change (eq 10).
+    /// Velocities (eq 3, at t and t + δt), displacements (eq 5, at t) and the change of velocity (eq 10).
     fn compare_velocities<T: Real>(&self, step: &mut Step<'_, T>, scales: &Scales, kinematics: &Kinematics) {
         let (weights, Kinematics { moved, velocity, variations }) = (&self.settings.weights, kinematics);
         let Some(velocity) = *velocity else { return };
@@ -112,7 +112,7 @@ impl PhysicalGaussians {
         scales.add(step, "velocity", 0.5 * weights.velocity, next);
 
         let none = step.tape.constant(Tensor::zeros(step.tape.value(variation).shape()));
-        let said = scales.mean_square(step, variation, none);
+        let output = scales.mean_square(step, variation, none);
         let seen = scales.mean_square(step, moved[1], moved[0]);
         scales.add(step, "temporal", weights.temporal, said);
         scales.add(step, "temporal", weights.temporal, seen);
@@ -136,7 +136,7 @@ impl PhysicalGaussians {
         }
     }
 
-    /// What images show of the motion: optical flow (the β and γ of eqs 3 and 5) and exact displacements (eq 4).
+    /// Observed motion: optical flow (β and γ of eqs 3 and 5) and exact displacements (eq 4).
     fn compare_observations<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -179,7 +179,7 @@ impl PhysicalGaussians {
         Ok(())
     }
 
-    /// Flow is a part of eq 3 and of eq 5, which are one equation in frames.
+    /// Weight of flow, which is part of eqs 3 and 5; in units of frames the two are one equation.
     fn flow_weight(&self) -> f64 {
         let weights = &self.settings.weights;
         let parts = [(self.parts.velocity, weights.velocity), (self.parts.displacement, weights.displacement)];
@@ -188,7 +188,7 @@ impl PhysicalGaussians {
 }
 
 impl Scales {
-    /// The mean of ‖a − b‖² over all Gaussians that count, up to [`AXES`]; 0 where none does.
+    /// Mean of ‖a − b‖² over the compared Gaussians, divided by [`AXES`]; 0 if there are none.
     fn mean_square<T: Real>(&self, step: &mut Step<'_, T>, a: Var, b: Var) -> Var {
         weighted_mean_squared_difference(step.tape, a, b, self.weights)
     }
@@ -199,7 +199,7 @@ impl Scales {
 }
 
 impl<T: Real> Observed<T> {
-    /// On the tape: [M, 3] and the weights [M], which no gradient reaches.
+    /// Puts the displacements [M, 3] and the weights [M] on the tape as constants.
     fn constants(&self, step: &mut Step<'_, T>) -> (Var, Var) {
         (step.tape.detach_value(self.displacements.clone()), step.tape.detach_value(self.weights.clone()))
     }

@@ -1,4 +1,4 @@
-//! Phys4DGS: a hexplane field whose velocities, displacements and higher derivatives are held consistent.
+//! Phys4DGS: a hexplane field with losses that keep velocities, displacements and higher derivatives consistent.
 
 mod losses;
 mod observation;
@@ -19,9 +19,9 @@ use crate::schedule::stretch;
 use crate::shared::Shared;
 use settings::Phys4dgsSettings;
 
-/// The head that says a Gaussian's velocity, v in the paper.
+/// The head that predicts a Gaussian's velocity, v in the paper.
 const VELOCITY_HEAD: FurtherHead = ("velocity", 3);
-/// The head that says how the velocity changes until the next frame, δv in the paper.
+/// The head that predicts the change of the velocity until the next frame, δv in the paper.
 const VARIATION_HEAD: FurtherHead = ("velocity_variation", 3);
 
 /// Phys4DGS: 4DGaussians with consistent velocities and higher derivatives of motion.
@@ -88,7 +88,7 @@ impl MethodFolder for Phys4dgs {
     }
 }
 
-/// The parts of the method that an effect switches.
+/// The parts of the method that effects switch on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Parts {
     velocity: bool,
@@ -99,8 +99,8 @@ struct Parts {
 }
 
 impl Parts {
-    /// Nothing without motion; and flow is a third voice in the comparison of velocities or displacements, nothing by
-    /// itself.
+    /// Active parts. None without motion; flow only supplements the comparison of velocities or displacements, so it
+    /// needs one of them.
     fn of(effects: &Effects) -> Self {
         let has = |name: &str| effects.has("motion") && effects.has(name);
         let (velocity, displacement) = (has("velocity"), has("displacement"));
@@ -126,7 +126,7 @@ impl Parts {
         heads.into_iter().filter(|(needed, _)| *needed).map(|(_, head)| head).collect()
     }
 
-    /// Frames after the view's own at which the field is evaluated; 0 where nothing is compared.
+    /// Number of frames after the view's own at which the field is evaluated; 0 without comparisons.
     fn frames_ahead(self) -> usize {
         match self {
             Self { higher_order: true, .. } => 3,
@@ -153,7 +153,7 @@ impl PhysicalGaussians {
         Self { base, settings, parts, ramp }
     }
 
-    /// How far the weights have grown, 0 to 1.
+    /// Current share of the loss weights, 0 to 1.
     fn gain(&self, phase: &str, iteration: u64) -> f64 {
         let [first, last] = self.ramp.map(|iteration| iteration as f64);
         match self.base.moves(phase) && self.parts.frames_ahead() > 0 {
@@ -169,7 +169,7 @@ impl<T: Real> Method<T> for PhysicalGaussians {
         &self.base
     }
 
-    /// The photometric loss of every view, and beside it the physical ones (eq 11).
+    /// The photometric loss and the physical losses (eq 11) of every view.
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let gain = self.gain(step.phase, step.iteration);
         static_mask::count_skipped(step);

@@ -1,4 +1,4 @@
-//! What images show of the motion of points, as constants: no gradient flows to what was seen.
+//! Motion of points as observed in images. Observations are constants: no gradient flows through them.
 
 use scene::{FlowMap, VelocityMap};
 use shaders::arrays::rows::{divide_rows, keep_rows, median_where, norm, repeat_row, reshape};
@@ -14,13 +14,13 @@ use crate::data::{FlowPrior, TrainingView};
 use crate::method::{Base, Moment, Step, too_large};
 use crate::model::Variables;
 
-/// A Gaussian farther than this share of the depth from the surface in its pixel is hidden by it, or not part of it.
+/// A Gaussian farther than this share of the depth from its pixel's surface is occluded by it or not part of it.
 const ON_SURFACE: f64 = 0.05;
-/// Depth and flow are interpolated where neighbouring pixels differ by less than this share.
+/// Depth and flow are interpolated between neighbouring pixels that differ by less than this share.
 const SAMPLING: Sampling = Sampling::NearestAcrossEdges { relative: 0.1 };
 
 pointwise! {
-    /// y = depth / alpha, the expected depth, where alpha > least; else it is `unknown`.
+    /// y = depth / alpha, the expected depth, where alpha > least; otherwise `unknown`.
     fn expected_depth(depth, alpha) with(least, unknown) -> y {
         return select(unknown, depth / alpha, alpha > least);
     }
@@ -29,7 +29,7 @@ pointwise! {
         alpha: { return select(0.0, -dy * y / alpha, alpha > least); }
     }
 
-    /// y = weight where |depth − surface| < share·surface, else 0.
+    /// y = weight where |depth − surface| < share·surface, otherwise 0.
     fn on_surface(weight, depth, surface) with(share) -> y {
         return select(0.0, weight, abs(depth - surface) < share * surface);
     }
@@ -40,23 +40,23 @@ pointwise! {
     }
 }
 
-/// M points as a view shows them.
+/// M points as seen in a view.
 pub(crate) struct Sight<T: Real> {
     device: Device,
-    /// [M, 2] px.
+    /// Pixel positions [M, 2], px.
     pixels: Tensor<T>,
-    /// [M]: z of the surface there, view space.
+    /// View-space depth z of the surface at those pixels, [M].
     surface_depths: Tensor<T>,
-    /// [M] of 1 and 0: the point counts and lies on that surface.
+    /// [M] mask: 1 where the point counts and lies on that surface, otherwise 0.
     visible: Tensor<T>,
 }
 
-/// Displacements per frame that something else than the model tells.
+/// Observed displacements per frame, from optical flow or exact velocities.
 pub(crate) struct Observed<T: Real> {
     device: Device,
-    /// [M, 3] world, scene units per frame; 0 where nothing is seen.
+    /// [M, 3] in world space, scene units per frame; 0 where unobserved.
     pub displacements: Tensor<T>,
-    /// [M]: 0 where nothing is seen.
+    /// [M] weights; 0 where unobserved.
     pub weights: Tensor<T>,
 }
 
@@ -70,7 +70,7 @@ pub(crate) fn surface_depth<T: Real>(tape: &Tape<T>, rendered: &Rendered, min_co
 }
 
 impl<T: Real> Sight<T> {
-    /// Points [M, 3] (world) that count by their weights [M], in an image with these depths [H, W] of its surfaces.
+    /// Projects points [M, 3] (world) with weights [M] into an image with surface depths [H, W].
     pub(crate) fn of(
         device: Device,
         [points, weights]: [&Tensor<T>; 2],
@@ -92,20 +92,20 @@ impl<T: Real> Sight<T> {
     }
 }
 
-/// [H, W, 3] exact displacements within one frame, scene units: velocity times its duration.
+/// [H, W, 3] exact displacements per frame, scene units: velocity times the frame's duration.
 pub(crate) fn displacement_map<T: Real>(velocity: &VelocityMap, frame_secs: f64) -> Tensor<T> {
     let per_frame = |value: &f32| T::from_f64(f64::from(*value) * frame_secs);
     let values = velocity.velocity_world.as_flattened().iter().map(per_frame).collect();
     Tensor::from_vec([velocity.height as usize, velocity.width as usize, 3], values)
 }
 
-/// [H, W, 2] optical flow, px.
+/// Optical flow as a tensor [H, W, 2], px.
 pub(crate) fn flow_map<T: Real>(flow: &FlowMap) -> Tensor<T> {
     let values = flow.flow_px.as_flattened().iter().map(|&value| T::from_f64(f64::from(value))).collect();
     Tensor::from_vec([flow.height as usize, flow.width as usize, 2], values)
 }
 
-/// Exact displacements within one frame (eq 4), of their map.
+/// Exact displacements per frame (eq 4), sampled from their map.
 pub(crate) fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> Observed<T> {
     let mut tape = Tape::new(sight.device);
     let map = tape.constant(map.clone());
@@ -114,8 +114,8 @@ pub(crate) fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> 
     Observed::where_all(tape, values, &[visible, valid])
 }
 
-/// Displacements per frame that the map of optical flow tells (eq 2): the points behind a pixel before and after, each in the
-/// depth that is rendered there; `frames` lie between.
+/// Displacements per frame from optical flow (eq 2): unprojects each pixel before and after the flow at the rendered
+/// depths; the views are `frames` frames apart.
 pub(crate) fn flow_displacements<T: Real>(
     sight: &Sight<T>,
     [camera, camera_to]: [&PinholeCamera; 2],
@@ -136,7 +136,8 @@ pub(crate) fn flow_displacements<T: Real>(
 }
 
 impl<T: Real> Observed<T> {
-    /// Displacements on a tape, with weight 1 where all conditions [M] of 1 and 0 hold, zeros elsewhere.
+    /// Displacements from a tape, with weight 1 where all conditions [M] are 1; otherwise displacement and weight are
+    /// 0.
     fn where_all(mut tape: Tape<T>, displacements: Var, conditions: &[Var]) -> Self {
         let both = |a: Var, &b: &Var| mul(&mut tape, a, b);
         let weights = conditions[1..].iter().fold(conditions[0], both);
@@ -145,7 +146,8 @@ impl<T: Real> Observed<T> {
         Self { device: tape.device(), displacements, weights }
     }
 
-    /// So many times the middle one of the displacements' lengths, [1], scene units per frame; 0 where nothing is seen.
+    /// The median length of the observed displacements, multiplied by `times`: [1], scene units per frame; 0 without
+    /// observations.
     pub(crate) fn median_length(&self, times: f64) -> Tensor<T> {
         let mut tape = Tape::new(self.device);
         let [displacements, weights] = [&self.displacements, &self.weights].map(|of| tape.constant(of.clone()));
@@ -155,8 +157,8 @@ impl<T: Real> Observed<T> {
         tape.value(median).clone()
     }
 
-    /// Weighted so that the square pulls no harder than at a distance of `limit` [1], but of `least` at least, from
-    /// `estimate` [M, 3]: one step of iteratively reweighted least squares for the loss of Huber (1964).
+    /// Reweighted so that the gradient of the squared distance to `estimate` [M, 3] stays constant beyond the distance
+    /// max(`limit` [1], `least`): one step of iteratively reweighted least squares for the Huber loss (1964).
     pub(crate) fn without_outliers(&self, estimate: &Tensor<T>, limit: &Tensor<T>, least: f64) -> Self {
         let mut tape = Tape::new(self.device);
         let seen = [estimate, &self.displacements, &self.weights, limit];
@@ -174,12 +176,12 @@ impl<T: Real> Observed<T> {
 }
 
 impl PhysicalGaussians {
-    /// Whether a view's step compares motion with anything that was seen; only then is depth rendered.
+    /// Whether a step on this view uses any observation; depth is rendered only then.
     pub(super) fn observes<T: Real>(&self, step: &Step<'_, T>, view: &TrainingView<T>) -> bool {
         self.velocity_of(step, view).is_some() || self.flow_of(step, view).is_some()
     }
 
-    /// The exact velocities in a view, where they are known and wanted.
+    /// The exact velocities of a view, if known and needed.
     pub(super) fn velocity_of<'a, T: Real>(
         &self,
         step: &Step<'a, T>,
@@ -189,14 +191,14 @@ impl PhysicalGaussians {
         step.supplements.view(view.index).filter(|_| wanted)?.velocity.as_ref()
     }
 
-    /// The flow of a view, where it is given and wanted, leads on in time and anything moves.
+    /// The optical flow of a view, if given and needed, if it points forward in time and if the view shows motion.
     pub(super) fn flow_of<'a, T: Real>(&self, step: &Step<'a, T>, view: &TrainingView<T>) -> Option<&'a FlowPrior> {
         let flow = step.supplements.view(view.index).filter(|_| self.parts.flow)?.flow.as_ref()?;
         let leads_on = step.scene.time_map.normalized(flow.time_to_secs) > view.time;
         (leads_on && !stands_still(step, view)).then_some(flow)
     }
 
-    /// The depths [H, W] of the surfaces where a flow arrives, rendered without gradients.
+    /// Surface depths [H, W] of the view where the flow ends, rendered without gradients.
     pub(super) fn surface_at<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -216,7 +218,7 @@ impl PhysicalGaussians {
     }
 }
 
-/// Whether a view is known to show nothing that moves.
+/// Whether a view is known to show no motion.
 fn stands_still<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> bool {
     step.supplements.moving(view.index).is_some_and(|moving| moving.labels.iter().all(|&label| label == 0))
 }

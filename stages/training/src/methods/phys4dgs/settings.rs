@@ -1,4 +1,4 @@
-//! What a recipe may say about this method.
+//! Recipe settings of Phys4DGS.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -6,7 +6,7 @@ use crate::bases::hexplane::HexplaneSettings;
 use crate::schedule::LogLinear;
 use crate::shared::over_defaults;
 
-/// The table of this method.
+/// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Phys4dgsSettings {
@@ -15,16 +15,16 @@ pub(crate) struct Phys4dgsSettings {
     pub field: HexplaneSettings,
     /// Weights of the physical losses.
     pub weights: Weights,
-    /// Iterations of `fine` between which the weights grow from 0 to their values: before, motion is noise.
+    /// Iterations of `fine` between which the weights grow from 0 to their values; before that, the motion is noise.
     pub ramp: [u64; 2],
-    /// The share of the Gaussians that one step compares.
+    /// Share of the Gaussians that one step compares.
     pub sample_share: f64,
-    /// At most so many.
+    /// Maximum number of Gaussians that one step compares.
     pub sample_max: usize,
-    /// Where a render covers a pixel less than this, its depth belongs to no surface and nothing is observed there.
+    /// Minimum coverage of a pixel by a render; below it, the depth is undefined and the pixel is not observed.
     pub min_coverage: f64,
-    /// Flow that differs from the motion by more than so many times what it shows in the middle of all Gaussians of a view
-    /// pulls with constant force (Huber 1964).
+    /// Flow that differs from the motion by more than this many times the view's median observed displacement has a
+    /// constant gradient (Huber 1964).
     pub flow_outlier: f64,
 }
 
@@ -32,23 +32,23 @@ pub(crate) struct Phys4dgsSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Weights {
-    /// λ_v of eq 3.
+    /// λ_v of eq 3, velocity.
     pub velocity: f64,
-    /// λ_t of eq 10.
+    /// λ_t of eq 10, slow change of velocity.
     pub temporal: f64,
-    /// λ_d of eq 5.
+    /// λ_d of eq 5, displacement.
     pub displacement: f64,
-    /// λ·α_gt of eqs 4 and 5.
+    /// λ·α_gt of eqs 4 and 5, exact displacement.
     pub true_displacement: f64,
-    /// λ_a of eq 8.
+    /// λ_a of eq 8, acceleration.
     pub acceleration: f64,
-    /// λ_j of eq 9.
+    /// λ_j of eq 9, jerk.
     pub jerk: f64,
-    /// β = γ of eqs 3 and 5, as a share of α = 1: how much flow counts beside the model's own motion.
+    /// β = γ of eqs 3 and 5, relative to α = 1: the weight of flow against the model's own motion.
     pub flow: f64,
 }
 
-/// The paper's network rates end a tenth of the start; those of 4DGaussians' code end at a hundredth.
+/// The paper's network rates decay to a tenth of the initial value; those in the 4DGaussians code decay to a hundredth.
 fn field() -> HexplaneSettings {
     HexplaneSettings {
         plane_rate: LogLinear { start: 1.6e-3, end: 1.6e-4, steps: 20_000 },
@@ -75,8 +75,9 @@ impl Default for Phys4dgsSettings {
     }
 }
 
-/// The lower end of the range in which the paper searched its weights, 0.001 to 0.1: at ten times as much, a short
-/// training ends without motion, because the velocity head starts at zero and holds back what it has not learnt yet.
+/// Lower end of the range (0.001 to 0.1) in which the paper searched its weights. With ten times as much, a short
+/// training ends without motion, because the velocity head starts at zero and penalises motion that it has not learnt
+/// yet.
 const LEAST_SEARCHED: f64 = 0.001;
 
 impl Default for Weights {
@@ -94,8 +95,8 @@ impl Default for Weights {
 }
 
 impl Phys4dgsSettings {
-    /// Small, every loss on from the first step and heavy enough to be seen, every Gaussian compared, however
-    /// transparent.
+    /// Small settings with every loss on from the first step at a visible weight, and every Gaussian compared
+    /// regardless of opacity.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         Self {
@@ -116,7 +117,7 @@ impl Phys4dgsSettings {
         }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         self.field.check()?;
         let Weights { velocity, temporal, displacement, true_displacement, acceleration, jerk, flow } = self.weights;

@@ -23,7 +23,7 @@ fn named(effects: &[&str]) -> Effects {
     Effects::Named(effects.iter().map(ToString::to_string).collect())
 }
 
-/// The test scene with everything that can be known of it.
+/// The test scene with every supplement.
 struct World {
     dataset: Dataset,
     supplements: Supplements,
@@ -55,13 +55,13 @@ impl World {
         self.params("deformable4dgs", effects, serde_json::to_value(settings).unwrap())
     }
 
-    /// The first step of `fine` on a training view.
+    /// Runs the first step of `fine` on a training view, on the CPU.
     fn step(&self, params: &TrainingParams, view: usize) -> Observation {
         let method = params.registration().build_f64(&params.shared, &params.settings).unwrap();
         self.step_on(Device::Cpu, &*method, params, view)
     }
 
-    /// The same on a device.
+    /// Runs the first step of `fine` on a training view, on this device.
     fn step_on<T: Real>(
         &self,
         device: Device,
@@ -108,7 +108,7 @@ impl World {
     }
 }
 
-/// Moves the time planes, which are constant in a fresh field.
+/// Adds variation in time to the time planes, which are constant in a fresh field.
 fn vary_in_time<T: Real>(state: &mut ModelState<T>) {
     let planes: Vec<String> = state.names().filter(|name| name.starts_with("field.plane_")).map(String::from).collect();
     for name in planes.into_iter().filter(|name| name.ends_with('t')) {
@@ -119,7 +119,7 @@ fn vary_in_time<T: Real>(state: &mut ModelState<T>) {
     }
 }
 
-/// What a step did.
+/// Losses, skipped work, tensors and operations of one step.
 struct Observation {
     tensors: BTreeSet<String>,
     losses: BTreeMap<&'static str, f64>,
@@ -128,7 +128,7 @@ struct Observation {
 }
 
 impl Observation {
-    /// The losses that the base does not have.
+    /// Names of the losses that the base does not have.
     fn physics(&self) -> Vec<&str> {
         let of_base = ["photometric", "spatial_smoothness", "temporal_smoothness", "time_to_one"];
         self.losses.keys().copied().filter(|name| !of_base.contains(name)).collect()
@@ -136,10 +136,11 @@ impl Observation {
 }
 
 #[test]
-fn what_is_off_has_no_tensors_no_losses_and_no_operations() {
+fn disabled_effects_add_no_tensors_losses_or_operations() {
     let (world, tiny) = (World::new(), Phys4dgsSettings::tiny());
     let plain = world.step(&world.deformable4dgs(&["motion"], &tiny.field), 3);
-    // Effects beside motion, tensors beside the base's, evaluations of the field beside the render's, losses.
+    // Effects in addition to motion, tensors in addition to the base's, field evaluations in addition to the render's,
+    // losses.
     type Row<'a> = (&'a [&'a str], usize, u64, &'a [&'a str]);
     let rows: [Row<'_>; 8] = [
         (&[], 0, 0, &[]),
@@ -170,7 +171,7 @@ fn what_is_off_has_no_tensors_no_losses_and_no_operations() {
 }
 
 #[test]
-fn without_motion_nothing_else_is_simulated() {
+fn without_motion_no_physics_effect_is_active() {
     let world = World::new();
     let found = world.step(&world.phys4dgs(&PHYSICS, &Phys4dgsSettings::tiny()), 3);
     assert!(found.tensors.iter().all(|name| name.starts_with("gaussians.") || name == "field.bounds"));
@@ -178,7 +179,7 @@ fn without_motion_nothing_else_is_simulated() {
 }
 
 #[test]
-fn without_physics_a_training_ends_in_the_tensors_of_deformable4dgs() {
+fn without_physics_training_equals_deformable4dgs() {
     let world = World::new();
     let train = |mut params: TrainingParams| {
         params.shared.iterations = BTreeMap::from([("coarse".into(), 6), ("fine".into(), 10)]);
@@ -192,17 +193,17 @@ fn without_physics_a_training_ends_in_the_tensors_of_deformable4dgs() {
     let of_base = train(world.deformable4dgs(&["motion"], &tiny.field));
     let mut params = world.phys4dgs(&["motion"], &tiny);
     assert!(train(params.clone()) == of_base);
-    // The planted fault: other first values are noticed.
+    // Planted fault: different initial values change the result.
     params.shared.seed = 1;
     assert!(train(params) != of_base);
 }
 
 #[test]
-fn only_terms_whose_frames_exist_are_compared() {
+fn losses_need_their_frames_within_the_clip() {
     let (mut world, tiny) = (World::new(), Phys4dgsSettings::tiny());
     world.supplements = NOTHING.clone();
     let params = world.phys4dgs(&["motion", "velocity", "higher-order"], &tiny);
-    // Eight views; a frame is an eighth of the time and a view lasts a seventh.
+    // Eight views: a frame is an eighth of the time, a view lasts a seventh.
     assert_eq!(world.step(&params, 7).physics(), Vec::<&str>::new());
     assert_eq!(world.step(&params, 6).physics(), ["velocity"]);
     assert_eq!(world.step(&params, 5).physics(), ["acceleration", "temporal", "velocity"]);
@@ -210,7 +211,7 @@ fn only_terms_whose_frames_exist_are_compared() {
 }
 
 #[test]
-fn gaussians_that_stand_still_are_left_out_and_counted() {
+fn static_gaussians_are_skipped_and_counted() {
     let (world, mut tiny) = (World::new(), Phys4dgsSettings::tiny());
     tiny.field.zero_heads = true; // A field without effect.
     let found = world.step(&world.phys4dgs(&[&["motion"][..], &PHYSICS].concat(), &tiny), 3);
@@ -222,7 +223,7 @@ fn gaussians_that_stand_still_are_left_out_and_counted() {
 }
 
 #[test]
-fn a_view_where_nothing_moves_has_no_physical_losses() {
+fn a_static_view_has_no_physical_losses() {
     let mut world = World::new();
     let params = world.phys4dgs(&[&["motion"][..], &PHYSICS].concat(), &Phys4dgsSettings::tiny());
     let index = world.dataset.train[3].index;
@@ -235,7 +236,7 @@ fn a_view_where_nothing_moves_has_no_physical_losses() {
 }
 
 #[test]
-fn flow_is_compared_only_where_something_moves_and_flow_leads_on() {
+fn flow_loss_needs_motion_and_a_later_frame() {
     let mut world = World::new();
     let params = world.phys4dgs(&["motion", "velocity", "flow"], &Phys4dgsSettings::tiny());
     let index = world.dataset.train[3].index;
@@ -246,7 +247,7 @@ fn flow_is_compared_only_where_something_moves_and_flow_leads_on() {
 }
 
 #[test]
-fn weights_grow_from_nothing_within_the_stretched_ramp() {
+fn weights_grow_from_zero_over_the_stretched_ramp() {
     let mut shared = HexplaneSettings::shared_defaults();
     shared.schedule_scale = 0.1;
     let method = PhysicalGaussians::new(&shared, Phys4dgsSettings { ramp: [1000, 3000], ..Phys4dgsSettings::tiny() });
@@ -268,7 +269,7 @@ fn a_partial_field_table_keeps_the_papers_rates() {
 }
 
 #[test]
-fn a_training_without_supplements_compares_what_the_model_says_alone() {
+fn without_supplements_only_self_consistency_losses_remain() {
     let mut world = World::new();
     world.supplements = NOTHING.clone();
     let found = world.step(&world.phys4dgs(&[&["motion"][..], &PHYSICS].concat(), &Phys4dgsSettings::tiny()), 3);

@@ -1,4 +1,4 @@
-//! Gaussians followed over a few frames.
+//! Trajectories of Gaussians over a few frames.
 
 use scene::LabelMap;
 use shaders::arrays::rows::{RowIndex, gather, reshape, squared_norm};
@@ -15,14 +15,14 @@ use crate::bases::hexplane::{HexplaneGaussians, MovedPoints};
 use crate::data::SceneFacts;
 use crate::method::Step;
 
-/// A Gaussian that moves less than this share of the scene's extent within the frames that are looked at stands still.
+/// A Gaussian that moves less than this share of the scene's extent within the evaluated frames is static.
 pub(crate) const STANDS_STILL: f64 = 1e-4;
 
-/// Up to this share of a frame, two instants are one, and an instant after the end is the end.
+/// Instants less than this share of a frame apart are equal; an instant this close after the end is clamped to the end.
 const SAME_INSTANT: f64 = 1e-3;
 
 pointwise! {
-    /// y = value where x < limit, else 0; a NaN is not below.
+    /// y = value where x < limit, otherwise 0 (also for NaN).
     fn where_below(x, value) with(limit) -> y {
         return select(0.0, value, x < limit);
     }
@@ -32,34 +32,34 @@ pointwise! {
     }
 }
 
-/// The length that motion within a frame is measured in: what moves by the scene's extent while the capture lasts moves by
-/// one unit per frame. It does not depend on how the model moves: divided by its own motion, losses of differences would
-/// pull the harder the less moves, and end all motion.
+/// The displacement per frame of an object that crosses the scene's extent in the duration of the capture: the unit of
+/// motion in the losses. It is independent of the model's motion. Losses normalised by that motion would penalise small
+/// motion more and suppress all motion.
 pub(crate) fn motion_unit(scene: &SceneFacts) -> f64 {
     scene.extent * frame_of(scene)
 }
 
 /// M Gaussians at a time and a few frames after it.
 pub(crate) struct Trajectories {
-    /// [M]: 1 for a Gaussian that is compared, 0 for one that stands still and for a place that no Gaussian was drawn for.
+    /// [M]: 1 for a compared Gaussian, 0 for a static one and for padding rows of the sample.
     pub weights: Var,
-    /// [M, 3]: where the Gaussians are in the canonical space.
+    /// [M, 3]: canonical positions.
     canonical: Var,
-    /// In [0, 1], one frame apart.
+    /// The evaluated times in [0, 1], one frame apart.
     times: Vec<f64>,
-    /// The Gaussians at these times.
+    /// The moved Gaussians at each of these times.
     pub points: Vec<MovedPoints>,
 }
 
-/// One frame in normalised time; infinite for a single instant.
+/// Duration of a frame in normalised time; infinite for a single instant.
 pub(crate) fn frame_of(scene: &SceneFacts) -> f64 {
     scene.time_map.frame_secs / (scene.time_map.end_secs - scene.time_map.start_secs)
 }
 
 impl Trajectories {
-    /// Follows the Gaussians that were `sampled` from `time` over at most `frames_ahead` frames that lie within the capture.
+    /// Evaluates the `sampled` Gaussians at `time` and at most `frames_ahead` later frames within the capture.
     ///
-    /// Those that stand still do not count; `None` if it is known that nothing is left to compare.
+    /// Static Gaussians get weight 0. `None` if the host knows that no Gaussian is left to compare.
     pub(crate) fn follow<T: Real>(
         step: &mut Step<'_, T>,
         base: &HexplaneGaussians,
@@ -89,8 +89,8 @@ impl Trajectories {
         }
     }
 
-    /// Those that count alone, which saves all further work on the others; `None` if there are none. A GPU would have to
-    /// be waited for.
+    /// Keeps only the rows with a positive weight, which saves all further work on the others; `None` if no row is
+    /// left. CPU only, because on a GPU the selection would require a readback.
     fn of_weight<T: Real>(self, tape: &mut Tape<T>) -> Option<Self> {
         let weights = tape.value(self.weights).as_slice();
         let rows: Vec<u32> = (0..weights.len() as u32).filter(|&row| weights[row as usize] > T::ZERO).collect();
@@ -107,13 +107,13 @@ impl Trajectories {
         Some(Self { weights: of_these(self.weights), canonical: of_these(self.canonical), times: self.times, points })
     }
 
-    /// xₖ₊₁ − xₖ [M, 3], for k = 0, 1, …: velocities in scene units per frame.
+    /// Differences xₖ₊₁ − xₖ of positions [M, 3] for k = 0, 1, …: velocities in scene units per frame.
     pub(crate) fn displacements<T: Real>(&self, tape: &mut Tape<T>) -> Vec<Var> {
         let positions: Vec<Var> = self.points.iter().map(|at| at.positions).collect();
         differences(tape, &positions)
     }
 
-    /// Positions [M, 3] at any time, evaluated unless that is one of the instants.
+    /// Positions [M, 3] at any time; evaluates the field unless the time is one of the instants.
     pub(crate) fn positions_at<T: Real>(&self, step: &mut Step<'_, T>, base: &HexplaneGaussians, time: f64) -> Var {
         let same = SAME_INSTANT * frame_of(step.scene);
         match self.times.iter().position(|instant| (instant - time).abs() <= same) {
@@ -123,13 +123,13 @@ impl Trajectories {
     }
 }
 
-/// xₖ₊₁ − xₖ.
+/// Differences xₖ₊₁ − xₖ of consecutive values.
 pub(crate) fn differences<T: Real>(tape: &mut Tape<T>, values: &[Var]) -> Vec<Var> {
     values.windows(2).map(|pair| sub(tape, pair[1], pair[0])).collect()
 }
 
-/// Gaussians that may belong to what moves, [N] of 1 and 0: where the moving part of the view is known, those whose centre
-/// it covers; else all.
+/// [N] mask of Gaussians that may move: those with a centre in the view's moving region, or all if that region is
+/// unknown.
 pub(crate) fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: Option<&LabelMap>) -> Tensor<T> {
     match moving {
         Some(moving) => covered(tape, rendered, moving),
@@ -137,8 +137,8 @@ pub(crate) fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: O
     }
 }
 
-/// The weights [M] of rows that are at least `threshold` away from where they start at one of the later instants, zeros for
-/// those that stand still; and the number [1] of rows that do not.
+/// The weights [M] of rows that move at least `threshold` away from their start at a later instant, 0 for static rows;
+/// and the number [1] of rows that are not static.
 fn moving<T: Real>(tape: &Tape<T>, points: &[MovedPoints], weights: &Tensor<T>, threshold: f64) -> [Tensor<T>; 2] {
     let mut child = tape.child();
     let weights = child.constant(weights.clone());

@@ -1,4 +1,4 @@
-//! A GPU, which nobody waits for, compares what the CPU compares.
+//! A GPU evaluates the same physical losses as the CPU, without synchronization.
 
 use scene::LabelMap;
 use shaders::check::test_gpu;
@@ -7,8 +7,8 @@ use shaders::tape::Device;
 use super::{Observation, PHYSICS, World};
 use crate::methods::phys4dgs::settings::Phys4dgsSettings;
 
-/// How far a loss may be from that of the other device, relative to itself. f32 keeps few digits of second differences of
-/// positions, and of third ones of so small motions nothing but their rounding errors.
+/// Largest relative difference of a loss between the devices. In f32, second differences of positions keep few digits,
+/// and third differences of motion this small are pure rounding error.
 fn allowed_error(loss: &str) -> f64 {
     match loss {
         "jerk" => f64::INFINITY,
@@ -17,7 +17,7 @@ fn allowed_error(loss: &str) -> f64 {
     }
 }
 
-/// What a step in f32 comes to on both devices.
+/// The results of one f32 step on the CPU and on the GPU.
 fn on_both_devices(world: &World, effects: &[&str], settings: &Phys4dgsSettings) -> Option<[Observation; 2]> {
     let params = world.phys4dgs(&[&["motion"], effects].concat(), settings);
     let method = crate::methods::find("phys4dgs").unwrap().build_f32(&params.shared, &params.settings).unwrap();
@@ -25,7 +25,7 @@ fn on_both_devices(world: &World, effects: &[&str], settings: &Phys4dgsSettings)
 }
 
 #[test]
-fn a_gpu_compares_the_same_gaussians() {
+fn gpu_losses_and_counts_agree_with_the_cpu() {
     let (world, mut settings) = (World::new(), Phys4dgsSettings::tiny());
     for share in [1.0, 0.4] {
         settings.sample_share = share;
@@ -43,7 +43,7 @@ fn a_gpu_compares_the_same_gaussians() {
 }
 
 #[test]
-fn where_nothing_is_compared_a_gpu_has_losses_of_zero() {
+fn gpu_losses_without_moving_gaussians_are_zero() {
     let (mut world, mut settings) = (World::new(), Phys4dgsSettings::tiny());
     let is_nothing = |world: &World, settings: &Phys4dgsSettings| {
         let found = on_both_devices(world, &PHYSICS, settings);

@@ -1,4 +1,4 @@
-//! What is observed of a wall that moves before a camera that moves.
+//! Observations of a moving wall from a moving camera.
 
 use glam::DVec3;
 use scene::{Camera, FlowMap, Intrinsics, VelocityMap};
@@ -11,14 +11,14 @@ use crate::methods::phys4dgs::observation::{
     Observed, Sight, displacement_map, flow_displacements, flow_map, true_displacements,
 };
 
-/// A camera at `position` that looks along z.
+/// A camera at `position` that looks along +z.
 fn camera_at(position: DVec3) -> Camera {
     let (width, height) = (40, 30);
     let intrinsics = Intrinsics { width, height, focal_x: 50.0, focal_y: 50.0, center_x: 20.0, center_y: 15.0 };
     Camera::look_at(intrinsics, position, position + DVec3::Z, DVec3::NEG_Y)
 }
 
-/// A wall at z = 4 moves by (0.2, −0.1, 0.5) within two frames while the camera moves by (0.3, 0, −0.2).
+/// A wall at z = 4 that moves by (0.2, −0.1, 0.5) within two frames, while the camera moves by (0.3, 0, −0.2).
 struct MovingWall {
     before: Camera,
     after: Camera,
@@ -35,8 +35,8 @@ impl MovingWall {
         Tensor::full([30, 40], T::from_f64(z))
     }
 
-    /// On the wall left of the middle, on it near the right border, behind it, outside of the image; behind the camera; and
-    /// on the wall without being asked for.
+    /// Six points with weights: on the wall left of the centre, on the wall near the right border, behind the wall,
+    /// outside the image, behind the camera, and on the wall with weight 0.
     fn points<T: Real>() -> [Tensor<T>; 2] {
         let points =
             [[-0.3, 0.4, 4.0], [1.5, 0.0, 4.0], [0.2, 0.2, 5.0], [9.0, 0.0, 4.0], [0.1, 0.1, -4.0], [0.1, 0.1, 4.0]];
@@ -66,7 +66,7 @@ impl MovingWall {
     }
 
     fn observed_on<T: Real>(&self, device: Device, flow: &FlowPrior) -> Observed<T> {
-        // The wall is 0.5 farther, the camera 0.2 closer to where it was.
+        // The wall moved 0.5 away and the camera 0.2 back.
         let cameras = [&self.before, &flow.camera_to].map(PinholeCamera::from);
         let maps = [&flow_map(&flow.map), &Self::depth(4.7)];
         flow_displacements(&self.sight(device), cameras.each_ref(), maps, 2.0)
@@ -74,13 +74,13 @@ impl MovingWall {
 }
 
 #[test]
-fn flow_and_depth_of_a_moving_camera_give_the_displacement() {
+fn flow_and_depth_recover_displacements_under_camera_motion() {
     let wall = MovingWall::new();
     let observed = wall.observed(&wall.flow());
     assert_eq!(
         observed.weights.as_slice(),
         [1.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-        "hidden points and those outside have no flow"
+        "hidden points and points outside the image have no flow"
     );
     for row in 0..2 {
         let expected = (0.5 * wall.displacement).to_array();
@@ -89,14 +89,14 @@ fn flow_and_depth_of_a_moving_camera_give_the_displacement() {
         // Flow is stored in f32 and interpolated.
         assert!(error <= 1e-3, "{:?}", observed.displacements.row(row));
     }
-    // The planted fault: taking the first camera for the second is seen.
+    // Planted fault: replacing the second camera with the first changes the result.
     let wrong = FlowPrior { camera_to: wall.before, ..wall.flow() };
     let off = (wall.observed(&wrong).displacements.row(0)[0] - 0.5 * wall.displacement.x).abs();
     assert!(off >= 0.1, "{off}");
 }
 
 #[test]
-fn flow_with_a_hole_or_out_of_the_image_is_not_seen() {
+fn flow_into_holes_or_off_image_is_not_observed() {
     let wall = MovingWall::new();
     let mut flow = wall.flow();
     flow.map.flow_px.iter_mut().for_each(|flow| flow[0] += 12.0);
@@ -112,7 +112,7 @@ fn flow_with_a_hole_or_out_of_the_image_is_not_seen() {
 }
 
 #[test]
-fn exact_velocities_become_displacements_within_a_frame() {
+fn exact_velocities_become_displacements_per_frame() {
     let wall = MovingWall::new();
     let velocity = VelocityMap { width: 40, height: 30, velocity_world: vec![[2.0, 0.0, -4.0]; 1200] };
     let observed = true_displacements(&wall.sight::<f64>(Device::Cpu), &displacement_map(&velocity, 0.25));
@@ -121,22 +121,22 @@ fn exact_velocities_become_displacements_within_a_frame() {
 }
 
 #[test]
-fn outliers_pull_with_constant_force() {
+fn outliers_have_a_constant_gradient() {
     let wall = MovingWall::new();
     let observed = wall.observed(&wall.flow());
     let mut estimate = observed.displacements.clone();
     estimate.make_mut()[0] += 0.1;
     estimate.make_mut()[4] += 5.0;
     let weights = observed.without_outliers(&estimate, &Tensor::scalar(0.2), 0.1).weights;
-    // The force is weight times distance: 0.1 within the limit, the limit beyond it.
+    // The gradient is weight times distance: 0.1 within the limit, the limit beyond it.
     let expected = [1.0, 0.2 / 5.0, 0.0, 0.0, 0.0, 0.0];
     assert!(weights.as_slice().iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-12), "{weights:?}");
     let of_least = observed.without_outliers(&estimate, &Tensor::scalar(0.0), 0.2).weights;
-    assert_eq!(of_least, weights, "a limit has a least value");
+    assert_eq!(of_least, weights, "the limit is at least `least`");
 }
 
 #[test]
-fn the_middle_of_what_is_seen_is_the_measure_of_outliers() {
+fn outlier_limits_scale_with_the_median_observation() {
     let wall = MovingWall::new();
     let observed = wall.observed(&wall.flow());
     let length = observed.median_length(3.0).as_slice()[0];
@@ -148,7 +148,7 @@ fn the_middle_of_what_is_seen_is_the_measure_of_outliers() {
 }
 
 #[test]
-fn a_gpu_observes_the_same() {
+fn gpu_observations_agree_with_the_cpu() {
     let Some(gpu) = test_gpu() else { return };
     let wall = MovingWall::new();
     let mut flow = wall.flow();
