@@ -1,6 +1,6 @@
-//! L4DGS: language-guided 4D Gaussian splatting. Semantic features on the Gaussians of the hexplane base follow a frozen
-//! teacher of visual tokens and language; features and depth are regularised at one instant and between two, where the
-//! teacher's attention looks.
+//! L4DGS: language-guided 4D Gaussian splatting. The Gaussians of the hexplane base carry semantic features that follow
+//! a frozen teacher of visual tokens and language. Features and depth are regularised at one instant and between two,
+//! weighted by the teacher's attention.
 
 mod losses;
 mod settings;
@@ -26,12 +26,12 @@ use crate::shared::Shared;
 use settings::L4dgsSettings;
 use teacher::{TEACHER, TEXT, Teacher, prompt_embeddings};
 
-/// The semantic features [N, features] of the Gaussians.
+/// Semantic features [N, features] of the Gaussians.
 const SEMANTICS: &str = "gaussians.semantics";
-/// Standard deviation of their first values.
+/// Standard deviation of the initial semantic features.
 const FIRST_SEMANTICS: f64 = 0.01;
 
-/// 4DGaussians guided by language: semantic features follow a frozen teacher (L4DGS).
+/// L4DGS: 4DGaussians with semantic features that follow a frozen, language-guided teacher.
 pub(crate) struct L4dgs;
 
 impl MethodFolder for L4dgs {
@@ -86,7 +86,7 @@ struct LanguageGuided {
     settings: L4dgsSettings,
 }
 
-/// The effects that are on.
+/// The active effects.
 #[derive(Clone, Copy, Debug)]
 struct EffectsOn {
     dynamic_semantics: bool,
@@ -100,7 +100,7 @@ struct EffectsOn {
 impl EffectsOn {
     fn new(shared: &Shared) -> Self {
         let on = |name: &str| shared.effects.has(name);
-        // What does not move does not change.
+        // Losses on changes need motion.
         let moves = on("motion");
         Self {
             dynamic_semantics: moves && on("dynamic-semantics"),
@@ -120,7 +120,7 @@ impl EffectsOn {
         self.dynamic_depth || self.static_depth
     }
 
-    /// Whether anything asks the teacher: for features, or for where to look.
+    /// Whether any loss reads the teacher's features or attention.
     fn teacher(&self) -> bool {
         self.semantics() || self.attention_focus && self.depth()
     }
@@ -131,7 +131,7 @@ impl LanguageGuided {
         Teacher::new(&self.settings.teacher)
     }
 
-    /// How much the semantic losses weigh at an iteration of `fine`, in [0, 1].
+    /// Current share of the semantic losses' weight at an iteration of `fine`, in [0, 1].
     fn ramp(&self, iteration: u64) -> f64 {
         let [from, until] = self.settings.ramp.map(|at| stretch(at, self.shared.schedule_scale));
         if iteration >= until {
@@ -140,7 +140,8 @@ impl LanguageGuided {
         iteration.saturating_sub(from) as f64 / (until - from) as f64
     }
 
-    /// Adds the teacher, made for the visual tokens and prompts of the features or, without, for the settings' prompts.
+    /// Adds the teacher for the visual tokens and prompts of the features or, without features, for the settings'
+    /// prompts.
     fn insert_teacher<T: Real>(&self, state: &mut ModelState<T>, start: &Start<'_>, random: &mut ChaCha8Rng) {
         let features = start.supplements.features.as_ref();
         let visual_tokens = features.and_then(|features| features.visual.iter().flatten().next());
@@ -149,7 +150,8 @@ impl LanguageGuided {
         self.teacher().insert(state, token_width, prompts, random);
     }
 
-    /// The prompts and their embeddings [P, E]: imported ones, or else the settings'; none where nothing reads words.
+    /// The prompts and their embeddings [P, E]: imported, or generated from the settings; `None` if no effect uses
+    /// language.
     fn prompts<T: Real>(&self, supplements: &Supplements) -> Option<(Vec<String>, Tensor<T>)> {
         let features = supplements.features.as_ref().filter(|features| features.text.rows() > 0);
         let imported = features.map(|features| (features.prompts.clone(), features.text.cast()));
@@ -174,7 +176,7 @@ impl<T: Real> Method<T> for LanguageGuided {
         &self.base
     }
 
-    /// The base's phases, with `teacher` between them if any loss reads the teacher.
+    /// The base's phases, with the phase `teacher` between them if any loss reads the teacher.
     fn phases(&self) -> Vec<Phase> {
         let teacher = self.on.teacher().then_some(TEACHER);
         [Some(COARSE), teacher, Some(FINE)].into_iter().flatten().map(|name| self.shared.phase(name)).collect()
@@ -197,7 +199,7 @@ impl<T: Real> Method<T> for LanguageGuided {
         Ok(state)
     }
 
-    /// In `teacher` only the teacher learns; afterwards it is frozen. Prompts never learn.
+    /// `teacher` trains only the teacher, which is frozen afterwards. Prompt embeddings are never trained.
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         match (phase == TEACHER, belongs(tensor, TEACHER)) {
             (true, true) => (tensor != TEXT).then(|| LogLinear::constant(self.settings.teacher.rate)),

@@ -2,27 +2,27 @@ use serde::{Deserialize, Serialize};
 
 use crate::bases::hexplane::HexplaneSettings;
 
-/// The base, the teacher and the semantic losses.
+/// Settings of the base, the teacher and the semantic losses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct L4dgsSettings {
-    /// Field, network and their training.
+    /// The field, the network and their training.
     pub hexplane: HexplaneSettings,
-    /// What the semantic features of the Gaussians are taught by.
+    /// The teacher of the semantic features.
     pub teacher: TeacherSettings,
     /// Weights of the semantic losses.
     pub weights: LossWeights,
-    /// Iterations of `fine`, before stretching, over which the semantic losses grow from nothing to their weight.
+    /// Iterations of `fine`, before stretching, over which the semantic losses grow from 0 to their weight.
     pub ramp: [u64; 2],
-    /// Semantic losses are evaluated every so many iterations.
+    /// Interval of the semantic losses, in iterations.
     pub interval: u64,
-    /// Losses between two instants, which take a second render, are evaluated every so many iterations.
+    /// Interval of the losses between two instants, which need a second render, in iterations.
     pub dynamic_interval: u64,
-    /// Tokens, and cells of depth, that the Gaussians cover with less opacity show no surface and count nothing.
+    /// Minimum opacity of tokens and depth cells; those with less show no surface and have no weight.
     pub min_alpha: f64,
-    /// Step size of the semantic features.
+    /// Learning rate of the semantic features.
     pub semantic_rate: f64,
-    /// What the scene may show, where no embeddings are given: each prompt stands for a fixed direction.
+    /// Prompts for what the scene may show, used without imported embeddings; each gets a fixed random direction.
     pub prompts: Vec<String>,
 }
 
@@ -30,45 +30,45 @@ pub(crate) struct L4dgsSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct TeacherSettings {
-    /// Image pixels per token, at least.
+    /// Minimum number of image pixels along a token's side.
     pub pixels_per_token: usize,
-    /// Tokens along the longer side of the image, at most.
+    /// Maximum number of tokens along the longer side of the image.
     pub tokens_per_side: usize,
-    /// Channels of the three levels.
+    /// Channels of the three convolution levels.
     pub channels: [usize; 3],
-    /// θ: the share of the central difference in every convolution.
+    /// θ, the share of the central difference in every convolution.
     pub theta: f64,
-    /// Width of a token within the attention.
+    /// Width of a token in the attention.
     pub width: usize,
-    /// Heads of the attention.
+    /// Attention heads.
     pub heads: usize,
-    /// Tokens that a token attends to.
+    /// Number of tokens that a token attends to.
     pub top_k: usize,
-    /// Prompts that a token attends to.
+    /// Number of prompts that a token attends to.
     pub text_top_k: usize,
     /// Width of a semantic feature.
     pub features: usize,
     /// Width of the decoder's hidden layer.
     pub decoder_width: usize,
-    /// Step size.
+    /// Learning rate of the teacher.
     pub rate: f64,
 }
 
-/// The weights of equations 3 to 10.
+/// Weights of equations 3 to 10.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct LossWeights {
-    /// Of all semantic and depth losses together.
+    /// Weight of all semantic and depth losses together.
     pub semantics: f64,
-    /// λ: of the angle between features, equations 3 and 4.
+    /// λ, the weight of the angle between features (equations 3 and 4).
     pub angle: f64,
-    /// λ_Static: of depth at one instant, equation 5.
+    /// λ_Static, the weight of depth at one instant (equation 5).
     pub static_depth: f64,
-    /// λ_D: of the angle between changes, equation 7.
+    /// λ_D, the weight of the angle between changes (equation 7).
     pub change_angle: f64,
-    /// λ_Dynamic: of depth between instants, equation 9.
+    /// λ_Dynamic, the weight of depth between instants (equation 9).
     pub dynamic_depth: f64,
-    /// λ_O: of what concerns one instant, equation 10.
+    /// λ_O, the weight of the losses at one instant (equation 10).
     pub statics: f64,
 }
 
@@ -113,12 +113,12 @@ impl Default for LossWeights {
     }
 }
 
-/// Wider layers or more tokens than this were mistyped: the attention of 128² tokens takes a gigabyte.
+/// Limits against typing errors: the attention of 128² tokens already takes a gigabyte.
 const MOST: usize = 4096;
 const MOST_TOKENS_PER_SIDE: usize = 128;
 
 impl L4dgsSettings {
-    /// Small, with every part in use from the first iteration.
+    /// Small settings with every part in use from the first iteration.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         Self {
@@ -145,13 +145,13 @@ impl L4dgsSettings {
             ramp: [0, 0],
             interval: 1,
             dynamic_interval: 1,
-            // The first Gaussians are faint.
+            // Low, because the initial Gaussians are nearly transparent.
             min_alpha: 2e-3,
             ..Self::default()
         }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         self.hexplane.check()?;
         let TeacherSettings { pixels_per_token, tokens_per_side, channels, theta, width, heads, .. } = self.teacher;

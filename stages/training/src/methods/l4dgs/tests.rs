@@ -19,7 +19,7 @@ fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
     (dir, dataset)
 }
 
-/// Trains to the end: the model, and the names of the operations that ran.
+/// Trains to the end; returns the model and the names of the operations that ran.
 fn train(dataset: &Dataset, supplements: &Supplements, params: Value) -> (Model, BTreeSet<String>) {
     let params: TrainingParams = serde_json::from_value(params).unwrap();
     let mut trainer = Trainer::new(dataset, supplements, &params).unwrap();
@@ -30,7 +30,7 @@ fn train(dataset: &Dataset, supplements: &Supplements, params: Value) -> (Model,
     (trainer.finish().unwrap(), operations)
 }
 
-/// A few steps of every phase with the given effects.
+/// Parameters of a few steps per phase with these effects.
 fn few_steps(method: &str, effects: &[&str]) -> Value {
     let hexplane = serde_json::to_value(HexplaneSettings::tiny()).unwrap();
     let iterations = match method {
@@ -52,7 +52,7 @@ fn names(model: &Model) -> BTreeSet<&str> {
 }
 
 #[test]
-fn without_effects_it_is_its_base_to_the_byte() {
+fn without_effects_training_equals_the_base_bytewise() {
     let (_dir, dataset) = dataset(TestScene::default());
     let supplements = TestScene::default().supplements(&dataset);
     let (model, operations) = train(&dataset, &supplements, few_steps("l4dgs", &["motion"]));
@@ -63,7 +63,7 @@ fn without_effects_it_is_its_base_to_the_byte() {
         let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&tensor.values), bits(&base.tensors[name].values), "{name}");
     }
-    // The planted fault: every effect more changes the Gaussians.
+    // Planted fault: every further effect changes the Gaussians.
     for effect in ["dynamic-semantics", "static-semantics", "dynamic-depth", "static-depth"] {
         let (other, _) = train(&dataset, &supplements, few_steps("l4dgs", &["motion", effect]));
         assert!(names(&other).is_superset(&names(&base)));
@@ -72,7 +72,7 @@ fn without_effects_it_is_its_base_to_the_byte() {
     }
 }
 
-/// What a set of effects is expected to allocate and to run.
+/// Expected tensors, phases and operations for a set of effects.
 struct Expected {
     effects: &'static [&'static str],
     teacher: bool,
@@ -81,7 +81,7 @@ struct Expected {
 }
 
 #[test]
-fn what_is_off_has_no_tensors_no_phase_and_no_operations() {
+fn disabled_effects_add_no_tensors_phase_or_operations() {
     let (_dir, dataset) = dataset(TestScene::default());
     let supplements = TestScene::default().supplements(&dataset);
     let row = |effects, teacher, semantics, prompts| Expected { effects, teacher, semantics, prompts };
@@ -111,9 +111,9 @@ fn what_is_off_has_no_tensors_no_phase_and_no_operations() {
 }
 
 #[test]
-fn nothing_that_is_asked_for_is_missing() {
+fn auto_effects_train_without_features_or_depth() {
     let (_dir, dataset) = dataset(TestScene::default());
-    // Neither features nor depth: prompts have made-up directions, frames without depth are left out.
+    // Neither features nor depth: prompts get generated embeddings, frames without depth are skipped.
     let mut params = few_steps("l4dgs", &[]);
     params["effects"] = json!("auto");
     let (model, _) = train(&dataset, &Supplements::default(), params);
@@ -127,7 +127,7 @@ fn nothing_that_is_asked_for_is_missing() {
 }
 
 #[test]
-fn each_phase_learns_its_own_tensors() {
+fn each_phase_trains_only_its_own_tensors() {
     let (_dir, dataset) = dataset(TestScene::default());
     let supplements = TestScene::default().supplements(&dataset);
     let with = |teacher: u64, fine: u64| {
@@ -151,7 +151,7 @@ fn each_phase_learns_its_own_tensors() {
 }
 
 #[test]
-fn grids_follow_the_shape_of_the_image() {
+fn token_grids_follow_the_image_shape() {
     let grid = |height, width| TokenGrid::of_image(height, width, &settings::TeacherSettings::default());
     assert_eq!(grid(96, 96), TokenGrid { rows: 24, columns: 24 });
     assert_eq!(grid(800, 800), TokenGrid { rows: 32, columns: 32 });
@@ -172,7 +172,7 @@ fn cells_belong_to_their_token_row_by_row() {
 }
 
 #[test]
-fn equal_prompts_mean_the_same_and_others_do_not() {
+fn only_equal_prompts_have_equal_embeddings() {
     let embeddings = prompt_embeddings::<f64>(&["ball", "floor", "ball"].map(String::from));
     assert_eq!(embeddings.row(0), embeddings.row(2));
     let cosine: f64 = embeddings.row(0).iter().zip(embeddings.row(1)).map(|(a, b)| a * b).sum();
@@ -180,7 +180,7 @@ fn equal_prompts_mean_the_same_and_others_do_not() {
 }
 
 #[test]
-fn settings_that_cannot_work_are_refused() {
+fn invalid_l4dgs_settings_are_refused() {
     L4dgsSettings::default().check().unwrap();
     let teacher = settings::TeacherSettings::default;
     let bad = [
@@ -194,18 +194,18 @@ fn settings_that_cannot_work_are_refused() {
     assert!(bad.iter().all(|settings| settings.check().is_err()));
 }
 
-/// Classes of the test scene's blobs: red, green, blue; and the dark behind them.
+/// Classes of the test scene: the red, green and blue blobs, and the dark background.
 const CLASSES: usize = 4;
 /// Width of the classes' embeddings.
 const EMBEDDING: usize = 8;
 
-/// The class of a colour: its largest channel, or the dark where nothing opaque is in sight.
+/// The class of a colour: its largest channel, or the background where no opaque Gaussian is visible.
 fn class_of(color: &[f32]) -> usize {
     let largest = (0..3).max_by(|&a, &b| color[a].total_cmp(&color[b])).unwrap();
     if color[largest] >= 0.5 { largest } else { 3 }
 }
 
-/// Tokens of one pixel each that say the class of what the training views show, and one embedding per class.
+/// Tokens of one pixel each with the class visible in the training views, and one embedding per class.
 fn class_features(dataset: &Dataset) -> FeatureTokens {
     let embedding = |class: usize| (0..EMBEDDING).map(move |at| f32::from(u8::from(at == class)));
     let mut visual = vec![None; dataset.capture.views.len()];
@@ -221,7 +221,7 @@ fn class_features(dataset: &Dataset) -> FeatureTokens {
     }
 }
 
-/// Intersection over union of the pixels that are `prompt` by relevancy and `class` by the render's colour.
+/// Intersection over union of the pixels selected by `prompt` (relevancy) and those of `class` (colour of the render).
 fn overlap(player: &Player, time_secs: f64, camera: &PinholeCamera, prompt: usize, class: usize) -> f64 {
     let color = player.render(time_secs, camera).unwrap();
     let prompts = player.prompts().unwrap();
@@ -237,7 +237,7 @@ fn overlap(player: &Player, time_secs: f64, camera: &PinholeCamera, prompt: usiz
 }
 
 #[test]
-fn a_prompt_selects_what_it_means() {
+fn a_prompt_selects_pixels_of_its_class() {
     let (_dir, dataset) = dataset(TestScene { train_views: 10, size: 40, ..TestScene::default() });
     let supplements = Supplements { features: Some(class_features(&dataset)), ..Supplements::default() };
     let params = json!({
@@ -267,7 +267,7 @@ fn a_prompt_selects_what_it_means() {
 }
 
 #[test]
-fn a_model_without_semantics_has_nothing_to_say() {
+fn a_model_without_semantics_has_no_relevancy() {
     let (_dir, dataset) = dataset(TestScene::default());
     let (model, _) = train(&dataset, &Supplements::default(), few_steps("l4dgs", &["motion"]));
     let (player, view) = (Player::new(&model).unwrap(), &dataset.train[0]);
@@ -283,7 +283,7 @@ fn a_model_without_semantics_has_nothing_to_say() {
 }
 
 #[test]
-fn the_teacher_sees_equal_images_equally_and_different_ones_differently() {
+fn the_teacher_distinguishes_different_images() {
     let settings = L4dgsSettings::tiny().teacher;
     let teacher = Teacher::new(&settings);
     let mut state = ModelState::<f64>::new();

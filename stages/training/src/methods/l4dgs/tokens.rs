@@ -1,4 +1,4 @@
-//! The grid of tokens that an image is cut into.
+//! The grid of tokens that divides an image.
 
 use shaders::arrays::rows::{RowIndex, gather, reshape};
 use shaders::networks::pooling::average_pool;
@@ -6,8 +6,8 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::settings::TeacherSettings;
 
-/// Cells along each side of a token: a token's depth is the vector of its cells' depths, and the teacher sees the image
-/// at one pixel per cell.
+/// Cells along each side of a token. A token's depth is the vector of its cells' depths, and the teacher's input image
+/// has one pixel per cell.
 pub(crate) const CELLS: usize = 4;
 
 /// Rows and columns of tokens.
@@ -18,7 +18,7 @@ pub(crate) struct TokenGrid {
 }
 
 impl TokenGrid {
-    /// Tokens as square as the image allows.
+    /// The grid for an image [height, width], with tokens as square as its shape allows.
     pub(crate) fn of_image(height: usize, width: usize, settings: &TeacherSettings) -> Self {
         let longer = height.max(width);
         let along_longer = (longer / settings.pixels_per_token).clamp(1, settings.tokens_per_side);
@@ -26,12 +26,12 @@ impl TokenGrid {
         Self { rows: along(height), columns: along(width) }
     }
 
-    /// Tokens in all.
+    /// Total number of tokens.
     pub(crate) fn count(&self) -> usize {
         self.rows * self.columns
     }
 
-    /// [tokens, C]: the mean of an image [H, W, C] over every token.
+    /// [tokens, C]: the mean of an image [H, W, C] over each token.
     pub(crate) fn pool<T: Real>(&self, tape: &mut Tape<T>, image: Var) -> Var {
         let channels = tape.value(image).shape()[2];
         let pooled = average_pool(tape, image, self.rows, self.columns);
@@ -43,7 +43,7 @@ impl TokenGrid {
         average_pool(tape, image, CELLS * self.rows, CELLS * self.columns)
     }
 
-    /// [tokens·CELLS², 1]: the mean of a map [H, W] over every cell, token by token.
+    /// [tokens·CELLS², 1]: the mean of a map [H, W] over each cell, token by token.
     pub(crate) fn cells<T: Real>(&self, tape: &mut Tape<T>, map: Var) -> Var {
         let &[height, width] = tape.value(map).shape() else { panic!("a map of cells must be [H, W]") };
         let map = reshape(tape, map, [height, width, 1]);
@@ -52,7 +52,8 @@ impl TokenGrid {
         gather(tape, by_row, &self.cell_order())
     }
 
-    /// As [`TokenGrid::cells`] for values that are not on a tape: [tokens·CELLS²].
+    /// Means of values [H, W] over each cell, token by token: [tokens·CELLS²]. The same reduction as
+    /// [`TokenGrid::cells`], for values outside a tape.
     pub(crate) fn cell_values<T: Real>(&self, height: usize, width: usize, values: Vec<T>) -> Tensor<T> {
         let mut tape = Tape::new(shaders::tape::Device::Cpu);
         let map = tape.constant(Tensor::from_vec([height, width], values));
@@ -60,7 +61,7 @@ impl TokenGrid {
         tape.value(cells).clone()
     }
 
-    /// Which cell of the cell image the cells of every token are.
+    /// Index in the cell image of every cell, in token order.
     fn cell_order(&self) -> RowIndex {
         let columns = CELLS * self.columns;
         let cell = |token: usize, at: usize| {

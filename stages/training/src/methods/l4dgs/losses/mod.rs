@@ -1,4 +1,4 @@
-//! Equations 3 to 10: features and depth of one instant, and their changes between two.
+//! Semantic and depth losses (equations 3 to 10) at one instant and on changes between two.
 
 mod observed;
 mod terms;
@@ -21,19 +21,20 @@ use observed::{RenderedTokens, color_statistics, depth_cells, rendered_tokens};
 use terms::{add_angle, add_distance};
 use weights::{CellMask, focus, normalized, still};
 
-/// Semantic features, which follow unit vectors, say nothing of a direction where they, or their changes, are shorter.
+/// Minimum length of semantic features, or of their changes, for a cosine; the targets are unit vectors, so shorter
+/// ones carry no direction.
 const MIN_FEATURE_NORM: f64 = 1e-2;
-/// The relief of a token's depth is flat below this, in extents of the scene.
+/// Minimum norm of a token's centred depths, in scene extents, for a cosine; the relief is flat below it.
 const MIN_RELIEF_NORM: f64 = 1e-4;
 
-/// The semantic losses of one step.
+/// The semantic losses that a step evaluates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Due {
     static_semantics: bool,
     static_depth: bool,
     dynamic_semantics: bool,
     dynamic_depth: bool,
-    /// λ of all of them, ramp included.
+    /// Common factor λ of these losses, including the ramp.
     weight: f64,
 }
 
@@ -52,7 +53,7 @@ impl Due {
 }
 
 impl LanguageGuided {
-    /// The photometric loss, and the semantic losses where they are due.
+    /// The photometric loss, and the semantic losses in steps that evaluate them.
     pub(super) fn image_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let Some(due) = self.due(step) else { return photometric_losses(self, step) };
         for view in step.views {
@@ -61,8 +62,8 @@ impl LanguageGuided {
         Ok(())
     }
 
-    /// What the teacher is trained on: decoding every token of the frame. Visual tokens are withheld in every other
-    /// iteration, so that the teacher also understands renders, which have none.
+    /// The teacher's training loss: decodes every token of the frame. Every other iteration withholds the visual
+    /// tokens, so that the teacher also works on renders, which have none.
     pub(super) fn teacher_losses<T: Real>(&self, step: &mut Step<'_, T>) {
         let share = 1.0 / step.views.len() as f64;
         for view in step.views {
@@ -85,7 +86,7 @@ impl LanguageGuided {
         }
     }
 
-    /// Which semantic losses this step evaluates, if any.
+    /// The semantic losses that this step evaluates, if any.
     fn due<T: Real>(&self, step: &Step<'_, T>) -> Option<Due> {
         let ramp = self.ramp(step.iteration);
         let every = |interval: u64| step.iteration.is_multiple_of(interval);
@@ -126,7 +127,7 @@ impl LanguageGuided {
         Ok(())
     }
 
-    /// Renders a view at its time with what the due losses need.
+    /// Renders a view at its time with the outputs that the evaluated losses need.
     fn render<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -163,8 +164,8 @@ impl LanguageGuided {
         add_angle(step, "static_semantics", angle, [lesson.features, features], weights, MIN_FEATURE_NORM);
     }
 
-    /// Equation 4 for depths as vectors of cells: Σ w·(‖D − D*‖² + λ·(1 − cos(D − mean D, D* − mean D*))) over the cells
-    /// that Gaussians cover and that have a depth.
+    /// Equation 4 on the vector of a token's cell depths: Σ w·(‖D − D*‖² + λ·(1 − cos(D − mean D, D* − mean D*))) over
+    /// cells that Gaussians cover and that have a depth.
     fn static_depth<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -190,7 +191,7 @@ impl LanguageGuided {
         add_angle(step, "static_depth", weight * angle, centered, weights, MIN_RELIEF_NORM);
     }
 
-    /// Equations 6 to 8, from the view's time to one frame later as the same camera sees it.
+    /// Equations 6 to 8: changes from the view's time to one frame later, from the same camera.
     fn changes<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -209,8 +210,8 @@ impl LanguageGuided {
         let later_rendered = self.render(step, &later, due, Observed::Nothing)?;
         let later_tokens = rendered_tokens(step, grid, &later_rendered, self.settings.min_alpha);
         if due.dynamic_semantics {
-            // Real frames where a camera stands still, else two renders: a difference between a frame and a render
-            // would be taken for motion.
+            // Compares real frames if the camera is static, otherwise two renders: the difference between a frame and a
+            // render would be mistaken for motion.
             let lessons = if is_real {
                 let tokens_given = [view, &later].iter().all(|view| visual_tokens(step, view.index).is_some());
                 [view, &later].map(|view| self.frame_lesson(step, grid, view, tokens_given))
@@ -238,7 +239,8 @@ impl LanguageGuided {
         Ok(())
     }
 
-    /// Equation 7: Σ w·(λ_D·(1 − cos(δSMSA, δF)) + ‖δSMSA‖² + ‖δF‖²). ‖δSMSA‖² has no gradient; it is there to be seen.
+    /// Equation 7: Σ w·(λ_D·(1 − cos(δSMSA, δF)) + ‖δSMSA‖² + ‖δF‖²). ‖δSMSA‖² has no gradient; it is included for
+    /// reporting.
     fn dynamic_semantics<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -255,7 +257,7 @@ impl LanguageGuided {
         add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], weights);
     }
 
-    /// What the teacher says about a training frame.
+    /// The teacher's output for a training frame.
     fn frame_lesson<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -281,11 +283,11 @@ fn visual_tokens<'a, T: Real>(step: &Step<'a, T>, view: usize) -> Option<&'a Ten
     step.supplements.features.as_ref()?.visual.get(view)?.as_ref()
 }
 
-/// A view's camera one frame later (earlier, at the end of time): as the next training frame of a camera that stands
-/// still (true), else with the view's own image, which then means nothing (false).
+/// A view of the same camera one frame later (earlier at the end of the clip): the next training frame if the camera is
+/// static (true), otherwise a copy with the view's own image, which must not be used (false).
 fn later_view<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> (TrainingView<T>, bool) {
     let frame = 1.0 / (step.scene.time_count - 1) as f64;
-    // Half a frame more for times that are not quite regular.
+    // The tolerance of half a frame allows for irregular times.
     let next = |time: f64| time > view.time && time <= view.time + 1.5 * frame;
     let real = step.dataset.train.iter().filter(|other| other.camera == view.camera && next(other.time));
     match real.min_by(|a, b| a.time.total_cmp(&b.time)) {

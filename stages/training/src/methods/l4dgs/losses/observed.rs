@@ -1,4 +1,4 @@
-//! What renders, depth maps and images say about the tokens of the grid.
+//! Token values of renders, depth maps and images.
 
 use scene::DepthMap;
 use shaders::arrays::rows::{concat_columns, divide_rows, reshape};
@@ -10,13 +10,13 @@ use super::super::tokens::{CELLS, TokenGrid};
 use super::weights::covered;
 use crate::method::Step;
 
-/// Less opacity than this leaves features and depth undetermined.
+/// Minimum opacity; below it, features and depth are undetermined.
 const MIN_ALPHA: f64 = 1e-3;
-/// Depth cells of one token.
+/// Number of depth cells per token.
 const TOKEN_CELLS: usize = CELLS * CELLS;
 
 shaders::pointwise! {
-    /// y = √max(mean of squares − mean², 0), the standard deviation; the gradient at 0 is 0.
+    /// y = √max(mean of squares − mean², 0), the standard deviation; its gradient at 0 is defined as 0.
     fn deviation(mean, mean_of_squares) -> y {
         let variance = mean_of_squares - mean * mean;
         return sqrt(select(variance, 0.0, variance < 0.0));
@@ -27,19 +27,20 @@ shaders::pointwise! {
     }
 }
 
-/// What a render says about the tokens of the image.
+/// Token values of a render.
 pub(crate) struct RenderedTokens {
-    /// [tokens, features]: the mean feature of the Gaussians in sight.
+    /// [tokens, features]: mean feature of the visible Gaussians.
     pub features: Option<Var>,
-    /// [tokens, CELLS²] in extents of the scene.
+    /// [tokens, CELLS²]: mean depth, in scene extents.
     pub depth: Option<Var>,
-    /// [tokens, 1]: 1 where Gaussians cover the token, else 0.
+    /// [tokens, 1]: 1 where Gaussians cover the token, otherwise 0.
     pub covered: Var,
-    /// [tokens, CELLS²]: 1 where Gaussians cover the cell, else 0.
+    /// [tokens, CELLS²]: 1 where Gaussians cover the cell, otherwise 0.
     pub cells_covered: Var,
 }
 
-/// Means over tokens and cells, divided by the opacity that they were blended with; covered is what has `min_alpha`.
+/// Means over tokens and cells, divided by their blended opacity. Tokens and cells with an opacity of at least
+/// `min_alpha` are covered.
 pub(crate) fn rendered_tokens<T: Real>(
     step: &mut Step<'_, T>,
     grid: TokenGrid,
@@ -66,7 +67,7 @@ pub(crate) fn rendered_tokens<T: Real>(
     RenderedTokens { features, depth, covered, cells_covered }
 }
 
-/// [tokens, CELLS²] of a depth map in extents of the scene, and 1 for the cells in which all of it is known, else 0.
+/// The depth map per cell, [tokens, CELLS²] in scene extents, and a mask of the cells in which all depths are known.
 pub(crate) fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, extent: f64) -> [Tensor<T>; 2] {
     let (height, width) = (map.height as usize, map.width as usize);
     let is_known = |depth: f32| depth > 0.0 && depth.is_finite();

@@ -1,4 +1,4 @@
-//! Sums over weighted tokens: the terms that equations 3 to 8 have in common.
+//! Weighted sums over tokens, shared by equations 3 to 8.
 
 use shaders::arrays::rows::{cosine_distance, squared_norm};
 use shaders::arrays::totals::total;
@@ -8,7 +8,7 @@ use shaders::tape::{Real, Var};
 use super::weights::directed;
 use crate::method::Step;
 
-/// Shorter vectors count as this long in a cosine.
+/// Lower bound of the norms in a cosine.
 const MIN_NORM: f64 = 1e-6;
 
 /// Adds weight · Σ wₙ‖aₙ − bₙ‖².
@@ -24,8 +24,8 @@ pub(crate) fn add_distance<T: Real>(
     add_sum(step, name, weight, squared, weights);
 }
 
-/// Adds weight · Σ wₙ(1 − cos(aₙ, bₙ)) over the rows in which both are at least `min_norm` long: below that a direction
-/// is noise, and the gradient of its angle explodes.
+/// Adds weight · Σ wₙ(1 − cos(aₙ, bₙ)) over rows in which both are at least `min_norm` long. The direction of shorter
+/// vectors is noise, and the gradient of its angle explodes.
 pub(crate) fn add_angle<T: Real>(
     step: &mut Step<'_, T>,
     name: &'static str,

@@ -1,16 +1,16 @@
-//! How much tokens and cells count: ones, zeros and shares on the step's device, which nobody on the host looks at. They
-//! are cut off from what they follow from, so that no gradient flows through a weight.
+//! Weights of tokens and cells: masks and shares on the step's device, without readback. They are detached from their
+//! inputs, so that no gradient flows through a weight.
 
 use shaders::arrays::rows::{RowIndex, divide_rows, norm, repeat_row, reshape, row_sum, scale_rows, segment_mean};
 use shaders::arrays::totals::total;
 use shaders::pointwise::{mul, sub};
 use shaders::tape::{Real, Tape, Var};
 
-/// Less than any weight that is not zero: what divides by a sum of weights gives 0 where all of them are.
+/// Lower bound of a divisor that is a sum of weights: less than any nonzero weight, so that an empty sum gives 0.
 const NO_WEIGHT: f64 = 1e-30;
 
 shaders::pointwise! {
-    /// y = 1 where x ≥ limit, else 0, also for a NaN
+    /// y = 1 where x ≥ limit, otherwise 0 (also for NaN).
     fn at_least(x) with(limit) -> y {
         return select(0.0, 1.0, x >= limit);
     }
@@ -18,7 +18,7 @@ shaders::pointwise! {
         x: { return 0.0; }
     }
 
-    /// y = weight where both lengths are at least `limit`, else 0
+    /// y = weight where both lengths are at least `limit`, otherwise 0.
     fn where_long(weight, length_a, length_b) with(limit) -> y {
         return select(0.0, select(0.0, weight, length_b >= limit), length_a >= limit);
     }
@@ -28,7 +28,7 @@ shaders::pointwise! {
         length_b: { return 0.0; }
     }
 
-    /// y = weight·min(weight / uniform, 1), for the reciprocal of the uniform weight
+    /// y = weight·min(weight / uniform, 1), given the reciprocal of the uniform weight.
     fn at_most_uniform(weight, reciprocal) -> y {
         return weight * min(weight * reciprocal, 1.0);
     }
@@ -38,13 +38,13 @@ shaders::pointwise! {
     }
 }
 
-/// 1 where an opacity is at least `min_alpha`, else 0.
+/// Mask of opacities of at least `min_alpha`: 1, otherwise 0.
 pub(crate) fn covered<T: Real>(tape: &mut Tape<T>, alpha: Var, min_alpha: f64) -> Var {
     let alpha = tape.detach(alpha);
     at_least(tape, alpha, min_alpha)
 }
 
-/// [tokens, 1]: how much attention every token receives, the mean over the rows of the attention map [tokens, tokens].
+/// [tokens, 1]: attention received by every token, the mean over the rows of the attention map [tokens, tokens].
 pub(crate) fn focus<T: Real>(tape: &mut Tape<T>, probabilities: Var) -> Var {
     let tokens = tape.value(probabilities).rows();
     let probabilities = tape.detach(probabilities);
@@ -52,21 +52,22 @@ pub(crate) fn focus<T: Real>(tape: &mut Tape<T>, probabilities: Var) -> Var {
     reshape(tape, received, [tokens, 1])
 }
 
-/// [tokens, 1]: weights of the tokens with a 1 in the mask that sum to 1, else 0; all 0 if none of them has any.
+/// [tokens, 1]: weights of the masked tokens, normalised to a sum of 1; 0 elsewhere, and all 0 if no masked token has
+/// attention.
 pub(crate) fn normalized<T: Real>(tape: &mut Tape<T>, focus: Var, mask: Var) -> Var {
     let masked = mul(tape, focus, mask);
     let sums = total_per_row(tape, masked);
     divide_rows(tape, masked, sums, NO_WEIGHT)
 }
 
-/// Weights for terms that also punish true motion: full from the uniform weight on, falling with the square below.
+/// Weights for terms that also penalise true motion: full from the uniform weight on, quadratic below it.
 pub(crate) fn still<T: Real>(tape: &mut Tape<T>, weights: Var) -> Var {
     let valid = at_least(tape, weights, NO_WEIGHT);
     let count = total_per_row(tape, valid);
     at_most_uniform(tape, weights, count)
 }
 
-/// The weights of the rows in which a and b are at least `min_norm` long, else 0.
+/// The weights, set to 0 for rows where a or b is shorter than `min_norm`.
 pub(crate) fn directed<T: Real>(tape: &mut Tape<T>, weights: Var, ab: [Var; 2], min_norm: f64) -> Var {
     let [a, b] = ab.map(|x| {
         let x = tape.detach(x);
@@ -75,14 +76,14 @@ pub(crate) fn directed<T: Real>(tape: &mut Tape<T>, weights: Var, ab: [Var; 2], 
     where_long(tape, weights, a, b, min_norm)
 }
 
-/// Σ x in every row, for x [rows, 1].
+/// The sum of x [rows, 1], repeated for every row.
 fn total_per_row<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     let rows = tape.value(x).rows();
     let total = total(tape, x);
     repeat_row(tape, total, rows)
 }
 
-/// Which cells [tokens, cells] count, as ones and zeros; and how many of each token.
+/// Mask [tokens, cells] of the cells that count, and their number per token.
 #[derive(Clone, Copy)]
 pub(crate) struct CellMask {
     ones: Var,
@@ -90,23 +91,23 @@ pub(crate) struct CellMask {
 }
 
 impl CellMask {
-    /// The cells with a 1 in both masks.
+    /// Intersection of two masks.
     pub(crate) fn new<T: Real>(tape: &mut Tape<T>, a: Var, b: Var) -> Self {
         let ones = mul(tape, a, b);
         Self { ones, counts: row_sum(tape, ones) }
     }
 
-    /// [tokens, 1]: 1 where any cell of a token counts, else 0.
+    /// [tokens, 1]: 1 for tokens with any counted cell, otherwise 0.
     pub(crate) fn any<T: Real>(self, tape: &mut Tape<T>) -> Var {
         at_least(tape, self.counts, 1.0)
     }
 
-    /// x [tokens, cells] where it counts, else 0.
+    /// x [tokens, cells] where the mask is 1, otherwise 0.
     pub(crate) fn masked<T: Real>(self, tape: &mut Tape<T>, x: Var) -> Var {
         mul(tape, x, self.ones)
     }
 
-    /// Masked rows less the mean over what counts in them.
+    /// Masked rows minus the mean over each row's counted cells.
     pub(crate) fn centered<T: Real>(self, tape: &mut Tape<T>, masked: Var) -> Var {
         let sums = row_sum(tape, masked);
         let means = divide_rows(tape, sums, self.counts, 1.0);
@@ -131,7 +132,7 @@ mod tests {
         gradients(|tape, vars| at_least(tape, vars[0], 0.7), &inputs[..1], TOLERANCE).unwrap();
     }
 
-    /// What `f` makes of columns of numbers.
+    /// Evaluates `f` on column vectors.
     fn of_columns<const I: usize>(columns: [&[f64]; I], f: impl Fn(&mut Tape<f64>, [Var; I]) -> Var) -> Vec<f64> {
         let mut tape = Tape::new(Device::Cpu);
         let vars = columns.map(|column| tape.constant(Tensor::from_vec([column.len(), 1], column.to_vec())));
@@ -140,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_sum_to_one_over_what_counts_and_to_nothing_where_nothing_does() {
+    fn weights_sum_to_one_or_to_zero_under_an_empty_mask() {
         let of =
             |mask: &[f64]| of_columns([&[1.0, 2.0, 5.0], mask], |tape, [focus, mask]| normalized(tape, focus, mask));
         let near = |found: Vec<f64>, expected: [f64; 3]| found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12);
@@ -149,21 +150,21 @@ mod tests {
     }
 
     #[test]
-    fn what_gets_less_than_the_uniform_weight_is_punished_less() {
-        // Of three that count the uniform weight is a third.
+    fn weights_below_uniform_are_squared() {
+        // The uniform weight of three masked tokens is a third.
         let found = of_columns([&[0.1, 0.0, 0.3, 0.6]], |tape, [weights]| still(tape, weights));
         let expected = [0.1 * 0.3, 0.0, 0.3 * 0.9, 0.6];
         assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
     }
 
     #[test]
-    fn short_rows_have_no_direction() {
+    fn rows_below_the_minimum_norm_have_no_weight() {
         let columns: [&[f64]; 3] = [&[0.5, 0.5, 0.5], &[1.0, 1e-3, -1.0], &[-2.0, 1.0, f64::NAN]];
         assert_eq!(of_columns(columns, |tape, [weights, a, b]| directed(tape, weights, [a, b], 0.1)), [0.5, 0.0, 0.0]);
     }
 
     #[test]
-    fn a_mean_of_cells_is_over_those_that_count() {
+    fn cell_means_cover_only_masked_cells() {
         let mut tape = Tape::<f64>::new(Device::Cpu);
         let mut constant = |values: &[f64]| tape.constant(Tensor::from_vec([2, 3], values.to_vec()));
         let (a, b) = (constant(&[1.0, 1.0, 0.0, 1.0, 0.0, 0.0]), constant(&[1.0, 1.0, 1.0, 0.0, 1.0, 1.0]));

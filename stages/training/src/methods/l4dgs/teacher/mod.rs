@@ -1,10 +1,10 @@
 //! The teacher: visual tokens of an image, modulated by language, that the Gaussians' semantic features follow.
 //!
-//! A network of central-difference convolutions sees the image at three levels; its tokens, and imported visual tokens
-//! where a frame has them, attend to the prompts (top-k attention, the modulation X′ = X + Attention(X, text)) and then
-//! to each other (the sparse multi-head self-attention of equations 1 and 2, whose output is SMSA). It is trained before
-//! everything else, to decode every token to what the image shows there, and then kept: were it trained on the losses
-//! that follow, zero everywhere would be their optimum.
+//! A network of central-difference convolutions encodes the image at three levels. Its tokens, and imported visual
+//! tokens if a frame has them, attend to the prompts (top-k attention, the modulation X′ = X + Attention(X, text)) and
+//! then to each other (the sparse multi-head self-attention of equations 1 and 2, with the output SMSA). The teacher is
+//! trained before `fine`, to decode every token to the image content at its place, and then frozen: if it were trained
+//! on the semantic losses, their optimum would be zero everywhere.
 
 mod network;
 mod reconstruction;
@@ -25,25 +25,25 @@ use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer
 use crate::model::{ModelState, Variables};
 use network::Network;
 
-/// All tensors of the teacher are called `teacher.…`.
+/// Prefix of the teacher's tensors.
 pub(crate) const TEACHER: &str = "teacher";
-/// Embeddings of the prompts, [P, E]; not learnt.
+/// Embeddings of the prompts, [P, E]; never trained.
 pub(crate) const TEXT: &str = "teacher.prompts";
-/// Shorter features have no direction.
+/// Lower bound of the norm when features are normalised.
 const MIN_NORM: f64 = 1e-6;
-/// Mean and standard deviation of three colours.
+/// Mean and standard deviation of the three colour channels.
 const COLOR_STATISTICS: usize = 6;
 
-/// The teacher's layers; what a model has of them shows in its tensors.
+/// The teacher's layers. Optional ones are detected by their tensors in the model.
 pub(crate) struct Teacher<'a> {
     settings: &'a TeacherSettings,
 }
 
-/// What the teacher says about one image.
+/// The teacher's output for one image.
 pub(crate) struct Lesson {
     /// [tokens, features]: SMSA, of unit length.
     pub features: Var,
-    /// [tokens, tokens]: attention of every token to every other, averaged over the heads.
+    /// [tokens, tokens]: attention of every token to every other token, averaged over the heads.
     pub probabilities: Var,
 }
 
@@ -52,8 +52,8 @@ impl<'a> Teacher<'a> {
         Self { settings }
     }
 
-    /// Adds the teacher's tensors: for visual tokens of `token_width` where frames have any, and for prompts [P, E]
-    /// where language takes part.
+    /// Adds the teacher's tensors: for visual tokens of `token_width` if frames have any, and for prompts [P, E] if the
+    /// effect `language` is on.
     pub(crate) fn insert<T: Real>(
         &self,
         state: &mut ModelState<T>,
@@ -91,7 +91,7 @@ impl<'a> Teacher<'a> {
         }
     }
 
-    /// Tokens of an image [H, W, 3], with the visual tokens [rows, columns, F] of that frame if it has any.
+    /// Encodes an image [H, W, 3], with the frame's visual tokens [rows, columns, F] if it has any.
     pub(crate) fn observe<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -116,19 +116,20 @@ impl<'a> Teacher<'a> {
         }
         let attention = self.attend(tape, model, "attention", [tokens, tokens], self.settings.top_k);
         let features = apply_matrix(tape, model, "teacher.attention.output", attention.mixed);
-        // Without a scale of its own the teacher would set the weight of every loss that follows it.
+        // Unit length: otherwise the teacher's arbitrary scale would weight every loss that follows it.
         let features = normalize(tape, features, MIN_NORM);
         Lesson { features, probabilities: attention.probabilities }
     }
 
-    /// [M, 6 + F] for the directions of semantic features [M, features]: mean and standard deviation of the colours, and a visual token.
+    /// Decodes the directions of semantic features [M, features] to [M, 6 + F]: mean and standard deviation of the
+    /// colours, and a visual token.
     fn decode<T: Real>(tape: &mut Tape<T>, model: &Variables, features: Var) -> Var {
         let directions = normalize(tape, features, MIN_NORM);
         let hidden = apply_layer(tape, model, "teacher.decoder.0", directions, Activation::Relu);
         apply_layer(tape, model, "teacher.decoder.1", hidden, Activation::Identity)
     }
 
-    /// Whether the model was taught with visual tokens.
+    /// Whether the model's teacher was trained with visual tokens.
     pub(crate) fn reads_visual_tokens(model: &Variables) -> bool {
         model.find("teacher.tokens.weight").is_some()
     }

@@ -1,5 +1,5 @@
 //! Three levels of central-difference convolutions (Yu et al. 2020) with dilations 1, 2 and 4, each at half the size of
-//! the one before: convolution, group normalisation, ReLU.
+//! the previous one: convolution, group normalisation, ReLU.
 
 use rand_chacha::ChaCha8Rng;
 use shaders::networks::convolution::{Sampling, central_difference, convolution};
@@ -13,12 +13,12 @@ use super::super::tokens::TokenGrid;
 use crate::bases::layers::uniform;
 use crate::model::{ModelState, Variables};
 
-/// Taps along each side of a kernel.
+/// Side length of the kernels.
 const KERNEL: usize = 3;
-/// Groups of the normalisation, where they divide the channels.
+/// Groups of the normalisation, if they divide the channels.
 const GROUPS: usize = 8;
 
-/// The levels of the teacher.
+/// The convolution levels of the teacher.
 pub(crate) struct Network<'a> {
     settings: &'a TeacherSettings,
 }
@@ -28,12 +28,12 @@ impl<'a> Network<'a> {
         Self { settings }
     }
 
-    /// Channels of all levels together.
+    /// Total number of channels of all levels.
     pub(crate) fn outputs(&self) -> usize {
         self.settings.channels.iter().sum()
     }
 
-    /// Adds `teacher.level_{0,1,2}.weight`, `.scale` and `.shift`; weights as by He et al. 2015, for what a ReLU follows.
+    /// Adds `teacher.level_{0,1,2}.weight`, `.scale` and `.shift`; weights are initialised for ReLUs (He et al. 2015).
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
         let mut inputs = 3;
         for (level, &outputs) in self.settings.channels.iter().enumerate() {
@@ -61,7 +61,7 @@ impl<'a> Network<'a> {
                 x = average_pool(tape, x, height / 2, width / 2);
             }
             let weight = central_difference(tape, model.get(&name(level, "weight")), self.settings.theta);
-            // The normalisation that follows would take out a bias.
+            // No bias: the normalisation would cancel it.
             let no_bias = tape.constant(Tensor::zeros([channels]));
             x = convolution(tape, x, weight, no_bias, Sampling::same_size(KERNEL, 1 << level));
             let (scale, shift) = (model.get(&name(level, "scale")), model.get(&name(level, "shift")));

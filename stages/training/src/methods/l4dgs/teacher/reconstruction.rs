@@ -1,4 +1,4 @@
-//! What the teacher is trained on: every token is decoded to what the image shows there.
+//! The teacher's training loss: every token is decoded to the image content at its place.
 
 use shaders::arrays::rows::{columns, cosine_distance, squared_norm};
 use shaders::arrays::totals::mean;
@@ -8,15 +8,15 @@ use shaders::tape::{Real, Tape, Var};
 use super::{COLOR_STATISTICS, MIN_NORM, Teacher};
 use crate::model::Variables;
 
-/// Weight of the angle between a decoded token and the token (Qin et al. 2024).
+/// Weight of the angle between a decoded token and its target (Qin et al. 2024).
 const ANGLE_WEIGHT: f64 = 1e-3;
 
-/// The parts of the reconstruction loss, each a scalar with its weight.
+/// Terms of the reconstruction loss: weights and scalars.
 pub(crate) type WeightedLosses = Vec<(f64, Var)>;
 
 impl Teacher<'_> {
     /// ‖colours − decoded‖² + ‖token − decoded‖² + 10⁻³·(1 − cos(token, decoded)), averaged over the tokens, for colour
-    /// statistics [tokens, 6] and, where the frame has them, visual tokens [tokens, F].
+    /// statistics [tokens, 6] and, if the frame has them, visual tokens [tokens, F].
     pub(crate) fn reconstruction<T: Real>(
         tape: &mut Tape<T>,
         model: &Variables,
@@ -37,7 +37,7 @@ impl Teacher<'_> {
         losses
     }
 
-    /// What semantic features [M, features] mean in the space of the visual tokens, [M, F]; none without such a space.
+    /// Decodes semantic features [M, features] to visual tokens [M, F]; `None` if the teacher was trained without them.
     pub(crate) fn meaning<T: Real>(tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var> {
         if !Self::reads_visual_tokens(model) {
             return None;
@@ -48,7 +48,7 @@ impl Teacher<'_> {
     }
 }
 
-/// Σ over tokens of ‖a − b‖² / tokens.
+/// Mean over the tokens of ‖a − b‖².
 fn mean_squared_distance<T: Real>(tape: &mut Tape<T>, a: Var, b: Var) -> Var {
     let difference = sub(tape, a, b);
     let squared = squared_norm(tape, difference);

@@ -1,14 +1,15 @@
-//! What stands for the prompts where no embeddings were imported.
+//! Generated embeddings of prompts, used if none were imported.
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use shaders::tape::{Real, Tensor};
 
-/// Width of a made-up embedding: directions drawn at random in 64 dimensions are nearly orthogonal.
+/// Width of a generated embedding: random directions in 64 dimensions are nearly orthogonal.
 const WIDTH: usize = 64;
 
-/// [P, 64]: one unit vector per prompt that depends on its text alone, so that equal words mean the same everywhere.
+/// [P, 64]: one unit vector per prompt. It depends only on the prompt's text, so equal prompts have equal embeddings
+/// everywhere.
 pub(crate) fn prompt_embeddings<T: Real>(prompts: &[String]) -> Tensor<T> {
     let embedding = |prompt: &String| {
         let mut random = ChaCha8Rng::seed_from_u64(hash(prompt));
@@ -19,7 +20,7 @@ pub(crate) fn prompt_embeddings<T: Real>(prompts: &[String]) -> Tensor<T> {
     Tensor::from_vec([prompts.len(), WIDTH], prompts.iter().flat_map(embedding).collect())
 }
 
-/// FNV-1a: a seed that does not change with the version of the standard library.
+/// FNV-1a hash: a seed that does not depend on the version of the standard library.
 fn hash(text: &str) -> u64 {
     text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
