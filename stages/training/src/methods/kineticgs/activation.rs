@@ -1,4 +1,4 @@
-//! When each particle moves: a window of time around a learnt centre (KineticGS equations 7 to 9).
+//! Activation of each particle: a time window around a trained centre (KineticGS equations 7 to 9).
 
 use rand_chacha::ChaCha8Rng;
 use shaders::losses::histogram::{divergence_from_uniform, soft_histogram};
@@ -10,19 +10,19 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer, uniform};
 use crate::model::{ModelState, Variables};
 
-/// The network's tensors are called `activation.…`.
+/// Prefix of the network's tensors.
 pub(crate) const ACTIVATION: &str = "activation";
-/// Six octaves of the position within the scene's box.
+/// Six octaves of the position in the scene's box.
 const ENCODING: PositionalEncoding = PositionalEncoding { bands: 6, with_input: true };
 /// Width of the two hidden layers.
 const WIDTH: usize = 64;
-/// How sharply windows open and close (τ), as a share of all time.
+/// Width of a window's edges (τ), as a share of the clip.
 const SHARPNESS: f64 = 0.02;
-/// The shortest half-width of a window (ε), as a share of all time.
+/// Minimum half-width of a window (ε), as a share of the clip.
 const LEAST_RADIUS: f64 = 0.01;
-/// The first Δ^cr before its tanh: windows of half-width 0.47 around the middle, so that nothing is frozen at the start.
+/// Initial Δ^cr before its tanh: windows of half-width 0.47 around the middle, so that no particle is frozen initially.
 const FIRST_RADIUS: f64 = 1.5;
-/// Standard deviation of the first weights of Δ^ct, so that centres differ from the start; uniform here.
+/// Standard deviation of the initial weights of Δ^ct, so that window centres differ; uniform here.
 const FIRST_CENTERS: f64 = 0.3;
 /// Bins of the histograms over (−1, 1).
 const BINS: usize = 32;
@@ -31,7 +31,7 @@ const BINS: usize = 32;
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
     insert_layer(state, "activation.0", ENCODING.columns(3), WIDTH, FirstWeights::Xavier, random);
     insert_layer(state, "activation.1", WIDTH, WIDTH, FirstWeights::Xavier, random);
-    // A uniform distribution of standard deviation s reaches from −√3·s to √3·s; s is shared by the inputs.
+    // A uniform distribution with standard deviation s has the limits ±√3·s; s is divided among the inputs.
     let bound = FIRST_CENTERS * (3.0 / WIDTH as f64).sqrt();
     insert_layer(state, "activation.center", WIDTH, 1, FirstWeights::Zero, random);
     state.insert("activation.center.weight", uniform(&[1, WIDTH], -bound, bound, random));
@@ -39,24 +39,24 @@ pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, random: &mut ChaCha8Rng
     state.insert("activation.radius.bias", Tensor::full([1], T::from_f64(FIRST_RADIUS)));
 }
 
-/// The windows of P particles, in shares of all time.
+/// The windows of P particles, in shares of the clip.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Windows {
-    /// [P, 1] Δ^ct in (−1, 1).
+    /// Δ^ct [P, 1] in (−1, 1), the network's shift of the centre.
     pub center_deltas: Var,
-    /// [P, 1] Δ^cr in (−1, 1).
+    /// Δ^cr [P, 1] in (−1, 1), the network's change of the half-width.
     radius_deltas: Var,
-    /// [P, 1] t^ct, where the window is centred.
+    /// Window centres t^ct [P, 1].
     pub centers: Var,
-    /// [P, 1] where it opens, t^ct − t^cr.
+    /// Window starts t^ct − t^cr [P, 1].
     starts: Var,
-    /// [P, 1] where it closes, t^ct + t^cr.
+    /// Window ends t^ct + t^cr [P, 1].
     ends: Var,
 }
 
 impl Windows {
-    /// The windows of particles at canonical positions [P, 3] in [−1, 1] coordinates: with all of time as 1, t^ct = ½ + ½Δ^ct
-    /// and t^cr = ¼ + (¼ − ε)Δ^cr.
+    /// The windows of particles at canonical positions [P, 3] in [−1, 1] coordinates: in shares of the clip, t^ct = ½ +
+    /// ½Δ^ct and t^cr = ¼ + (¼ − ε)Δ^cr.
     pub(crate) fn of<T: Real>(tape: &mut Tape<T>, model: &Variables, positions: Var) -> Self {
         let encoded = ENCODING.encode(tape, positions);
         let hidden = apply_layer(tape, model, "activation.0", encoded, Activation::Relu);
@@ -74,7 +74,7 @@ impl Windows {
         Self { center_deltas, radius_deltas, centers, starts, ends }
     }
 
-    /// [P, 1] w = σ((t − start) / τ)·σ((end − t) / τ) in (0, 1) at a time in [0, 1].
+    /// [P, 1]: w = σ((t − start) / τ)·σ((end − t) / τ) in (0, 1) at a time in [0, 1].
     pub(crate) fn at<T: Real>(&self, tape: &mut Tape<T>, time: f64) -> Var {
         let mut edge = |border: Var, sign: f64| {
             let distance = scale(tape, border, -sign / SHARPNESS);
@@ -85,7 +85,7 @@ impl Windows {
         mul(tape, opened, not_closed)
     }
 
-    /// How far centres and half-widths are from being spread evenly, shape [1].
+    /// Deviation of centres and half-widths from an even spread; shape [1].
     pub(crate) fn unevenness<T: Real>(&self, tape: &mut Tape<T>) -> Var {
         let [centers, radii] = [self.center_deltas, self.radius_deltas].map(|deltas| {
             let shares = soft_histogram(tape, deltas, BINS, [-1.0, 1.0]);

@@ -1,4 +1,4 @@
-//! Neighbours move alike and at the same time (KineticGS equation 12).
+//! Coherence of neighbours in motion and in time (KineticGS equation 12).
 
 use shaders::arrays::rows::{divide_rows, reshape, squared_norm};
 use shaders::arrays::totals::{mean, weighted_mean};
@@ -8,10 +8,11 @@ use shaders::tape::{Real, Tape, Var};
 use super::neighbors::Pairs;
 use super::particles::{Moved, Particles};
 
-/// The least length by which displacements are measured, as a share of the scene's extent.
+/// Lower bound of the unit of displacements, as a share of the scene's extent.
 const LEAST_UNIT: f64 = 1e-3;
 
-/// Mean of ‖xᵢ − xⱼ‖² over pairs (i, j) for x [P, C], those of which both have a mask [P, 1] of 1; shape [1].
+/// Mean of ‖xᵢ − xⱼ‖² over pairs (i, j) for x [P, C], restricted to pairs with a mask [P, 1] of 1 on both sides; shape
+/// [1].
 fn mean_squared_difference<T: Real>(tape: &mut Tape<T>, pairs: &Pairs, x: Var, mask: Option<Var>) -> Var {
     let [first, second] = pairs.both(tape, x);
     let difference = sub(tape, first, second);
@@ -23,7 +24,7 @@ fn mean_squared_difference<T: Real>(tape: &mut Tape<T>, pairs: &Pairs, x: Var, m
     mean_where(tape, squared, mask)
 }
 
-/// The mean of x [N, 1], of what has a mask [N, 1] of 1; shape [1].
+/// Mean of x [N, 1] over rows with a mask [N, 1] of 1; shape [1].
 fn mean_where<T: Real>(tape: &mut Tape<T>, x: Var, mask: Option<Var>) -> Var {
     match mask {
         None => mean(tape, x),
@@ -31,8 +32,8 @@ fn mean_where<T: Real>(tape: &mut Tape<T>, x: Var, mask: Option<Var>) -> Var {
     }
 }
 
-/// Mean squared difference of the displacements of neighbours that are active, in units of the root mean square
-/// displacement; `None` where the host knows that nothing is active.
+/// Mean squared difference of displacements between active neighbours, in units of the root mean square displacement;
+/// `None` if the host knows that no particle is active.
 pub(crate) fn displacement_incoherence<T: Real>(
     tape: &mut Tape<T>,
     moved: &Moved,
@@ -48,7 +49,7 @@ pub(crate) fn displacement_incoherence<T: Real>(
     Some(reshape(tape, value, [1]))
 }
 
-/// Mean squared difference of the window centres of neighbours, in shares of all time; `None` without windows.
+/// Mean squared difference of window centres between neighbours, in shares of the clip; `None` without windows.
 pub(crate) fn window_incoherence<T: Real>(tape: &mut Tape<T>, particles: &Particles<T>, pairs: &Pairs) -> Option<Var> {
     Some(mean_squared_difference(tape, pairs, particles.windows?.centers, None))
 }

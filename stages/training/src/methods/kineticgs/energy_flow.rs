@@ -1,9 +1,9 @@
-//! Particles follow the optical flow (KineticGS equations 2 and 6): where a particle is seen at one time, flow and depth
-//! say where it is at the next.
+//! The energy-flow loss (KineticGS equations 2 and 6): flow and depth at the pixel of a visible particle give its
+//! position at the next time.
 //!
-//! A particle counts as seen where the view's depth agrees with its own. The target is the back-projection of the pixel
-//! where the flow leads, at the depth that the next view has there. Where no view shows the arrival, only the ray is known
-//! and the particle is held to it. Targets are observations: no gradient flows through them.
+//! A particle is visible where its depth agrees with the view's. Its target is the back-projection of the pixel at the
+//! end of the flow, at that view's depth. If no view has depth there, only the ray is known, and the particle is
+//! constrained to the ray. Targets are observations: no gradient flows through them.
 
 use glam::DVec2;
 use scene::{Camera, DepthMap};
@@ -17,24 +17,24 @@ use super::particles::{Chosen, Moved, ParticleMotion, Particles};
 use crate::data::{Dataset, FlowPrior, Supplements, ViewConstants, ViewPriors};
 use crate::model::Variables;
 
-/// Pixels whose flow differs by more from that of a static scene move; px.
+/// Pixels with flow that differs by more than this from that of a static scene are moving; px.
 const RESIDUAL_FLOW_PX: f64 = 1.0;
 
-/// One view's depth and flow, and what is known of where the flow leads.
+/// Depth and flow of one view, and the depth at the end of the flow if known.
 pub(crate) struct FlowView<'a> {
     view: usize,
     camera: Camera,
     depth: &'a DepthMap,
     flow: &'a FlowPrior,
-    /// With the index of the view that has it.
+    /// Depth at the end of the flow, with the index of its view.
     depth_to: Option<(usize, &'a DepthMap)>,
 }
 
-/// How well particles follow the flow of a view.
+/// Error of the particles against the flow of a view.
 pub(crate) struct Followed {
-    /// The mean distance of those that the view sees to where the flow leads them, scene units; 0 where it sees none. [1].
+    /// Mean distance of the visible particles to their targets, [1], scene units; 0 if none is visible.
     pub distance: Var,
-    /// How many they are. [1].
+    /// Number of visible particles, [1].
     pub count: Var,
 }
 
@@ -48,12 +48,12 @@ impl<'a> FlowView<'a> {
         Some(Self { view, camera: dataset.capture.views[view].camera, depth, flow, depth_to })
     }
 
-    /// When the flow arrives, in seconds.
+    /// The time at which the flow ends, in seconds.
     pub(crate) fn time_to_secs(&self) -> f64 {
         self.flow.time_to_secs
     }
 
-    /// The maps on a device, which keeps them.
+    /// The maps on a device, cached in `constants`.
     pub(crate) fn maps<T: Real>(&self, device: Device, constants: &ViewConstants<T>) -> FlowMaps<T> {
         let depth = |(view, map): (usize, &DepthMap)| {
             constants.get(device, "depth", view, || tensor(map.height, map.width, &[], &map.depth_view))
@@ -69,14 +69,15 @@ impl<'a> FlowView<'a> {
         }
     }
 
-    /// [H, W, 3]: 1 where pixels move as the camera alone would move them, or nobody knows how; 0 where they move otherwise.
+    /// [H, W, 3]: 0 for pixels that move relative to the static scene; 1 for static pixels and for those with unknown
+    /// motion.
     pub(crate) fn static_pixels<T: Real>(&self) -> Tensor<T> {
         let DepthMap { width, height, ref depth_view } = *self.depth;
         let stands = (0..depth_view.len()).flat_map(|index| [if self.moves(index) { T::ZERO } else { T::ONE }; 3]);
         Tensor::from_vec([height as usize, width as usize, 3], stands.collect())
     }
 
-    /// Whether a pixel moves otherwise than the camera alone would move it; false where that is not known.
+    /// Whether a pixel moves relative to the static scene; false if unknown.
     fn moves(&self, index: usize) -> bool {
         let width = self.depth.width as usize;
         let pixel = DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
@@ -97,7 +98,7 @@ impl<'a> FlowView<'a> {
     }
 }
 
-/// How well particles follow the flow of a view that arrives at `time_to`; `None` where the host knows that none is seen.
+/// The energy-flow error at `time_to`, the end of the flow; `None` if the host knows that no particle is visible.
 pub(crate) fn energy_flow<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
@@ -114,7 +115,7 @@ pub(crate) fn energy_flow<T: Real>(
     let positions = gather(tape, moved.anchors.positions, rows);
     let positions = tape.detach(positions);
     let targets = flow_targets(tape, positions, maps);
-    // Those that are seen, and active at both times.
+    // Particles that are visible, and active at both times.
     let gates = motion.gates(tape, particles, time_to);
     let masks = [moved.active, gates.map(|gates| gates.active)];
     let mask = masks.into_iter().flatten().fold(targets.seen, |both, mask| mul(tape, both, mask));
@@ -138,7 +139,7 @@ fn tensor<T: Real>(height: u32, width: u32, pixel: &[usize], values: &[f32]) -> 
     Tensor::from_vec(shape, values.iter().map(|&value| T::from_f64(value.into())).collect())
 }
 
-/// `None` where there is no depth.
+/// The depth, or `None` if it is unknown.
 fn known_depth(depth: f32) -> Option<f64> {
     (depth > 0.0 && depth.is_finite()).then_some(depth.into())
 }

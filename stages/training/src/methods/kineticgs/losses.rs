@@ -1,4 +1,4 @@
-//! What a step of either phase minimises (KineticGS equation 13).
+//! Losses of both phases (KineticGS equation 13).
 
 use shaders::arrays::totals::total;
 use shaders::pointwise::scale;
@@ -15,7 +15,7 @@ use crate::data::TrainingView;
 use crate::method::{Observed, Step};
 
 impl<T: Real> KineticGaussians<T> {
-    /// The losses of `coarse`: anchors as if nothing moved, on the pixels that do not.
+    /// The losses of `coarse`: static anchors, on static pixels.
     pub(super) fn coarse_losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         for view in step.views {
             step.clock.enter("motion");
@@ -27,7 +27,7 @@ impl<T: Real> KineticGaussians<T> {
         Ok(())
     }
 
-    /// A mask of what does not move in a view, where that is asked for and known.
+    /// Mask of the static pixels in a view; `None` if `coarse_all` is on, energy flow is off or the view has no priors.
     fn static_pixels(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> Option<Var> {
         if self.settings.coarse_all || !self.has(ENERGY_FLOW) {
             return None;
@@ -77,7 +77,7 @@ impl<T: Real> KineticGaussians<T> {
         }
     }
 
-    /// Pairs of neighbours among the particles; none where coherence is off.
+    /// Pairs of neighbours among the particles; `None` if coherence is off.
     fn neighbor_pairs<'p>(
         &self,
         step: &mut Step<'_, T>,
@@ -122,7 +122,7 @@ impl<T: Real> KineticGaussians<T> {
         }
     }
 
-    /// The losses of the windows: spread over all time, alike among neighbours.
+    /// Window losses: even spread over the clip, and coherence among neighbours.
     fn window_losses(
         &self,
         step: &mut Step<'_, T>,

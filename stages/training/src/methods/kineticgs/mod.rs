@@ -1,5 +1,5 @@
-//! KineticGS: particles that begin where things move, move within their own windows of time, follow the optical flow and
-//! stay together with their neighbours.
+//! KineticGS: particles that are initialised from motion, move within activation windows, follow the optical flow and
+//! stay coherent with their neighbours.
 
 mod activation;
 mod coherence;
@@ -37,7 +37,7 @@ const ACTIVATION: &str = "activation";
 const ENERGY_FLOW: &str = "energy-flow";
 const COHERENCE: &str = "coherence";
 
-/// KineticGS: particles from momentum with windows of activation, on anchors.
+/// KineticGS: particles from momentum with activation windows, on anchors.
 pub(crate) struct Kineticgs;
 
 impl MethodFolder for Kineticgs {
@@ -100,12 +100,12 @@ impl<T: Real> KineticGaussians<T> {
         Self { base, shared: shared.clone(), settings, motion, local, population }
     }
 
-    /// Whether an effect is on; without motion none is.
+    /// Whether an effect is on; without motion, none is.
     fn has(&self, effect: &str) -> bool {
         self.shared.effects.has(MOTION) && self.shared.effects.has(effect)
     }
 
-    /// Whether things move in a phase.
+    /// Whether particles move in a phase.
     fn moves(&self, phase: &str) -> bool {
         phase == FINE && self.has(MOTION)
     }
@@ -125,7 +125,7 @@ impl<T: Real> KineticGaussians<T> {
         self.gaussians(tape, model, &moved, moment)
     }
 
-    /// The Gaussians of anchors that are where they are at a moment.
+    /// The Gaussians of moved anchors at a moment.
     fn gaussians(&self, tape: &mut Tape<T>, model: &Variables, moved: &Moved, moment: &Moment<'_>) -> SpawnedGaussians {
         let mut spawned = anchors::spawn(tape, model, &moved.anchors, moment.camera);
         spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time);
@@ -149,7 +149,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         if self.has(MOMENTUM_INIT) {
             let seeds = start.supplements.particles.as_ref();
             let seeds = &seeds.context("momentum-init is on, but no particles were given")?.points.positions;
-            // One particle per voxel, where it was drawn.
+            // One particle per voxel, at the position of its first seed.
             let particles =
                 anchors::voxels(seeds, self.settings.anchors.voxel_size).into_iter().map(|(_, first)| seeds[first]);
             let static_count = positions.len();

@@ -1,4 +1,4 @@
-//! Neighbouring particles.
+//! Neighbour search among particles.
 
 use std::collections::BTreeSet;
 use std::num::NonZero;
@@ -13,25 +13,25 @@ use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::space_filling_curves::{Curve, neighbor_pairs, without_jumps};
 
-/// Neighbours on either side along a curve: as many pairs as eight nearest neighbours make.
+/// Neighbours on either side along a curve: as many pairs as with eight nearest neighbours.
 const REACH: usize = 4;
-/// Nearest neighbours of a particle.
+/// Number of nearest neighbours of a particle.
 const NEAREST: usize = 8;
-/// Pairs farther apart than this many times the median are not neighbours: the curve jumped.
+/// Pairs farther apart than this many times the median are rejected, because the curve jumps there.
 const JUMP: f64 = 3.0;
 
-/// How neighbours are found.
+/// Neighbour search of a recipe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Neighbors {
-    /// Along a Hilbert or a Z-order curve, whichever the step draws.
+    /// Along a Hilbert or a Z-order curve, drawn at random per step.
     Curve,
-    /// The eight nearest.
+    /// The eight nearest neighbours.
     Knn,
 }
 
 impl Neighbors {
-    /// How they are found in a step.
+    /// Draws the search of one step.
     pub(crate) fn draw(self, random: &mut ChaCha8Rng) -> Search {
         match self {
             Self::Curve if random.random::<bool>() => Search::Hilbert,
@@ -41,22 +41,22 @@ impl Neighbors {
     }
 }
 
-/// How the neighbours of one step are found.
+/// Neighbour search of one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Search {
     /// Along a Hilbert curve.
     Hilbert,
     /// Along a Z-order curve.
     ZOrder,
-    /// The eight nearest.
+    /// The eight nearest neighbours.
     Nearest,
 }
 
 impl Search {
-    /// Ways to search.
+    /// Number of search methods.
     pub(crate) const COUNT: usize = 3;
 
-    /// Pairs of neighbours among positions, by cells of this side along a curve.
+    /// Pairs of neighbours among positions; curves use cells of side `cell_size`.
     pub(crate) fn pairs(self, positions: &[[f32; 3]], cell_size: f64) -> Vec<[u32; 2]> {
         let along = |curve: Curve| neighbor_pairs(positions, &curve.order(positions, cell_size), REACH, JUMP);
         match self {
@@ -67,7 +67,7 @@ impl Search {
     }
 }
 
-/// Every pair of which one is among the nearest of the other, once.
+/// Every pair in which one is among the nearest neighbours of the other, once.
 fn nearest_pairs(positions: &[[f32; 3]]) -> Vec<[u32; 2]> {
     let points: Vec<[f64; 3]> = positions.iter().map(|position| position.map(f64::from)).collect();
     let tree: ImmutableKdTree<f64, 3> = match ImmutableKdTree::new_from_slice(&points) {
@@ -85,20 +85,20 @@ fn nearest_pairs(positions: &[[f32; 3]]) -> Vec<[u32; 2]> {
     pairs.into_iter().flatten().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Pairs of particles, at least one.
+/// A non-empty list of particle pairs.
 pub(crate) struct Pairs {
-    /// Of every pair the first, and the second.
+    /// Rows of the first and of the second particle of every pair.
     sides: [RowIndex; 2],
 }
 
 impl Pairs {
-    /// Pairs of so many particles; `None` without any.
+    /// Pairs among `particles` particles; `None` if the list is empty.
     pub(crate) fn new(pairs: &[[u32; 2]], particles: usize) -> Option<Self> {
         let side = |side: usize| RowIndex::new(pairs.iter().map(|pair| pair[side]).collect(), particles);
         (!pairs.is_empty()).then(|| Self { sides: [0, 1].map(side) })
     }
 
-    /// The rows of x [P, …] of the first and of the second particle of every pair.
+    /// Gathers the rows of x [P, …] of the first and the second particle of every pair.
     pub(crate) fn both<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> [Var; 2] {
         self.sides.each_ref().map(|side| gather(tape, x, side))
     }

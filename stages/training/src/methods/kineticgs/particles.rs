@@ -1,7 +1,8 @@
-//! Particles: the anchors that move, and their motion (KineticGS equations 10 and 11).
+//! Particles, i.e. the moving anchors, and their motion (KineticGS equations 10 and 11).
 //!
-//! Which of them are active is a mask on the tape, 1 or 0 each. The CPU looks at it and evaluates the field for those alone;
-//! a GPU evaluates it for all and lets the mask decide what counts, because the host would have to wait for it.
+//! A mask on the tape, 1 or 0 each, marks the active particles. The CPU reads it and evaluates the field for the active
+//! ones only. A GPU evaluates the field for all particles and multiplies by the mask, because reading it back would
+//! stall.
 
 use std::sync::Arc;
 
@@ -17,7 +18,7 @@ use crate::bases::gates::straight_through;
 use crate::model::Variables;
 
 pointwise! {
-    /// 1 where a gate is above the threshold, else 0; a NaN is kept, and shows.
+    /// 1 where a gate is above the threshold, otherwise 0; a NaN is propagated.
     fn is_open(gate) with(threshold) -> y {
         return select(select(gate, 0.0, gate <= threshold), 1.0, gate > threshold);
     }
@@ -26,54 +27,54 @@ pointwise! {
     }
 }
 
-/// How particles move.
+/// Parameters of particle motion.
 pub(crate) struct ParticleMotion {
-    /// The field that moves them.
+    /// The deformation field of the particles.
     pub deformation: AnchorDeformation,
-    /// A particle is active where its window is above this (θ_g).
+    /// Particles are active while their window is above this threshold (θ_g).
     pub gate_threshold: f64,
-    /// Whether positions fade in and out with the window, as all else does, instead of jumping at its borders.
+    /// Whether positions fade in and out with the window like all other attributes, instead of jumping at its borders.
     pub soft_location: bool,
 }
 
-/// The particles of a step: what does not depend on the time.
+/// The particles of a step, as far as they do not depend on time.
 pub(crate) struct Particles<T: Real> {
-    /// Which anchors they are.
+    /// The rows of the particles among the anchors.
     pub population: Arc<Population<T>>,
-    /// [P, 3] canonical, world.
+    /// Canonical positions [P, 3], world.
     pub positions: Var,
-    /// When they move; `None`: always.
+    /// Activation windows; `None` if the particles are always active.
     pub windows: Option<Windows>,
 }
 
 /// The gates of P particles at one time.
 #[derive(Clone, Copy)]
 pub(crate) struct Gates {
-    /// [P, 1] the window where it is open; 0, without a gradient, where it is not.
+    /// [P, 1]: the window where it is open, otherwise 0 without a gradient.
     soft: Var,
-    /// [P, 1] 1 where it is open, else 0; a NaN is kept, and shows. No gradient flows through it.
+    /// [P, 1]: 1 where the window is open, otherwise 0; a NaN is propagated. It has no gradient.
     pub active: Var,
 }
 
 /// All anchors at one time.
 pub(crate) struct Moved {
-    /// With the particles where they are.
+    /// The anchors with their moved particles.
     pub anchors: Anchors,
-    /// [P, 1] 1 for particles that are active, else 0; `None`: all are.
+    /// [P, 1]: 1 for active particles, otherwise 0; `None` if all are active.
     pub active: Option<Var>,
-    /// [P, 3] how far the field would move those that are active, before gating, and anything for others; `None` where the
-    /// host knows that nothing is active.
+    /// [P, 3]: displacements of active particles before gating; unspecified for the others. `None` if the host knows
+    /// that no particle is active.
     pub displacements: Option<Var>,
 }
 
-/// Which of P particles are computed with.
+/// The subset of P particles that is evaluated.
 pub(crate) struct Chosen {
-    /// `None`: all.
+    /// Rows of the subset; `None` for all particles.
     some: Option<RowIndex>,
 }
 
 impl Chosen {
-    /// Those whose mask [P, 1] is not 0, if it is on the host; all where it is on a GPU, or where there is none.
+    /// Selects particles with a nonzero mask [P, 1] if it is on the host; all particles if it is on a GPU or `None`.
     pub(crate) fn by<T: Real>(tape: &Tape<T>, mask: Option<Var>) -> Self {
         let Some(mask) = mask.filter(|_| tape.device() == Device::Cpu) else { return Self { some: None } };
         let mask = tape.value(mask).as_slice();
@@ -81,22 +82,22 @@ impl Chosen {
         Self { some: (kept.len() < mask.len()).then(|| RowIndex::new(kept, mask.len())) }
     }
 
-    /// Whether nothing is.
+    /// Whether the subset is empty.
     pub(crate) fn is_empty(&self) -> bool {
         self.some.as_ref().is_some_and(RowIndex::is_empty)
     }
 
-    /// Their rows of x [P, …]: [M, …].
+    /// Gathers the subset's rows of x [P, …]: [M, …].
     pub(crate) fn gather<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> Var {
         self.some.as_ref().map_or(x, |some| gather(tape, x, some))
     }
 
-    /// x [M, …] among all particles, zeros elsewhere: [P, …].
+    /// Scatters x [M, …] to all particles, with zeros elsewhere: [P, …].
     fn scatter<T: Real>(&self, tape: &mut Tape<T>, x: Var) -> Var {
         self.some.as_ref().map_or(x, |some| segment_sum(tape, x, some))
     }
 
-    /// Which anchors they are, where the particles are these.
+    /// The anchor rows of the subset, given those of all particles.
     fn among(&self, anchors: &RowIndex) -> RowIndex {
         let Some(some) = &self.some else { return anchors.clone() };
         let rows = some.row_of_item().iter().map(|&particle| anchors.row_of_item()[particle as usize]);
@@ -105,7 +106,7 @@ impl Chosen {
 }
 
 impl ParticleMotion {
-    /// The particles of a population, and their windows if `activation` is on.
+    /// The particles of the model's population, with windows if `activation` is on.
     pub(crate) fn particles<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -123,8 +124,8 @@ impl ParticleMotion {
 
     /// The anchors at a time in [0, 1].
     ///
-    /// Particles outside their windows are where and what they are canonically and pass no gradient; their windows move with
-    /// those of their neighbours, by regularisation and coherence.
+    /// Particles outside their windows keep their canonical state and pass no gradient. Their windows still change
+    /// through those of their neighbours, by regularisation and coherence.
     pub(crate) fn at<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -157,7 +158,7 @@ impl ParticleMotion {
         Moved { anchors, active, displacements: Some(chosen.scatter(tape, change.positions)) }
     }
 
-    /// The gates of all particles at a time; `None` where they have no windows.
+    /// The gates of all particles at a time; `None` if they have no windows.
     pub(crate) fn gates<T: Real>(&self, tape: &mut Tape<T>, particles: &Particles<T>, time: f64) -> Option<Gates> {
         let window = particles.windows?.at(tape, time);
         let active = is_open(tape, window, self.gate_threshold);
@@ -165,7 +166,7 @@ impl ParticleMotion {
         Some(Gates { soft: mul(tape, window, active), active })
     }
 
-    /// [M, 3] where chosen particles are at a time at which these are their gates.
+    /// [M, 3]: positions of the chosen particles at a time with these gates.
     pub(crate) fn positions_at<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -184,7 +185,8 @@ impl ParticleMotion {
         add(tape, canonical, displacements)
     }
 
-    /// Changes times the gates of their particles: positions move at once, all else in proportion.
+    /// Multiplies changes by the gates of their particles. Positions jump unless `soft_location`, all else changes in
+    /// proportion.
     fn through_gates<T: Real>(
         &self,
         tape: &mut Tape<T>,

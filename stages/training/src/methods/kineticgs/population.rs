@@ -1,5 +1,5 @@
-//! Which anchors are particles, and who is whose neighbour among them. Anchors never learn where they are canonically, so
-//! that this is known until some of them come or go, and found on the host.
+//! The particles among the anchors and their neighbours. Canonical anchor positions are not trained, so both are
+//! computed on the host and cached until anchors are added or removed.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -9,17 +9,17 @@ use shaders::tape::{Real, Tape, Tensor};
 use super::neighbors::{Pairs, Search};
 use crate::model::Variables;
 
-/// [N, 1]: 1 for particles, 0 for anchors that stand still; absent where all are particles.
+/// [N, 1]: 1 for particles, 0 for static anchors; absent if all anchors are particles.
 pub(crate) const DYNAMIC: &str = "anchors.dynamic";
 
 /// The particles among N anchors.
 pub(crate) struct Population<T: Real> {
-    /// [N, 3] where the anchors are canonically, and which of them are particles.
+    /// Canonical anchor positions [N, 3], and the mask of particles.
     positions: Tensor<T>,
     dynamic: Option<Tensor<T>>,
-    /// Which of the N anchors the P particles are.
+    /// Anchor rows of the P particles.
     pub rows: RowIndex,
-    /// By the way in which they are searched for; found when they are first asked for.
+    /// Neighbour pairs per search method, computed on first use.
     pairs: [OnceLock<Option<Pairs>>; Search::COUNT],
 }
 
@@ -40,20 +40,20 @@ impl<T: Real> Population<T> {
         same_flags && self.positions.is_same(positions)
     }
 
-    /// Pairs of neighbouring particles, by cells of this side along a curve; `None` where there are none.
+    /// Pairs of neighbouring particles, with cells of this side along a curve; `None` if there are none.
     pub(crate) fn pairs(&self, search: Search, cell_size: f64) -> Option<&Pairs> {
         let find = || Pairs::new(&search.pairs(&self.canonical(), cell_size), self.rows.len());
         self.pairs[search as usize].get_or_init(find).as_ref()
     }
 
-    /// [P, 3] canonical positions, world.
+    /// Canonical particle positions [P, 3], world.
     fn canonical(&self) -> Vec<[f32; 3]> {
         let position = |&row: &u32| [0, 1, 2].map(|axis| self.positions.row(row as usize)[axis].to_f64() as f32);
         self.rows.row_of_item().iter().map(position).collect()
     }
 }
 
-/// The population that was asked for last.
+/// Cache of the latest population.
 pub(crate) struct LatestPopulation<T: Real>(Mutex<Option<Arc<Population<T>>>>);
 
 impl<T: Real> Default for LatestPopulation<T> {
@@ -63,7 +63,7 @@ impl<T: Real> Default for LatestPopulation<T> {
 }
 
 impl<T: Real> LatestPopulation<T> {
-    /// That of a model: the same as before as long as its tensors are.
+    /// The population of a model; cached as long as the model's tensors are unchanged.
     pub(crate) fn of(&self, tape: &Tape<T>, model: &Variables) -> Arc<Population<T>> {
         let positions = tape.value(model.get("anchors.positions"));
         let dynamic = model.find(DYNAMIC).map(|var| tape.value(var));

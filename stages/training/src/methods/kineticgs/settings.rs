@@ -1,4 +1,4 @@
-//! What only this method understands.
+//! Settings specific to KineticGS.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,25 +7,25 @@ use super::weights::LossSettings;
 use crate::bases::anchors::{AnchorSettings, DeformationSettings};
 use crate::schedule::LogLinear;
 
-/// What only this method understands.
+/// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
     /// Anchors and their networks.
     pub anchors: AnchorSettings,
-    /// The fields that move particles and Gaussians.
+    /// The deformation fields of particles and Gaussians.
     pub deformation: DeformationSettings,
-    /// A particle is active where its window is above this (θ_g); ½ is the window itself.
+    /// Particles are active while their window is above this threshold (θ_g); ½ reproduces the window itself.
     pub gate_threshold: f64,
-    /// Whether positions fade in and out with the window, as all else does, instead of jumping at its borders.
+    /// Whether positions fade in and out with the window like all other attributes, instead of jumping at its borders.
     pub soft_location: bool,
-    /// Whether `coarse` learns from pixels that move as well.
+    /// Whether `coarse` also trains on moving pixels.
     pub coarse_all: bool,
-    /// How neighbours are found.
+    /// Neighbour search of the coherence loss.
     pub neighbors: Neighbors,
     /// Weights and schedules of the losses.
     pub losses: LossSettings,
-    /// Step size of the activation network.
+    /// Learning rate of the activation network.
     pub activation_rate: LogLinear,
 }
 
@@ -45,7 +45,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Small, every loss at once at a weight that shows, and particles where they were drawn, so that views see them.
+    /// Small settings with all losses at visible weights from the start, and particles at their seeds, so that views
+    /// see them.
     #[cfg(test)]
     pub(super) fn tiny() -> Self {
         Self {
@@ -56,7 +57,7 @@ impl Settings {
         }
     }
 
-    /// Why these settings cannot work, if so.
+    /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         self.anchors.check()?;
         self.deformation.check()?;

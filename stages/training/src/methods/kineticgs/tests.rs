@@ -18,7 +18,7 @@ use crate::effects::Effects;
 use crate::method::{Recorded, StepOutcome, raster_settings, run_step};
 use crate::scene_tests::TestScene;
 
-/// The method at the start of a phase on the test scene.
+/// The method's state at the start of a phase on the test scene.
 struct World {
     method: KineticGaussians<f64>,
     state: ModelState<f64>,
@@ -51,7 +51,7 @@ impl World {
         Self::new(effects, Settings::tiny(), FINE)
     }
 
-    /// One step on a view: its losses, and the operations of the forward pass.
+    /// Runs one step on a view: its losses, and the number of operations of the forward pass.
     fn step(&self, phase: &str, view: usize) -> (StepOutcome<f64>, usize) {
         let mut tape = Tape::new(Device::Cpu);
         let learns =
@@ -85,7 +85,7 @@ impl World {
 const ALL: [&str; 5] = [MOTION, MOMENTUM_INIT, ACTIVATION, ENERGY_FLOW, COHERENCE];
 
 #[test]
-fn every_effect_brings_its_tensors_operations_and_losses_and_takes_them_along() {
+fn every_effect_owns_its_tensors_operations_and_losses() {
     let names = |world: &World| world.state.names().map(str::to_string).collect::<BTreeSet<_>>();
     let whole = World::fine(&ALL);
     let (outcome, operations) = whole.step(FINE, 0);
@@ -106,12 +106,12 @@ fn every_effect_brings_its_tensors_operations_and_losses_and_takes_them_along() 
             assert!(fewer < operations, "{effect}: {fewer} operations without it, {operations} with it");
         }
         assert!(tensor.is_empty() || names(&whole).contains(tensor) && !names(&without).contains(tensor), "{effect}");
-        assert!(!outcome.losses().contains_key(loss), "{effect} is off and its loss is there");
+        assert!(!outcome.losses().contains_key(loss), "{effect} is off, but its loss is present");
     }
 }
 
 #[test]
-fn without_motion_nothing_of_it_is_left() {
+fn without_motion_no_motion_tensor_exists() {
     let world = World::fine(&[MOMENTUM_INIT, ACTIVATION, ENERGY_FLOW, COHERENCE]);
     assert!(world.state.names().all(|name| name != DYNAMIC && (belongs(name, "anchors") || belongs(name, "views"))));
     let (outcome, operations) = world.step(FINE, 0);
@@ -121,7 +121,7 @@ fn without_motion_nothing_of_it_is_left() {
 }
 
 #[test]
-fn heads_that_start_at_zero_move_nothing() {
+fn zero_initialised_heads_cause_no_motion() {
     let world = World::fine(&ALL);
     let positions = |phase: &str, time: f64| {
         let mut tape = Tape::new(Device::Cpu);
@@ -136,11 +136,11 @@ fn heads_that_start_at_zero_move_nothing() {
     }
 }
 
-/// A model whose particles have windows of different places, some of them closed at [`SPLIT_TIME`].
+/// A model with particles that have different windows, some of them closed at [`SPLIT_TIME`].
 fn with_split_windows(effects: &[&str]) -> World {
     let settings = Settings { deformation: DeformationSettings::tiny(), ..Settings::tiny() };
     let mut world = World::new(effects, settings, FINE);
-    // A large weight spreads the centres, a low bias makes windows short.
+    // A large weight spreads the window centres, a low bias shortens the windows.
     let spread = world.state.get("activation.center.weight").unwrap().as_slice().iter().map(|w| 30.0 * w).collect();
     world.state.insert("activation.center.weight", Tensor::from_vec([1, 64], spread));
     world.state.insert("activation.radius.bias", Tensor::full([1], -1.0));
@@ -150,7 +150,7 @@ fn with_split_windows(effects: &[&str]) -> World {
 const SPLIT_TIME: f64 = 0.5;
 
 #[test]
-fn leaving_out_inactive_particles_changes_neither_values_nor_gradients() {
+fn skipping_inactive_particles_keeps_values_and_gradients() {
     let world = with_split_windows(&[MOTION, ACTIVATION]);
     let run = |skip: bool| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
@@ -184,7 +184,7 @@ fn leaving_out_inactive_particles_changes_neither_values_nor_gradients() {
     }
 }
 
-/// The same motion with the field evaluated for every particle and closed gates multiplied by zero.
+/// Reference motion that evaluates the field for every particle and multiplies closed gates by zero.
 fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, particles: &Particles<f64>) -> Anchors {
     let motion = &world.method.motion;
     let gates = particles.windows.unwrap().at(tape, SPLIT_TIME);
@@ -211,7 +211,7 @@ fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, part
 }
 
 #[test]
-fn what_is_skipped_is_counted() {
+fn skipped_motion_is_counted() {
     let world = with_split_windows(&[MOTION, ACTIVATION]);
     let (outcome, _) = world.step(FINE, 3);
     let [inactive, particles] = outcome.skipped["motion outside activation windows"];
@@ -222,7 +222,7 @@ fn what_is_skipped_is_counted() {
 }
 
 #[test]
-fn windows_open_and_close_where_the_paper_says() {
+fn windows_open_and_close_as_in_the_paper() {
     let mut world = World::fine(&ALL);
     // Δ^ct = 0 and Δ^cr = tanh 1.5.
     world.state.insert("activation.center.weight", Tensor::zeros([1, 64]));
@@ -238,11 +238,11 @@ fn windows_open_and_close_where_the_paper_says() {
         check::agree(tape.value(found), &Tensor::full([3, 1], expected), 1e-12).unwrap();
     }
     let start = windows.at(&mut tape, 0.0);
-    assert!(tape.value(start).as_slice().iter().all(|&gate| gate > 0.01), "nothing is frozen at first");
+    assert!(tape.value(start).as_slice().iter().all(|&gate| gate > 0.01), "no particle is frozen initially");
 }
 
 #[test]
-fn particles_are_needed_where_they_are_asked_for() {
+fn momentum_init_requires_particles() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
     let points = dataset.capture.load_points().unwrap().unwrap();
@@ -250,7 +250,7 @@ fn particles_are_needed_where_they_are_asked_for() {
     let mut random = generator(1, Stream::Initial);
     let start = Start { dataset: &dataset, supplements: &NOTHING };
     assert!(Method::<f64>::initialize(&method, &start, &points, &mut random).is_err());
-    // Two particles in one voxel become one, where the first was drawn.
+    // Two particles in one voxel are merged at the position of the first.
     let seeds = PointCloud { positions: vec![[9.0, 0.0, 0.01], [9.0, 0.0, 0.0]], colors: vec![[0; 3]; 2] };
     let particles = Some(ParticleSeeds { points: seeds, energies: vec![0.5; 2] });
     let supplements = Supplements { particles, ..Supplements::default() };

@@ -1,27 +1,27 @@
-//! How much each loss weighs as training goes on.
+//! Schedules of the loss weights.
 
 use serde::{Deserialize, Serialize};
 
 use crate::schedule::{LogLinear, stretch};
 
-/// The share of the flow's weight that is left where it ends.
+/// Remaining share of the flow's weight at its last iteration.
 const FLOW_LEFT: f64 = 1e-2;
 
-/// Weights of the losses beyond the photometric one, and their schedule in iterations of `fine`.
+/// Weights of the losses in addition to the photometric one, and their schedule in iterations of `fine`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct LossSettings {
-    /// Of the energy-flow loss (λ_flow); lengths are shares of the scene's extent.
+    /// Weight of the energy-flow loss (λ_flow), which measures lengths in scene extents.
     pub flow: f64,
-    /// Of the spread of activation windows (λ_reg).
+    /// Weight of the regularisation that spreads the activation windows (λ_reg).
     pub activation: f64,
-    /// Of the coherence of neighbours (λ_coh).
+    /// Weight of the coherence of neighbours (λ_coh).
     pub coherence: f64,
-    /// All of them grow from 0 over so many iterations.
+    /// Number of iterations over which all weights grow from 0.
     pub ramp: u64,
-    /// From here on the energy-flow loss fades, to a hundredth of its weight …
+    /// Iteration at which the energy-flow loss begins to decay, to a hundredth of its weight at `flow_ends`.
     pub flow_fades_from: u64,
-    /// … here, from where on it is not evaluated.
+    /// Iteration after which the energy-flow loss is not evaluated.
     pub flow_ends: u64,
 }
 
@@ -31,14 +31,14 @@ impl Default for LossSettings {
     }
 }
 
-/// The weights at one iteration; 0 where a loss is not evaluated.
+/// Loss weights at one iteration; 0 for a loss that is not evaluated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Weights {
-    /// λ_flow.
+    /// λ_flow, of the energy-flow loss.
     pub flow: f64,
-    /// λ_reg.
+    /// λ_reg, of the spread of activation windows.
     pub activation: f64,
-    /// λ_coh.
+    /// λ_coh, of the coherence of neighbours.
     pub coherence: f64,
 }
 
@@ -57,7 +57,7 @@ impl LossSettings {
         }
     }
 
-    /// Whether weights and schedule can work.
+    /// Whether weights and schedule are valid.
     pub(crate) fn works(&self) -> bool {
         [self.flow, self.activation, self.coherence].iter().all(|&weight| weight >= 0.0 && weight.is_finite())
             && self.flow_fades_from <= self.flow_ends

@@ -1,4 +1,4 @@
-//! A GPU, which masks particles, computes what the CPU does, which leaves them out; and nobody waits for it.
+//! GPU motion with masked particles agrees with CPU motion that skips them, without synchronization.
 
 use shaders::check::test_gpu;
 use shaders::geometry::point_lookup::FlowMaps;
@@ -10,13 +10,13 @@ use super::super::neighbors::Search;
 use super::super::population::Population;
 use super::*;
 
-/// Largest differences in f32, relative to the largest value and gradient of a tensor: windows open within τ = 0.02, which
-/// multiplies the rounding errors of a network of high frequencies.
+/// Largest f32 differences, relative to the largest value and gradient of a tensor. Windows open within τ = 0.02, which
+/// amplifies the rounding errors of a network with high frequencies.
 const TOLERANCES: [f64; 2] = [1e-3, 5e-3];
-/// Anchors of the test.
+/// Number of anchors in the test.
 const CROWD: usize = 200;
 
-/// Many particles around those of the test scene, with windows all over time.
+/// Many particles, perturbed copies of the test scene's, with windows spread over the clip.
 fn crowd() -> World {
     let mut world = with_split_windows(&[MOTION, ACTIVATION, ENERGY_FLOW, COHERENCE]);
     for (seed, attribute) in ["positions", "features", "offsets", "log_scales"].into_iter().enumerate() {
@@ -33,7 +33,7 @@ fn crowd() -> World {
     world
 }
 
-/// The first view's maps with everything in the depth that half of the anchors are beyond, and a flow everywhere.
+/// The first view's maps with a constant depth, the median of the anchors', and a constant flow.
 fn maps_that_show_some(world: &World, device: Device) -> FlowMaps<f32> {
     let maps = FlowView::of(&world.dataset, &world.supplements, 0).unwrap().maps(device, &ViewConstants::default());
     let row = maps.camera.rotation[2];
@@ -47,7 +47,8 @@ fn maps_that_show_some(world: &World, device: Device) -> FlowMaps<f32> {
     FlowMaps { depth, flow, ..maps }
 }
 
-/// What particles with split windows do on a device, with every learnt tensor's gradient, and the readbacks until then.
+/// Outputs of particles with split windows on a device, the gradients of all trained tensors, and the number of
+/// readbacks.
 fn outcome(world: &World, device: Device) -> (Vec<Tensor<f32>>, Vec<Tensor<f32>>, u64) {
     let method = KineticGaussians::<f32>::new(&world.method.shared, world.method.settings.clone());
     let mut state = ModelState::<f32>::new();
@@ -79,7 +80,7 @@ fn outcome(world: &World, device: Device) -> (Vec<Tensor<f32>>, Vec<Tensor<f32>>
 }
 
 #[test]
-fn masked_particles_are_those_that_the_cpu_leaves_out() {
+fn gpu_masks_the_particles_that_the_cpu_skips() {
     let Some(gpu) = test_gpu() else { return };
     let world = crowd();
     let (expected, expected_gradients, _) = outcome(&world, Device::Cpu);
@@ -98,7 +99,7 @@ fn masked_particles_are_those_that_the_cpu_leaves_out() {
 }
 
 #[test]
-fn a_population_is_known_until_anchors_come_or_go() {
+fn the_population_is_cached_until_anchors_change() {
     let mut world = World::fine(&ALL);
     let population = |world: &World| {
         let mut tape = Tape::new(Device::Cpu);

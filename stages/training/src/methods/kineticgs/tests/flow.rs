@@ -1,4 +1,4 @@
-//! Particles follow the flow of what a view sees.
+//! Tests of the energy-flow targets and loss.
 
 use glam::DVec3;
 use scene::{Camera, DepthMap, FlowMap, Intrinsics};
@@ -9,7 +9,8 @@ use super::super::energy_flow::{FlowView, energy_flow};
 use super::*;
 use crate::data::{FlowPrior, ViewPriors};
 
-/// A camera at the origin and a wall at depth 2, whose pixels go two to the right; `depth_to` is the depth there.
+/// A camera at the origin and a wall at depth 2 whose pixels flow two px to the right; `depth_to` is the depth at the
+/// end of the flow.
 fn wall(depth_to: Option<f32>) -> (Camera, ViewPriors, Supplements) {
     let (width, height) = (8, 8);
     let intrinsics = Intrinsics { width, height, focal_x: 8.0, focal_y: 8.0, center_x: 4.0, center_y: 4.0 };
@@ -29,7 +30,7 @@ fn wall(depth_to: Option<f32>) -> (Camera, ViewPriors, Supplements) {
     (camera, first, supplements)
 }
 
-/// The target of a point as the test scene's first view, with the camera of [`wall`], sees it, and its free direction.
+/// The target of a point in the test scene's first view with the camera of [`wall`], and its free direction.
 fn target(depth_to: Option<f32>, position: DVec3) -> Option<[DVec3; 2]> {
     let dir = tempfile::tempdir().unwrap();
     let mut dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
@@ -44,8 +45,8 @@ fn target(depth_to: Option<f32>, position: DVec3) -> Option<[DVec3; 2]> {
 }
 
 #[test]
-fn a_target_is_where_flow_and_depth_lead() {
-    // Two pixels at depth 2 with a focal length of 8 pixels are half a unit; at depth 4, one.
+fn targets_follow_flow_and_depth() {
+    // With a focal length of 8 px, two pixels are half a unit at depth 2 and one unit at depth 4.
     let seen = DVec3::new(0.1, 0.0, 2.0);
     let [position, free] = target(Some(4.0), seen).unwrap();
     assert!(position.distance(DVec3::new(0.1 * 2.0 + 1.0, 0.0, 4.0)) <= 1e-9 && free == DVec3::ZERO);
@@ -55,7 +56,7 @@ fn a_target_is_where_flow_and_depth_lead() {
 }
 
 #[test]
-fn what_a_view_does_not_see_or_know_has_no_target() {
+fn hidden_or_unknown_points_have_no_target() {
     let hidden = [DVec3::new(0.1, 0.0, 2.2), DVec3::new(0.1, 0.0, 1.8), DVec3::new(9.0, 0.0, 2.0), DVec3::NEG_Z];
     assert!(hidden.iter().all(|&position| target(None, position).is_none()));
     // The first pixel has no flow.
@@ -64,7 +65,7 @@ fn what_a_view_does_not_see_or_know_has_no_target() {
 }
 
 #[test]
-fn moving_pixels_are_left_out_of_the_coarse_phase() {
+fn moving_pixels_are_masked_in_coarse() {
     let world = World::new(&ALL, Settings::tiny(), COARSE);
     let (outcome, _) = world.step(COARSE, 3);
     let [moving, pixels] = outcome.skipped["moving pixels in coarse"];
@@ -75,8 +76,8 @@ fn moving_pixels_are_left_out_of_the_coarse_phase() {
     assert!(unmasked.losses()["photometric"] > outcome.losses()["photometric"]);
 }
 
-/// The energy-flow loss of three particles at (0.1, 0, 2) on the wall that the field moves by `shift` along x at all times,
-/// and its gradient by that shift (x, y, z).
+/// The energy-flow loss of three particles at (0.1, 0, 2) on the wall, displaced by `shift` along x at all times, and
+/// its gradient with respect to the shift (x, y, z).
 fn loss_and_gradient(depth_to: Option<f32>, shift: f64) -> (f64, Vec<f64>) {
     let mut world = World::fine(&[MOTION, MOMENTUM_INIT, ENERGY_FLOW]);
     let (camera, _, supplements) = wall(depth_to);
@@ -101,9 +102,9 @@ fn loss_and_gradient(depth_to: Option<f32>, shift: f64) -> (f64, Vec<f64>) {
 }
 
 #[test]
-fn particles_that_stand_still_miss_the_flow_by_its_length_and_are_pulled_along() {
-    // The field moves particles at both times alike: the target moves with them, and they miss it by half a unit. But the
-    // target is an observation: to the gradient only the arrival moves.
+fn static_particles_are_pulled_along_the_flow() {
+    // The field displaces particles equally at both times, so the target moves along and they miss it by half a unit.
+    // Targets are observations, however, so the gradient only moves the particles.
     for shift in [0.0, 0.05] {
         let (distance, gradient) = loss_and_gradient(Some(2.0), shift);
         assert!((distance - 0.5).abs() <= 1e-9, "{distance}");
@@ -116,7 +117,7 @@ fn particles_that_stand_still_miss_the_flow_by_its_length_and_are_pulled_along()
 }
 
 #[test]
-fn a_particle_is_free_along_the_ray_where_the_depth_of_its_arrival_is_not_known() {
+fn unknown_target_depth_leaves_the_ray_free() {
     let (distance, gradient) = loss_and_gradient(None, 0.0);
     let ray = DVec3::new(0.6, 0.0, 2.0).normalize();
     let missed = DVec3::new(-0.5, 0.0, 0.0);

@@ -1,4 +1,4 @@
-//! Neighbours, and how much each loss weighs when.
+//! Neighbours of particles, and schedules of the loss weights.
 
 use super::super::coherence::displacement_incoherence;
 use super::super::neighbors::{Neighbors, Pairs, Search};
@@ -6,7 +6,7 @@ use super::super::weights::LossSettings;
 use super::*;
 
 #[test]
-fn neighbours_that_move_alike_are_coherent() {
+fn neighbours_with_equal_motion_are_coherent() {
     let pairs = Pairs::new(&[[0, 1], [1, 2], [0, 2]], 3).unwrap();
     let incoherence = |rows: Vec<f64>, active: Option<[f64; 3]>| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
@@ -20,18 +20,18 @@ fn neighbours_that_move_alike_are_coherent() {
     };
     assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3), None), 0.0);
     assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3), Some([1.0; 3])), 0.0);
-    // Only particles 0 and 2 are active: one pair, opposite motion; 4·0.01 in units of 0.01.
+    // Only particles 0 and 2 are active: one pair in opposite motion, 4·0.01 in units of 0.01.
     let opposite = [0.1, 0.0, 0.0, 7.0, 8.0, 9.0, -0.1, 0.0, 0.0];
     let found = incoherence(opposite.to_vec(), Some([1.0, 0.0, 1.0]));
     assert!((found - 4.0).abs() <= 1e-9, "{found}");
     assert_eq!(incoherence(opposite.to_vec(), Some([0.0, 1.0, 0.0])), 0.0);
-    // Displacements far below the least unit do not blow up.
+    // Displacements far below the minimum unit do not blow up.
     let tiny = incoherence(opposite.map(|x| 1e-8 * x).to_vec(), Some([1.0, 0.0, 1.0]));
     assert!(tiny <= 1e-9, "{tiny}");
 }
 
 #[test]
-fn every_way_to_find_neighbours_finds_close_ones() {
+fn every_neighbour_search_finds_close_pairs() {
     let positions: Vec<[f32; 3]> = (0..64).map(|at| [(at % 4) as f32, (at / 4 % 4) as f32, (at / 16) as f32]).collect();
     for search in [Search::Hilbert, Search::ZOrder, Search::Nearest] {
         let pairs = search.pairs(&positions, 1.0);
@@ -50,7 +50,7 @@ fn every_way_to_find_neighbours_finds_close_ones() {
 }
 
 #[test]
-fn weights_grow_and_the_flow_ends() {
+fn weights_grow_and_the_flow_loss_ends() {
     let settings = LossSettings::default();
     assert!((settings.at(1000, 1.0).flow - 0.05).abs() <= 1e-12);
     assert!((settings.at(4000, 1.0).flow - 0.1).abs() <= 1e-12);

@@ -1,4 +1,4 @@
-//! Whole trainings on the test scene.
+//! End-to-end trainings on the test scene.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use super::*;
 use crate::params::TrainingParams;
 use crate::trainer::Trainer;
 
-/// Twelve views of blobs of which every other one moves; the curve is measured on training views.
+/// Twelve views of blobs, half of them moving; the quality curve is measured on training views.
 fn moving_scene() -> (tempfile::TempDir, Dataset, Supplements) {
     let dir = tempfile::tempdir().unwrap();
     let scene = TestScene { train_views: 12, val_views: 0, travel: 1.2, ..TestScene::default() };
@@ -17,7 +17,7 @@ fn moving_scene() -> (tempfile::TempDir, Dataset, Supplements) {
     (dir, dataset, supplements)
 }
 
-/// Small fields that learn fast, and losses that are all there from the first iterations.
+/// Small, fast-learning fields, with all losses active from the first iterations.
 fn params(coarse: u64, fine: u64) -> Value {
     let field = |texels: u64| {
         json!({
@@ -52,7 +52,7 @@ fn trained(dataset: &Dataset, supplements: &Supplements, params: Value) -> f64 {
 }
 
 #[test]
-fn motion_is_learnt_where_the_same_anchors_without_it_cannot() {
+fn motion_improves_psnr_over_static_anchors() {
     let (_dir, dataset, supplements) = moving_scene();
     let moving = trained(&dataset, &supplements, params(100, 400));
     let mut still = params(100, 400);
@@ -62,7 +62,7 @@ fn motion_is_learnt_where_the_same_anchors_without_it_cannot() {
 }
 
 #[test]
-fn a_training_that_grows_and_prunes_anchors_resumes_to_the_same_bytes() {
+fn resume_with_anchor_growth_is_bytewise_equal() {
     let (_dir, dataset, supplements) = moving_scene();
     let mut params = params(12, 14);
     params["batch"] = json!(2);
@@ -79,7 +79,7 @@ fn a_training_that_grows_and_prunes_anchors_resumes_to_the_same_bytes() {
     let whole = finish(Trainer::new(&dataset, &supplements, &params).unwrap());
     let anchors = |tensors: &BTreeMap<String, crate::artifact::NamedTensor>| tensors["anchors.features"].shape[0];
     let first = Trainer::new(&dataset, &supplements, &params).unwrap();
-    assert_ne!(anchors(&whole), anchors(&finish_none(first)), "no anchor came or went");
+    assert_ne!(anchors(&whole), anchors(&finish_none(first)), "no anchor was added or removed");
     for stop in [3, 11, 17] {
         let mut trainer = Trainer::new(&dataset, &supplements, &params).unwrap();
         (0..stop).for_each(|_| trainer.advance().unwrap());
