@@ -1,4 +1,4 @@
-//! The methods: one folder each, one line each in [`registry`]. No method imports another.
+//! The methods: one folder and one line in [`registry`] each. No method imports another.
 
 mod deformable3dgs;
 mod deformable4dgs;
@@ -43,7 +43,7 @@ static METHODS: LazyLock<Vec<Registration>> = LazyLock::new(|| {
     ]
 });
 
-/// The names of all methods, in the same order.
+/// The names of all methods, in the order of the tables.
 static NAMES: LazyLock<Vec<&'static str>> = LazyLock::new(|| METHODS.iter().map(|method| method.name).collect());
 
 /// Every registered method, in the order of the tables.
@@ -64,23 +64,23 @@ pub(crate) trait MethodFolder: 'static {
     /// The method's defaults for the tables of all methods.
     fn shared_defaults() -> Shared;
 
-    /// The method's effects, in the order of its README. View-dependent colour is added for methods with spherical
-    /// harmonics in their defaults.
+    /// The method's effects, in the order of its README. View-dependent colour is added for methods whose default
+    /// colours are spherical harmonics.
     fn effects() -> Vec<Effect> {
         Vec::new()
     }
 
-    /// The first phase, if other methods begin with it as well, so that one job can train it for all of them.
+    /// The first phase, if other methods begin with the same one, so that one job can train it for all of them.
     fn coarse(_shared: &Shared, _settings: &Self::Settings) -> Option<CoarseSharing> {
         None
     }
 
-    /// An error for settings that cannot work.
+    /// An error for invalid settings.
     fn check(_settings: &Self::Settings) -> Result<(), String> {
         Ok(())
     }
 
-    /// Small settings, for checks of gradients by central differences.
+    /// Small settings, for gradient checks by central differences.
     #[cfg(test)]
     fn tiny_settings() -> Self::Settings {
         Self::Settings::default()
@@ -137,17 +137,17 @@ impl Registration {
         (self.own_effects)().into_iter().chain(shared).collect()
     }
 
-    /// The first phase, if other methods begin with it as well.
+    /// The first phase, if other methods begin with the same one.
     pub(crate) fn coarse(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Option<CoarseSharing>> {
         (self.coarse)(shared, settings)
     }
 
-    /// Whether the method's colours are spherical harmonics.
+    /// Whether the method's colours are spherical harmonics by default.
     pub(crate) fn has_harmonics(&self) -> bool {
         (self.shared_defaults)().harmonics.degree > 0
     }
 
-    /// Small settings, for checks of gradients by central differences.
+    /// Small settings, for gradient checks by central differences.
     #[cfg(test)]
     pub(crate) fn tiny(&self) -> Value {
         (self.tiny_settings)()
@@ -158,7 +158,7 @@ impl Registration {
         (self.build_f32)(shared, settings)
     }
 
-    /// Builds the method for checks of its gradients.
+    /// Builds the method in f64 for gradient checks.
     #[cfg(test)]
     pub(crate) fn build_f64(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Box<dyn Method<f64>>> {
         (self.build_f64)(shared, settings)
@@ -171,17 +171,17 @@ fn read_settings<M: MethodFolder>(given: &Value) -> anyhow::Result<M::Settings> 
     Ok(settings)
 }
 
-/// The name of a method that is not registered.
+/// The error for a method name that is not registered.
 #[derive(Debug, thiserror::Error)]
 #[error("unknown method `{got}`; known methods: {}", known.join(", "))]
 pub(crate) struct UnknownName {
-    /// The name.
+    /// The unknown name.
     pub got: String,
-    /// The registered names.
+    /// All registered names.
     pub known: &'static [&'static str],
 }
 
-/// The method of that name.
+/// The method with this name.
 pub(crate) fn find(name: &str) -> Result<&'static Registration, UnknownName> {
     let found = METHODS.iter().find(|method| method.name == name);
     found.ok_or_else(|| UnknownName { got: name.into(), known: &NAMES })
@@ -192,7 +192,7 @@ pub(crate) fn names() -> &'static [&'static str] {
     &NAMES
 }
 
-/// The folders and kernels of all other methods: an edit there cannot change the result of this one.
+/// The folders and kernels of all other methods. Editing them cannot change the result of this method.
 pub(crate) fn unused_sources(name: &str) -> UnusedSources {
     let others = || METHODS.iter().filter(|other| other.name != name);
     let folders = others().map(|other| format!("src/methods/{}", other.name)).collect();

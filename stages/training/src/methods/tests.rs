@@ -1,4 +1,4 @@
-//! Every registered method: its registration, and its gradients in f64 against central differences.
+//! Tests of every registered method: its registration, and its f64 gradients against central differences.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,16 +15,16 @@ use crate::model::ModelState;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
-/// Step of the central differences: truncation 1e-12 and rounding 1e-10 stay below [`TOLERANCE`].
+/// Step of the central differences, at which truncation (1e-12) and rounding (1e-10) stay below [`TOLERANCE`].
 const STEP: f64 = 1e-6;
-/// Relative to the largest gradient of the tensor, with [`FLOOR`] of the largest of all.
+/// Tolerance relative to the tensor's largest gradient, which is at least [`FLOOR`] of the largest of all tensors.
 const TOLERANCE: f64 = 2e-5;
-/// Gradients this much smaller than the largest of all are lost in the rounding of the loss.
+/// Gradients smaller than the largest of all by this factor drown in the rounding of the loss.
 const FLOOR: f64 = 1e-4;
-/// Elements per tensor that are compared.
+/// Compared elements per tensor.
 const SAMPLES: usize = 10;
 
-/// A method in f64 in the midst of a phase.
+/// A method in f64 in the middle of a phase.
 struct Case {
     method: Box<dyn Method<f64>>,
     params: TrainingParams,
@@ -37,12 +37,12 @@ struct Case {
 }
 
 impl Case {
-    /// The state at the start of `phase` with every value moved a little, so that nothing is at a special point.
+    /// The state at the start of `phase` with every value perturbed, so that no value is at a singular point.
     fn new(entry: &Registration, phase_index: usize) -> Self {
         Self::with(entry, phase_index, |_| ())
     }
 
-    /// The same with changed parameters.
+    /// The perturbed state at the start of a phase, for changed parameters.
     fn with(entry: &Registration, phase_index: usize, change: impl FnOnce(&mut Shared)) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let test_scene = TestScene { size: 16, ..TestScene::default() };
@@ -116,21 +116,21 @@ impl Case {
         (total, model.iter().filter_map(take).collect())
     }
 
-    /// Operations of one step, and its losses.
+    /// The number of operations in the forward pass of one step, and its loss.
     fn operations(&self) -> (usize, f64) {
         let mut tape = Tape::new(Device::Cpu);
         let (loss, _) = self.evaluate_on(&mut tape, &self.state);
         (tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum(), loss)
     }
 
-    /// Everything that the methods' losses hold constant although it was computed from the model.
+    /// The values that the losses detach from the model, in order.
     fn detached(&self) -> Vec<Tensor<f64>> {
         let mut tape = Tape::new(Device::Cpu);
         self.evaluate_on(&mut tape, &self.state);
         tape.detached().to_vec()
     }
 
-    /// The loss with one element of one tensor moved, and what is held constant as it was.
+    /// The loss with one element of one tensor perturbed and the detached values unchanged.
     fn loss_with(&self, detached: &[Tensor<f64>], name: &str, element: usize, shift: f64) -> f64 {
         let mut state = self.state.clone();
         let mut tensor = state.get(name).unwrap().clone();
@@ -139,7 +139,7 @@ impl Case {
         self.evaluate_on(&mut Tape::replaying(Device::Cpu, detached), &state).0
     }
 
-    /// Compares a few elements of every learnt tensor with central differences; the first that disagrees is the error.
+    /// Compares a few elements of every trained tensor with central differences; the error names the first mismatch.
     fn check_gradients(&self, found: &BTreeMap<String, Tensor<f64>>) -> Result<(), String> {
         let largest = |tensor: &Tensor<f64>| tensor.as_slice().iter().fold(0.0_f64, |a, value| a.max(value.abs()));
         let overall = found.values().map(largest).fold(0.0, f64::max);
@@ -218,7 +218,7 @@ fn every_readme_states_its_equations_and_departures() {
 }
 
 #[test]
-fn unused_sources_are_all_other_folders_and_exist() {
+fn unused_sources_are_all_other_method_folders() {
     for entry in registry() {
         let unused = unused_sources(entry.name);
         assert_eq!(unused["training"].len(), registry().len() - 1);
@@ -229,7 +229,7 @@ fn unused_sources_are_all_other_folders_and_exist() {
     }
 }
 
-/// What a training costs (optional inputs read, values learnt, operations of one step in each phase), and its losses.
+/// The cost of a training (optional inputs read, trained values, operations of one step in each phase), and its loss.
 fn cost(entry: &Registration, on: &BTreeSet<String>) -> ([usize; 3], f64) {
     let change = |shared: &mut Shared| {
         if !on.contains(VIEW_DEPENDENT_COLOR.name) {
@@ -256,7 +256,7 @@ fn cost(entry: &Registration, on: &BTreeSet<String>) -> ([usize; 3], f64) {
 }
 
 #[test]
-fn an_effect_that_is_off_costs_nothing() {
+fn disabled_effects_cost_nothing() {
     let mut complaints = Vec::new();
     for entry in registry() {
         let effects = entry.effects();
@@ -265,15 +265,15 @@ fn an_effect_that_is_off_costs_nothing() {
         for effect in &effects {
             let mut rest = all.clone();
             rest.remove(effect.name);
-            // What needs an effect goes with it.
+            // Effects that need the removed one are removed, too.
             for other in &effects {
                 if other.needs.iter().any(|need| matches!(need, Need::Effect(name) if !rest.contains(*name))) {
                     rest.remove(other.name);
                 }
             }
             let (without, loss) = cost(&entry, &rest);
-            // What is off may leave its work to the rest (without a static layer everything is dynamic), but it must save
-            // something, or at least have done something.
+            // Without an effect, other parts may do more work (without a static layer everything is dynamic), but some
+            // cost must be lower; or, at equal cost, the loss must differ.
             let saves = without.iter().zip(&full).any(|(without, full)| without < full);
             if !saves && (without != full || loss == full_loss) {
                 complaints.push(format!("{} without {}: {without:?} after {full:?}", entry.name, effect.name));
@@ -284,14 +284,14 @@ fn an_effect_that_is_off_costs_nothing() {
 }
 
 #[test]
-fn an_unknown_method_is_refused_with_the_known_ones() {
+fn unknown_methods_are_refused_with_the_known_names() {
     let error = find("nerf").err().unwrap();
     assert_eq!(error.got, "nerf");
     assert!(error.known.contains(&"deformable4dgs") && error.to_string().contains("deformable4dgs"));
 }
 
 #[test]
-fn rows_name_every_splat_once() {
+fn rows_are_unique_and_cover_every_splat() {
     for (name, case) in cases() {
         let mut tape = Tape::new(Device::Cpu);
         let model = case.state.bind(&mut tape, |_| false);

@@ -26,7 +26,7 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, stretch};
 use crate::shared::Shared;
 
-/// What the network says: its heads start at random, as published.
+/// Heads of the network, randomly initialised as published.
 const POSITION: Head = Head { name: "position", outputs: 3, first: FirstWeights::FanIn };
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::FanIn };
 const SCALE: Head = Head { name: "scale", outputs: 3, first: FirstWeights::FanIn };
@@ -34,15 +34,15 @@ const SCALE: Head = Head { name: "scale", outputs: 3, first: FirstWeights::FanIn
 /// Deformable 3D Gaussians: a coordinate network moves canonical Gaussians (Yang et al. 2024).
 pub(crate) struct Deformable3dgs;
 
-/// What only this method understands.
+/// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
-    /// The network.
+    /// The coordinate network.
     pub network: CoordinateMlpSettings,
-    /// First standard deviation of the effect `time-noise`, in intervals between frames.
+    /// Initial standard deviation of the effect `time-noise`, in frame intervals.
     pub time_noise: f64,
-    /// Iterations after which nothing is left of it.
+    /// Iteration at which the time noise reaches zero.
     pub time_noise_until: u64,
 }
 
@@ -64,7 +64,7 @@ impl MethodFolder for Deformable3dgs {
         vec![
             Effect {
                 name: "motion",
-                about: "a coordinate network moves, turns and scales the Gaussians",
+                about: "a coordinate network moves, rotates and scales the Gaussians",
                 needs: &[Need::Times(2), Need::Motion],
                 by_default: true,
             },
@@ -171,7 +171,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
 }
 
 impl DeformedGaussians {
-    /// The time of a training view; with the effect `time-noise`, a little beside it while the training is young
+    /// The time of a training view; with the effect `time-noise`, perturbed by noise that decays over the training
     /// (annealing smooth training, section 3.4).
     fn training_time<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> f64 {
         if !self.has_time_noise || step.phase == WARM_UP {

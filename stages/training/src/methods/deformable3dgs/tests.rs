@@ -12,7 +12,7 @@ fn tiny() -> Value {
 }
 
 #[test]
-fn without_motion_there_is_no_network_and_the_result_is_that_of_static_gaussians() {
+fn without_motion_no_network_is_trained() {
     let (moving, still) = (train(&["motion"]), train(&[]));
     assert!(moving.count_tensors("network.") > 0 && moving.ran("positional_encoding"));
     assert_eq!(still.count_tensors("network."), 0);
@@ -25,14 +25,14 @@ fn without_motion_there_is_no_network_and_the_result_is_that_of_static_gaussians
 }
 
 #[test]
-fn noise_on_the_time_changes_the_result_and_adds_nothing() {
+fn time_noise_changes_the_result_without_extra_operations() {
     let (plain, noisy) = (train(&["motion"]), train(&["motion", "time-noise"]));
     assert_eq!((&plain.tensors, &plain.operations), (&noisy.tensors, &noisy.operations));
     assert_ne!(plain.checkpoint, noisy.checkpoint);
 }
 
 #[test]
-fn both_phases_are_one_schedule() {
+fn both_phases_share_one_schedule() {
     let shared = Deformable3dgs::shared_defaults();
     let method = Deformable3dgs::build::<f32>(&shared, Settings::default());
     let scene = crate::data::SceneFacts {

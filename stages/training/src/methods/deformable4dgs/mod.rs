@@ -1,4 +1,4 @@
-//! 4DGaussians (Wu et al. 2024): the hexplane base and nothing else.
+//! 4DGaussians (Wu et al. 2024): the plain hexplane base.
 
 use shaders::tape::Real;
 

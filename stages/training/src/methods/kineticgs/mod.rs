@@ -55,7 +55,7 @@ impl MethodFolder for Kineticgs {
             effect(MOTION, "particles and the Gaussians of all anchors move", &[Need::Times(2), Need::Motion]),
             effect(
                 MOMENTUM_INIT,
-                "particles begin where things move; other anchors stand still",
+                "particles start in moving regions; other anchors are static",
                 &[Need::Particles, Need::Effect(MOTION)],
             ),
             effect(ACTIVATION, "every particle moves within a window of time", &[Need::Times(4), Need::Effect(MOTION)]),

@@ -174,14 +174,7 @@ impl Chain {
     }
 
     /// Attention of the newest state over the window, for every node and time (equations 14 and 15).
-    fn attend<T: Real>(
-        &self,
-        tape: &mut Tape<T>,
-        model: &Variables,
-        encoded: Var,
-        nodes: usize,
-        times: usize,
-    ) -> Var {
+    fn attend<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, encoded: Var, nodes: usize, times: usize) -> Var {
         let (window, width) = (self.window(), self.settings.width);
         let windows = times * nodes;
         // Attention row (time, node, state of the window) reads encoded row (time + state, node).

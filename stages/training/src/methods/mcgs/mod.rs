@@ -65,8 +65,8 @@ impl MethodFolder for Mcgs {
                 &[Need::Times(2), Need::Motion],
             ),
             SKIP_STILL,
-            effect("attention", "the chain looks back over a window of states, not at the last one alone", OF_MOTION),
-            effect("noise", "annealed noise on predicted motion, more where nodes are seldom seen", OF_MOTION),
+            effect("attention", "the chain attends over a window of states, not only the last one", OF_MOTION),
+            effect("noise", "annealed noise on predicted motion, stronger for rarely visible nodes", OF_MOTION),
             effect("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
             effect(
                 "physics",

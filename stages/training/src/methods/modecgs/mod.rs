@@ -1,4 +1,5 @@
-//! MoDec-GS (Kwak et al. 2025): anchors that move from segment to segment of time, and Gaussians that move within them.
+//! MoDec-GS (Kwak et al. 2025): anchors that move from time segment to time segment, and Gaussians that move within
+//! them.
 
 #[cfg(test)]
 mod tests;
@@ -23,27 +24,27 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
 use crate::shared::Shared;
 
-/// The only effect.
+/// The method's only effect besides view-dependent colour.
 const MOTION: &str = "motion";
-/// [N, 2] before the logistic function: how much an anchor takes part in the motion of positions, and of all else.
+/// [N, 2] logits of each anchor's gates, for the motion of its position and for all other changes.
 const GATES: &str = "anchors.gates";
-/// An anchor stands still where its first gate is not above this (published code).
+/// An anchor is static while its first gate is at or below this value (published code).
 const GATE_THRESHOLD: f64 = 0.01;
 
 /// MoDec-GS: anchors move globally, their Gaussians locally (Kwak et al. 2025).
 pub(crate) struct Modecgs;
 
-/// What only this method understands.
+/// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
     /// Anchors and their networks.
     pub anchors: AnchorSettings,
-    /// The fields that move anchors and Gaussians.
+    /// The deformation fields of anchors and Gaussians.
     pub deformation: DeformationSettings,
-    /// Equal parts of time; anchors stand still within each.
+    /// Number of equal time segments; anchors are static within each.
     pub segments: u32,
-    /// Step size of the gates.
+    /// Learning rate of the gates.
     pub gate_rate: LogLinear,
 }
 
@@ -67,7 +68,7 @@ impl MethodFolder for Modecgs {
     }
 
     fn effects() -> Vec<Effect> {
-        let about = "anchors move from segment to segment of time, their Gaussians within them";
+        let about = "anchors move between time segments, their Gaussians within them";
         vec![Effect { name: MOTION, about, needs: &[Need::Times(2), Need::Motion], by_default: true }]
     }
 
@@ -108,7 +109,7 @@ impl MotionDecomposition {
         Self { base, settings, global, local, has_motion }
     }
 
-    /// Whether things move in a phase.
+    /// Whether anchors and Gaussians move in a phase.
     fn moves(&self, phase: &str) -> bool {
         phase == FINE && self.has_motion
     }
@@ -126,14 +127,15 @@ impl MotionDecomposition {
         spawned
     }
 
-    /// The middle of the segment of a time in [0, 1].
+    /// The middle of the segment that contains a time in [0, 1].
     fn segment_time(&self, time: f64) -> f64 {
         let segments = f64::from(self.settings.segments);
         ((time * segments).floor().clamp(0.0, segments - 1.0) + 0.5) / segments
     }
 }
 
-/// Anchors plus their change: that of positions where the first gate is open, all else in proportion to the second.
+/// Anchors plus their gated change: positions change fully if the first gate is open, all else in proportion to the
+/// second gate.
 fn through_gates<T: Real>(tape: &mut Tape<T>, gates: Var, canonical: &Anchors, change: &AnchorChange) -> Anchors {
     let gates = sigmoid(tape, gates);
     let (position_gate, soft) = (columns(tape, gates, 0..1), columns(tape, gates, 1..2));

@@ -22,7 +22,7 @@ fn at_fine(effects: Effects, settings: Settings) -> (MotionDecomposition, ModelS
     (method, state, dataset)
 }
 
-/// The positions of the Gaussians and the operations that it took.
+/// The positions of the Gaussians and the number of operations that compute them.
 fn positions(
     method: &MotionDecomposition,
     state: &ModelState<f64>,
@@ -39,7 +39,7 @@ fn positions(
 }
 
 #[test]
-fn nothing_moves_at_first_and_a_head_that_does_not_start_at_zero_moves() {
+fn only_nonzero_heads_move_gaussians_initially() {
     let zero = Settings {
         deformation: DeformationSettings { zero_heads: true, ..DeformationSettings::tiny() },
         ..Modecgs::tiny_settings()
@@ -56,7 +56,7 @@ fn nothing_moves_at_first_and_a_head_that_does_not_start_at_zero_moves() {
 }
 
 #[test]
-fn without_motion_there_are_no_tensors_and_no_operations_of_it() {
+fn without_motion_no_tensors_or_operations_are_added() {
     let none = Effects::Named(Default::default());
     let (method, state, dataset) = at_fine(none, Modecgs::tiny_settings());
     let is_static = |name: &str| name.starts_with("anchors.") && name != GATES || name.starts_with("views.");
@@ -65,11 +65,11 @@ fn without_motion_there_are_no_tensors_and_no_operations_of_it() {
     let (coarse, in_coarse) = positions(&method, &state, &dataset, COARSE, 0.0);
     assert_eq!((fine, in_fine), (coarse, in_coarse));
     let (method, state, dataset) = at_fine(Effects::Auto, Modecgs::tiny_settings());
-    assert!(positions(&method, &state, &dataset, FINE, 0.7).1 > in_coarse, "motion takes operations");
+    assert!(positions(&method, &state, &dataset, FINE, 0.7).1 > in_coarse, "motion adds operations");
 }
 
 #[test]
-fn a_closed_gate_holds_the_position_and_an_open_one_lets_all_of_it_through() {
+fn position_gates_are_binary_and_other_gates_soft() {
     let mut tape = Tape::<f64>::new(Device::Cpu);
     let mut constant = |columns: usize, value: f64| tape.constant(Tensor::full([2, columns], value));
     let canonical = Anchors {
@@ -94,7 +94,7 @@ fn a_closed_gate_holds_the_position_and_an_open_one_lets_all_of_it_through() {
 }
 
 #[test]
-fn times_of_a_segment_share_its_middle() {
+fn times_of_a_segment_map_to_its_middle() {
     let (method, ..) = at_fine(Effects::Auto, Modecgs::tiny_settings());
     for (time, middle) in [(0.0, 0.0625), (0.12, 0.0625), (0.13, 0.1875), (0.999, 0.9375), (1.0, 0.9375)] {
         assert_eq!(method.segment_time(time), middle);

@@ -47,17 +47,17 @@ impl MethodFolder for Phys4dgs {
             SKIP_STILL,
             effect(
                 "velocity",
-                "Gaussians know their velocity, which agrees with how they move and changes slowly (eqs 3, 10)",
+                "Gaussians have a velocity that agrees with their motion and changes slowly (eqs 3, 10)",
                 &[Need::Effect("motion")],
             ),
             effect(
                 "displacement",
-                "known velocities agree with displacements from frame to frame (eq 5)",
+                "predicted velocities agree with displacements from frame to frame (eq 5)",
                 &[Need::Effect("motion")],
             ),
             effect(
                 "higher-order",
-                "known changes of velocity agree with acceleration and jerk (eqs 8, 9)",
+                "predicted changes of velocity agree with acceleration and jerk (eqs 8, 9)",
                 &[Need::Times(4), Need::Effect("motion")],
             ),
             effect(

@@ -1,4 +1,4 @@
-//! 4D-GS (Yang et al. 2024): Gaussians in space and time, of which every instant shows a slice.
+//! 4D-GS (Yang et al. 2024): Gaussians in space and time, rendered as slices at each instant.
 
 mod rigidity;
 mod settings;
@@ -28,10 +28,10 @@ use settings::{Settings, Switches};
 
 /// The only phase.
 const TRAIN: &str = "train";
-/// Waves of the colours' Fourier series beside the constant (published code).
+/// Number of waves of the colours' Fourier series in addition to the constant (published code).
 const WAVES: usize = 2;
 
-/// 4D-GS: Gaussians in space and time, cut at every instant (Yang et al. 2024).
+/// 4D-GS: Gaussians in space and time, sliced at every instant (Yang et al. 2024).
 pub(crate) struct Realtime4dgs;
 
 impl MethodFolder for Realtime4dgs {
@@ -53,7 +53,7 @@ impl MethodFolder for Realtime4dgs {
 
     #[cfg(test)]
     fn tiny_settings() -> Settings {
-        // Large enough to count beside the photometric loss.
+        // Large enough to matter next to the photometric loss.
         Settings { rigid_weight: 10.0, rigid_samples: 4, rigid_neighbors: 3 }
     }
 
@@ -69,7 +69,7 @@ struct SpaceTimeGaussians {
 }
 
 impl SpaceTimeGaussians {
-    /// The Gaussians at a time.
+    /// The Gaussians sliced at a time.
     fn slice<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> (SplatVars, SlicedVars) {
         let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
         let parameters = primitives4d::parameters(model, GAUSSIANS, var("log_scales"));
@@ -83,7 +83,7 @@ impl SpaceTimeGaussians {
         (splats, sliced)
     }
 
-    /// Harmonics at a time: constant ones, and the waves once all spatial degrees are in use.
+    /// Spherical harmonics at a time: constant ones, plus the waves once all spatial degrees are active.
     fn colors<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> Var {
         let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
         let degree = moment.sh_degree;
@@ -156,7 +156,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
     fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         let rates = &self.shared.learning_rates;
         match tensor.strip_prefix(GAUSSIANS)?.strip_prefix('.')? {
-            // As in the published code, whose schedule for the times never runs.
+            // Constant, because the published code never applies its schedule for the times.
             "times" => Some(LogLinear::constant(rates.position.start * scene.extent)),
             "log_scales_time" => Some(LogLinear::constant(rates.scale)),
             "rotations_left" | "rotations_right" => Some(LogLinear::constant(rates.rotation)),

@@ -1,4 +1,4 @@
-//! Neighbours move alike: the optional regulariser of the published code.
+//! The optional rigidity regulariser of the published code: neighbours move alike.
 
 use std::num::NonZero;
 
@@ -16,14 +16,14 @@ use super::settings::Settings;
 
 /// The time over which displacements are compared, as a share of the clip (0.1 s of a clip of one second).
 const DURATION: f64 = 0.1;
-/// 1 / (distance at which a neighbour counts e⁻¹)², in scene units (published code).
+/// 1 / (distance at which a neighbour's weight is e⁻¹)², in scene units (published code).
 const FALLOFF: f64 = 100.0;
-/// How far from all others, in scene units, those lie that are not there: no weight is left.
+/// Distance of absent Gaussians from all others, in scene units, at which their weight vanishes.
 const ELSEWHERE: f64 = 1e3;
 
-/// Σ e^(−100·d²)·‖vᵢ − vⱼ‖ over some Gaussians i, drawn at random, and the nearest j of each, by the number of pairs, with
-/// displacements v over a tenth of the clip and distances d at one time; positions [N, 3]. Those that are not there count
-/// for nothing. `None` where there are no two Gaussians.
+/// Σ e^(−100·d²)·‖vᵢ − vⱼ‖ over random Gaussians i and the nearest neighbours j of each, divided by the number of
+/// pairs, with displacements v over a tenth of the clip and distances d at one time; positions [N, 3]. Absent Gaussians
+/// do not contribute. `None` with fewer than two Gaussians.
 pub(crate) fn loss<T: Real>(
     tape: &mut Tape<T>,
     positions: Var,
@@ -35,10 +35,10 @@ pub(crate) fn loss<T: Real>(
     let mut chosen = sample(random, count, settings.rigid_samples.min(count)).into_vec();
     chosen.sort_unstable();
     let chosen = RowIndex::new(chosen.into_iter().map(|row| row as u32).collect(), count);
-    // Who is whose neighbour, and how much that counts, is not differentiated.
+    // The neighbour search and the weights are not differentiated.
     let places = places(tape, positions, sliced.present);
     let of_chosen = gather(tape, places, &chosen);
-    // One of them is the Gaussian itself, which always moves as it does.
+    // One neighbour is the Gaussian itself, with a difference of zero.
     let (neighbors, per_chosen) = nearest(tape, of_chosen, places, settings.rigid_neighbors + 1)?;
     let owners = (0..chosen.len() * per_chosen).map(|pair| chosen.row_of_item()[pair / per_chosen]).collect();
     let owners = RowIndex::new(owners, count);
@@ -65,7 +65,7 @@ pub(crate) fn loss<T: Real>(
     Some(reshape(tape, mean, [1]))
 }
 
-/// [N, 4] where Gaussians are, those that are not there [`ELSEWHERE`] along a fourth axis.
+/// Positions in four dimensions [N, 4]; absent Gaussians are displaced by [`ELSEWHERE`] along the fourth axis.
 fn places<T: Real>(tape: &mut Tape<T>, positions: Var, present: Var) -> Var {
     let positions = tape.detach(positions);
     let missing = scale(tape, present, -ELSEWHERE);
@@ -74,8 +74,8 @@ fn places<T: Real>(tape: &mut Tape<T>, positions: Var, present: Var) -> Var {
     tape.detach(places)
 }
 
-/// The `count` places nearest to each point, or all, and how many that is; `None` where that is one, or where places cannot
-/// be indexed. A search in a tree, or of all places on a GPU.
+/// The `count` nearest places of each point, or all if there are fewer, and their number; `None` if it is below two or
+/// the places cannot be indexed. Searches a k-d tree on the CPU and all places on a GPU.
 fn nearest<T: Real>(tape: &Tape<T>, points: Var, places: Var, count: usize) -> Option<(RowIndex, usize)> {
     let (points, places) = (tape.value(points), tape.value(places));
     let per_point = count.min(places.rows());

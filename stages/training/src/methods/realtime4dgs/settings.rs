@@ -1,18 +1,18 @@
-//! What a recipe may say about this method.
+//! Recipe settings of 4D-GS.
 
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effect, Effects, Need};
 
-/// What only this method understands: the loss of the effect `rigid`.
+/// The method's table in a recipe: the loss of the effect `rigid`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
-    /// Its weight.
+    /// Weight of the rigidity loss.
     pub rigid_weight: f64,
-    /// How many Gaussians per view are compared with their neighbours, drawn at random.
+    /// Number of random Gaussians per view that are compared with their neighbours.
     pub rigid_samples: usize,
-    /// How many neighbours each has.
+    /// Number of neighbours of each compared Gaussian.
     pub rigid_neighbors: usize,
 }
 
@@ -23,7 +23,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Why these settings cannot work, if so.
+    /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         if self.rigid_samples == 0 || self.rigid_neighbors == 0 {
             return Err("realtime4dgs: rigid_samples and rigid_neighbors must be positive".into());
@@ -35,11 +35,11 @@ impl Settings {
     }
 }
 
-/// Which effects are on.
+/// The active effects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Switches {
     pub motion: bool,
-    /// These only with motion.
+    /// Effects that need motion.
     pub temporal_color: bool,
     pub rigid: bool,
 }
@@ -51,11 +51,11 @@ impl Switches {
     }
 }
 
-/// What the method can simulate or leave out, in the order of its README.
+/// The method's effects, in the order of its README.
 pub(crate) fn effects() -> Vec<Effect> {
     let motion = Effect {
         name: "motion",
-        about: "Gaussians have a time, move, turn and fade",
+        about: "Gaussians have a time, move, rotate and fade",
         needs: &[Need::Times(2), Need::Motion],
         by_default: true,
     };

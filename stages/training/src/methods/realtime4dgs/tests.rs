@@ -27,7 +27,7 @@ fn first_state(method: &dyn Method<f32>, dataset: &Dataset) -> ModelState<f32> {
     method.initialize(&start, &points, &mut generator(0, Stream::Initial)).unwrap()
 }
 
-/// A tape with the splats of a state at a time and degree, and the names of the operations.
+/// A tape with the splats of a state at a time and degree, and the names of its operations.
 fn splats(
     method: &SpaceTimeGaussians,
     state: &ModelState<f32>,
@@ -45,7 +45,7 @@ fn splats(
 }
 
 #[test]
-fn without_motion_it_is_static3dgs() {
+fn without_motion_it_equals_static3dgs() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dataset(&dir);
     let still = method(&["temporal-color", "rigid"], 3);
@@ -57,7 +57,7 @@ fn without_motion_it_is_static3dgs() {
 }
 
 #[test]
-fn colours_without_time_have_no_waves() {
+fn colours_without_temporal_color_have_no_waves() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dataset(&dir);
     let (full, plain) = (method(&["motion", "temporal-color"], 1), method(&["motion"], 1));
@@ -69,24 +69,24 @@ fn colours_without_time_have_no_waves() {
 }
 
 #[test]
-fn gaussians_of_other_times_are_not_there() {
+fn gaussians_of_other_times_are_absent() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dataset(&dir);
     let method = method(&["motion"], 0);
     let mut state = first_state(&method, &dataset);
     assert_eq!(splats(&method, &state, &dataset, 0.5, 0).0.profile().ops["slicing4d"].forward.calls, 1);
-    // Ten times, three Gaussians each, that last a hundredth.
+    // Ten times with three Gaussians each, with a standard deviation of a hundredth.
     state.insert("gaussians.times", Tensor::from_vec([30, 1], (0..30).map(|at| 0.1 * (at % 10) as f32).collect()));
     state.insert("gaussians.log_scales_time", Tensor::full([30, 1], 0.01_f32.ln()));
     let (tape, there, _) = splats(&method, &state, &dataset, 0.3, 0);
     assert_eq!(present(&tape, &there), [3, 13, 23]);
     assert_eq!(baked(&tape, &there, 0).positions.len(), 9);
     let (tape, none, _) = splats(&method, &state, &dataset, 0.35, 0);
-    assert!(present(&tape, &none).is_empty(), "a moment that shows nothing is no error");
+    assert!(present(&tape, &none).is_empty(), "a moment without Gaussians is valid");
 }
 
 #[test]
-fn slices_can_be_saved_as_gaussians() {
+fn slices_convert_to_3d_gaussians() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dataset(&dir);
     let method = method(&["motion"], 0);
@@ -100,12 +100,15 @@ fn slices_can_be_saved_as_gaussians() {
         values
     };
     let difference = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-4;
-    assert_eq!(saved.log_scales.len(), 90, "half a clip away nothing has faded below 5 %");
-    assert!(sorted(&saved.log_scales).iter().zip(&sorted(stored)).all(difference), "nothing is tilted yet");
+    assert_eq!(saved.log_scales.len(), 90, "no Gaussian fades below 5 % within half a clip");
+    assert!(
+        sorted(&saved.log_scales).iter().zip(&sorted(stored)).all(difference),
+        "initial Gaussians are not tilted in time"
+    );
 }
 
 #[test]
-fn neighbours_that_move_alike_cost_nothing() {
+fn equal_motion_of_neighbours_has_zero_loss() {
     let settings = Settings { rigid_samples: 10, rigid_neighbors: 3, ..Settings::default() };
     let loss_of = |velocities: Vec<f64>, present: [f64; 5]| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
@@ -123,7 +126,7 @@ fn neighbours_that_move_alike_cost_nothing() {
     };
     assert_eq!(loss_of([1.0, 2.0, 3.0].repeat(5), [1.0; 5]), 0.0);
     assert!(loss_of((0..15).map(f64::from).collect(), [1.0; 5]) > 0.1);
-    // What is not there has no velocity either; of two that are, each has one neighbour of three.
+    // Absent Gaussians have no velocity; each of the two present ones has one present neighbour of three.
     let two = |second: f64| {
         let velocities = [[1.0; 3], [0.0; 3], [0.0; 3], [second; 3], [0.0; 3]].concat();
         loss_of(velocities, [1.0, 0.0, 0.0, 1.0, 0.0])

@@ -1,4 +1,4 @@
-//! Candidates for nodes: round Gaussians that the network moves, so that they come to lie where things move.
+//! Candidates for nodes: isotropic Gaussians that the network moves, so that they gather on moving parts.
 
 use scene::cloud::PointCloud;
 use shaders::arrays::rows::{concat_columns, row_sum};
@@ -16,7 +16,7 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
 use crate::shared::LearningRates;
 
-/// Adds Gaussians on at most `count` of the points, evenly chosen.
+/// Adds Gaussians at up to `count` of the points, evenly chosen.
 pub(crate) fn insert<T: Real>(
     state: &mut ModelState<T>,
     scene: &SceneFacts,
@@ -35,13 +35,13 @@ pub(crate) fn insert<T: Real>(
     gaussians::insert_gaussians(state, CANDIDATES, &points, sh_degree, gaussians::LONE_SCALE * scene.extent)
 }
 
-/// Step sizes; a round Gaussian has no rotation to learn.
+/// Learning rates of the candidates; isotropic Gaussians have no rotation to train.
 pub(crate) fn learning_rate(rates: &LearningRates, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
     let rate = gaussians::learning_rate(rates, CANDIDATES, tensor, scene)?;
     (tensor != "candidates.rotations").then_some(rate)
 }
 
-/// The candidates at a moment, moved where `nodes` are given.
+/// The candidates at a moment, moved if `nodes` are given.
 pub(crate) fn splats<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,

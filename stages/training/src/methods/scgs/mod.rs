@@ -27,34 +27,35 @@ use nodes::Nodes;
 
 /// The population of candidates.
 const CANDIDATES: &str = "candidates";
-/// Candidates for nodes learn where things are, each drawn as a Gaussian. Were they moved from the first step on, a network
-/// would learn to carry all of them out of the image: random points are worse than an empty background.
+/// The phase that places the node candidates, each rendered as a static Gaussian. If they moved from the first step on,
+/// the network would learn to move all of them out of the image, because random points are worse than an empty
+/// background.
 const PLACE_CANDIDATES: &str = "place-candidates";
-/// Candidates move.
+/// The phase in which candidates move.
 const CHOOSE_NODES: &str = "choose-nodes";
 
 /// SC-GS: sparse control nodes carry canonical Gaussians (Huang et al. 2024).
 pub(crate) struct Scgs;
 
-/// What only this method understands.
+/// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
     /// The network that moves the nodes.
     pub network: CoordinateMlpSettings,
-    /// The nodes.
+    /// The control nodes.
     pub nodes: ControlNodeSettings,
-    /// Learnt coordinates beside the three of space in which Gaussians look for their nodes.
+    /// Number of learnt coordinates that extend the three spatial ones in the node search of the Gaussians.
     pub features: usize,
-    /// Step size of the Gaussians' learnt coordinates.
+    /// Learning rate of the Gaussians' learnt coordinates.
     pub feature_rate: f64,
-    /// Points that candidates for nodes start from, evenly chosen.
+    /// Number of points that become initial candidates, evenly chosen.
     pub candidates: usize,
-    /// Candidates at most.
+    /// Maximum number of candidates.
     pub max_candidates: usize,
-    /// First weight of the effect `arap`.
+    /// Initial weight of the effect `arap`.
     pub rigidity: f64,
-    /// Weight of the effect `arap` among candidates.
+    /// Weight of the effect `arap` on candidates.
     pub candidate_rigidity: f64,
 }
 
@@ -193,7 +194,7 @@ impl<T: Real> Method<T> for SparselyControlled {
             return Ok(state);
         }
         let mut state = self.nodes.choose(state)?;
-        // The Gaussians start anew from the points that the candidates were taken from.
+        // The Gaussians restart from the initial points, like the candidates.
         let points = start.initial_points(&self.shared)?;
         gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points)?;
         self.nodes.insert_gaussian_features(&mut state)?;
@@ -259,22 +260,22 @@ impl<T: Real> Method<T> for SparselyControlled {
 }
 
 impl SparselyControlled {
-    /// Whether the model of a phase is candidates for nodes.
+    /// Whether the model of a phase consists of node candidates.
     fn has_candidates(&self, phase: &str) -> bool {
         self.moves && [PLACE_CANDIDATES, CHOOSE_NODES].contains(&phase)
     }
 
-    /// The candidates' steps before a phase, before stretching.
+    /// Number of candidate steps before a phase, before stretching.
     fn steps_of_candidates_before(&self, phase: &str) -> u64 {
         if phase == CHOOSE_NODES { self.canonical.iterations(PLACE_CANDIDATES) } else { 0 }
     }
 
-    /// Steps of the network before [`ALL`], before stretching.
+    /// Number of network steps before [`ALL`], before stretching.
     fn steps_before_all(&self) -> u64 {
         [PLACE_CANDIDATES, CHOOSE_NODES, WARM_UP].map(|phase| self.canonical.iterations(phase)).iter().sum()
     }
 
-    /// The weight of rigidity in [`ALL`]; its schedule counts the Gaussians' steps.
+    /// The weight of rigidity in [`ALL`]; its schedule counts the steps of the Gaussians.
     fn rigidity_weight(&self, iteration: u64) -> f64 {
         let unstretched = iteration as f64 / self.shared.schedule_scale + self.canonical.iterations(WARM_UP) as f64;
         self.settings.rigidity * published_decay(unstretched)

@@ -1,4 +1,4 @@
-//! The nodes: how they are chosen, how they move, and whom they carry.
+//! The control nodes: their selection, their motion, and the Gaussians that follow them.
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
@@ -19,22 +19,22 @@ use crate::method::Step;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
-/// What the network says of a node, with the published first weights: next to no motion.
+/// Output heads per node, with the published initial weights: motion is close to zero.
 const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
 const SCALE: Head = Head { name: "scale", outputs: 3, first: FirstWeights::Normal(1e-8) };
 const FRAME: Head = Head { name: "frame", outputs: 4, first: FirstWeights::Normal(1e-4) };
 
-/// First learnt coordinates of Gaussians and of nodes (published code).
+/// Initial learnt coordinates of Gaussians and of nodes (published code).
 const FIRST_FEATURES: [f64; 2] = [-1e-2, 1e-2];
 
-/// Moments at which the candidates' paths are compared.
+/// Number of times at which the candidates' paths are compared.
 const PATH_TIMES: usize = 16;
 
-/// The two moments of the rigidity are this far apart at most, in shares of the whole time (published code).
+/// Maximum distance of the two times of the rigidity loss, as a share of the clip (published code).
 const RIGID_SPAN: f64 = 0.05;
 
-/// Nodes, or candidates, whose rigidity is computed at most (published code).
+/// Maximum number of nodes or candidates in the rigidity loss (published code).
 const MOST_RIGID: usize = 512;
 
 /// The nodes and the network that moves them.
@@ -44,7 +44,7 @@ pub(crate) struct Nodes {
 }
 
 impl Nodes {
-    /// With the method's settings.
+    /// Nodes with the method's settings.
     pub(crate) fn new(settings: &Settings) -> Self {
         let heads = [TRANSLATION, ROTATION, SCALE, FRAME];
         let network = CoordinateMlp::new("network", &settings.network, FirstWeights::He, &heads);
@@ -61,7 +61,8 @@ impl Nodes {
         self.network.insert(state, points, random);
     }
 
-    /// Candidates become nodes: those whose paths through time lie farthest apart. The rest of them is dropped.
+    /// Selects the candidates with the most distant paths through time as nodes (farthest-point sampling) and drops the
+    /// rest.
     pub(crate) fn choose<T: Real>(&self, candidates: ModelState<T>) -> anyhow::Result<ModelState<T>> {
         let positions = candidates.get("candidates.positions")?.clone();
         let chosen = farthest_points(&self.paths(&candidates, &positions), self.settings.nodes.count);
@@ -80,7 +81,7 @@ impl Nodes {
         Ok(state)
     }
 
-    /// Where every candidate is at several moments, side by side: [N, 3·moments].
+    /// Positions of every candidate at several times, side by side: [N, 3·times].
     fn paths<T: Real>(&self, state: &ModelState<T>, positions: &Tensor<T>) -> Tensor<T> {
         let mut tape = Tape::new(Device::Cpu);
         let model = state.bind(&mut tape, |_| false);
@@ -105,14 +106,14 @@ impl Nodes {
         Ok(())
     }
 
-    /// Step sizes among candidates: of the network, as far as it moves them.
+    /// Learning rates of the candidates' network; heads that do not move candidates are not trained.
     pub(crate) fn learning_rate_among_candidates(&self, tensor: &str) -> Option<LogLinear> {
         let is_idle = |head: &Head| belongs(tensor, &format!("network.{}", head.name));
         let rate = self.network.learning_rate(tensor)?;
         (![ROTATION, SCALE, FRAME].iter().any(is_idle)).then_some(rate)
     }
 
-    /// Step sizes of what belongs to nodes; until `with_nodes`, only the Gaussians' side of it learns.
+    /// Learning rates of nodes and network; until `with_nodes`, only the Gaussians' learnt coordinates are trained.
     pub(crate) fn learning_rate(&self, tensor: &str, with_nodes: bool, steps_before: u64) -> Option<LogLinear> {
         if tensor == "gaussians.node_features" {
             return Some(LogLinear::constant(self.settings.feature_rate));
@@ -122,7 +123,7 @@ impl Nodes {
         with_nodes.then_some(rate)
     }
 
-    /// What the network adds to positions [N, 3] at each of the times: [T·N, 3], time by time.
+    /// Displacements that the network predicts for positions [N, 3] at each of the times: [T·N, 3], time by time.
     pub(crate) fn translations<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -134,8 +135,8 @@ impl Nodes {
         self.network.lengths(tape, model, TRANSLATION.name, hidden)
     }
 
-    /// The Gaussians at a time: each is carried by the frames of its nodes, and takes over the blend of their changes.
-    /// `rows` says which of the Gaussians these are, where they are not all.
+    /// The Gaussians at a time: the frames of their nodes move them, and the nodes' blended changes are added. `rows`
+    /// are the rows of these Gaussians in the model; `None` for all.
     pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -160,7 +161,7 @@ impl Nodes {
         moved(tape, canonical, Moved { positions: carried, rotations, scale_changes: Some(growth) })
     }
 
-    /// The nodes that each Gaussian follows, and how much, in space and learnt coordinates together.
+    /// The nodes of each Gaussian and their weights, nearest in position and learnt coordinates together.
     fn weights<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -184,7 +185,7 @@ impl Nodes {
         (neighbors, weights)
     }
 
-    /// The rigidity of nodes, or of candidates, between two moments close to each other.
+    /// Adds the rigidity of nodes, or of candidates, between two close times.
     pub(crate) fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, population: &str, weight: f64) {
         if weight == 0.0 {
             return;

@@ -8,7 +8,7 @@ fn train(effects: &[&str]) -> ShortTraining {
 }
 
 #[test]
-fn without_motion_there_are_neither_nodes_nor_network() {
+fn without_motion_there_are_no_nodes_and_no_network() {
     let (moving, still) = (train(&["motion"]), train(&[]));
     assert!(moving.count_tensors("network.") > 0 && moving.count_tensors("nodes.") == 4);
     assert!(moving.tensors.contains("gaussians.node_features") && moving.count_tensors("candidates.") == 0);
@@ -20,7 +20,7 @@ fn without_motion_there_are_neither_nodes_nor_network() {
 }
 
 #[test]
-fn rigidity_costs_operations_and_no_tensors() {
+fn rigidity_adds_operations_but_no_tensors() {
     let (free, rigid) = (train(&["motion"]), train(&["motion", "arap"]));
     assert_eq!(free.tensors, rigid.tensors);
     assert!(rigid.ran("quaternion_rotate") && !free.ran("quaternion_rotate"));
@@ -28,7 +28,7 @@ fn rigidity_costs_operations_and_no_tensors() {
 }
 
 #[test]
-fn nodes_that_do_not_move_leave_the_gaussians_where_they_are() {
+fn untrained_nodes_barely_move_the_gaussians() {
     let mut state = ModelState::<f64>::new();
     let nodes = Nodes::new(&Scgs::tiny_settings());
     let mut random = crate::data::generator(1, crate::data::Stream::Initial);

@@ -1,4 +1,4 @@
-//! 3D Gaussian splatting without time (Kerbl et al. 2023): what a dynamic method must beat.
+//! Static 3D Gaussian splatting (Kerbl et al. 2023): the baseline for dynamic methods.
 
 use std::collections::BTreeMap;
 
@@ -19,10 +19,10 @@ use crate::shared::Shared;
 /// The only phase.
 const TRAIN: &str = "train";
 
-/// 3D Gaussian splatting, time ignored (Kerbl et al. 2023).
+/// Static 3D Gaussian splatting, which ignores time (Kerbl et al. 2023).
 pub(crate) struct Static3dgs;
 
-/// There is nothing that only this method understands.
+/// The method's table in a recipe, which is empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {}

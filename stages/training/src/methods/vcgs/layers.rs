@@ -1,4 +1,4 @@
-//! The two layers of a scene: which surfels they begin with, and the tensors that store them.
+//! The two layers of a scene: their initial surfels and their tensors.
 
 use engine::{Failure, FailureKind};
 use scene::gaussians::SH_C0;
@@ -12,15 +12,16 @@ use crate::data::{BackgroundView, Dataset, LoadedView};
 use crate::method::{Start, too_large};
 use crate::model::ModelState;
 
-/// The population that never moves.
+/// Population of the static layer.
 pub(crate) const BACKGROUND: &str = "background";
-/// The population of 4D surfels.
+/// Population of the moving layer, the 4D surfels.
 pub(crate) const FOREGROUND: &str = "foreground";
 
-/// The first opacity (Yu et al. 2025, WonderWorld).
+/// Initial opacity (Yu et al. 2025, WonderWorld).
 const INITIAL_OPACITY: f64 = 0.15;
 
-/// The surfels of what stands still: the first view's, then of every view what the ones before do not show.
+/// Surfels of the static layer: those of the first view, then from every view those that the previous views do not
+/// cover.
 pub(crate) fn background_surfels(
     start: &Start<'_>,
     settings: &Settings,
@@ -43,12 +44,12 @@ pub(crate) fn background_surfels(
     }
     let surfels = thinned(without_duplicates(surfels), settings.max_count);
     if surfels.is_empty() {
-        return Err(bad_input("no pixel stands still", "check the port layers, or switch off \"layer-split\"").into());
+        return Err(bad_input("no pixel is static", "check the port layers, or switch off \"layer-split\"").into());
     }
     Ok(surfels)
 }
 
-/// The surfels of what moves, of every view: born at the view's time, across its viewing direction.
+/// Surfels of the moving layer from every view; each is born at its view's time and moves across the view's axis.
 pub(crate) fn foreground_surfels(
     start: &Start<'_>,
     settings: &Settings,
@@ -68,7 +69,7 @@ pub(crate) fn foreground_surfels(
     Ok(surfels)
 }
 
-/// Which pixels of a view show the static layer and nothing else; `None`: all of them.
+/// Mask of the pixels of a view that show only the static layer; `None` for all pixels.
 pub(crate) fn static_pixels(
     start: &Start<'_>,
     view: &LoadedView,
@@ -82,15 +83,15 @@ pub(crate) fn static_pixels(
     })
 }
 
-/// The view without what moves.
+/// The inpainted view, with moving objects removed.
 pub(crate) fn filled_view<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a BackgroundView> {
     let found = start.supplements.background.get(view.index).and_then(Option::as_ref);
     let hint = "wire an inpaint-import job to the port background, or switch off \"inpainting\"";
-    let filled = found.ok_or_else(|| missing("image without what moves", start.dataset, view, hint))?;
-    check_size("image without what moves", filled.image.dimensions().into(), view)?;
+    let filled = found.ok_or_else(|| missing("inpainted image", start.dataset, view, hint))?;
+    check_size("inpainted image", filled.image.dimensions().into(), view)?;
     check_size("unfilled part", [filled.unfilled.width, filled.unfilled.height], view)?;
     if let Some(depth) = &filled.depth {
-        check_size("depth without what moves", [depth.width, depth.height], view)?;
+        check_size("inpainted depth", [depth.width, depth.height], view)?;
     }
     Ok(filled)
 }
@@ -139,13 +140,13 @@ pub(crate) fn insert_background<T: Real>(state: &mut ModelState<T>, surfels: &[S
     insert(state, BACKGROUND, "rotations", &[4], surfels, |surfel| wxyz(surfel.rotation).to_vec());
 }
 
-/// Adds the tensors of the moving layer; `deviation_time` is how long a surfel is seen at first, in [0, 1].
+/// Adds the tensors of the moving layer; `deviation_time` is the initial standard deviation in time, in [0, 1].
 pub(crate) fn insert_foreground<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel], deviation_time: f64) {
     insert_surfels(state, FOREGROUND, surfels);
     let mut insert = |attribute: &str, row: &[usize], values: &dyn Fn(&Surfel) -> Vec<f64>| {
         insert(state, FOREGROUND, attribute, row, surfels, values);
     };
-    // Equal quaternions turn space alone: nothing moves at first.
+    // Equal left and right quaternions rotate only space, so nothing moves initially.
     insert("rotations_left", &[4], &|surfel| wxyz(surfel.rotation).to_vec());
     insert("rotations_right", &[4], &|surfel| wxyz(surfel.rotation).to_vec());
     insert("log_scales_time", &[1], &|_| vec![deviation_time.ln()]);

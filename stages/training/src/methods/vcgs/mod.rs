@@ -1,5 +1,5 @@
-//! View-plane constrained Gaussian splatting of one moving camera: a static layer, and 4D surfels on the moving pixels
-//! that move across the viewing direction.
+//! View-plane constrained Gaussian splatting for one moving camera: a static layer, and 4D surfels on the moving pixels
+//! that move perpendicular to the viewing direction.
 
 mod layers;
 mod pruning;
@@ -31,12 +31,12 @@ use pruning::SurfelPruning;
 use settings::{Settings, Switches};
 use splats::{joined, moving, standing};
 
-/// The phase of the static layer.
+/// The phase that trains the static layer.
 const STATIC: &str = "static";
-/// The phase of the moving layer on the frozen static one.
+/// The phase that trains the moving layer on the frozen static layer.
 const DYNAMIC: &str = "dynamic";
 
-/// VC-GS: a static layer, and 4D surfels that move within the view plane.
+/// VC-GS: a static layer, and 4D surfels that move in the view plane.
 pub(crate) struct Vcgs;
 
 impl MethodFolder for Vcgs {
@@ -81,7 +81,8 @@ impl ViewPlaneGaussians {
         Self { shared: shared.clone(), settings, switches }
     }
 
-    /// Without a split everything is in one layer: the moving one, or the static one where nothing moves.
+    /// Whether there is a static layer. Without a split, all surfels form one layer: moving with motion, otherwise
+    /// static.
     fn has_background(&self) -> bool {
         self.switches.layer_split || !self.switches.motion
     }
@@ -99,7 +100,7 @@ impl ViewPlaneGaussians {
         Ok(())
     }
 
-    /// All layers that there are in a phase, the moving one first.
+    /// The layers present in a phase, joined with the moving one first.
     fn layers<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -119,7 +120,7 @@ impl ViewPlaneGaussians {
         (splats, Some(sliced))
     }
 
-    /// The photometric loss of the static layer, on what each view shows of it.
+    /// The photometric loss of the static layer, on the pixels that show only this layer.
     fn static_losses<T: Real>(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let start = Start { dataset: step.dataset, supplements: step.supplements };
         for view in step.views {
@@ -209,7 +210,7 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
             "opacity_logits" => Some(LogLinear::constant(rates.opacity)),
             "log_scales" | "log_scales_time" => Some(LogLinear::constant(rates.scale)),
             "rotations" | "rotations_left" | "rotations_right" => Some(LogLinear::constant(rates.rotation)),
-            // Positions, times, thicknesses and colours stay as the pixels say.
+            // Positions, times, thicknesses and colours keep their initial values from the pixels.
             _ => None,
         }
     }
@@ -224,12 +225,12 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
     }
 }
 
-/// The stored view that a step's view is.
+/// The dataset's view with the index of a training view.
 fn loaded<'a, T: Real>(step: &Step<'a, T>, view: &TrainingView<T>) -> &'a LoadedView {
     step.dataset.train.iter().find(|loaded| loaded.index == view.index).expect("steps draw training views")
 }
 
-/// 8-bit values in [0, 1], shaped as `like`.
+/// 8-bit values as a tensor in [0, 1] with the shape of `like`.
 fn pixels_as_tensor<T: Real>(pixels: &[u8], like: &Tensor<T>) -> Tensor<T> {
     let values = pixels.iter().map(|&value| T::from_f64(f64::from(value) / 255.0)).collect();
     Tensor::from_vec(like.shape(), values)

@@ -1,4 +1,4 @@
-//! Pruning of surfels that contribute little; none are ever added.
+//! Removes surfels that contribute little. No surfels are ever added.
 
 use anyhow::Context as _;
 
@@ -12,7 +12,7 @@ use crate::schedule::stretch;
 pub(crate) struct SurfelPruning {
     population: &'static str,
     params: Pruning,
-    /// Since the last round.
+    /// Statistics since the last round.
     statistics: Statistics,
 }
 
@@ -22,7 +22,7 @@ impl SurfelPruning {
         Self { population, params, statistics: Statistics::default() }
     }
 
-    /// Which rows stay; where too few would, the most opaque of all.
+    /// Mask of the rows to keep; if too few would remain, the most opaque rows of all are kept.
     pub(super) fn survivors(&self, opacity_logits: &[f32]) -> Vec<bool> {
         let (min_logit, max_radius) = (logit(self.params.min_opacity) as f32, self.params.max_radius_px as f32);
         let rows = self.statistics.rows();

@@ -1,36 +1,36 @@
-//! What a recipe may say about this method.
+//! Recipe settings of VC-GS.
 
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effect, Effects, Need};
 
-/// What only this method understands.
+/// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
-    /// A surfel stands on every so many pixels of every so many rows.
+    /// Spacing of the surfels in pixels: one on every N-th pixel of every N-th row.
     pub pixel_stride: usize,
-    /// At most so many surfels per layer, evenly chosen.
+    /// Maximum number of surfels per layer, evenly chosen.
     pub max_count: usize,
-    /// Share of a displacement's part along the viewing direction that is kept (ε of equation 5).
+    /// Share of a displacement's component along the viewing direction that is kept (ε of equation 5).
     pub depth_share: f64,
-    /// Whether moving surfels stay where they are born, although they turn and fade: a row of the ablation.
+    /// Ablation: whether moving surfels keep their initial position, although they rotate and fade.
     pub zero_offset: bool,
-    /// Pruning.
+    /// Pruning of both layers.
     pub pruning: Pruning,
 }
 
-/// When surfels are removed.
+/// Pruning rounds and thresholds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Pruning {
-    /// Iterations between two rounds, none up to the first interval (stretched with the schedule).
+    /// Iterations between two rounds, of which the first comes after the second interval (stretched with the schedule).
     pub interval: u64,
-    /// Surfels less opaque than this go.
+    /// Surfels with a lower opacity are removed.
     pub min_opacity: f64,
-    /// Surfels that were seen with a larger radius go; pixels (30 for images 512 pixels wide).
+    /// Surfels with a larger radius in any render are removed; pixels (30 for images 512 pixels wide).
     pub max_radius_px: f64,
-    /// A layer keeps at least so many, the most opaque ones.
+    /// Minimum number of surfels that a layer keeps, the most opaque ones.
     pub min_count: usize,
 }
 
@@ -46,13 +46,13 @@ impl Default for Pruning {
     }
 }
 
-/// Which effects are on.
+/// The active effects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Switches {
     pub motion: bool,
     pub constraint: bool,
     pub layer_split: bool,
-    /// Only with a layer to paint in.
+    /// Inpainted images as targets; needs a static layer to fill.
     pub inpainting: bool,
 }
 
@@ -68,7 +68,7 @@ impl Switches {
     }
 }
 
-/// What the method can simulate or leave out, in the order of its README.
+/// The method's effects, in the order of its README.
 pub(crate) fn effects() -> Vec<Effect> {
     let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
     vec![
@@ -79,20 +79,20 @@ pub(crate) fn effects() -> Vec<Effect> {
         ),
         effect(
             "view-plane-constraint",
-            "surfels move across the viewing direction of the view that they come from",
+            "surfels move perpendicular to the viewing direction of their source view",
             &[Need::Effect("motion")],
         ),
-        effect("layer-split", "what stands still is a layer of its own, trained first", &[Need::Layers, Need::Depth]),
+        effect("layer-split", "static pixels form a separate layer, trained first", &[Need::Layers, Need::Depth]),
         effect(
             "inpainting",
-            "the static layer is trained on images without what moves",
+            "the static layer is trained on inpainted images",
             &[Need::Background, Need::Effect("layer-split")],
         ),
     ]
 }
 
 impl Settings {
-    /// Why these settings cannot work, if so.
+    /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         if self.pixel_stride == 0 || self.max_count == 0 || self.pruning.interval == 0 {
             return Err("vcgs: pixel_stride, max_count and pruning.interval must be positive".into());

@@ -12,7 +12,7 @@ use super::settings::{Settings, Switches};
 use crate::bases::primitives4d;
 use crate::model::Variables;
 
-/// The moving surfels at a time, each where equations 2 to 6 put it.
+/// The moving surfels at a time, placed by equations 2 to 6.
 pub(crate) fn moving<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
@@ -40,7 +40,7 @@ pub(crate) fn moving<T: Real>(
     (splats, sliced)
 }
 
-/// The static layer, which no time and no fourth dimension touches.
+/// The static layer, which does not depend on time.
 pub(crate) fn standing<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
     let var = |attribute: &str| model.get(&format!("{BACKGROUND}.{attribute}"));
     let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
@@ -52,7 +52,7 @@ pub(crate) fn standing<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatV
     }
 }
 
-/// The splats of two layers, the first one's first.
+/// Concatenates the splats of two layers.
 pub(crate) fn joined<T: Real>(tape: &mut Tape<T>, first: &SplatVars, second: &SplatVars) -> SplatVars {
     let mut factor = |shape: ShapeVars| match shape {
         ShapeVars::ScaleRotation { log_scales, rotations } => factors(tape, log_scales, rotations),

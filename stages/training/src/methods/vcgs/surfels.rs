@@ -1,4 +1,4 @@
-//! Surfels on the pixels of an image: where depth says, as flat as the normal says, as large as a pixel.
+//! Surfels from the pixels of an image: positions from depth, orientations from normals, sizes from the pixel spacing.
 
 use std::collections::HashSet;
 
@@ -8,22 +8,22 @@ use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{RasterSettings, SplatTensors, TooManyIntersections, render_image};
 use shaders::tape::Tensor;
 
-/// Standard deviation per pixel spacing: 1/√2 covers the image without holes at the sampling limit (Yu et al. 2025,
+/// Standard deviation in pixel spacings: 1/√2 covers the image without holes at the sampling limit (Yu et al. 2025,
 /// WonderWorld).
 const SPACING_SHARE: f64 = 0.7;
-/// The least cosine between normal and view axis: grazing surfaces are not stretched more than ten times.
+/// Minimum cosine between normal and viewing axis: surfels on grazing surfaces are stretched at most ten times.
 const MIN_COSINE: f64 = 0.1;
-/// Depths that differ by more than this share belong to different surfaces.
+/// Relative difference above which two depths belong to different surfaces.
 const DEPTH_JUMP: f64 = 0.05;
-/// A pixel that others cover by less than this is seen for the first time.
+/// Coverage of a pixel below which its surface counts as new.
 const COVERED: f32 = 0.5;
-/// The logit of what counts as covering: nearly opaque.
+/// Opacity logit of the surfels in the coverage render: nearly opaque.
 const COVERING_LOGIT: f32 = 4.0;
-/// Thickness as a share of the smaller side, and the least one in scene units.
+/// Thickness as a share of the smaller side; [`MIN_THICKNESS`] is its lower bound in scene units.
 pub(crate) const THICKNESS_SHARE: f64 = 0.01;
 const MIN_THICKNESS: f64 = 1e-6;
 
-/// What one view tells of the surfaces that it sees.
+/// A view's image with its depth and, if known, its normals.
 pub(crate) struct Picture<'a> {
     pub camera: &'a Camera,
     /// [H, W, 3] sRGB.
@@ -36,13 +36,13 @@ pub(crate) struct Picture<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Surfel {
     pub position: DVec3,
-    /// Its third axis is the surface's normal.
+    /// Rotation from the surfel's axes to the world; the third axis is the surface normal.
     pub rotation: DQuat,
     /// Standard deviations along the first two axes, scene units.
     pub scales: [f64; 2],
     /// sRGB in [0, 1].
     pub color: [f64; 3],
-    /// Normalised time and viewing direction (world) of the picture that it comes from.
+    /// Normalised time and viewing direction (world) of the source view.
     pub birth_time: f64,
     pub birth_axis: DVec3,
 }
@@ -55,7 +55,7 @@ impl Surfel {
 }
 
 impl Picture<'_> {
-    /// A surfel on every `stride`-th pixel of every `stride`-th row that has a depth and is `wanted`.
+    /// One surfel on every `stride`-th pixel of every `stride`-th row, if the pixel has a depth and is `wanted`.
     pub(crate) fn surfels(&self, time: f64, stride: usize, wanted: impl Fn(usize) -> bool) -> Vec<Surfel> {
         let (width, height) = (self.depth.width as usize, self.depth.height as usize);
         let places = (stride / 2..height).step_by(stride).flat_map(|row| {
@@ -69,7 +69,7 @@ impl Picture<'_> {
         let depth = f64::from(self.depth.depth_view[at]);
         let normal = self.normal(at, column, row);
         let camera = self.camera;
-        // How much the surface is inclined within the planes of the camera's axes.
+        // Inclination of the surface in the planes of the camera's axes.
         let cosine = |across: f64| (normal.z.abs() / across.hypot(normal.z)).max(MIN_COSINE);
         let side = |focal: f64, across: f64| SPACING_SHARE * stride * depth / (focal * cosine(across));
         let world_from_view = camera.camera_from_world.rotation.transpose();
@@ -88,7 +88,8 @@ impl Picture<'_> {
         ray * (depth / ray.z)
     }
 
-    /// The normal in the camera's frame: as given, else from the neighbours' depths, else towards the camera.
+    /// The normal in the camera's frame: given, or estimated from the neighbours' depths, or pointing towards the
+    /// camera.
     fn normal(&self, at: usize, column: usize, row: usize) -> DVec3 {
         let given = self.normals.map(|map| DVec3::from(map.normals_view[at].map(f64::from)));
         let towards_camera = -self.point_view(column, row, 1.0).normalize();
@@ -106,12 +107,12 @@ impl Picture<'_> {
         };
         let right = point((column + 1).min(width - 1), row)? - point(column.saturating_sub(1), row)?;
         let down = point(column, (row + 1).min(height - 1))? - point(column, row.saturating_sub(1))?;
-        // Right × down points along the view axis; the normal points back.
+        // Right × down points along the viewing axis; the normal points back.
         (-right.cross(down)).try_normalize()
     }
 }
 
-/// Axes of a surfel in the camera's frame: the first within the horizontal plane, the third along the normal.
+/// Axes of a surfel in the camera's frame: the first is horizontal, the third is the normal.
 fn axes(normal: DVec3) -> DMat3 {
     let across = DVec3::Y.cross(normal);
     let first = if across.length_squared() > 1e-6 { across.normalize() } else { DVec3::X };
@@ -119,11 +120,11 @@ fn axes(normal: DVec3) -> DMat3 {
     DMat3::from_cols(second.cross(normal), second, normal)
 }
 
-/// Which pixels of a picture show something that `surfels` do not cover: nothing drawn there, or at another depth.
+/// Mask of the pixels that `surfels` do not cover, or cover at another depth.
 pub(crate) fn uncovered(surfels: &[Surfel], picture: &Picture<'_>) -> Result<Vec<bool>, TooManyIntersections> {
     let settings = RasterSettings { depth: true, sh_degree: 0, ..RasterSettings::default() };
     let image = render_image(&covering_splats(surfels), &PinholeCamera::from(picture.camera), &settings)?;
-    let drawn = image.depth.expect("depth was asked for");
+    let drawn = image.depth.expect("the settings render depth");
     let is_new = |(at, &alpha): (usize, &f32)| {
         let depth = picture.depth.depth_view[at];
         let found = drawn.as_slice()[at] / alpha;
@@ -150,12 +151,12 @@ fn covering_splats(surfels: &[Surfel]) -> SplatTensors<f32> {
     }
 }
 
-/// The quaternion in the order of the tensors.
+/// The quaternion in tensor order, (w, x, y, z).
 pub(crate) fn wxyz(rotation: DQuat) -> [f64; 4] {
     [rotation.w, rotation.x, rotation.y, rotation.z]
 }
 
-/// The first surfel of every cube of half the median spacing.
+/// Keeps the first surfel in every cube with half the median spacing as its side.
 pub(crate) fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
     let mut spacings: Vec<f64> = surfels.iter().map(|s| s.scales[0].min(s.scales[1]) / SPACING_SHARE).collect();
     spacings.sort_by(f64::total_cmp);
@@ -165,7 +166,7 @@ pub(crate) fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
     surfels.into_iter().filter(|surfel| taken.insert(cell(surfel))).collect()
 }
 
-/// At most `max_count`, evenly chosen.
+/// At most `max_count` surfels, evenly chosen.
 pub(crate) fn thinned(surfels: Vec<Surfel>, max_count: usize) -> Vec<Surfel> {
     let count = surfels.len();
     if count <= max_count {

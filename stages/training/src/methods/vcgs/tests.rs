@@ -42,7 +42,7 @@ fn method(effects: &[&str]) -> ViewPlaneGaussians {
 
 const ALL: [&str; 4] = ["motion", "view-plane-constraint", "layer-split", "inpainting"];
 
-/// The state at the start of the last phase.
+/// The model state at the start of the last phase, and the phase.
 fn last_state(method: &ViewPlaneGaussians, start: &Start<'_>) -> anyhow::Result<(ModelState<f64>, &'static str)> {
     let mut random = generator(0, Stream::Initial);
     let none = PointCloud { positions: Vec::new(), colors: Vec::new() };
@@ -58,7 +58,7 @@ fn names(method: &ViewPlaneGaussians, start: &Start<'_>) -> Vec<String> {
     last_state(method, start).unwrap().0.names().map(String::from).collect()
 }
 
-/// The splats of a state at a time, and how many operations it took to compute them.
+/// The splats of a state at a time, and the number of operations that compute them.
 fn splats_at(
     method: &ViewPlaneGaussians,
     state: &ModelState<f64>,
@@ -79,7 +79,7 @@ fn splats_at(
 }
 
 #[test]
-fn displacements_keep_their_part_in_the_view_plane() {
+fn displacements_keep_their_view_plane_component() {
     let displacements = Tensor::from_vec([4, 3], noise(12, 1));
     let unit = noise(12, 2).as_chunks::<3>().0.iter().flat_map(|&n| DVec3::from(n).normalize().to_array()).collect();
     let axes = Tensor::from_vec([4, 3], unit);
@@ -112,7 +112,7 @@ fn nothing_moves_before_training() {
 }
 
 #[test]
-fn effects_that_are_off_have_no_tensors_phases_or_operations() {
+fn disabled_effects_have_no_tensors_phases_or_operations() {
     let world = world();
     let full = method(&ALL);
     let (state, phase) = last_state(&full, &world.start()).unwrap();
@@ -129,7 +129,7 @@ fn effects_that_are_off_have_no_tensors_phases_or_operations() {
 
     let free = method(&["motion", "layer-split", "inpainting"]);
     let calls = |method| splats_at(method, &state, phase, &world, 0.5).1;
-    // The product along the axes, and its removal: product, share, difference.
+    // The constraint takes four operations: the product with the axes, then product, scaling and difference.
     assert_eq!(calls(&full) - calls(&free), 4);
     let mut zero = method(&ALL);
     zero.settings.zero_offset = true;
@@ -137,10 +137,10 @@ fn effects_that_are_off_have_no_tensors_phases_or_operations() {
 }
 
 #[test]
-fn inputs_are_read_only_where_an_effect_needs_them() {
+fn inputs_are_required_only_by_active_effects() {
     let mut world = world();
     world.supplements.background.clear();
-    assert!(last_state(&method(&ALL), &world.start()).unwrap_err().to_string().contains("without what moves"));
+    assert!(last_state(&method(&ALL), &world.start()).unwrap_err().to_string().contains("inpainted image"));
     last_state(&method(&["motion", "layer-split"]), &world.start()).unwrap();
     world.supplements.moving.clear();
     assert!(last_state(&method(&["motion", "layer-split"]), &world.start()).is_err());
@@ -152,7 +152,7 @@ fn inputs_are_read_only_where_an_effect_needs_them() {
     assert!(format!("{failure:?}").contains("port priors"), "{failure:?}");
 }
 
-/// A slanted plane in front of a camera, its depth and its picture.
+/// Depth map and image of a slanted plane in front of a camera.
 fn plane(camera: &Camera) -> (scene::DepthMap, Vec<u8>) {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
@@ -179,7 +179,7 @@ fn surfels_of_plane(stride: usize) -> Vec<Surfel> {
 }
 
 #[test]
-fn surfels_lie_on_the_surface_and_show_the_picture() {
+fn surfels_match_the_surface_and_its_colours() {
     let camera = camera();
     let (_, pixels) = plane(&camera);
     let surfels = surfels_of_plane(1);
@@ -189,7 +189,7 @@ fn surfels_lie_on_the_surface_and_show_the_picture() {
         let (pixel, depth) = camera.project(surfel.position).unwrap();
         assert!((pixel - glam::DVec2::new((at % 40) as f64 + 0.5, (at / 40) as f64 + 0.5)).length() <= 1e-4);
         assert!(depth > 0.0 && (surfel.rotation * DVec3::Z).dot(normal) >= 0.999, "normals from depth");
-        // At least as far as the next surfel, seen straight on.
+        // At least as large as the pixel spacing of a fronto-parallel surface.
         assert!(surfel.scales[0] >= 0.69 * depth / 50.0 && surfel.scales[1] >= 0.69 * depth / 45.0);
         assert!(surfel.thickness() <= 0.011 * surfel.scales[0]);
     }
@@ -210,14 +210,14 @@ fn surfels_lie_on_the_surface_and_show_the_picture() {
 }
 
 #[test]
-fn only_what_others_do_not_show_is_new() {
+fn only_uncovered_pixels_are_new() {
     let camera = camera();
     let (depth, pixels) = plane(&camera);
     let picture = Picture { camera: &camera, pixels: &pixels, depth: &depth, normals: None };
     let count = |surfels: &[Surfel]| uncovered(surfels, &picture).unwrap().iter().filter(|&&new| new).count();
     let all = surfels_of_plane(1);
     assert!(count(&all) <= 80, "all but the border is covered: {}", count(&all));
-    assert!(count(&all[..600]) >= 600, "what is missing is new");
+    assert!(count(&all[..600]) >= 600, "uncovered pixels are new");
     let nearer: Vec<Surfel> =
         all.iter().map(|s| Surfel { position: s.position.lerp(camera.position_world(), 0.2), ..*s }).collect();
     assert!(count(&nearer) >= 1000, "another depth is another surface");
@@ -227,7 +227,7 @@ fn only_what_others_do_not_show_is_new() {
 }
 
 #[test]
-fn pruning_takes_the_faint_and_the_large_and_leaves_enough() {
+fn pruning_removes_faint_and_large_surfels_down_to_a_minimum() {
     let params = Pruning { min_count: 2, ..Pruning::default() };
     let mut pruning = SurfelPruning::new(BACKGROUND, &params, 1.0);
     let logits: Vec<f32> = [0.5, 0.04, 0.5, 0.06, 0.5].map(logit_of).to_vec();
