@@ -137,13 +137,13 @@ fn evidence(need: Need, known: &KnownInputs<'_>, on: &BTreeSet<String>) -> Evide
 
 /// The reasons for an effect whose needs are met.
 fn reasons(evidence: &[Evidence]) -> String {
-    let said = evidence.iter().map(|found| match found {
+    let reasons = evidence.iter().map(|found| match found {
         Evidence::Met(reason) | Evidence::Unknown(reason) | Evidence::Idle(reason) | Evidence::Missing(reason) => {
             reason
         }
     });
-    let said: Vec<&str> = said.map(String::as_str).collect();
-    if said.is_empty() { "needs nothing".into() } else { said.join(", ") }
+    let reasons: Vec<&str> = reasons.map(String::as_str).collect();
+    if reasons.is_empty() { "needs nothing".into() } else { reasons.join(", ") }
 }
 
 /// The outcome of a resolved list for the loaded data. The reasons depend only on the list and the data, so equal

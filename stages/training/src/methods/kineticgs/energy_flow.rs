@@ -73,8 +73,8 @@ impl<'a> FlowView<'a> {
     /// motion.
     pub(crate) fn static_pixels<T: Real>(&self) -> Tensor<T> {
         let DepthMap { width, height, ref depth_view } = *self.depth;
-        let stands = (0..depth_view.len()).flat_map(|index| [if self.moves(index) { T::ZERO } else { T::ONE }; 3]);
-        Tensor::from_vec([height as usize, width as usize, 3], stands.collect())
+        let mask = (0..depth_view.len()).flat_map(|index| [if self.moves(index) { T::ZERO } else { T::ONE }; 3]);
+        Tensor::from_vec([height as usize, width as usize, 3], mask.collect())
     }
 
     /// Whether a pixel moves relative to the static scene; false if unknown.

@@ -288,19 +288,19 @@ fn the_teacher_distinguishes_different_images() {
     let teacher = Teacher::new(&settings);
     let mut state = ModelState::<f64>::new();
     teacher.insert(&mut state, None, None, &mut crate::data::generator(1, crate::data::Stream::Method));
-    let lesson = |shift: usize| {
+    let output = |shift: usize| {
         let mut tape = Tape::new(Device::Cpu);
         let model = state.bind(&mut tape, |_| false);
         let value = |at: usize| if (at / 3 + shift) % 16 < 6 { 0.9 } else { 0.1 * (at % 3) as f64 };
         let image = tape.constant(Tensor::from_vec([16, 16, 3], (0..16 * 16 * 3).map(value).collect()));
-        let lesson = teacher.observe(&mut tape, &model, TokenGrid { rows: 4, columns: 4 }, image, None);
-        let attention = tape.value(lesson.probabilities).clone();
+        let output = teacher.observe(&mut tape, &model, TokenGrid { rows: 4, columns: 4 }, image, None);
+        let attention = tape.value(output.probabilities).clone();
         for row in 0..16 {
             assert!((attention.row(row).iter().sum::<f64>() - 1.0).abs() <= 1e-12);
             assert!(attention.row(row).iter().filter(|&&p| p > 0.0).count() <= settings.heads * settings.top_k);
         }
-        tape.value(lesson.features).clone()
+        tape.value(output.features).clone()
     };
-    assert_eq!(lesson(0), lesson(0));
-    assert_ne!(lesson(0), lesson(5));
+    assert_eq!(output(0), output(0));
+    assert_ne!(output(0), output(5));
 }

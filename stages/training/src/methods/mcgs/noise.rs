@@ -42,8 +42,8 @@ pub(crate) fn disturb<T: Real>(
         return *predictions;
     }
     let visibility = step.model.get(VISIBILITY);
-    let seldom = scale(step.tape, visibility, -2.0);
-    let strength = shift(step.tape, seldom, 3.0);
+    let scaled = scale(step.tape, visibility, -2.0);
+    let strength = shift(step.tape, scaled, 3.0);
     let shares = at_most_one(step.tape, strength, 0.5);
     let position = left * settings.position * step.scene.extent;
     let [shifts, turns] = [(3, position), (4, left * settings.rotation)].map(|(columns, deviation)| {

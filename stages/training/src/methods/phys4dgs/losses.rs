@@ -10,7 +10,7 @@ use shaders::rasteriser::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
 use super::observation::{
-    Observed, Sight, displacement_map, flow_displacements, flow_map, surface_depth, true_displacements,
+    Observed, ProjectedPoints, displacement_map, flow_displacements, flow_map, surface_depth, true_displacements,
 };
 use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
@@ -112,10 +112,10 @@ impl PhysicalGaussians {
         scales.add(step, "velocity", 0.5 * weights.velocity, next);
 
         let none = step.tape.constant(Tensor::zeros(step.tape.value(variation).shape()));
-        let output = scales.mean_square(step, variation, none);
-        let seen = scales.mean_square(step, moved[1], moved[0]);
-        scales.add(step, "temporal", weights.temporal, said);
-        scales.add(step, "temporal", weights.temporal, seen);
+        let predicted = scales.mean_square(step, variation, none);
+        let observed = scales.mean_square(step, moved[1], moved[0]);
+        scales.add(step, "temporal", weights.temporal, predicted);
+        scales.add(step, "temporal", weights.temporal, observed);
     }
 
     /// Accelerations (eq 8) and jerks (eq 9).
@@ -125,13 +125,13 @@ impl PhysicalGaussians {
         }
         let (weights, Kinematics { moved, variations, .. }) = (&self.settings.weights, kinematics);
         let accelerations = differences(step.tape, moved);
-        if let (Some(&said), Some(&seen)) = (variations.first(), accelerations.first()) {
-            let value = scales.mean_square(step, said, seen);
+        if let (Some(&predicted), Some(&observed)) = (variations.first(), accelerations.first()) {
+            let value = scales.mean_square(step, predicted, observed);
             scales.add(step, "acceleration", weights.acceleration, value);
         }
-        let (said, seen) = (differences(step.tape, variations), differences(step.tape, &accelerations));
-        if let (Some(&said), Some(&seen)) = (said.first(), seen.first()) {
-            let value = scales.mean_square(step, said, seen);
+        let (predicted, observed) = (differences(step.tape, variations), differences(step.tape, &accelerations));
+        if let (Some(&predicted), Some(&observed)) = (predicted.first(), observed.first()) {
+            let value = scales.mean_square(step, predicted, observed);
             scales.add(step, "jerk", weights.jerk, value);
         }
     }
@@ -149,11 +149,11 @@ impl PhysicalGaussians {
         let (weights, positions) = (&self.settings.weights, followed.points[0].positions);
         let surface = surface_depth(step.tape, rendered, self.settings.min_coverage);
         let points = [positions, followed.weights].map(|var| step.tape.value(var));
-        let sight = Sight::of(step.tape.device(), points, &view.camera, step.raster.near_view, surface);
+        let projected = ProjectedPoints::of(step.tape.device(), points, &view.camera, step.raster.near_view, surface);
         if let Some(velocity) = self.velocity_of(step, view) {
             let map = || displacement_map(velocity, step.scene.time_map.frame_secs);
             let map = step.constants.get(step.tape.device(), "displacement", view.index, map);
-            let truth = true_displacements(&sight, &map);
+            let truth = true_displacements(&projected, &map);
             let (truth, valid) = truth.constants(step);
             let value = weighted_mean_squared_difference(step.tape, kinematics.moved[0], truth, valid);
             scales.add(step, "true_displacement", weights.true_displacement, value);
@@ -164,15 +164,15 @@ impl PhysicalGaussians {
         let surface_to = self.surface_at(step, time_to, flow)?;
         let cameras = [&view.camera, &PinholeCamera::from(&flow.camera_to)];
         let map = step.constants.get(step.tape.device(), "flow", view.index, || flow_map(&flow.map));
-        let seen = flow_displacements(&sight, cameras, [&map, &surface_to], frames);
+        let observed = flow_displacements(&projected, cameras, [&map, &surface_to], frames);
         let arrived = followed.positions_at(step, &self.base, time_to);
         let moved = sub(step.tape, arrived, positions);
         let moved = scale(step.tape, moved, 1.0 / frames);
         let outlier = self.settings.flow_outlier;
-        let (limit, least) = (seen.median_length(outlier), outlier * STANDS_STILL * step.scene.extent);
+        let (limit, least) = (observed.median_length(outlier), outlier * STANDS_STILL * step.scene.extent);
         for estimate in [kinematics.velocity, Some(moved)].into_iter().flatten() {
-            let seen = seen.without_outliers(step.tape.value(estimate), &limit, least);
-            let (target, weight) = seen.constants(step);
+            let observed = observed.without_outliers(step.tape.value(estimate), &limit, least);
+            let (target, weight) = observed.constants(step);
             let value = weighted_mean_squared_difference(step.tape, estimate, target, weight);
             scales.add(step, "flow", weights.flow * self.flow_weight(), value);
         }

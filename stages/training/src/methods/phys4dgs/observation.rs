@@ -41,7 +41,7 @@ pointwise! {
 }
 
 /// M points as seen in a view.
-pub(crate) struct Sight<T: Real> {
+pub(crate) struct ProjectedPoints<T: Real> {
     device: Device,
     /// Pixel positions [M, 2], px.
     pixels: Tensor<T>,
@@ -69,7 +69,7 @@ pub(crate) fn surface_depth<T: Real>(tape: &Tape<T>, rendered: &Rendered, min_co
     child.value(expected).clone()
 }
 
-impl<T: Real> Sight<T> {
+impl<T: Real> ProjectedPoints<T> {
     /// Projects points [M, 3] (world) with weights [M] into an image with surface depths [H, W].
     pub(crate) fn of(
         device: Device,
@@ -106,10 +106,10 @@ pub(crate) fn flow_map<T: Real>(flow: &FlowMap) -> Tensor<T> {
 }
 
 /// Exact displacements per frame (eq 4), sampled from their map.
-pub(crate) fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> Observed<T> {
-    let mut tape = Tape::new(sight.device);
+pub(crate) fn true_displacements<T: Real>(projected: &ProjectedPoints<T>, map: &Tensor<T>) -> Observed<T> {
+    let mut tape = Tape::new(projected.device);
     let map = tape.constant(map.clone());
-    let [pixels, visible] = [&sight.pixels, &sight.visible].map(|tensor| tape.constant(tensor.clone()));
+    let [pixels, visible] = [&projected.pixels, &projected.visible].map(|tensor| tape.constant(tensor.clone()));
     let Sampled { values, valid } = lookup(&mut tape, map, pixels, SAMPLING);
     Observed::where_all(tape, values, &[visible, valid])
 }
@@ -117,13 +117,13 @@ pub(crate) fn true_displacements<T: Real>(sight: &Sight<T>, map: &Tensor<T>) -> 
 /// Displacements per frame from optical flow (eq 2): unprojects each pixel before and after the flow at the rendered
 /// depths; the views are `frames` frames apart.
 pub(crate) fn flow_displacements<T: Real>(
-    sight: &Sight<T>,
+    projected: &ProjectedPoints<T>,
     [camera, camera_to]: [&PinholeCamera; 2],
     [map, surface_depth_to]: [&Tensor<T>; 2],
     frames: f64,
 ) -> Observed<T> {
-    let mut tape = Tape::new(sight.device);
-    let given = [map, &sight.pixels, &sight.surface_depths, &sight.visible, surface_depth_to];
+    let mut tape = Tape::new(projected.device);
+    let given = [map, &projected.pixels, &projected.surface_depths, &projected.visible, surface_depth_to];
     let [map, pixels, depths, visible, surface_to] = given.map(|tensor| tape.constant(tensor.clone()));
     let shift = lookup(&mut tape, map, pixels, SAMPLING);
     let pixels_to = add(&mut tape, pixels, shift.values);
@@ -194,8 +194,8 @@ impl PhysicalGaussians {
     /// The optical flow of a view, if given and needed, if it points forward in time and if the view shows motion.
     pub(super) fn flow_of<'a, T: Real>(&self, step: &Step<'a, T>, view: &TrainingView<T>) -> Option<&'a FlowPrior> {
         let flow = step.supplements.view(view.index).filter(|_| self.parts.flow)?.flow.as_ref()?;
-        let leads_on = step.scene.time_map.normalized(flow.time_to_secs) > view.time;
-        (leads_on && !stands_still(step, view)).then_some(flow)
+        let points_forward = step.scene.time_map.normalized(flow.time_to_secs) > view.time;
+        (points_forward && !is_static(step, view)).then_some(flow)
     }
 
     /// Surface depths [H, W] of the view where the flow ends, rendered without gradients.
@@ -219,6 +219,6 @@ impl PhysicalGaussians {
 }
 
 /// Whether a view is known to show no motion.
-fn stands_still<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> bool {
+fn is_static<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> bool {
     step.supplements.moving(view.index).is_some_and(|moving| moving.labels.iter().all(|&label| label == 0))
 }

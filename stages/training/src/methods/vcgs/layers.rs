@@ -6,7 +6,7 @@ use scene::{DepthMap, LabelMap};
 use shaders::tape::{Real, Tensor};
 
 use super::settings::{Settings, Switches};
-use super::surfels::{Picture, Surfel, thinned, uncovered, without_duplicates, wxyz};
+use super::surfels::{DepthImage, Surfel, thinned, uncovered, without_duplicates, wxyz};
 use crate::bases::gaussians::logit;
 use crate::data::{BackgroundView, Dataset, LoadedView};
 use crate::method::{Start, too_large};
@@ -35,12 +35,12 @@ pub(crate) fn background_surfels(
             None => depth_of(start, view)?,
         };
         let pixels = filled.map_or(view.pixels.as_slice(), |filled| filled.image.as_raw());
-        let picture = picture(start, view, pixels, depth);
+        let depth_image = depth_image(start, view, pixels, depth);
         let is_static = static_pixels(start, view, switches)?;
-        let is_new = if surfels.is_empty() { vec![] } else { uncovered(&surfels, &picture).map_err(too_large)? };
+        let is_new = if surfels.is_empty() { vec![] } else { uncovered(&surfels, &depth_image).map_err(too_large)? };
         let wanted =
             |at: usize| is_static.as_ref().is_none_or(|mask| mask[at]) && is_new.get(at).is_none_or(|&new| new);
-        surfels.extend(picture.surfels(view.time, settings.pixel_stride, wanted));
+        surfels.extend(depth_image.surfels(view.time, settings.pixel_stride, wanted));
     }
     let surfels = thinned(without_duplicates(surfels), settings.max_count);
     if surfels.is_empty() {
@@ -57,10 +57,10 @@ pub(crate) fn foreground_surfels(
 ) -> anyhow::Result<Vec<Surfel>> {
     let mut surfels = Vec::new();
     for view in &start.dataset.train {
-        let picture = picture(start, view, &view.pixels, depth_of(start, view)?);
+        let depth_image = depth_image(start, view, &view.pixels, depth_of(start, view)?);
         let moving = if switches.layer_split { Some(moving_of(start, view)?) } else { None };
         let wanted = |at: usize| moving.is_none_or(|mask| mask.labels[at] != 0);
-        surfels.extend(picture.surfels(view.time, settings.pixel_stride, wanted));
+        surfels.extend(depth_image.surfels(view.time, settings.pixel_stride, wanted));
     }
     let surfels = thinned(surfels, settings.max_count);
     if surfels.is_empty() {
@@ -121,9 +121,9 @@ fn check_size(what: &str, [width, height]: [u32; 2], view: &LoadedView) -> anyho
     Ok(())
 }
 
-fn picture<'a>(start: &Start<'a>, view: &LoadedView, pixels: &'a [u8], depth: &'a DepthMap) -> Picture<'a> {
+fn depth_image<'a>(start: &Start<'a>, view: &LoadedView, pixels: &'a [u8], depth: &'a DepthMap) -> DepthImage<'a> {
     let normals = start.supplements.view(view.index).and_then(|priors| priors.normals.as_ref());
-    Picture { camera: &start.dataset.capture.views[view.index].camera, pixels, depth, normals }
+    DepthImage { camera: &start.dataset.capture.views[view.index].camera, pixels, depth, normals }
 }
 
 fn missing(what: &str, dataset: &Dataset, view: &LoadedView, hint: &str) -> Failure {

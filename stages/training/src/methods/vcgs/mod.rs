@@ -29,7 +29,7 @@ use crate::shared::{Harmonics, Shared};
 use layers::{BACKGROUND, FOREGROUND};
 use pruning::SurfelPruning;
 use settings::{Settings, Switches};
-use splats::{joined, moving, standing};
+use splats::{joined, moving, static_layer};
 
 /// The phase that trains the static layer.
 const STATIC: &str = "static";
@@ -108,12 +108,12 @@ impl ViewPlaneGaussians {
         moment: &Moment<'_>,
     ) -> (SplatVars, Option<SlicedVars>) {
         if moment.phase == STATIC {
-            return (standing(tape, model), None);
+            return (static_layer(tape, model), None);
         }
         let (moving, sliced) = moving(tape, model, moment.time, &self.settings, &self.switches);
         let splats = if self.has_background() {
-            let standing = standing(tape, model);
-            joined(tape, &moving, &standing)
+            let static_layer = static_layer(tape, model);
+            joined(tape, &moving, &static_layer)
         } else {
             moving
         };
@@ -125,7 +125,7 @@ impl ViewPlaneGaussians {
         let start = Start { dataset: step.dataset, supplements: step.supplements };
         for view in step.views {
             step.clock.enter("motion");
-            let splats = standing(step.tape, step.model);
+            let splats = static_layer(step.tape, step.model);
             let rendered = step.render(&splats, None, view, Observed::All(BACKGROUND))?;
             let loaded = loaded(step, view);
             let mut target = view.clone();

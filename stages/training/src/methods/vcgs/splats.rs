@@ -41,7 +41,7 @@ pub(crate) fn moving<T: Real>(
 }
 
 /// The static layer, which does not depend on time.
-pub(crate) fn standing<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
+pub(crate) fn static_layer<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
     let var = |attribute: &str| model.get(&format!("{BACKGROUND}.{attribute}"));
     let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
     SplatVars {

@@ -24,7 +24,7 @@ pub(crate) const THICKNESS_SHARE: f64 = 0.01;
 const MIN_THICKNESS: f64 = 1e-6;
 
 /// A view's image with its depth and, if known, its normals.
-pub(crate) struct Picture<'a> {
+pub(crate) struct DepthImage<'a> {
     pub camera: &'a Camera,
     /// [H, W, 3] sRGB.
     pub pixels: &'a [u8],
@@ -54,7 +54,7 @@ impl Surfel {
     }
 }
 
-impl Picture<'_> {
+impl DepthImage<'_> {
     /// One surfel on every `stride`-th pixel of every `stride`-th row, if the pixel has a depth and is `wanted`.
     pub(crate) fn surfels(&self, time: f64, stride: usize, wanted: impl Fn(usize) -> bool) -> Vec<Surfel> {
         let (width, height) = (self.depth.width as usize, self.depth.height as usize);
@@ -121,12 +121,12 @@ fn axes(normal: DVec3) -> DMat3 {
 }
 
 /// Mask of the pixels that `surfels` do not cover, or cover at another depth.
-pub(crate) fn uncovered(surfels: &[Surfel], picture: &Picture<'_>) -> Result<Vec<bool>, TooManyIntersections> {
+pub(crate) fn uncovered(surfels: &[Surfel], depth_image: &DepthImage<'_>) -> Result<Vec<bool>, TooManyIntersections> {
     let settings = RasterSettings { depth: true, sh_degree: 0, ..RasterSettings::default() };
-    let image = render_image(&covering_splats(surfels), &PinholeCamera::from(picture.camera), &settings)?;
+    let image = render_image(&covering_splats(surfels), &PinholeCamera::from(depth_image.camera), &settings)?;
     let drawn = image.depth.expect("the settings render depth");
     let is_new = |(at, &alpha): (usize, &f32)| {
-        let depth = picture.depth.depth_view[at];
+        let depth = depth_image.depth.depth_view[at];
         let found = drawn.as_slice()[at] / alpha;
         let matches = alpha >= COVERED && (found - depth).abs() <= DEPTH_JUMP as f32 * depth;
         !matches

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 
 use super::settings::Pruning;
 use super::splats::within_view_plane;
-use super::surfels::{Picture, Surfel, uncovered, without_duplicates};
+use super::surfels::{DepthImage, Surfel, uncovered, without_duplicates};
 use super::*;
 use crate::data::{Dataset, NOTHING, Stream, Supplements, generator};
 use crate::effects::Effects;
@@ -175,7 +175,7 @@ fn camera() -> Camera {
 fn surfels_of_plane(stride: usize) -> Vec<Surfel> {
     let camera = camera();
     let (depth, pixels) = plane(&camera);
-    Picture { camera: &camera, pixels: &pixels, depth: &depth, normals: None }.surfels(0.5, stride, |_| true)
+    DepthImage { camera: &camera, pixels: &pixels, depth: &depth, normals: None }.surfels(0.5, stride, |_| true)
 }
 
 #[test]
@@ -199,7 +199,7 @@ fn surfels_match_the_surface_and_its_colours() {
     state.insert("background.opacity_logits", Tensor::full([surfels.len(), 1], 4.0));
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
-    let splats = standing(&mut tape, &model);
+    let splats = static_layer(&mut tape, &model);
     let settings = RasterSettings { sh_degree: 0, ..RasterSettings::default() };
     let rendered =
         shaders::rasteriser::render(&mut tape, &splats, None, &PinholeCamera::from(&camera), &settings).unwrap();
@@ -213,8 +213,8 @@ fn surfels_match_the_surface_and_its_colours() {
 fn only_uncovered_pixels_are_new() {
     let camera = camera();
     let (depth, pixels) = plane(&camera);
-    let picture = Picture { camera: &camera, pixels: &pixels, depth: &depth, normals: None };
-    let count = |surfels: &[Surfel]| uncovered(surfels, &picture).unwrap().iter().filter(|&&new| new).count();
+    let depth_image = DepthImage { camera: &camera, pixels: &pixels, depth: &depth, normals: None };
+    let count = |surfels: &[Surfel]| uncovered(surfels, &depth_image).unwrap().iter().filter(|&&new| new).count();
     let all = surfels_of_plane(1);
     assert!(count(&all) <= 80, "all but the border is covered: {}", count(&all));
     assert!(count(&all[..600]) >= 600, "uncovered pixels are new");

@@ -70,8 +70,8 @@ fn moving_pixels_are_masked_in_coarse() {
     let (outcome, _) = world.step(COARSE, 3);
     let [moving, pixels] = outcome.skipped["moving pixels in coarse"];
     assert!(0 < moving && moving < pixels);
-    let everything = World::new(&ALL, Settings { coarse_all: true, ..Settings::tiny() }, COARSE);
-    let (unmasked, _) = everything.step(COARSE, 3);
+    let all_pixels = World::new(&ALL, Settings { coarse_all: true, ..Settings::tiny() }, COARSE);
+    let (unmasked, _) = all_pixels.step(COARSE, 3);
     assert!(unmasked.skipped.is_empty());
     assert!(unmasked.losses()["photometric"] > outcome.losses()["photometric"]);
 }

@@ -10,7 +10,7 @@ use shaders::rasteriser::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
 use super::settings::LossWeights;
-use super::teacher::{Lesson, Teacher};
+use super::teacher::{Teacher, TeacherOutput};
 use super::tokens::TokenGrid;
 use super::{LanguageGuided, SEMANTICS};
 use crate::bases::gaussians::GAUSSIANS;
@@ -72,14 +72,14 @@ impl LanguageGuided {
             let visual_tokens = visual_tokens(step, view.index);
             let given = visual_tokens.filter(|_| !step.iteration.is_multiple_of(2));
             let image = step.tape.constant(view.image.clone());
-            let lesson = self.teacher().observe(step.tape, step.model, grid, image, given);
+            let output = self.teacher().observe(step.tape, step.model, grid, image, given);
             let targets = visual_tokens.filter(|_| Teacher::reads_visual_tokens(step.model)).map(|tokens| {
                 let tokens = step.tape.constant(tokens.cast());
                 grid.pool(step.tape, tokens)
             });
             let statistics = color_statistics(step.tape, grid, image);
             step.clock.enter("losses");
-            for (weight, value) in Teacher::reconstruction(step.tape, step.model, lesson.features, statistics, targets)
+            for (weight, value) in Teacher::reconstruction(step.tape, step.model, output.features, statistics, targets)
             {
                 step.add_loss("reconstruction", share * weight, value);
             }
@@ -110,13 +110,13 @@ impl LanguageGuided {
         step.count_skipped_deferred("tokens without Gaussians", covered, grid.count());
 
         let asked = due.static_semantics || self.on.attention_focus;
-        let lesson = asked.then(|| self.frame_lesson(step, grid, view, true));
-        let focus = match &lesson {
-            Some(lesson) if self.on.attention_focus => focus(step.tape, lesson.probabilities),
+        let output = asked.then(|| self.teacher_output(step, grid, view, true));
+        let focus = match &output {
+            Some(output) if self.on.attention_focus => focus(step.tape, output.probabilities),
             _ => step.tape.constant(Tensor::full([grid.count(), 1], T::ONE)),
         };
-        if let (true, Some(lesson)) = (due.static_semantics, &lesson) {
-            self.static_semantics(step, due, lesson, &tokens, focus);
+        if let (true, Some(output)) = (due.static_semantics, &output) {
+            self.static_semantics(step, due, output, &tokens, focus);
         }
         if due.static_depth {
             self.static_depth(step, due, view, grid, &tokens, focus);
@@ -152,16 +152,16 @@ impl LanguageGuided {
         &self,
         step: &mut Step<'_, T>,
         due: &Due,
-        lesson: &Lesson,
+        output: &TeacherOutput,
         tokens: &RenderedTokens,
         focus: Var,
     ) {
         let weights = normalized(step.tape, focus, tokens.covered);
         let features = tokens.features.expect("rendered where semantic losses are due");
         let weight = due.weight * self.settings.weights.statics;
-        add_distance(step, "static_semantics", weight, [lesson.features, features], weights);
+        add_distance(step, "static_semantics", weight, [output.features, features], weights);
         let angle = weight * self.settings.weights.angle;
-        add_angle(step, "static_semantics", angle, [lesson.features, features], weights, MIN_FEATURE_NORM);
+        add_angle(step, "static_semantics", angle, [output.features, features], weights, MIN_FEATURE_NORM);
     }
 
     /// Equation 4 on the vector of a token's cell depths: Σ w·(‖D − D*‖² + λ·(1 − cos(D − mean D, D* − mean D*))) over
@@ -212,9 +212,9 @@ impl LanguageGuided {
         if due.dynamic_semantics {
             // Compares real frames if the camera is static, otherwise two renders: the difference between a frame and a
             // render would be mistaken for motion.
-            let lessons = if is_real {
+            let outputs = if is_real {
                 let tokens_given = [view, &later].iter().all(|view| visual_tokens(step, view.index).is_some());
-                [view, &later].map(|view| self.frame_lesson(step, grid, view, tokens_given))
+                [view, &later].map(|view| self.teacher_output(step, grid, view, tokens_given))
             } else {
                 [rendered, &later_rendered].map(|rendered| {
                     let image = step.tape.detach(rendered.color);
@@ -224,7 +224,7 @@ impl LanguageGuided {
             let features = [tokens, &later_tokens].map(|tokens| tokens.features.expect("rendered"));
             let covered = mul(step.tape, tokens.covered, later_tokens.covered);
             let weights = normalized(step.tape, focus, covered);
-            self.dynamic_semantics(step, due, lessons.map(|lesson| lesson.features), features, weights);
+            self.dynamic_semantics(step, due, outputs.map(|output| output.features), features, weights);
         }
         if due.dynamic_depth {
             let mask = CellMask::new(step.tape, tokens.cells_covered, later_tokens.cells_covered);
@@ -245,32 +245,32 @@ impl LanguageGuided {
         &self,
         step: &mut Step<'_, T>,
         due: &Due,
-        lessons: [Var; 2],
+        outputs: [Var; 2],
         features: [Var; 2],
         weights: Var,
     ) {
-        let changes = [lessons, features].map(|[now, later]| sub(step.tape, later, now));
+        let changes = [outputs, features].map(|[now, later]| sub(step.tape, later, now));
         let angle = due.weight * self.settings.weights.change_angle;
         add_angle(step, "dynamic_semantics", angle, changes, weights, MIN_FEATURE_NORM);
-        add_distance(step, "dynamic_semantics", due.weight, [lessons[1], lessons[0]], weights);
+        add_distance(step, "dynamic_semantics", due.weight, [outputs[1], outputs[0]], weights);
         let weights = still(step.tape, weights);
         add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], weights);
     }
 
     /// The teacher's output for a training frame.
-    fn frame_lesson<T: Real>(
+    fn teacher_output<T: Real>(
         &self,
         step: &mut Step<'_, T>,
         grid: TokenGrid,
         view: &TrainingView<T>,
         tokens_given: bool,
-    ) -> Lesson {
+    ) -> TeacherOutput {
         step.clock.enter("teacher");
         let tokens = visual_tokens(step, view.index).filter(|_| tokens_given);
         let image = step.tape.constant(view.image.clone());
-        let lesson = self.teacher().observe(step.tape, step.model, grid, image, tokens);
+        let output = self.teacher().observe(step.tape, step.model, grid, image, tokens);
         step.clock.enter("loss semantics");
-        lesson
+        output
     }
 
     fn grid<T: Real>(&self, view: &TrainingView<T>) -> TokenGrid {

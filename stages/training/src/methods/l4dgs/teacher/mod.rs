@@ -40,7 +40,7 @@ pub(crate) struct Teacher<'a> {
 }
 
 /// The teacher's output for one image.
-pub(crate) struct Lesson {
+pub(crate) struct TeacherOutput {
     /// [tokens, features]: SMSA, of unit length.
     pub features: Var,
     /// [tokens, tokens]: attention of every token to every other token, averaged over the heads.
@@ -99,7 +99,7 @@ impl<'a> Teacher<'a> {
         grid: TokenGrid,
         image: Var,
         visual_tokens: Option<&Tensor<f32>>,
-    ) -> Lesson {
+    ) -> TeacherOutput {
         let levels = Network::new(self.settings).levels(tape, model, grid, image);
         let joined = concat_columns(tape, &levels);
         let mut tokens = apply_layer(tape, model, "teacher.visual", joined, Activation::Identity);
@@ -118,7 +118,7 @@ impl<'a> Teacher<'a> {
         let features = apply_matrix(tape, model, "teacher.attention.output", attention.mixed);
         // Unit length: otherwise the teacher's arbitrary scale would weight every loss that follows it.
         let features = normalize(tape, features, MIN_NORM);
-        Lesson { features, probabilities: attention.probabilities }
+        TeacherOutput { features, probabilities: attention.probabilities }
     }
 
     /// Decodes the directions of semantic features [M, features] to [M, 6 + F]: mean and standard deviation of the

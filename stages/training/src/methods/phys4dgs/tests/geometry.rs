@@ -8,7 +8,7 @@ use shaders::tape::{Device, Real, Tensor};
 
 use crate::data::FlowPrior;
 use crate::methods::phys4dgs::observation::{
-    Observed, Sight, displacement_map, flow_displacements, flow_map, true_displacements,
+    Observed, ProjectedPoints, displacement_map, flow_displacements, flow_map, true_displacements,
 };
 
 /// A camera at `position` that looks along +z.
@@ -45,9 +45,9 @@ impl MovingWall {
         [Tensor::from_vec([6, 3], values), Tensor::from_vec([6], weights.to_vec())]
     }
 
-    fn sight<T: Real>(&self, device: Device) -> Sight<T> {
+    fn projected<T: Real>(&self, device: Device) -> ProjectedPoints<T> {
         let [points, weights] = Self::points();
-        Sight::of(device, [&points, &weights], &PinholeCamera::from(&self.before), 0.2, Self::depth(4.0))
+        ProjectedPoints::of(device, [&points, &weights], &PinholeCamera::from(&self.before), 0.2, Self::depth(4.0))
     }
 
     fn flow(&self) -> FlowPrior {
@@ -69,7 +69,7 @@ impl MovingWall {
         // The wall moved 0.5 away and the camera 0.2 back.
         let cameras = [&self.before, &flow.camera_to].map(PinholeCamera::from);
         let maps = [&flow_map(&flow.map), &Self::depth(4.7)];
-        flow_displacements(&self.sight(device), cameras.each_ref(), maps, 2.0)
+        flow_displacements(&self.projected(device), cameras.each_ref(), maps, 2.0)
     }
 }
 
@@ -115,7 +115,7 @@ fn flow_into_holes_or_off_image_is_not_observed() {
 fn exact_velocities_become_displacements_per_frame() {
     let wall = MovingWall::new();
     let velocity = VelocityMap { width: 40, height: 30, velocity_world: vec![[2.0, 0.0, -4.0]; 1200] };
-    let observed = true_displacements(&wall.sight::<f64>(Device::Cpu), &displacement_map(&velocity, 0.25));
+    let observed = true_displacements(&wall.projected::<f64>(Device::Cpu), &displacement_map(&velocity, 0.25));
     assert_eq!(observed.weights.as_slice(), [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
     assert_eq!(observed.displacements.row(0), [0.5, 0.0, -1.0]);
 }
@@ -162,7 +162,7 @@ fn gpu_observations_agree_with_the_cpu() {
         let limit = seen.median_length(0.5);
         let estimate = Tensor::from_vec([6, 3], (0..18).map(|at| at as f32 / 9.0).collect());
         let pulled = seen.without_outliers(&estimate, &limit, 1e-3);
-        let exact = true_displacements(&wall.sight::<f32>(device), &displacement_map(&velocity, 0.25));
+        let exact = true_displacements(&wall.projected::<f32>(device), &displacement_map(&velocity, 0.25));
         [seen.displacements, seen.weights, limit, pulled.weights, exact.displacements, exact.weights]
     };
     for (found, expected) in tensors(Device::Gpu(gpu)).iter().zip(tensors(Device::Cpu)) {
