@@ -34,6 +34,13 @@ fn command_line_is_consistent() {
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "-s", "a=1", "--timeout", "2h", "--json"]).is_ok());
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "--timeout", "soon"]).is_err());
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "--fail-fast", "--max-failures", "2"]).is_err());
+    let render =
+        |options: &[&str]| Cli::try_parse_from([&["pipeline", "render", "r.toml", "a", "b"], options].concat());
+    assert!(render(&["--views=test", "--truth", "--scale=2", "--fps=8", "--gif=a.gif"]).is_ok());
+    assert!(render(&["--views=test", "--out=o"]).is_ok() && render(&["--views=test"]).is_err());
+    for gif_only in ["--truth", "--scale=2", "--fps=8", "--gif=a.gif"] {
+        assert!(render(&["--views=test", "--out=o", gif_only]).is_err(), "{gif_only}");
+    }
 }
 
 #[test]

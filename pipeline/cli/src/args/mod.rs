@@ -253,13 +253,13 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) gif: Option<PathBuf>,
     /// Start the GIF with the capture's own images; the film must follow views of the capture
-    #[arg(long, requires = "gif")]
+    #[arg(long, conflicts_with = "out")]
     pub(crate) truth: bool,
     /// Enlarge every panel of the GIF by this factor
-    #[arg(long, requires = "gif", value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=16))]
+    #[arg(long, conflicts_with = "out", value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=16))]
     pub(crate) scale: u32,
     /// Frames per second of the GIF, rounded to hundredths of a second per frame
-    #[arg(long, requires = "gif", value_name = "N", default_value_t = 10, value_parser = value_parser!(u32).range(1..=50))]
+    #[arg(long, conflicts_with = "out", value_name = "N", default_value_t = 10, value_parser = value_parser!(u32).range(1..=50))]
     pub(crate) fps: u32,
 }
 
