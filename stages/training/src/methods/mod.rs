@@ -55,8 +55,8 @@ pub(crate) fn registry() -> &'static [Registration] {
 pub(crate) trait MethodFolder: 'static {
     /// The name in recipes and tables, equal to the folder's.
     const NAME: &'static str;
-    /// The kernel folders below `shaders/src` that only this method uses, e.g. `losses/histogram`. An edit there reruns no
-    /// other method. A test of the workspace derives them from the sources.
+    /// The kernel folders below `shaders/src` that only this method uses, e.g. `losses/histogram`. Editing them does
+    /// not rerun other methods. A workspace test derives them from the sources.
     const KERNELS: &'static [&'static str] = &[];
     /// The method's own table of parameters.
     type Settings: Serialize + DeserializeOwned + Default;

@@ -75,7 +75,7 @@ fn add_differences(key: &str, theirs: &Value, ours: &Value, found: &mut Vec<Stri
     }
 }
 
-/// Refuses a start that is not exactly the model which this training would have on this data after the shared phase.
+/// Refuses a start that is not exactly the model that this training would have on this data after the shared phase.
 pub(crate) fn check_start(start: &Model, params: &TrainingParams, dataset: &Dataset) -> anyhow::Result<()> {
     let refuse = |message: String| {
         let hint = "train it with the same parameters and stop_after, or leave the port `start` unwired";

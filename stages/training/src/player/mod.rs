@@ -48,11 +48,11 @@ pub struct Positions {
 }
 
 impl Positions {
-    /// Positions of splats, of which those in `there` are not hidden.
-    fn new(world: Vec<[f32; 3]>, rows: Option<Vec<u32>>, there: &[u32]) -> Self {
+    /// Positions of splats; those with an index in `visible` are not hidden.
+    fn new(world: Vec<[f32; 3]>, rows: Option<Vec<u32>>, visible: &[u32]) -> Self {
         let row = |splat: u32| rows.as_ref().map_or(splat, |rows| rows[splat as usize]);
-        let is_simple = rows.is_none() && there.len() == world.len();
-        let by_row = (!is_simple).then(|| there.iter().map(|&splat| (row(splat), splat as usize)).collect());
+        let is_simple = rows.is_none() && visible.len() == world.len();
+        let by_row = (!is_simple).then(|| visible.iter().map(|&splat| (row(splat), splat as usize)).collect());
         Self { world, rows, by_row }
     }
 

@@ -114,7 +114,7 @@ fn choose(
         fixed_secs = (second.training - secs_per_scale * second_scale).max(0.0);
     }
     let affordable_scale = (PLANNED_SHARE * budget_secs - fixed_secs) / secs_per_scale;
-    // Also true for a NaN.
+    // This condition is also true for NaN.
     if !(affordable_scale >= first_scale) {
         let message = format!("a budget of {budget_secs} s is too short for {FIRST_STEPS} steps");
         let hint = format!("give at least {:.0} s", (first.training / PLANNED_SHARE).ceil());

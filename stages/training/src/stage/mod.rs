@@ -139,7 +139,8 @@ pub struct Trained {
 }
 
 /// Trains to the end: from the newest checkpoint if there is one, otherwise from `start` (the model of another training
-/// after a shared phase, with its measurements) or from nothing. `None` if it was stopped; a checkpoint is then saved.
+/// after a shared phase, with its measurements) or from the initial points. `None` if it was stopped; a checkpoint is
+/// then saved.
 pub fn train(
     capture: Capture,
     supplements: &Supplements,
@@ -178,7 +179,7 @@ pub fn train(
     Ok(Some(Trained { model: trainer.finish()?, report, budget }))
 }
 
-/// Records the measurements, which are no part of the artifact: every field of the report by its name.
+/// Records the measurements, i.e. every field of the report, next to the artifact. They are not part of it.
 fn measure(context: &JobContext, report: &Report) -> anyhow::Result<()> {
     let Value::Object(fields) = serde_json::to_value(report)? else { bail!("a report is an object") };
     for (name, value) in fields {

@@ -273,7 +273,7 @@ fn a_model_without_semantics_has_no_relevancy() {
     let (player, view) = (Player::new(&model).unwrap(), &dataset.train[0]);
     assert!(player.render_semantics(0.0, &view.camera).unwrap().is_none() && player.prompts().is_none());
     assert!(player.prompt_names().is_empty());
-    // With semantics, but without visual tokens: features are there, their meaning is not known.
+    // Semantics without visual tokens: the model renders features, but cannot compare them with prompts.
     let (model, _) = train(&dataset, &Supplements::default(), few_steps("l4dgs", &["static-semantics", "language"]));
     let player = Player::new(&model).unwrap();
     let semantics = player.render_semantics(0.0, &view.camera).unwrap().unwrap();

@@ -103,7 +103,7 @@ fn an_untrained_chain_repeats_the_last_state() {
         assert!(worst(now.chained.rotations, before.direct.rotations) <= 1e-12, "attends: {attends}");
         assert!(
             worst(now.direct.translations, before.direct.translations) > 1e-12,
-            "the network happens to stand still"
+            "the direct branch does not move between the frames"
         );
     }
 }

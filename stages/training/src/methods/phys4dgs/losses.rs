@@ -12,7 +12,7 @@ use shaders::tape::{Real, Tensor, Var};
 use super::observation::{
     Observed, ProjectedPoints, displacement_map, flow_displacements, flow_map, surface_depth, true_displacements,
 };
-use super::trajectories::{STANDS_STILL, Trajectories, differences, foreground, frame_of, motion_unit};
+use super::trajectories::{STATIC_THRESHOLD, Trajectories, differences, foreground, frame_of, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::data::TrainingView;
 use crate::method::Step;
@@ -112,10 +112,10 @@ impl PhysicalGaussians {
         scales.add(step, "velocity", 0.5 * weights.velocity, next);
 
         let none = step.tape.constant(Tensor::zeros(step.tape.value(variation).shape()));
-        let predicted = scales.mean_square(step, variation, none);
-        let observed = scales.mean_square(step, moved[1], moved[0]);
-        scales.add(step, "temporal", weights.temporal, predicted);
-        scales.add(step, "temporal", weights.temporal, observed);
+        let from_heads = scales.mean_square(step, variation, none);
+        let from_field = scales.mean_square(step, moved[1], moved[0]);
+        scales.add(step, "temporal", weights.temporal, from_heads);
+        scales.add(step, "temporal", weights.temporal, from_field);
     }
 
     /// Accelerations (eq 8) and jerks (eq 9).
@@ -125,13 +125,13 @@ impl PhysicalGaussians {
         }
         let (weights, Kinematics { moved, variations, .. }) = (&self.settings.weights, kinematics);
         let accelerations = differences(step.tape, moved);
-        if let (Some(&predicted), Some(&observed)) = (variations.first(), accelerations.first()) {
-            let value = scales.mean_square(step, predicted, observed);
+        if let (Some(&from_heads), Some(&from_field)) = (variations.first(), accelerations.first()) {
+            let value = scales.mean_square(step, from_heads, from_field);
             scales.add(step, "acceleration", weights.acceleration, value);
         }
-        let (predicted, observed) = (differences(step.tape, variations), differences(step.tape, &accelerations));
-        if let (Some(&predicted), Some(&observed)) = (predicted.first(), observed.first()) {
-            let value = scales.mean_square(step, predicted, observed);
+        let (from_heads, from_field) = (differences(step.tape, variations), differences(step.tape, &accelerations));
+        if let (Some(&from_heads), Some(&from_field)) = (from_heads.first(), from_field.first()) {
+            let value = scales.mean_square(step, from_heads, from_field);
             scales.add(step, "jerk", weights.jerk, value);
         }
     }
@@ -169,7 +169,7 @@ impl PhysicalGaussians {
         let moved = sub(step.tape, arrived, positions);
         let moved = scale(step.tape, moved, 1.0 / frames);
         let outlier = self.settings.flow_outlier;
-        let (limit, least) = (observed.median_length(outlier), outlier * STANDS_STILL * step.scene.extent);
+        let (limit, least) = (observed.median_length(outlier), outlier * STATIC_THRESHOLD * step.scene.extent);
         for estimate in [kinematics.velocity, Some(moved)].into_iter().flatten() {
             let observed = observed.without_outliers(step.tape.value(estimate), &limit, least);
             let (target, weight) = observed.constants(step);

@@ -16,7 +16,7 @@ use crate::data::SceneFacts;
 use crate::method::Step;
 
 /// A Gaussian that moves less than this share of the scene's extent within the evaluated frames is static.
-pub(crate) const STANDS_STILL: f64 = 1e-4;
+pub(crate) const STATIC_THRESHOLD: f64 = 1e-4;
 
 /// Instants less than this share of a frame apart are equal; an instant this close after the end is clamped to the end.
 const SAME_INSTANT: f64 = 1e-3;
@@ -77,21 +77,21 @@ impl Trajectories {
         let canonical = gather(step.tape, positions, &sampled.rows);
         let points: Vec<MovedPoints> =
             times.iter().map(|&time| base.move_points(step.tape, step.model, step.scene, canonical, time)).collect();
-        let threshold = STANDS_STILL * step.scene.extent;
+        let threshold = STATIC_THRESHOLD * step.scene.extent;
         let [moving, kept] = moving(step.tape, &points, &sampled.weights, threshold);
         let kept = step.tape.constant(kept);
         step.count_skipped_deferred("physical losses of Gaussians that stand still", kept, sampled.rows.len());
         let weights = step.tape.constant(moving);
         let followed = Self { weights, canonical, times, points };
         match step.tape.device() {
-            Device::Cpu => followed.of_weight(step.tape),
+            Device::Cpu => followed.compacted(step.tape),
             Device::Gpu(_) => Some(followed),
         }
     }
 
     /// Keeps only the rows with a positive weight, which saves all further work on the others; `None` if no row is
     /// left. CPU only, because on a GPU the selection would require a readback.
-    fn of_weight<T: Real>(self, tape: &mut Tape<T>) -> Option<Self> {
+    fn compacted<T: Real>(self, tape: &mut Tape<T>) -> Option<Self> {
         let weights = tape.value(self.weights).as_slice();
         let rows: Vec<u32> = (0..weights.len() as u32).filter(|&row| weights[row as usize] > T::ZERO).collect();
         if rows.is_empty() {
@@ -146,8 +146,8 @@ fn moving<T: Real>(tape: &Tape<T>, points: &[MovedPoints], weights: &Tensor<T>, 
     let rows = child.value(weights).len();
     let mut still = weights;
     for &later in &positions[1..] {
-        let way = sub(&mut child, later, positions[0]);
-        let squared = squared_norm(&mut child, way);
+        let displacement = sub(&mut child, later, positions[0]);
+        let squared = squared_norm(&mut child, displacement);
         let squared = reshape(&mut child, squared, [rows]);
         still = where_below(&mut child, squared, still, threshold * threshold);
     }

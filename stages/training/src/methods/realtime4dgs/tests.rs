@@ -78,9 +78,9 @@ fn gaussians_of_other_times_are_absent() {
     // Ten times with three Gaussians each, with a standard deviation of a hundredth.
     state.insert("gaussians.times", Tensor::from_vec([30, 1], (0..30).map(|at| 0.1 * (at % 10) as f32).collect()));
     state.insert("gaussians.log_scales_time", Tensor::full([30, 1], 0.01_f32.ln()));
-    let (tape, there, _) = splats(&method, &state, &dataset, 0.3, 0);
-    assert_eq!(present(&tape, &there), [3, 13, 23]);
-    assert_eq!(baked(&tape, &there, 0).positions.len(), 9);
+    let (tape, sliced, _) = splats(&method, &state, &dataset, 0.3, 0);
+    assert_eq!(present(&tape, &sliced), [3, 13, 23]);
+    assert_eq!(baked(&tape, &sliced, 0).positions.len(), 9);
     let (tape, none, _) = splats(&method, &state, &dataset, 0.35, 0);
     assert!(present(&tape, &none).is_empty(), "a moment without Gaussians is valid");
 }
@@ -91,8 +91,8 @@ fn slices_convert_to_3d_gaussians() {
     let dataset = dataset(&dir);
     let method = method(&["motion"], 0);
     let state = first_state(&method, &dataset);
-    let (tape, there, _) = splats(&method, &state, &dataset, 0.5, 0);
-    let saved = baked(&tape, &there, 0);
+    let (tape, sliced, _) = splats(&method, &state, &dataset, 0.5, 0);
+    let saved = baked(&tape, &sliced, 0);
     let stored = state.get("gaussians.log_scales").unwrap().as_slice();
     let sorted = |values: &[f32]| {
         let mut values = values.to_vec();

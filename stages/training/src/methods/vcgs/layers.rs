@@ -49,7 +49,8 @@ pub(crate) fn background_surfels(
     Ok(surfels)
 }
 
-/// Surfels of the moving layer from every view; each is born at its view's time and moves across the view's axis.
+/// Surfels of the moving layer from every view; each is born at its view's time and moves perpendicular to
+/// the view's axis.
 pub(crate) fn foreground_surfels(
     start: &Start<'_>,
     settings: &Settings,

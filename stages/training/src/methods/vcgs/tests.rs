@@ -227,7 +227,7 @@ fn only_uncovered_pixels_are_new() {
 }
 
 #[test]
-fn pruning_removes_faint_and_large_surfels_down_to_a_minimum() {
+fn pruning_keeps_a_minimum_of_opaque_small_surfels() {
     let params = Pruning { min_count: 2, ..Pruning::default() };
     let mut pruning = SurfelPruning::new(BACKGROUND, &params, 1.0);
     let logits: Vec<f32> = [0.5, 0.04, 0.5, 0.06, 0.5].map(logit_of).to_vec();

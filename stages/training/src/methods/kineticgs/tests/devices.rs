@@ -34,7 +34,7 @@ fn crowd() -> World {
 }
 
 /// The first view's maps with a constant depth, the median of the anchors', and a constant flow.
-fn maps_that_show_some(world: &World, device: Device) -> FlowMaps<f32> {
+fn partially_visible_maps(world: &World, device: Device) -> FlowMaps<f32> {
     let maps = FlowView::of(&world.dataset, &world.supplements, 0).unwrap().maps(device, &ViewConstants::default());
     let row = maps.camera.rotation[2];
     let positions = world.state.get("anchors.positions").unwrap().as_slice().as_chunks::<3>().0;
@@ -59,7 +59,7 @@ fn outcome(world: &World, device: Device) -> (Vec<Tensor<f32>>, Vec<Tensor<f32>>
     let model = state.bind(&mut tape, learns);
     let particles = method.particles(&mut tape, &model);
     let moved = method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
-    let maps = maps_that_show_some(world, device);
+    let maps = partially_visible_maps(world, device);
     let followed = energy_flow(&mut tape, &model, &method.motion, &particles, &moved, &maps, 0.6).unwrap();
     let pairs = particles.population.pairs(Search::Hilbert, 0.05).unwrap();
     let displacements = displacement_incoherence(&mut tape, &moved, pairs, 1.0).unwrap();

@@ -109,8 +109,8 @@ impl LanguageGuided {
         let covered = total(step.tape, tokens.covered);
         step.count_skipped_deferred("tokens without Gaussians", covered, grid.count());
 
-        let asked = due.static_semantics || self.on.attention_focus;
-        let output = asked.then(|| self.teacher_output(step, grid, view, true));
+        let needs_teacher = due.static_semantics || self.on.attention_focus;
+        let output = needs_teacher.then(|| self.teacher_output(step, grid, view, true));
         let focus = match &output {
             Some(output) if self.on.attention_focus => focus(step.tape, output.probabilities),
             _ => step.tape.constant(Tensor::full([grid.count(), 1], T::ONE)),
