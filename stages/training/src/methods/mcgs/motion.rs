@@ -47,7 +47,7 @@ impl Nodes {
         self.chain.insert(state, random);
     }
 
-    /// Step sizes of nodes and branches.
+    /// Learning rates of nodes and branches.
     pub(crate) fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
         let is_learnt = ["nodes.positions", "nodes.log_radii"].contains(&tensor);
         let of_nodes = || is_learnt.then_some(self.settings.nodes.rate);

@@ -24,7 +24,7 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
 use crate::shared::Shared;
 
-/// The method's only effect besides view-dependent colour.
+/// The method's only effect.
 const MOTION: &str = "motion";
 /// [N, 2] logits of each anchor's gates, for the motion of its position and for all other changes.
 const GATES: &str = "anchors.gates";
