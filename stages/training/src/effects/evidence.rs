@@ -48,8 +48,8 @@ impl Need {
         }
     }
 
-    /// The evidence for the need in `facts_on`, the facts of the artifact on a port (`None` for a port that is not wired).
-    /// A need of another effect counts as met here.
+    /// The evidence for the need in `facts_on`, the facts of the artifact on a port (`None` for a port that is not
+    /// wired). A need of another effect counts as met here.
     pub(super) fn evidence<'a>(self, facts_on: impl Fn(&str) -> Option<&'a Facts>) -> Evidence {
         let port = self.port().unwrap_or(CAPTURE);
         let known = facts_on(port);

@@ -16,8 +16,8 @@ use serde_json::Value;
 pub(crate) use choice::{known_inputs, outcomes};
 pub(crate) use evidence::{BACKGROUND, CAPTURE, FEATURES, LAYERS, PARTICLES, PRIORS};
 
-/// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has this
-/// effect; without it the degree is 0 and no coefficients are allocated.
+/// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has
+/// this effect; without it the degree is 0 and no coefficients are allocated.
 pub(crate) const VIEW_DEPENDENT_COLOR: Effect = Effect {
     name: "view-dependent-color",
     about: "spherical harmonics of degree 1 and more",

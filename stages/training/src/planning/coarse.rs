@@ -1,7 +1,7 @@
 //! One coarse phase for several trainings: methods with the same first phase continue from one model.
 //!
-//! A training with `stop_after` saves the model at the end of a phase. Another training with exactly the same phase takes
-//! that model on the port `start` and ends in the same bytes as a training that runs all phases itself.
+//! A training with `stop_after` saves the model at the end of a phase. Another training with exactly the same phase
+//! takes that model on the port `start` and ends in the same bytes as a training that runs all phases itself.
 
 #[cfg(test)]
 mod tests;
@@ -15,8 +15,8 @@ use crate::method::CoarseSharing;
 use crate::methods;
 use crate::params::TrainingParams;
 
-/// Everything that the shared phase of a training depends on besides its capture; `None` without such a phase. Phases with
-/// equal values are equal, step by step.
+/// Everything that the shared phase of a training depends on besides its capture; `None` without such a phase. Phases
+/// with equal values are equal, step by step.
 pub(crate) fn recipe(params: &TrainingParams) -> Option<Value> {
     let registration = methods::find(&params.method).ok()?;
     let CoarseSharing { base, phase, settings } = registration.coarse(&params.shared, &params.settings).ok()??;

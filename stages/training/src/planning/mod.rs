@@ -1,5 +1,5 @@
-//! Decisions about a training while its recipe is planned: its effects, the optional inputs that they read, and the shared
-//! phase that it can continue from.
+//! Decisions about a training while its recipe is planned: its effects, the optional inputs that they read, and the
+//! shared phase that it can continue from.
 
 mod coarse;
 #[cfg(test)]
@@ -53,7 +53,8 @@ pub(crate) fn resolve(
     Ok(Resolution { params, unread: choice.unread, chosen, decisions })
 }
 
-/// The parameters of a shared phase without those that only later phases read, so a change of these does not retrain it.
+/// The parameters of a shared phase without those that only later phases read, so a change of these does not retrain
+/// it.
 fn without_the_rest(params: TrainingParams) -> TrainingParams {
     let Ok(defaults) = TrainingParams::of(&params.method) else { return params };
     let mut lean = TrainingParams { settings: defaults.settings, ..params.clone() };
@@ -81,8 +82,8 @@ pub(crate) fn facts(params: &TrainingParams) -> Facts {
 /// Name of the fact that holds the recipe of a shared phase.
 const COARSE: &str = "coarse phase";
 
-/// The index of the model on the port `start` that is exactly what this training would begin with, and the decision to use
-/// it. If only a model of the same base with other parameters is offered, the decision lists the differences.
+/// The index of the model on the port `start` that is exactly what this training would begin with, and the decision to
+/// use it. If only a model of the same base with other parameters is offered, the decision lists the differences.
 fn chosen_start(params: &TrainingParams, context: &PlanContext<'_>) -> (Option<usize>, Option<Decision>) {
     let decision = |on, reason| Some(Decision { effect: "shared coarse phase".into(), on, reason });
     let begins_alike = || {

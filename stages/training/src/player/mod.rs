@@ -31,8 +31,8 @@ pub struct Player {
     device: Device,
     phase: String,
     sh_degree: usize,
-    /// The largest number of intersections of a render so far, the capacity of later renders; a render that overflows it is
-    /// repeated.
+    /// The largest number of intersections of a render so far, the capacity of later renders; a render that overflows
+    /// it is repeated.
     capacity: AtomicUsize,
 }
 

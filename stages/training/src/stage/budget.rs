@@ -1,15 +1,16 @@
 //! Training to a deadline: the affordable length of the schedule is measured, then the training is an ordinary one.
 //!
-//! The cost of a step depends on the machine, and it changes as Gaussians multiply and phases follow each other. The whole
-//! training is therefore first run in miniature, with every schedule shortened by a `schedule_scale`: once very short, once
-//! in about a tenth of the budget. The slope between the two is the cost of a unit of scale, including all phases and
-//! density control; costs that do not depend on the length cancel out.
+//! The cost of a step depends on the machine, and it changes as Gaussians multiply and phases follow each other. The
+//! whole training is therefore first run in miniature, with every schedule shortened by a `schedule_scale`: once very
+//! short, once in about a tenth of the budget. The slope between the two is the cost of a unit of scale, including all
+//! phases and density control; costs that do not depend on the length cancel out.
 //!
 //! The resulting scale depends on the clock. It is therefore chosen once, before the first step, stored beside the
-//! checkpoints, and reported in the model's parameters (`schedule_scale`) and in the measurements. A training with a budget
-//! is not reproducible bit for bit; the same training with that `schedule_scale` and no budget is, and its model differs
-//! only in the recorded parameters. The budget refers to the training clock: evaluation and the miniatures are not included.
-//! Nothing is cut off: if the machine slows down, a training takes longer than its budget, and `training_secs` shows it.
+//! checkpoints, and reported in the model's parameters (`schedule_scale`) and in the measurements. A training with a
+//! budget is not reproducible bit for bit; the same training with that `schedule_scale` and no budget is, and its model
+//! differs only in the recorded parameters. The budget refers to the training clock: evaluation and the miniatures are
+//! not included. Nothing is cut off: if the machine slows down, a training takes longer than its budget, and
+//! `training_secs` shows it.
 
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -51,8 +52,8 @@ pub(crate) struct Choice {
     pub calibration_secs: f64,
 }
 
-/// The parameters to train with: those given, with a schedule that fits the budget if there is one. `None` if the job was
-/// stopped meanwhile.
+/// The parameters to train with: those given, with a schedule that fits the budget if there is one. `None` if the job
+/// was stopped meanwhile.
 pub(super) fn fit(
     dataset: &Dataset,
     supplements: &Supplements,
@@ -92,8 +93,8 @@ struct Cost {
     wall: f64,
 }
 
-/// Chooses the scale for a budget from the costs that `run` returns for two scales; `steps` is the length of a training of
-/// scale 1. `None` if `run` was stopped.
+/// Chooses the scale for a budget from the costs that `run` returns for two scales; `steps` is the length of a training
+/// of scale 1. `None` if `run` was stopped.
 fn choose(
     budget_secs: f64,
     steps: u64,

@@ -54,8 +54,8 @@ impl OptionalInputs {
         self.particles.is_some()
     }
 
-    /// Reads the inputs of the training views of `capture`. Views of other splits stay empty, so no method can learn from
-    /// them.
+    /// Reads the inputs of the training views of `capture`. Views of other splits stay empty, so no method can learn
+    /// from them.
     pub(crate) fn load(&self, capture: &Capture) -> anyhow::Result<Supplements> {
         let mut supplements = Supplements::default();
         if let Some(priors) = &self.priors {
