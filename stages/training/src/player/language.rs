@@ -59,8 +59,8 @@ impl Player {
     }
 
     /// The relevancy [H, W, P] in [0, 1] of each pixel to each prompt [P, E] among all of them (0 where nothing is
-    /// visible): the smallest softmax of the prompt against one other, as in LangSplat (Qin et al. 2024). `None` for a model
-    /// that cannot compare its features with prompts.
+    /// visible): the smallest softmax of the prompt against one other, as in LangSplat (Qin et al. 2024). `None` for a
+    /// model that cannot compare its features with prompts.
     pub fn prompt_relevancy(
         &self,
         time_secs: f64,
