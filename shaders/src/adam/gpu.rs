@@ -23,7 +23,7 @@ const ADAM: Grouped = Grouped {
 /// Elements per invocation, and invocations per workgroup.
 const ELEMENTS: usize = 4;
 /// The largest magnitude of the gradient, and that of the new values.
-pub const FIGURES: usize = 2;
+pub(crate) const FIGURES: usize = 2;
 
 uniforms! {
     struct AdamItem as "Item" {
@@ -42,10 +42,10 @@ fn specialisation() -> [(&'static str, u32); 1] {
 }
 
 /// A group whose step counter has been advanced, its gradient, and the scalars of its update.
-pub type Counted<'a> = (&'a mut Group, &'a Tensor<f32>, Coefficients);
+pub(super) type Counted<'a> = (&'a mut Group, &'a Tensor<f32>, Coefficients);
 
 /// Updates groups; the largest magnitudes of each, [groups, 2].
-pub fn advance(gpu: Gpu, updates: &mut [Counted]) -> Tensor<f32> {
+pub(super) fn advance(gpu: Gpu, updates: &mut [Counted]) -> Tensor<f32> {
     let figures = GpuArray::zeros(gpu, FIGURES * updates.len());
     let new = |(_, gradient, _): &Counted| [(); 3].map(|()| GpuArray::new(gpu, gradient.len()));
     let written: Vec<[GpuArray; 3]> = updates.iter().map(new).collect();

@@ -15,11 +15,17 @@ pub struct Group {
 /// Everything a [`Group`] consists of, for checkpoints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupState {
+    /// The name of the group.
     pub name: String,
+    /// The shape of the values and of both moments.
     pub shape: Vec<usize>,
+    /// The values, row-major.
     pub values: Vec<f32>,
+    /// The running mean of the gradient, row-major.
     pub first_moment: Vec<f32>,
+    /// The running mean of the squared gradient, row-major.
     pub second_moment: Vec<f32>,
+    /// The number of updates so far.
     pub step: u64,
 }
 
@@ -40,6 +46,7 @@ impl Group {
         Self { name, tensor, first_moment, second_moment, step }
     }
 
+    /// A copy of the values, the moments and the step, for a checkpoint.
     pub fn state(&self) -> GroupState {
         GroupState {
             name: self.name.clone(),
@@ -51,10 +58,12 @@ impl Group {
         }
     }
 
+    /// The name of the group.
     pub fn name(&self) -> &str {
         &self.name
     }
 
+    /// The values.
     pub fn tensor(&self) -> &Tensor<f32> {
         &self.tensor
     }
@@ -70,10 +79,12 @@ impl Group {
         self.tensor.make_mut()
     }
 
+    /// The first dimension of the values.
     pub fn rows(&self) -> usize {
         self.tensor.rows()
     }
 
+    /// The number of values per row.
     pub fn row_len(&self) -> usize {
         self.tensor.row_len()
     }

@@ -21,10 +21,10 @@ use crate::tape::simd::multiversion;
 /// m ← β1·m + (1 − β1)·g, v ← β2·v + (1 − β2)·g², p ← p − rate·(m / (1 − β1ᵗ)) / (√(v / (1 − β2ᵗ)) + ε).
 #[derive(Copy, Clone, Debug, PartialEq)]
 pub struct Adam {
-    pub beta1: f64,
-    pub beta2: f64,
+    pub(crate) beta1: f64,
+    pub(crate) beta2: f64,
     /// Gradients of losses that are means over pixels go down to 1e-10: the customary 1e-8 would freeze them.
-    pub epsilon: f64,
+    pub(crate) epsilon: f64,
 }
 
 impl Default for Adam {
@@ -35,9 +35,11 @@ impl Default for Adam {
 
 /// One group to update.
 pub struct Update<'a> {
+    /// The group to update.
     pub group: &'a mut Group,
     /// The gradient, of the group's shape. `None` leaves the group unchanged, moments and step included.
     pub gradient: Option<&'a Tensor<f32>>,
+    /// The step size before the bias corrections.
     pub learning_rate: f64,
 }
 

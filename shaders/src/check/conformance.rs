@@ -35,6 +35,7 @@ pub(crate) struct Tolerance {
 pub struct Conformance {
     /// Comparisons of values or of gradients.
     pub comparisons: usize,
+    /// Wall-clock seconds of all comparisons.
     pub secs: f64,
 }
 
@@ -43,6 +44,7 @@ pub struct Conformance {
 pub struct Disagreement {
     /// The kernel.
     pub what: String,
+    /// The first element that differs.
     pub mismatch: Mismatch,
 }
 

@@ -22,8 +22,11 @@ pub const TOLERANCE: f64 = 1e-6;
 pub struct Mismatch {
     /// `"input 1"`, or `"tensor"`.
     pub what: String,
+    /// The index of the element in row-major order.
     pub element: usize,
+    /// The value under test.
     pub found: f64,
+    /// The reference value.
     pub expected: f64,
     /// The absolute difference that would have been accepted.
     pub allowed: f64,

@@ -6,7 +6,7 @@ use crate::rasteriser::{Rendered, ShapeVars, SplatTensors, SplatVars};
 use crate::tape::{Real, Tensor, Var};
 
 /// A camera 4 units in front of the origin, a little off its axes and centre.
-pub fn camera(width: usize, height: usize) -> PinholeCamera {
+pub(crate) fn camera(width: usize, height: usize) -> PinholeCamera {
     let (sin, cos) = 0.3_f64.sin_cos();
     PinholeCamera {
         width,
@@ -21,7 +21,7 @@ pub fn camera(width: usize, height: usize) -> PinholeCamera {
 /// `count` splats in a cube of half-width 1 whose depths differ, with opacities from 0.2 to 0.8 and harmonics of degree 3.
 ///
 /// `log_scale` is the mean logarithm of the standard deviations; they spread by a factor e^±½.
-pub fn splats(count: usize, log_scale: f64, seed: u64) -> SplatTensors<f64> {
+pub(crate) fn splats(count: usize, log_scale: f64, seed: u64) -> SplatTensors<f64> {
     let random = |kind: u64, len: usize| noise(count * len, 16 * seed + kind);
     let scaled = |kind, len, factor: f64, offset: f64| -> Vec<f64> {
         random(kind, len).into_iter().map(|value| offset + factor * value).collect()
@@ -38,19 +38,19 @@ pub fn splats(count: usize, log_scale: f64, seed: u64) -> SplatTensors<f64> {
 }
 
 /// The tensors of splats in the order of [`crate::rasteriser::splats::SplatVars`].
-pub fn tensors<T: Real>(splats: &SplatTensors<T>) -> Vec<Tensor<T>> {
+pub(crate) fn tensors<T: Real>(splats: &SplatTensors<T>) -> Vec<Tensor<T>> {
     let SplatTensors { positions, log_scales, rotations, opacity_logits, sh } = splats.clone();
     vec![positions, log_scales, rotations, opacity_logits, sh]
 }
 
 /// The variables of splats in that order.
-pub fn vars(vars: &[Var]) -> SplatVars {
+pub(crate) fn vars(vars: &[Var]) -> SplatVars {
     let &[positions, log_scales, rotations, opacity_logits, sh] = vars else { panic!("five variables") };
     SplatVars { positions, shape: ShapeVars::ScaleRotation { log_scales, rotations }, opacity_logits, sh }
 }
 
 /// Everything that was rendered: colour, alpha, depth, features.
-pub fn images(rendered: &Rendered) -> Vec<Var> {
+pub(crate) fn images(rendered: &Rendered) -> Vec<Var> {
     let images = [Some(rendered.color), Some(rendered.alpha), rendered.depth, rendered.features];
     images.into_iter().flatten().collect()
 }

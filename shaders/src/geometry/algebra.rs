@@ -5,57 +5,57 @@ use crate::tape::Real;
 /// Quaternions shorter than the root of this count as no rotation: their direction is rounding noise.
 const MIN_SQUARED_NORM: f64 = 1e-12;
 
-pub type Vec3<T> = [T; 3];
-pub type Mat3<T> = [[T; 3]; 3];
-pub type Quaternion<T> = [T; 4];
+pub(crate) type Vec3<T> = [T; 3];
+pub(crate) type Mat3<T> = [[T; 3]; 3];
+pub(crate) type Quaternion<T> = [T; 4];
 
 #[inline(always)]
-pub fn dot<T: Real>(a: Vec3<T>, b: Vec3<T>) -> T {
+pub(crate) fn dot<T: Real>(a: Vec3<T>, b: Vec3<T>) -> T {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[inline(always)]
-pub fn cross<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
+pub(crate) fn cross<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// x·a + y·b.
 #[inline(always)]
-pub fn combine<T: Real>(x: T, a: Vec3<T>, y: T, b: Vec3<T>) -> Vec3<T> {
+pub(crate) fn combine<T: Real>(x: T, a: Vec3<T>, y: T, b: Vec3<T>) -> Vec3<T> {
     [x * a[0] + y * b[0], x * a[1] + y * b[1], x * a[2] + y * b[2]]
 }
 
 #[inline(always)]
-pub fn column<T: Real>(m: &Mat3<T>, index: usize) -> Vec3<T> {
+pub(crate) fn column<T: Real>(m: &Mat3<T>, index: usize) -> Vec3<T> {
     [m[0][index], m[1][index], m[2][index]]
 }
 
 #[inline(always)]
-pub fn transposed<T: Real>(m: &Mat3<T>) -> Mat3<T> {
+pub(crate) fn transposed<T: Real>(m: &Mat3<T>) -> Mat3<T> {
     [column(m, 0), column(m, 1), column(m, 2)]
 }
 
 #[inline(always)]
-pub fn apply<T: Real>(m: &Mat3<T>, v: Vec3<T>) -> Vec3<T> {
+pub(crate) fn apply<T: Real>(m: &Mat3<T>, v: Vec3<T>) -> Vec3<T> {
     [dot(m[0], v), dot(m[1], v), dot(m[2], v)]
 }
 
 /// a·b.
 #[inline(always)]
-pub fn product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
+pub(crate) fn product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
     let columns = transposed(b);
     a.map(|row| columns.map(|column| dot(row, column)))
 }
 
 /// m·diag(s).
 #[inline(always)]
-pub fn scale_columns<T: Real>(m: &Mat3<T>, s: Vec3<T>) -> Mat3<T> {
+pub(crate) fn scale_columns<T: Real>(m: &Mat3<T>, s: Vec3<T>) -> Mat3<T> {
     m.map(|row| [row[0] * s[0], row[1] * s[1], row[2] * s[2]])
 }
 
 /// The rotation of a unit quaternion (w, x, y, z).
 #[inline(always)]
-pub fn rotation<T: Real>([w, x, y, z]: Quaternion<T>) -> Mat3<T> {
+pub(crate) fn rotation<T: Real>([w, x, y, z]: Quaternion<T>) -> Mat3<T> {
     let (one, two) = (T::ONE, T::from_f64(2.0));
     [
         [one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)],
@@ -66,7 +66,7 @@ pub fn rotation<T: Real>([w, x, y, z]: Quaternion<T>) -> Mat3<T> {
 
 /// The gradient of a unit quaternion from that of its [`rotation`], before projection to the tangent space.
 #[inline(always)]
-pub fn rotation_backward<T: Real>([w, x, y, z]: Quaternion<T>, g: &Mat3<T>) -> Quaternion<T> {
+pub(crate) fn rotation_backward<T: Real>([w, x, y, z]: Quaternion<T>, g: &Mat3<T>) -> Quaternion<T> {
     let two = T::from_f64(2.0);
     let (wx, wy, wz) = (g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]);
     let (xy, xz, yz) = (g[0][1] + g[1][0], g[0][2] + g[2][0], g[1][2] + g[2][1]);
@@ -80,7 +80,7 @@ pub fn rotation_backward<T: Real>([w, x, y, z]: Quaternion<T>, g: &Mat3<T>) -> Q
 
 /// The unit quaternion and 1/|q|, or the identity and zero where q has no direction; a NaN stays a NaN.
 #[inline(always)]
-pub fn normalised<T: Real>(q: Quaternion<T>) -> (Quaternion<T>, T) {
+pub(crate) fn normalised<T: Real>(q: Quaternion<T>) -> (Quaternion<T>, T) {
     let squared = dot4(q, q);
     if squared < T::from_f64(MIN_SQUARED_NORM) {
         return ([T::ONE, T::ZERO, T::ZERO, T::ZERO], T::ZERO);
@@ -91,25 +91,25 @@ pub fn normalised<T: Real>(q: Quaternion<T>) -> (Quaternion<T>, T) {
 
 /// The gradient of q from that of its [`normalised`] form: only the part tangential to the sphere of directions.
 #[inline(always)]
-pub fn normalised_backward<T: Real>(unit: Quaternion<T>, inverse_norm: T, g: Quaternion<T>) -> Quaternion<T> {
+pub(crate) fn normalised_backward<T: Real>(unit: Quaternion<T>, inverse_norm: T, g: Quaternion<T>) -> Quaternion<T> {
     let radial = dot4(g, unit);
     [0, 1, 2, 3].map(|i| (g[i] - radial * unit[i]) * inverse_norm)
 }
 
 #[inline(always)]
-pub fn dot4<T: Real>(a: Quaternion<T>, b: Quaternion<T>) -> T {
+pub(crate) fn dot4<T: Real>(a: Quaternion<T>, b: Quaternion<T>) -> T {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }
 
 /// x·a + y·b.
 #[inline(always)]
-pub fn combine4<T: Real>(x: T, a: Quaternion<T>, y: T, b: Quaternion<T>) -> Quaternion<T> {
+pub(crate) fn combine4<T: Real>(x: T, a: Quaternion<T>, y: T, b: Quaternion<T>) -> Quaternion<T> {
     [0, 1, 2, 3].map(|i| x * a[i] + y * b[i])
 }
 
 /// Hamilton's product p⊗q: the rotation q followed by p.
 #[inline(always)]
-pub fn hamilton<T: Real>(p: Quaternion<T>, q: Quaternion<T>) -> Quaternion<T> {
+pub(crate) fn hamilton<T: Real>(p: Quaternion<T>, q: Quaternion<T>) -> Quaternion<T> {
     [
         p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
         p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
@@ -119,6 +119,6 @@ pub fn hamilton<T: Real>(p: Quaternion<T>, q: Quaternion<T>) -> Quaternion<T> {
 }
 
 #[inline(always)]
-pub fn conjugate<T: Real>([w, x, y, z]: Quaternion<T>) -> Quaternion<T> {
+pub(crate) fn conjugate<T: Real>([w, x, y, z]: Quaternion<T>) -> Quaternion<T> {
     [w, -x, -y, -z]
 }

@@ -1,3 +1,5 @@
+//! The camera model of projections.
+
 /// A pinhole camera: x right, y down, z forward; pixel (i, j) has its centre at (i + ½, j + ½).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PinholeCamera {

@@ -14,6 +14,7 @@ const WORKGROUP_BYTES: u32 = 16 * 1024;
 /// Name and capabilities of an adapter.
 #[derive(Clone, Debug)]
 pub struct AdapterReport {
+    /// The adapter's name, as the driver reports it.
     pub name: String,
     /// `"Vulkan"`, `"Metal"`, `"DX12"`.
     pub backend: String,
@@ -23,6 +24,7 @@ pub struct AdapterReport {
     pub pci_id: String,
     /// The PCI bus address, if the driver reports it.
     pub pci_bus: String,
+    /// The name and version of the driver.
     pub driver: String,
     /// Bytes of the largest array that a kernel can see.
     pub max_array_bytes: u64,
@@ -44,12 +46,27 @@ pub struct AdapterReport {
 pub enum AdapterError {
     /// No adapter at all.
     None,
-    /// No adapter has that name or id; `found` lists those present.
-    NotFound { wanted: String, found: Vec<String> },
+    /// No adapter has that name or id.
+    NotFound {
+        /// The name or id that was asked for.
+        wanted: String,
+        /// The adapters present.
+        found: Vec<String>,
+    },
     /// The adapter lacks a feature that kernels need.
-    Lacking { name: String, what: String },
+    Lacking {
+        /// The adapter's name.
+        name: String,
+        /// The missing feature.
+        what: String,
+    },
     /// The driver refused.
-    Refused { name: String, reason: String },
+    Refused {
+        /// The adapter's name.
+        name: String,
+        /// The driver's message.
+        reason: String,
+    },
 }
 
 impl fmt::Display for AdapterError {

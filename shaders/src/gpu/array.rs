@@ -14,7 +14,7 @@ const MIN_BYTES: u64 = 256;
 
 /// Buffers that no array uses any more, by size.
 #[derive(Default)]
-pub struct Pool {
+pub(super) struct Pool {
     /// Buffers that recorded, unsubmitted kernels may still use: later recorded kernels may reuse them, the host may not.
     recent: BTreeMap<u64, Vec<wgpu::Buffer>>,
     /// Buffers that no recorded kernel uses.
@@ -26,7 +26,7 @@ pub struct Pool {
 ///
 /// That is safe while kernels that use it are still to run, because whatever uses the buffer next runs after them.
 #[derive(Debug)]
-pub struct GpuArray {
+pub(crate) struct GpuArray {
     gpu: Gpu,
     /// `None` only during drop.
     buffer: Option<wgpu::Buffer>,
@@ -35,7 +35,7 @@ pub struct GpuArray {
 
 impl GpuArray {
     /// An array with undefined content: the first kernel that uses it must write all of it.
-    pub fn new(gpu: Gpu, len: usize) -> Self {
+    pub(crate) fn new(gpu: Gpu, len: usize) -> Self {
         let size = gpu.checked_size(len);
         let pooled = lock(&gpu.0.pool).take(size);
         let buffer = pooled.unwrap_or_else(|| gpu.create_buffer(size));
@@ -43,7 +43,7 @@ impl GpuArray {
     }
 
     /// An array with these numbers, f32 or u32.
-    pub fn upload<N: bytemuck::NoUninit>(gpu: Gpu, data: &[N]) -> Self {
+    pub(crate) fn upload<N: bytemuck::NoUninit>(gpu: Gpu, data: &[N]) -> Self {
         assert_eq!(size_of::<N>(), 4, "arrays hold 32-bit numbers");
         let size = gpu.checked_size(data.len());
         // The host writes before the kernels that are recorded so far run.
@@ -59,29 +59,29 @@ impl GpuArray {
     }
 
     /// An array of zeros.
-    pub fn zeros(gpu: Gpu, len: usize) -> Self {
+    pub(crate) fn zeros(gpu: Gpu, len: usize) -> Self {
         Self::upload(gpu, &vec![0_u32; len])
     }
 
-    pub fn gpu(&self) -> Gpu {
+    pub(crate) fn gpu(&self) -> Gpu {
         self.gpu
     }
 
     /// The number of elements.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.len
     }
 
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    pub fn buffer(&self) -> &wgpu::Buffer {
+    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
         self.buffer.as_ref().expect("there until it is dropped")
     }
 
     /// Waits for the kernels so far and copies one element to the host.
-    pub fn read_one(&self, at: usize) -> u32 {
+    pub(crate) fn read_one(&self, at: usize) -> u32 {
         assert!(at < self.len, "element {at} of {}", self.len);
         let mut out = [0];
         self.gpu.read(&[(self, at..at + 1)], bytemuck::cast_slice_mut(&mut out));
@@ -89,7 +89,7 @@ impl GpuArray {
     }
 
     /// Waits once for the kernels so far and copies all elements of all arrays, which are on one GPU, to the host.
-    pub fn read_all(arrays: &[&Self]) -> Vec<Vec<u32>> {
+    pub(crate) fn read_all(arrays: &[&Self]) -> Vec<Vec<u32>> {
         let mut out = vec![0_u32; arrays.iter().map(|array| array.len).sum()];
         if let (Some(first), false) = (arrays.first(), out.is_empty()) {
             let parts: Vec<(&Self, Range<usize>)> = arrays.iter().map(|array| (*array, 0..array.len)).collect();
@@ -100,7 +100,7 @@ impl GpuArray {
     }
 
     /// Waits for the kernels so far and copies the elements, f32 or u32, to the host.
-    pub fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
+    pub(crate) fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
         assert_eq!((size_of::<N>(), out.len()), (4, self.len), "arrays hold 32-bit numbers");
         if self.len > 0 {
             self.gpu.read(&[(self, 0..self.len)], bytemuck::cast_slice_mut(out));
@@ -140,7 +140,7 @@ impl Pool {
     }
 
     /// Everything that was recorded is submitted.
-    pub fn submitted(&mut self) {
+    pub(crate) fn submitted(&mut self) {
         for (size, buffers) in std::mem::take(&mut self.recent) {
             self.free.entry(size).or_default().extend(buffers);
         }

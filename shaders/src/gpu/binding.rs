@@ -3,11 +3,11 @@
 use super::{Gpu, GpuArray};
 
 /// A part of an array begins at a multiple of this many elements: 256 bytes are the coarsest alignment of all adapters.
-pub const ALIGNMENT: usize = 64;
+pub(crate) const ALIGNMENT: usize = 64;
 
 /// How a kernel accesses an array.
 #[derive(Clone, Copy)]
-pub enum Binding<'a> {
+pub(crate) enum Binding<'a> {
     Read(&'a GpuArray),
     Write(&'a GpuArray),
     ReadPart(Part<'a>),
@@ -16,7 +16,7 @@ pub enum Binding<'a> {
 
 /// Neighbouring elements of an array, which a kernel sees as if there were no others.
 #[derive(Clone, Copy)]
-pub struct Part<'a> {
+pub(crate) struct Part<'a> {
     array: &'a GpuArray,
     first: usize,
     len: usize,
@@ -24,7 +24,7 @@ pub struct Part<'a> {
 
 impl<'a> Part<'a> {
     /// The slice of `len` elements from `first` on, a multiple of [`ALIGNMENT`].
-    pub fn new(array: &'a GpuArray, first: usize, len: usize) -> Self {
+    pub(crate) fn new(array: &'a GpuArray, first: usize, len: usize) -> Self {
         assert!(first.is_multiple_of(ALIGNMENT), "a part that begins at element {first}");
         assert!(first + len <= array.len(), "{len} elements from {first} on of {}", array.len());
         Self { array, first, len }
@@ -44,7 +44,7 @@ impl<'a> Binding<'a> {
         }
     }
 
-    pub fn is_read_only(self) -> bool {
+    pub(crate) fn is_read_only(self) -> bool {
         matches!(self, Self::Read(_) | Self::ReadPart(_))
     }
 
@@ -53,12 +53,12 @@ impl<'a> Binding<'a> {
     }
 
     /// The number of elements.
-    pub fn len(self) -> usize {
+    pub(crate) fn len(self) -> usize {
         self.part().len
     }
 
     /// The sub-slice of `len` elements from `first` on, a multiple of [`ALIGNMENT`].
-    pub fn within(self, first: usize, len: usize) -> Self {
+    pub(crate) fn within(self, first: usize, len: usize) -> Self {
         let part = self.part();
         self.with_part(Part::new(part.array, part.first + first, len))
     }

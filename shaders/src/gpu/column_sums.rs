@@ -28,11 +28,11 @@ uniforms! {
 }
 
 /// The terms of an operation: two for every row and column.
-pub struct Terms<'a> {
+pub(crate) struct Terms<'a> {
     /// Imports `column_sums.wgsl`.
     pub kernel: &'a Kernel,
     /// Constants of its specialisation besides COLUMNS.
-    pub specialisation: &'a [(&'static str, u32)],
+    pub(crate) specialisation: &'a [(&'static str, u32)],
     /// The arrays that the terms are computed from.
     pub arrays: &'a [Binding<'a>],
     pub rows: usize,
@@ -41,7 +41,7 @@ pub struct Terms<'a> {
 
 impl Terms<'_> {
     /// The sums over blocks of rows, [blocks, 2, columns], and the number of blocks.
-    pub fn block_sums(&self, gpu: Gpu) -> (GpuArray, usize) {
+    pub(crate) fn block_sums(&self, gpu: Gpu) -> (GpuArray, usize) {
         let block_rows = self.rows.div_ceil(MAX_BLOCKS).max(MIN_BLOCK_ROWS);
         let blocks = self.rows.div_ceil(block_rows);
         let sums = GpuArray::new(gpu, blocks * 2 * self.columns);
@@ -55,7 +55,7 @@ impl Terms<'_> {
     }
 
     /// The sums of both terms over all rows, [columns] each.
-    pub fn sums(&self, gpu: Gpu) -> [GpuArray; 2] {
+    pub(crate) fn sums(&self, gpu: Gpu) -> [GpuArray; 2] {
         let sums = [(); 2].map(|()| GpuArray::new(gpu, self.columns));
         let (block_sums, blocks) = self.block_sums(gpu);
         let constants = TotalsBlock { blocks: blocks as u32, columns: self.columns as u32 };
@@ -67,7 +67,7 @@ impl Terms<'_> {
 
 /// Panics unless a kernel of terms is valid.
 #[cfg(test)]
-pub fn assert_valid_terms(kernel: &Kernel, specialisation: &[(&'static str, u32)]) {
+pub(crate) fn assert_valid_terms(kernel: &Kernel, specialisation: &[(&'static str, u32)]) {
     for columns in [1, 32] {
         super::layout_tests::assert_valid::<SumsBlock>(kernel, &[&[("COLUMNS", columns)], specialisation].concat());
     }

@@ -13,7 +13,7 @@ uniforms! {
 
 impl GpuArray {
     /// A new array with the same elements.
-    pub fn copied(&self) -> Self {
+    pub(crate) fn copied(&self) -> Self {
         let copy = Self::new(self.gpu(), self.len());
         let arrays = [Binding::Read(self), Binding::Write(&copy)];
         COPY.launch(self.gpu(), &[], &SizeBlock { len: self.len() as u32 }, &arrays, Groups::Over(self.len()));

@@ -5,7 +5,7 @@ use std::cell::Cell;
 use crate::check::conformance::Disagreement;
 
 /// `(kernel, part of its text, replacement)`.
-pub type Fault = (&'static str, &'static str, &'static str);
+pub(crate) type Fault = (&'static str, &'static str, &'static str);
 
 thread_local! {
     /// Of this thread alone, as tests run side by side.
@@ -13,7 +13,7 @@ thread_local! {
 }
 
 /// The result with a fault.
-pub fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
+pub(crate) fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
     PLANTED.set(Some(fault));
     let result = result();
     PLANTED.set(None);
@@ -21,7 +21,7 @@ pub fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
 }
 
 /// Asserts that a comparison finds nothing as it is, and something with each of the faults.
-pub fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disagreement>) {
+pub(crate) fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disagreement>) {
     compare().unwrap_or_else(|error| panic!("{error}"));
     for &fault in faults {
         assert!(with_fault(fault, &compare).is_err(), "the fault {fault:?} goes unnoticed");
@@ -29,7 +29,7 @@ pub fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disa
 }
 
 /// The text of a kernel with the fault that is planted in it.
-pub fn planted(kernel: &str, text: String) -> String {
+pub(crate) fn planted(kernel: &str, text: String) -> String {
     match PLANTED.get() {
         Some((faulty, right, wrong)) if faulty == kernel => {
             assert!(text.contains(right), "{kernel} has no {right:?}");
@@ -40,7 +40,7 @@ pub fn planted(kernel: &str, text: String) -> String {
 }
 
 /// The name under which the pipeline of a kernel is kept: not that of the kernel without the fault.
-pub fn marked(kernel: &str, name: String) -> String {
+pub(crate) fn marked(kernel: &str, name: String) -> String {
     match PLANTED.get() {
         Some((faulty, right, wrong)) if faulty == kernel => format!("{name}, {right:?} as {wrong:?}"),
         _ => name,

@@ -7,15 +7,15 @@ use super::parts::Parts;
 use super::{Binding, Context, Gpu, Groups, count, lock, wgsl};
 
 /// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
-pub const STORAGE_ARRAYS: u32 = 16;
+pub(crate) const STORAGE_ARRAYS: u32 = 16;
 /// Invocations per workgroup of every kernel for which no other number is stated; the least that WebGPU guarantees.
-pub const WORKGROUP_SIZE: usize = 256;
+pub(crate) const WORKGROUP_SIZE: usize = 256;
 /// Workgroups along the first dimension of a dispatch; a larger dispatch is folded (`flat_group` in WGSL). The least that
 /// WebGPU guarantees.
 const MAX_GROUPS: u32 = 65_535;
 
 /// One run of a kernel. Its constants are at binding 0 of group 0 (there must be some), its arrays from binding 1 on.
-pub struct Launch<'a> {
+pub(crate) struct Launch<'a> {
     /// Kernel and specialisation: one pipeline is kept for each.
     pub name: String,
     /// The WGSL, whose entry point is `main`; called once per pipeline.
@@ -27,26 +27,26 @@ pub struct Launch<'a> {
 }
 
 /// A compiled kernel.
-pub struct Pipeline {
+pub(crate) struct Pipeline {
     /// Of the kernel, whatever it is specialised for.
     pub kernel: String,
     pub launches: AtomicU64,
     /// While timestamps are taken.
     pub nanoseconds: AtomicU64,
     /// Invocations per workgroup, if the text states a number.
-    pub workgroup_size: Option<usize>,
+    pub(crate) workgroup_size: Option<usize>,
     pub compute: wgpu::ComputePipeline,
     pub layout: wgpu::BindGroupLayout,
 }
 
 /// Invocations that share a row of `len` terms: a power of two up to a workgroup, each with a few terms.
-pub fn lanes_for(len: usize) -> usize {
+pub(crate) fn lanes_for(len: usize) -> usize {
     let terms = 4;
     len.div_ceil(terms).next_power_of_two().min(WORKGROUP_SIZE)
 }
 
 /// Columns of `len` that a workgroup adds up at once: a power of two up to 128 bytes, as memory is read.
-pub fn columns_for(len: usize) -> usize {
+pub(crate) fn columns_for(len: usize) -> usize {
     len.next_power_of_two().min(32)
 }
 
@@ -70,7 +70,7 @@ macro_rules! uniforms {
 pub(crate) use uniforms;
 
 /// A kernel, with the WGSL of its entry file.
-pub struct Kernel {
+pub(crate) struct Kernel {
     pub name: &'static str,
     /// The WGSL of its entry file, which declares its imports and constants ([`wgsl`]).
     pub text: &'static str,
@@ -79,12 +79,12 @@ pub struct Kernel {
 impl Kernel {
     /// The text, specialised.
     #[cfg(test)]
-    pub fn source(&self, specialisation: &[(&str, u32)]) -> String {
+    pub(crate) fn source(&self, specialisation: &[(&str, u32)]) -> String {
         self.source_with("", specialisation)
     }
 
     /// The text behind declarations that were made for it, specialised.
-    pub fn source_with(&self, declarations: &str, specialisation: &[(&str, u32)]) -> String {
+    pub(crate) fn source_with(&self, declarations: &str, specialisation: &[(&str, u32)]) -> String {
         let text = wgsl::assemble(&(declarations.to_owned() + self.text), specialisation);
         #[cfg(test)]
         let text = super::fault_tests::planted(self.name, text);
@@ -100,7 +100,7 @@ impl Kernel {
     }
 
     /// Records one run.
-    pub fn launch<'a>(
+    pub(crate) fn launch<'a>(
         &self,
         gpu: Gpu,
         specialisation: &[(&str, u32)],
@@ -112,7 +112,7 @@ impl Kernel {
     }
 
     /// Records one run of the text behind declarations, which follow from the specialisation.
-    pub fn launch_with<'a>(
+    pub(crate) fn launch_with<'a>(
         &self,
         gpu: Gpu,
         declarations: &dyn Fn() -> String,
@@ -133,7 +133,7 @@ impl Kernel {
 
 impl Launch<'_> {
     /// The name of the kernel without its specialisation.
-    pub fn kernel(&self) -> &str {
+    pub(crate) fn kernel(&self) -> &str {
         self.name.split(" [").next().unwrap_or_default()
     }
 }
@@ -141,7 +141,7 @@ impl Launch<'_> {
 impl Gpu {
     /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Arrays that are
     /// larger than a binding are bound in parts; panics with a [`super::GpuFailure`] if there are too many parts.
-    pub fn launch(self, launch: &Launch) {
+    pub(crate) fn launch(self, launch: &Launch) {
         if launch.groups.is_empty() {
             return;
         }
@@ -172,7 +172,7 @@ fn workgroup_size(source: &str) -> Option<usize> {
 }
 
 /// The workgroups folded into two dimensions, each within the limit.
-pub fn folded(groups: usize) -> [u32; 2] {
+pub(super) fn folded(groups: usize) -> [u32; 2] {
     let groups = u32::try_from(groups).expect("fewer than 2³² workgroups");
     let columns = groups.min(MAX_GROUPS);
     [columns, groups.div_ceil(columns)]
@@ -239,7 +239,12 @@ impl Context {
         }
     }
 
-    pub fn bind_group(&self, pipeline: &Pipeline, launch: &Launch, constants: wgpu::BufferBinding) -> wgpu::BindGroup {
+    pub(crate) fn bind_group(
+        &self,
+        pipeline: &Pipeline,
+        launch: &Launch,
+        constants: wgpu::BufferBinding,
+    ) -> wgpu::BindGroup {
         let resources = std::iter::once(wgpu::BindingResource::Buffer(constants));
         let resources = resources.chain(launch.arrays.iter().map(|binding| binding.resource())).enumerate();
         let entry = |(index, resource)| wgpu::BindGroupEntry { binding: index as u32, resource };

@@ -6,13 +6,13 @@ use super::binding::ALIGNMENT;
 use super::parts::text::in_parts;
 
 /// The fields of a block of constants, as [`super::uniforms`] lists them.
-pub trait Fields {
+pub(crate) trait Fields {
     const NAME: &'static str;
     fn offsets() -> Vec<(&'static str, usize)>;
 }
 
 /// Parses and validates a kernel without optional features, also with all of its arrays in parts.
-pub fn validate(source: &str) -> Result<naga::Module, String> {
+pub(crate) fn validate(source: &str) -> Result<naga::Module, String> {
     validate_with(source, Capabilities::empty())
 }
 
@@ -23,7 +23,7 @@ fn validate_with(source: &str, capabilities: Capabilities) -> Result<naga::Modul
 }
 
 /// Parses and validates WGSL.
-pub fn validate_text(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
+pub(crate) fn validate_text(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
     let module = naga::front::wgsl::parse_str(source).map_err(|error| error.emit_to_string(source))?;
     let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities);
     validator.validate(&module).map_err(|error| format!("{error:?}"))?;
@@ -31,7 +31,7 @@ pub fn validate_text(source: &str, capabilities: Capabilities) -> Result<naga::M
 }
 
 /// An error unless the kernel's struct `T::NAME` has the size of `T` and its fields at the same offsets.
-pub fn check_layout<T: Fields>(source: &str) -> Result<(), String> {
+pub(crate) fn check_layout<T: Fields>(source: &str) -> Result<(), String> {
     compare_layout::<T>(&validate(source)?)
 }
 
@@ -52,12 +52,12 @@ fn compare_layout<T: Fields>(module: &naga::Module) -> Result<(), String> {
 }
 
 /// Panics unless a kernel that uses subgroups is valid and has the block of constants `T`.
-pub fn assert_valid_with_subgroups<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
+pub(crate) fn assert_valid_with_subgroups<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
     let module = validate_with(&kernel.source(specialisation), Capabilities::SUBGROUP);
     module.and_then(|module| compare_layout::<T>(&module)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
 }
 
 /// Panics unless a kernel is valid and has the block of constants `T`.
-pub fn assert_valid<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
+pub(crate) fn assert_valid<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
     check_layout::<T>(&kernel.source(specialisation)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
 }

@@ -4,14 +4,14 @@ use super::{Gpu, GpuArray};
 
 /// The number of elements in use of an array with a larger capacity.
 #[derive(Debug)]
-pub struct Length {
+pub(crate) struct Length {
     /// The used and the requested length, then the arguments of the two dispatches.
     array: GpuArray,
 }
 
 /// Workgroups of a launch.
 #[derive(Clone, Copy)]
-pub enum Groups<'a> {
+pub(crate) enum Groups<'a> {
     /// This many.
     Count(usize),
     /// One invocation per element, for this many elements, in workgroups of the kernel's own size.
@@ -35,25 +35,25 @@ impl Groups<'_> {
 
 impl Length {
     /// Elements per workgroup of [`Length::blocks`].
-    pub const BLOCK: usize = 1024;
+    pub(crate) const BLOCK: usize = 1024;
 
     /// For a kernel to write.
-    pub fn new(gpu: Gpu) -> Self {
+    pub(crate) fn new(gpu: Gpu) -> Self {
         Self { array: GpuArray::new(gpu, 8) }
     }
 
     /// An array whose first element is the used length and whose second is the requested length.
-    pub fn array(&self) -> &GpuArray {
+    pub(crate) fn array(&self) -> &GpuArray {
         &self.array
     }
 
     /// One invocation per element, [`WORKGROUP_SIZE`](super::WORKGROUP_SIZE) to a workgroup, and one workgroup at least.
-    pub fn groups(&self) -> Groups<'_> {
+    pub(crate) fn groups(&self) -> Groups<'_> {
         Groups::Indirect(&self.array, 2)
     }
 
     /// [`Length::BLOCK`] elements per workgroup.
-    pub fn blocks(&self) -> Groups<'_> {
+    pub(crate) fn blocks(&self) -> Groups<'_> {
         Groups::Indirect(&self.array, 5)
     }
 }
@@ -78,7 +78,7 @@ pub(crate) mod tests {
     };
 
     /// A length written on a GPU.
-    pub fn length_of(gpu: Gpu, count: usize, capacity: usize) -> Length {
+    pub(crate) fn length_of(gpu: Gpu, count: usize, capacity: usize) -> Length {
         let length = Length::new(gpu);
         let constants = WantedBlock { count: count as u32, capacity: capacity as u32 };
         WRITE.launch(gpu, &[], &constants, &[Binding::Write(length.array())], 1);

@@ -55,8 +55,11 @@ pub struct Counts {
     pub submissions: u64,
     /// Readbacks, each of which waits for the GPU.
     pub readbacks: u64,
+    /// Bytes copied to the host.
     pub bytes_read: u64,
+    /// Arrays copied from the host.
     pub uploads: u64,
+    /// Bytes copied from the host.
     pub bytes_uploaded: u64,
 }
 

@@ -13,6 +13,7 @@ const STAMP_BYTES: u64 = 8;
 /// Counters of a GPU and the costs of its kernels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Usage {
+    /// Launches, submissions and transfers.
     pub counts: Counts,
     /// The cost of each kernel, by name.
     pub kernels: BTreeMap<String, KernelCost>,
@@ -35,6 +36,7 @@ impl Usage {
 /// The cost of a kernel, all its specialisations together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct KernelCost {
+    /// Times that the kernel was launched.
     pub launches: u64,
     /// On the GPU's clock; zero unless timestamps are taken.
     pub secs: f64,
@@ -65,7 +67,7 @@ impl Gpu {
 }
 
 /// Two time stamps for each kernel of a submission.
-pub struct Stamps {
+pub(crate) struct Stamps {
     queries: wgpu::QuerySet,
     count: u32,
     resolved: wgpu::Buffer,
@@ -73,7 +75,7 @@ pub struct Stamps {
 }
 
 impl Stamps {
-    pub fn new(context: &Context, kernels: usize) -> Self {
+    pub(super) fn new(context: &Context, kernels: usize) -> Self {
         let count = 2 * kernels as u32;
         let buffer = |usage| {
             let size = STAMP_BYTES * u64::from(count);
@@ -91,7 +93,7 @@ impl Stamps {
     }
 
     /// The stamps of the `index`-th kernel.
-    pub fn of(&self, index: usize) -> wgpu::ComputePassTimestampWrites<'_> {
+    pub(super) fn of(&self, index: usize) -> wgpu::ComputePassTimestampWrites<'_> {
         let first = 2 * index as u32;
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
@@ -100,13 +102,13 @@ impl Stamps {
         }
     }
 
-    pub fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
+    pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
         encoder.resolve_query_set(&self.queries, 0..self.count, &self.resolved, 0);
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.readable, 0, None);
     }
 
     /// Waits for the submission and adds the time of each kernel to its own.
-    pub fn collect(self, context: &'static Context, pipelines: &[Arc<Pipeline>]) {
+    pub(super) fn collect(self, context: &'static Context, pipelines: &[Arc<Pipeline>]) {
         let bytes = Gpu(context).map(&self.readable);
         let nanoseconds_per_tick = f64::from(context.queue.get_timestamp_period());
         let stamps: &[u64] = bytemuck::cast_slice(&bytes);

@@ -37,7 +37,7 @@ impl Workgroups {
 }
 
 /// Launches of the next submission.
-pub struct Recorder {
+pub(crate) struct Recorder {
     dispatches: Vec<Dispatch>,
     /// The constants of all of them, each aligned.
     constants: Vec<u8>,
@@ -47,7 +47,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    pub fn new(device: &wgpu::Device, alignment: u32) -> Self {
+    pub(super) fn new(device: &wgpu::Device, alignment: u32) -> Self {
         let constants_buffer = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("constants"),
             size: CONSTANT_BYTES as u64,
@@ -58,11 +58,11 @@ impl Recorder {
     }
 
     /// Whether this many bytes of constants no longer fit.
-    pub fn is_full(&self, bytes: usize) -> bool {
+    pub(super) fn is_full(&self, bytes: usize) -> bool {
         self.constants.len() + bytes > CONSTANT_BYTES
     }
 
-    pub fn record(&mut self, context: &Context, pipeline: &Arc<Pipeline>, launch: &Launch) {
+    pub(super) fn record(&mut self, context: &Context, pipeline: &Arc<Pipeline>, launch: &Launch) {
         let size = launch.constants.len();
         let offset = self.constants.len();
         self.constants.extend_from_slice(launch.constants);
@@ -78,7 +78,7 @@ impl Recorder {
     }
 
     /// Hands everything to the driver, in order.
-    pub fn submit(&mut self, context: &'static Context) {
+    pub(super) fn submit(&mut self, context: &'static Context) {
         self.submit_and(context, |_| {});
     }
 

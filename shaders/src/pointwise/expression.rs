@@ -12,14 +12,21 @@ pub type GradientKernel<T> = fn(&[&[T]], &[T], &[T], &[T], &mut [T]);
 
 /// An expression over the elements of equally shaped tensors, as written once in [`pointwise!`](crate::pointwise!).
 pub struct Expression {
+    /// The name of the operation and of its kernel.
     pub name: &'static str,
+    /// The number of input tensors.
     pub inputs: usize,
+    /// The number of scalar constants.
     pub constants: usize,
     /// `fn name(inputs, constants) -> f32` and, for every input i, `fn name_d_i(inputs, constants, y, dy) -> f32`.
     pub wgsl: &'static str,
+    /// The value in f32.
     pub value_f32: ValueKernel<f32>,
+    /// The value in f64.
     pub value_f64: ValueKernel<f64>,
+    /// The gradient with respect to each input, in f32.
     pub gradients_f32: &'static [GradientKernel<f32>],
+    /// The gradient with respect to each input, in f64.
     pub gradients_f64: &'static [GradientKernel<f64>],
 }
 

@@ -22,7 +22,7 @@ impl Isa {
     }
 
     /// Whether this processor can run it.
-    pub fn is_available(self) -> bool {
+    pub(crate) fn is_available(self) -> bool {
         #[cfg(target_arch = "x86_64")]
         return match self {
             Self::Portable => true,

@@ -44,10 +44,10 @@ impl Default for RasterSettings {
 
 impl RasterSettings {
     /// Alphas below are not blended: half a grey level of an 8-bit image is invisible (Kerbl et al. 2023 use 1/255).
-    pub const ALPHA_THRESHOLD: f64 = 1.0 / 255.0;
+    pub(crate) const ALPHA_THRESHOLD: f64 = 1.0 / 255.0;
 
     /// The least alpha that has any effect: the bottom of the smooth band if there is one.
-    pub fn alpha_min(&self) -> f64 {
+    pub(crate) fn alpha_min(&self) -> f64 {
         if self.smooth_cutoff { 0.5 * Self::ALPHA_THRESHOLD } else { Self::ALPHA_THRESHOLD }
     }
 }

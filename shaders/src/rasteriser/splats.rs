@@ -46,10 +46,15 @@ impl ShapeVars {
 /// Parameters of N splats as tensors, with the shapes of [`SplatVars`].
 #[derive(Clone, Debug)]
 pub struct SplatTensors<T: Real> {
+    /// [N, 3]: [`SplatVars::positions`].
     pub positions: Tensor<T>,
+    /// [N, 3]: natural logarithms of the standard deviations, scene units.
     pub log_scales: Tensor<T>,
+    /// [N, 4]: quaternions (w, x, y, z), normalised by the projection.
     pub rotations: Tensor<T>,
+    /// [N, 1]: [`SplatVars::opacity_logits`].
     pub opacity_logits: Tensor<T>,
+    /// [N, K, 3]: [`SplatVars::sh`].
     pub sh: Tensor<T>,
 }
 

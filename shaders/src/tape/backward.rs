@@ -19,7 +19,7 @@ pub(super) struct Node<T: Real> {
 
 impl<T: Real> Node<T> {
     /// Adds this node's contribution to the gradients of its inputs; skipped if no gradient reached its outputs.
-    pub fn backward(&mut self, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
+    pub(super) fn backward(&mut self, values: &[Value<T>], gradients: &mut Gradients<T>, profile: &mut Profile) {
         // Inputs were created before outputs.
         let (of_inputs, of_outputs) = gradients.tensors.split_at_mut(self.outputs.start);
         let output_grads: Vec<_> = of_outputs[..self.outputs.len()].iter().map(Option::as_ref).collect();

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 use super::Real;
 
 /// Elements per chunk of a pointwise loop: 32 KiB of f32, which stays in the first-level cache and hides rayon's overhead.
-pub const CHUNK: usize = 8192;
+pub(crate) const CHUNK: usize = 8192;
 
 /// Calls `body(first element index, chunk)` for every chunk of `out`, in parallel where there are several.
-pub fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
+pub(crate) fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
     if out.len() > chunk_len {
         out.par_chunks_mut(chunk_len).enumerate().for_each(|(chunk, out)| body(chunk * chunk_len, out));
     } else if !out.is_empty() {
@@ -18,7 +18,7 @@ pub fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: impl Fn(us
 }
 
 /// `body(range)` for consecutive ranges of `chunk_len` covering `0..len`; the results in order.
-pub fn map_chunks<R: Send>(
+pub(crate) fn map_chunks<R: Send>(
     len: usize,
     chunk_len: usize,
     body: impl Fn(std::ops::Range<usize>) -> R + Sync + Send,

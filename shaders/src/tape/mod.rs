@@ -23,7 +23,7 @@ use std::time::Instant;
 pub use backward::Gradients;
 use backward::Node;
 pub(crate) use op::exactly;
-pub use op::{Backward, GpuOp, Op};
+pub(crate) use op::{Backward, GpuOp, Op};
 pub(crate) use pair_sums::sums_on_gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub(crate) use readback::DeferredCount;
@@ -122,6 +122,7 @@ impl<T: Real> Tape<T> {
         Self { replayed: Some(detached.to_vec()), ..Self::new(device) }
     }
 
+    /// The device on which operations run.
     pub fn device(&self) -> Device {
         self.device
     }
@@ -161,12 +162,13 @@ impl<T: Real> Tape<T> {
         &self.detached
     }
 
+    /// The value of a variable.
     pub fn value(&self, var: Var) -> &Tensor<T> {
         &self.values[var.0].tensor
     }
 
     /// Whether a gradient flows to this value.
-    pub fn needs_gradient(&self, var: Var) -> bool {
+    pub(crate) fn needs_gradient(&self, var: Var) -> bool {
         self.values[var.0].needs_gradient
     }
 
@@ -181,7 +183,7 @@ impl<T: Real> Tape<T> {
     }
 
     /// Runs an operation now and records it for the backward pass if any input needs a gradient.
-    pub fn apply(&mut self, mut op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
+    pub(crate) fn apply(&mut self, mut op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
         let tensors: Vec<&Tensor<T>> = inputs.iter().map(|&var| self.value(var)).collect();
         let start = Instant::now();
         let on_gpu = self.device.gpu().and_then(|gpu| Some((gpu, op.gpu()?.forward_gpu(gpu, &tensors)?)));
@@ -202,7 +204,7 @@ impl<T: Real> Tape<T> {
     }
 
     /// Runs and records an operation with exactly one output.
-    pub fn apply_one(&mut self, op: impl Op<T> + 'static, inputs: &[Var]) -> Var {
+    pub(crate) fn apply_one(&mut self, op: impl Op<T> + 'static, inputs: &[Var]) -> Var {
         let name = op.name();
         let vars = self.apply(op, inputs);
         assert_eq!(vars.len(), 1, "{name}: expected one output");

@@ -6,7 +6,7 @@ use crate::gpu::Gpu;
 
 /// A differentiable operation. `forward` and `backward` run on the CPU; [`Op::gpu`] offers kernels for a GPU, for both
 /// directions. Inputs may lie in any memory: [`Tensor`] copies them to where they are read.
-pub trait Op<T: Real>: Send {
+pub(crate) trait Op<T: Real>: Send {
     /// The name in profiles and messages.
     fn name(&self) -> &'static str;
 
@@ -32,7 +32,7 @@ pub trait Op<T: Real>: Send {
 }
 
 /// An operation with kernels for a GPU. It runs backwards on the GPU if and only if it ran forwards there.
-pub trait GpuOp<T: Real>: Op<T> {
+pub(crate) trait GpuOp<T: Real>: Op<T> {
     /// The outputs, as [`Op::forward`]; `None` if there are no kernels for these inputs: the operation then runs on the CPU
     /// in both directions.
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>>;
@@ -49,20 +49,20 @@ pub trait GpuOp<T: Real>: Op<T> {
 
 /// The backward pass through one operation. The tape skips operations none of whose outputs has a gradient.
 #[derive(Clone, Copy)]
-pub struct Backward<'a, T: Real> {
+pub(crate) struct Backward<'a, T: Real> {
     /// The inputs of the forward pass.
     pub inputs: &'a [&'a Tensor<T>],
     /// The outputs of the forward pass.
     pub outputs: &'a [&'a Tensor<T>],
     /// The gradient of each output; `None` is zero.
-    pub output_grads: &'a [Option<&'a Tensor<T>>],
+    pub(crate) output_grads: &'a [Option<&'a Tensor<T>>],
     /// Whether each input takes part in differentiation.
     pub needs: &'a [bool],
 }
 
 impl<'a, T: Real> Backward<'a, T> {
     /// The gradient of the output of an operation with one output.
-    pub fn dy(&self) -> &'a Tensor<T> {
+    pub(crate) fn dy(&self) -> &'a Tensor<T> {
         let [dy] = exactly(self.output_grads);
         dy.expect("the tape skips operations without an output gradient")
     }

@@ -15,7 +15,7 @@ uniforms! {
 }
 
 /// The sum of every pair of tensors, which have equal shapes.
-pub fn sums_on_gpu<T: Real>(gpu: Gpu, pairs: &[[&Tensor<T>; 2]]) -> Vec<Tensor<T>> {
+pub(crate) fn sums_on_gpu<T: Real>(gpu: Gpu, pairs: &[[&Tensor<T>; 2]]) -> Vec<Tensor<T>> {
     let sums: Vec<GpuArray> = pairs.iter().map(|[a, _]| GpuArray::new(gpu, a.len())).collect();
     let mut items = Vec::new();
     for ([a, b], sum) in pairs.iter().zip(&sums) {

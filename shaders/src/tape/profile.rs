@@ -4,7 +4,9 @@ use std::time::Duration;
 /// The cost of one kind of operation in one direction.
 #[derive(Copy, Clone, Debug, Default, PartialEq)]
 pub struct Cost {
+    /// The number of calls.
     pub calls: u64,
+    /// Wall-clock seconds on the host.
     pub secs: f64,
 }
 
@@ -23,13 +25,16 @@ impl Cost {
 /// Forward and backward cost of one kind of operation.
 #[derive(Copy, Clone, Debug, Default, PartialEq)]
 pub struct OpCost {
+    /// The cost of the forward pass.
     pub forward: Cost,
+    /// The cost of the backward pass.
     pub backward: Cost,
 }
 
 /// The profile of a tape: wall-clock seconds and calls per operation name, and events.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Profile {
+    /// The cost of each kind of operation, by its name.
     pub ops: BTreeMap<&'static str, OpCost>,
     /// Counts of named events, e.g. values kept in range.
     pub events: BTreeMap<&'static str, u64>,

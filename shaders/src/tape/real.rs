@@ -25,27 +25,43 @@ pub trait Real:
 {
     /// `"f32"` or `"f64"`.
     const NAME: &'static str;
+    /// 0.
     const ZERO: Self;
+    /// 1.
     const ONE: Self;
 
+    /// The nearest number of this type.
     fn from_f64(value: f64) -> Self;
+    /// The number as an f64, exactly.
     fn to_f64(self) -> f64;
 
+    /// eˣ.
     fn exp(self) -> Self;
+    /// The natural logarithm.
     fn ln(self) -> Self;
+    /// The square root.
     fn sqrt(self) -> Self;
+    /// The absolute value.
     fn abs(self) -> Self;
+    /// The sine of an angle in radians.
     fn sin(self) -> Self;
+    /// The cosine of an angle in radians.
     fn cos(self) -> Self;
+    /// The angle in radians with this cosine.
     fn acos(self) -> Self;
+    /// The largest integer that is not above the number.
     fn floor(self) -> Self;
+    /// The nearest integer; halves are rounded away from zero.
     fn round(self) -> Self;
+    /// The power with an integer exponent.
     fn powi(self, exponent: i32) -> Self;
+    /// self · factor + summand with one rounding.
     fn mul_add(self, factor: Self, summand: Self) -> Self;
     /// The larger operand; the other one if one is NaN.
     fn max(self, other: Self) -> Self;
     /// The smaller operand; the other one if one is NaN.
     fn min(self, other: Self) -> Self;
+    /// Whether the number is neither infinite nor NaN.
     fn is_finite(self) -> bool;
 
     /// The slice itself if this type is `f32`: the one door through which generic kernels reach their fast bodies.

@@ -9,6 +9,7 @@ use crate::gpu::{AdapterError, Gpu, GpuArray};
 /// Where operations run.
 #[derive(Copy, Clone, Debug, Default, PartialEq, Eq)]
 pub enum Device {
+    /// The host's processor.
     #[default]
     Cpu,
     /// A GPU; f32 only. Operations without kernels run on the CPU.
@@ -95,10 +96,12 @@ impl<T: Real> Tensor<T> {
         Self { shape, elements: Arc::new(Elements { host: OnceLock::new(), gpu: array.into() }) }
     }
 
+    /// A tensor of zeros.
     pub fn zeros(shape: impl Into<Vec<usize>>) -> Self {
         Self::full(shape, T::ZERO)
     }
 
+    /// A tensor whose elements all have the same value.
     pub fn full(shape: impl Into<Vec<usize>>, value: T) -> Self {
         let shape = shape.into();
         let len = shape.iter().product();
@@ -110,6 +113,7 @@ impl<T: Real> Tensor<T> {
         Self::from_vec([1], vec![value])
     }
 
+    /// The dimensions, outermost first.
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
@@ -119,6 +123,7 @@ impl<T: Real> Tensor<T> {
         self.elements.host.get().map_or_else(|| self.shape.iter().product(), Vec::len)
     }
 
+    /// Whether there are no elements.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -178,6 +183,7 @@ impl<T: Real> Tensor<T> {
         self.elements.gpu.get().map(GpuArray::gpu)
     }
 
+    /// The elements of one row.
     pub fn row(&self, index: usize) -> &[T] {
         let row_len = self.row_len();
         &self.as_slice()[index * row_len..(index + 1) * row_len]

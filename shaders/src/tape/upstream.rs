@@ -5,7 +5,7 @@ use crate::gpu::{Binding, Gpu, GpuArray};
 
 /// The gradients of an operation's outputs: a bit mask of those present, and one binding each. A missing one is bound to
 /// `placeholder`, which the kernel never reads.
-pub fn upstream<'a, T: Real>(
+pub(crate) fn upstream<'a, T: Real>(
     gpu: Gpu,
     gradients: &[Option<&'a Tensor<T>>],
     placeholder: &'a GpuArray,

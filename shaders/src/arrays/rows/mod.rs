@@ -22,7 +22,7 @@ pub use index::{RowIndex, gather, segment_mean, segment_sum};
 pub use keep::keep_rows;
 #[cfg(test)]
 pub(crate) use map::validate_map;
-pub use map::{RowMap, RowWgsl, map_rows};
+pub(crate) use map::{RowMap, RowWgsl, map_rows};
 pub use median::median_where;
 pub use reduce::{cosine_distance, divide_rows, norm, normalize, row_dot, row_sum, scale_rows, squared_norm};
 pub use unit_box::in_unit_box;

@@ -15,6 +15,7 @@ use crate::tape::{Device, Real, Tensor};
 pub struct SampleSize {
     /// In (0, 1].
     pub share: f64,
+    /// The upper bound of the number of rows.
     pub most: usize,
 }
 

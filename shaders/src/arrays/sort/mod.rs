@@ -20,7 +20,7 @@ const DIGIT_BITS: u32 = 8;
 const DIGITS: usize = 1 << DIGIT_BITS;
 
 /// Sums stop here: they stay monotonic where they would overflow.
-pub const SUM_CAP: u32 = 1 << 29;
+pub(crate) const SUM_CAP: u32 = 1 << 29;
 
 uniforms! {
     struct ScanBlock as "Scan" {
@@ -44,12 +44,12 @@ uniforms! {
 }
 
 /// The sum of all elements before each; at most [`SUM_CAP`].
-pub fn exclusive_sums(gpu: Gpu, input: &GpuArray) -> GpuArray {
+pub(crate) fn exclusive_sums(gpu: Gpu, input: &GpuArray) -> GpuArray {
     sums_of(gpu, &SCAN, &[Binding::Read(input)], input.len())
 }
 
 /// The exclusive prefix sums of `len` numbers, by a kernel that imports `scan.wgsl` and computes the numbers from arrays.
-pub fn sums_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], len: usize) -> GpuArray {
+pub(crate) fn sums_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], len: usize) -> GpuArray {
     let (sums, blocks) = (GpuArray::new(gpu, len), len.div_ceil(BLOCK));
     let block_sums = GpuArray::new(gpu, blocks);
     let constants = ScanBlock { len: len as u32 };
@@ -64,12 +64,12 @@ pub fn sums_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], len: usize) -> Gpu
 }
 
 /// The keys in rising order and, for each, where it was; equal keys keep their order. Only the lowest `bits` count.
-pub fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
+pub(crate) fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
     sort_first(gpu, keys, None, bits)
 }
 
 /// Stable sort of the first `length` keys of the array; the rest of the results is undefined.
-pub fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bits: u32) -> (GpuArray, GpuArray) {
+pub(crate) fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bits: u32) -> (GpuArray, GpuArray) {
     let run = Run { gpu, blocks: keys.len().div_ceil(BLOCK), length };
     let mut counts = run.first_counts(keys);
     let mut sorted: Option<(GpuArray, GpuArray)> = None;
@@ -144,7 +144,7 @@ impl<'a> Run<'a> {
 }
 
 /// Where each of the keys 0..count begins among keys in rising order, and where the last ends: [count + 1].
-pub fn starts(gpu: Gpu, sorted_keys: &GpuArray, count: usize) -> GpuArray {
+pub(crate) fn starts(gpu: Gpu, sorted_keys: &GpuArray, count: usize) -> GpuArray {
     let starts = GpuArray::new(gpu, count + 1);
     let constants = StartsBlock { len: sorted_keys.len() as u32 };
     let arrays = [Binding::Read(sorted_keys), Binding::Write(&starts)];
@@ -154,6 +154,6 @@ pub fn starts(gpu: Gpu, sorted_keys: &GpuArray, count: usize) -> GpuArray {
 
 /// Panics unless a kernel of [`sums_of`] is valid.
 #[cfg(test)]
-pub fn assert_valid_scan(kernel: &Kernel) {
+pub(crate) fn assert_valid_scan(kernel: &Kernel) {
     crate::gpu::layout_tests::assert_valid::<ScanBlock>(kernel, &[]);
 }

@@ -10,9 +10,9 @@ const ROWS: Kernel = Kernel { name: "sums of rows", text: include_str!("sums_of_
 const TOTAL: Kernel = Kernel { name: "total", text: include_str!("total_input.wgsl") };
 
 /// Elements per workgroup of a total, and so of kernels that make terms of a total.
-pub const BLOCK: usize = 4096;
+pub(crate) const BLOCK: usize = 4096;
 /// All invocations of a workgroup share one sum.
-pub const LANES: (&str, u32) = ("LANES", WORKGROUP_SIZE as u32);
+pub(crate) const LANES: (&str, u32) = ("LANES", WORKGROUP_SIZE as u32);
 /// The most rows that a single invocation adds in one pass.
 const MOST_ROWS: usize = 1024;
 
@@ -32,7 +32,7 @@ uniforms! {
 }
 
 /// The sum of the rows of x [rows, columns]: [columns].
-pub fn over_rows(gpu: Gpu, x: &GpuArray, columns: usize) -> GpuArray {
+pub(crate) fn over_rows(gpu: Gpu, x: &GpuArray, columns: usize) -> GpuArray {
     let rows = x.len() / columns.max(1);
     // As many blocks as rows per block.
     let rows_per_block = if rows <= MOST_ROWS { rows.max(1) } else { rows.isqrt() + 1 };
@@ -45,12 +45,12 @@ pub fn over_rows(gpu: Gpu, x: &GpuArray, columns: usize) -> GpuArray {
 }
 
 /// factor · the sum of all elements: [1].
-pub fn total(gpu: Gpu, x: &GpuArray, factor: f32) -> GpuArray {
+pub(crate) fn total(gpu: Gpu, x: &GpuArray, factor: f32) -> GpuArray {
     total_of(gpu, &TOTAL, &[Binding::Read(x)], x.len(), factor)
 }
 
 /// factor · the sum of `terms` terms, by a kernel that imports `total.wgsl` and computes each term from its arrays: [1].
-pub fn total_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], terms: usize, factor: f32) -> GpuArray {
+pub(crate) fn total_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], terms: usize, factor: f32) -> GpuArray {
     let blocks = terms.div_ceil(BLOCK).max(1);
     let is_last = blocks == 1;
     let sums = GpuArray::new(gpu, blocks);
@@ -62,6 +62,6 @@ pub fn total_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], terms: usize, fac
 
 /// Panics unless a kernel of [`total_of`] is valid.
 #[cfg(test)]
-pub fn assert_valid_total(kernel: &Kernel) {
+pub(crate) fn assert_valid_total(kernel: &Kernel) {
     crate::gpu::layout_tests::assert_valid::<TotalBlock>(kernel, &[LANES]);
 }

@@ -13,12 +13,12 @@ uniforms! {
 }
 
 /// factor · the sum of all elements: [1].
-pub fn total<T: Real>(gpu: Gpu, x: &Tensor<T>, factor: f64) -> Tensor<T> {
+pub(super) fn total<T: Real>(gpu: Gpu, x: &Tensor<T>, factor: f64) -> Tensor<T> {
     Tensor::from_gpu([1], sums::total(gpu, x.on_gpu(gpu), factor as f32))
 }
 
 /// Its gradient, in the shape of x.
-pub fn total_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>, factor: f64) -> Tensor<T> {
+pub(crate) fn total_gradient<T: Real>(gpu: Gpu, x: &Tensor<T>, dy: &Tensor<T>, factor: f64) -> Tensor<T> {
     let gradient = GpuArray::new(gpu, x.len());
     let block = SpreadBlock { factor: factor as f32 };
     let arrays = [Binding::Read(dy.on_gpu(gpu)), Binding::Write(&gradient)];

@@ -59,7 +59,7 @@ impl Neighbors {
     }
 
     /// The followers of a node: (point, which of the point's neighbours the node is), ascending.
-    pub fn followers(&self, node: usize) -> impl Iterator<Item = (usize, usize)> {
+    pub(crate) fn followers(&self, node: usize) -> impl Iterator<Item = (usize, usize)> {
         self.node_of_item
             .items_of(node)
             .iter()

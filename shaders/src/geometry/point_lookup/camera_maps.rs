@@ -5,7 +5,7 @@ use crate::gpu::Gpu;
 use crate::tape::{Backward, GpuOp, Op, Real, Tensor, exactly};
 
 /// A camera in the working precision.
-pub struct Pinhole<T> {
+pub(super) struct Pinhole<T> {
     pub focal: [T; 2],
     pub center: [T; 2],
     pub rotation: [[T; 3]; 3],
@@ -45,13 +45,13 @@ impl<T: Real> Pinhole<T> {
 }
 
 /// Points [N, 3] → pixels [N, 2], depths [N].
-pub struct Project<T> {
+pub(crate) struct Project<T> {
     pub camera: Pinhole<T>,
     pub near_view: T,
 }
 
 impl<T: Real> Project<T> {
-    pub fn new(camera: &PinholeCamera, near_view: f64) -> Self {
+    pub(super) fn new(camera: &PinholeCamera, near_view: f64) -> Self {
         Self { camera: Pinhole::new(camera), near_view: T::from_f64(near_view) }
     }
 }
@@ -110,12 +110,12 @@ impl<T: Real> GpuOp<T> for Project<T> {
 }
 
 /// Pixels [N, 2], depths [N] → points [N, 3].
-pub struct Unproject<T> {
+pub(crate) struct Unproject<T> {
     pub camera: Pinhole<T>,
 }
 
 impl<T: Real> Unproject<T> {
-    pub fn new(camera: &PinholeCamera) -> Self {
+    pub(super) fn new(camera: &PinholeCamera) -> Self {
         Self { camera: Pinhole::new(camera) }
     }
 }

@@ -17,7 +17,7 @@ pub enum Sampling {
 }
 
 /// Image [H, W, C], pixels [N, 2] → values [N, C].
-pub struct Lookup {
+pub(super) struct Lookup {
     pub width: usize,
     pub height: usize,
     pub channels: usize,
@@ -34,14 +34,14 @@ struct Window<T> {
 }
 
 impl Lookup {
-    pub fn new(image_shape: &[usize], sampling: Sampling) -> Self {
+    pub(super) fn new(image_shape: &[usize], sampling: Sampling) -> Self {
         let (height, width, channels) = (image_shape[0], image_shape[1], image_shape.get(2).copied().unwrap_or(1));
         assert!(height > 0 && width > 0, "lookup: an image without pixels");
         Self { width, height, channels, sampling }
     }
 
     /// 1 where a position lies within the image and all contributing texels are finite, otherwise 0.
-    pub fn validity<T: Real>(&self, image: &Tensor<T>, pixels: &Tensor<T>) -> Tensor<T> {
+    pub(crate) fn validity<T: Real>(&self, image: &Tensor<T>, pixels: &Tensor<T>) -> Tensor<T> {
         let valid = |pixel| if self.window(image.as_slice(), pixel).is_some() { T::ONE } else { T::ZERO };
         Tensor::from_vec([pixels.rows()], pixels.as_slice().as_chunks::<2>().0.iter().map(valid).collect())
     }

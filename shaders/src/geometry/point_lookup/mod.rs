@@ -16,7 +16,7 @@ mod tests;
 pub use crate::geometry::camera::PinholeCamera;
 use crate::tape::{Device, Real, Tape, Var};
 use camera_maps::{Project, Unproject};
-pub use flow_target::{DEPTH_TOLERANCE, FlowMaps, FlowTargets, flow_targets};
+pub use flow_target::{FlowMaps, FlowTargets, flow_targets};
 pub use in_view::in_view;
 use lookup::Lookup;
 pub use lookup::Sampling;
@@ -31,7 +31,7 @@ pub struct PointsInImage {
 }
 
 /// The pixel position of points that are not in front of the camera: outside every image.
-pub const NOWHERE: f64 = -1.0;
+pub(crate) const NOWHERE: f64 = -1.0;
 
 /// Values of an image at N pixel positions.
 #[derive(Clone, Copy, Debug)]

@@ -21,7 +21,7 @@ const MOST_ARRAYS: usize = 256;
 const MOST_ITEMS: usize = 64;
 
 /// A kernel over items.
-pub struct Grouped {
+pub(crate) struct Grouped {
     pub kernel: Kernel,
     /// Arrays that all items share, which the text declares from binding 1 on.
     pub shared: usize,
@@ -30,14 +30,14 @@ pub struct Grouped {
 }
 
 /// An array that every item has.
-pub struct ItemArray {
+pub(crate) struct ItemArray {
     name: &'static str,
     element: &'static str,
     is_written: bool,
 }
 
 /// One item of a launch.
-pub struct Item<'a, C> {
+pub(crate) struct Item<'a, C> {
     /// A `repr(C)` struct laid out as `Item`.
     pub constants: C,
     /// The arrays, in the order of [`Grouped::arrays`].
@@ -49,7 +49,7 @@ pub struct Item<'a, C> {
 impl<'a, C> Item<'a, C> {
     /// One item for arrays of `len` elements each, or several items with a part of each array if a binding cannot show all of
     /// it; the constants follow from the number of elements.
-    pub fn in_parts(
+    pub(crate) fn in_parts(
         gpu: Gpu,
         len: usize,
         elements_per_group: usize,
@@ -68,17 +68,17 @@ impl<'a, C> Item<'a, C> {
 
 impl ItemArray {
     /// An array of f32 that is read.
-    pub const fn read(name: &'static str) -> Self {
+    pub(crate) const fn read(name: &'static str) -> Self {
         Self { name, element: "f32", is_written: false }
     }
 
     /// An array of f32 that is written, and read if the text likes.
-    pub const fn write(name: &'static str) -> Self {
+    pub(crate) const fn write(name: &'static str) -> Self {
         Self { name, element: "f32", is_written: true }
     }
 
     /// As u32: the bits of f32, or whole numbers.
-    pub const fn of_bits(self) -> Self {
+    pub(crate) const fn of_bits(self) -> Self {
         Self { element: "u32", ..self }
     }
 
@@ -127,19 +127,19 @@ impl Grouped {
     }
 
     /// Items per launch if the kernel sees their arrays whole.
-    pub fn capacity(&self, gpu: Gpu) -> usize {
+    pub(crate) fn capacity(&self, gpu: Gpu) -> usize {
         capacity(gpu, self.shared, self.arrays.len())
     }
 
     /// The number of items per launch, given the parts that the arrays of these items need.
-    pub fn capacity_for<C>(&self, gpu: Gpu, shared: &[Binding], items: &[Item<C>]) -> usize {
+    pub(crate) fn capacity_for<C>(&self, gpu: Gpu, shared: &[Binding], items: &[Item<C>]) -> usize {
         let parts = |arrays: &[Binding]| arrays.iter().map(|array| parts::count(gpu, array.len())).sum();
         let most = items.iter().map(|item| parts(&item.arrays)).max();
         capacity(gpu, parts(shared), most.unwrap_or(self.arrays.len()))
     }
 
     /// Records one run over all items, in as few launches as the adapter allows; items without workgroups are left out.
-    pub fn launch<C: bytemuck::NoUninit>(
+    pub(crate) fn launch<C: bytemuck::NoUninit>(
         &self,
         gpu: Gpu,
         specialisation: &[(&str, u32)],
@@ -162,7 +162,7 @@ impl Grouped {
     }
 
     /// Records one launch of workgroups that have all items in common, at most [`Grouped::capacity`] of them.
-    pub fn launch_together<C: bytemuck::NoUninit>(
+    pub(crate) fn launch_together<C: bytemuck::NoUninit>(
         &self,
         gpu: Gpu,
         specialisation: &[(&str, u32)],

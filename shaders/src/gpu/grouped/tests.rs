@@ -15,7 +15,7 @@ thread_local! {
 }
 
 /// The result on an adapter that allows no more arrays than this.
-pub fn with_arrays<R>(most: usize, result: impl FnOnce() -> R) -> R {
+pub(crate) fn with_arrays<R>(most: usize, result: impl FnOnce() -> R) -> R {
     let before = MOST.replace(most);
     let result = result();
     MOST.set(before);
@@ -23,7 +23,7 @@ pub fn with_arrays<R>(most: usize, result: impl FnOnce() -> R) -> R {
 }
 
 /// Panics unless a kernel is valid for one and for many items, with constants laid out as `T`.
-pub fn assert_valid_grouped<T: Fields>(grouped: &Grouped, specialisation: &[(&'static str, u32)]) {
+pub(crate) fn assert_valid_grouped<T: Fields>(grouped: &Grouped, specialisation: &[(&'static str, u32)]) {
     for items in [1, 2, 5, 18] {
         let specialisation = specialised_for_items::<T>(items, specialisation);
         let source = grouped.kernel.source_with(&grouped.declarations(items), &specialisation);

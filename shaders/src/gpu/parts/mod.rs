@@ -3,13 +3,13 @@
 
 #[cfg(test)]
 pub(crate) mod tests;
-pub mod text;
+pub(crate) mod text;
 
 use super::binding::ALIGNMENT;
 use super::{Binding, Gpu, GpuFailure};
 
 /// 32-bit numbers of an array that a kernel sees: as many as the adapter lets it, up to where another part can begin.
-pub fn visible_len(gpu: Gpu) -> usize {
+pub(crate) fn visible_len(gpu: Gpu) -> usize {
     #[cfg(test)]
     if let Some(len) = tests::changed_len() {
         return len;
@@ -19,7 +19,7 @@ pub fn visible_len(gpu: Gpu) -> usize {
 }
 
 /// The number of parts of an array of `len` numbers.
-pub fn count(gpu: Gpu, len: usize) -> usize {
+pub(crate) fn count(gpu: Gpu, len: usize) -> usize {
     count_of(len, visible_len(gpu))
 }
 
@@ -29,19 +29,19 @@ fn count_of(array_len: usize, len: usize) -> usize {
 }
 
 /// The arrays of a launch, some of them in parts.
-pub struct Parts<'a> {
+pub(crate) struct Parts<'a> {
     /// The number of parts of every array.
     counts: Vec<usize>,
     /// 32-bit numbers of every part but the last.
     len: usize,
     /// The arrays or their first parts, followed by the remaining parts.
-    pub bindings: Vec<Binding<'a>>,
+    pub(crate) bindings: Vec<Binding<'a>>,
 }
 
 impl<'a> Parts<'a> {
     /// The parts of a kernel's arrays; `None` if every array fits into one binding. Panics with a [`GpuFailure`] if there are
     /// too many parts.
-    pub fn of(gpu: Gpu, kernel: &str, arrays: &[Binding<'a>]) -> Option<Self> {
+    pub(crate) fn of(gpu: Gpu, kernel: &str, arrays: &[Binding<'a>]) -> Option<Self> {
         let len = visible_len(gpu);
         #[cfg(test)]
         let len = tests::bindable_len(gpu, arrays, len);
@@ -67,7 +67,7 @@ impl<'a> Parts<'a> {
     }
 
     /// The part of the pipeline's name that identifies the parts.
-    pub fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         let name = format!(" [parts {:?} of {}]", self.counts, self.len);
         #[cfg(test)]
         let name = super::fault_tests::marked("parts", name);
@@ -75,7 +75,7 @@ impl<'a> Parts<'a> {
     }
 
     /// The text of the kernel for its arrays in parts.
-    pub fn text(&self, whole: &str) -> String {
+    pub(crate) fn text(&self, whole: &str) -> String {
         text::in_parts(whole, &self.counts, self.len)
     }
 }

@@ -17,12 +17,12 @@ thread_local! {
 const MOST_COMPARED: usize = 2;
 
 /// The length of a part that a test sets instead of the adapter's limit.
-pub fn changed_len() -> Option<usize> {
+pub(crate) fn changed_len() -> Option<usize> {
     SMALLEST.get().then_some(ALIGNMENT)
 }
 
 /// The length of a part for these arrays; if a test asks for the smallest, the least with which a kernel can bind all parts.
-pub fn bindable_len(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
+pub(crate) fn bindable_len(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
     let parts = |len| arrays.iter().map(|array| count_of(array.len(), len)).sum::<usize>();
     let fits = |&len: &usize| !SMALLEST.get() || parts(len) <= gpu.arrays_per_kernel();
     let len = (len..).step_by(ALIGNMENT).find(fits).expect("whole arrays fit");
@@ -40,7 +40,7 @@ fn in_parts<R>(result: impl FnOnce() -> R) -> (R, usize) {
 }
 
 /// Repeats a comparison with arrays in parts, up to [`MOST_COMPARED`] times per test.
-pub fn compare_in_parts(compare: impl FnOnce() -> Result<usize, Disagreement>) -> Result<(), Disagreement> {
+pub(crate) fn compare_in_parts(compare: impl FnOnce() -> Result<usize, Disagreement>) -> Result<(), Disagreement> {
     if COMPARED.get() == MOST_COMPARED || SMALLEST.get() {
         return Ok(());
     }
@@ -51,7 +51,7 @@ pub fn compare_in_parts(compare: impl FnOnce() -> Result<usize, Disagreement>) -
 
 /// The number of launches with an array in parts, with the smallest parts. Panics unless the result equals the one with whole
 /// arrays and differs if parts are swapped.
-pub fn assert_equal_in_parts<R: PartialEq>(result: impl Fn() -> R) -> usize {
+pub(crate) fn assert_equal_in_parts<R: PartialEq>(result: impl Fn() -> R) -> usize {
     // In parts first, so that unwritten elements do not hold results of an earlier run.
     let (found, split) = in_parts(&result);
     assert!(found == result(), "{split} launches, with arrays in parts, compute something else");

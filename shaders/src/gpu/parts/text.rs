@@ -20,7 +20,7 @@ struct SplitArray<'a> {
 
 /// The text for arrays (from binding 1 on) with `counts` parts of `len` 32-bit numbers each. The first part of each array
 /// keeps the array's binding, the others follow the last array.
-pub fn in_parts(whole: &str, counts: &[usize], len: usize) -> String {
+pub(crate) fn in_parts(whole: &str, counts: &[usize], len: usize) -> String {
     let whole = without_comments(whole);
     let mut declared = String::new();
     let mut arrays = Vec::new();

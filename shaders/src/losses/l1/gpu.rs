@@ -15,13 +15,13 @@ uniforms! {
 }
 
 /// Mean |render − target|: [1].
-pub fn l1<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>) -> Tensor<T> {
+pub(super) fn l1<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>) -> Tensor<T> {
     let images = [render, target].map(|image| Binding::Read(image.on_gpu(gpu)));
     Tensor::from_gpu([1], total_of(gpu, &L1, &images, render.len(), 1.0 / render.len() as f32))
 }
 
 /// Its gradient by the render.
-pub fn l1_gradient<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>, dy: &Tensor<T>) -> Tensor<T> {
+pub(crate) fn l1_gradient<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>, dy: &Tensor<T>) -> Tensor<T> {
     let gradient = GpuArray::new(gpu, render.len());
     let read = [render, target, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let arrays = [&read[..], &[Binding::Write(&gradient)]].concat();

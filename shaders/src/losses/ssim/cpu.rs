@@ -8,7 +8,7 @@ use super::{Layout, Moments, RADIUS, TAPS, similarity, weights};
 use crate::tape::simd::multiversion;
 
 /// Σ SSIM over the windows that count; their derivatives into `gradients` ([H] rows of d_x, d_xx and d_xy).
-pub fn forward(layout: &Layout, x: &[f32], y: &[f32], gradients: &mut [f32]) -> f64 {
+pub(super) fn forward(layout: &Layout, x: &[f32], y: &[f32], gradients: &mut [f32]) -> f64 {
     let row_len = layout.row_len();
     let mut filtered = vec![0.0; 5 * x.len()];
     filtered.par_chunks_mut(5 * row_len).zip(x.par_chunks(row_len)).zip(y.par_chunks(row_len)).for_each(
@@ -29,7 +29,7 @@ pub fn forward(layout: &Layout, x: &[f32], y: &[f32], gradients: &mut [f32]) -> 
 }
 
 /// dx of Σ SSIM from the derivatives of every window.
-pub fn backward(layout: &Layout, x: &[f32], y: &[f32], gradients: &[f32], dx: &mut [f32]) {
+pub(super) fn backward(layout: &Layout, x: &[f32], y: &[f32], gradients: &[f32], dx: &mut [f32]) {
     let row_len = layout.row_len();
     let mut filtered = vec![0.0; gradients.len()];
     filtered.par_chunks_mut(row_len).zip(gradients.par_chunks(row_len)).for_each(|(filtered, gradients)| {

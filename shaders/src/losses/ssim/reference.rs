@@ -2,7 +2,7 @@ use super::{Layout, Moments, RADIUS, TAPS, similarity, weights};
 use crate::tape::Real;
 
 /// Σ SSIM over the windows that count; their derivatives into `gradients` ([H] rows of d_x, d_xx and d_xy).
-pub fn forward<T: Real>(layout: &Layout, x: &[T], y: &[T], gradients: &mut [T]) -> f64 {
+pub(super) fn forward<T: Real>(layout: &Layout, x: &[T], y: &[T], gradients: &mut [T]) -> f64 {
     let (row_len, mut sum) = (layout.row_len(), 0.0);
     for row in (0..layout.height).filter(|&row| layout.counts_row(row)) {
         for column in layout.counted_columns() {
@@ -25,7 +25,7 @@ pub fn forward<T: Real>(layout: &Layout, x: &[T], y: &[T], gradients: &mut [T]) 
 }
 
 /// dx of Σ SSIM: every window passes its derivatives on to the pixels under it.
-pub fn backward<T: Real>(layout: &Layout, x: &[T], y: &[T], gradients: &[T], dx: &mut [T]) {
+pub(super) fn backward<T: Real>(layout: &Layout, x: &[T], y: &[T], gradients: &[T], dx: &mut [T]) {
     let row_len = layout.row_len();
     for row in 0..layout.height {
         for column in 0..row_len {

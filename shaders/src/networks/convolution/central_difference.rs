@@ -11,7 +11,7 @@ pub fn central_difference<T: Real>(tape: &mut Tape<T>, weight: Var, theta: f64) 
     tape.apply_one(CentralDifference { taps: height * width, channels, theta }, &[weight])
 }
 
-pub struct CentralDifference {
+pub(crate) struct CentralDifference {
     pub taps: usize,
     pub channels: usize,
     pub theta: f64,

@@ -12,7 +12,7 @@ use crate::tape::chunks::map_chunks;
 const PIXELS_PER_CHUNK: usize = 256;
 
 /// y = patches(x)·Wᵀ + b.
-pub fn forward<T: Real>(layout: &Layout, x: &[T], weight: &[T], bias: &[T], y: &mut [T]) {
+pub(super) fn forward<T: Real>(layout: &Layout, x: &[T], weight: &[T], bias: &[T], y: &mut [T]) {
     let &Layout { channels, outputs, .. } = layout;
     let columns = layout.taps() * channels;
     y.par_chunks_mut(PIXELS_PER_CHUNK * outputs).enumerate().for_each(|(chunk, y)| {
@@ -26,7 +26,13 @@ pub fn forward<T: Real>(layout: &Layout, x: &[T], weight: &[T], bias: &[T], y: &
 }
 
 /// dW = dyᵀ·patches(x), db = Σ dy, and dx = patches(dy)·Wᵗ with the patches that meet an input pixel.
-pub fn backward<T: Real>(layout: &Layout, x: &[T], weight: &[T], dy: &[T], needs: [bool; 3]) -> InputGradients<T> {
+pub(super) fn backward<T: Real>(
+    layout: &Layout,
+    x: &[T],
+    weight: &[T],
+    dy: &[T],
+    needs: [bool; 3],
+) -> InputGradients<T> {
     let outputs = layout.outputs;
     let dbias = || {
         let mut sum = vec![T::ZERO; outputs];

@@ -9,7 +9,7 @@ fn products(layout: &Layout) -> impl Iterator<Item = (usize, usize, usize)> + '_
     pairs.filter_map(|(pixel, tap)| Some((pixel, tap, layout.source(pixel, tap)?)))
 }
 
-pub fn forward<T: Real>(layout: &Layout, x: &[T], weight: &[T], bias: &[T], y: &mut [T]) {
+pub(super) fn forward<T: Real>(layout: &Layout, x: &[T], weight: &[T], bias: &[T], y: &mut [T]) {
     let &Layout { channels, outputs, .. } = layout;
     y.chunks_exact_mut(outputs).for_each(|row| row.copy_from_slice(bias));
     for (pixel, tap, source) in products(layout) {
@@ -21,7 +21,13 @@ pub fn forward<T: Real>(layout: &Layout, x: &[T], weight: &[T], bias: &[T], y: &
     }
 }
 
-pub fn backward<T: Real>(layout: &Layout, x: &[T], weight: &[T], dy: &[T], needs: [bool; 3]) -> InputGradients<T> {
+pub(super) fn backward<T: Real>(
+    layout: &Layout,
+    x: &[T],
+    weight: &[T],
+    dy: &[T],
+    needs: [bool; 3],
+) -> InputGradients<T> {
     let &Layout { channels, outputs, .. } = layout;
     let (mut dx, mut dweight, mut dbias) =
         (vec![T::ZERO; x.len()], vec![T::ZERO; weight.len()], vec![T::ZERO; outputs]);

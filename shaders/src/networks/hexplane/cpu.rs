@@ -29,14 +29,14 @@ struct Scale<'a> {
 }
 
 /// The field as the fast body reads it.
-pub struct Forward<'a> {
+pub(super) struct Forward<'a> {
     channels: usize,
     scales: Vec<Scale<'a>>,
 }
 
 impl<'a> Forward<'a> {
     /// `None` if the scalar type is not f32 or the channels do not fill whole lanes; the reference runs instead.
-    pub fn new<T: Real>(field: &Field<'a, T>) -> Option<Self> {
+    pub(super) fn new<T: Real>(field: &Field<'a, T>) -> Option<Self> {
         let channels = field.channels();
         let time = field.time.to_f64() as f32;
         let scale_at = |scale| Scale::new(field, scale, time);
@@ -47,7 +47,7 @@ impl<'a> Forward<'a> {
     }
 
     /// Features of `positions` [n, 3] into `out` [n, C·scales].
-    pub fn run(&self, positions: &[f32], out: &mut [f32]) {
+    pub(super) fn run(&self, positions: &[f32], out: &mut [f32]) {
         match self.channels {
             channels if channels.is_multiple_of(16) => sample::<16>(self, positions, out),
             channels if channels.is_multiple_of(8) => sample::<8>(self, positions, out),
@@ -166,7 +166,7 @@ fn multiply<const L: usize>(a: [f32; L], b: [f32; L]) -> [f32; L] {
 }
 
 /// Adds the gradients of `dy` to those of positions and planes; `false`, with nothing done, where the reference must run.
-pub fn backward<T: Real>(
+pub(super) fn backward<T: Real>(
     field: &Field<T>,
     positions: &[T],
     dy: &[T],

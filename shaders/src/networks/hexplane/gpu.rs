@@ -73,7 +73,7 @@ fn bare<'a>(scales: &[ScaleItem], groups: usize) -> Vec<Item<'a, ScaleItem>> {
 }
 
 /// Features [N, C·scales].
-pub fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Tensor<T> {
+pub(super) fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Tensor<T> {
     let (points, channels) = (positions.rows(), field.channels());
     let features = GpuArray::new(gpu, points * channels * field.scales());
     let shared = [Binding::Read(positions.on_gpu(gpu)), Binding::Write(&features)];
@@ -83,7 +83,7 @@ pub fn forward<T: Real>(gpu: Gpu, field: &Field<T>, positions: &Tensor<T>) -> Te
 }
 
 /// Adds the gradients of positions and planes to their totals.
-pub fn add_gradients<T: Real>(
+pub(crate) fn add_gradients<T: Real>(
     gpu: Gpu,
     field: &Field<T>,
     positions: &Tensor<T>,

@@ -2,7 +2,7 @@ use crate::tape::Real;
 
 /// Linear interpolation between neighbouring texels of one axis.
 #[derive(Copy, Clone, Debug)]
-pub struct Lookup<T> {
+pub(super) struct Lookup<T> {
     pub low: usize,
     pub high: usize,
     /// Weight of `high`, in [0, 1]; `low` has the rest.
@@ -16,7 +16,7 @@ impl<T: Real> Lookup<T> {
     ///
     /// The last texel is reached exactly, as weight 1 of `high`; an axis of one texel is constant; NaN stays NaN.
     #[inline(always)]
-    pub fn new(coordinate: T, texels: usize) -> Self {
+    pub(super) fn new(coordinate: T, texels: usize) -> Self {
         let half_span = T::from_f64((texels - 1) as f64 / 2.0);
         let last = half_span + half_span;
         let unclamped = (coordinate + T::ONE) * half_span;

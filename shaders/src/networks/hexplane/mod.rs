@@ -37,6 +37,7 @@ const POINTS_PER_CHUNK: usize = 512;
 /// The sizes of a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HexplaneShape {
+    /// Features per texel of every plane.
     pub channels: usize,
     /// Texels along x, y, z and t at multiplier 1.
     pub resolution: [usize; 4],

@@ -15,7 +15,7 @@ const POINTS_PER_CHUNK: usize = 2048;
 /// neighbouring texels. Points that contribute to no pixel have no gradient and are omitted.
 ///
 /// Within a cell points keep their order; the list depends on positions [N, 3] and `dy` alone.
-pub fn points_by_cell(positions: &[f32], dy: &[f32], features: usize) -> Vec<u32> {
+pub(crate) fn points_by_cell(positions: &[f32], dy: &[f32], features: usize) -> Vec<u32> {
     let points = positions.len() / 3;
     let cell_of = |n: usize| match has_gradient(&dy[n * features..(n + 1) * features]) {
         true => morton_cell(&positions[3 * n..3 * n + 3]),

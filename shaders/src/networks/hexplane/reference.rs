@@ -3,7 +3,7 @@ use super::{Field, PAIRS};
 use crate::tape::Real;
 
 /// Features of `positions` [n, 3] into `out` [n, C·scales]: the definition, six bilinear lookups per scale.
-pub fn forward<T: Real>(field: &Field<T>, positions: &[T], out: &mut [T]) {
+pub(super) fn forward<T: Real>(field: &Field<T>, positions: &[T], out: &mut [T]) {
     let channels = field.channels();
     for (point, out) in positions.chunks_exact(3).zip(out.chunks_exact_mut(channels * field.scales())) {
         for (scale, out) in out.chunks_exact_mut(channels).enumerate() {
@@ -17,7 +17,7 @@ pub fn forward<T: Real>(field: &Field<T>, positions: &[T], out: &mut [T]) {
 }
 
 /// Adds the gradients of `dy` [n, C·scales] to those of the positions [n, 3] and of the planes.
-pub fn backward<T: Real>(
+pub(super) fn backward<T: Real>(
     field: &Field<T>,
     positions: &[T],
     dy: &[T],

@@ -6,7 +6,7 @@ use crate::networks::hexplane::{Field, PAIRS, TIME};
 use crate::tape::Real;
 
 uniforms! {
-    pub struct ScaleItem as "Item" {
+    pub(crate) struct ScaleItem as "Item" {
         resolution: [u32; 4],
         cell_starts: [[u32; 4]; 2],
         points: u32,
@@ -21,7 +21,7 @@ uniforms! {
 }
 
 /// The constants of every scale of a field, for this many points.
-pub fn scales<T: Real>(field: &Field<T>, points: usize) -> Vec<ScaleItem> {
+pub(super) fn scales<T: Real>(field: &Field<T>, points: usize) -> Vec<ScaleItem> {
     let (channels, mut cells) = (field.channels(), 0);
     let scale = |scale: usize| {
         let resolution = field.resolution(scale);
@@ -50,22 +50,22 @@ pub fn scales<T: Real>(field: &Field<T>, points: usize) -> Vec<ScaleItem> {
 }
 
 /// Cells of neighbouring scales.
-pub fn cells(scales: &[ScaleItem]) -> usize {
+pub(super) fn cells(scales: &[ScaleItem]) -> usize {
     let end = scales.last().map_or(0, |scale| scale.cell_starts[1][2]);
     (end - scales.first().map_or(0, |scale| scale.cell_starts[0][0])) as usize
 }
 
 impl ScaleItem {
-    pub fn points(&self) -> usize {
+    pub(super) fn points(&self) -> usize {
         self.points as usize
     }
 
-    pub fn channels(&self) -> usize {
+    pub(super) fn channels(&self) -> usize {
         self.channels as usize
     }
 
     /// The number of values that all points read from all planes of this many scales.
-    pub fn values(&self, scales: usize) -> usize {
+    pub(super) fn values(&self, scales: usize) -> usize {
         6 * scales * self.points() * self.channels()
     }
 }

@@ -22,7 +22,7 @@ pub fn layer_norm<T: Real>(tape: &mut Tape<T>, x: Var, scale: Var, offset: Var) 
 }
 
 /// x·scale + offset by column: x [N, C], scale and offset [C].
-pub fn affine_columns<T: Real>(tape: &mut Tape<T>, x: Var, scale: Var, offset: Var) -> Var {
+pub(crate) fn affine_columns<T: Real>(tape: &mut Tape<T>, x: Var, scale: Var, offset: Var) -> Var {
     let columns = tape.value(x).row_len();
     assert!([scale, offset].iter().all(|&var| tape.value(var).shape() == [columns]), "affine_columns: one per column");
     tape.apply_one(AffineColumns, &[x, scale, offset])

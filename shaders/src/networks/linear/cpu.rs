@@ -1,7 +1,7 @@
 use super::matrix::Matrix;
 
 /// out = lhs·rhs, row-major, on one thread, so that the result does not depend on the number of threads.
-pub fn multiply(lhs: Matrix<f32>, rhs: Matrix<f32>, out: &mut [f32]) {
+pub(super) fn multiply(lhs: Matrix<f32>, rhs: Matrix<f32>, out: &mut [f32]) {
     assert_eq!(lhs.columns, rhs.rows, "inner dimensions differ");
     assert_eq!(out.len(), lhs.rows * rhs.columns, "output of the wrong size");
     if lhs.columns == 0 {

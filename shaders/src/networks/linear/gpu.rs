@@ -65,14 +65,14 @@ fn of_both(activation: Activation) -> [(&'static str, u32); 6] {
 
 /// Which inputs of an operation are those of a layer.
 #[derive(Clone, Copy)]
-pub struct Places {
+pub(super) struct Places {
     pub x: usize,
     pub weight: usize,
     pub bias: usize,
 }
 
 impl Places {
-    pub fn all(self) -> [usize; 3] {
+    pub(super) fn all(self) -> [usize; 3] {
         [self.x, self.weight, self.bias]
     }
 }
@@ -83,7 +83,12 @@ fn sizes<T: Real>(weight: &Tensor<T>) -> [usize; 2] {
 }
 
 /// The outputs of all layers.
-pub fn forward<T: Real>(gpu: Gpu, layers: &[Places], activation: Activation, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
+pub(super) fn forward<T: Real>(
+    gpu: Gpu,
+    layers: &[Places],
+    activation: Activation,
+    inputs: &[&Tensor<T>],
+) -> Vec<Tensor<T>> {
     let output = |layer: &Places| {
         let shape = [inputs[layer.x].rows(), inputs[layer.weight].rows()];
         Tensor::from_gpu(shape, GpuArray::new(gpu, shape[0] * shape[1]))
@@ -100,7 +105,7 @@ pub fn forward<T: Real>(gpu: Gpu, layers: &[Places], activation: Activation, inp
 }
 
 /// The inputs of the backward pass of layers.
-pub struct LayersBackward<'a, T: Real> {
+pub(crate) struct LayersBackward<'a, T: Real> {
     pub gpu: Gpu,
     pub layers: &'a [Places],
     pub activation: Activation,
@@ -116,7 +121,7 @@ struct Live<'a, T: Real> {
 
 impl<'a, T: Real> LayersBackward<'a, T> {
     /// Adds the gradients of the inputs that need one to their totals.
-    pub fn add_gradients(&self, totals: &mut [Option<Tensor<T>>]) {
+    pub(crate) fn add_gradients(&self, totals: &mut [Option<Tensor<T>>]) {
         let layers = self.layers.iter().zip(self.pass.outputs).zip(self.pass.output_grads);
         let live = |((&places, &y), dy): ((&Places, &&'a Tensor<T>), &Option<&'a Tensor<T>>)| {
             dy.map(|dy| Live { places, y, dy })

@@ -8,8 +8,11 @@ use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 /// One of several layers: x [N, I], weight [O, I], bias [O].
 #[derive(Clone, Copy, Debug)]
 pub struct Layer {
+    /// The input [N, I].
     pub x: Var,
+    /// The weight matrix [O, I].
     pub weight: Var,
+    /// The bias [O].
     pub bias: Var,
 }
 

@@ -31,7 +31,9 @@ const WORTH_COPYING: usize = 8;
 /// The activation after the affine map.
 #[derive(Copy, Clone, Debug, PartialEq, Eq)]
 pub enum Activation {
+    /// No activation.
     Identity,
+    /// max(0, x).
     Relu,
 }
 

@@ -5,10 +5,10 @@ use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, Gpu, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
 
 /// The arrays of a kernel of products with one output each (`separate_outputs.wgsl`).
-pub const EACH_ARRAYS: &[ItemArray] =
+pub(crate) const EACH_ARRAYS: &[ItemArray] =
     &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side"), ItemArray::write("y")];
 /// The arrays of a kernel of products that add up to one shared output (`summed_output.wgsl`).
-pub const SUM_ARRAYS: &[ItemArray] = &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side")];
+pub(crate) const SUM_ARRAYS: &[ItemArray] = &[ItemArray::read("a"), ItemArray::read("b"), ItemArray::read("side")];
 
 const PARTS: Grouped = Grouped {
     kernel: Kernel { name: "products, parts", text: include_str!("product_parts.wgsl") },
@@ -48,7 +48,7 @@ uniforms! {
 }
 
 /// A·B [rows, columns], whose elements are sums of `terms` terms.
-pub struct Product<'a> {
+pub(crate) struct Product<'a> {
     pub rows: usize,
     pub columns: usize,
     pub terms: usize,
@@ -59,7 +59,7 @@ pub struct Product<'a> {
 }
 
 /// An output array, and whether the kernel accumulates into it.
-pub type Output<'a> = (Binding<'a>, bool);
+pub(crate) type Output<'a> = (Binding<'a>, bool);
 
 impl<'a> Product<'a> {
     fn tiles(&self) -> usize {
@@ -110,7 +110,7 @@ fn specialised(specialisation: &[(&'static str, u32)], together: bool) -> Vec<(&
 }
 
 /// Computes every product into its output; `kernel` has the arrays [`EACH_ARRAYS`].
-pub fn each(
+pub(crate) fn each(
     gpu: Gpu,
     kernel: &Grouped,
     specialisation: &[(&'static str, u32)],
@@ -131,7 +131,7 @@ fn items_of<'a>(products: &[Product<'a>], outputs: &[Output<'a>]) -> Vec<Item<'a
 }
 
 /// The sum of products that differ in their terms alone; `kernel` is of [`SUM`].
-pub fn sum(
+pub(crate) fn sum(
     gpu: Gpu,
     kernel: &Grouped,
     specialisation: &[(&'static str, u32)],
@@ -148,16 +148,16 @@ pub fn sum(
 }
 
 /// Products with the outputs of each, and those of the sums of the rows of its A.
-pub type WithSums<'p, 'a> = (&'p [Product<'a>], &'p [[Output<'a>; 2]]);
+pub(crate) type WithSums<'p, 'a> = (&'p [Product<'a>], &'p [[Output<'a>; 2]]);
 
 /// Computes every product and the row sums of its A, with the terms split among workgroups.
 /// `kernel` has the arrays [`EACH_ARRAYS`].
-pub fn with_sums(gpu: Gpu, kernel: &Grouped, specialisation: &[(&'static str, u32)], products: WithSums) {
+pub(crate) fn with_sums(gpu: Gpu, kernel: &Grouped, specialisation: &[(&'static str, u32)], products: WithSums) {
     each_with_sums(gpu, kernel, specialisation, (&[], &[]), products);
 }
 
 /// Products alone as of [`each`], and others as of [`with_sums`], at once.
-pub fn each_with_sums(
+pub(crate) fn each_with_sums(
     gpu: Gpu,
     kernel: &Grouped,
     specialisation: &[(&'static str, u32)],
@@ -192,7 +192,7 @@ pub fn each_with_sums(
 
 /// Panics unless a kernel of products is valid.
 #[cfg(test)]
-pub fn assert_valid_product(kernel: &Grouped, specialisation: &[(&'static str, u32)]) {
+pub(crate) fn assert_valid_product(kernel: &Grouped, specialisation: &[(&'static str, u32)]) {
     use crate::gpu::grouped::tests::assert_valid_grouped;
     assert_valid_grouped::<PartsItem>(&PARTS, &[]);
     for together in [false, true] {

@@ -9,7 +9,7 @@ const CUTOFF_SLACK: f64 = 1e-4;
 const COORDINATE_SLACK: f64 = 1e-6;
 
 /// The set σ ≤ cutoff with σ = ½(A(dx + k·dy)² + m·dy²), slightly enlarged.
-pub struct Ellipse<T> {
+pub(crate) struct Ellipse<T> {
     center: [T; 2],
     /// A, k, m.
     conic: [T; 3],
@@ -21,7 +21,7 @@ pub struct Ellipse<T> {
 }
 
 impl<T: Real> Ellipse<T> {
-    pub fn new(center: [T; 2], conic: [T; 3], cutoff: T) -> Self {
+    pub(super) fn new(center: [T; 2], conic: [T; 3], cutoff: T) -> Self {
         let slack = T::from_f64(CUTOFF_SLACK);
         let squared_radius = T::from_f64(2.0) * (cutoff + cutoff * slack + slack);
         let [a, k, m] = conic;
@@ -34,17 +34,17 @@ impl<T: Real> Ellipse<T> {
 
     /// Half the width and height of the bounding box, in px.
     #[cfg(test)]
-    pub fn half_extents(&self) -> [T; 2] {
+    pub(crate) fn half_extents(&self) -> [T; 2] {
         self.half_extents
     }
 
     /// The tiles that meet the ellipse: per row of tiles, a range of columns.
-    pub fn tile_spans(&self, grid: Grid) -> impl Iterator<Item = (usize, Range<usize>)> {
+    pub(crate) fn tile_spans(&self, grid: Grid) -> impl Iterator<Item = (usize, Range<usize>)> {
         self.box_span(1, grid.height).map(move |row| (row, self.columns(row, grid)))
     }
 
     /// An upper bound of the number of tiles that meet the ellipse.
-    pub fn box_tiles(&self, grid: Grid) -> u64 {
+    pub(crate) fn box_tiles(&self, grid: Grid) -> u64 {
         self.box_span(0, grid.width).len() as u64 * self.box_span(1, grid.height).len() as u64
     }
 

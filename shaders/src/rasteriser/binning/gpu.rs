@@ -36,29 +36,29 @@ uniforms! {
 /// [`super::TileLists`] in GPU memory.
 #[derive(Debug)]
 pub struct GpuLists {
-    pub grid: Grid,
+    pub(crate) grid: Grid,
     /// [1]: splats that some tile holds.
-    pub visible: GpuArray,
+    pub(crate) visible: GpuArray,
     /// The number of entries, which is also that of hits; shared, so that a deferred readback need not keep the lists.
-    pub entries: Arc<Length>,
+    pub(crate) entries: Arc<Length>,
     /// [N]: splats by rank; those that no tile holds come last.
-    pub order: GpuArray,
+    pub(crate) order: GpuArray,
     /// [N].
-    pub rank_of_splat: GpuArray,
+    pub(crate) rank_of_splat: GpuArray,
     /// [entries], with spare capacity.
-    pub ranks: GpuArray,
+    pub(crate) ranks: GpuArray,
     /// [tiles + 1].
-    pub tile_starts: GpuArray,
+    pub(crate) tile_starts: GpuArray,
     /// [hits], with spare capacity; `NO_RANK` for a hit that was counted and not found.
-    pub entry_of_hit: GpuArray,
+    pub(crate) entry_of_hit: GpuArray,
     /// [N + 1]: the first hit of every rank; a rank in no tile has no hits.
-    pub hit_starts: GpuArray,
+    pub(crate) hit_starts: GpuArray,
 }
 
 #[cfg(test)]
 impl GpuLists {
     /// Copies the lists to the host.
-    pub fn read_back(&self) -> super::TileLists {
+    pub(crate) fn read_back(&self) -> super::TileLists {
         let read = |array: &GpuArray| {
             let mut out = vec![0; array.len()];
             array.read_into(&mut out);
@@ -91,7 +91,12 @@ type Inputs<'a, T> = [&'a Tensor<T>; 4];
 
 /// The lists, in buffers with a capacity of this many intersections. Without a capacity, their number is read back first;
 /// `None` if it exceeds [`MAX_INTERSECTIONS`].
-pub fn tile_lists<T: Real>(gpu: Gpu, inputs: Inputs<T>, grid: Grid, capacity: Option<usize>) -> Option<GpuLists> {
+pub(crate) fn tile_lists<T: Real>(
+    gpu: Gpu,
+    inputs: Inputs<T>,
+    grid: Grid,
+    capacity: Option<usize>,
+) -> Option<GpuLists> {
     let [means2d, conics, depths, cutoffs] = inputs.map(|input| input.on_gpu(gpu));
     let ellipses = [means2d, conics, cutoffs].map(Binding::Read);
     let count = depths.len();

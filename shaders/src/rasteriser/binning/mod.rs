@@ -21,10 +21,10 @@ use ellipse::Ellipse;
 pub use gpu::GpuLists;
 
 /// Tiles are squares of this many pixels: a row is one vector of 16 lanes.
-pub const TILE: usize = 16;
+pub(crate) const TILE: usize = 16;
 
 /// Intersections per render above which it is refused: 10 GiB of gradient rows on the CPU, far below overflow of u32.
-pub const MAX_INTERSECTIONS: u64 = 1 << 28;
+pub(crate) const MAX_INTERSECTIONS: u64 = 1 << 28;
 
 /// Splats per parallel chunk: tens of microseconds.
 const SPLATS_PER_CHUNK: usize = 1024;
@@ -39,14 +39,17 @@ pub struct Grid {
 }
 
 impl Grid {
+    /// Tiles per row of tiles.
     pub fn columns(&self) -> usize {
         self.width.div_ceil(TILE)
     }
 
+    /// Rows of tiles.
     pub fn rows(&self) -> usize {
         self.height.div_ceil(TILE)
     }
 
+    /// The number of tiles.
     pub fn tiles(&self) -> usize {
         self.columns() * self.rows()
     }
@@ -67,6 +70,7 @@ impl Grid {
 /// (tile, splat) pair, tile by tile and front to back; a *hit* is the same pair, rank by rank and tiles ascending.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TileLists {
+    /// The tiles of the image.
     pub grid: Grid,
     /// [ranks]: the index of the splat.
     pub order: Vec<u32>,
@@ -84,7 +88,7 @@ pub struct TileLists {
 
 impl TileLists {
     /// The rank of a splat that no tile holds.
-    pub const NO_RANK: u32 = u32::MAX;
+    pub(crate) const NO_RANK: u32 = u32::MAX;
 
     /// The ranks in a tile, front to back.
     pub fn tile(&self, tile: usize) -> &[u32] {
@@ -92,7 +96,7 @@ impl TileLists {
     }
 
     /// The entries of a splat, in a fixed order; empty if no tile holds it.
-    pub fn entries_of_splat(&self, splat: usize) -> &[u32] {
+    pub(crate) fn entries_of_splat(&self, splat: usize) -> &[u32] {
         match self.rank_of_splat[splat] {
             Self::NO_RANK => &[],
             rank => &self.entry_of_hit[self.hit_starts[rank as usize]..self.hit_starts[rank as usize + 1]],
@@ -103,7 +107,9 @@ impl TileLists {
 /// The lists of a render, where it runs.
 #[derive(Debug)]
 pub enum Lists {
+    /// Lists in the host's memory.
     Host(TileLists),
+    /// Lists in a GPU's memory.
     Gpu(Box<GpuLists>),
 }
 

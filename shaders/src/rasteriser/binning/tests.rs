@@ -1,6 +1,5 @@
 use super::*;
 use crate::check::noise;
-use crate::rasteriser::projection::CULLED;
 use crate::rasteriser::render::scene_tests::with_threads;
 
 /// Owned [`Splats`].
@@ -145,10 +144,10 @@ fn poisoned_numbers_and_far_coordinates_are_harmless() {
 fn culled_splats_are_in_no_list() {
     let grid = Grid { width: 32, height: 32 };
     let mut scene = scene(100, 32, 6);
-    scene.cutoffs.iter_mut().step_by(2).for_each(|cutoff| *cutoff = CULLED as f32);
+    scene.cutoffs.iter_mut().step_by(2).for_each(|cutoff| *cutoff = -1.0);
     let lists = scene.lists(grid).unwrap();
     assert!(lists.order.iter().all(|splat| splat % 2 == 1) && !lists.order.is_empty());
-    scene.cutoffs.fill(CULLED as f32);
+    scene.cutoffs.fill(-1.0);
     let lists = scene.lists(grid).unwrap();
     assert!(lists.order.is_empty() && lists.ranks.is_empty());
     assert_eq!(lists.tile_starts, [0; 5]);

@@ -8,7 +8,7 @@ use crate::rasteriser::isa::Isa;
 
 impl PackedSplats<'_> {
     /// Planes: transmittance, three colours, extras; all are written. Returns the number of blended (pixel, splat) pairs.
-    pub fn forward(&self, tile: &Tile, planes: &mut [f32]) -> u64 {
+    pub(super) fn forward(&self, tile: &Tile, planes: &mut [f32]) -> u64 {
         let planes = planes.as_chunks_mut::<TILE>().0.as_chunks_mut::<TILE>().0;
         match self.extra_count {
             0 => dispatch!(self.isa, forward::<false>(self, tile, planes)),
@@ -18,7 +18,7 @@ impl PackedSplats<'_> {
 
     /// Planes: Σ weight·φ of the splats behind, then the gradients of three colours and the extras; the
     /// first is overwritten. Writes one row per splat of the tile.
-    pub fn backward(&self, tile: &Tile, planes: &mut [f32], rows: &mut [f32]) {
+    pub(super) fn backward(&self, tile: &Tile, planes: &mut [f32], rows: &mut [f32]) {
         let planes = planes.as_chunks_mut::<TILE>().0.as_chunks_mut::<TILE>().0;
         match self.extra_count {
             0 => dispatch!(self.isa, backward::<false>(self, tile, planes, rows)),
@@ -53,12 +53,12 @@ macro_rules! compiled_for {
             use super::*;
 
             #[target_feature(enable = $features)]
-            pub fn forward<const EXTRAS: bool>(splats: &PackedSplats, tile: &Tile, planes: &mut [Plane]) -> u64 {
+            pub(super) fn forward<const EXTRAS: bool>(splats: &PackedSplats, tile: &Tile, planes: &mut [Plane]) -> u64 {
                 super::forward::<$lanes, EXTRAS>(splats, tile, planes)
             }
 
             #[target_feature(enable = $features)]
-            pub fn backward<const EXTRAS: bool>(
+            pub(super) fn backward<const EXTRAS: bool>(
                 splats: &PackedSplats,
                 tile: &Tile,
                 planes: &mut [Plane],

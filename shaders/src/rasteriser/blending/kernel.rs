@@ -12,7 +12,7 @@ use super::{ROW_COLORS, ROW_MOMENTS};
 use crate::rasteriser::binning::TILE;
 
 /// A value per pixel of a tile.
-pub type Plane = [Row; TILE];
+pub(crate) type Plane = [Row; TILE];
 
 const LANE_INDEX: Row = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
 
@@ -148,7 +148,7 @@ fn exp2<V: Lanes>(x: V) -> V {
 
 /// [`exp2`] of one number.
 #[cfg(test)]
-pub fn exp2_of(x: f32) -> f32 {
+pub(crate) fn exp2_of(x: f32) -> f32 {
     let mut row = [0.0; TILE];
     exp2(Portable::splat(x)).store(&mut row, 0);
     row[0]
@@ -169,7 +169,7 @@ fn start<V: Lanes>(tile: &Tile, transmittance: &mut Plane) -> [u32; 2] {
 
 /// See [`PackedSplats::forward`].
 #[inline(always)]
-pub fn forward<V: Lanes, const EXTRAS: bool>(splats: &PackedSplats, tile: &Tile, planes: &mut [Plane]) -> u64 {
+pub(super) fn forward<V: Lanes, const EXTRAS: bool>(splats: &PackedSplats, tile: &Tile, planes: &mut [Plane]) -> u64 {
     let [transmittance, red, green, blue, extras @ ..] = planes else { unreachable!("four planes at least") };
     let mut alive = start::<V>(tile, transmittance);
     let mut blended_count = 0;
@@ -231,7 +231,7 @@ struct Sums<V> {
 
 /// See [`PackedSplats::backward`].
 #[inline(always)]
-pub fn backward<V: Lanes, const EXTRAS: bool>(
+pub(super) fn backward<V: Lanes, const EXTRAS: bool>(
     splats: &PackedSplats,
     tile: &Tile,
     planes: &mut [Plane],

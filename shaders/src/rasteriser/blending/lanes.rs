@@ -9,10 +9,10 @@
 use crate::rasteriser::binning::TILE;
 
 /// One row of a tile.
-pub type Row = [f32; TILE];
+pub(super) type Row = [f32; TILE];
 
 /// Sums over the lanes of up to one row: xᵢ = lane i + lane i + 8, then ((x₀+x₂)+(x₁+x₃)) + ((x₄+x₆)+(x₅+x₇)).
-pub trait Lanes: Copy {
+pub(crate) trait Lanes: Copy {
     /// 8 or 16; a row has `TILE / WIDTH` parts.
     const WIDTH: usize;
     type Mask: Copy;
@@ -54,7 +54,7 @@ pub trait Lanes: Copy {
 
 /// Eight lanes in whatever the target offers.
 #[derive(Clone, Copy)]
-pub struct Portable([f32; 8]);
+pub(super) struct Portable([f32; 8]);
 
 impl Portable {
     #[inline(always)]
@@ -169,7 +169,7 @@ impl Lanes for Portable {
 }
 
 #[cfg(target_arch = "x86_64")]
-pub use x86::{Avx2, Avx512};
+pub(crate) use x86::{Avx2, Avx512};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
@@ -178,10 +178,10 @@ mod x86 {
     use super::{Lanes, Row};
 
     #[derive(Clone, Copy)]
-    pub struct Avx2(__m256);
+    pub(crate) struct Avx2(__m256);
 
     #[derive(Clone, Copy)]
-    pub struct Avx512(__m512);
+    pub(crate) struct Avx512(__m512);
 
     /// Methods that are one instruction each.
     macro_rules! instructions {

@@ -23,10 +23,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use crate::rasteriser::isa::Isa;
-
 use crate::gpu::Gpu;
 use crate::rasteriser::binning::{Lists, TILE};
+use crate::rasteriser::isa::Isa;
 use crate::rasteriser::projection::ProjectedVars;
 use crate::rasteriser::settings::RasterSettings;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
@@ -53,7 +52,7 @@ pub struct Blended {
     /// [H, W, F]: Σ wᵢfᵢ.
     pub features: Option<Var>,
     /// (Pixel, splat) pairs that were blended; not counted on a GPU.
-    pub blended_count: Option<u64>,
+    pub(crate) blended_count: Option<u64>,
 }
 
 /// Blends projected splats and, with the same weights, their features [N, F].

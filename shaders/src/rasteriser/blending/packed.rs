@@ -11,30 +11,30 @@ use crate::tape::Real;
 /// One splat in the layout of the inner loop.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-pub struct Packed {
+pub(super) struct Packed {
     pub mean: [f32; 2],
     /// ½A·log₂e, k, ½m·log₂e.
-    pub half_a: f32,
+    pub(crate) half_a: f32,
     pub k: f32,
-    pub half_m: f32,
+    pub(crate) half_m: f32,
     /// The largest s that is blended.
     pub cutoff: f32,
-    pub log2_opacity: f32,
+    pub(crate) log2_opacity: f32,
     pub color: [f32; 3],
 }
 
 /// The splats of a render, front to back.
-pub struct PackedSplats<'a> {
+pub(crate) struct PackedSplats<'a> {
     pub splats: Vec<Packed>,
     extras: &'a [f32],
-    pub extra_count: usize,
-    pub alpha_cap: f32,
+    pub(crate) extra_count: usize,
+    pub(crate) alpha_cap: f32,
     pub stop: f32,
     pub isa: Isa,
 }
 
 /// Position of a tile, the part of it inside the image, and its splats by rank.
-pub struct Tile<'a> {
+pub(crate) struct Tile<'a> {
     pub origin: [usize; 2],
     pub extent: [usize; 2],
     pub ranks: &'a [u32],
@@ -56,7 +56,7 @@ impl Packed {
 
 impl<'a> PackedSplats<'a> {
     /// `None` if the scalar type is not f32. Panics if the processor lacks the instructions.
-    pub fn new<T: Real>(splats: &'a RankedSplats<T>, constants: &Constants<T>, isa: Isa) -> Option<Self> {
+    pub(super) fn new<T: Real>(splats: &'a RankedSplats<T>, constants: &Constants<T>, isa: Isa) -> Option<Self> {
         let records = T::as_f32(splats.records.as_flattened())?.as_chunks::<10>().0;
         assert!(isa.is_available(), "this processor has no {isa:?}");
         Some(Self {
@@ -70,7 +70,7 @@ impl<'a> PackedSplats<'a> {
     }
 
     /// Values of the extra channels of a splat.
-    pub fn extras(&self, rank: u32) -> &[f32] {
+    pub(crate) fn extras(&self, rank: u32) -> &[f32] {
         &self.extras[rank as usize * self.extra_count..][..self.extra_count]
     }
 }

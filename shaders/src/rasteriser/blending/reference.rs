@@ -1,12 +1,9 @@
 //! The readable body, for f32 and f64: one tile, pixel by pixel.
 
 use super::packed::Tile;
-use super::{Constants, ROW_COLORS, ROW_MOMENTS, RankedSplats};
+use super::{Constants, PIXELS, ROW_COLORS, ROW_MOMENTS, RankedSplats};
 use crate::rasteriser::binning::TILE;
 use crate::tape::Real;
-
-/// Pixels of a tile.
-const PIXELS: usize = TILE * TILE;
 
 /// The terms of one splat at one pixel.
 struct Sample<T> {
@@ -47,7 +44,12 @@ fn pixels<T: Real>(tile: &Tile) -> impl Iterator<Item = (usize, [T; 2])> {
 }
 
 /// Planes: transmittance, three colours, extras. Returns the number of blended (pixel, splat) pairs.
-pub fn forward<T: Real>(splats: &RankedSplats<T>, constants: &Constants<T>, tile: &Tile, planes: &mut [T]) -> u64 {
+pub(super) fn forward<T: Real>(
+    splats: &RankedSplats<T>,
+    constants: &Constants<T>,
+    tile: &Tile,
+    planes: &mut [T],
+) -> u64 {
     planes[..PIXELS].fill(T::ONE);
     let mut blended_count = 0;
     for (pixel, center) in pixels(tile) {
@@ -71,7 +73,7 @@ pub fn forward<T: Real>(splats: &RankedSplats<T>, constants: &Constants<T>, tile
 
 /// Planes: Σ weight·φ of the splats behind, then the gradients of three colours and the extras. Adds one
 /// row per splat of the tile.
-pub fn backward<T: Real>(
+pub(super) fn backward<T: Real>(
     splats: &RankedSplats<T>,
     constants: &Constants<T>,
     tile: &Tile,

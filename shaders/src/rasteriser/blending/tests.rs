@@ -24,7 +24,7 @@ impl Scene {
         }
     }
 
-    pub fn tensors<T: Real>(&self) -> [Tensor<T>; 4] {
+    pub(super) fn tensors<T: Real>(&self) -> [Tensor<T>; 4] {
         let count = self.opacities.len();
         let tensor = |row_len, data: &[f64]| {
             let shape = if row_len == 1 { vec![count] } else { vec![count, row_len] };

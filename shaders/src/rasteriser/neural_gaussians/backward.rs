@@ -6,17 +6,17 @@ use super::{Chosen, SHAPE, inside, log_sigmoid};
 use crate::tape::{Real, Tensor};
 
 /// The gradients of the inputs, `None` where the outputs that depend on them have no gradient.
-pub struct Gradients<'a, T: Real> {
+pub(super) struct Gradients<'a, T: Real> {
     /// Which Gaussians there are.
     pub chosen: &'a Chosen,
     /// As of the operation.
     pub inputs: &'a [&'a Tensor<T>],
     /// As of the operation.
-    pub output_grads: &'a [Option<&'a Tensor<T>>],
+    pub(crate) output_grads: &'a [Option<&'a Tensor<T>>],
 }
 
 impl<T: Real> Gradients<'_, T> {
-    pub fn positions(&self) -> Option<Tensor<T>> {
+    pub(super) fn positions(&self) -> Option<Tensor<T>> {
         let by_position = self.output_grads[0]?;
         self.chosen.per_anchor(self.inputs[0], |_, gaussians, sum| {
             for gradient in gaussians.map(|gaussian| by_position.row(gaussian)) {
@@ -25,7 +25,7 @@ impl<T: Real> Gradients<'_, T> {
         })
     }
 
-    pub fn log_scales(&self) -> Option<Tensor<T>> {
+    pub(super) fn log_scales(&self) -> Option<Tensor<T>> {
         let (by_position, by_log_scale) = (self.output_grads[0], self.output_grads[1]);
         by_position.or(by_log_scale)?;
         self.chosen.per_anchor(self.inputs[1], |anchor, gaussians, sum| {
@@ -44,7 +44,7 @@ impl<T: Real> Gradients<'_, T> {
         })
     }
 
-    pub fn offsets(&self) -> Option<Tensor<T>> {
+    pub(super) fn offsets(&self) -> Option<Tensor<T>> {
         let by_position = self.output_grads[0]?;
         self.chosen.per_anchor(self.inputs[2], |anchor, gaussians, row| {
             let scale = self.inputs[1].row(anchor);
@@ -55,7 +55,7 @@ impl<T: Real> Gradients<'_, T> {
         })
     }
 
-    pub fn opacities(&self) -> Option<Tensor<T>> {
+    pub(super) fn opacities(&self) -> Option<Tensor<T>> {
         let by_logit = self.output_grads[3]?;
         self.chosen.per_anchor(self.inputs[3], |anchor, gaussians, row| {
             for gaussian in gaussians {
@@ -67,7 +67,7 @@ impl<T: Real> Gradients<'_, T> {
         })
     }
 
-    pub fn shapes(&self) -> Option<Tensor<T>> {
+    pub(super) fn shapes(&self) -> Option<Tensor<T>> {
         let (by_log_scale, by_rotation) = (self.output_grads[1], self.output_grads[2]);
         by_log_scale.or(by_rotation)?;
         self.chosen.per_anchor(self.inputs[4], |anchor, gaussians, row| {
@@ -86,7 +86,7 @@ impl<T: Real> Gradients<'_, T> {
         })
     }
 
-    pub fn colors(&self) -> Option<Tensor<T>> {
+    pub(super) fn colors(&self) -> Option<Tensor<T>> {
         let by_harmonic = self.output_grads[4]?;
         let factor = T::from_f64(1.0 / f64::from(SH_C0));
         self.chosen.per_anchor(self.inputs[5], |_, gaussians, row| {

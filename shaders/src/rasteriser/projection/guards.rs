@@ -11,7 +11,7 @@ pub const NOT_FINITE: &str = "splats not finite";
 
 /// Why a splat has no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Culled {
+pub(crate) enum Culled {
     /// Outside the image, too faint, or beyond the far plane.
     Unseen,
     /// Before the near plane or behind the camera.
@@ -24,10 +24,10 @@ pub enum Culled {
 
 impl Culled {
     /// Every reason, in the order of their codes.
-    pub const ALL: [Self; 4] = [Self::Unseen, Self::Near, Self::Huge, Self::NotFinite];
+    pub(crate) const ALL: [Self; 4] = [Self::Unseen, Self::Near, Self::Huge, Self::NotFinite];
 
     /// The code stored instead of the cutoff of a culled splat: −1, −2, …
-    pub fn code(self) -> f64 {
+    pub(crate) fn code(self) -> f64 {
         -1.0 - f64::from(self as u8)
     }
 }

@@ -4,7 +4,7 @@ use crate::geometry::algebra::Vec3;
 use crate::tape::Real;
 
 /// Coefficients of degree 3.
-pub const MAX_COEFFICIENTS: usize = 16;
+pub(crate) const MAX_COEFFICIENTS: usize = 16;
 
 const C0: f64 = 0.28209479177387814;
 const C1: f64 = 0.4886025119029199;
@@ -21,13 +21,13 @@ const C3: [f64; 7] = [
 ];
 
 /// Coefficients per channel of a degree.
-pub fn coefficient_count(degree: usize) -> usize {
+pub(crate) fn coefficient_count(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
 }
 
 /// The basis functions of `degree` at a unit direction; the rest of the array is zero.
 #[inline(always)]
-pub fn basis<T: Real>(degree: usize, [x, y, z]: Vec3<T>) -> [T; MAX_COEFFICIENTS] {
+pub(crate) fn basis<T: Real>(degree: usize, [x, y, z]: Vec3<T>) -> [T; MAX_COEFFICIENTS] {
     let f = T::from_f64;
     let mut b = [T::ZERO; MAX_COEFFICIENTS];
     b[0] = f(C0);
@@ -58,7 +58,7 @@ pub fn basis<T: Real>(degree: usize, [x, y, z]: Vec3<T>) -> [T; MAX_COEFFICIENTS
 
 /// Σₖ gₖ ∇Yₖ(direction), with the direction's components taken as independent.
 #[inline(always)]
-pub fn basis_backward<T: Real>(degree: usize, [x, y, z]: Vec3<T>, g: &[T; MAX_COEFFICIENTS]) -> Vec3<T> {
+pub(crate) fn basis_backward<T: Real>(degree: usize, [x, y, z]: Vec3<T>, g: &[T; MAX_COEFFICIENTS]) -> Vec3<T> {
     let f = T::from_f64;
     let (mut dx, mut dy, mut dz) = (T::ZERO, T::ZERO, T::ZERO);
     if degree >= 1 {

@@ -20,7 +20,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 pub use factors::factors;
-pub use guards::{Culled, NOT_FINITE};
+pub(crate) use guards::Culled;
+pub use guards::NOT_FINITE;
 
 use crate::geometry::camera::PinholeCamera;
 use crate::gpu::{Gpu, GpuArray};
@@ -30,16 +31,13 @@ use crate::tape::{Backward, DeferredCount, GpuOp, Op, Real, Tape, Tensor, Var};
 use reference::{Projected, Splat, SplatGradient, View};
 use shape::Shape;
 
-/// The cutoff of a splat that is culled is this or less: [`Culled::code`].
-pub const CULLED: f64 = -1.0;
-
 /// The local affine map is evaluated at most this fraction of the image size outside the image (Kerbl et al. 2023).
 const CLAMP_MARGIN: f64 = 0.15;
 
 /// Splats per parallel chunk: tens of microseconds.
 const SPLATS_PER_CHUNK: usize = 256;
 
-/// N splats in the image. A culled splat has zeros everywhere, a cutoff of [`CULLED`] or less, and gets no gradient.
+/// N splats in the image. A culled splat has zeros everywhere, a cutoff of −1 or less, and gets no gradient.
 #[derive(Clone, Copy, Debug)]
 pub struct ProjectedVars {
     /// [N, 2] px.

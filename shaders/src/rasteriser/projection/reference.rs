@@ -13,7 +13,7 @@ use crate::tape::Real;
 const MIN_DISTANCE: f64 = 1e-8;
 
 /// Camera and settings, rounded once to the scalar type.
-pub struct View<T> {
+pub(super) struct View<T> {
     pub rotation: Mat3<T>,
     pub translation: Vec3<T>,
     pub position_world: Vec3<T>,
@@ -21,16 +21,16 @@ pub struct View<T> {
     pub center: [T; 2],
     pub size: [T; 2],
     /// Range of x/z and y/z within which the affine map follows the splat.
-    pub slope_range: [(T, T); 2],
+    pub(crate) slope_range: [(T, T); 2],
     pub near: T,
     pub far: T,
     pub dilation: T,
-    pub alpha_min: T,
+    pub(crate) alpha_min: T,
     pub sh_degree: usize,
 }
 
 impl<T: Real> View<T> {
-    pub fn new(camera: &PinholeCamera, settings: &RasterSettings) -> Self {
+    pub(super) fn new(camera: &PinholeCamera, settings: &RasterSettings) -> Self {
         let f = T::from_f64;
         let size = [camera.width as f64, camera.height as f64];
         let slope_range = |axis: usize| {
@@ -56,18 +56,18 @@ impl<T: Real> View<T> {
 
 /// The parameters of one splat.
 #[derive(Clone, Copy)]
-pub struct Splat<'a, T> {
+pub(crate) struct Splat<'a, T> {
     pub position: Vec3<T>,
     pub shape: Shape<T>,
-    pub opacity_logit: T,
+    pub(crate) opacity_logit: T,
     /// [K, 3].
     pub sh: &'a [T],
 }
 
 /// One splat in the image; also the gradient of one (without its cutoff).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Projected<T> {
-    pub mean2d: [T; 2],
+pub(crate) struct Projected<T> {
+    pub(crate) mean2d: [T; 2],
     pub conic: [T; 3],
     pub depth: T,
     pub opacity: T,
@@ -77,15 +77,15 @@ pub struct Projected<T> {
 }
 
 /// The gradient of a [`Splat`]; that of the harmonics is written in place.
-pub struct SplatGradient<T> {
+pub(crate) struct SplatGradient<T> {
     pub position: Vec3<T>,
     pub shape: Shape<T>,
-    pub opacity_logit: T,
+    pub(crate) opacity_logit: T,
 }
 
 /// The image of a splat, or `None` if it is culled: not between the near and far planes, too faint, outside the image, or
 /// not finite. Comparisons are phrased so that NaN culls.
-pub fn project<T: Real>(splat: &Splat<T>, view: &View<T>) -> Option<Projected<T>> {
+pub(super) fn project<T: Real>(splat: &Splat<T>, view: &View<T>) -> Option<Projected<T>> {
     let geometry = Geometry::new(splat, view)?;
     let opacity = sigmoid(splat.opacity_logit);
     let cutoff = (opacity / view.alpha_min).ln();
@@ -105,7 +105,7 @@ pub fn project<T: Real>(splat: &Splat<T>, view: &View<T>) -> Option<Projected<T>
 }
 
 /// Why [`project`] culled a splat.
-pub fn why_culled<T: Real>(splat: &Splat<T>, view: &View<T>) -> Culled {
+pub(crate) fn why_culled<T: Real>(splat: &Splat<T>, view: &View<T>) -> Culled {
     let coefficients = &splat.sh[..3 * harmonics::coefficient_count(view.sh_degree)];
     let values = splat.position.iter().chain([&splat.opacity_logit]).chain(coefficients);
     let log_scales = match &splat.shape {
@@ -130,7 +130,7 @@ pub fn why_culled<T: Real>(splat: &Splat<T>, view: &View<T>) -> Culled {
 }
 
 /// The gradient of a splat that [`project`] did not cull; `sh_gradient` [K, 3] holds zeros on entry.
-pub fn backward<T: Real>(
+pub(super) fn backward<T: Real>(
     splat: &Splat<T>,
     view: &View<T>,
     upstream: &Projected<T>,

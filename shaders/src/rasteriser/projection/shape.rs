@@ -10,7 +10,7 @@ const MAX_SCALE: f64 = 1e9;
 
 /// The parameters of a splat's covariance; also the type of their gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Shape<T> {
+pub(super) enum Shape<T> {
     /// F = R_q·diag(eˢ): logarithms of the standard deviations, and a quaternion (w, x, y, z) of any length.
     ScaleRotation { log_scales: Vec3<T>, rotation: [T; 4] },
     /// F itself, rows along the world's axes.
@@ -20,7 +20,7 @@ pub enum Shape<T> {
 impl<T: Real> Shape<T> {
     /// Whether all values that affect the image are finite; a quaternion without direction is replaced by the identity.
     #[inline(always)]
-    pub fn is_finite(&self) -> bool {
+    pub(super) fn is_finite(&self) -> bool {
         match self {
             Self::ScaleRotation { rotation, .. } => rotation.iter().all(|value| value.is_finite()),
             Self::Factor(factor) => factor.iter().flatten().all(|value| value.is_finite()),
@@ -29,7 +29,7 @@ impl<T: Real> Shape<T> {
 }
 
 /// F, with the intermediates of its backward pass.
-pub struct Factor<T> {
+pub(super) struct Factor<T> {
     /// Rows along the world's axes.
     pub matrix: Mat3<T>,
     source: Source<T>,
@@ -49,7 +49,7 @@ enum Source<T> {
 impl<T: Real> Factor<T> {
     /// `None` if a standard deviation is extreme or NaN.
     #[inline(always)]
-    pub fn new(shape: &Shape<T>) -> Option<Self> {
+    pub(super) fn new(shape: &Shape<T>) -> Option<Self> {
         let limit = T::from_f64(MAX_SCALE);
         match *shape {
             Shape::ScaleRotation { log_scales, rotation: raw } => {
@@ -71,7 +71,7 @@ impl<T: Real> Factor<T> {
 
     /// The gradient of the shape's parameters from that of F.
     #[inline(always)]
-    pub fn backward(&self, g_factor: &Mat3<T>) -> Shape<T> {
+    pub(super) fn backward(&self, g_factor: &Mat3<T>) -> Shape<T> {
         match &self.source {
             Source::ScaleRotation { quaternion, inverse_norm, scales, rotation } => {
                 let along = |axis: usize| scales[axis] * dot(column(rotation, axis), column(g_factor, axis));

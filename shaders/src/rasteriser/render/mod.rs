@@ -59,6 +59,7 @@ impl Rendered {
         conics.iter().zip(self.visible()).map(radius).collect()
     }
 
+    /// The amount of work of the render; read back from a GPU.
     pub fn stats(&self) -> RenderStats {
         let intersections = self.lists.entry_count();
         RenderStats {
@@ -115,6 +116,7 @@ pub struct RenderedImage<T: Real> {
     pub alpha: Tensor<T>,
     /// [H, W]; present if [`RasterSettings::depth`].
     pub depth: Option<Tensor<T>>,
+    /// The amount of work of the render.
     pub stats: RenderStats,
 }
 

@@ -1,11 +1,11 @@
 //! Helpers of the tests of projection, binning, blending and rendering: seeded scenes.
 
-pub use crate::check::seeded::{camera, images, splats, tensors, vars};
+pub(crate) use crate::check::seeded::{camera, images, splats, tensors, vars};
 use crate::rasteriser::splats::SplatTensors;
 use crate::tape::{Real, Tensor};
 
 /// The inverse of [`tensors`].
-pub fn from_tensors<T: Real>(tensors: &[Tensor<T>]) -> SplatTensors<T> {
+pub(crate) fn from_tensors<T: Real>(tensors: &[Tensor<T>]) -> SplatTensors<T> {
     let [positions, log_scales, rotations, opacity_logits, sh] = tensors else { panic!("five tensors") };
     SplatTensors {
         positions: positions.clone(),
@@ -17,12 +17,12 @@ pub fn from_tensors<T: Real>(tensors: &[Tensor<T>]) -> SplatTensors<T> {
 }
 
 /// The splats converted to another scalar type.
-pub fn cast<T: Real>(splats: &SplatTensors<f64>) -> SplatTensors<T> {
+pub(crate) fn cast<T: Real>(splats: &SplatTensors<f64>) -> SplatTensors<T> {
     from_tensors(&tensors(splats).iter().map(Tensor::cast).collect::<Vec<_>>())
 }
 
 /// The splats at the given indices.
-pub fn select<T: Real>(splats: &SplatTensors<T>, indices: &[usize]) -> SplatTensors<T> {
+pub(crate) fn select<T: Real>(splats: &SplatTensors<T>, indices: &[usize]) -> SplatTensors<T> {
     let rows = |tensor: &Tensor<T>| {
         let mut shape = tensor.shape().to_vec();
         shape[0] = indices.len();
@@ -32,6 +32,6 @@ pub fn select<T: Real>(splats: &SplatTensors<T>, indices: &[usize]) -> SplatTens
 }
 
 /// `f` on a pool of `threads` threads.
-pub fn with_threads<R: Send>(threads: usize, f: impl FnOnce() -> R + Send) -> R {
+pub(crate) fn with_threads<R: Send>(threads: usize, f: impl FnOnce() -> R + Send) -> R {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool").install(f)
 }

@@ -27,6 +27,7 @@ uniforms! {
 
 /// A render and the rows of a population that its splats are.
 pub struct PopulationRender<'a> {
+    /// The render.
     pub rendered: &'a Rendered,
     /// Width and height.
     pub size_px: [f64; 2],

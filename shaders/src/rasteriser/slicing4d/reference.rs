@@ -14,28 +14,28 @@ const MIN_TRANSPARENCY: f64 = 1e-30;
 
 /// The parameters of one Gaussian; also the gradient of them.
 #[derive(Clone, Copy, Debug)]
-pub struct Gaussian<T> {
+pub(super) struct Gaussian<T> {
     /// Logarithms of the standard deviations along x, y, z, t before rotation.
     pub log_scales: Vec4<T>,
     /// (w, x, y, z).
-    pub rotation_left: [T; 4],
-    pub rotation_right: [T; 4],
+    pub(crate) rotation_left: [T; 4],
+    pub(crate) rotation_right: [T; 4],
     /// t − μₜ.
-    pub offset_time: T,
-    pub opacity_logit: T,
+    pub(crate) offset_time: T,
+    pub(crate) opacity_logit: T,
 }
 
 /// One Gaussian at an instant; also the gradient of it.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Sliced<T> {
+pub(crate) struct Sliced<T> {
     pub displacement: Vec3<T>,
     pub velocity: Vec3<T>,
     pub factor: Mat3<T>,
-    pub opacity_logit: T,
+    pub(crate) opacity_logit: T,
 }
 
 /// The Gaussian at the instant.
-pub fn slice<T: Real>(gaussian: &Gaussian<T>) -> Sliced<T> {
+pub(super) fn slice<T: Real>(gaussian: &Gaussian<T>) -> Sliced<T> {
     let Cut { velocity, factor, .. } = Cut::new(gaussian);
     Sliced {
         displacement: velocity.map(|value| value * gaussian.offset_time),
@@ -46,7 +46,7 @@ pub fn slice<T: Real>(gaussian: &Gaussian<T>) -> Sliced<T> {
 }
 
 /// The gradient of the Gaussian's parameters.
-pub fn backward<T: Real>(gaussian: &Gaussian<T>, upstream: &Sliced<T>) -> Gaussian<T> {
+pub(super) fn backward<T: Real>(gaussian: &Gaussian<T>, upstream: &Sliced<T>) -> Gaussian<T> {
     let cut = Cut::new(gaussian);
     let offset = gaussian.offset_time;
     let faded = Faded::new(gaussian.opacity_logit, gaussian.log_share());
@@ -73,7 +73,7 @@ pub fn backward<T: Real>(gaussian: &Gaussian<T>, upstream: &Sliced<T>) -> Gaussi
 impl<T: Real> Gaussian<T> {
     /// The logarithm of the share of the opacity at the instant.
     #[inline(always)]
-    pub fn log_share(&self) -> T {
+    pub(crate) fn log_share(&self) -> T {
         let (unit_left, _) = normalised(self.rotation_left);
         let (unit_right, _) = normalised(self.rotation_right);
         let columns = transposed(&right(unit_right));

@@ -49,7 +49,7 @@ fn cut(gpu: Gpu, x: &GpuArray, [rows, columns]: [usize; 2], range: Range<isize>)
 }
 
 /// Tensors of equally many rows side by side.
-pub fn concat_columns<T: Real>(gpu: Gpu, parts: &[&Tensor<T>]) -> Tensor<T> {
+pub(super) fn concat_columns<T: Real>(gpu: Gpu, parts: &[&Tensor<T>]) -> Tensor<T> {
     let (rows, columns) = (parts[0].rows(), parts.iter().map(|part| part.row_len()).sum());
     let (y, mut first) = (GpuArray::new(gpu, rows * columns), 0);
     for part in parts {
@@ -60,7 +60,7 @@ pub fn concat_columns<T: Real>(gpu: Gpu, parts: &[&Tensor<T>]) -> Tensor<T> {
 }
 
 /// Tensors below each other, in this shape.
-pub fn concat_rows<T: Real>(gpu: Gpu, parts: &[&Tensor<T>], shape: Vec<usize>) -> Tensor<T> {
+pub(super) fn concat_rows<T: Real>(gpu: Gpu, parts: &[&Tensor<T>], shape: Vec<usize>) -> Tensor<T> {
     let len = shape.iter().product();
     let (y, mut first) = (GpuArray::new(gpu, len), 0);
     for part in parts {
@@ -73,7 +73,7 @@ pub fn concat_rows<T: Real>(gpu: Gpu, parts: &[&Tensor<T>], shape: Vec<usize>) -
 
 /// The parts of x [rows, columns] in order, each in its shape, as they were put side by side; one row is the elements of
 /// tensors below each other.
-pub fn split<'a, T: Real>(
+pub(super) fn split<'a, T: Real>(
     gpu: Gpu,
     x: &Tensor<T>,
     rows: usize,
@@ -90,20 +90,20 @@ pub fn split<'a, T: Real>(
 }
 
 /// The columns of a range of every row.
-pub fn columns<T: Real>(gpu: Gpu, x: &Tensor<T>, range: &Range<usize>) -> Tensor<T> {
+pub(super) fn columns<T: Real>(gpu: Gpu, x: &Tensor<T>, range: &Range<usize>) -> Tensor<T> {
     let of_x = range.start as isize..range.end as isize;
     Tensor::from_gpu([x.rows(), range.len()], cut(gpu, x.on_gpu(gpu), [x.rows(), x.row_len()], of_x))
 }
 
 /// x as the columns from `first` on of rows of this shape, which are 0 elsewhere.
-pub fn among_zeros<T: Real>(gpu: Gpu, x: &Tensor<T>, first: usize, shape: &[usize]) -> Tensor<T> {
+pub(crate) fn among_zeros<T: Real>(gpu: Gpu, x: &Tensor<T>, first: usize, shape: &[usize]) -> Tensor<T> {
     let columns = shape[1..].iter().product::<usize>() as isize;
     let range = -(first as isize)..columns - first as isize;
     Tensor::from_gpu(shape, cut(gpu, x.on_gpu(gpu), [x.rows(), x.row_len()], range))
 }
 
 /// One row repeated.
-pub fn repeat_row<T: Real>(gpu: Gpu, row: &Tensor<T>, rows: usize) -> Tensor<T> {
+pub(super) fn repeat_row<T: Real>(gpu: Gpu, row: &Tensor<T>, rows: usize) -> Tensor<T> {
     let columns = row.len();
     let y = GpuArray::new(gpu, rows * columns);
     let width = columns as u32;
@@ -113,7 +113,7 @@ pub fn repeat_row<T: Real>(gpu: Gpu, row: &Tensor<T>, rows: usize) -> Tensor<T> 
 }
 
 /// The sum of the rows of x, in this shape.
-pub fn sum_rows<T: Real>(gpu: Gpu, x: &Tensor<T>, shape: &[usize]) -> Tensor<T> {
+pub(crate) fn sum_rows<T: Real>(gpu: Gpu, x: &Tensor<T>, shape: &[usize]) -> Tensor<T> {
     Tensor::from_gpu(shape, sums::over_rows(gpu, x.on_gpu(gpu), x.row_len()))
 }
 

@@ -50,7 +50,7 @@ pub(crate) struct Sorted {
 }
 
 impl GpuIndex {
-    pub fn new(gpu: Gpu, row_of_item: &[u32], items: &[u32], starts: &[u32]) -> Self {
+    pub(crate) fn new(gpu: Gpu, row_of_item: &[u32], items: &[u32], starts: &[u32]) -> Self {
         let [row_of_item, items] = [row_of_item, items].map(|list| GpuArray::upload(gpu, list));
         let mut passes = Vec::new();
         let mut of_rows = starts.to_vec();
@@ -67,11 +67,11 @@ impl GpuIndex {
     }
 
     /// Items that are not sorted by row yet.
-    pub fn unsorted(row_of_item: GpuArray, rows: usize) -> Self {
+    pub(crate) fn unsorted(row_of_item: GpuArray, rows: usize) -> Self {
         Self { rows, row_of_item, sorted: OnceLock::new() }
     }
 
-    pub fn sorted(&self) -> &Sorted {
+    pub(crate) fn sorted(&self) -> &Sorted {
         self.sorted.get_or_init(|| {
             let gpu = self.row_of_item.gpu();
             let bits = self.rows.max(1).ilog2() + 1;
@@ -101,7 +101,7 @@ fn cut(starts: &[u32]) -> (Vec<u32>, Vec<u32>) {
 
 impl RowIndex {
     /// y[m] = x[row of m] for x [N, …]; `mean`: over the number of items of that row.
-    pub fn gather_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
+    pub(crate) fn gather_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
         let (columns, lists) = (x.row_len(), self.on_gpu(gpu));
         let y = GpuArray::new(gpu, self.len() * columns);
         // Only means use the number of items per row.
@@ -114,7 +114,7 @@ impl RowIndex {
     }
 
     /// y[n] = Σ x[m] over the items m of n for x [M, …]; `mean`: over their number.
-    pub fn sum_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
+    pub(crate) fn sum_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
         let (columns, lists) = (x.row_len(), self.on_gpu(gpu).sorted());
         let passes = lists.passes();
         let mut sums: Option<GpuArray> = None;

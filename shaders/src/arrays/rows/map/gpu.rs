@@ -12,13 +12,13 @@ use crate::tape::{Real, Tensor};
 ///
 /// They read the inputs as `x0`, `x1`, … (arrays of rows with `COLUMNS_0`, `COLUMNS_1`, … columns), the numbers below as
 /// `map.values[0].x`, … and, in gradients, the output and its gradient as `y` and `dy` (`COLUMNS_Y` columns).
-pub struct RowWgsl {
+pub(crate) struct RowWgsl {
     /// Defines `fn value(row: u32, column: u32) -> f32`.
     pub value: &'static str,
     /// Defines `fn gradient_0(row: u32, column: u32) -> f32`, …, one function per input.
     pub gradients: &'static str,
     /// Constants of both texts.
-    pub specialisation: Vec<(&'static str, u32)>,
+    pub(crate) specialisation: Vec<(&'static str, u32)>,
     /// At most eight.
     pub numbers: Vec<f32>,
 }
@@ -37,7 +37,7 @@ uniforms! {
 const IMPORTS: &str = "#import gpu::elements\n#import arrays::rows::map::map_block\n";
 
 /// The kernels of a map for certain numbers of columns.
-pub struct RowKernel<const I: usize> {
+pub(crate) struct RowKernel<const I: usize> {
     name: &'static str,
     wgsl: RowWgsl,
     columns: [usize; I],
@@ -46,14 +46,14 @@ pub struct RowKernel<const I: usize> {
 
 impl<const I: usize> RowKernel<I> {
     /// `None` if the map has no WGSL for these numbers of columns, or if the output is empty.
-    pub fn new<M: RowMap<I>>(map: &M, columns: [usize; I]) -> Option<Self> {
+    pub(super) fn new<M: RowMap<I>>(map: &M, columns: [usize; I]) -> Option<Self> {
         let y_columns = map.output_columns(columns);
         let wgsl = map.wgsl(columns).filter(|_| y_columns > 0 && !columns.contains(&0))?;
         Some(Self { name: M::NAME, wgsl, columns, y_columns })
     }
 
     /// The output of all rows.
-    pub fn value<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; I]) -> Tensor<T> {
+    pub(super) fn value<T: Real>(&self, gpu: Gpu, inputs: [&Tensor<T>; I]) -> Tensor<T> {
         let rows = inputs[0].rows();
         let y = GpuArray::new(gpu, rows * self.y_columns);
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
@@ -64,7 +64,7 @@ impl<const I: usize> RowKernel<I> {
     }
 
     /// The gradients of all rows of all inputs.
-    pub fn gradients<T: Real>(
+    pub(super) fn gradients<T: Real>(
         &self,
         gpu: Gpu,
         inputs: [&Tensor<T>; I],

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::gpu::Gpu;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use gpu::RowKernel;
-pub use gpu::RowWgsl;
+pub(crate) use gpu::RowWgsl;
 #[cfg(test)]
 pub(crate) use gpu::validate_map;
 
@@ -15,7 +15,7 @@ pub(crate) use gpu::validate_map;
 const ROWS_PER_CHUNK: usize = 1024;
 
 /// A function of one row of each of `I` tensors, applied to every row.
-pub trait RowMap<const I: usize>: Sized + Send + Sync + 'static {
+pub(crate) trait RowMap<const I: usize>: Sized + Send + Sync + 'static {
     /// The name in profiles and messages.
     const NAME: &'static str;
 
@@ -53,7 +53,7 @@ pub trait RowMap<const I: usize>: Sized + Send + Sync + 'static {
 }
 
 /// Applies `map` to the rows of I tensors of N rows each → [N, output columns].
-pub fn map_rows<T: Real, M: RowMap<I>, const I: usize>(tape: &mut Tape<T>, map: M, inputs: [Var; I]) -> Var {
+pub(crate) fn map_rows<T: Real, M: RowMap<I>, const I: usize>(tape: &mut Tape<T>, map: M, inputs: [Var; I]) -> Var {
     let rows = inputs.map(|input| tape.value(input).rows());
     assert!(rows.iter().all(|&count| count == rows[0]), "{}: numbers of rows differ: {rows:?}", M::NAME);
     tape.apply_one(MapRows::<M, I> { map }, &inputs)

@@ -14,7 +14,7 @@ uniforms! {
 }
 
 /// The median of the elements whose flag is above 0: [1].
-pub fn median<T: Real>(gpu: Gpu, x: &Tensor<T>, flags: &Tensor<T>) -> Tensor<T> {
+pub(super) fn median<T: Real>(gpu: Gpu, x: &Tensor<T>, flags: &Tensor<T>) -> Tensor<T> {
     let block = MedianBlock { len: x.len() as u32 };
     let (keys, median) = (GpuArray::new(gpu, x.len()), GpuArray::new(gpu, 1));
     let arrays = [Binding::Read(x.on_gpu(gpu)), Binding::Read(flags.on_gpu(gpu)), Binding::Write(&keys)];

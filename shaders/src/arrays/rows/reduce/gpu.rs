@@ -22,14 +22,14 @@ fn launch(gpu: Gpu, kernel: &Kernel, [rows, columns]: [usize; 2], epsilon: f64, 
 }
 
 /// x / max(‖x‖, ε) of every row.
-pub fn normalize<T: Real>(gpu: Gpu, x: &Tensor<T>, epsilon: f64) -> Tensor<T> {
+pub(super) fn normalize<T: Real>(gpu: Gpu, x: &Tensor<T>, epsilon: f64) -> Tensor<T> {
     let (y, shape) = (GpuArray::new(gpu, x.len()), [x.rows(), x.row_len()]);
     launch(gpu, &FORWARD, shape, epsilon, &[Binding::Read(x.on_gpu(gpu)), Binding::Write(&y)]);
     Tensor::from_gpu(shape, y)
 }
 
 /// Its gradient.
-pub fn normalize_gradient<T: Real>(gpu: Gpu, [x, y, dy]: [&Tensor<T>; 3], epsilon: f64) -> Tensor<T> {
+pub(crate) fn normalize_gradient<T: Real>(gpu: Gpu, [x, y, dy]: [&Tensor<T>; 3], epsilon: f64) -> Tensor<T> {
     let dx = GpuArray::new(gpu, x.len());
     let read = [x, y, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));
     let arrays = [&read[..], &[Binding::Write(&dx)]].concat();

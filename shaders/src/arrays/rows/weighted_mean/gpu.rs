@@ -16,7 +16,7 @@ uniforms! {
 }
 
 /// Values of the forward pass that the backward pass reads.
-pub struct WeightedMeanOnGpu {
+pub(crate) struct WeightedMeanOnGpu {
     /// Σ w and Σ w‖a − b‖².
     sums: GpuArray,
 }
@@ -29,7 +29,7 @@ impl WeightedBlock {
 
 impl WeightedMeanOnGpu {
     /// The mean for a, b and weights.
-    pub fn new<T: Real>(gpu: Gpu, inputs: &[&Tensor<T>]) -> (Self, Tensor<T>) {
+    pub(super) fn new<T: Real>(gpu: Gpu, inputs: &[&Tensor<T>]) -> (Self, Tensor<T>) {
         let (block, groups) = (WeightedBlock::of(inputs[0]), inputs[0].rows().div_ceil(WORKGROUP_SIZE));
         let (terms, mean) = (GpuArray::new(gpu, 2 * groups), GpuArray::new(gpu, 1));
         let read = inputs.iter().map(|input| Binding::Read(input.on_gpu(gpu)));
@@ -41,7 +41,7 @@ impl WeightedMeanOnGpu {
     }
 
     /// The gradients of a, b and weights.
-    pub fn gradients<T: Real>(
+    pub(super) fn gradients<T: Real>(
         &self,
         gpu: Gpu,
         inputs: &[&Tensor<T>],

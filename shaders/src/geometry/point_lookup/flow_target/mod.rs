@@ -14,7 +14,7 @@ use crate::gpu::Gpu;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// A point is seen where its depth differs from the view's by less than this share.
-pub const DEPTH_TOLERANCE: f64 = 0.05;
+pub(crate) const DEPTH_TOLERANCE: f64 = 0.05;
 
 /// Depth and flow of one view.
 #[derive(Clone, Debug)]

@@ -65,7 +65,7 @@ fn factor<T: Real>(mean: PlaneMean, plane: &Tensor<T>) -> f32 {
 }
 
 /// For every term the sum over its planes of the means: [1] each.
-pub fn sums_of_means<T: Real>(gpu: Gpu, planes: &[&Tensor<T>], terms: &[Term]) -> Vec<Tensor<T>> {
+pub(crate) fn sums_of_means<T: Real>(gpu: Gpu, planes: &[&Tensor<T>], terms: &[Term]) -> Vec<Tensor<T>> {
     let (mut count, mut items, mut runs) = (0, Vec::new(), Vec::new());
     for Term { mean, planes: chosen } in terms {
         let first = count;
@@ -90,7 +90,12 @@ pub fn sums_of_means<T: Real>(gpu: Gpu, planes: &[&Tensor<T>], terms: &[Term]) -
 }
 
 /// Adds the gradients of the terms, times their upstream gradients, to the totals of the planes that need one.
-pub fn add_mean_gradients<T: Real>(gpu: Gpu, pass: Backward<T>, terms: &[Term], totals: &mut [Option<Tensor<T>>]) {
+pub(crate) fn add_mean_gradients<T: Real>(
+    gpu: Gpu,
+    pass: Backward<T>,
+    terms: &[Term],
+    totals: &mut [Option<Tensor<T>>],
+) {
     let Backward { inputs: planes, output_grads: dys, needs, .. } = pass;
     let mut items = Vec::new();
     for (index, (plane, total)) in planes.iter().zip(totals).enumerate().filter(|(index, _)| needs[*index]) {

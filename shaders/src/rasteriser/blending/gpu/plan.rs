@@ -9,13 +9,13 @@ const LARGEST_BY_SPLATS: u32 = 8;
 
 /// Choices that change no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Plan {
+pub(super) struct Plan {
     /// Whether pixels skip the entries that do not meet their cell of the tile.
-    pub is_culled: bool,
+    pub(crate) is_culled: bool,
     /// The subgroup size with which the backward pass sums over pixels; `None` if it sums in workgroup memory.
-    pub subgroup: Option<u32>,
+    pub(crate) subgroup: Option<u32>,
     /// Whether an invocation of a subgroup is a splat and not a pixel in the backward pass, where rows are short enough.
-    pub is_by_splats: bool,
+    pub(crate) is_by_splats: bool,
 }
 
 #[cfg(test)]
@@ -26,7 +26,7 @@ thread_local! {
 
 impl Plan {
     /// The fastest variant on an adapter.
-    pub fn of(gpu: Gpu) -> Self {
+    pub(super) fn of(gpu: Gpu) -> Self {
         let subgroup = gpu.subgroup_size();
         let is_by_splats = subgroup.is_some_and(|size| size <= LARGEST_BY_SPLATS);
         #[cfg_attr(not(test), expect(unused_mut))]
@@ -39,13 +39,13 @@ impl Plan {
     }
 
     /// The specialisation of a kernel that stages `batch` entries at once.
-    pub fn staging(self, batch: u32) -> [(&'static str, u32); 2] {
+    pub(crate) fn staging(self, batch: u32) -> [(&'static str, u32); 2] {
         [("CULLED", u32::from(self.is_culled)), ("BATCH", batch)]
     }
 
     /// Runs kernels by a changed plan.
     #[cfg(test)]
-    pub fn changed<R>(change: fn(&mut Self), run: impl FnOnce() -> R) -> R {
+    pub(super) fn changed<R>(change: fn(&mut Self), run: impl FnOnce() -> R) -> R {
         CHANGE.set(Some(change));
         let result = run();
         CHANGE.set(None);
