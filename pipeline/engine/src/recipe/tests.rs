@@ -446,9 +446,10 @@ fn idle_axes_are_found_at_the_first_node() {
 fn an_axis_of_all_equals_the_list_of_its_values() {
     let with = |values: &str| GRID.replace("method = [\"a\", \"b\"]", &format!("method = {values}"));
     let listed = plan(&with("[\"a\", \"b\", \"c\"]"), &[]);
-    assert_eq!(plan(&with("\"all\""), &[]), listed);
+    // The origins differ in the file: every plan has a temporary recipe.
+    assert_eq!(plan(&with("\"all\""), &[]).nodes, listed.nodes);
     assert_eq!(plan(GRID, &["axes.method=\"all\""]).nodes, listed.nodes);
-    assert_eq!(plan(&with("{ except = [\"c\"] }"), &[]), plan(GRID, &[]));
+    assert_eq!(plan(&with("{ except = [\"c\"] }"), &[]).nodes, plan(GRID, &[]).nodes);
     // Rules may name every value, even where an override narrows the axis.
     let rule = "[[set]]\nwhen.method = \"c\"\nnodes.train.params.keep = 3\n";
     let narrowed = plan(&(with("\"all\"") + rule), &["axes.method=[\"a\"]"]);
