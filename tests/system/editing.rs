@@ -169,7 +169,7 @@ fn an_edit_changes_the_code_of_the_stages_that_run_it() {
     assert_eq!(after("stages/training/src/trainer/mod.rs"), stages(&["training", "rendering"]));
     assert_eq!(after("stages/training/src/artifact.rs"), stages(&["training", "rendering", "table-generation"]));
     assert_eq!(after("stages/rendering/src/run.rs"), stages(&["rendering"]));
-    assert_eq!(after("stages/scene-synthesis/src/artifact.rs"), stages(&["scene-synthesis"]));
+    assert_eq!(after("stages/scene-synthesis/src/run.rs"), stages(&["scene-synthesis"]));
     assert_eq!(after("stages/metric-evaluation/src/run.rs"), stages(&["metric-evaluation", "table-generation"]));
     let readers = stages(&["rendering", "metric-evaluation", "table-generation"]);
     assert_eq!(after("stages/rendering/src/artifact.rs"), readers);

@@ -10,8 +10,9 @@ use crate::error::CliError;
 use crate::output::{count, duration};
 use crate::stages::stages;
 
-/// The help texts of the program and of every verb, one after the other.
-fn help_texts(mut command: clap::Command) -> String {
+/// The help of a verb and of the verbs below it, without the values of environment variables.
+fn help_texts(command: clap::Command) -> String {
+    let mut command = command.mut_args(|arg| arg.hide_env_values(true));
     let mut text = command.render_long_help().to_string();
     for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set() && verb.get_name() != "help") {
         text += &format!("\n==== {}\n\n{}", verb.get_bin_name().unwrap_or_default(), help_texts(verb.clone()));
@@ -23,8 +24,6 @@ fn help_texts(mut command: clap::Command) -> String {
 fn help_texts_are_reviewed() {
     let mut command = Cli::command().term_width(100);
     command.build();
-    // The environment of the tests must not show.
-    let command = command.mut_args(|arg| arg.hide_env_values(true));
     insta::assert_snapshot!(help_texts(command));
 }
 

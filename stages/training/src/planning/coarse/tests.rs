@@ -145,7 +145,7 @@ fn a_start_of_another_training_is_refused() {
     };
     let (ours, seeded) = (wanted("deformable4dgs"), coarse(json!({ "seed": 3 })));
     assert!(Trainer::continue_from(&dataset, &NOTHING, &ours, &coarse(json!({})), Earlier::default()).is_ok());
-    assert!(refusal(&seeded, &ours).contains("not what this training begins with: seed 3 → 0"));
+    assert!(refusal(&seeded, &ours).contains("has other parameters than this training begins with: seed 3 → 0"));
     let degree = coarse(json!({ "harmonics": { "degree": 1, "interval": 6 } }));
     assert!(refusal(&degree, &ours).contains("harmonics.degree 1 → 3"));
     let whole = coarse(json!({ "stop_after": null }));
