@@ -140,10 +140,11 @@ fn pages_name_verbs_that_exist() {
     assert_eq!(commands("cargo run --release -- rnu x\n## All verbs\n| `exprot A` | b |"), ["rnu", "exprot"]);
 }
 
-/// The recipes that a page names.
+/// The recipes that a page names, without patterns and placeholders.
 fn recipes(page: &str) -> BTreeSet<&str> {
     let words = page.split(|c: char| c.is_whitespace() || "`()[],;:".contains(c));
-    words.filter(|word| word.starts_with("recipes/") && word.ends_with(".toml") && !word.contains('*')).collect()
+    let is_recipe = |word: &&str| word.starts_with("recipes/") && word.ends_with(".toml");
+    words.filter(is_recipe).filter(|word| !word.contains('*') && !word.contains("NAME")).collect()
 }
 
 /// The recipes that a page names and that do not exist. A recipe that a command on the page writes is not expected.

@@ -68,7 +68,7 @@ impl<'a, T: Real> Backward<'a, T> {
     }
 
     /// The gradients that `accumulate` adds to zeros.
-    pub(crate) fn from_zero(&self, accumulate: impl FnOnce(&mut [Option<Tensor<T>>])) -> Vec<Option<Tensor<T>>> {
+    pub(crate) fn summed_from_zero(&self, accumulate: impl FnOnce(&mut [Option<Tensor<T>>])) -> Vec<Option<Tensor<T>>> {
         let mut totals = vec![None; self.inputs.len()];
         accumulate(&mut totals);
         totals

@@ -38,7 +38,7 @@ fn with_imports(files: Files, entry: &str) -> String {
     assembled
 }
 
-fn append<'a>(files: Files, text: &'a str, imported: &mut BTreeSet<String>, assembled: &mut String) {
+fn append(files: Files, text: &str, imported: &mut BTreeSet<String>, assembled: &mut String) {
     for path in directives(text, "import") {
         if imported.insert(path.to_owned()) {
             append(files, content(files, path), imported, assembled);

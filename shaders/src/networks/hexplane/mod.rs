@@ -133,7 +133,7 @@ impl<T: Real> Op<T> for Hexplane<T> {
     }
 
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        pass.from_zero(|totals| self.accumulate(pass, totals))
+        pass.summed_from_zero(|totals| self.accumulate(pass, totals))
     }
 
     fn accumulate(&mut self, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
@@ -166,7 +166,7 @@ impl<T: Real> GpuOp<T> for Hexplane<T> {
     }
 
     fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        pass.from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
+        pass.summed_from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
     }
 
     fn accumulate_gpu(&mut self, gpu: Gpu, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {

@@ -53,7 +53,7 @@ impl<T: Real> Op<T> for Linears {
     }
 
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        pass.from_zero(|totals| self.accumulate(pass, totals))
+        pass.summed_from_zero(|totals| self.accumulate(pass, totals))
     }
 
     /// Layer by layer from the last one on, as if each were an operation of its own.
@@ -87,7 +87,7 @@ impl<T: Real> GpuOp<T> for Linears {
     }
 
     fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        pass.from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
+        pass.summed_from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
     }
 
     fn accumulate_gpu(&mut self, gpu: Gpu, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {

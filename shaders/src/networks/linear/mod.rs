@@ -111,7 +111,7 @@ impl<T: Real> GpuOp<T> for Linear {
     }
 
     fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        pass.from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
+        pass.summed_from_zero(|totals| self.accumulate_gpu(gpu, pass, totals))
     }
 
     fn accumulate_gpu(&mut self, gpu: Gpu, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {

@@ -149,10 +149,10 @@ fn a_start_of_another_training_is_refused() {
     let degree = coarse(json!({ "harmonics": { "degree": 1, "interval": 6 } }));
     assert!(refusal(&degree, &ours).contains("harmonics.degree 1 → 3"));
     let whole = coarse(json!({ "stop_after": null }));
-    assert!(refusal(&whole, &ours).contains("trained to its end"));
+    assert!(refusal(&whole, &ours).contains("was not saved at the end of a shared phase"));
     let mut elsewhere = coarse(json!({}));
     elsewhere.header.scene_extent *= 2.0;
     assert!(refusal(&elsewhere, &ours).contains("another capture"));
     let no_phase: TrainingParams = serde_json::from_value(json!({ "method": "static3dgs" })).unwrap();
-    assert!(refusal(&coarse(json!({})), &no_phase).contains("static3dgs has no phase that it shares"));
+    assert!(refusal(&coarse(json!({})), &no_phase).contains("static3dgs shares no phase"));
 }
