@@ -168,7 +168,7 @@ fn cases() -> Vec<(String, Case)> {
         let params = TrainingParams::of(entry.name).unwrap();
         let phases = entry.build_f64(&params.shared, &params.settings).unwrap().phases();
         for (index, phase) in phases.iter().enumerate() {
-            cases.push((format!("{} in {}", entry.name, phase.name), Case::new(&entry, index)));
+            cases.push((format!("{} in {}", entry.name, phase.name), Case::new(entry, index)));
         }
     }
     cases
@@ -184,7 +184,7 @@ fn every_gradient_agrees_with_central_differences() {
 
 #[test]
 fn a_wrong_gradient_is_noticed() {
-    let case = Case::new(&find("static3dgs").unwrap(), 0);
+    let case = Case::new(find("static3dgs").unwrap(), 0);
     let (_, gradients) = case.evaluate(&case.state);
     for (name, wrong) in [("gaussians.positions", 1.001), ("gaussians.sh_dc", f64::NAN)] {
         let mut gradients = gradients.clone();
@@ -261,7 +261,7 @@ fn disabled_effects_cost_nothing() {
     for entry in registry() {
         let effects = entry.effects();
         let all: BTreeSet<String> = effects.iter().map(|effect| effect.name.to_owned()).collect();
-        let (full, full_loss) = cost(&entry, &all);
+        let (full, full_loss) = cost(entry, &all);
         for effect in &effects {
             let mut rest = all.clone();
             rest.remove(effect.name);
@@ -271,7 +271,7 @@ fn disabled_effects_cost_nothing() {
                     rest.remove(other.name);
                 }
             }
-            let (without, loss) = cost(&entry, &rest);
+            let (without, loss) = cost(entry, &rest);
             // Without an effect, other parts may do more work (without a static layer everything is dynamic), but some
             // cost must be lower; or, at equal cost, the loss must differ.
             let saves = without.iter().zip(&full).any(|(without, full)| without < full);
