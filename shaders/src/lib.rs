@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | 1 | [`gpu`] | the second device: adapters, arrays, kernels in WGSL, launches |
 //! | 2 | [`tape`] | scalars, tensors and the tape that differentiates coarse operations |
-//! | 3 | [`pointwise`] | operations written once as an expression: f32, f64, WGSL and their gradients |
+//! | 3 | [`pointwise`](mod@pointwise) | operations written once as an expression: f32, f64, WGSL and their gradients |
 //! | 4 | [`arrays`] | rows, sums, sorting, sampling: the operations between large kernels |
 //! | 5 | [`geometry`] | cameras, quaternions, neighbours, points in images |
 //! | 5 | [`networks`] | layers of neural networks and fields |

@@ -1,7 +1,7 @@
 //! The second device: one context per adapter, in which kernels are recorded and submitted in batches.
 //!
-//! A kernel is WGSL text ([`Launch`]); an operation binds the arrays of its tensors and a block of constants, or those of
-//! many tensors at once ([`grouped`]). Arrays larger than a binding are bound in [`parts`]. Kernels run in the order in which
+//! A kernel is WGSL text (`Launch`); an operation binds the arrays of its tensors and a block of constants, or those of
+//! many tensors at once (`grouped`). Arrays larger than a binding are bound in `parts`. Kernels run in the order in which
 //! they are recorded, and a readback submits them first. No result depends on a race: kernels use no float atomics, and each
 //! element is written by one invocation of a launch.
 

@@ -13,7 +13,7 @@ pub struct SplatVars {
     pub positions: Var,
     /// The parameters of the covariances.
     pub shape: ShapeVars,
-    /// [N, 1] or [N], before the logistic function.
+    /// [N, 1] or `[N]`, before the logistic function.
     pub opacity_logits: Var,
     /// [N, K, 3] spherical harmonics, K ≥ (degree + 1)².
     pub sh: Var,

@@ -1,6 +1,6 @@
 //! A tape over coarse differentiable operations: it records the applied operations and runs them in reverse.
 //!
-//! The tape is independent of what an operation computes. A kernel is an [`Op`]; a model is a function that takes a tape
+//! The tape is independent of what an operation computes. A kernel is an `Op`; a model is a function that takes a tape
 //! and variables and returns variables. Everything is generic over [`Real`]: code that trains in `f32` is checked in `f64`
 //! against central differences (see [`crate::check`]).
 

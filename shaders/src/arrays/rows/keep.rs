@@ -1,7 +1,7 @@
 use super::{RowMap, RowWgsl, map_rows};
 use crate::tape::{Real, Tape, Var};
 
-/// The rows of x [N, C] whose flag [N] or [N, 1] is above 0, zeros elsewhere: [N, C]. Infinities and NaN in the other rows
+/// The rows of x [N, C] whose flag `[N]` or [N, 1] is above 0, zeros elsewhere: [N, C]. Infinities and NaN in the other rows
 /// reach neither values nor gradients; the flags receive no gradient.
 pub fn keep_rows<T: Real>(tape: &mut Tape<T>, x: Var, flags: Var) -> Var {
     map_rows(tape, KeepRows, [x, flags])

@@ -1,7 +1,7 @@
 //! Rearranging, reducing and combining the rows of [N, …] tensors.
 //!
 //! The operations between large kernels: concatenate and slice columns, gather rows, sum rows by owner, norms and products
-//! of rows. Row-wise functions use [`map_rows`]; data moves between rows through [`RowIndex`], whose order of summation is
+//! of rows. Row-wise functions use `map_rows`; data moves between rows through [`RowIndex`], whose order of summation is
 //! fixed, so that no result depends on the number of threads.
 
 mod arrange;

@@ -24,7 +24,7 @@ pub struct SampleSize {
 pub struct SampledRows<T: Real> {
     /// Each another row.
     pub rows: RowIndex,
-    /// [M]: 1 for a sampled row, 0 for padding. A GPU pads to the number of rows that would be sampled if all were
+    /// `[M]`: 1 for a sampled row, 0 for padding. A GPU pads to the number of rows that would be sampled if all were
     /// candidates; the CPU does not pad.
     pub weights: Tensor<T>,
 }
@@ -37,7 +37,7 @@ impl SampleSize {
     }
 }
 
-/// Samples from the rows whose flag in `candidates` [N] is above 0.
+/// Samples from the rows whose flag in `candidates` `[N]` is above 0.
 pub fn sample_rows<T: Real>(device: Device, candidates: &Tensor<T>, size: SampleSize, seed: u32) -> SampledRows<T> {
     match device {
         Device::Cpu => sample_on_host(candidates, size, seed),

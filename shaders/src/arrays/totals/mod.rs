@@ -21,17 +21,17 @@ pointwise! {
     }
 }
 
-/// The mean of all elements, shape [1]; summed in f64, on a GPU by halves in f32.
+/// The mean of all elements, shape `[1]`; summed in f64, on a GPU by halves in f32.
 pub fn mean<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     tape.apply_one(Total { is_mean: true }, &[x])
 }
 
-/// The sum of all elements, shape [1]; summed in f64, on a GPU by halves in f32.
+/// The sum of all elements, shape `[1]`; summed in f64, on a GPU by halves in f32.
 pub fn total<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     tape.apply_one(Total { is_mean: false }, &[x])
 }
 
-/// Σ w·x / max(Σ w, 1), shape [1], for x and weights w ≥ 0 of one shape: the mean of the selected elements if weights are 0 and
+/// Σ w·x / max(Σ w, 1), shape `[1]`, for x and weights w ≥ 0 of one shape: the mean of the selected elements if weights are 0 and
 /// 1; 0 if none is selected. Elements of weight 0 may be non-finite; weights receive no gradient.
 pub fn weighted_mean<T: Real>(tape: &mut Tape<T>, x: Var, weights: Var) -> Var {
     let weights = tape.detach(weights);

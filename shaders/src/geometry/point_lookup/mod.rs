@@ -24,9 +24,9 @@ pub use lookup::Sampling;
 /// Points as a camera sees them.
 #[derive(Clone, Copy, Debug)]
 pub struct PointsInImage {
-    /// [N, 2] px; [`NOWHERE`], without a gradient, for points nearer than the near plane.
+    /// [N, 2] px; `NOWHERE`, without a gradient, for points nearer than the near plane.
     pub pixels: Var,
-    /// [N] z in view space, scene units.
+    /// `[N]` z in view space, scene units.
     pub depths: Var,
 }
 
@@ -38,7 +38,7 @@ pub(crate) const NOWHERE: f64 = -1.0;
 pub struct Sampled {
     /// [N, C]; 0, without a gradient, where not valid.
     pub values: Var,
-    /// [N]: 1 where the position lies within the image and all contributing texels are finite, otherwise 0; a constant.
+    /// `[N]`: 1 where the position lies within the image and all contributing texels are finite, otherwise 0; a constant.
     pub valid: Var,
 }
 
@@ -55,7 +55,7 @@ pub fn project_points<T: Real>(
     PointsInImage { pixels: outputs[0], depths: outputs[1] }
 }
 
-/// Points [N, 3] in the world behind `pixels` [N, 2] in `depths` [N] (z in view space, scene units).
+/// Points [N, 3] in the world behind `pixels` [N, 2] in `depths` `[N]` (z in view space, scene units).
 pub fn unproject<T: Real>(tape: &mut Tape<T>, pixels: Var, depths: Var, camera: &PinholeCamera) -> Var {
     let count = tape.value(pixels).rows();
     assert_eq!(tape.value(pixels).len(), 2 * count, "unproject: pixels must be [N, 2]");

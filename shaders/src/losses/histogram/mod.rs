@@ -16,14 +16,14 @@ use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 /// Added to shares before the logarithm, so that an empty bin contributes 0 and not 0·∞.
 const EMPTY_BIN: f64 = 1e-8;
 
-/// Shares [bins] of the values x (any shape, not empty) in `bins` equal bins over [low, high]; they add up to 1.
+/// Shares `[bins]` of the values x (any shape, not empty) in `bins` equal bins over [low, high]; they add up to 1.
 pub fn soft_histogram<T: Real>(tape: &mut Tape<T>, x: Var, bins: usize, [low, high]: [f64; 2]) -> Var {
     assert!(bins >= 2 && low < high, "soft_histogram: {bins} bins over [{low}, {high}]");
     assert!(!tape.value(x).is_empty(), "soft_histogram: no values");
     tape.apply_one(SoftHistogram { bins, low, width: (high - low) / bins as f64 }, &[x])
 }
 
-/// Σ b·ln((b + 1e−8)·B), shape [1]: the Kullback–Leibler divergence of shares b [B] from the uniform distribution.
+/// Σ b·ln((b + 1e−8)·B), shape `[1]`: the Kullback–Leibler divergence of shares b `[B]` from the uniform distribution.
 pub fn divergence_from_uniform<T: Real>(tape: &mut Tape<T>, shares: Var) -> Var {
     tape.apply_one(DivergenceFromUniform, &[shares])
 }

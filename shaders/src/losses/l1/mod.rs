@@ -21,7 +21,7 @@ pointwise! {
     }
 }
 
-/// Mean |render − target| over all elements, shape [1], summed in f64 on the CPU and pairwise in f32 on a GPU. The gradient is 0
+/// Mean |render − target| over all elements, shape `[1]`, summed in f64 on the CPU and pairwise in f32 on a GPU. The gradient is 0
 /// where both are equal; the target receives none.
 pub fn l1<T: Real>(tape: &mut Tape<T>, render: Var, target: Var) -> Var {
     assert_eq!(tape.value(render).shape(), tape.value(target).shape(), "l1: the images differ in shape");
@@ -75,7 +75,7 @@ impl<T: Real> GpuOp<T> for L1 {
     }
 }
 
-/// (1 − λ)·L1 + λ·(1 − SSIM), shape [1], for images [H, W, channels] (Kerbl et al. 2023); λ = 0 does not evaluate SSIM.
+/// (1 − λ)·L1 + λ·(1 − SSIM), shape `[1]`, for images [H, W, channels] (Kerbl et al. 2023); λ = 0 does not evaluate SSIM.
 pub fn l1_dssim<T: Real>(tape: &mut Tape<T>, render: Var, target: Var, lambda: f64) -> Var {
     let l1 = l1(tape, render, target);
     if lambda == 0.0 {

@@ -1,7 +1,7 @@
 //! Structural similarity of two images (Wang et al. 2004) as a differentiable mean over pixels and channels.
 //!
-//! With a Gaussian window of 11 taps and σ = 1.5, the windowed means μ1, μ2, E[x²], E[y²], E[xy] of the images x and y
-//! (per pixel and channel) give the variances σ1² = E[x²] − μ1², σ2² = E[y²] − μ2², the covariance σ12 = E[xy] − μ1·μ2 and
+//! With a Gaussian window of 11 taps and σ = 1.5, the windowed means μ1, μ2, E`[x²]`, E`[y²]`, E`[xy]` of the images x and y
+//! (per pixel and channel) give the variances σ1² = E`[x²]` − μ1², σ2² = E`[y²]` − μ2², the covariance σ12 = E`[xy]` − μ1·μ2 and
 //!
 //! SSIM = C·D / (A·B),  A = μ1² + μ2² + C1,  B = σ1² + σ2² + C2,  C = 2·μ1·μ2 + C1,  D = 2·σ12 + C2,
 //!
@@ -35,7 +35,7 @@ pub enum Window {
     Valid,
 }
 
-/// Mean SSIM, shape [1], of `render` and `target` [H, W, channels] with values in [0, 1].
+/// Mean SSIM, shape `[1]`, of `render` and `target` [H, W, channels] with values in [0, 1].
 ///
 /// Gradients flow to `render` only; `target` must be a constant.
 pub fn ssim<T: Real>(tape: &mut Tape<T>, render: Var, target: Var, window: Window) -> Var {

@@ -1,6 +1,6 @@
 //! Convolution of an image with zero padding: y(p) = b + Σₙ w(n)·x(stride·p + dilation·n − padding).
 //!
-//! x [H, W, C], weight [O, kernel height, kernel width, C], bias [O] → y [H′, W′, O] with
+//! x [H, W, C], weight [O, kernel height, kernel width, C], bias `[O]` → y [H′, W′, O] with
 //! H′ = ⌊(H + 2·padding − dilation·(kernel height − 1) − 1) / stride⌋ + 1. Channels are innermost, so that a tap is contiguous
 //! in memory; weights of other programs, [O, C, kernel height, kernel width], must be permuted.
 //!
@@ -38,7 +38,7 @@ impl Sampling {
     }
 }
 
-/// y [H′, W′, O] for x [H, W, C], weight [O, kernel height, kernel width, C], bias [O].
+/// y [H′, W′, O] for x [H, W, C], weight [O, kernel height, kernel width, C], bias `[O]`.
 pub fn convolution<T: Real>(tape: &mut Tape<T>, x: Var, weight: Var, bias: Var, sampling: Sampling) -> Var {
     let layout = Layout::new(tape.value(x).shape(), tape.value(weight).shape(), sampling);
     assert_eq!(tape.value(bias).len(), layout.outputs, "convolution: bias has the wrong length");

@@ -1,7 +1,7 @@
 //! Group normalisation of an image (Wu and He 2018): y = γ·(x − μ)/√(σ² + ε) + β, with mean μ and variance σ² over all
 //! pixels and the channels of a group.
 //!
-//! x [H, W, C], γ [C], β [C] → y [H, W, C]. Unlike batch normalisation, it is the same function in training and at test
+//! x [H, W, C], γ `[C]`, β `[C]` → y [H, W, C]. Unlike batch normalisation, it is the same function in training and at test
 //! time. Sums run in f64 over chunks of fixed size.
 
 mod gpu;
@@ -18,7 +18,7 @@ const EPSILON: f64 = 1e-5;
 /// Pixels per partial sum.
 const PIXELS_PER_CHUNK: usize = 1024;
 
-/// y [H, W, C] for x [H, W, C], scale γ [C] and shift β [C]; `groups` divides C.
+/// y [H, W, C] for x [H, W, C], scale γ `[C]` and shift β `[C]`; `groups` divides C.
 pub fn group_norm<T: Real>(tape: &mut Tape<T>, x: Var, scale: Var, shift: Var, groups: usize) -> Var {
     let &[_, _, channels] = tape.value(x).shape() else { panic!("group_norm: x must be [H, W, C]") };
     assert!(channels.is_multiple_of(groups), "group_norm: {groups} groups do not divide {channels} channels");

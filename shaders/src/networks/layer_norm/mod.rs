@@ -15,7 +15,7 @@ const EPSILON: f64 = 1e-5;
 /// Rows per partial sum of the backward pass.
 const ROWS_PER_CHUNK: usize = 1024;
 
-/// (x − mean) / √(variance + 10⁻⁵)·scale + offset for x [N, C], scale and offset [C]; mean and variance of each row.
+/// (x − mean) / √(variance + 10⁻⁵)·scale + offset for x [N, C], scale and offset `[C]`; mean and variance of each row.
 pub fn layer_norm<T: Real>(tape: &mut Tape<T>, x: Var, scale: Var, offset: Var) -> Var {
     let standard = map_rows(tape, Standardize, [x]);
     affine_columns(tape, standard, scale, offset)

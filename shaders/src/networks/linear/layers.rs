@@ -5,14 +5,14 @@ use super::{Activation, Linear};
 use crate::gpu::Gpu;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
-/// One of several layers: x [N, I], weight [O, I], bias [O].
+/// One of several layers: x [N, I], weight [O, I], bias `[O]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Layer {
     /// The input [N, I].
     pub x: Var,
     /// The weight matrix [O, I].
     pub weight: Var,
-    /// The bias [O].
+    /// The bias `[O]`.
     pub bias: Var,
 }
 

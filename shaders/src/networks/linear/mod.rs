@@ -1,6 +1,6 @@
 //! Fully connected layer: y = f(x·Wᵀ + b) with f the identity or ReLU.
 //!
-//! x [N, I], W [O, I], b [O] → y [N, O]. The ReLU has gradient 0 at 0. Rows are processed in chunks of fixed size, whose
+//! x [N, I], W [O, I], b `[O]` → y [N, O]. The ReLU has gradient 0 at 0. Rows are processed in chunks of fixed size, whose
 //! contributions to the gradients of W and b are added in order.
 
 mod cpu;
@@ -37,7 +37,7 @@ pub enum Activation {
     Relu,
 }
 
-/// y = activation(x·Wᵀ + b) for x [N, I], weight [O, I], bias [O].
+/// y = activation(x·Wᵀ + b) for x [N, I], weight [O, I], bias `[O]`.
 pub fn linear<T: Real>(tape: &mut Tape<T>, x: Var, weight: Var, bias: Var, activation: Activation) -> Var {
     let layer = Linear::new(tape, x, weight, bias, activation);
     tape.apply_one(layer, &[x, weight, bias])

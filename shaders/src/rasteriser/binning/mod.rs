@@ -72,15 +72,15 @@ impl Grid {
 pub struct TileLists {
     /// The tiles of the image.
     pub grid: Grid,
-    /// [ranks]: the index of the splat.
+    /// `[ranks]`: the index of the splat.
     pub order: Vec<u32>,
-    /// [N]: the rank of a splat, [`TileLists::NO_RANK`] if it has none.
+    /// `[N]`: the rank of a splat, `TileLists::NO_RANK` if it has none.
     pub rank_of_splat: Vec<u32>,
-    /// [entries].
+    /// `[entries]`.
     pub ranks: Vec<u32>,
     /// [tiles + 1]: where the entries of a tile begin.
     pub tile_starts: Vec<usize>,
-    /// [hits]: the entry of each hit.
+    /// `hits`: the entry of each hit.
     pub entry_of_hit: Vec<u32>,
     /// [ranks + 1]: where the hits of a rank begin.
     pub hit_starts: Vec<usize>,
@@ -138,7 +138,7 @@ impl Lists {
         }
     }
 
-    /// [N]: whether any tile holds the splat; read back from a GPU.
+    /// `[N]`: whether any tile holds the splat; read back from a GPU.
     pub fn visible(&self) -> Vec<bool> {
         let has_rank = |ranks: &[u32]| ranks.iter().map(|&rank| rank != TileLists::NO_RANK).collect();
         match self {

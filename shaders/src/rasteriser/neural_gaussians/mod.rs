@@ -64,7 +64,7 @@ pub struct NeuralGaussians {
     pub opacity_logits: Var,
     /// [M, 1, 3] the constant spherical harmonic.
     pub sh: Var,
-    /// [M] the slot anchor·K + k of each Gaussian; `None`: all N·K in order.
+    /// `[M]` the slot anchor·K + k of each Gaussian; `None`: all N·K in order.
     pub slots: Option<Arc<Vec<u32>>>,
 }
 

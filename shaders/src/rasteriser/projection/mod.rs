@@ -44,13 +44,13 @@ pub struct ProjectedVars {
     pub means2d: Var,
     /// [N, 3]: A, k, m with A and m in px⁻².
     pub conics: Var,
-    /// [N] z in view space, scene units.
+    /// `[N]` z in view space, scene units.
     pub depths: Var,
-    /// [N].
+    /// `[N]`.
     pub opacities: Var,
     /// [N, 3].
     pub colors: Var,
-    /// [N]: the largest σ that is blended, ln(255·opacity); the one threshold that culling and blending share. No gradient
+    /// `[N]`: the largest σ that is blended, ln(255·opacity); the one threshold that culling and blending share. No gradient
     /// flows through it.
     pub cutoffs: Var,
 }

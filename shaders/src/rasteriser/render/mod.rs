@@ -34,7 +34,7 @@ pub struct Rendered {
     pub features: Option<Var>,
     /// [N, 2] px: its gradient, in units of 1/px, drives density control.
     pub means2d: Var,
-    /// [N, 3]: see [`ProjectedVars::conics`].
+    /// [N, 3]: A, k and m of each conic (see `projection`).
     pub conics: Var,
     lists: Arc<Lists>,
     blended_pixel_splats: Option<u64>,
@@ -47,12 +47,12 @@ impl Rendered {
         tape.value(self.means2d).rows()
     }
 
-    /// [N]: whether any tile holds the splat.
+    /// `[N]`: whether any tile holds the splat.
     pub fn visible(&self) -> Vec<bool> {
         self.lists.visible()
     }
 
-    /// [N]: three standard deviations along the longer axis, in px; 0 where invisible.
+    /// `[N]`: three standard deviations along the longer axis, in px; 0 where invisible.
     pub fn radii_px<T: Real>(&self, tape: &Tape<T>) -> Vec<f32> {
         let conics = tape.value(self.conics).as_slice().as_chunks::<3>().0;
         let radius = |(conic, is_visible): (&[T; 3], bool)| if is_visible { radius_px(conic) } else { 0.0 };

@@ -15,7 +15,7 @@ uniforms! {
     }
 }
 
-/// 1 for every splat of a render that is visible and whose centre lies in a pixel with a label, otherwise 0: [N].
+/// 1 for every splat of a render that is visible and whose centre lies in a pixel with a label, otherwise 0: `[N]`.
 pub fn covered<T: Real>(tape: &Tape<T>, rendered: &Rendered, labels: &LabelMap) -> Tensor<T> {
     let means_px = tape.value(rendered.means2d);
     match rendered.lists() {

@@ -34,7 +34,7 @@ pub fn columns<T: Real>(tape: &mut Tape<T>, x: Var, range: Range<usize>) -> Var 
     tape.apply_one(Columns { range }, &[x])
 }
 
-/// One row repeated `rows` times: [C] or [1, C] → [rows, C].
+/// One row repeated `rows` times: `[C]` or [1, C] → [rows, C].
 pub fn repeat_row<T: Real>(tape: &mut Tape<T>, row: Var, rows: usize) -> Var {
     let shape = tape.value(row).shape();
     assert!(shape.len() == 1 || shape[0] == 1, "repeat_row: {shape:?} is more than one row");

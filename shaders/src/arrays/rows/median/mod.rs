@@ -2,7 +2,7 @@ mod gpu;
 
 use crate::tape::{Device, Real, Tape, Tensor, Var};
 
-/// The median, shape [1], of the elements of x ≥ 0, [N] or [N, 1], whose flag [N] is above 0: the upper one of two middle
+/// The median, shape `[1]`, of the elements of x ≥ 0, `[N]` or [N, 1], whose flag `[N]` is above 0: the upper one of two middle
 /// elements, 0 if no flag is set. NaN sorts last. The result is a constant without gradient.
 pub fn median_where<T: Real>(tape: &mut Tape<T>, x: Var, flags: Var) -> Var {
     let [x, flags] = [x, flags].map(|var| tape.value(var));

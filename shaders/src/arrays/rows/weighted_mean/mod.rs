@@ -7,7 +7,7 @@ use crate::tape::chunks::{CHUNK, for_each_chunk, sum};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use gpu::WeightedMeanOnGpu;
 
-/// Σₙ wₙ‖aₙ − bₙ‖² / (K·Σₙ wₙ), shape [1], for a, b [N, K] and weights w ≥ 0 [N] or [N, 1]; 0 where all weights are 0.
+/// Σₙ wₙ‖aₙ − bₙ‖² / (K·Σₙ wₙ), shape `[1]`, for a, b [N, K] and weights w ≥ 0 `[N]` or [N, 1]; 0 where all weights are 0.
 ///
 /// Differentiable in a, b and w; summed in f64.
 pub fn weighted_mean_squared_difference<T: Real>(tape: &mut Tape<T>, a: Var, b: Var, weights: Var) -> Var {

@@ -9,7 +9,7 @@ use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 /// A mean over the elements of a plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlaneMean {
-    /// Of squared second differences (P[i−1] − 2·P[i] + P[i+1])² along the height axis, (height − 2)·width·channels of
+    /// Of squared second differences (P[i−1] − 2·P`[i]` + P[i+1])² along the height axis, (height − 2)·width·channels of
     /// them; a plane of height below 3 contributes 0. On spatial planes this is the "total variation" of 4DGaussians, on
     /// time planes its time smoothness.
     SecondDifference,
@@ -17,7 +17,7 @@ pub enum PlaneMean {
     DistanceToOne,
 }
 
-/// For every (mean, planes) the sum over those planes of that mean: [1] each. No plane enters one mean twice.
+/// For every (mean, planes) the sum over those planes of that mean: `[1]` each. No plane enters one mean twice.
 pub fn plane_means<T: Real>(tape: &mut Tape<T>, terms: &[(PlaneMean, Vec<Var>)]) -> Vec<Var> {
     let mut inputs: Vec<Var> = terms.iter().flat_map(|(_, planes)| planes).copied().collect();
     inputs.sort_unstable();
