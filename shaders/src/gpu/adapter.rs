@@ -48,7 +48,7 @@ pub enum AdapterError {
     None,
     /// No adapter has that name or id.
     NotFound {
-        /// The name or id that was asked for.
+        /// The requested name or id.
         wanted: String,
         /// The adapters present.
         found: Vec<String>,
