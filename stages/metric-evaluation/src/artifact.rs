@@ -14,6 +14,7 @@ use crate::metrics::psnr::psnr_from_mse;
 use crate::metrics::score::Score;
 use crate::metrics::surfaces::MovingError;
 use crate::params::{Keep, MaskSource};
+use crate::trivial::{Degenerate, Moments, Trivial};
 
 /// Version of the metric definitions; values of different versions do not share a column.
 pub(crate) const METRIC_VERSION: u32 = 2;
@@ -47,6 +48,8 @@ pub struct Metrics {
     /// without a class.
     #[serde(default)]
     pub prompts: BTreeMap<String, Score>,
+    /// PSNR of images that need no model.
+    pub trivial: Trivial,
     /// Number of evaluated images.
     pub n_images: usize,
 }
@@ -62,6 +65,14 @@ pub struct ImageMetrics {
     pub camera_index: Option<u32>,
     /// Mean squared error over pixels and channels, for colours in [0, 1].
     pub mse: f64,
+    /// Variance of the render over its pixels, mean over the channels, for colours in [0, 1].
+    pub render_variance: f64,
+    /// Mean and variance of the ground truth.
+    pub(crate) truth: Moments,
+    /// Mean squared error of the mean of the other images; none without other images.
+    pub mean_image_mse: Option<f64>,
+    /// Share of the ground truth's pixels that have the capture's background colour; none without a capture.
+    pub background_share: Option<f64>,
     /// Metrics of this image.
     pub values: BTreeMap<Metric, Score>,
     /// The error on moving surfaces, if the capture has their velocity.
@@ -105,6 +116,17 @@ impl Metrics {
         wanted.iter().filter_map(mean).collect()
     }
 
+    /// The mean over images of the PSNR of whole images, whatever metrics were computed; dB.
+    pub fn full_psnr(&self) -> f64 {
+        self.images.iter().map(|image| psnr_from_mse(image.mse)).sum::<f64>() / self.images.len() as f64
+    }
+
+    /// Why the renders show no more than an image that needs no model; none if they do, and none if the whole ground
+    /// truth has one colour. `moves` states whether the model can show motion.
+    pub fn degenerate(&self, moves: bool) -> Option<Degenerate> {
+        self.trivial.judge(&self.images, self.full_psnr(), moves)
+    }
+
     /// Describes the conditions of the evaluation. Values share a column only if their protocols and these lines are equal.
     pub fn judged_by(&self) -> String {
         let split = match self.split {
@@ -142,7 +164,7 @@ impl Metrics {
 
 impl Artifact for Metrics {
     const NAME: &'static str = "metrics";
-    const SCHEMA: u32 = 2;
+    const SCHEMA: u32 = 3;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(FILE);
@@ -176,6 +198,9 @@ impl Artifact for Metrics {
         check_scores(&self.means).context("means")?;
         let recomputed = Self::means_of(&self.images, &self.means.keys().copied().collect());
         ensure!(recomputed == self.means, "the means differ from those of the images");
+        let trivial = Trivial::of(&self.images, self.trivial.over());
+        ensure!(trivial == self.trivial, "the errors of trivial images differ from those of the images");
+        ensure!(trivial.is_finite(), "the error of a trivial image is not finite");
         let mut prompts = self.prompts.clone();
         prompts.retain(|_, score| score.value().is_some());
         ensure!(mean_overlaps(&self.images) == prompts, "the prompt overlaps differ from the means of the images");

@@ -11,6 +11,7 @@ use crate::image_file::Background;
 use crate::pairs::{Pair, evaluate_pairs};
 use crate::params::{Keep, MaskSource, MetricEvaluationParams};
 use crate::scoring::perceptual::{self, Networks};
+use crate::trivial::{self, Trivial, Truths};
 
 /// Extensions of image files, in lower case.
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
@@ -37,6 +38,9 @@ pub fn evaluate_folders_with(
 ) -> anyhow::Result<Metrics> {
     let pairs = paired(renders, truth)?;
     let (mut images, size) = evaluate_pairs(&pairs, params, background)?;
+    let truths = pairs.iter().map(|pair| pair.truth.clone()).collect();
+    let truths = Truths::without_poses(truths, params.quantise, background);
+    trivial::add(&mut images, &truths)?;
     let networks = Networks::open(lpips_weights, &params.metrics)?;
     for (image, pair) in images.iter_mut().zip(&pairs) {
         perceptual::add(image, pair, &networks, params, background)?;
@@ -64,6 +68,7 @@ pub fn evaluate_folders_with(
         mask_keeps: Keep::Nonzero,
         means: Metrics::means_of(&images, &params.metrics),
         prompts: BTreeMap::new(),
+        trivial: Trivial::of(&images, truths.over),
         n_images: images.len(),
         images,
     })

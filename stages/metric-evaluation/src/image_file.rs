@@ -37,6 +37,9 @@ impl Image {
             Failure::new(FailureKind::BadInput, format!("cannot read the image: {error}")).at(path)
         };
         let pixels = scene::image_file::decode(path).map_err(unreadable)?;
+        if let DynamicImage::ImageRgb8(pixels) = &pixels {
+            return Ok(Self::of_opaque(pixels, quantise));
+        }
         let has_alpha = pixels.color().has_alpha();
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let mut planes: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(width * height));
@@ -56,6 +59,14 @@ impl Image {
             }
         }
         Ok(Self { width, height, planes })
+    }
+
+    /// An opaque image of 8 bits per channel.
+    fn of_opaque(pixels: &image::RgbImage, quantise: Quantise) -> Self {
+        let colours: [f64; 256] = std::array::from_fn(|level| quantise.apply(level as f64 / 255.0));
+        let plane = |c: usize| pixels.pixels().map(|pixel| colours[usize::from(pixel.0[c])]).collect();
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        Self { width, height, planes: [plane(0), plane(1), plane(2)] }
     }
 
     /// Whether every pixel has the same colour.

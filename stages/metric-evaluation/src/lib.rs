@@ -14,6 +14,7 @@ mod summary;
 mod test_set;
 #[cfg(test)]
 mod tests;
+mod trivial;
 
 pub use artifact::{ImageMetrics, Metrics, Remark};
 pub use folders::{evaluate_folders, evaluate_folders_with};
@@ -23,3 +24,4 @@ pub use metrics::score::Score;
 pub use metrics::surfaces::MovingError;
 pub use params::{Keep, MaskSource, MetricEvaluationParams};
 pub use run::MetricEvaluation;
+pub use trivial::{Degenerate, MeanImage, MeanOver, Trivial};

@@ -11,6 +11,7 @@ use crate::image_file::{Background, Image};
 use crate::metrics::image_scores;
 use crate::metrics::psnr::mean_squared_error;
 use crate::params::MetricEvaluationParams;
+use crate::trivial::Moments;
 
 /// A render and its ground truth.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,6 +77,10 @@ fn evaluate_pair(
         time_secs: pair.time_secs,
         camera_index: pair.camera_index,
         mse: mean_squared_error(&render, &truth),
+        render_variance: Moments::of(&render).variance.iter().sum::<f64>() / 3.0,
+        truth: Moments::of(&truth),
+        mean_image_mse: None,
+        background_share: None,
         values: image_scores(&render, &truth, &params.metrics),
         moving: None,
         prompt_ious: BTreeMap::new(),

@@ -15,6 +15,7 @@ use crate::params::MetricEvaluationParams;
 use crate::scoring::perceptual::Networks;
 use crate::scoring::{language, masked, perceptual, surfaces, video};
 use crate::test_set::TestSet;
+use crate::trivial::{self, Trivial, Truths};
 
 /// The engine's name for the folder of LPIPS weights.
 const LPIPS_WEIGHTS: &str = "lpips_weights";
@@ -61,7 +62,7 @@ impl Stage for MetricEvaluation {
         let set = TestSet::new(&renders, &capture)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let watch = Watch { stop: &context.stop, on_progress: &*context.on_progress, folders: &context.sources };
-        let (images, prompts) = pool.install(|| evaluate(&set, params, &watch))?;
+        let (images, prompts, trivial) = pool.install(|| evaluate(&set, params, &watch))?;
         let metrics = Metrics {
             method: renders.method.clone(),
             protocol: renders.protocol.clone(),
@@ -72,6 +73,7 @@ impl Stage for MetricEvaluation {
             mask_keeps: params.mask_keeps,
             means: Metrics::means_of(&images, &params.metrics),
             prompts,
+            trivial,
             n_images: images.len(),
             images,
         };
@@ -101,12 +103,12 @@ impl Watch<'_> {
     }
 }
 
-/// Computes all metrics of all images, and the overlaps per prompt ([`Metrics::prompts`]).
+/// Computes all metrics of all images, the overlaps per prompt ([`Metrics::prompts`]), and the errors of trivial images.
 fn evaluate(
     set: &TestSet<'_>,
     params: &MetricEvaluationParams,
     watch: &Watch<'_>,
-) -> anyhow::Result<(Vec<ImageMetrics>, BTreeMap<String, Score>)> {
+) -> anyhow::Result<(Vec<ImageMetrics>, BTreeMap<String, Score>, Trivial)> {
     let pairs = set.pairs();
     let mut images = Vec::with_capacity(pairs.len());
     // The job reports and may stop between batches. A batch is large enough to keep all threads busy.
@@ -114,6 +116,8 @@ fn evaluate(
         images.extend(evaluate_pairs(batch, params, None)?.0);
         watch.checkpoint(images.len(), pairs.len(), "images evaluated")?;
     }
+    let truths = Truths::of_set(set, params.quantise);
+    trivial::add(&mut images, &truths)?;
     surfaces::add(&mut images, set, params)?;
     video::add(&mut images, set, watch.folder(FRAME_FEATURES), params)?;
     let prompts = language::add(&mut images, set, params)?;
@@ -125,5 +129,6 @@ fn evaluate(
         }
         watch.checkpoint(index + 1, pairs.len(), "images evaluated by networks and masks")?;
     }
-    Ok((images, prompts))
+    let trivial = Trivial::of(&images, truths.over);
+    Ok((images, prompts, trivial))
 }

@@ -7,9 +7,11 @@ use crate::artifact::{Metrics, Remark};
 use crate::metrics::metric::Metric;
 use crate::metrics::psnr::PSNR_CAP_DB;
 use crate::metrics::score::Score;
+use crate::trivial::{MeanImage, Trivial};
 
 impl Metrics {
-    /// An aligned table with the mean, the worst value and the worst image of every metric, followed by caveats.
+    /// An aligned table with the mean, the worst value and the worst image of every metric, followed by the PSNR of trivial images and by
+    /// caveats.
     pub fn summary(&self) -> String {
         let mut rows = vec![["metric", "mean", "worst", "worst image"].map(String::from)];
         let defined = self.means.iter().filter(|(_, mean)| mean.value().is_some());
@@ -21,7 +23,28 @@ impl Metrics {
             let line = format!("{metric:<0$}  {mean:>1$}  {worst:>2$}  {name}", widths[0], widths[1], widths[2]);
             writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");
         }
-        text + &self.undefined_lines() + &self.remark_lines()
+        text + &self.trivial_lines() + &self.undefined_lines() + &self.remark_lines()
+    }
+
+    /// The PSNR of images that need no model, and a warning if the renders are not better.
+    fn trivial_lines(&self) -> String {
+        let Trivial { constant_psnr, mean_image, .. } = &self.trivial;
+        if self.trivial.truth_is_constant() {
+            return "the whole ground truth has one colour: no image can be better than a constant one\n".into();
+        }
+        let above = self.full_psnr() - constant_psnr;
+        let direction = if above < 0.0 { "below" } else { "above" };
+        let mut text = format!(
+            "best constant image: {constant_psnr:.2} dB; the renders are {:.2} dB {direction} it\n",
+            above.abs()
+        );
+        if let Some(MeanImage { psnr, .. }) = mean_image {
+            writeln!(text, "mean of the other images: {psnr:.2} dB").expect("writing to a string succeeds");
+        }
+        if let Some(degenerate) = self.degenerate(true) {
+            writeln!(text, "DEGENERATE: {}", degenerate.about()).expect("writing to a string succeeds");
+        }
+        text
     }
 
     /// One line per reason why metrics are undefined.

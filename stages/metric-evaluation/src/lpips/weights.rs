@@ -83,7 +83,13 @@ type Found = (PathBuf, &'static str);
 fn find(folder: &Path, files: &'static [Published]) -> Result<Found, String> {
     let at = |published: &Published| Some((folder.join(published.file), published.sha256));
     let found = files.iter().filter_map(at).find(|(path, _)| path.is_file());
-    found.ok_or_else(|| format!("{} is missing in the folder of LPIPS weights", files[0].file))
+    let file = files[0].file;
+    // The classifiers' names end with a hash; LPIPS's own files are named after the classifier alone.
+    let from = match file.contains('-') {
+        true => format!("torchvision publishes it: https://download.pytorch.org/models/{file}"),
+        false => format!("it is part of the Python package lpips: lpips/weights/v0.1/{file}"),
+    };
+    found.ok_or_else(|| format!("{file} is missing in the folder of LPIPS weights; {from}"))
 }
 
 fn read_verified((path, sha256): &Found) -> Result<BTreeMap<String, Tensor>, Failure> {

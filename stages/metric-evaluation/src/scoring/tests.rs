@@ -11,6 +11,7 @@ use crate::metrics::metric::Metric;
 use crate::metrics::score::Score;
 use crate::params::{Keep, MaskSource, MetricEvaluationParams};
 use crate::run::MetricEvaluation;
+use crate::scoring::perceptual::NO_WEIGHTS;
 use crate::tests::stage::{SIZE, picture, run_with, write_capture, write_capture_along, write_renders};
 
 /// Writes `capture` and `renders` into a folder.
@@ -46,7 +47,7 @@ fn labels_restrict_masked_metrics() {
     let elsewhere = run_with(root.path(), &masked(MaskSource::Labels, Keep::Zero), &[]).expect("evaluated");
     assert!(elsewhere.means[&Metric::MaskedPsnr].value().expect("defined") < expected - 5.0);
     assert_ne!(on_ball.judged_by(), elsewhere.judged_by(), "masks are part of the conditions");
-    assert_eq!(on_ball.means[&Metric::MaskedLpips], Score::undefined("no LPIPS weights were given"));
+    assert_eq!(on_ball.means[&Metric::MaskedLpips], Score::undefined(NO_WEIGHTS));
     let unmasked = run_with(root.path(), &MetricEvaluationParams::default(), &[]).expect("evaluated");
     assert!(!unmasked.means.contains_key(&Metric::MaskedPsnr));
 }
@@ -76,12 +77,13 @@ fn mask_files_must_match_the_views() {
 fn lpips_without_weights_is_undefined() {
     let (root, _) = world(None);
     let metrics = run_with(root.path(), &MetricEvaluationParams::default(), &[]).expect("evaluated");
-    assert_eq!(metrics.means[&Metric::LpipsVgg], Score::undefined("no LPIPS weights were given"));
+    assert_eq!(metrics.means[&Metric::LpipsVgg], Score::undefined(NO_WEIGHTS));
     let empty = root.path().join("weights");
     std::fs::create_dir(&empty).expect("folder");
     let params = MetricEvaluationParams { lpips_weights: "lpips".into(), ..MetricEvaluationParams::default() };
     let metrics = run_with(root.path(), &params, &[("lpips_weights", &empty)]).expect("evaluated");
-    let reason = "vgg16-397923af.pth is missing in the folder of LPIPS weights";
+    let reason = "vgg16-397923af.pth is missing in the folder of LPIPS weights; torchvision publishes it: \
+                  https://download.pytorch.org/models/vgg16-397923af.pth";
     assert_eq!(metrics.means[&Metric::LpipsVgg], Score::undefined(reason));
     assert_eq!(MetricEvaluation::sources(&params), [Source { name: "lpips_weights", path: "lpips".into() }]);
 }

@@ -2,6 +2,7 @@
 
 pub(crate) mod images;
 pub(crate) mod stage;
+mod trivial;
 
 use std::path::Path;
 
