@@ -1,31 +1,19 @@
-//! Lens distortion: the Brown–Conrady model of OpenCV and COLMAP, and the pinhole that undistortion produces.
+//! A camera's lens, and the pinhole that undistortion produces.
+
+mod distortion;
 
 use engine::{Failure, FailureKind};
 use glam::DVec2;
 use scene::Intrinsics;
 
-/// Largest zoom for cropping unseen borders; coefficients that need more do not describe a real lens.
-const MAX_ZOOM: f64 = 4.0;
+pub(crate) use self::distortion::Distortion;
+
+/// Largest zoom for cropping unseen borders, as in COLMAP's undistorter; more would lose three quarters of the image.
+const MAX_ZOOM: f64 = 2.0;
 /// Bisection steps for the zoom: 40 halvings of [1, `MAX_ZOOM`] reach the rounding of pixel positions.
 const ZOOM_STEPS: usize = 40;
-
-/// Radial (`k1`, `k2`, `k3`) and tangential (`p1`, `p2`) distortion coefficients on the plane z = 1.
-///
-/// With d = 1 + k1 r² + k2 r⁴ + k3 r⁶: x' = x d + 2 p1 x y + p2 (r² + 2 x²), y' = y d + p1 (r² + 2 y²) + 2 p2 x y
-/// (Brown 1966; COLMAP's `OPENCV`, which includes `RADIAL` and `SIMPLE_RADIAL`, has no k3).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Distortion {
-    /// Coefficient of r².
-    pub(crate) k1: f64,
-    /// Coefficient of r⁴.
-    pub(crate) k2: f64,
-    /// Coefficient of r⁶.
-    pub(crate) k3: f64,
-    /// First tangential coefficient.
-    pub(crate) p1: f64,
-    /// Second tangential coefficient.
-    pub(crate) p2: f64,
-}
+/// Rows and columns of the grid on which the interior is checked: finer than any fold of a polynomial of this degree.
+const GRID: u32 = 64;
 
 /// The pinhole and the distortion of a real camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,34 +24,25 @@ pub(crate) struct Lens {
     pub(crate) distortion: Distortion,
 }
 
-impl Distortion {
-    /// Whether all coefficients are zero.
-    pub(crate) fn is_none(&self) -> bool {
-        *self == Self::default()
-    }
-
-    /// Distorts a point of the plane z = 1.
-    pub(crate) fn apply(&self, point: DVec2) -> DVec2 {
-        let Self { k1, k2, k3, p1, p2 } = *self;
-        let (r2, xy) = (point.length_squared(), point.x * point.y);
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let tangential = DVec2::new(
-            2.0 * p1 * xy + p2 * (r2 + 2.0 * point.x * point.x),
-            p1 * (r2 + 2.0 * point.y * point.y) + 2.0 * p2 * xy,
-        );
-        point * radial + tangential
-    }
-
-    /// Whether the radial part increases at squared radius `r2`: d(r + k1 r³ + k2 r⁵ + k3 r⁷)/dr > 0.
-    fn grows_at(&self, r2: f64) -> bool {
-        1.0 + r2 * (3.0 * self.k1 + r2 * (5.0 * self.k2 + r2 * 7.0 * self.k3)) > 0.0
-    }
-}
-
 impl Lens {
     /// A lens without distortion.
     pub(crate) fn pinhole(intrinsics: Intrinsics) -> Self {
         Self { intrinsics, distortion: Distortion::default() }
+    }
+
+    /// The lens for the same images at another size; each axis is scaled by itself.
+    pub(crate) fn resized(&self, width: u32, height: u32) -> Self {
+        let k = self.intrinsics;
+        let (x, y) = (f64::from(width) / f64::from(k.width), f64::from(height) / f64::from(k.height));
+        let intrinsics = Intrinsics {
+            width,
+            height,
+            focal_x: k.focal_x * x,
+            focal_y: k.focal_y * y,
+            center_x: k.center_x * x,
+            center_y: k.center_y * y,
+        };
+        Self { intrinsics, ..*self }
     }
 
     /// Projects a point of the plane z = 1 to a pixel position.
@@ -74,27 +53,39 @@ impl Lens {
 
     /// The pinhole of undistorted images. It keeps the size and the principal point; focal lengths are multiplied by the
     /// smallest factor ≥ 1 for which every pixel centre of the new image is inside the pixel centres of the old one, so
-    /// that no pixel is extrapolated. A lens without distortion is returned unchanged.
+    /// that no pixel is extrapolated. A lens without distortion is returned unchanged; one that maps several rays of the
+    /// new image to one pixel is an error.
     pub(crate) fn undistorted(&self) -> Result<Intrinsics, Failure> {
         if self.distortion.is_none() {
             return Ok(self.intrinsics);
         }
-        if !self.sees_border_of(&self.zoomed(MAX_ZOOM)) {
-            let Distortion { k1, k2, k3, p1, p2 } = self.distortion;
-            let message = format!("lens distortion (k1 {k1}, k2 {k2}, k3 {k3}, p1 {p1}, p2 {p2}) folds the image over");
-            let hint = "calibrate again, or undistort the images with `colmap image_undistorter`";
-            return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
+        let fold = || {
+            let message = format!("lens distortion folds the image over ({})", self.distortion);
+            let hint =
+                "calibrate again with fewer coefficients, or undistort the images with `colmap image_undistorter`";
+            Failure::new(FailureKind::BadInput, message).hint(hint)
+        };
+        let mut zoom = 1.0;
+        for (column, row) in border(&self.intrinsics) {
+            zoom = self.zoom_that_sees(column, row, zoom).ok_or_else(fold)?;
         }
-        let (mut too_small, mut sufficient) = (1.0, MAX_ZOOM);
-        if self.sees_border_of(&self.zoomed(1.0)) {
-            sufficient = 1.0;
+        let target = self.zoomed(zoom);
+        let sees_border = border(&target).all(|(column, row)| self.sees(plane_point(&target, column, row)));
+        if sees_border && self.is_regular_over(&target) { Ok(target) } else { Err(fold()) }
+    }
+
+    /// The smallest zoom ≥ `at_least` at which this lens sees a pixel of the pinhole, if there is one.
+    fn zoom_that_sees(&self, column: u32, row: u32, at_least: f64) -> Option<f64> {
+        let sees = |zoom: f64| self.sees(plane_point(&self.zoomed(zoom), column, row));
+        if sees(at_least) {
+            return Some(at_least);
         }
+        let (mut too_small, mut sufficient) = (at_least, MAX_ZOOM);
         for _ in 0..ZOOM_STEPS {
             let middle = 0.5 * (too_small + sufficient);
-            let seen = self.sees_border_of(&self.zoomed(middle));
-            *(if seen { &mut sufficient } else { &mut too_small }) = middle;
+            *(if sees(middle) { &mut sufficient } else { &mut too_small }) = middle;
         }
-        Ok(self.zoomed(sufficient))
+        sees(sufficient).then_some(sufficient)
     }
 
     fn zoomed(&self, zoom: f64) -> Intrinsics {
@@ -102,20 +93,29 @@ impl Lens {
         Intrinsics { focal_x: k.focal_x * zoom, focal_y: k.focal_y * zoom, ..k }
     }
 
-    /// Whether this lens sees every border pixel of the pinhole `target`. The interior follows, because the distortion
-    /// increases outwards.
-    fn sees_border_of(&self, target: &Intrinsics) -> bool {
-        let (width, height) = (target.width, target.height);
-        let (last_x, last_y) = (f64::from(width) - 0.5, f64::from(height) - 0.5);
-        let rows = (0..height).flat_map(|row| [(0, row), (width - 1, row)]);
-        let columns = (0..width).flat_map(|column| [(column, 0), (column, height - 1)]);
-        rows.chain(columns).all(|(column, row)| {
-            let point = plane_point(target, column, row);
-            let pixel = self.pixel(point);
-            let inside = (0.5..=last_x).contains(&pixel.x) && (0.5..=last_y).contains(&pixel.y);
-            inside && self.distortion.grows_at(point.length_squared())
+    /// Whether a point of the plane z = 1 falls between pixel centres of the image, where the lens keeps rays in order.
+    fn sees(&self, point: DVec2) -> bool {
+        let (last_x, last_y) = (f64::from(self.intrinsics.width) - 0.5, f64::from(self.intrinsics.height) - 0.5);
+        let pixel = self.pixel(point);
+        let inside = (0.5..=last_x).contains(&pixel.x) && (0.5..=last_y).contains(&pixel.y);
+        inside && self.distortion.is_regular_at(point)
+    }
+
+    /// Whether the lens keeps rays in order on a grid over the pinhole `target`, so that the undistortion is unique.
+    fn is_regular_over(&self, target: &Intrinsics) -> bool {
+        let at = |index: u32, length: u32| (u64::from(index) * u64::from(length - 1) / u64::from(GRID - 1)) as u32;
+        (0..GRID * GRID).all(|index| {
+            let (column, row) = (at(index % GRID, target.width), at(index / GRID, target.height));
+            self.distortion.is_regular_at(plane_point(target, column, row))
         })
     }
+}
+
+/// The pixels on the border of an image.
+fn border(size: &Intrinsics) -> impl Iterator<Item = (u32, u32)> {
+    let Intrinsics { width, height, .. } = *size;
+    let rows = (0..height).flat_map(move |row| [(0, row), (width - 1, row)]);
+    rows.chain((0..width).flat_map(move |column| [(column, 0), (column, height - 1)]))
 }
 
 /// The point of the plane z = 1 at the centre of a pixel.

@@ -19,6 +19,9 @@ pub struct Params {
     pub width: Option<u32>,
     /// The filter for resizing to `width`: `area` (the default) or `lanczos3`.
     pub resize: Option<Resize>,
+    /// COLMAP: the folder of images in the capture, e.g. `images_4`. If unset: the smallest copy `images_2`, `images_4`, … of
+    /// at least `width`, otherwise `images`. Names and sizes must be those of the model.
+    pub images: Option<PathBuf>,
     /// The background for compositing transparent images and for rendering models of this capture.
     pub background: Background,
     /// Blender: the official split that serves as the test split. The literature uses `val` for D-NeRF's Lego.
@@ -100,6 +103,7 @@ impl Default for Params {
             format: Format::Auto,
             width: None,
             resize: None,
+            images: None,
             background: Background::White,
             test_split: TestSplit::Test,
             protocol: String::new(),
@@ -162,6 +166,12 @@ impl Params {
                 "e.g. source = \"dnerf/bouncingballs\"",
             ),
             (!relative(&self.source), "source", "the source must be below the data root", "use a relative path"),
+            (
+                self.images.as_deref().is_some_and(|images| !relative(images)),
+                "images",
+                "the folder of images must be inside the capture",
+                "e.g. images = \"images_4\"",
+            ),
             (self.width == Some(0), "width", "must be at least 1 pixel", "omit it to keep the native size"),
             (
                 self.resize.is_some() && self.width.is_none(),

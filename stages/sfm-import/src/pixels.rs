@@ -105,13 +105,13 @@ impl Labels {
     pub(crate) fn read(&self, path: &Path, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<LabelMap> {
         let mask = decode(path)?.into_luma8();
         let (width, height) = size;
-        let scaled = scene::Camera { intrinsics: *target, camera_from_world: scene::RigidTransform::IDENTITY }
-            .resized(width, height)
-            .intrinsics;
+        let scaled = Lens::pinhole(*target).resized(width, height).intrinsics;
+        // A mask may have the size of the originals where the images are a smaller copy.
+        let stored = lens.resized(mask.width(), mask.height());
         let mut labels = Vec::with_capacity((width * height) as usize);
         for row in 0..height {
             for column in 0..width {
-                let pixel = lens.pixel(plane_point(&scaled, column, row));
+                let pixel = stored.pixel(plane_point(&scaled, column, row));
                 let clamped = |value: f64, length: u32| value.clamp(0.0, f64::from(length - 1)) as u32;
                 let value = mask.get_pixel(clamped(pixel.x, mask.width()), clamped(pixel.y, mask.height()))[0];
                 labels.push(self.table[usize::from(value)]);

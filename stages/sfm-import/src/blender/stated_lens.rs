@@ -74,7 +74,7 @@ impl StatedLens {
         let center_y = self.cy.unwrap_or(0.5 * f64::from(height));
         let [k1, k2, k3, p1, p2] = [self.k1, self.k2, self.k3, self.p1, self.p2].map(Option::unwrap_or_default);
         let intrinsics = Intrinsics { width, height, focal_x, focal_y, center_x, center_y };
-        Ok(Lens { intrinsics, distortion: Distortion { k1, k2, k3, p1, p2 } })
+        Ok(Lens { intrinsics, distortion: Distortion::brown([k1, k2, k3, 0.0], [p1, p2]) })
     }
 
     fn refuse_other_models(&self) -> Result<()> {

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use glam::{DVec2, DVec3};
 
-use crate::colmap::model::{CAMERA_MODELS, Point, RegisteredImage, lens};
+use crate::colmap::camera_model::{CAMERA_MODELS, lens};
+use crate::colmap::model::{Point, RegisteredImage};
 use crate::error::{Result, bad};
 use crate::files::read_bytes;
 use crate::lens::Lens;

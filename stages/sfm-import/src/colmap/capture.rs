@@ -1,16 +1,17 @@
 //! A sparse model and its images as posed, timed and split frames.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Component, Path, PathBuf};
+use std::path::Path;
 
 use scene::Split;
 
+use crate::colmap::image_folder::{ImageFolder, is_reduced};
 use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
 use crate::colmap::model::{Model, RegisteredImage};
 use crate::colmap::model_files::read_model;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
-use crate::image_names::{image_names, images_dir, natural_order};
+use crate::image_names::natural_order;
 use crate::params::{Format, Params};
 use crate::source::{Frame, Quality, ReprojectionError, SourceCapture, time_map};
 use crate::split;
@@ -27,8 +28,8 @@ const STORED_TOLERANCE: f64 = 0.1;
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let sparse = sparse_dir(dir).ok_or_else(|| bad("no COLMAP model").at(dir))?;
     let model = read_model(&sparse)?;
-    let images_dir = images_dir(dir);
-    let present = image_names(&images_dir);
+    let folder = ImageFolder::choose(dir, &model, params)?;
+    let present = folder.names(&model);
     check_registered_share(&model, &present, params, &sparse)?;
     let quality = Quality {
         registered: model.images.len(),
@@ -36,13 +37,17 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         reprojection: model.reprojection_error(),
     };
     let mut warnings = warnings(dir, &sparse, &model, &quality);
+    warnings.extend(folder.warnings.iter().cloned());
     if model.cameras.len() > 1 && model.cameras.len() == model.images.len() && !params.static_scene {
         warnings.push("each image has its own intrinsics; if the scene is static, set static = true".into());
     }
-    let source = FrameSource { dir, images_dir: &images_dir, sparse: &sparse, model: &model, params };
+    let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };
     let mut frames = source.frames(&present)?;
-    warnings.extend(drop_misfit_masks(&mut frames));
+    warnings.extend(drop_misfit_masks(&mut frames, folder.reduction));
     let mut rules = vec![split_tests(&mut frames, params)];
+    if folder.reduction > 1 {
+        rules.push(format!("images at 1/{}", folder.reduction));
+    }
     let time_map = time_map(&frames, params.static_scene, params.fps);
     rules.extend(split::refine(&mut frames, params));
     Ok(SourceCapture {
@@ -83,8 +88,8 @@ fn check_registered_share(model: &Model, present: &[String], params: &Params, sp
 
 fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<String> {
     let mut warnings = Vec::new();
-    let models = numbered_models(dir);
-    if models.len() > 1 {
+    let models = sparse.parent().map(numbered_models).unwrap_or_default();
+    if models.len() > 1 && models.contains(&sparse.to_owned()) {
         let used = sparse.strip_prefix(dir).unwrap_or(sparse).display();
         warnings.push(format!(
             "sparse/ contains {} models: structure from motion split the scene, and only {used} is used",
@@ -140,7 +145,7 @@ fn places<'a>(names: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, (u32, u
 /// The inputs that all frames of a model share.
 struct FrameSource<'a> {
     dir: &'a Path,
-    images_dir: &'a Path,
+    folder: &'a ImageFolder,
     sparse: &'a Path,
     model: &'a Model,
     params: &'a Params,
@@ -163,9 +168,9 @@ impl FrameSource<'_> {
         Ok(Frame {
             name: view_name(&image.name),
             split: Split::Train,
-            image: self.images_dir.join(inside(&image.name).map_err(|failure| failure.at(self.sparse))?),
+            image: self.folder.file(&image.name).map_err(|failure| failure.at(self.sparse))?,
             mask: mask_path(self.dir, &image.name),
-            lens: self.model.cameras[&image.camera_id],
+            lens: self.folder.lenses[&image.camera_id],
             camera_from_world: image.camera_from_world(),
             camera_index: if is_static { index as u32 } else { camera },
             frame_index: if is_static { 0 } else { frame },
@@ -173,15 +178,6 @@ impl FrameSource<'_> {
             stated_in: self.sparse.to_owned(),
         })
     }
-}
-
-/// An image name as a path inside the folder of images.
-fn inside(name: &str) -> Result<PathBuf> {
-    let path = PathBuf::from(name);
-    if path.components().all(|part| matches!(part, Component::Normal(_))) {
-        return Ok(path);
-    }
-    Err(bad(format!("the image name {name} points outside of the folder of images")))
 }
 
 /// The image name without its extension, safe as a file name.
@@ -209,12 +205,14 @@ fn split_tests(frames: &mut [Frame], params: &Params) -> String {
     format!("1 of {every} {}", if is_rig { "cameras" } else { "images" })
 }
 
-/// Drops masks whose size differs from that of their image. Returns a warning about them, or about images without masks.
-fn drop_misfit_masks(frames: &mut [Frame]) -> Option<String> {
+/// Drops masks whose size is neither that of their image nor that of the model, of which the images are `reduction` times
+/// smaller. Returns a warning about them, or about images without masks.
+fn drop_misfit_masks(frames: &mut [Frame], reduction: u32) -> Option<String> {
     let stated = frames.iter().filter(|frame| frame.mask.is_some()).count();
     for frame in &mut *frames {
-        let size = (frame.lens.intrinsics.width, frame.lens.intrinsics.height);
-        frame.mask.take_if(|mask| !image_size(mask).is_ok_and(|found| found == size));
+        let (width, height) = (frame.lens.intrinsics.width, frame.lens.intrinsics.height);
+        let fits = |(w, h)| [1, reduction].iter().any(|&by| is_reduced(w, width, by) && is_reduced(h, height, by));
+        frame.mask.take_if(|mask| !image_size(mask).is_ok_and(fits));
     }
     let used = frames.iter().filter(|frame| frame.mask.is_some()).count();
     match stated - used {

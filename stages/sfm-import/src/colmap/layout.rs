@@ -2,18 +2,20 @@
 
 use std::path::{Path, PathBuf};
 
-/// The folder of the sparse model: the first of `sparse/0`, `sparse/1`, …, then `sparse`, then `dir` itself.
+/// The folder of the sparse model: the first of `sparse/0`, `sparse/1`, …, then `sparse`, then the same below `colmap`
+/// (the layout of nerfstudio), then `dir` itself.
 ///
 /// One model file is enough for a folder below `sparse` to be chosen; reading it then reports the missing files.
 pub(crate) fn sparse_dir(dir: &Path) -> Option<PathBuf> {
-    let below = numbered_models(dir).into_iter().chain([dir.join("sparse")]);
+    let beside = |dir: &Path| numbered_models(&dir.join("sparse")).into_iter().chain([dir.join("sparse")]);
+    let below = beside(dir).chain(beside(&dir.join("colmap")));
     let here = (has(dir, "cameras") && has(dir, "images")).then(|| dir.to_owned());
     below.into_iter().find(|candidate| is_model(candidate)).or(here)
 }
 
-/// The folders `sparse/N`, by number. Several folders mean that structure from motion broke the scene into parts.
-pub(crate) fn numbered_models(dir: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(dir.join("sparse")).into_iter().flatten().flatten().map(|entry| entry.path());
+/// The folders `N` in `sparse`, by number. Several folders mean that structure from motion broke the scene into parts.
+pub(crate) fn numbered_models(sparse: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(sparse).into_iter().flatten().flatten().map(|entry| entry.path());
     let number = |path: &Path| path.file_name()?.to_str()?.parse::<u32>().ok();
     let mut models: Vec<_> = entries.filter(|path| is_model(path)).filter_map(|p| Some((number(&p)?, p))).collect();
     models.sort();

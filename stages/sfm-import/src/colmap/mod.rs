@@ -4,7 +4,9 @@
 //! at (i + 0.5, j + 0.5) and poses map world to camera coordinates with OpenCV's axes, as everywhere in this project.
 
 mod binary;
+pub(crate) mod camera_model;
 mod capture;
+mod image_folder;
 pub(crate) mod layout;
 pub(crate) mod model;
 mod model_files;

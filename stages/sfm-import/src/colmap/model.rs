@@ -2,28 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use engine::{Failure, FailureKind};
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use scene::{Intrinsics, RigidTransform};
+use scene::RigidTransform;
 
 use crate::error::{Result, bad};
-use crate::lens::{Distortion, Lens};
+use crate::lens::Lens;
 use crate::source::ReprojectionError;
-
-/// Names and parameter counts of COLMAP's camera models; the index is the model number in binary files.
-pub(crate) const CAMERA_MODELS: [(&str, usize); 11] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-];
 
 /// Tolerance for the norm of a pose's quaternion: above the rounding of text files.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -139,43 +123,4 @@ impl RegisteredImage {
         let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
         RigidTransform { rotation, translation: DVec3::from(self.translation) }
     }
-}
-
-/// The lens of a camera model and its parameters. Models beyond a pinhole with the distortion coefficients of `OPENCV` are
-/// refused.
-pub(crate) fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> Result<Lens> {
-    let (fx, fy, rest) = match (model, params) {
-        ("SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL", [f, rest @ ..]) => (*f, *f, rest),
-        ("PINHOLE" | "OPENCV", [fx, fy, rest @ ..]) => (*fx, *fy, rest),
-        _ => return Err(unsupported(model)),
-    };
-    let (center, k1, k2, p1, p2) = match (model, rest) {
-        ("SIMPLE_PINHOLE" | "PINHOLE", [cx, cy]) => ((*cx, *cy), 0.0, 0.0, 0.0, 0.0),
-        ("SIMPLE_RADIAL", [cx, cy, k]) => ((*cx, *cy), *k, 0.0, 0.0, 0.0),
-        ("RADIAL", [cx, cy, k1, k2]) => ((*cx, *cy), *k1, *k2, 0.0, 0.0),
-        ("OPENCV", [cx, cy, k1, k2, p1, p2]) => ((*cx, *cy), *k1, *k2, *p1, *p2),
-        _ => return Err(bad(format!("camera model {model} does not have {} parameters", params.len()))),
-    };
-    if let Some(value) = params.iter().find(|value| !value.is_finite()) {
-        return Err(bad(format!("a camera parameter is {value}")));
-    }
-    let size = |pixels: u64| {
-        u32::try_from(pixels).map_err(|_| bad(format!("an image size of {width}×{height} pixels is too large")))
-    };
-    let intrinsics = Intrinsics {
-        width: size(width)?,
-        height: size(height)?,
-        focal_x: fx,
-        focal_y: fy,
-        center_x: center.0,
-        center_y: center.1,
-    };
-    Ok(Lens { intrinsics, distortion: Distortion { k1, k2, k3: 0.0, p1, p2 } })
-}
-
-fn unsupported(model: &str) -> Failure {
-    let known = CAMERA_MODELS.iter().any(|(name, _)| *name == model);
-    let what = if known { "not supported" } else { "unknown" };
-    let hint = "run `colmap image_undistorter`; supported: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV";
-    Failure::new(FailureKind::BadInput, format!("camera model {model} is {what}")).hint(hint)
 }

@@ -6,7 +6,8 @@ use std::str::FromStr;
 
 use glam::{DVec2, DVec3};
 
-use crate::colmap::model::{Point, RegisteredImage, lens};
+use crate::colmap::camera_model::lens;
+use crate::colmap::model::{Point, RegisteredImage};
 use crate::error::{Result, bad};
 use crate::files::read_bytes;
 use crate::lens::Lens;
@@ -31,7 +32,9 @@ pub(super) fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
         let Some((_, keypoints)) = lines.next() else {
             return Err(bad("the line of keypoints is missing").hint("an image without keypoints needs an empty line"));
         };
-        let mut keypoints = Words { rest: keypoints };
+        // DUSt3R's exporter writes the word "placeholder".
+        let is_placeholder = keypoints.trim().chars().all(char::is_alphabetic);
+        let mut keypoints = Words { rest: if is_placeholder { "" } else { keypoints } };
         let mut observations = Vec::new();
         while !keypoints.rest.trim().is_empty() {
             let pixel = DVec2::new(keypoints.next()?, keypoints.next()?);

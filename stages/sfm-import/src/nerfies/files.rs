@@ -128,9 +128,10 @@ pub(crate) fn camera(path: &Path, frame: &SceneFrame, factor: u32) -> Result<(Le
         center_x: scale * file.principal_point[0],
         center_y: scale * file.principal_point[1],
     };
-    let ([k1, k2, k3], [p1, p2]) = (file.radial_distortion, file.tangential_distortion);
+    let [k1, k2, k3] = file.radial_distortion;
+    let distortion = Distortion::brown([k1, k2, k3, 0.0], file.tangential_distortion);
     let rotation = DMat3::from_cols_array_2d(&file.orientation).transpose();
     let position = frame.apply(DVec3::from(file.position));
     let camera_from_world = RigidTransform { rotation, translation: -(rotation * position) };
-    Ok((Lens { intrinsics, distortion: Distortion { k1, k2, k3, p1, p2 } }, camera_from_world))
+    Ok((Lens { intrinsics, distortion }, camera_from_world))
 }

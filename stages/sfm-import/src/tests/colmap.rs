@@ -10,12 +10,20 @@ use crate::{Params, Resize};
 
 #[test]
 fn binary_and_text_files_read_back_equal() {
-    let models: [(&str, &[f64]); 5] = [
+    let models: [(&str, &[f64]); 13] = [
         ("SIMPLE_PINHOLE", &[30.0, 12.0, 8.0]),
         ("PINHOLE", &[30.0, 31.0, 12.0, 8.0]),
         ("SIMPLE_RADIAL", &[30.0, 12.0, 8.0, 0.03]),
         ("RADIAL", &[30.0, 12.0, 8.0, 0.03, -0.01]),
         ("OPENCV", &[30.0, 31.0, 12.0, 8.0, 0.03, -0.01, 0.001, 0.002]),
+        ("OPENCV_FISHEYE", &[30.0, 31.0, 12.0, 8.0, 0.03, -0.01, 0.001, 0.002]),
+        ("FULL_OPENCV", &[30.0, 31.0, 12.0, 8.0, 0.03, -0.01, 0.001, 0.002, 0.01, 0.02, 0.03, 0.04]),
+        ("FOV", &[30.0, 31.0, 12.0, 8.0, 0.9]),
+        ("SIMPLE_RADIAL_FISHEYE", &[30.0, 12.0, 8.0, 0.03]),
+        ("RADIAL_FISHEYE", &[30.0, 12.0, 8.0, 0.03, -0.01]),
+        ("THIN_PRISM_FISHEYE", &[30.0, 31.0, 12.0, 8.0, 0.03, -0.01, 0.001, 0.002, 0.01, 0.02, 0.03, 0.04]),
+        ("SIMPLE_FISHEYE", &[30.0, 12.0, 8.0]),
+        ("FISHEYE", &[30.0, 31.0, 12.0, 8.0]),
     ];
     for (camera_model, params) in models {
         let workspace = Workspace::new(3, camera_model, params, |index| format!("my clip {index}.png"));
@@ -176,8 +184,8 @@ fn unusable_models_are_refused() {
     let mut workspace = Workspace::video(3);
     workspace.model.points.get_mut(&4).unwrap().track.push((9, 0));
     add(&workspace);
-    let fisheye = [30.0, 30.0, 12.0, 8.0, 0.0, 0.0, 0.0, 0.0];
-    add(&Workspace::new(3, "OPENCV_FISHEYE", &fisheye, |i| format!("{i}.png")));
+    let eucm = [30.0, 30.0, 12.0, 8.0, 0.5, 1.0];
+    add(&Workspace::new(3, "EUCM", &eucm, |i| format!("{i}.png")));
     add(&Workspace::new(3, "SIMPLE_RADIAL", &[30.0, 12.0, 8.0, -40.0], |i| format!("{i}.png")));
     let unknown = Workspace::new(3, "MIRROR_BALL", &[30.0, 30.0, 12.0, 8.0], |i| format!("{i}.png"));
     add(&unknown);
@@ -218,7 +226,7 @@ fn missing_and_foreign_files_are_refused() {
     refusals.add(dir.path(), &colmap_params());
     let twice = Workspace::new(2, "SIMPLE_PINHOLE", &[30.0, 12.0, 8.0], |i| ["a b.png", "a_b.png"][i as usize].into());
     refusals.add(twice.write().path(), &Params::default());
-    for file in ["points3D.bin", "images.bin", "cameras.bin"] {
+    for file in ["images.bin", "cameras.bin"] {
         let dir = Workspace::video(3).write();
         std::fs::remove_file(dir.path().join("sparse/0").join(file)).unwrap();
         refusals.add(dir.path(), &colmap_params());

@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::colmap::model::{CAMERA_MODELS, Model};
+use crate::colmap::camera_model::CAMERA_MODELS;
+use crate::colmap::model::Model;
 
 /// A camera in a COLMAP model.
 pub(crate) struct StatedCamera {

@@ -4,6 +4,7 @@ mod blender;
 mod blender_lens;
 mod colmap;
 mod colmap_files;
+mod colmap_layouts;
 mod fuzz;
 mod inspect;
 mod lens;

@@ -14,7 +14,7 @@ fn ramp(width: u32, height: u32) -> FloatImage {
 fn undistortion_interpolates_bilinearly() {
     let intrinsics =
         scene::Intrinsics { width: 64, height: 48, focal_x: 60.0, focal_y: 60.0, center_x: 32.0, center_y: 24.0 };
-    let lens = Lens { intrinsics, distortion: Distortion { k1: 0.08, k2: -0.01, k3: 0.0, p1: 0.002, p2: 0.001 } };
+    let lens = Lens { intrinsics, distortion: Distortion::brown([0.08, -0.01, 0.0, 0.0], [0.002, 0.001]) };
     let target = lens.undistorted().unwrap();
     let image = undistorted(ramp(64, 48), &lens, &target);
     for row in 0..48 {

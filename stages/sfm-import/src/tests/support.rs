@@ -10,7 +10,8 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::colmap_files::{self, StatedCamera};
-use crate::colmap::model::{Model, Point, RegisteredImage, lens};
+use crate::colmap::camera_model::lens;
+use crate::colmap::model::{Model, Point, RegisteredImage};
 use crate::inspect::inspect;
 use crate::recognise::read;
 use crate::source::Frame;

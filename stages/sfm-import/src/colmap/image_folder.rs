@@ -1,0 +1,189 @@
+//! The folder of a model's images: the originals, or a smaller copy of them (`images_2`, `images_4`, `images_8`, …).
+//!
+//! A smaller copy is used only if it has every registered image, at the model's size divided by the number in its name.
+
+use std::collections::BTreeMap;
+use std::path::{Component, Path, PathBuf};
+
+use engine::{Failure, FailureKind};
+
+use crate::colmap::model::Model;
+use crate::error::{Result, bad};
+use crate::files::{children, image_size};
+use crate::image_names::{image_names, images_dir};
+use crate::lens::Lens;
+use crate::params::Params;
+
+/// Extensions that a copy of an image may have in place of its own.
+const EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "JPG", "PNG"];
+
+/// The chosen folder and the lenses for its images.
+pub(super) struct ImageFolder {
+    /// The folder that image names are relative to.
+    pub(super) path: PathBuf,
+    /// The factor by which its images are smaller than the model states.
+    pub(super) reduction: u32,
+    /// The lenses of the model at the size of these images, by camera id.
+    pub(super) lenses: BTreeMap<u32, Lens>,
+    /// Why other folders are not used.
+    pub(super) warnings: Vec<String>,
+}
+
+impl ImageFolder {
+    /// The folder that `params.images` names. Otherwise the smallest copy of at least `params.width`, the originals in
+    /// `images` or `dir`, or the largest copy if there are no originals.
+    pub(super) fn choose(dir: &Path, model: &Model, params: &Params) -> Result<Self> {
+        let original = images_dir(dir);
+        let mut warnings = Vec::new();
+        let chosen = match &params.images {
+            Some(name) => Self::named(dir, name, model)?,
+            None => {
+                let mut copies = copies(dir, model, &mut warnings);
+                let is_wide = |copy: &Self| params.width.is_some_and(|width| copy.smallest_width() >= width);
+                let has_originals = has_any(&original, model);
+                match copies.iter().rposition(is_wide) {
+                    Some(at) => copies.swap_remove(at),
+                    None if has_originals || copies.is_empty() => Self::originals(original, model),
+                    None => copies.swap_remove(0),
+                }
+            }
+        };
+        if !has_any(&chosen.path, model) {
+            return Err(no_images(dir, &chosen.path, model));
+        }
+        let from = chosen.path.strip_prefix(dir).unwrap_or(&chosen.path).display();
+        if chosen.reduction > 1 {
+            warnings.push(format!("images are read from {from}, at 1/{} of the model's size", chosen.reduction));
+        }
+        Ok(Self { warnings, ..chosen })
+    }
+
+    /// The folder that the parameters name; its reduction is that of its images.
+    fn named(dir: &Path, name: &Path, model: &Model) -> Result<Self> {
+        let path = dir.join(name);
+        if !path.is_dir() {
+            let hint = format!("images names a folder of the capture; found {}", folders(dir).join(", "));
+            let failure = Failure::new(FailureKind::MissingData, "no such folder of images");
+            return Err(failure.hint(hint).at(path));
+        }
+        let stated = number(&name.to_string_lossy());
+        let copy = stated.and_then(|reduction| Self::reduced(path.clone(), reduction, model).ok());
+        Ok(copy.unwrap_or_else(|| Self::originals(path, model)))
+    }
+
+    /// A folder of images at the model's size, which [`crate::source::SourceCapture::problems`] checks.
+    fn originals(path: PathBuf, model: &Model) -> Self {
+        Self { path, reduction: 1, lenses: model.cameras.clone(), warnings: Vec::new() }
+    }
+
+    /// A folder with all images of the model at 1/`reduction` of its size, or why it is not one.
+    fn reduced(path: PathBuf, reduction: u32, model: &Model) -> std::result::Result<Self, String> {
+        let mut lenses = BTreeMap::new();
+        for image in model.images.values() {
+            let file = stored(&path, &image.name).ok_or_else(|| format!("{} is missing", image.name))?;
+            if lenses.contains_key(&image.camera_id) {
+                continue;
+            }
+            let lens = model.cameras[&image.camera_id];
+            let (width, height) = image_size(&file).map_err(|failure| failure.to_string())?;
+            let full = (lens.intrinsics.width, lens.intrinsics.height);
+            if !is_reduced(full.0, width, reduction) || !is_reduced(full.1, height, reduction) {
+                let (w, h) = full;
+                return Err(format!("{} is {width}×{height}, not 1/{reduction} of {w}×{h}", image.name));
+            }
+            lenses.insert(image.camera_id, lens.resized(width, height));
+        }
+        Ok(Self { path, reduction, lenses, warnings: Vec::new() })
+    }
+
+    fn smallest_width(&self) -> u32 {
+        self.lenses.values().map(|lens| lens.intrinsics.width).min().unwrap_or_default()
+    }
+
+    /// The file of an image; a missing file has the name that the model states.
+    pub(super) fn file(&self, name: &str) -> Result<PathBuf> {
+        let path = inside(name)?;
+        Ok(stored(&self.path, name).unwrap_or_else(|| self.path.join(path)))
+    }
+
+    /// The names of all images in the folder; those of registered images as the model spells them.
+    pub(super) fn names(&self, model: &Model) -> Vec<String> {
+        let registered: BTreeMap<PathBuf, &str> = model
+            .images
+            .values()
+            .map(|image| (Path::new(&image.name).with_extension(""), image.name.as_str()))
+            .collect();
+        let spelled = |name: String| match registered.get(&Path::new(&name).with_extension("")) {
+            Some(stated) if !self.path.join(stated).is_file() => (*stated).to_owned(),
+            _ => name,
+        };
+        image_names(&self.path).into_iter().map(spelled).collect()
+    }
+}
+
+/// Whether `side` is 1/`reduction` of `full`, rounded down, to the nearest or up.
+pub(super) fn is_reduced(full: u32, side: u32, reduction: u32) -> bool {
+    (full / reduction..=full.div_ceil(reduction)).contains(&side)
+}
+
+/// The usable folders `images_N`, largest images first; the others are named in `warnings`.
+fn copies(dir: &Path, model: &Model, warnings: &mut Vec<String>) -> Vec<ImageFolder> {
+    let mut numbered: Vec<(u32, String)> =
+        children(dir).into_iter().filter_map(|name| Some((number(&name)?, name))).collect();
+    numbered.sort();
+    let mut copies = Vec::new();
+    for (reduction, name) in numbered.into_iter().filter(|(_, name)| dir.join(name).is_dir()) {
+        match ImageFolder::reduced(dir.join(&name), reduction, model) {
+            Ok(copy) => copies.push(copy),
+            Err(why) => warnings.push(format!("{name} is not used: {why}")),
+        }
+    }
+    copies
+}
+
+/// The reduction in a folder's name, e.g. 4 of `images_4`.
+fn number(name: &str) -> Option<u32> {
+    name.strip_prefix("images_")?.parse().ok().filter(|number| *number > 1)
+}
+
+/// The file of an image in a folder: of that name, or with the extension of a copy.
+fn stored(folder: &Path, name: &str) -> Option<PathBuf> {
+    let path = folder.join(inside(name).ok()?);
+    let copies = EXTENSIONS.map(|extension| path.with_extension(extension));
+    std::iter::once(path).chain(copies).find(|path| path.is_file())
+}
+
+fn has_any(folder: &Path, model: &Model) -> bool {
+    model.images.values().any(|image| stored(folder, &image.name).is_some() || inside(&image.name).is_err())
+}
+
+/// The error for a folder without any of the model's images; its hint names a folder that has them.
+fn no_images(dir: &Path, folder: &Path, model: &Model) -> Failure {
+    let first = model.images.values().next().map_or("", |image| &image.name);
+    let message = format!("image file is missing: no image of the model is in this folder, e.g. {first}");
+    let failure = Failure::new(FailureKind::MissingData, message).at(folder);
+    let others = folders(dir);
+    let has_them = |name: &&String| ImageFolder::reduced(dir.join(name), 1, model).is_ok();
+    let found = image_names(folder);
+    match (others.iter().find(has_them), found.first()) {
+        (Some(name), _) => failure.hint(format!("set images = \"{name}\"")),
+        (None, Some(other)) => failure.hint(format!(
+            "the images must have the names that structure from motion saw; this folder has {other} instead"
+        )),
+        (None, None) => failure.hint("copy the images that structure from motion saw into the folder images"),
+    }
+}
+
+/// The sub-folders of the capture.
+fn folders(dir: &Path) -> Vec<String> {
+    children(dir).into_iter().filter(|name| dir.join(name).is_dir()).collect()
+}
+
+/// An image name as a path inside the folder of images.
+fn inside(name: &str) -> Result<PathBuf> {
+    let path = PathBuf::from(name);
+    if path.components().all(|part| matches!(part, Component::Normal(_))) {
+        return Ok(path);
+    }
+    Err(bad(format!("the image name {name} points outside of the folder of images")))
+}

@@ -1,0 +1,142 @@
+//! Where COLMAP captures keep models, images and points.
+
+use std::path::Path;
+
+use scene::PointCloud;
+use scene::ply::PlyFormat;
+
+use super::colmap_files::write_text;
+use super::support::*;
+use crate::Params;
+use crate::recognise::read;
+
+/// Writes the images of a workspace at another size into a folder, with another extension.
+fn write_copies(dir: &Path, workspace: &Workspace, folder: &str, size: (u32, u32), extension: &str) {
+    std::fs::create_dir_all(dir.join(folder)).unwrap();
+    for (id, image) in &workspace.model.images {
+        let copy = image::RgbImage::from_pixel(size.0, size.1, image::Rgb([*id as u8, 50, 90]));
+        copy.save(dir.join(folder).join(&image.name).with_extension(extension)).unwrap();
+    }
+}
+
+#[test]
+fn models_beside_images_in_nerfstudios_layout_are_found() {
+    let dir = Workspace::video(6).write();
+    let (_root, expected) = run(dir.path(), &colmap_params()).unwrap();
+    std::fs::create_dir(dir.path().join("colmap")).unwrap();
+    std::fs::rename(dir.path().join("sparse"), dir.path().join("colmap/sparse")).unwrap();
+    let (_root, found) = run(dir.path(), &colmap_params()).unwrap();
+    assert_eq!(found.views, expected.views);
+}
+
+#[test]
+fn models_without_points_are_imported() {
+    let dir = Workspace::video(6).write();
+    std::fs::remove_file(dir.path().join("sparse/0/points3D.bin")).unwrap();
+    let source = read(dir.path(), &colmap_params()).unwrap();
+    assert!(source.points.is_empty() && source.problems().is_empty());
+    assert_eq!(source.warnings, ["the model has no points: initial points will be random"]);
+    let cloud = PointCloud { positions: vec![[1.0, 2.0, 3.0]; 2], colors: vec![[9; 3]; 2] };
+    cloud.write_ply(&dir.path().join("sparse/0/points3D.ply"), PlyFormat::Ascii).unwrap();
+    let source = read(dir.path(), &colmap_params()).unwrap();
+    assert_eq!(source.points, [([1.0, 2.0, 3.0], [9; 3]); 2]);
+    assert!(source.quality.unwrap().reprojection.is_none());
+}
+
+#[test]
+fn placeholders_stand_for_keypoints() {
+    let workspace = Workspace::video(3);
+    let dir = workspace.write();
+    let sparse = dir.path().join("sparse/0");
+    std::fs::remove_dir_all(&sparse).unwrap();
+    write_text(&sparse, &workspace.cameras, &workspace.model);
+    let text = std::fs::read_to_string(sparse.join("images.txt")).unwrap();
+    let is_header = |line: &str| line.starts_with('#') || line.ends_with(".png");
+    let text: String =
+        text.lines().map(|line| if is_header(line) { line } else { "placeholder" }.to_owned() + "\n").collect();
+    std::fs::write(sparse.join("images.txt"), text).unwrap();
+    std::fs::remove_file(sparse.join("points3D.txt")).unwrap();
+    let source = read(dir.path(), &colmap_params()).unwrap();
+    assert_eq!((source.frames.len(), source.points.len()), (3, 0));
+}
+
+#[test]
+fn the_smallest_copy_of_the_wanted_width_is_read() {
+    let workspace = Workspace::video(6);
+    let dir = workspace.write();
+    write_copies(dir.path(), &workspace, "images_2", (12, 8), "png");
+    write_copies(dir.path(), &workspace, "images_4", (6, 4), "jpg");
+    let import = |width| run(dir.path(), &Params { width, ..colmap_params() }).unwrap();
+    for (width, focal, protocol) in [
+        (None, 30.0, "24×16 · resize none"),
+        (Some(16), 20.0, "16×11 · resize area"),
+        (Some(12), 15.0, "images at 1/2 split · 12×8 · resize none"),
+        (Some(6), 7.5, "images at 1/4 split · 6×4 · resize none"),
+        (Some(3), 3.75, "images at 1/4 split · 3×2 · resize area"),
+    ] {
+        let (_root, capture) = import(width);
+        let line = capture.protocol.line();
+        assert!(line.contains(protocol), "{width:?}: {line}");
+        assert!((capture.views[0].camera.intrinsics.focal_x - focal).abs() <= 1e-12, "{width:?}");
+        let mut frames: Vec<u32> = capture.views.iter().map(|view| view.frame_index).collect();
+        frames.sort();
+        assert_eq!(frames, [0, 1, 2, 3, 4, 5], "{width:?}");
+    }
+    std::fs::remove_dir_all(dir.path().join("images")).unwrap();
+    let (_root, capture) = import(None);
+    assert!(capture.protocol.line().contains("images at 1/2 split · 12×8"), "without originals, the largest copy");
+    let smallest = Params { images: Some("images_4".into()), ..colmap_params() };
+    let (_root, capture) = run(dir.path(), &smallest).unwrap();
+    assert!(capture.protocol.line().contains("images at 1/4"), "{}", capture.protocol.line());
+}
+
+#[test]
+fn copies_of_another_size_or_name_are_not_used() {
+    let workspace = Workspace::video(6);
+    let dir = workspace.write();
+    write_copies(dir.path(), &workspace, "images_2", (12, 9), "png");
+    write_copies(dir.path(), &workspace, "images_4", (6, 4), "png");
+    std::fs::remove_file(dir.path().join("images_4/0003.png")).unwrap();
+    let params = Params { width: Some(6), ..colmap_params() };
+    let (_root, capture) = run(dir.path(), &params).unwrap();
+    assert!(capture.protocol.line().contains("1 of 4 images split · 6×4 · resize area"), "{}", capture.protocol.line());
+    let warnings = read(dir.path(), &params).unwrap().warnings;
+    let expected =
+        ["images_2 is not used: 0000.png is 12×9, not 1/2 of 24×16", "images_4 is not used: 0003.png is missing"];
+    assert_eq!(warnings, expected);
+}
+
+#[test]
+fn unsuitable_folders_of_images_are_refused() {
+    let workspace = Workspace::video(3);
+    let dir = workspace.write();
+    let mut refusals = Refusals::default();
+    write_copies(dir.path(), &workspace, "half", (12, 8), "png");
+    let named = |name: &str| Params { images: Some(name.into()), ..colmap_params() };
+    refusals.add(dir.path(), &named("photos"));
+    refusals.add(dir.path(), &named("half"));
+    std::fs::rename(dir.path().join("images"), dir.path().join("input")).unwrap();
+    refusals.add(dir.path(), &colmap_params());
+    std::fs::remove_dir_all(dir.path().join("input")).unwrap();
+    refusals.add(dir.path(), &named("sparse"));
+    std::fs::rename(dir.path().join("half/0000.png"), dir.path().join("half/a.png")).unwrap();
+    std::fs::rename(dir.path().join("half"), dir.path().join("images")).unwrap();
+    std::fs::remove_file(dir.path().join("images/0001.png")).unwrap();
+    std::fs::remove_file(dir.path().join("images/0002.png")).unwrap();
+    refusals.add(dir.path(), &colmap_params());
+    insta::assert_snapshot!(refusals.text());
+}
+
+#[test]
+fn masks_of_the_originals_fit_smaller_copies() {
+    let workspace = Workspace::video(4);
+    let dir = workspace.write();
+    write_copies(dir.path(), &workspace, "images_2", (12, 8), "png");
+    for index in 0..4 {
+        write_mask(&dir.path().join(format!("masks/{index:04}.png")), (WIDTH, HEIGHT), 255);
+    }
+    let (_root, capture) = run(dir.path(), &Params { width: Some(12), ..colmap_params() }).unwrap();
+    assert!(capture.protocol.line().contains("images at 1/2"), "{}", capture.protocol.line());
+    let mask = capture.load_mask(&capture.views[0]).unwrap().unwrap();
+    assert_eq!(mask.labels[..12], [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1]);
+}
