@@ -16,5 +16,5 @@ mod world;
 #[cfg(test)]
 mod tests;
 
-pub use params::{Background, CameraPath, Params, SceneKind, Truth};
+pub use params::{Background, Bounds, CameraPath, Params, SceneKind, Truth};
 pub use run::{SceneSynthesis, synthesize};

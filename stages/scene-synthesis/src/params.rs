@@ -26,6 +26,10 @@ pub struct Params {
     pub height: u32,
     /// Horizontal field of view in degrees.
     pub field_of_view_degrees: f64,
+    /// Distance of the cameras from the centre of the scene, in units of the scene before `scale`.
+    pub camera_distance: f64,
+    /// For `arc`: how far the camera swings to either side, in degrees.
+    pub swing_degrees: f64,
     /// Number of frames of the training video.
     pub frames: usize,
     /// Frames per second of the training video.
@@ -52,6 +56,10 @@ pub struct Params {
     pub points: usize,
     /// World position of the scene origin; far from zero, single precision resolves the scene poorly.
     pub origin_world: [f64; 3],
+    /// Factor on all lengths of the scene and of the camera poses: the images stay as they are.
+    pub scale: f64,
+    /// Where the bounds of the capture come from.
+    pub bounds: Bounds,
     /// Share of random pixels without depth and flow, 0 to 1.
     pub holes: f64,
 }
@@ -80,6 +88,8 @@ pub enum SceneKind {
     LongOcclusion,
     /// Hard: a body of the size of one pixel.
     Speck,
+    /// Hard: three small balls that cover a few per cent of the pixels, without a floor.
+    SmallBodies,
     /// Hard: everything is black.
     Black,
     /// Hard: motion that no camera sees, so that every mask is empty.
@@ -112,6 +122,16 @@ pub enum Background {
     None,
 }
 
+/// Where the bounds of a capture come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Bounds {
+    /// The exact bounding box of all bodies at all times.
+    Exact,
+    /// The common view volume of the training cameras, as an importer estimates it.
+    Cameras,
+}
+
 /// An exact map, sampled at pixel centres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -138,6 +158,8 @@ impl Default for Params {
             width: 200,
             height: 200,
             field_of_view_degrees: 39.6,
+            camera_distance: 4.0,
+            swing_degrees: 30.0,
             frames: 60,
             fps: 30.0,
             rig_cameras: 8,
@@ -151,6 +173,8 @@ impl Default for Params {
             truths: [Truth::Alpha].into(),
             points: 5000,
             origin_world: [0.0; 3],
+            scale: 1.0,
+            bounds: Bounds::Exact,
             holes: 0.0,
         }
     }
@@ -182,6 +206,9 @@ impl Params {
             ("width", (1..=16384).contains(&self.width), "must be between 1 and 16384 pixels"),
             ("height", (1..=16384).contains(&self.height), "must be between 1 and 16384 pixels"),
             ("field_of_view_degrees", (1.0..=150.0).contains(&fov), "must be between 1 and 150 degrees"),
+            ("camera_distance", (0.1..=1e3).contains(&self.camera_distance), "must be between 0.1 and 1000"),
+            ("swing_degrees", (0.0..=90.0).contains(&self.swing_degrees), "must be between 0 and 90 degrees"),
+            ("scale", (1e-4..=1e4).contains(&self.scale), "must be between 0.0001 and 10000"),
             ("frames", self.frames >= 1, "must be at least 1"),
             ("frames", views <= MAX_VIEWS, "and the cameras give more than 100000 views"),
             ("fps", self.fps > 0.0 && self.fps.is_finite(), "must be a positive number"),

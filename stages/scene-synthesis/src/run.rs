@@ -5,9 +5,10 @@ use std::path::Path;
 use captures::CaptureArtifact;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Stage};
 use rayon::prelude::*;
-use scene::{Capture, CaptureInfo, CaptureWriter, Protocol, TimeMap, facts};
+use scene::camera::common_view_volume;
+use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, PointCloud, Protocol, TimeMap, facts};
 
-use crate::params::{Background, CameraPath, Params, SceneKind, Truth};
+use crate::params::{Background, Bounds, CameraPath, Params, SceneKind, Truth};
 use crate::render::{render, surface_points};
 use crate::scenes;
 use crate::shots::{Shot, shots};
@@ -79,24 +80,59 @@ pub fn synthesize(
     let world = scenes::build(params);
     let shots = shots(params, world.center_world);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-    let mut writer = CaptureWriter::create(dir, info(params, &world))?;
+    let mut writer = CaptureWriter::create(dir, info(params, &world, &shots))?;
     let mut done = 0;
     for some in shots.chunks(VIEWS_PER_REPORT * pool.current_num_threads()) {
         report(done, shots.len())?;
-        let write = |shot: &Shot| writer.write_view(&render(&world, shot, params));
+        let write = |shot: &Shot| writer.write_view(&scaled_frame(render(&world, shot, params), params.scale));
         pool.install(|| some.par_iter().try_for_each(write))?;
         done += some.len();
     }
     report(done, shots.len())?;
     if params.wants(Truth::Points) {
         let training = params.training_views();
-        writer.write_points(&surface_points(&world, &shots[..training], params))?;
+        let points = surface_points(&world, &shots[..training], params);
+        writer.write_points(&scaled_points(points, params.scale))?;
     }
     Ok(writer.finish()?)
 }
 
+/// A frame of the scene with all lengths multiplied by `scale`; image, alpha, flow and labels do not change.
+fn scaled_frame(mut frame: Frame, scale: f64) -> Frame {
+    frame.camera = scaled_camera(frame.camera, scale);
+    if let Some(depth) = &mut frame.depth {
+        depth.depth_view.iter_mut().for_each(|depth| *depth *= scale as f32);
+    }
+    if let Some(velocity) = &mut frame.velocity {
+        velocity.velocity_world.as_flattened_mut().iter_mut().for_each(|speed| *speed *= scale as f32);
+    }
+    frame
+}
+
+fn scaled_camera(mut camera: Camera, scale: f64) -> Camera {
+    camera.camera_from_world.translation *= scale;
+    camera
+}
+
+fn scaled_points(mut points: PointCloud, scale: f64) -> PointCloud {
+    points.positions.as_flattened_mut().iter_mut().for_each(|coordinate| *coordinate *= scale as f32);
+    points
+}
+
+/// The bounds of the capture, world.
+fn bounds_world(params: &Params, world: &World, shots: &[Shot]) -> Option<[[f64; 3]; 2]> {
+    match params.bounds {
+        Bounds::Exact => Some(world.bounds_world.map(|corner| corner.map(|coordinate| params.scale * coordinate))),
+        Bounds::Cameras => {
+            let training = shots[..params.training_views()].iter();
+            let cameras: Vec<Camera> = training.map(|shot| scaled_camera(shot.camera, params.scale)).collect();
+            common_view_volume(&cameras).map(|ball| ball.bounds_world())
+        }
+    }
+}
+
 /// The description of the capture without its views.
-fn info(params: &Params, world: &World) -> CaptureInfo {
+fn info(params: &Params, world: &World, shots: &[Shot]) -> CaptureInfo {
     let background = match params.background {
         Background::White => "white",
         Background::Black => "black",
@@ -124,7 +160,7 @@ fn info(params: &Params, world: &World) -> CaptureInfo {
         background: [params.background.intensity() as f32; 3],
         time_map: TimeMap { start_secs: 0.0, end_secs: params.duration_secs(), frame_secs: 1.0 / params.fps },
         class_names: world.class_names.clone(),
-        bounds_world: Some(world.bounds_world),
+        bounds_world: bounds_world(params, world, shots),
     }
 }
 
@@ -149,6 +185,7 @@ impl SceneKind {
             Self::Teleport => "teleport",
             Self::LongOcclusion => "long-occlusion",
             Self::Speck => "speck",
+            Self::SmallBodies => "small-bodies",
             Self::Black => "black",
             Self::UnseenMotion => "unseen-motion",
         }

@@ -9,16 +9,12 @@ use scene::{Camera, Intrinsics, Split};
 
 use crate::params::{CameraPath, Params};
 
-/// Distance of all cameras from the centre, in scene units (like D-NeRF).
-const DISTANCE: f64 = 4.0;
 /// Sine of the highest elevation of a random camera; near the zenith, `up` is undefined.
 const MAX_SINE_ELEVATION: f64 = 0.9;
 /// Sine of the lowest elevation of a random camera: just above the floor, so that the floor does not hide the scene.
 const MIN_SINE_ELEVATION: f64 = 0.1;
 /// Mean elevation of all other cameras, in radians.
 const ELEVATION: f64 = FRAC_PI_6;
-/// Swing of an arc to either side, in radians.
-const ARC_HALF: f64 = FRAC_PI_6;
 /// Random stream of the cameras, separate from that of the phases of motion.
 const CAMERA_STREAM: u64 = 1;
 
@@ -69,7 +65,7 @@ fn training_shots(params: &Params) -> Vec<Shot> {
         match params.camera {
             CameraPath::Hemisphere => shots.push(shot(name, 0, frame, random_direction(&mut random))),
             CameraPath::Orbit => shots.push(shot(name, 0, frame, (turn, ELEVATION + 0.2 * (2.0 * turn).sin()))),
-            CameraPath::Arc => shots.push(shot(name, 0, frame, arc(share))),
+            CameraPath::Arc => shots.push(shot(name, 0, frame, arc(params, share))),
             CameraPath::Rig => shots.extend(
                 (0..params.rig_cameras)
                     .map(|index| shot(format!("cam{index:02}_{frame:04}"), index, frame, rig(params, index as f64))),
@@ -95,7 +91,7 @@ fn held_out_shots(params: &Params, split: Split, count: usize) -> impl Iterator<
         let way = if split == Split::Test { share } else { 1.0 - share + 0.31 / count as f64 };
         let (azimuth, elevation) = match params.camera {
             CameraPath::Hemisphere | CameraPath::Orbit => (TAU * way, ELEVATION),
-            CameraPath::Arc => (arc(1.0 - way).0, ELEVATION + 0.1),
+            CameraPath::Arc => (arc(params, 1.0 - way).0, ELEVATION + 0.1),
             CameraPath::Rig => {
                 rig(params, (params.rig_cameras / 2) as f64 - if split == Split::Test { 0.5 } else { 0.25 })
             }
@@ -120,8 +116,11 @@ fn random_direction(random: &mut ChaCha8Rng) -> (f64, f64) {
 }
 
 /// Azimuth and elevation at a share of the way of an arc: a swing to the right and to the left, in front of the scene.
-fn arc(share: f64) -> (f64, f64) {
-    (-0.5 * PI + ARC_HALF * (TAU * share).sin(), ELEVATION + 0.1 * (2.0 * TAU * share).cos())
+fn arc(params: &Params, share: f64) -> (f64, f64) {
+    let swing = params.swing_degrees.to_radians();
+    // A third of the published 30° swing goes upwards and downwards.
+    let nod = 0.1 * swing / FRAC_PI_6;
+    (-0.5 * PI + swing * (TAU * share).sin(), ELEVATION + nod * (2.0 * TAU * share).cos())
 }
 
 /// Azimuth and elevation of a camera in a rig: a half circle in front of the scene, alternating in height. A fractional
@@ -145,7 +144,7 @@ fn camera(params: &Params, azimuth: f64, elevation: f64) -> Camera {
     };
     let (sin, cos) = elevation.sin_cos();
     let direction = DVec3::new(cos * azimuth.cos(), cos * azimuth.sin(), sin);
-    Camera::look_at(intrinsics, DISTANCE * direction, DVec3::ZERO, DVec3::Z)
+    Camera::look_at(intrinsics, params.camera_distance * direction, DVec3::ZERO, DVec3::Z)
 }
 
 /// Translates a camera that looks at the origin so that it looks at `center_world`.

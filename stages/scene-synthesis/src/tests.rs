@@ -24,12 +24,13 @@ const SCENES: [SceneKind; 5] = [
     SceneKind::Occluder,
     SceneKind::StaticBlocks,
 ];
-const HARD: [SceneKind; 7] = [
+const HARD: [SceneKind; 8] = [
     SceneKind::NearFlyby,
     SceneKind::Needles,
     SceneKind::Teleport,
     SceneKind::LongOcclusion,
     SceneKind::Speck,
+    SceneKind::SmallBodies,
     SceneKind::Black,
     SceneKind::UnseenMotion,
 ];
@@ -455,4 +456,38 @@ fn hard_scenes_have_the_property_in_their_name() {
         depth(&holes[1]).iter().map(|d| *d > 0.0).collect::<Vec<_>>()
     );
     assert!(holes.iter().zip(&here).all(|(holes, here)| holes.image == here.image && holes.mask == here.mask));
+}
+
+/// Two captures that differ in the scale alone.
+fn at_two_scales(scale: f64) -> [Capture; 2] {
+    let dirs = [(); 2].map(|()| tempfile::tempdir().unwrap().keep());
+    [(1.0, &dirs[0]), (scale, &dirs[1])].map(|(scale, dir)| {
+        let params = Params { scale, bounds: Bounds::Cameras, ..small(SceneKind::SmallBodies) };
+        synthesize(&params, dir, 1, |_, _| Ok(())).unwrap()
+    })
+}
+
+#[test]
+fn the_scale_multiplies_every_length_and_changes_no_image() {
+    let [unit, tiny] = at_two_scales(0.01);
+    for (one, other) in unit.views.iter().zip(&tiny.views) {
+        assert_eq!(unit.load_image(one).unwrap(), tiny.load_image(other).unwrap());
+        assert!((0.01 * one.camera.position_world()).distance(other.camera.position_world()) <= 1e-12);
+    }
+    let [far, near] = [&unit, &tiny].map(|capture| capture.load_points().unwrap().unwrap().positions[0]);
+    assert!((0..3).all(|axis| (0.01 * far[axis] - near[axis]).abs() <= 1e-6), "{far:?} {near:?}");
+    let [far, near] = [&unit, &tiny].map(|capture| capture.bounds_world.unwrap()[0][0]);
+    assert!((0.01 * far - near).abs() <= 1e-9, "{far} {near}");
+    [unit, tiny].into_iter().for_each(|capture| std::fs::remove_dir_all(capture.dir).unwrap());
+}
+
+#[test]
+fn small_bodies_leave_most_pixels_white() {
+    let params = Params { width: 64, height: 64, ..small(SceneKind::SmallBodies) };
+    let (world, shots) = scene_and_shots(&params);
+    for shot in &shots {
+        let image = render(&world, shot, &params).image;
+        let white = image.pixels().filter(|pixel| pixel.0 == [255; 3]).count() as f64 / 4096.0;
+        assert!((0.93..0.985).contains(&white), "{white} of {} is white", shot.name);
+    }
 }

@@ -1,7 +1,11 @@
 //! Pinhole cameras and rigid transforms.
 
+mod view_volume;
+
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
+
+pub use view_volume::{Ball, common_view_volume};
 
 use crate::{Error, Result};
 

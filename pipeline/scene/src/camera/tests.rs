@@ -55,3 +55,56 @@ fn invalid_cameras_are_rejected() {
         assert!(camera.check().is_err(), "damage {index} was accepted");
     }
 }
+
+/// Cameras of D-NeRF's field of view that look at `target` from the given positions.
+fn looking_at(target: DVec3, positions: impl IntoIterator<Item = DVec3>) -> Vec<Camera> {
+    let focal = 400.0 / 19.8_f64.to_radians().tan();
+    let intrinsics =
+        Intrinsics { width: 800, height: 800, focal_x: focal, focal_y: focal, center_x: 400.0, center_y: 400.0 };
+    positions.into_iter().map(|position| Camera::look_at(intrinsics, position, target, DVec3::Z)).collect()
+}
+
+/// Positions on a hemisphere around `center`.
+fn hemisphere(center: DVec3, distance: f64) -> Vec<DVec3> {
+    let at = |index: usize| {
+        let (azimuth, elevation) = (2.4 * index as f64, 0.1 + 0.05 * index as f64);
+        let direction = DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
+        center + distance * direction
+    };
+    (0..24).map(at).collect()
+}
+
+#[test]
+fn cameras_on_a_hemisphere_share_the_ball_that_touches_their_frusta() {
+    for (center, scale) in
+        [(DVec3::ZERO, 1.0), (DVec3::new(50.0, -3.0, 7.0), 0.01), (DVec3::new(-1.0, 2.0, 0.0), 300.0)]
+    {
+        let cameras = looking_at(center, hemisphere(center, 4.0 * scale));
+        let ball = common_view_volume(&cameras).unwrap();
+        assert!(ball.center_world.distance(center) <= 1e-9 * (scale + center.length()), "{ball:?}");
+        let expected = 4.0 * scale * 19.8_f64.to_radians().sin();
+        assert!((ball.radius - expected).abs() <= 1e-6 * expected, "{ball:?}, expected {expected}");
+    }
+}
+
+#[test]
+fn parallel_cameras_share_a_ball_in_front_of_them() {
+    let row: Vec<DVec3> = (0..5).map(|index| DVec3::new(0.25 * f64::from(index), 0.0, 0.0)).collect();
+    let cameras: Vec<Camera> = row.iter().flat_map(|&at| looking_at(at + 10.0 * DVec3::Y, [at])).collect();
+    let ball = common_view_volume(&cameras).unwrap();
+    assert!(ball.center_world.distance(DVec3::new(0.5, 5.0, 0.0)) <= 1e-9, "{ball:?}");
+    assert!(cameras.iter().all(|camera| camera.project(ball.center_world).is_some()) && ball.radius > 1.0);
+}
+
+#[test]
+fn every_set_of_cameras_has_a_finite_volume() {
+    assert_eq!(common_view_volume(&[]), None);
+    let lone = looking_at(DVec3::ZERO, [DVec3::new(0.0, -3.0, 1.0)]);
+    let same_place = [lone[0]; 3];
+    let outwards: Vec<Camera> =
+        hemisphere(DVec3::ZERO, 2.0).into_iter().flat_map(|at| looking_at(3.0 * at, [at])).collect();
+    for cameras in [&lone[..], &same_place, &outwards] {
+        let Ball { center_world, radius } = common_view_volume(cameras).unwrap();
+        assert!(center_world.is_finite() && radius.is_finite() && radius > 0.0, "{center_world} {radius}");
+    }
+}

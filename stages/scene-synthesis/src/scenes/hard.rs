@@ -1,5 +1,7 @@
 //! Scenes built to break methods: each has one property that challenges arithmetic, sampling or motion models.
 
+use std::f64::consts::TAU;
+
 use glam::DVec3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -17,6 +19,8 @@ const JUMP_SECS: f64 = 0.2;
 const NEEDLE_RADIUS: f64 = 0.0002;
 /// Radius of the speck: less than half a pixel in an image of 64 pixels.
 const SPECK_RADIUS: f64 = 0.02;
+/// Radius of the small bodies.
+const SMALL_RADIUS: f64 = 0.17;
 
 /// A checker texture.
 fn checker(frequency: f64, colors: [u32; 2]) -> Texture {
@@ -96,6 +100,23 @@ pub(crate) fn speck(random: &mut ChaCha8Rng) -> World {
         Placement::moving(DVec3::new(along.value, 0.0, 0.2), along.rate * DVec3::X)
     });
     world(vec![flying], "speck", 0.8)
+}
+
+/// Three balls that cover three to four per cent of an image: one rests, two swing. Like objects on a white floor in
+/// front of white, they leave most of every image equal to the background.
+pub(crate) fn small_bodies(random: &mut ChaCha8Rng) -> World {
+    let mut swinging = |center: DVec3, along: DVec3, colors: [u32; 2]| {
+        let phase = random.random_range(0.0..TAU);
+        ball(SMALL_RADIUS, checker(4.0, colors), move |time_secs| {
+            let Angle { value, rate } = Angle::swinging(0.0, 0.3, 1.2, phase, time_secs);
+            Placement::moving(center + value * along, rate * along)
+        })
+    };
+    let left = swinging(DVec3::new(-0.55, -0.2, 0.1), DVec3::Y, [0xb3202a, 0x5a1015]);
+    let right = swinging(DVec3::new(0.6, 0.25, -0.2), DVec3::Z, [0x1f4fa3, 0x10264f]);
+    let still = Shape::Sphere { radius: SMALL_RADIUS };
+    let still = Body::resting(still, checker(4.0, [0x0e6b3a, 0x07351d]), DVec3::new(0.05, -0.5, -0.3));
+    world(vec![left, right, still], "balls", 0.8)
 }
 
 /// A black ball above a black floor: on a black background, images have no signal.

@@ -31,6 +31,7 @@ pub(crate) fn build(params: &Params) -> World {
         SceneKind::Teleport => hard::teleport(&mut random),
         SceneKind::LongOcclusion => occluder::build_long(&mut random),
         SceneKind::Speck => hard::speck(&mut random),
+        SceneKind::SmallBodies => hard::small_bodies(&mut random),
         SceneKind::Black => hard::black(&mut random),
         SceneKind::UnseenMotion => hard::unseen_motion(&mut random),
     };
