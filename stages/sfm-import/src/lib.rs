@@ -6,6 +6,7 @@ mod colmap;
 mod error;
 mod facts;
 mod files;
+mod foreign;
 mod image_names;
 pub mod inspect;
 mod lens;

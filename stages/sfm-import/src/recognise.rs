@@ -6,6 +6,7 @@ use engine::{Failure, FailureKind};
 
 use crate::error::{Result, bad};
 use crate::files::children;
+use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::{blender, colmap, n3v, nerfies};
@@ -23,9 +24,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 /// The format of the files in `dir`. It must be `wanted`, unless that is [`Format::Auto`].
 pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
     if dir.is_file() {
-        return Err(bad("a capture is a folder, but this is a file")
-            .hint("name the folder that contains the file")
-            .at(dir));
+        let hint = next_step_for_file(dir).unwrap_or_else(|| "name the folder that contains the file".into());
+        return Err(bad("a capture is a folder, but this is a file").hint(hint).at(dir));
     }
     if !dir.is_dir() {
         let hint = "check --data-root, and download the data";
@@ -33,6 +33,7 @@ pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
     }
     let found = formats_of(dir);
     match (wanted, found.as_slice()) {
+        (Format::Colmap, _) if colmap::layout::sparse_dir(dir).is_some() => Ok(Format::Colmap),
         (Format::Auto, [format]) => Ok(*format),
         (Format::Auto, [first, second, ..]) => {
             let message = format!("the folder contains both a {} and a {} capture", first.name(), second.name());
@@ -48,11 +49,18 @@ pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
 fn formats_of(dir: &Path) -> Vec<Format> {
     let present = [
         (Format::Blender, blender::is_present(dir)),
-        (Format::Colmap, colmap::layout::sparse_dir(dir).is_some()),
+        (Format::Colmap, is_colmap(dir)),
         (Format::Nerfies, nerfies::is_present(dir)),
         (Format::N3v, n3v::is_present(dir)),
     ];
     present.into_iter().filter(|(_, is_present)| *is_present).map(|(format, _)| format).collect()
+}
+
+/// Whether `dir` is a COLMAP capture. A model in `colmap/` does not count beside the transforms that nerfstudio made of it.
+fn is_colmap(dir: &Path) -> bool {
+    let model = colmap::layout::sparse_dir(dir);
+    let has_transforms = || ["transforms.json", "transforms_train.json"].iter().any(|name| dir.join(name).is_file());
+    model.is_some_and(|model| !model.starts_with(dir.join("colmap")) || !has_transforms())
 }
 
 /// The error for a folder without the wanted format: it lists the files found and the supported layouts.
@@ -65,7 +73,6 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
         Format::N3v => "not a Neural 3D Video capture",
     };
     let mut found: Vec<String> = children(dir);
-    let has = |name: &str| found.iter().any(|entry| entry == name);
     let hint = if found.is_empty() {
         "the folder is empty: download the data".to_owned()
     } else if let Some(child) = captures_below(dir).first() {
@@ -73,24 +80,10 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
             "this is a folder of captures: name one of them, e.g. {}",
             child.file_name().unwrap_or_default().display()
         )
-    } else if has("cameras.bin") || has("cameras.txt") {
-        "this looks like a part of a COLMAP model: name the folder that contains both the model and the images".into()
-    } else if has("transforms.json") {
-        "a single transforms.json (nerfstudio) is not supported: split it into transforms_{train,val,test}.json".into()
-    } else if has("dataset.json") || has("camera") {
-        "the Nerfies/HyperNeRF layout needs camera/, metadata.json and dataset.json: check that the download is complete".into()
-    } else if has("poses_bounds.npy") {
-        "poses_bounds.npy is supported beside one folder per camera (cam00/images, cam01/images, …, as in Neural 3D \
-         Video), not beside a single folder of images (LLFF): add a COLMAP model of the images"
-            .into()
-    } else if !n3v::camera_names(dir).is_empty() {
-        "the Neural 3D Video layout needs poses_bounds.npy beside its cameras: check that the download is complete"
-            .into()
+    } else if let Some(other) = formats_of(dir).first() {
+        format!("it is a {} capture: set format = \"{}\", or remove the key", other.name(), other.name())
     } else {
-        "supported: transforms_{train,val,test}.json (Blender, D-NeRF), images/ beside \
-         sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
-         DyCheck), or poses_bounds.npy beside cam00/images, cam01/images, … (Neural 3D Video)"
-            .into()
+        next_step(dir)
     };
     let more = found.len().saturating_sub(8);
     found.truncate(8);

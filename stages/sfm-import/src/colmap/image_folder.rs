@@ -31,7 +31,7 @@ pub(super) struct ImageFolder {
 
 impl ImageFolder {
     /// The folder that `params.images` names. Otherwise the smallest copy of at least `params.width`, the originals in
-    /// `images` or `dir`, or the largest copy if there are no originals.
+    /// `images` or `dir`, the largest copy, or any other folder with all images at the model's size.
     pub(super) fn choose(dir: &Path, model: &Model, params: &Params) -> Result<Self> {
         let original = images_dir(dir);
         let mut warnings = Vec::new();
@@ -43,17 +43,22 @@ impl ImageFolder {
                 let has_originals = has_any(&original, model);
                 match copies.iter().rposition(is_wide) {
                     Some(at) => copies.swap_remove(at),
-                    None if has_originals || copies.is_empty() => Self::originals(original, model),
-                    None => copies.swap_remove(0),
+                    None if has_originals => Self::originals(original, model),
+                    None if !copies.is_empty() => copies.swap_remove(0),
+                    None => Self::elsewhere(dir, model).unwrap_or(Self::originals(original, model)),
                 }
             }
         };
-        if !has_any(&chosen.path, model) {
-            return Err(no_images(dir, &chosen.path, model));
+        if !has_any(&chosen.path, model)
+            && let Some(failure) = other_names(&chosen.path, model)
+        {
+            return Err(failure);
         }
         let from = chosen.path.strip_prefix(dir).unwrap_or(&chosen.path).display();
-        if chosen.reduction > 1 {
-            warnings.push(format!("images are read from {from}, at 1/{} of the model's size", chosen.reduction));
+        match chosen.reduction {
+            1 if chosen.path == images_dir(dir) || params.images.is_some() => (),
+            1 => warnings.push(format!("images are read from {from}")),
+            reduction => warnings.push(format!("images are read from {from}, at 1/{reduction} of the model's size")),
         }
         Ok(Self { warnings, ..chosen })
     }
@@ -69,6 +74,11 @@ impl ImageFolder {
         let stated = number(&name.to_string_lossy());
         let copy = stated.and_then(|reduction| Self::reduced(path.clone(), reduction, model).ok());
         Ok(copy.unwrap_or_else(|| Self::originals(path, model)))
+    }
+
+    /// The first sub-folder with all images at the model's size.
+    fn elsewhere(dir: &Path, model: &Model) -> Option<Self> {
+        folders(dir).into_iter().find_map(|name| Self::reduced(dir.join(name), 1, model).ok())
     }
 
     /// A folder of images at the model's size, which [`crate::source::SourceCapture::problems`] checks.
@@ -157,21 +167,14 @@ fn has_any(folder: &Path, model: &Model) -> bool {
     model.images.values().any(|image| stored(folder, &image.name).is_some() || inside(&image.name).is_err())
 }
 
-/// The error for a folder without any of the model's images; its hint names a folder that has them.
-fn no_images(dir: &Path, folder: &Path, model: &Model) -> Failure {
+/// The error for a folder with images of other names than the model's.
+fn other_names(folder: &Path, model: &Model) -> Option<Failure> {
+    let other = image_names(folder).into_iter().next()?;
     let first = model.images.values().next().map_or("", |image| &image.name);
     let message = format!("image file is missing: no image of the model is in this folder, e.g. {first}");
-    let failure = Failure::new(FailureKind::MissingData, message).at(folder);
-    let others = folders(dir);
-    let has_them = |name: &&String| ImageFolder::reduced(dir.join(name), 1, model).is_ok();
-    let found = image_names(folder);
-    match (others.iter().find(has_them), found.first()) {
-        (Some(name), _) => failure.hint(format!("set images = \"{name}\"")),
-        (None, Some(other)) => failure.hint(format!(
-            "the images must have the names that structure from motion saw; this folder has {other} instead"
-        )),
-        (None, None) => failure.hint("copy the images that structure from motion saw into the folder images"),
-    }
+    let hint =
+        format!("the images must have the names that structure from motion saw; this folder has {other} instead");
+    Some(Failure::new(FailureKind::MissingData, message).hint(hint).at(folder))
 }
 
 /// The sub-folders of the capture.

@@ -90,13 +90,33 @@ impl Summary {
             frames.lines().iter().for_each(|(label, value)| line(label, value));
         }
         self.warnings.iter().for_each(|warning| line("warning", warning));
-        self.problems.iter().take(LISTED_PROBLEMS).for_each(|problem| line("problem", &problem.to_string()));
-        match self.problems.len().saturating_sub(LISTED_PROBLEMS) {
-            0 if self.problems.is_empty() => line("verdict", "ready to import (pixels were not decoded)"),
+        let problems = self.grouped_problems();
+        problems.iter().take(LISTED_PROBLEMS).for_each(|problem| line("problem", problem));
+        match problems.len().saturating_sub(LISTED_PROBLEMS) {
+            0 if problems.is_empty() => line("verdict", "ready to import (pixels were not decoded)"),
             0 => line("verdict", "cannot be imported until the problems are solved"),
             more => line("verdict", &format!("cannot be imported; {more} more problems of this kind")),
         }
         out
+    }
+
+    /// One line per kind of problem, with its first file and the number of others.
+    fn grouped_problems(&self) -> Vec<String> {
+        let mut groups: Vec<(&Failure, usize)> = Vec::new();
+        for problem in &self.problems {
+            let same = |(first, _): &&mut (&Failure, usize)| {
+                (&first.message, &first.hint) == (&problem.message, &problem.hint)
+            };
+            match groups.iter_mut().find(same) {
+                Some((_, count)) => *count += 1,
+                None => groups.push((problem, 1)),
+            }
+        }
+        let text = |(first, count): (&Failure, usize)| match count {
+            1 => first.to_string(),
+            _ => format!("{first} (and {} more like this)", count - 1),
+        };
+        groups.into_iter().map(text).collect()
     }
 
     fn format_name(&self) -> &'static str {

@@ -116,7 +116,7 @@ fn unsuitable_folders_of_images_are_refused() {
     refusals.add(dir.path(), &named("photos"));
     refusals.add(dir.path(), &named("half"));
     std::fs::rename(dir.path().join("images"), dir.path().join("input")).unwrap();
-    refusals.add(dir.path(), &colmap_params());
+    assert_eq!(read(dir.path(), &colmap_params()).unwrap().warnings, ["images are read from input"]);
     std::fs::remove_dir_all(dir.path().join("input")).unwrap();
     refusals.add(dir.path(), &named("sparse"));
     std::fs::rename(dir.path().join("half/0000.png"), dir.path().join("half/a.png")).unwrap();

@@ -5,6 +5,7 @@ mod blender_lens;
 mod colmap;
 mod colmap_files;
 mod colmap_layouts;
+mod foreign;
 mod fuzz;
 mod inspect;
 mod lens;

@@ -1,0 +1,97 @@
+//! Exports of scanning apps, photogrammetry programs, pose estimators and trainers.
+
+use super::listing::Listing;
+
+/// Polycam's raw data.
+pub(super) fn polycam(listing: &Listing) -> Option<String> {
+    listing.has("keyframes").then(|| {
+        "Polycam's raw data: run `ns-process-data polycam --data THIS_FOLDER --output-dir OUT` of nerfstudio and name OUT, \
+         which has a transforms.json"
+            .into()
+    })
+}
+
+/// Record3D's archive of an iPhone recording.
+pub(super) fn record3d(listing: &Listing) -> Option<String> {
+    let file = *listing.with_extension(&["r3d"]).first()?;
+    Some(format!(
+        "{file} is a Record3D recording: unzip it, run `ns-process-data record3d --data UNZIPPED --output-dir OUT` of \
+         nerfstudio and name OUT, which has a transforms.json"
+    ))
+}
+
+/// OpenDroneMap and OpenSfM.
+pub(super) fn open_drone_map(listing: &Listing) -> Option<String> {
+    let is_odm = listing.has_any(&["opensfm", "odm_report", "reconstruction.json"])
+        || listing.marked("json", &["projection_type"]).is_some();
+    is_odm.then(|| {
+        "OpenDroneMap or OpenSfM: cameras.json has lenses without poses. Run `ns-process-data odm --data PROJECT --output-dir \
+         OUT` of nerfstudio and name OUT, which has a transforms.json"
+            .into()
+    })
+}
+
+/// Agisoft Metashape, and the XML of ContextCapture that other programs write too.
+pub(super) fn metashape(listing: &Listing) -> Option<String> {
+    let colmap = "put cameras.txt, images.txt and points3D.txt into sparse/0 beside the undistorted images in images/";
+    if let Some(file) = listing.marked("xml", &["<BlocksExchange"]) {
+        return Some(format!(
+            "{file} is a BlocksExchange export (ContextCapture, iTwin): export COLMAP instead; {colmap}"
+        ));
+    }
+    let xml = listing.marked("xml", &["<chunk", "<document"]);
+    let file = xml.or_else(|| listing.with_extension(&["psx"]).first().copied())?;
+    Some(format!(
+        "{file} is a project or an export of Agisoft Metashape: choose File > Export > Export Cameras and the type COLMAP \
+         (version 2.2 or newer); {colmap}"
+    ))
+}
+
+/// RealityCapture, now RealityScan.
+pub(super) fn reality_capture(listing: &Listing) -> Option<String> {
+    let csv = listing.marked("csv", &["#name,x,y", "#cameras", "heading,pitch,roll"]);
+    let file = csv.or_else(|| listing.with_extension(&["rcproj", "rsproj"]).first().copied())?;
+    Some(format!(
+        "{file} is a project or a camera list of RealityCapture: choose Alignment > Export > Registration and the format \
+         COLMAP (version 1.5 or newer), with undistorted images; name the folder with sparse/0 and images/"
+    ))
+}
+
+/// Recordings of Project Aria.
+pub(super) fn aria(listing: &Listing) -> Option<String> {
+    let file = *listing.with_extension(&["vrs"]).first()?;
+    Some(format!(
+        "{file} is a recording of Aria glasses: run `ns-process-data aria` of nerfstudio with the MPS poses and name its \
+         output, which has a transforms.json"
+    ))
+}
+
+/// Native outputs of feed-forward pose estimators.
+pub(super) fn estimator(listing: &Listing) -> Option<String> {
+    let names = ["predictions.npz", "pred_traj.txt", "pred_intrinsics.txt", "scene.glb", "droid.npz", "poses.npy"];
+    let droid = listing.names.iter().find(|name| name.ends_with("_droid.npz") || name.ends_with("_sgd_cvd_hr.npz"));
+    let file = droid.map(String::as_str).or_else(|| names.into_iter().find(|name| listing.has(name)))?;
+    Some(format!(
+        "{file} is an output of a pose estimator (VGGT, DUSt3R, MASt3R, MonST3R, MegaSaM, DROID-SLAM): use its COLMAP \
+         export, e.g. `demo_colmap.py` of VGGT, and name the folder that contains sparse/ and images/"
+    ))
+}
+
+/// The output folder of a Gaussian-splatting program.
+pub(super) fn trained_model(listing: &Listing) -> Option<String> {
+    let is_camera_list = listing.marked("json", &["\"img_name\""]).is_some();
+    (is_camera_list || listing.has("cfg_args") || listing.has("point_cloud")).then(|| {
+        "the output of a 3D Gaussian Splatting training: its cameras.json has poses, but not the images. Name the capture \
+         that it was trained on (source_path in cfg_args)"
+            .into()
+    })
+}
+
+/// Camera paths and settings of viewers.
+pub(super) fn viewer(listing: &Listing) -> Option<String> {
+    let marks = ["\"keyframes\"", "\"camera_path\"", "\"animTracks\"", "\"startAnim\"", "\"annotations\""];
+    let file = listing.marked("json", &marks)?;
+    Some(format!(
+        "{file} is a camera path or a viewer's setting, not a capture: name the folder with the images and their poses"
+    ))
+}

@@ -1,0 +1,58 @@
+//! Folders in layouts that this stage does not read: what they are, and which export or command leads to one that it does.
+
+mod apps;
+mod data_sets;
+mod listing;
+mod media;
+
+use std::path::Path;
+
+use self::listing::Listing;
+
+/// A layout: recognises a folder by its entries and returns the next step.
+type Rule = fn(&Listing) -> Option<String>;
+
+/// The rules, the most specific first; the last ones recognise any folder of images or videos.
+const RULES: [Rule; 22] = [
+    data_sets::neural_3d_video_without_poses,
+    data_sets::llff,
+    data_sets::nerfies,
+    data_sets::easy_volcap,
+    data_sets::dynamic_3d_gaussians,
+    data_sets::panoptic,
+    data_sets::driving,
+    data_sets::motion_capture,
+    apps::polycam,
+    apps::record3d,
+    apps::open_drone_map,
+    apps::metashape,
+    apps::reality_capture,
+    apps::aria,
+    apps::estimator,
+    apps::trained_model,
+    apps::viewer,
+    media::part_of_colmap,
+    media::renamed_transforms,
+    media::archives,
+    media::videos,
+    media::images,
+];
+
+/// The next step towards an import of the folder; a list of the supported layouts if nothing in it is known.
+pub(crate) fn next_step(dir: &Path) -> String {
+    let listing = Listing::of(dir);
+    let known = RULES.iter().find_map(|rule| rule(&listing));
+    known.unwrap_or_else(|| {
+        "supported: transforms_{train,val,test}.json (Blender, D-NeRF), transforms.json (nerfstudio, instant-ngp), images/ \
+         beside sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
+         DyCheck), or poses_bounds.npy beside cam00/images, cam01/images, … (Neural 3D Video)"
+            .into()
+    })
+}
+
+/// The next step for a single file in place of a capture.
+pub(crate) fn next_step_for_file(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_string_lossy().into_owned();
+    let listing = Listing::of_names(path.parent()?, vec![name]);
+    [apps::record3d, apps::aria, media::archives, media::videos].iter().find_map(|rule: &Rule| rule(&listing))
+}

@@ -1,0 +1,115 @@
+//! Next steps for folders in other layouts.
+
+use std::path::Path;
+
+use super::support::*;
+use crate::Params;
+use crate::inspect::inspect;
+
+/// Writes files with their contents into a new folder.
+fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, content) in files {
+        let path = dir.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, content).unwrap();
+    }
+    dir
+}
+
+/// The hint for a folder.
+fn hint(dir: &Path) -> String {
+    let failure = crate::recognise::recognise(dir, crate::Format::Auto).unwrap_err();
+    failure.hint.unwrap()
+}
+
+#[test]
+fn every_known_layout_gets_its_next_step() {
+    let cases: [&[(&str, &str)]; 27] = [
+        &[("keyframes/images/1.jpg", ""), ("mesh_info.json", "{}")],
+        &[("scan.r3d", "")],
+        &[("cameras.json", r#"{"v2 dji": {"projection_type": "brown"}}"#)],
+        &[("opensfm/reconstruction.json", "[]")],
+        &[("cameras.xml", "<?xml version=\"1.0\"?>\n<document version=\"2.0.0\">\n  <chunk label=\"a\">")],
+        &[("project.psx", "")],
+        &[("blocks.xml", "<BlocksExchange version=\"2.1\">")],
+        &[("cameras.csv", "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2\n")],
+        &[("recording.vrs", "")],
+        &[("predictions.npz", ""), ("images/a.png", "")],
+        &[("sora_sgd_cvd_hr.npz", "")],
+        &[("cameras.json", r#"[{"id": 0, "img_name": "a", "width": 10}]"#), ("cfg_args", "Namespace()")],
+        &[("camera_path.json", r#"{"keyframes": [], "camera_path": []}"#)],
+        &[("settings.json", r#"{"camera": {"fov": 75}, "animTracks": []}"#)],
+        &[("intri.yml", "%YAML:1.0"), ("extri.yml", "%YAML:1.0"), ("videos/00.mp4", "")],
+        &[("intri.yml", "%YAML:1.0")],
+        &[("extri.yml", "%YAML:1.0")],
+        &[("train_meta.json", "{}"), ("ims/0/0.jpg", "")],
+        &[("calibration.json", r#"{"calibDataSource": "160422"}"#)],
+        &[("camera.json", r#"{"focal_length": 3.0, "principal_point": [1, 2]}"#)],
+        &[("rig_config.json", "[]")],
+        &[("annots.npy", ""), ("Camera_B1/0.jpg", "")],
+        &[("segment.tfrecord", "")],
+        &[("database.db", ""), ("images/a.jpg", "")],
+        &[("my_transforms.json", r#"{"fl_x": 1.0, "frames": []}"#)],
+        &[("lego.zip", "")],
+        &[("unrelated.json", "{}")],
+    ];
+    let lines: Vec<String> =
+        cases.iter().map(|files| format!("{}: {}", files[0].0, hint(folder(files).path()))).collect();
+    insta::assert_snapshot!(lines.join("\n"));
+}
+
+#[test]
+fn videos_and_images_get_commands() {
+    let cases: [&[(&str, &str)]; 6] = [
+        &[("IMG_0042.MOV", "")],
+        &[("left.mp4", ""), ("right.mp4", "")],
+        &[("left.mp4", ""), ("right.mov", "")],
+        &[("images/1.jpg", ""), ("images/2.jpg", "")],
+        &[("1.jpg", ""), ("2.jpg", "")],
+        &[("photos/1.jpg", "")],
+    ];
+    let lines: Vec<String> =
+        cases.iter().map(|files| format!("{}: {}", files[0].0, hint(folder(files).path()))).collect();
+    insta::assert_snapshot!(lines.join("\n"));
+    let dir = folder(&[("clip.mp4", "")]);
+    let message = refusal(&dir.path().join("clip.mp4"), &Params::default());
+    assert!(message.contains("ffmpeg -i "), "{message}");
+}
+
+/// Each folder of real metadata is read, or refused with the reason. The images are not part of that data.
+#[test]
+fn real_folders_of_other_programs_are_named() {
+    let Some(root) = support::data("formats/captures") else { return };
+    let expected = [
+        ("arkit-colmap-nopoints", "image file is missing"),
+        ("camera-path-nerfstudio-legacy", "camera path"),
+        ("colmap-full-opencv-realitycapture", "92 images registered"),
+        ("colmap-opencv-8cams", "images.bin or images.txt, which has the poses, is missing"),
+        ("colmap-opencv-fisheye", "images.bin or images.txt, which has the poses, is missing"),
+        ("colmap-rig-config", "colmap rig_configurator"),
+        ("colmap-rigs-99cams", "images.bin or images.txt, which has the poses, is missing"),
+        ("colmap-rigs-doc-excerpt", "images.bin or images.txt, which has the poses, is missing"),
+        ("colmap-rigs-frames-text/bin", "13 of 13 images registered"),
+        ("dust3r-colmap", "2 of 2 images registered"),
+        ("dust3r-colmap/interpolated", "image file is missing"),
+        ("dynamic3dgs-train-meta", "layout of Dynamic 3D Gaussians"),
+        ("easymocap-A-NeRF", "calibration of EasyMocap or EasyVolcap"),
+        ("easymocap-intri-example", "extri.yml with the poses is missing"),
+        ("hypernerf-camera", "one camera of the Nerfies layout"),
+        ("inria-cameras-json", "output of a 3D Gaussian Splatting training"),
+        ("llff-poses-bounds-dsdnerf", "5 of 5 images registered"),
+        ("llff-poses-bounds-rig", "add the COLMAP model"),
+        ("odm-cameras-json", "ns-process-data odm"),
+        ("panoptic-calibration", "CMU Panoptic Studio"),
+        ("supersplat-viewer-settings", "viewer's setting"),
+        ("survey-xml-transforms-odd", "rename it to transforms.json"),
+        ("vggt-colmap", "8719"),
+    ];
+    for (name, part) in expected {
+        let started = std::time::Instant::now();
+        let text = inspect(&root.join(name)).unwrap().text();
+        eprintln!("{text}({:.0?})\n", started.elapsed());
+        assert!(text.contains(part), "{name}: {part:?} is not in\n{text}");
+    }
+}
