@@ -1,4 +1,4 @@
-//! PNG and JPEG files of 8-bit images.
+//! PNG, JPEG, WebP and TIFF files of 8-bit images; other depths are converted.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -60,8 +60,8 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(|error| Error::new(format!("cannot read the file ({error})")).at(path))
 }
 
-/// Decodes a PNG or JPEG file, recognised by its content and not by its name. A truncated JPEG is an error; its decoder
-/// alone would fill the missing part with grey.
+/// Decodes a PNG, JPEG, WebP or TIFF file, recognised by its content and not by its name. A truncated JPEG is an error; its
+/// decoder alone would fill the missing part with grey.
 pub fn decode(path: &Path) -> ImageResult<DynamicImage> {
     let bytes = std::fs::read(path)?;
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format()?;
@@ -71,7 +71,7 @@ pub fn decode(path: &Path) -> ImageResult<DynamicImage> {
     }
     match reader.format() {
         // The decoder for GIF exists because films are written as GIF.
-        Some(other) if !matches!(other, ImageFormat::Png | ImageFormat::Jpeg) => Err(unsupported(other)),
+        Some(ImageFormat::Gif) => Err(unsupported(ImageFormat::Gif)),
         _ => reader.decode(),
     }
 }
@@ -121,5 +121,7 @@ fn encode_png(pixels: &[u8], width: u32, height: u32, color: ExtendedColorType) 
 }
 
 fn not_readable(error: &image::ImageError, path: &Path) -> Error {
-    Error::new(format!("not a readable PNG or JPEG image ({error})")).hint("the file may be damaged").at(path)
+    Error::new(format!("not a readable PNG, JPEG, WebP or TIFF image ({error})"))
+        .hint("the file may be damaged")
+        .at(path)
 }

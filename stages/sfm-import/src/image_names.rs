@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 
 use walkdir::WalkDir;
 
+/// Extensions of image files, in lower case.
+pub(crate) const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "tif", "tiff"];
+
 /// The folder that image names are relative to: `images` if it exists, otherwise `dir`.
 pub(crate) fn images_dir(dir: &Path) -> PathBuf {
     let images = dir.join("images");
@@ -17,7 +20,7 @@ pub(crate) fn image_names(images_dir: &Path) -> Vec<String> {
     let walk = WalkDir::new(images_dir).into_iter().filter_entry(|entry| !is_mask_dir(entry)).flatten();
     let is_image = |path: &Path| {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-        matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg"))
+        extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
     };
     let files = walk.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
     let mut names: Vec<String> = files.filter_map(|entry| relative_name(images_dir, entry.path())).collect();

@@ -10,12 +10,9 @@ use engine::{Failure, FailureKind};
 use crate::colmap::model::Model;
 use crate::error::{Result, bad};
 use crate::files::{children, image_size};
-use crate::image_names::{image_names, images_dir};
+use crate::image_names::{EXTENSIONS, image_names, images_dir};
 use crate::lens::Lens;
 use crate::params::Params;
-
-/// Extensions that a copy of an image may have in place of its own.
-const EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "JPG", "PNG"];
 
 /// The chosen folder and the lenses for its images.
 pub(super) struct ImageFolder {
@@ -159,7 +156,8 @@ fn number(name: &str) -> Option<u32> {
 /// The file of an image in a folder: of that name, or with the extension of a copy.
 fn stored(folder: &Path, name: &str) -> Option<PathBuf> {
     let path = folder.join(inside(name).ok()?);
-    let copies = EXTENSIONS.map(|extension| path.with_extension(extension));
+    let copies = EXTENSIONS.iter().flat_map(|extension| [(*extension).to_owned(), extension.to_uppercase()]);
+    let copies: Vec<PathBuf> = copies.map(|extension| path.with_extension(extension)).collect();
     std::iter::once(path).chain(copies).find(|path| path.is_file())
 }
 

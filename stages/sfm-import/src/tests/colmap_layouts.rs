@@ -140,3 +140,21 @@ fn masks_of_the_originals_fit_smaller_copies() {
     let mask = capture.load_mask(&capture.views[0]).unwrap().unwrap();
     assert_eq!(mask.labels[..12], [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1]);
 }
+
+#[test]
+fn webp_and_tiff_images_are_read() {
+    let (_root, expected) = run(Workspace::video(6).write().path(), &colmap_params()).unwrap();
+    for extension in ["webp", "tif"] {
+        let name = |index| format!("{index:04}.{extension}");
+        let workspace = Workspace::new(6, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], name);
+        let dir = workspace.write();
+        let (_root, capture) = run(dir.path(), &colmap_params()).unwrap();
+        for (found, png) in capture.views.iter().zip(&expected.views) {
+            assert_eq!(capture.load_image(found).unwrap(), expected.load_image(png).unwrap(), "{extension}");
+        }
+        let path = dir.path().join("images").join(name(3));
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        assert_refused(dir.path(), &colmap_params(), &["image cannot be read"]);
+    }
+}
