@@ -7,24 +7,26 @@ use engine::Facts;
 use scene::{Split, facts};
 
 use crate::params::{Format, Params};
-use crate::recognise::{read, recognise};
+use crate::recognise::{read_views, recognise};
 
 /// Static facts about the capture in `dir`. COLMAP models are not read, because their points can take seconds.
 pub(crate) fn of_capture(dir: &Path, params: &Params) -> Facts {
-    let absent = [facts::DEPTH, facts::FLOW, facts::NORMALS, facts::VELOCITY];
+    let absent = [facts::FLOW, facts::NORMALS, facts::VELOCITY];
     let known = absent.iter().fold(Facts::default(), |known, map| known.with(map, false));
-    if params.static_scene {
-        return with_times(known, 1);
-    }
-    if !matches!(recognise(dir, params.format), Ok(Format::Blender | Format::Nerfies | Format::N3v)) {
+    let known = if params.static_scene { with_times(known, 1) } else { known };
+    let format = recognise(dir, params.format).ok();
+    let may_have_depth = matches!(format, Some(Format::Blender | Format::Nerfstudio));
+    let known = if may_have_depth { known } else { known.with(facts::DEPTH, false) };
+    if !may_have_depth && !matches!(format, Some(Format::Nerfies | Format::N3v)) {
         return known;
     }
     // Problems with the files are reported by the import.
-    let Ok(capture) = read(dir, params) else { return known };
+    let Ok(capture) = read_views(dir, params) else { return known };
     let training = || capture.frames.iter().filter(|frame| frame.split == Split::Train);
     let times: BTreeSet<u64> = training().map(|frame| frame.time_secs.to_bits()).collect();
     with_times(known, times.len())
-        .with(facts::POINTS, !capture.points.is_empty())
+        .with(facts::POINTS, capture.cloud.is_some() || !capture.points.is_empty())
+        .with(facts::DEPTH, training().any(|frame| frame.depth.is_some()))
         .with(facts::MASKS, training().any(|frame| frame.mask.is_some()))
 }
 

@@ -33,6 +33,14 @@ fn relative_name(dir: &Path, path: &Path) -> Option<String> {
     Some(parts.collect::<Vec<_>>().join("/"))
 }
 
+/// The image name without its extension, safe as a file name.
+pub(crate) fn view_name(name: &str) -> String {
+    let stem = Path::new(name).with_extension("");
+    let safe = |symbol: char| if symbol.is_ascii_alphanumeric() || "-.".contains(symbol) { symbol } else { '_' };
+    let name: String = stem.to_string_lossy().chars().map(safe).collect();
+    if name.starts_with('.') { format!("_{name}") } else { name }
+}
+
 /// Compares runs of digits by value, so that `frame_9` comes before `frame_10`, and equal values by spelling.
 pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (chunks(a), chunks(b));

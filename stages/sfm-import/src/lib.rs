@@ -1,8 +1,12 @@
 #![doc = include_str!("../README.md")]
 #![warn(missing_docs, unreachable_pub)]
 
+mod applied;
 mod blender;
+mod bounds;
+mod cloud_file;
 mod colmap;
+mod depth;
 mod error;
 mod facts;
 mod files;
@@ -12,6 +16,7 @@ pub mod inspect;
 mod lens;
 mod n3v;
 mod nerfies;
+mod nerfstudio;
 mod params;
 mod pixels;
 mod recognise;
@@ -20,6 +25,7 @@ mod source;
 mod split;
 #[cfg(test)]
 mod tests;
+mod transforms;
 
 pub use params::{Background, Format, Params, Resize, TestSplit};
 pub use run::{SfmImport, import};

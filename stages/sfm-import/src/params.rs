@@ -24,12 +24,13 @@ pub struct Params {
     pub images: Option<PathBuf>,
     /// The background for compositing transparent images and for rendering models of this capture.
     pub background: Background,
-    /// Blender: the official split that serves as the test split. The literature uses `val` for D-NeRF's Lego.
+    /// Blender and nerfstudio: the official split that serves as the test split. The literature uses `val` for D-NeRF's Lego.
     pub test_split: TestSplit,
     /// The name of the protocol that the capture must have after the import, e.g. `dnerf-800-white`
     /// (`scene::protocol::PRESETS`). Captures with another protocol are refused. Empty accepts every protocol.
     pub protocol: String,
-    /// COLMAP: every n-th image, starting with the first, is a test view; 0 makes no test views.
+    /// Captures without an official split (COLMAP, nerfstudio without lists of file names, Blender without test and val
+    /// files): every n-th image, starting with the first, is a test view; of a rig, every n-th camera. 0 makes no test views.
     pub every_nth: u32,
     /// Number of validation views, evenly spread over the official val split, or held out of the training views if there is
     /// no such split. If unset: Blender's official val split, unless it serves as the test split; otherwise none.
@@ -43,6 +44,9 @@ pub struct Params {
     /// Whether all images show the same instant (photos of a static scene).
     #[serde(rename = "static")]
     pub static_scene: bool,
+    /// Transforms files: scene units per stored unit of a depth file. If unset: what the file states, otherwise 0.001
+    /// (millimetres) for PNG and NumPy and 1 for EXR and PFM.
+    pub depth_unit: Option<f64>,
     /// COLMAP: minimum share of images with a pose; 0 accepts every model.
     pub min_registered_share: f64,
 }
@@ -56,6 +60,8 @@ pub enum Format {
     Auto,
     /// `transforms_{train,val,test}.json`: D-NeRF and the synthetic scenes of NeRF.
     Blender,
+    /// A single `transforms.json`: nerfstudio, instant-ngp, Polycam, Record3D, KIRI Engine, Metashape.
+    Nerfstudio,
     /// A COLMAP sparse model (`sparse/0/{cameras,images,points3D}.{bin,txt}`) beside its images.
     Colmap,
     /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`: Nerfies, HyperNeRF and DyCheck.
@@ -89,10 +95,10 @@ pub enum Background {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TestSplit {
-    /// `transforms_test.json`.
+    /// `transforms_test.json`, or `test_filenames`.
     #[default]
     Test,
-    /// `transforms_val.json`.
+    /// `transforms_val.json`, or `val_filenames`.
     Val,
 }
 
@@ -113,6 +119,7 @@ impl Default for Params {
             train_limit: None,
             fps: 30.0,
             static_scene: false,
+            depth_unit: None,
             min_registered_share: 0.5, // below this share, structure from motion has failed
         }
     }
@@ -124,6 +131,7 @@ impl Format {
         match self {
             Self::Auto => "auto",
             Self::Blender => "blender",
+            Self::Nerfstudio => "nerfstudio",
             Self::Colmap => "colmap",
             Self::Nerfies => "nerfies",
             Self::N3v => "n3v",
@@ -186,6 +194,12 @@ impl Params {
                 "every_nth",
                 "every image would be a test view",
                 "use 8 (the usual choice), or 0 for no test views",
+            ),
+            (
+                self.depth_unit.is_some_and(|unit| !(unit > 0.0 && unit.is_finite())),
+                "depth_unit",
+                "must be positive and finite",
+                "0.001 for millimetres in scenes in metres",
             ),
             (!(self.fps > 0.0 && self.fps.is_finite()), "fps", "must be positive and finite", "30 is a common rate"),
             (

@@ -9,14 +9,22 @@ use crate::files::children;
 use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
-use crate::{blender, colmap, n3v, nerfies};
+use crate::{blender, colmap, n3v, nerfies, nerfstudio};
 
 /// Reads the capture in `dir`; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    let mut capture = read_views(dir, params)?;
+    capture.load_cloud()?;
+    Ok(capture)
+}
+
+/// Like [`read`], without the points of a cloud file.
+pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
     match recognise(dir, params.format)? {
         Format::Colmap => colmap::read(dir, params),
         Format::Nerfies => nerfies::read(dir, params),
         Format::N3v => n3v::read(dir, params),
+        Format::Nerfstudio => nerfstudio::read(dir, params),
         _ => blender::read(dir, params),
     }
 }
@@ -34,6 +42,7 @@ pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
     let found = formats_of(dir);
     match (wanted, found.as_slice()) {
         (Format::Colmap, _) if colmap::layout::sparse_dir(dir).is_some() => Ok(Format::Colmap),
+        (Format::Nerfstudio, _) if nerfstudio::is_present(dir) => Ok(Format::Nerfstudio),
         (Format::Auto, [format]) => Ok(*format),
         (Format::Auto, [first, second, ..]) => {
             let message = format!("the folder contains both a {} and a {} capture", first.name(), second.name());
@@ -49,6 +58,8 @@ pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
 fn formats_of(dir: &Path) -> Vec<Format> {
     let present = [
         (Format::Blender, blender::is_present(dir)),
+        // instant-ngp's loader accepts both; the split files say more.
+        (Format::Nerfstudio, nerfstudio::is_present(dir) && !blender::is_present(dir)),
         (Format::Colmap, is_colmap(dir)),
         (Format::Nerfies, nerfies::is_present(dir)),
         (Format::N3v, n3v::is_present(dir)),
@@ -66,8 +77,9 @@ fn is_colmap(dir: &Path) -> bool {
 /// The error for a folder without the wanted format: it lists the files found and the supported layouts.
 fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     let what = match wanted {
-        Format::Auto => "not a Blender/D-NeRF, COLMAP, Nerfies/HyperNeRF or Neural 3D Video capture",
+        Format::Auto => "not a Blender/D-NeRF, nerfstudio, COLMAP, Nerfies/HyperNeRF or Neural 3D Video capture",
         Format::Blender => "not a Blender/D-NeRF capture",
+        Format::Nerfstudio => "not a nerfstudio capture",
         Format::Colmap => "not a COLMAP capture",
         Format::Nerfies => "not a Nerfies/HyperNeRF capture",
         Format::N3v => "not a Neural 3D Video capture",

@@ -30,8 +30,7 @@ impl Stage for SfmImport {
     type Output = CaptureArtifact;
 
     const ID: &'static str = "sfm-import";
-    const ABOUT: &'static str =
-        "imports a capture with known poses: D-NeRF/Blender, COLMAP, Nerfies/HyperNeRF/DyCheck, or Neural 3D Video";
+    const ABOUT: &'static str = "imports a capture with known poses: D-NeRF/Blender, nerfstudio, COLMAP, Nerfies/HyperNeRF/DyCheck, or Neural 3D Video";
 
     fn ports() -> Vec<Port> {
         Vec::new()
@@ -182,7 +181,7 @@ impl Conversion {
             background: self.background,
             time_map: source.time_map,
             class_names: self.labels.class_names.clone(),
-            bounds_world: source.bounds_world,
+            bounds_world: source.bounds_world(),
         }
     }
 
@@ -201,6 +200,8 @@ impl Conversion {
         let blame = |error: scene::Error| bad(error.message).at(&frame.image);
         let mask = frame.mask.as_ref();
         let mask = mask.map(|path| self.labels.read(path, &frame.lens, &native.intrinsics, self.size));
+        let depth = frame.depth.as_ref();
+        let depth = depth.map(|file| file.read(&frame.lens, &native.intrinsics, self.size));
         Ok(scene::Frame {
             name: frame.name.clone(),
             split: frame.split,
@@ -210,7 +211,7 @@ impl Conversion {
             time_secs: frame.time_secs,
             image: finish(image).to_rgb8().map_err(blame)?,
             alpha: alpha.map(|alpha| finish(alpha).to_grey8()).transpose().map_err(blame)?,
-            depth: None,
+            depth: depth.transpose()?,
             flow: None,
             mask: mask.transpose()?,
             velocity: None,

@@ -8,6 +8,9 @@ use rayon::prelude::*;
 use scene::{Camera, RigidTransform, Split, TimeMap};
 use serde::Serialize;
 
+use crate::bounds::{BoxWorld, StatedBounds, bounds};
+use crate::cloud_file::{CloudFile, Points};
+use crate::depth::DepthFile;
 use crate::error::{Result, bad};
 use crate::files::image_size;
 use crate::lens::Lens;
@@ -25,7 +28,7 @@ pub(crate) struct SourceCapture {
     pub(crate) name: String,
     /// The recognised format; never [`Format::Auto`].
     pub(crate) format: Format,
-    /// The benchmark, for the protocol: `dnerf`, `blender`, `colmap`, `nerfies`, `dycheck` or `n3v`.
+    /// The benchmark, for the protocol: `dnerf`, `blender`, `nerfstudio`, `colmap`, `nerfies`, `dycheck` or `n3v`.
     pub(crate) dataset: &'static str,
     /// The rule that split the views into train, val and test, for the protocol.
     pub(crate) split_rule: String,
@@ -38,9 +41,11 @@ pub(crate) struct SourceCapture {
     /// The frames to import.
     pub(crate) frames: Vec<Frame>,
     /// World positions and sRGB colours of the sparse cloud; empty if there is none.
-    pub(crate) points: Vec<([f64; 3], [u8; 3])>,
-    /// The bounding box of the scene, if the literature fixes one.
-    pub(crate) bounds_world: Option<[[f64; 3]; 2]>,
+    pub(crate) points: Points,
+    /// A file of further points, until [`SourceCapture::load_cloud`] reads it.
+    pub(crate) cloud: Option<CloudFile>,
+    /// What the files state about the extent of the scene.
+    pub(crate) stated_bounds: StatedBounds,
     /// The quality of structure from motion, for COLMAP models.
     pub(crate) quality: Option<Quality>,
     /// Oddities that do not prevent an import.
@@ -88,6 +93,8 @@ pub(crate) struct Frame {
     pub(crate) image: PathBuf,
     /// The instance mask, if there is one.
     pub(crate) mask: Option<PathBuf>,
+    /// The depth map, if there is one.
+    pub(crate) depth: Option<DepthFile>,
     /// Intrinsics and distortion.
     pub(crate) lens: Lens,
     /// World to view coordinates, with OpenCV's axes (x right, y down, z forward).
@@ -126,6 +133,39 @@ impl SourceCapture {
         problems.extend(self.time_problems());
         problems.extend(self.size_problem());
         problems
+    }
+
+    /// Reads the cloud file, if there is one.
+    pub(crate) fn load_cloud(&mut self) -> Result<()> {
+        if let Some(cloud) = &self.cloud {
+            let points = cloud.load(&self.cameras(), &mut self.warnings)?;
+            self.points.extend(points);
+        }
+        Ok(())
+    }
+
+    /// The bounding box of the scene: as stated, around the cloud, or around what the cameras see.
+    pub(crate) fn bounds_world(&self) -> Option<BoxWorld> {
+        bounds(&self.cameras(), &self.points, &self.stated_bounds)
+    }
+
+    /// The training cameras, without their distortion.
+    fn cameras(&self) -> Vec<Camera> {
+        let train = self.frames.iter().filter(|frame| frame.split == Split::Train);
+        train
+            .map(|frame| Camera { intrinsics: frame.lens.intrinsics, camera_from_world: frame.camera_from_world })
+            .collect()
+    }
+
+    /// The files that an import reads: images, masks, depth maps, the cloud, and the files that state poses. A path that
+    /// names a folder stands for the files in it.
+    pub(crate) fn used_files(&self) -> BTreeSet<PathBuf> {
+        let mut used: BTreeSet<PathBuf> = self.cloud.iter().map(|cloud| cloud.path.clone()).collect();
+        for Frame { image, mask, depth, stated_in, .. } in &self.frames {
+            let depth = depth.as_ref().map(|depth| &depth.path);
+            used.extend([Some(image), mask.as_ref(), depth, Some(stated_in)].into_iter().flatten().cloned());
+        }
+        used
     }
 
     /// Number of frames of one split.

@@ -21,6 +21,23 @@ fn spread_inside(count: usize, length: usize) -> Vec<usize> {
     (0..count.min(length)).map(|i| (2 * i + 1) * length / (2 * count)).collect()
 }
 
+/// Marks test views where no files split them, and returns the rule: every `every_nth`-th camera of a dynamic rig, otherwise
+/// every `every_nth`-th image in their order (the rule of LLFF).
+pub(crate) fn hold_out(frames: &mut [Frame], is_static: bool, params: &Params) -> String {
+    let every = params.every_nth as usize;
+    if every == 0 {
+        return "no test".into();
+    }
+    let is_rig = !is_static && frames.iter().any(|frame| frame.camera_index > 0);
+    for (index, frame) in frames.iter_mut().enumerate() {
+        let rank = if is_rig { frame.camera_index as usize } else { index };
+        if rank % every == 0 {
+            frame.split = Split::Test;
+        }
+    }
+    format!("1 of {every} {}", if is_rig { "cameras" } else { "images" })
+}
+
 /// Applies `val_count`, `frame_step` and `train_limit` to frames that are already split by the rule of their format.
 /// Returns the applied rules, for the protocol.
 pub(crate) fn refine(frames: &mut Vec<Frame>, params: &Params) -> Vec<String> {

@@ -12,6 +12,9 @@ const PARALLEL_DEPTH: f64 = 5.0;
 /// Depth of the assumed scene of a single camera, and of cameras at one place, in scene units.
 const LONE_DEPTH: f64 = 4.0;
 
+/// Distance between cameras, relative to their coordinates, below which rounding alone sets them apart.
+const SAME_PLACE: f64 = 1e-6;
+
 /// A ball in world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball {
@@ -40,9 +43,11 @@ pub fn common_view_volume(cameras: &[Camera]) -> Option<Ball> {
     let count = (!axes.is_empty()).then_some(axes.len() as f64)?;
     let origin = axes.iter().map(|axis| axis.origin).sum::<DVec3>() / count;
     let ahead = axes.iter().map(|axis| axis.direction).sum::<DVec3>() / count;
-    let center_world = convergence(&axes, origin).unwrap_or_else(|| {
-        let apart = axes.iter().map(|axis| 2.0 * axis.origin.distance(origin)).fold(0.0, f64::max);
-        let depth = if apart > 0.0 { PARALLEL_DEPTH * apart } else { LONE_DEPTH };
+    let apart = axes.iter().map(|axis| 2.0 * axis.origin.distance(origin)).fold(0.0, f64::max);
+    let is_apart = apart > SAME_PLACE * (1.0 + origin.length());
+    let convergence = if is_apart { convergence(&axes, origin) } else { None };
+    let center_world = convergence.unwrap_or_else(|| {
+        let depth = if is_apart { PARALLEL_DEPTH * apart } else { LONE_DEPTH };
         origin + depth * ahead.normalize_or(axes[0].direction)
     });
     let mut radii: Vec<f64> = cameras.iter().map(|camera| clearance(camera, center_world)).collect();

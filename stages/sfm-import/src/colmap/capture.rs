@@ -5,13 +5,14 @@ use std::path::Path;
 
 use scene::Split;
 
+use crate::bounds::StatedBounds;
 use crate::colmap::image_folder::{ImageFolder, is_reduced};
 use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
 use crate::colmap::model::{Model, RegisteredImage};
 use crate::colmap::model_files::read_model;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
-use crate::image_names::natural_order;
+use crate::image_names::{natural_order, view_name};
 use crate::params::{Format, Params};
 use crate::source::{Frame, Quality, ReprojectionError, SourceCapture, time_map};
 use crate::split;
@@ -44,7 +45,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };
     let mut frames = source.frames(&present)?;
     warnings.extend(drop_misfit_masks(&mut frames, folder.reduction));
-    let mut rules = vec![split_tests(&mut frames, params)];
+    let mut rules = vec![split::hold_out(&mut frames, params.static_scene, params)];
     if folder.reduction > 1 {
         rules.push(format!("images at 1/{}", folder.reduction));
     }
@@ -60,7 +61,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points: model.points.values().map(|point| (point.position.to_array(), point.rgb)).collect(),
-        bounds_world: None,
+        cloud: None,
+        stated_bounds: StatedBounds::default(),
         quality: Some(quality),
         warnings,
     })
@@ -170,6 +172,7 @@ impl FrameSource<'_> {
             split: Split::Train,
             image: self.folder.file(&image.name).map_err(|failure| failure.at(self.sparse))?,
             mask: mask_path(self.dir, &image.name),
+            depth: None,
             lens: self.folder.lenses[&image.camera_id],
             camera_from_world: image.camera_from_world(),
             camera_index: if is_static { index as u32 } else { camera },
@@ -178,31 +181,6 @@ impl FrameSource<'_> {
             stated_in: self.sparse.to_owned(),
         })
     }
-}
-
-/// The image name without its extension, safe as a file name.
-fn view_name(name: &str) -> String {
-    let stem = Path::new(name).with_extension("");
-    let safe = |symbol: char| if symbol.is_ascii_alphanumeric() || "-.".contains(symbol) { symbol } else { '_' };
-    let name: String = stem.to_string_lossy().chars().map(safe).collect();
-    if name.starts_with('.') { format!("_{name}") } else { name }
-}
-
-/// Marks test views and returns the rule: every n-th camera of a dynamic rig, otherwise every n-th image in natural order
-/// (the rule of LLFF, which orders by spelling).
-fn split_tests(frames: &mut [Frame], params: &Params) -> String {
-    let every = params.every_nth as usize;
-    if every == 0 {
-        return "no test".into();
-    }
-    let is_rig = !params.static_scene && frames.iter().any(|frame| frame.camera_index > 0);
-    for (index, frame) in frames.iter_mut().enumerate() {
-        let rank = if is_rig { frame.camera_index as usize } else { index };
-        if rank % every == 0 {
-            frame.split = Split::Test;
-        }
-    }
-    format!("1 of {every} {}", if is_rig { "cameras" } else { "images" })
 }
 
 /// Drops masks whose size is neither that of their image nor that of the model, of which the images are `reduction` times

@@ -1,6 +1,6 @@
 //! The description of one capture.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use engine::Failure;
@@ -24,6 +24,9 @@ pub struct Summary {
     pub format: Format,
     /// The frames; `None` if there are no frames or their files could not be read.
     pub frames: Option<Frames>,
+    /// The files that an import reads; a folder stands for the files in it. Other files of the capture are ignored.
+    #[serde(skip)]
+    pub used_files: BTreeSet<PathBuf>,
     /// Oddities that do not prevent an import.
     pub warnings: Vec<String>,
     /// Problems that prevent an import, each with a hint and a file.
@@ -65,6 +68,7 @@ impl Summary {
             path: dir.into(),
             format,
             frames: None,
+            used_files: BTreeSet::new(),
             warnings: Vec::new(),
             problems: vec![failure],
             params: None,
@@ -76,7 +80,15 @@ impl Summary {
                 let frames = Frames::of(&source);
                 let usable = frames.as_ref().filter(|_| problems.is_empty());
                 let params = usable.map(|frames| suggestion::params(&source, frames.intrinsics.width));
-                Self { path: dir.into(), format, frames, warnings: source.warnings, problems, params }
+                Self {
+                    path: dir.into(),
+                    format,
+                    frames,
+                    used_files: source.used_files(),
+                    warnings: source.warnings,
+                    problems,
+                    params,
+                }
             }
         }
     }
@@ -126,6 +138,7 @@ impl Summary {
             (Format::Blender, None) => "D-NeRF or Blender (transforms_*.json)",
             (Format::Blender, Some(true)) => "D-NeRF (Blender transforms_*.json with times)",
             (Format::Blender, Some(false)) => "Blender transforms_*.json without times (a static scene)",
+            (Format::Nerfstudio, _) => "nerfstudio or instant-ngp (transforms.json)",
             (Format::Colmap, _) => "COLMAP sparse model",
             (Format::Nerfies, _) => "Nerfies, HyperNeRF or DyCheck (one camera file per view)",
             (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and one folder of frames per camera)",

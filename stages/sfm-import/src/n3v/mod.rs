@@ -12,6 +12,7 @@ use scene::{Camera, PointCloud, Split};
 
 use self::videos::Video;
 pub(crate) use self::videos::camera_names;
+use crate::bounds::StatedBounds;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
 use crate::lens::Lens;
@@ -71,7 +72,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points: points(dir, &mut warnings)?,
-        bounds_world: None,
+        cloud: None,
+        stated_bounds: StatedBounds::default(),
         quality: None,
         warnings,
     })
@@ -112,6 +114,7 @@ fn frames(videos: &[Video], cameras: &[Camera], reduction: u32, stated_in: &Path
             split: if video.camera == HELD_OUT { Split::Test } else { Split::Train },
             image: image.clone(),
             mask: None,
+            depth: None,
             lens: Lens::pinhole(camera.intrinsics),
             camera_from_world: camera.camera_from_world,
             camera_index,

@@ -14,6 +14,7 @@ use glam::DVec3;
 use scene::{Split, npy_file};
 
 use self::files::{Dataset, SceneFrame, SplitNames, ViewMetadata, camera, camera_path, metadata, parse};
+use crate::bounds::StatedBounds;
 use crate::error::{Result, bad};
 use crate::files::{self as paths, children, image_size};
 use crate::params::{Format, Params};
@@ -60,7 +61,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points,
-        bounds_world: None,
+        cloud: None,
+        stated_bounds: StatedBounds::default(),
         quality: None,
         warnings,
     })
@@ -163,6 +165,7 @@ impl FrameSource<'_> {
             split,
             image: self.images.dir.join(file),
             mask,
+            depth: None,
             lens,
             camera_from_world,
             camera_index: metadata.camera_id,

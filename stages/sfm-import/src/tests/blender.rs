@@ -15,7 +15,6 @@ fn cameras_times_and_splits_come_from_the_files() {
     let counts = [Split::Train, Split::Val, Split::Test].map(|split| capture.views_of(split).count());
     assert_eq!(counts, [5, 2, 3]);
     assert_eq!(capture.time_map, TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.25 });
-    assert_eq!(capture.bounds_world, Some([[-1.3; 3], [1.3; 3]]));
     let expected =
         "dnerf · official split · 24×16 · resize none · white background · time (file time - min) / (max - min)";
     assert!(capture.protocol.line().ends_with(expected), "{}", capture.protocol.line());
@@ -152,8 +151,8 @@ fn missing_files_are_named() {
     std::fs::remove_file(dir.path().join("test/r_001.png")).unwrap();
     refusals.add(dir.path(), &Params::default());
     let dir = blender_scene();
-    std::fs::remove_file(transforms_path(dir.path(), "test")).unwrap();
-    refusals.add(dir.path(), &Params::default());
+    std::fs::remove_file(transforms_path(dir.path(), "val")).unwrap();
+    refusals.add(dir.path(), &Params { test_split: TestSplit::Val, ..Params::default() });
     refusals.add(&dir.path().join("nowhere"), &Params::default());
     refusals.add(&dir.path().join("transforms_train.json"), &Params::default());
     insta::assert_snapshot!(refusals.text());
@@ -217,8 +216,36 @@ fn frames_are_sorted_by_time() {
     }
     assert_eq!(reversed[0].name, "train_004", "named by its index in the file");
     assert!(run(dir.path(), &Params::default()).is_ok());
+}
+
+#[test]
+fn frames_at_one_time_become_cameras() {
+    let dir = blender_scene();
     edit_transforms(dir.path(), "train", |json| json["frames"][0]["time"] = json!(0.75));
-    insta::assert_snapshot!("two_frames_at_one_time", refusal(dir.path(), &Params::default()));
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let places =
+        |split| capture.views_of(split).map(|(_, view)| (view.camera_index, view.frame_index)).collect::<Vec<_>>();
+    assert_eq!(places(Split::Train), [(0, 0), (0, 1), (0, 2), (1, 2), (0, 3)]);
+    assert_eq!(places(Split::Test), [(0, 0), (0, 1), (0, 2)]);
+    assert!(read(dir.path(), &Params::default()).unwrap().warnings[0].contains("have the same time"));
+}
+
+#[test]
+fn missing_split_files_have_a_stated_rule() {
+    let dir = blender_scene();
+    std::fs::remove_file(transforms_path(dir.path(), "test")).unwrap();
+    let counts =
+        |capture: &scene::Capture| [Split::Train, Split::Val, Split::Test].map(|s| capture.views_of(s).count());
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    assert_eq!((counts(&capture), capture.protocol.split.as_str()), ([5, 0, 2], "official, tested on val"));
+    std::fs::remove_file(transforms_path(dir.path(), "val")).unwrap();
+    let (_root, capture) = run(dir.path(), &Params { every_nth: 2, ..Params::default() }).unwrap();
+    assert_eq!((counts(&capture), capture.protocol.split.as_str()), ([2, 0, 3], "1 of 2 images"));
+    let names: Vec<&str> = capture.views_of(Split::Test).map(|(_, view)| view.name.as_str()).collect();
+    assert_eq!(names, ["train_000", "train_002", "train_004"]);
+    let untested = Params { every_nth: 0, ..Params::default() };
+    assert_eq!(counts(&run(dir.path(), &untested).unwrap().1), [5, 0, 0]);
+    assert!(describe(dir.path()).unwrap().contains("every every_nth-th training image is held out"));
 }
 
 #[test]

@@ -55,8 +55,7 @@ fn distortion_is_applied_or_refused() {
     assert_eq!(bent.distortion, Distortion::brown([-0.05, 0.01, 0.002, 0.0], [0.001, -0.002]));
     insta::assert_snapshot!(refusals(&[
         json!({ "k4": 0.1 }),
-        json!({ "camera_model": "OPENCV_FISHEYE" }),
-        json!({ "is_fisheye": true }),
+        json!({ "camera_model": "EQUIRECTANGULAR" }),
         json!({ "k1": -40.0 }),
     ]));
 }

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use super::colmap_files::{write_binary, write_text};
+use super::nerfstudio_files::{Rewriting, rewrite};
 use super::support::*;
-use crate::Params;
 use crate::colmap::read_model;
 use crate::recognise::read;
+use crate::{Format, Params};
 
 /// The next of a fixed sequence of pseudo-random numbers (upper bits of Knuth's MMIX generator).
 fn random(state: &mut u64) -> usize {
@@ -88,6 +89,38 @@ fn mangled_transforms_never_panic() {
         refused += usize::from(result.is_err() || result.is_ok_and(|capture| !capture.problems().is_empty()));
     }
     assert!(refused > 300, "only {refused} of 600 mangled files were refused");
+}
+
+#[test]
+fn mangled_single_transforms_never_panic() {
+    let dir = blender_scene();
+    let original = read(dir.path(), &Params::default()).unwrap();
+    let applied = Some((glam::DMat4::from_rotation_z(0.5), 2.0));
+    let distortion = serde_json::json!({ "camera_model": "OPENCV", "k1": 0.01, "aabb_scale": 4 });
+    let rewriting = Rewriting { applied, distortion, is_timed: true, ..Rewriting::default() };
+    rewrite(dir.path(), &original, &rewriting);
+    let path = dir.path().join("transforms.json");
+    let params = Params { format: Format::Nerfstudio, ..Params::default() };
+    let refused = support::mangle::refused(&path, 800, |_| {
+        let capture = read(dir.path(), &params)?;
+        assert!(capture.bounds_world().into_iter().flatten().flatten().all(f64::is_finite));
+        capture.problems().into_iter().next().map_or(Ok(()), Err)
+    });
+    assert!(refused > 300, "only {refused} of 800 mangled files were refused");
+}
+
+#[test]
+fn mangled_clouds_never_panic() {
+    let dir = blender_scene();
+    let positions = (0..200).map(|i| [i as f32 * 0.01, 0.5, -0.5]).collect();
+    let cloud = scene::PointCloud { positions, colors: vec![[7; 3]; 200] };
+    let path = dir.path().join("fused.ply");
+    cloud.write_ply(&path, scene::ply::PlyFormat::Ascii).unwrap();
+    assert_eq!(read(dir.path(), &Params::default()).unwrap().points.len(), 200);
+    let refused = support::mangle::refused(&path, 400, |_| {
+        read(dir.path(), &Params::default()).map(|found| assert!(found.bounds_world().is_some()))
+    });
+    assert!(refused > 100, "only {refused} of 400 mangled files were refused");
 }
 
 #[test]

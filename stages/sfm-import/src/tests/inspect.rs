@@ -44,10 +44,9 @@ fn a_folder_of_captures_lists_each() {
 
 #[test]
 fn unrecognised_folders_get_a_hint_for_their_files() {
-    let cases: [&[&str]; 7] = [
+    let cases: [&[&str]; 6] = [
         &[],
         &["notes.txt"],
-        &["transforms.json"],
         &["dataset.json", "camera/0.json"],
         &["poses_bounds.npy"],
         &["cam00.mp4"],

@@ -2,6 +2,7 @@
 
 mod blender;
 mod blender_lens;
+mod bounds;
 mod colmap;
 mod colmap_files;
 mod colmap_layouts;
@@ -12,6 +13,8 @@ mod lens;
 mod n3v;
 mod n3v_faults;
 mod nerfies;
+mod nerfstudio;
+mod nerfstudio_files;
 mod pixels;
 mod real;
 pub(crate) mod support;

@@ -1,0 +1,65 @@
+//! A PLY file with the points that training starts from.
+
+use std::path::PathBuf;
+
+use glam::DVec3;
+use scene::{Camera, PointCloud};
+
+use crate::applied::Applied;
+use crate::error::{Result, bad};
+
+/// World positions and sRGB colours.
+pub(crate) type Points = Vec<([f64; 3], [u8; 3])>;
+
+/// Points and cameras that are looked at to tell in which frame a cloud is.
+const SAMPLED: usize = 256;
+/// Share of the projections into the images, relative to that in the other frame, below which a cloud is in the other frame.
+const MISPLACED: f64 = 0.5;
+
+/// A point cloud in the frame of the poses.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct CloudFile {
+    /// Where it lies.
+    pub(crate) path: PathBuf,
+    /// What moved the original world into the frame of the poses.
+    pub(crate) applied: Applied,
+}
+
+impl CloudFile {
+    /// Reads the points in the original world.
+    ///
+    /// nerfstudio moves the cloud with the poses, but early versions left it in the original world. If the cameras see far
+    /// less of the moved cloud than of the file as it is, the file is taken as it is, with a warning.
+    pub(crate) fn load(&self, cameras: &[Camera], warnings: &mut Vec<String>) -> Result<Points> {
+        let cloud = PointCloud::read_ply(&self.path).map_err(|error| bad(error.message).at(&self.path))?;
+        let stated: Vec<DVec3> = cloud.positions.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
+        let undone: Vec<DVec3> = stated.iter().map(|point| self.applied.undo(*point)).collect();
+        let as_it_is =
+            !self.applied.is_identity() && seen_share(&undone, cameras) < MISPLACED * seen_share(&stated, cameras);
+        if as_it_is {
+            let name = self.path.file_name().unwrap_or_default().display();
+            warnings
+                .push(format!("{name} lacks applied_transform, which the poses have: its points are used as they are"));
+        }
+        let positions = if as_it_is { stated } else { undone };
+        Ok(positions.iter().map(DVec3::to_array).zip(cloud.colors).collect())
+    }
+}
+
+/// The share of pairs of a point and a camera in which the point is inside the image.
+fn seen_share(points: &[DVec3], cameras: &[Camera]) -> f64 {
+    let points: Vec<&DVec3> = sampled(points).collect();
+    let cameras: Vec<&Camera> = sampled(cameras).collect();
+    let sees = |camera: &Camera, point: &DVec3| {
+        let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
+        let pixel = camera.project(*point).map(|(pixel, _)| pixel);
+        pixel.is_some_and(|pixel| (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y))
+    };
+    let seen: usize = cameras.iter().map(|camera| points.iter().filter(|point| sees(camera, point)).count()).sum();
+    seen as f64 / (points.len() * cameras.len()).max(1) as f64
+}
+
+/// At most about [`SAMPLED`] items, evenly spread.
+fn sampled<T>(items: &[T]) -> impl Iterator<Item = &T> {
+    items.iter().step_by(items.len().div_ceil(SAMPLED).max(1))
+}

@@ -1,0 +1,70 @@
+//! Depth maps that a capture brings along, e.g. from a depth sensor.
+
+use std::path::{Path, PathBuf};
+
+use image::{ColorType, ImageDecoder, ImageReader};
+use scene::maps::fit_to_view;
+use scene::maps::formats::{self, Content};
+use scene::{DepthMap, Intrinsics};
+
+use crate::error::{Result, bad};
+use crate::lens::{Lens, plane_point};
+
+/// Scene units per unit of an integer or NumPy file: millimetres for scenes in metres (nerfstudio's default).
+const MILLIMETRE: f64 = 1e-3;
+/// Values beyond this many scene units mean that nothing was hit: Blender writes 1e10, half floats end at 65504.
+const NO_HIT: f64 = 6.5e4;
+
+/// A file of view-space z.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct DepthFile {
+    /// Where it lies.
+    pub(crate) path: PathBuf,
+    /// Scene units per stored unit.
+    pub(crate) units_per_value: f64,
+}
+
+impl DepthFile {
+    /// A file with the stated unit, or else that of its format: scene units for EXR and PFM, millimetres otherwise.
+    pub(crate) fn new(path: PathBuf, unit: Option<f64>) -> Self {
+        let is_float = path.extension().is_some_and(|extension| extension == "exr" || extension == "pfm");
+        Self { path, units_per_value: unit.unwrap_or(if is_float { 1.0 } else { MILLIMETRE }) }
+    }
+
+    /// Samples the map at the nearest pixel for the pinhole `target` of the undistorted image, at `size`: a mean across an
+    /// edge would lie on neither surface. Depths that are 0, not finite or beyond any scene are unknown (0).
+    pub(crate) fn read(&self, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<DepthMap> {
+        let blame = |error: scene::Error| bad(error.message).at(&self.path);
+        let values = formats::read(&self.path, Content::Depth).map_err(blame)?;
+        let (values, _) = fit_to_view(values, &lens.intrinsics, &self.path).map_err(blame)?;
+        let (width, height) = size;
+        let camera = scene::Camera { intrinsics: *target, camera_from_world: scene::RigidTransform::IDENTITY };
+        let scaled = camera.resized(width, height).intrinsics;
+        let mut depth_view = Vec::with_capacity(width as usize * height as usize);
+        for row in 0..height {
+            for column in 0..width {
+                let pixel = lens.pixel(plane_point(&scaled, column, row));
+                let clamped = |value: f64, length: u32| value.clamp(0.0, f64::from(length - 1)) as usize;
+                let (x, y) = (clamped(pixel.x, values.width), clamped(pixel.y, values.height));
+                depth_view.push(self.scene_units(values.values[y * values.width as usize + x])?);
+            }
+        }
+        Ok(DepthMap { width, height, depth_view })
+    }
+
+    fn scene_units(&self, value: f32) -> Result<f32> {
+        let depth = f64::from(value) * self.units_per_value;
+        match depth {
+            depth if depth < 0.0 => Err(bad(format!("depth {value} is not a distance")).at(&self.path)),
+            depth if depth <= NO_HIT => Ok(depth as f32),
+            _ => Ok(0.0),
+        }
+    }
+}
+
+/// Whether a file is a PNG of 8 bits, as Blender writes for looking at: its values have no scale.
+pub(crate) fn is_preview(path: &Path) -> bool {
+    let is_png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+    let reader = || ImageReader::open(path).ok()?.with_guessed_format().ok()?.into_decoder().ok();
+    is_png && reader().is_some_and(|decoder| decoder.color_type() != ColorType::L16)
+}

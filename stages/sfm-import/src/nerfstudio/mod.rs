@@ -1,0 +1,97 @@
+//! A single `transforms.json`, as nerfstudio (Tancik et al. 2023), instant-ngp (Müller et al. 2022) and the exports of
+//! Polycam, Record3D, KIRI Engine and Metashape to these write it.
+
+mod splits;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use scene::Split;
+
+use crate::error::{Result, bad};
+use crate::files;
+use crate::image_names::{natural_order, view_name};
+use crate::params::{Format, Params};
+use crate::source::SourceCapture;
+use crate::split;
+use crate::transforms::{
+    ListedFrame, StatedFrame, TransformsFile, cloud, frames, image_path, is_static, number_by_time, number_static,
+    relative, stated_bounds, time_map,
+};
+
+/// The name of the file.
+pub(crate) const FILE: &str = "transforms.json";
+
+/// Whether `dir` has this format.
+pub(crate) fn is_present(dir: &Path) -> bool {
+    dir.join(FILE).is_file()
+}
+
+/// Reads the frames of the file; opens images no further than their headers.
+pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    let mut warnings = Vec::new();
+    let file = TransformsFile::read(dir.join(FILE))?;
+    let mut listed = listed(dir, &file, &mut warnings)?;
+    let official = splits::official(&file, &mut listed, params, &mut warnings)?;
+    let is_static = is_static(&listed, params, &mut warnings)?;
+    let mut frames = frames(dir, &listed, params, &mut warnings)?;
+    if is_static {
+        number_static(&mut frames)
+    } else {
+        number_by_time(&mut frames, &mut warnings)
+    }
+    let wants_test = official.is_some() || params.every_nth > 0;
+    let mut rules = vec![official.unwrap_or_else(|| split::hold_out(&mut frames, is_static, params))];
+    let time_map = time_map(&frames, is_static);
+    rules.extend(split::refine(&mut frames, params));
+    Ok(SourceCapture {
+        name: files::name(dir),
+        format: Format::Nerfstudio,
+        dataset: "nerfstudio",
+        wants_test,
+        split_rule: rules.join(", "),
+        time_rule: if is_static { "one instant".into() } else { "(file time - min) / (max - min)".into() },
+        time_map,
+        frames,
+        points: Vec::new(),
+        cloud: cloud(dir, &file, &mut warnings),
+        stated_bounds: stated_bounds(&file, &mut warnings),
+        quality: None,
+        warnings,
+    })
+}
+
+/// The frames that have an image, in the natural order of their names, all as training views.
+fn listed<'a>(dir: &Path, file: &'a TransformsFile, warnings: &mut Vec<String>) -> Result<Vec<ListedFrame<'a>>> {
+    let stated = &file.document.frames;
+    let with_image: Vec<&StatedFrame> = stated.iter().filter(|frame| !frame.file_path.trim().is_empty()).collect();
+    if with_image.is_empty() && !stated.is_empty() {
+        let hint = "this is a path for rendering: training needs frames with images";
+        return Err(bad("no frame names an image: every file_path is empty").hint(hint).at(&file.path));
+    }
+    if with_image.len() < stated.len() {
+        warnings.push(format!("{} frames have an empty file_path and are skipped", stated.len() - with_image.len()));
+    }
+    let blame = |failure: engine::Failure| failure.at(&file.path);
+    let names = with_image.iter().map(|frame| relative(&frame.file_path)).collect::<Result<Vec<_>>>().map_err(blame)?;
+    let root = common_folder(&names);
+    let mut listed = Vec::new();
+    for (stated, name) in with_image.into_iter().zip(&names) {
+        let image = image_path(dir, &stated.file_path).map_err(blame)?;
+        let name = view_name(&name.strip_prefix(&root).unwrap_or(name).to_string_lossy());
+        listed.push(ListedFrame { name, split: Split::Train, stated, file, image });
+    }
+    listed.sort_by(|a, b| natural_order(&a.stated.file_path, &b.stated.file_path));
+    Ok(listed)
+}
+
+/// The longest folder that contains all files.
+fn common_folder(names: &[PathBuf]) -> PathBuf {
+    let folders: BTreeSet<&Path> = names.iter().filter_map(|name| name.parent()).collect();
+    let mut folders = folders.into_iter();
+    let first = folders.next().unwrap_or(Path::new("")).to_path_buf();
+    folders.fold(first, |common, folder| {
+        let equal = common.components().zip(folder.components()).take_while(|(a, b)| a == b);
+        equal.map(|(part, _)| part).collect()
+    })
+}

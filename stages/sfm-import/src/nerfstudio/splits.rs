@@ -1,0 +1,77 @@
+//! The split that a file states by lists of file names.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use scene::Split;
+
+use crate::error::{Result, bad};
+use crate::params::{Params, TestSplit};
+use crate::transforms::{ListedFrame, TransformsFile, relative};
+
+/// Applies `train_filenames`, `val_filenames` and `test_filenames`; returns the name of the split, or `None` without
+/// lists of test or validation views.
+///
+/// Frames in none of the lists are dropped, or train if there is no list of training views. Without a list of test views,
+/// the validation views are tested on.
+pub(super) fn official(
+    file: &TransformsFile,
+    frames: &mut Vec<ListedFrame<'_>>,
+    params: &Params,
+    warnings: &mut Vec<String>,
+) -> Result<Option<String>> {
+    let document = &file.document;
+    let lists = [&document.train_filenames, &document.val_filenames, &document.test_filenames];
+    if lists[1].is_none() && lists[2].is_none() {
+        return Ok(None); // a list of training views alone leaves nothing to test on
+    }
+    let known: BTreeSet<PathBuf> = frames.iter().filter_map(path).collect();
+    let set = |(key, names): (&str, &Option<Vec<String>>)| match names {
+        None => Ok(None),
+        Some(names) => {
+            let paths = names.iter().map(|name| relative(name)).collect::<Result<BTreeSet<_>>>();
+            let paths = paths.map_err(|failure| failure.at(&file.path))?;
+            match paths.iter().find(|path| !known.contains(*path)) {
+                None => Ok(Some(paths)),
+                Some(unknown) => {
+                    let message = format!("{key} names {}, which is the file_path of no frame", unknown.display());
+                    Err(bad(message).hint("use the file_path of a frame").at(&file.path))
+                }
+            }
+        }
+    };
+    let keys = ["train_filenames", "val_filenames", "test_filenames"];
+    let sets = keys.into_iter().zip(lists).map(set).collect::<Result<Vec<_>>>()?;
+    let [train, val, test] = sets.as_slice() else { unreachable!("three keys have three lists") };
+    let tests_on_val = params.test_split == TestSplit::Val || test.is_none();
+    let (val, test) = if tests_on_val { (&None, val) } else { (val, test) };
+    assign(frames, [train, val, test], warnings);
+    Ok(Some(if tests_on_val { "official, tested on val" } else { "official" }.into()))
+}
+
+/// Sets the split of every frame and drops those in no list. A test view never trains, and neither does a validation view.
+fn assign(
+    frames: &mut Vec<ListedFrame<'_>>,
+    [train, val, test]: [&Option<BTreeSet<PathBuf>>; 3],
+    warnings: &mut Vec<String>,
+) {
+    let (before, mut overlaps) = (frames.len(), 0);
+    frames.retain_mut(|frame| {
+        let path = path(frame).unwrap_or_default();
+        let is_in = |set: &Option<BTreeSet<PathBuf>>| set.as_ref().is_some_and(|set| set.contains(&path));
+        let held_out = [(test, Split::Test), (val, Split::Val)].into_iter().find(|(set, _)| is_in(set));
+        overlaps += usize::from(held_out.is_some() && is_in(train));
+        frame.split = held_out.map_or(Split::Train, |(_, split)| split);
+        held_out.is_some() || train.is_none() || is_in(train)
+    });
+    if overlaps > 0 {
+        warnings.push(format!("{overlaps} test or validation images are also listed for training: they do not train"));
+    }
+    if frames.len() < before {
+        warnings.push(format!("{} frames are in no list of file names and are skipped", before - frames.len()));
+    }
+}
+
+fn path(frame: &ListedFrame<'_>) -> Option<PathBuf> {
+    relative(&frame.stated.file_path).ok()
+}

@@ -1,0 +1,249 @@
+//! A single `transforms.json`: round trips of captures in other layouts, splits, and oddities.
+
+use glam::{DMat4, DQuat, DVec3};
+use scene::{Capture, LabelMap, Split};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use super::nerfstudio_files::{Rewriting, rewrite};
+use super::support::*;
+use crate::recognise::read;
+use crate::source::SourceCapture;
+use crate::{Format, Params};
+
+/// Largest difference of cameras and points after a round trip: points are stored in single precision.
+const TOLERANCE: f64 = 1e-6;
+
+/// What ns-process-data applies to poses of COLMAP.
+fn axes_of_nerfstudio() -> DMat4 {
+    DMat4::from_cols_array_2d(&[
+        [1.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 1.0],
+    ])
+    .transpose()
+}
+
+/// A rotation about a skew axis, a shift, and a scale.
+fn any_similarity() -> (DMat4, f64) {
+    let rotation = DQuat::from_axis_angle(DVec3::new(0.3, -0.5, 0.8).normalize(), 2.1);
+    (DMat4::from_rotation_translation(rotation, DVec3::new(0.4, -1.5, 2.0)), 0.37)
+}
+
+/// Asserts that two captures have the same views, and points in the same places, in any order of the points.
+fn assert_same(found: &SourceCapture, expected: &SourceCapture) {
+    assert_eq!(found.frames.len(), expected.frames.len());
+    for frame in &expected.frames {
+        let same = found.frames.iter().find(|other| other.image == frame.image).unwrap();
+        assert_eq!(same.split, frame.split, "{}", frame.name);
+        let (a, b) = (&same.camera_from_world, &frame.camera_from_world);
+        assert!(a.rotation.abs_diff_eq(b.rotation, TOLERANCE), "{} {} {}", frame.name, a.rotation, b.rotation);
+        assert!(a.translation.abs_diff_eq(b.translation, TOLERANCE), "{} {}", a.translation, b.translation);
+        assert_eq!((same.lens, same.time_secs), (frame.lens, frame.time_secs), "{}", frame.name);
+    }
+    assert_eq!(found.points.len(), expected.points.len());
+    for ((found, rgb), (expected, stated)) in found.points.iter().zip(&expected.points) {
+        assert!(DVec3::from(*found).abs_diff_eq((*expected).into(), TOLERANCE), "{found:?} {expected:?}");
+        assert_eq!(rgb, stated);
+    }
+}
+
+/// Reads the rewritten capture and removes it again.
+fn reread(dir: &TempDir, original: &SourceCapture, rewriting: &Rewriting, params: &Params) -> SourceCapture {
+    rewrite(dir.path(), original, rewriting);
+    read(dir.path(), &Params { format: Format::Nerfstudio, ..params.clone() }).unwrap()
+}
+
+/// A D-NeRF scene whose split files are gone after reading.
+fn dnerf_scene() -> (TempDir, SourceCapture) {
+    let dir = blender_scene();
+    let original = read(dir.path(), &Params::default()).unwrap();
+    for label in ["train", "val", "test"] {
+        std::fs::remove_file(transforms_path(dir.path(), label)).unwrap();
+    }
+    (dir, original)
+}
+
+#[test]
+fn a_dnerf_scene_survives_rewriting() {
+    let (dir, original) = dnerf_scene();
+    for applied in [None, Some((axes_of_nerfstudio(), 1.0)), Some(any_similarity())] {
+        let rewriting = Rewriting { applied, is_timed: true, ..Rewriting::default() };
+        let found = reread(&dir, &original, &rewriting, &Params::default());
+        assert_same(&found, &original);
+        assert_eq!((found.time_map, found.split_rule.as_str()), (original.time_map, "official"));
+        let places = |capture: &SourceCapture| {
+            capture.frames.iter().map(|frame| (frame.camera_index, frame.frame_index)).collect::<Vec<_>>()
+        };
+        assert_eq!(places(&found), places(&original));
+    }
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    assert_eq!((capture.pose_source.as_str(), capture.views.len()), ("nerfstudio", 10));
+}
+
+/// A static COLMAP capture whose model is gone after reading, and parameters for it.
+fn colmap_capture(model: &'static str, lens: &[f64]) -> (TempDir, SourceCapture, Params) {
+    let dir = Workspace::new(9, model, lens, |index| format!("{index:04}.png")).write();
+    let params = Params { static_scene: true, ..colmap_params() };
+    let original = read(dir.path(), &params).unwrap();
+    std::fs::remove_dir_all(dir.path().join("sparse")).unwrap();
+    (dir, original, params)
+}
+
+#[test]
+fn colmap_captures_survive_rewriting() {
+    let opencv = json!({ "camera_model": "OPENCV", "k1": -0.03, "k2": 0.01, "p1": 0.001, "p2": -0.002 });
+    let fisheye = json!({ "camera_model": "OPENCV_FISHEYE", "k1": -0.03, "k2": 0.01, "k3": 0.001, "k4": -0.002 });
+    let coefficients = [30.0, 31.0, 12.5, 8.0, -0.03, 0.01, 0.001, -0.002];
+    for (count, distortion) in [(4, json!({ "camera_model": "PINHOLE" })), (8, opencv), (8, fisheye)] {
+        let model = distortion["camera_model"].as_str().unwrap().to_owned().leak();
+        let (dir, original, params) = colmap_capture(model, &coefficients[..count]);
+        for applied in [None, Some((axes_of_nerfstudio(), 1.0)), Some(any_similarity())] {
+            let rewriting = Rewriting { applied, distortion: distortion.clone(), ..Rewriting::default() };
+            let found = reread(&dir, &original, &rewriting, &params);
+            assert_same(&found, &original);
+            assert_eq!(found.split_rule, "1 of 4 images");
+            assert_eq!(found.frames[0].name, original.frames[0].name);
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "0000")]
+fn a_forgotten_transform_is_a_difference() {
+    let (dir, original, params) = colmap_capture("PINHOLE", &[30.0, 31.0, 12.5, 8.0]);
+    let applied = Some((DMat4::from_rotation_x(1e-4), 1.0));
+    rewrite(dir.path(), &original, &Rewriting { applied, ..Rewriting::default() });
+    edit(dir.path(), |json| remove(json, &["applied_transform"]));
+    assert_same(&read(dir.path(), &params).unwrap(), &original);
+}
+
+#[test]
+fn clouds_of_early_versions_are_used_as_they_are() {
+    let (dir, original, params) = colmap_capture("PINHOLE", &[30.0, 31.0, 12.0, 8.0]);
+    let shift = DMat4::from_translation(DVec3::new(0.0, 20.0, 0.0));
+    let applied = Some((shift * axes_of_nerfstudio(), 1.0));
+    let rewriting = Rewriting { applied, keeps_points: true, ..Rewriting::default() };
+    let found = reread(&dir, &original, &rewriting, &params);
+    assert_same(&found, &original);
+    assert!(found.warnings.iter().any(|warning| warning.contains("lacks applied_transform")), "{:?}", found.warnings);
+}
+
+/// Edits `transforms.json`.
+fn edit(dir: &std::path::Path, edit: impl FnOnce(&mut Value)) {
+    let path = dir.join("transforms.json");
+    let mut json: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    edit(&mut json);
+    std::fs::write(path, json.to_string()).unwrap();
+}
+
+/// A timed capture in one file, edited.
+fn edited(change: impl FnOnce(&mut Value)) -> TempDir {
+    let (dir, original) = dnerf_scene();
+    rewrite(dir.path(), &original, &Rewriting { is_timed: true, ..Rewriting::default() });
+    edit(dir.path(), change);
+    dir
+}
+
+fn counts(capture: &Capture) -> [usize; 3] {
+    [Split::Train, Split::Val, Split::Test].map(|split| capture.views_of(split).count())
+}
+
+fn remove(json: &mut Value, keys: &[&str]) {
+    keys.iter().for_each(|key| drop(json.as_object_mut().unwrap().remove(*key)));
+}
+
+#[test]
+fn splits_follow_lists_or_the_stated_rule() {
+    let import = |dir: &TempDir| {
+        let capture = run(dir.path(), &Params::default()).unwrap().1;
+        (counts(&capture), capture.protocol.split)
+    };
+    let lists = ["train_filenames", "val_filenames", "test_filenames"];
+    let untested = edited(|json| remove(json, &["test_filenames"]));
+    assert_eq!(import(&untested), ([5, 0, 2], "official, tested on val".into()));
+    let rest = edited(|json| remove(json, &["train_filenames"]));
+    assert_eq!(import(&rest), ([5, 2, 3], "official".into()));
+    let unlisted = edited(|json| drop(json["train_filenames"].as_array_mut().unwrap().pop()));
+    assert_eq!(import(&unlisted), ([4, 2, 3], "official".into()));
+    let overlapping = edited(|json| json["test_filenames"] = json["train_filenames"].as_array().unwrap()[..2].into());
+    assert_eq!(import(&overlapping), ([3, 2, 2], "official".into()));
+    // Three frames share the time 0: the folders are cameras, of which the first is held out.
+    let none = edited(|json| remove(json, &lists));
+    assert_eq!(import(&none), ([7, 0, 3], "1 of 8 cameras".into()));
+    let still = edited(|json| {
+        remove(json, &lists);
+        json["frames"].as_array_mut().unwrap().iter_mut().for_each(|frame| remove(frame, &["time"]));
+    });
+    assert_eq!(import(&still), ([8, 0, 2], "1 of 8 images".into()));
+    let capture = run(still.path(), &Params { every_nth: 0, ..Params::default() }).unwrap().1;
+    assert_eq!(capture.time_map.end_secs, 0.0);
+    let names: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
+    assert_eq!(names[..4], ["test_r_000", "test_r_001", "test_r_002", "train_r_000"]);
+}
+
+#[test]
+fn masks_depths_and_bounds_are_imported() {
+    let dir = edited(|json| {
+        for (index, frame) in json["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
+            frame["mask_path"] = format!("masks/{index}.png").into();
+            frame["depth_file_path"] = format!("depth/{index}.png").into();
+        }
+        json["aabb"] = json!([[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]);
+    });
+    std::fs::create_dir(dir.path().join("depth")).unwrap();
+    for index in 0..10 {
+        write_mask(&dir.path().join(format!("masks/{index}.png")), (WIDTH, HEIGHT), 255);
+        let millimetres = |column: u32, _| image::Luma([if column < 6 { 0_u16 } else { 1500 }]);
+        let depth = image::ImageBuffer::<image::Luma<u16>, _>::from_fn(WIDTH / 2, HEIGHT / 2, millimetres);
+        depth.save(dir.path().join(format!("depth/{index}.png"))).unwrap();
+    }
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let view = &capture.views[3];
+    let depth = capture.load_depth(view).unwrap().unwrap();
+    assert_eq!((depth.width, depth.height, depth.depth_view[2], depth.depth_view[23]), (WIDTH, HEIGHT, 0.0, 1.5));
+    let LabelMap { labels, .. } = capture.load_mask(view).unwrap().unwrap();
+    assert_eq!((labels[2], labels[23]), (0, 1));
+    assert_eq!(capture.bounds_world, Some([[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]));
+    let metres = Params { depth_unit: Some(1.0), ..Params::default() };
+    let (_root, capture) = run(dir.path(), &metres).unwrap();
+    assert_eq!(capture.load_depth(&capture.views[3]).unwrap().unwrap().depth_view[23], 1500.0);
+    edit(dir.path(), |json| json["depth_unit_scale_factor"] = 0.01.into());
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    assert_eq!(capture.load_depth(&capture.views[3]).unwrap().unwrap().depth_view[23], 15.0);
+}
+
+#[test]
+fn faults_are_refused_with_their_reason() {
+    let mut refusals = Refusals::default();
+    let mut add = |change: &dyn Fn(&mut Value)| refusals.add(edited(change).path(), &Params::default());
+    add(&|json| json["frames"].as_array_mut().unwrap().iter_mut().for_each(|frame| frame["file_path"] = "".into()));
+    add(&|json| json["frames"][1]["file_path"] = "/data/images/r_000.png".into());
+    add(&|json| json["frames"][1]["camera_angle_x"] = 2.0.into());
+    add(&|json| json["frames"][1]["fl_x"] = 0.7.into());
+    add(&|json| json["frames"][1]["camera_model"] = "EQUIRECTANGULAR".into());
+    add(&|json| json["applied_transform"] = json!([[1, 0, 0, 0], [0, 1, 0, 0]]));
+    add(&|json| json["applied_transform"] = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]]));
+    add(&|json| json["applied_transform"] = json!([[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0]]));
+    add(&|json| json["applied_scale"] = 0.into());
+    add(&|json| json["test_filenames"][0] = "test/r_999.png".into());
+    add(&|json| json["frames"][1]["transform_matrix"] = json!([[1, 0, 0, 0]]));
+    add(&|json| remove(&mut json["frames"][1], &["time"]));
+    add(&|json| json["frames"][2]["file_path"] = json["frames"][1]["file_path"].clone());
+    insta::assert_snapshot!(refusals.text());
+}
+
+#[test]
+fn oddities_are_warnings() {
+    let dir = edited(|json| {
+        json["frames"][1]["file_path"] = "".into();
+        json["train_filenames"].as_array_mut().unwrap().remove(1);
+        json["frames"][2]["mask_path"] = "masks/none.png".into();
+        json["frames"][3]["camera_angle_x"] =
+            json!(2.0 * (12.0 / (1.05 * json["frames"][3]["fl_x"].as_f64().unwrap())).atan());
+        json["ply_file_path"] = "none.ply".into();
+        json["aabb"] = json!([1, 2]);
+    });
+    insta::assert_snapshot!(describe(dir.path()).unwrap());
+}

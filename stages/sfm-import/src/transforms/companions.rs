@@ -1,0 +1,100 @@
+//! Masks and depth maps of images: stated by the file, or found beside the images.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::frames::{ListedFrame, relative};
+use crate::depth;
+use crate::files::image_size;
+
+/// The file that belongs to an image, if there is one.
+pub(super) type Companions = Option<PathBuf>;
+
+/// Folders of masks beside images, and the extensions in them.
+const MASKS: (&[&str], &[&str]) = (&["masks", "mask"], &["png"]);
+/// Folders of depth maps beside images, and the extensions in them.
+const DEPTHS: (&[&str], &[&str]) = (&["depth", "depths"], &["exr", "npy", "png"]);
+
+/// The mask of every frame: `mask_path`, or a file beside the images.
+pub(super) fn masks(
+    dir: &Path,
+    listed: &[ListedFrame<'_>],
+    size: (u32, u32),
+    warnings: &mut Vec<String>,
+) -> Vec<Companions> {
+    let mut found = found(dir, listed, "mask_path", |frame| frame.stated.mask_path.as_deref(), MASKS, warnings);
+    let misfits = drop_if(&mut found, |path| !image_size(path).is_ok_and(|found| found == size));
+    warnings.extend(count_warning(misfits, "masks are skipped: their size differs from that of their image"));
+    if found.iter().any(Option::is_some) && listed.iter().any(|frame| frame.stated.mask_path.is_some()) {
+        let note = "masks of mask_path become instance labels (0 is background), not pixels that training skips";
+        warnings.push(note.into());
+    }
+    found
+}
+
+/// The depth map of every frame: `depth_file_path`, or a file beside the images.
+pub(super) fn depths(dir: &Path, listed: &[ListedFrame<'_>], warnings: &mut Vec<String>) -> Vec<Companions> {
+    let mut found =
+        found(dir, listed, "depth_file_path", |frame| frame.stated.depth_file_path.as_deref(), DEPTHS, warnings);
+    let previews = drop_if(&mut found, depth::is_preview);
+    warnings.extend(count_warning(previews, "depth files are skipped: 8-bit previews have no scale"));
+    found
+}
+
+/// The companion of every frame. A file that would belong to several images is dropped.
+fn found(
+    dir: &Path,
+    listed: &[ListedFrame<'_>],
+    key: &str,
+    stated: impl for<'f> Fn(&'f ListedFrame<'_>) -> Option<&'f str>,
+    (folders, extensions): (&[&str], &[&str]),
+    warnings: &mut Vec<String>,
+) -> Vec<Companions> {
+    let mut missing = 0;
+    let mut find = |frame: &ListedFrame<'_>| match stated(frame).filter(|path| !path.is_empty()) {
+        None => beside(dir, &frame.image, folders, extensions),
+        Some(path) => {
+            let path = relative(path).ok().map(|path| dir.join(path)).filter(|path| path.is_file());
+            missing += usize::from(path.is_none());
+            path
+        }
+    };
+    let mut found: Vec<Companions> = listed.iter().map(&mut find).collect();
+    warnings.extend(count_warning(missing, &format!("files that {key} names are missing or outside of the folder")));
+    let mut uses: BTreeMap<PathBuf, usize> = BTreeMap::new();
+    found.iter().flatten().for_each(|path| *uses.entry(path.clone()).or_default() += 1);
+    let shared = drop_if(&mut found, |path| uses.get(path).is_some_and(|uses| *uses > 1));
+    warnings.extend(count_warning(shared, "images would share a mask or depth file with another image, and get none"));
+    found
+}
+
+fn count_warning(count: usize, text: &str) -> Option<String> {
+    (count > 0).then(|| format!("{count} {text}"))
+}
+
+/// Removes the files for which `is_bad` holds and returns their number.
+fn drop_if(found: &mut [Companions], is_bad: impl Fn(&Path) -> bool) -> usize {
+    let dropped = found.iter_mut().filter_map(|path| path.take_if(|path| is_bad(path)));
+    dropped.count()
+}
+
+/// The file with an image's stem (or name) in one of the folders: below `dir` under the image's own sub-folder or in
+/// place of its first one, or beside the image, or beside the image's folder.
+fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Companions {
+    let parent = image.strip_prefix(dir).ok()?.parent()?;
+    let without_first: PathBuf = parent.components().skip(1).collect();
+    let above = parent.parent().unwrap_or(parent);
+    let places = folders.iter().flat_map(|folder| {
+        [
+            dir.join(folder).join(parent),
+            dir.join(folder).join(&without_first),
+            dir.join(parent).join(folder),
+            dir.join(above).join(folder),
+        ]
+    });
+    let (stem, name) = (image.file_stem()?.to_string_lossy(), image.file_name()?.to_string_lossy());
+    let names: Vec<String> =
+        extensions.iter().flat_map(|extension| [&stem, &name].map(|base| format!("{base}.{extension}"))).collect();
+    let mut candidates = places.flat_map(|place| names.iter().map(move |name| place.join(name)));
+    candidates.find(|path| path.is_file() && path != image)
+}

@@ -1,0 +1,116 @@
+//! The JSON of transforms files.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat4, DVec4};
+use scene::RigidTransform;
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::stated_lens::StatedLens;
+use crate::applied::{Applied, affine};
+use crate::error::{Result, bad};
+use crate::files::read_bytes;
+
+/// Tolerance for the last row of a homogeneous matrix.
+const LAST_ROW_TOLERANCE: f64 = 1e-6;
+
+/// A transforms file.
+pub(crate) struct TransformsFile {
+    /// Where it lies.
+    pub(crate) path: PathBuf,
+    /// Its content.
+    pub(crate) document: Document,
+    /// The frame that its poses were moved into.
+    pub(crate) applied: Applied,
+}
+
+/// The content of a transforms file. Unknown keys are ignored.
+#[derive(Deserialize)]
+pub(crate) struct Document {
+    #[serde(flatten)]
+    pub(super) lens: StatedLens,
+    /// The views.
+    pub(crate) frames: Vec<StatedFrame>,
+    /// nerfstudio: the point cloud, in the frame of the poses.
+    pub(crate) ply_file_path: Option<String>,
+    /// nerfstudio: [3, 4] or [4, 4], from the original world to the frame of the poses, before `applied_scale`.
+    applied_transform: Option<Vec<[f64; 4]>>,
+    applied_scale: Option<f64>,
+    /// nerfstudio: the `file_path`s of a split.
+    pub(crate) train_filenames: Option<Vec<String>>,
+    pub(crate) val_filenames: Option<Vec<String>>,
+    pub(crate) test_filenames: Option<Vec<String>>,
+    /// nerfstudio: scene units per unit of a depth file.
+    depth_unit_scale_factor: Option<f64>,
+    /// Dense depth priors: units of a depth file per scene unit.
+    depth_scaling_factor: Option<f64>,
+    /// Two corners in the frame of the poses.
+    pub(super) aabb: Option<Value>,
+    /// SDFStudio: an object with a key `aabb`.
+    pub(super) scene_box: Option<Value>,
+    /// instant-ngp: side of the cube that can be non-empty, in its own units; `scale` and `offset` lead to these.
+    pub(super) aabb_scale: Option<f64>,
+    pub(super) scale: Option<f64>,
+    pub(super) offset: Option<[f64; 3]>,
+}
+
+/// One view of a transforms file.
+#[derive(Deserialize)]
+pub(crate) struct StatedFrame {
+    /// The image, relative to the folder of the file; without an extension in Blender's files.
+    pub(crate) file_path: String,
+    /// The time, usually in [0, 1].
+    pub(crate) time: Option<f64>,
+    /// [3, 4] or [4, 4]: camera to world with OpenGL's axes (x right, y up, looking along −z).
+    transform_matrix: Vec<[f64; 4]>,
+    /// The mask of the image.
+    pub(crate) mask_path: Option<String>,
+    /// The depth map of the image.
+    pub(crate) depth_file_path: Option<String>,
+    #[serde(flatten)]
+    pub(super) lens: StatedLens,
+}
+
+impl TransformsFile {
+    /// Parses a file.
+    pub(crate) fn read(path: PathBuf) -> Result<Self> {
+        let document = parse(&path)?;
+        let applied = Applied::of(document.applied_transform.as_deref(), document.applied_scale);
+        let applied = applied.map_err(|failure| failure.at(&path))?;
+        Ok(Self { path, document, applied })
+    }
+
+    /// World-to-camera in the original world, with OpenCV's axes.
+    pub(super) fn camera_from_world(&self, frame: &StatedFrame) -> Result<RigidTransform> {
+        let opengl = affine(&frame.transform_matrix)
+            .ok_or_else(|| bad(format!("transform_matrix has {} rows", frame.transform_matrix.len())))?;
+        let last_row = opengl.row(3);
+        if !last_row.abs_diff_eq(DVec4::W, LAST_ROW_TOLERANCE) {
+            return Err(bad(format!("the last row of transform_matrix is {last_row} instead of [0, 0, 0, 1]")));
+        }
+        let flip = DMat4::from_diagonal(DVec4::new(1.0, -1.0, -1.0, 1.0));
+        let world_from_camera = RigidTransform::from_matrix(opengl * flip);
+        world_from_camera.check().map_err(|error| bad(error.message))?;
+        Ok(self.applied.undo_pose(&world_from_camera).inverse())
+    }
+
+    /// Scene units per unit of a depth file, if the file states it.
+    pub(super) fn depth_unit(&self) -> Option<f64> {
+        let inverse = || self.document.depth_scaling_factor.map(f64::recip);
+        let unit = self.document.depth_unit_scale_factor.or_else(inverse)?;
+        (unit > 0.0 && unit.is_finite()).then_some(unit)
+    }
+}
+
+fn parse(path: &Path) -> Result<Document> {
+    let bytes = read_bytes(path)?;
+    serde_json::from_slice(&bytes).map_err(|error| {
+        let failure = bad(format!("not a valid transforms file ({error})")).at(path);
+        let text = String::from_utf8_lossy(&bytes);
+        match ["NaN", "Infinity"].iter().find(|word| text.contains(**word)) {
+            Some(word) => failure.hint(format!("it contains {word}, which is not valid JSON: correct the pose")),
+            None => failure,
+        }
+    })
+}

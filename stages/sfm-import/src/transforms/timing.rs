@@ -1,0 +1,180 @@
+//! Times of transforms files: which frames belong to one camera, and how long a frame lasts.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use scene::{Split, TimeMap};
+
+use super::frames::ListedFrame;
+use crate::error::{Result, bad};
+use crate::image_names::natural_order;
+use crate::params::Params;
+use crate::source::{Frame, time_range_secs};
+
+/// Largest distance of a time from the grid of equally spaced times, in frames: files round times to a few digits.
+const OFF_GRID: f64 = 0.1;
+
+/// Whether the capture is static: no frame has a time, or the parameters say so. Files in which only some frames have a
+/// time are refused.
+pub(crate) fn is_static(listed: &[ListedFrame<'_>], params: &Params, warnings: &mut Vec<String>) -> Result<bool> {
+    let timed = listed.iter().filter(|frame| frame.stated.time.is_some()).count();
+    if let (1.., Some(untimed)) = (timed, listed.iter().find(|frame| frame.stated.time.is_none())) {
+        let hint = "add the missing times, or remove all of them for a static scene";
+        return Err(bad("some frames have a time and others do not").hint(hint).at(&untimed.file.path));
+    }
+    if timed == 0 && !params.static_scene {
+        warnings.push("no frame has a time: imported as a static scene".into());
+    }
+    Ok(params.static_scene || timed == 0)
+}
+
+/// Makes every frame of a static scene a camera of its own.
+pub(crate) fn number_static(frames: &mut [Frame]) {
+    frames.iter_mut().zip(0..).for_each(|(frame, index)| {
+        (frame.camera_index, frame.frame_index, frame.time_secs) = (index, 0, 0.0);
+    });
+}
+
+/// Numbers cameras and instants, and sorts frames by split, time and camera.
+///
+/// One camera suffices where no split has two frames at one time. Otherwise the cameras are the folders of the images, or
+/// else the distinct poses, whichever has one frame per time; failing both, frames of one time are numbered in the order
+/// of the file.
+pub(crate) fn number_by_time(frames: &mut [Frame], warnings: &mut Vec<String>) {
+    let candidates = [vec![0; frames.len()], by_folder(frames), by_pose(frames)];
+    let found = candidates.into_iter().find(|cameras| is_one_per_time(frames, cameras));
+    let cameras = found.unwrap_or_else(|| {
+        warnings
+            .push("several frames have the same time: they are numbered as cameras in the order of the file".into());
+        by_rank(frames)
+    });
+    frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera_index = camera);
+    for split in [Split::Train, Split::Val, Split::Test] {
+        let instants: BTreeSet<u64> = of_split(frames, split).map(|frame| time_key(frame.time_secs)).collect();
+        let ranks: BTreeMap<u64, u32> = instants.into_iter().zip(0..).collect();
+        let of_split = frames.iter_mut().filter(|frame| frame.split == split);
+        of_split.for_each(|frame| frame.frame_index = ranks[&time_key(frame.time_secs)]);
+    }
+    frames.sort_by(|a, b| {
+        let by_time = a.split.cmp(&b.split).then(a.time_secs.total_cmp(&b.time_secs));
+        by_time.then(a.camera_index.cmp(&b.camera_index))
+    });
+}
+
+fn of_split(frames: &[Frame], split: Split) -> impl Iterator<Item = &Frame> {
+    frames.iter().filter(move |frame| frame.split == split)
+}
+
+/// A key with the order of the times.
+fn time_key(time_secs: f64) -> u64 {
+    let bits = (time_secs + 0.0).to_bits(); // + 0.0 makes −0 equal to 0
+    if bits >> 63 == 0 { bits | 1 << 63 } else { !bits }
+}
+
+/// Whether no camera has two frames of one split at one time.
+fn is_one_per_time(frames: &[Frame], cameras: &[u32]) -> bool {
+    let mut seen = BTreeSet::new();
+    frames.iter().zip(cameras).all(|(frame, camera)| seen.insert((frame.split, *camera, time_key(frame.time_secs))))
+}
+
+/// The rank of every image's folder, in natural order.
+fn by_folder(frames: &[Frame]) -> Vec<u32> {
+    let folder = |frame: &Frame| frame.image.parent().map(Path::to_string_lossy).unwrap_or_default().into_owned();
+    let mut folders: Vec<String> = frames.iter().map(folder).collect::<BTreeSet<_>>().into_iter().collect();
+    folders.sort_by(|a, b| natural_order(a, b));
+    frames
+        .iter()
+        .map(|frame| folders.iter().position(|known| *known == folder(frame)).unwrap_or_default() as u32)
+        .collect()
+}
+
+/// The rank of every distinct pose and lens, by first appearance. If most poses of a split differ, they tell no cameras
+/// apart, and all frames get the same number.
+fn by_pose(frames: &[Frame]) -> Vec<u32> {
+    let mut known: BTreeMap<Vec<u64>, u32> = BTreeMap::new();
+    let number = |frame: &Frame| {
+        let (k, pose) = (frame.lens.intrinsics, frame.camera_from_world);
+        let pose = pose.rotation.to_cols_array().into_iter().chain(pose.translation.to_array());
+        let key = pose.chain([k.focal_x, k.focal_y]).map(f64::to_bits).collect();
+        let next = known.len() as u32;
+        *known.entry(key).or_insert(next)
+    };
+    let numbers: Vec<u32> = frames.iter().map(number).collect();
+    let places: BTreeSet<(Split, u32)> = frames.iter().map(|frame| frame.split).zip(numbers.iter().copied()).collect();
+    if 2 * places.len() <= frames.len() { numbers } else { vec![0; frames.len()] }
+}
+
+/// The rank of every frame among those of its split and time.
+fn by_rank(frames: &[Frame]) -> Vec<u32> {
+    let mut counts: BTreeMap<(Split, u64), u32> = BTreeMap::new();
+    let rank = |frame: &Frame| {
+        let count = counts.entry((frame.split, time_key(frame.time_secs))).or_default();
+        *count += 1;
+        *count - 1
+    };
+    frames.iter().map(rank).collect()
+}
+
+/// The time map over all splits, with the spacing of the file's times.
+pub(crate) fn time_map(frames: &[Frame], is_static: bool) -> TimeMap {
+    let [start_secs, end_secs] = time_range_secs(frames);
+    if is_static || !(end_secs > start_secs) {
+        let instant_secs = if start_secs.is_finite() { start_secs } else { 0.0 };
+        return TimeMap { start_secs: instant_secs, end_secs: instant_secs, frame_secs: 1.0 };
+    }
+    let times = |split: Option<Split>| {
+        let mut times: Vec<f64> =
+            frames.iter().filter(|frame| split.is_none_or(|split| frame.split == split)).map(|f| f.time_secs).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        times
+    };
+    let (all, train) = (times(None), times(Some(Split::Train)));
+    let frame_secs = spacing(&all).or_else(|| spacing(&train)).unwrap_or_else(|| median_gap(&all));
+    TimeMap { start_secs, end_secs, frame_secs }
+}
+
+/// The spacing of equally spaced instants that the sorted times are a part of; `None` if they are not. The smallest gap
+/// must be one frame.
+fn spacing(times: &[f64]) -> Option<f64> {
+    let gaps = || times.windows(2).map(|pair| pair[1] - pair[0]);
+    let smallest = gaps().fold(f64::INFINITY, f64::min);
+    let range = times.last()? - times.first()?;
+    let steps: f64 = gaps().map(|gap| (gap / smallest).round()).sum();
+    let spacing = range / steps;
+    let is_on_grid = |time: &f64| {
+        let frames = (time - times[0]) / spacing;
+        (frames - frames.round()).abs() <= OFF_GRID
+    };
+    (spacing > 0.0 && spacing.is_finite() && times.iter().all(is_on_grid)).then_some(spacing)
+}
+
+/// The median difference of successive times.
+fn median_gap(times: &[f64]) -> f64 {
+    let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    gaps.sort_by(f64::total_cmp);
+    gaps[gaps.len() / 2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_spacing_is_that_of_the_file() {
+        let grid = |ranks: &[u32], count: f64| ranks.iter().map(|rank| f64::from(*rank) / count).collect::<Vec<_>>();
+        let close = |a: f64, b: f64| (a / b - 1.0).abs() <= 1e-9;
+        assert!(close(spacing(&grid(&[0, 3, 4, 9, 12, 149], 149.0)).unwrap(), 1.0 / 149.0));
+        let rounded: Vec<f64> = (0..150).map(|k| (f64::from(k) / 149.0 * 1e4).round() / 1e4).collect();
+        assert!(close(spacing(&rounded).unwrap(), 1.0 / 149.0));
+        assert_eq!(spacing(&[0.0, 0.31, 0.4, 0.77, 1.0]), None);
+        assert_eq!(median_gap(&[0.0, 0.5, 0.6, 1.0]), 0.4);
+    }
+
+    #[test]
+    fn keys_have_the_order_of_times() {
+        let times = [-2.0, -1e-9, -0.0, 0.0, 1e-300, 0.5, 3.0];
+        assert!(times.windows(2).all(|pair| time_key(pair[0]) <= time_key(pair[1])));
+        assert_eq!(time_key(-0.0), time_key(0.0));
+    }
+}
