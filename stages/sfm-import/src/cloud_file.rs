@@ -11,7 +11,7 @@ use crate::error::{Result, bad};
 /// World positions and sRGB colours.
 pub(crate) type Points = Vec<([f64; 3], [u8; 3])>;
 
-/// Points and cameras that are looked at to tell in which frame a cloud is.
+/// Sample size of points and of cameras for the check in which frame a cloud is.
 const SAMPLED: usize = 256;
 /// Share of the projections into the images, relative to that in the other frame, below which a cloud is in the other frame.
 const MISPLACED: f64 = 0.5;

@@ -19,7 +19,7 @@ fn cameras_without_points_bound_what_they_have_in_common() {
     let expected = common_view_volume(&cameras).unwrap().bounds_world();
     assert_eq!(bounds(&cameras, &Vec::new(), &StatedBounds::default()), Some(expected));
     let few = vec![([50.0; 3], [0; 3]); 9];
-    assert_eq!(bounds(&cameras, &few, &StatedBounds::default()), Some(expected), "nine points tell nothing");
+    assert_eq!(bounds(&cameras, &few, &StatedBounds::default()), Some(expected), "nine points do not show an extent");
     let mut damaged = cameras.clone();
     damaged[0].camera_from_world.translation.x = f64::NAN;
     let found = bounds(&damaged, &Vec::new(), &StatedBounds::default()).unwrap();

@@ -88,8 +88,8 @@ fn by_folder(frames: &[Frame]) -> Vec<u32> {
         .collect()
 }
 
-/// The rank of every distinct pose and lens, by first appearance. If most poses of a split differ, they tell no cameras
-/// apart, and all frames get the same number.
+/// The rank of every distinct pose and lens, by first appearance. If most poses of a split differ, the
+/// camera moves, and all frames get the same number.
 fn by_pose(frames: &[Frame]) -> Vec<u32> {
     let mut known: BTreeMap<Vec<u64>, u32> = BTreeMap::new();
     let number = |frame: &Frame| {
