@@ -13,7 +13,7 @@ pub(crate) type BoxWorld = [[f64; 3]; 2];
 const OUTLIERS: f64 = 0.005;
 /// Margin around a cloud, relative to each side of its box: a surface reaches beyond the points that were found on it.
 const MARGIN: f64 = 0.1;
-/// Fewer points than this tell nothing about the extent of a scene.
+/// Fewer points than this do not show the extent of a scene.
 const FEW_POINTS: usize = 100;
 
 /// What the files of a capture state about its bounds.

@@ -149,9 +149,9 @@ impl SourceCapture {
         bounds(&self.cameras(), &self.points, &self.stated_bounds)
     }
 
-    /// The training cameras, without their distortion.
+    /// The plausible training cameras, without their distortion.
     fn cameras(&self) -> Vec<Camera> {
-        let train = self.frames.iter().filter(|frame| frame.split == Split::Train);
+        let train = self.frames.iter().filter(|frame| frame.split == Split::Train && frame.check_range().is_ok());
         train
             .map(|frame| Camera { intrinsics: frame.lens.intrinsics, camera_from_world: frame.camera_from_world })
             .collect()

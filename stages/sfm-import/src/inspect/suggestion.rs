@@ -18,7 +18,9 @@ pub(super) fn params(source: &SourceCapture, width: u32) -> Vec<(&'static str, S
         params.extend([("width", (width / 2).to_string()), ("resize", text("area"))]);
     }
     match source.format {
-        Format::Nerfstudio if !source.split_rule.starts_with("official") => params.push(("every_nth", "8".into())),
+        Format::Blender | Format::Nerfstudio if !source.split_rule.starts_with("official") => {
+            params.push(("every_nth", "8".into()))
+        }
         Format::Colmap => params.extend([("every_nth", "8".into()), ("fps", "30.0".into())]),
         Format::Nerfies => params.push(("fps", "30.0".into())),
         _ if source.name == "lego" && source.dataset == "dnerf" => params.push(("test_split", text("val"))),

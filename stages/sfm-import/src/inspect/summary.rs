@@ -54,6 +54,10 @@ pub struct Frames {
     pub frame_secs: f64,
     /// Number of images with a mask.
     pub masks: usize,
+    /// Number of images with a depth map.
+    pub depths: usize,
+    /// The box in which random initial points are drawn.
+    pub bounds_world: Option<[[f64; 3]; 2]>,
     /// Number of points in the sparse cloud.
     pub points: usize,
     /// The quality of structure from motion, for COLMAP models.
@@ -160,6 +164,8 @@ impl Frames {
             time_range_secs: (time.end_secs > time.start_secs).then_some([time.start_secs, time.end_secs]),
             frame_secs: time.frame_secs,
             masks: source.frames.iter().filter(|frame| frame.mask.is_some()).count(),
+            depths: source.frames.iter().filter(|frame| frame.depth.is_some()).count(),
+            bounds_world: source.bounds_world(),
             points: source.points.len(),
             quality: source.quality,
         })
@@ -184,7 +190,14 @@ impl Frames {
         if let Some(quality) = self.quality {
             lines.push(("poses", format!("{} of {} images registered", quality.registered, quality.images)));
         }
+        if self.depths > 0 {
+            lines.push(("depth", format!("{} maps", self.depths)));
+        }
         lines.push(("points", self.points_text()));
+        if let Some([low, high]) = self.bounds_world {
+            let corner = |corner: [f64; 3]| corner.map(|value| format!("{value:.2}")).join(", ");
+            lines.push(("bounds", format!("({}) to ({})", corner(low), corner(high))));
+        }
         lines
     }
 

@@ -17,4 +17,5 @@ mod nerfstudio;
 mod nerfstudio_files;
 mod pixels;
 mod real;
+mod real_transforms;
 pub(crate) mod support;

@@ -235,6 +235,21 @@ fn faults_are_refused_with_their_reason() {
 }
 
 #[test]
+fn the_recipe_of_inspect_imports_what_it_describes() {
+    let lists = ["train_filenames", "val_filenames", "test_filenames"];
+    let only_train = blender_scene();
+    ["val", "test"].iter().for_each(|label| std::fs::remove_file(transforms_path(only_train.path(), label)).unwrap());
+    for dir in [edited(|_| ()), edited(|json| remove(json, &lists)), only_train] {
+        let recipe = crate::inspect::inspect(dir.path()).unwrap().recipe().unwrap();
+        let recipe: toml::Table = recipe.parse().unwrap();
+        let params: Params = recipe["nodes"]["capture"]["params"].clone().try_into().unwrap();
+        assert!(params.problems().is_empty());
+        let counts = counts(&run(dir.path(), &params).unwrap().1);
+        assert!(counts[0] > 0 && counts[2] > 0, "{counts:?}");
+    }
+}
+
+#[test]
 fn oddities_are_warnings() {
     let dir = edited(|json| {
         json["frames"][1]["file_path"] = "".into();
