@@ -1,6 +1,7 @@
 //! Tests on small generated captures, and on real captures where `PIPELINE_DATA` names their folder.
 
 mod blender;
+mod blender_layouts;
 mod blender_lens;
 mod bounds;
 mod colmap;

@@ -215,6 +215,21 @@ fn masks_depths_and_bounds_are_imported() {
 }
 
 #[test]
+fn images_are_found_by_the_end_of_foreign_paths() {
+    let dir = edited(|json| {
+        for frame in json["frames"].as_array_mut().unwrap() {
+            frame["file_path"] = format!("D:\\scans\\one/{}", frame["file_path"].as_str().unwrap()).into();
+        }
+        remove(json, &["train_filenames", "val_filenames", "test_filenames"]);
+    });
+    let capture = read(dir.path(), &Params::default()).unwrap();
+    assert!(capture.problems().is_empty());
+    assert!(
+        capture.warnings[0].starts_with("10 images are found by the end of their paths, e.g. test/r_000.png for D:")
+    );
+}
+
+#[test]
 fn faults_are_refused_with_their_reason() {
     let mut refusals = Refusals::default();
     let mut add = |change: &dyn Fn(&mut Value)| refusals.add(edited(change).path(), &Params::default());

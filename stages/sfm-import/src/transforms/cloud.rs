@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::document::TransformsFile;
-use super::frames::relative;
+use super::listed::{find, relative};
 use crate::cloud_file::CloudFile;
 use crate::files::children;
 
@@ -14,7 +14,7 @@ const NAMES: [&str; 7] =
 /// The cloud of a capture whose poses are in `file`; `None` if there is none.
 pub(crate) fn cloud(dir: &Path, file: &TransformsFile, warnings: &mut Vec<String>) -> Option<CloudFile> {
     let stated = file.document.ply_file_path.as_deref().filter(|path| !path.is_empty());
-    let named = stated.and_then(|path| Some(dir.join(relative(path).ok()?))).filter(|path| path.is_file());
+    let named = stated.and_then(|path| find(dir, &relative(path).ok()?));
     if let (Some(stated), None) = (stated, &named) {
         warnings.push(format!("the cloud that ply_file_path names is missing: {stated}"));
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::frames::{ListedFrame, relative};
+use super::listed::{ListedFrame, find, relative};
 use crate::depth;
 use crate::files::image_size;
 
@@ -51,16 +51,16 @@ fn found(
     warnings: &mut Vec<String>,
 ) -> Vec<Companions> {
     let mut missing = 0;
-    let mut find = |frame: &ListedFrame<'_>| match stated(frame).filter(|path| !path.is_empty()) {
+    let mut companion = |frame: &ListedFrame<'_>| match stated(frame).filter(|path| !path.is_empty()) {
         None => beside(dir, &frame.image, folders, extensions),
         Some(path) => {
-            let path = relative(path).ok().map(|path| dir.join(path)).filter(|path| path.is_file());
+            let path = relative(path).ok().and_then(|path| find(dir, &path));
             missing += usize::from(path.is_none());
             path
         }
     };
-    let mut found: Vec<Companions> = listed.iter().map(&mut find).collect();
-    warnings.extend(count_warning(missing, &format!("files that {key} names are missing or outside of the folder")));
+    let mut found: Vec<Companions> = listed.iter().map(&mut companion).collect();
+    warnings.extend(count_warning(missing, &format!("files that {key} names are missing")));
     let mut uses: BTreeMap<PathBuf, usize> = BTreeMap::new();
     found.iter().flatten().for_each(|path| *uses.entry(path.clone()).or_default() += 1);
     let shared = drop_if(&mut found, |path| uses.get(path).is_some_and(|uses| *uses > 1));

@@ -1,33 +1,14 @@
 //! The frames of transforms files as posed and timed views.
 
-use std::path::{Component, Path, PathBuf};
-
-use scene::Split;
+use std::path::Path;
 
 use super::companions::{self, Companions};
-use super::document::{StatedFrame, TransformsFile};
+use super::listed::ListedFrame;
 use crate::depth::DepthFile;
 use crate::error::{Result, bad};
 use crate::files::image_size;
 use crate::params::Params;
 use crate::source::Frame;
-
-/// File extensions of images.
-const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
-
-/// A frame of a file, with its name and split.
-pub(crate) struct ListedFrame<'a> {
-    /// Name of the view.
-    pub(crate) name: String,
-    /// The split that the view belongs to.
-    pub(crate) split: Split,
-    /// What the file states about it.
-    pub(crate) stated: &'a StatedFrame,
-    /// The file.
-    pub(crate) file: &'a TransformsFile,
-    /// The image.
-    pub(crate) image: PathBuf,
-}
 
 /// Posed and timed views, each as camera 0, with their masks and depth maps.
 pub(crate) fn frames(
@@ -36,6 +17,13 @@ pub(crate) fn frames(
     params: &Params,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Frame>> {
+    let moved: Vec<_> = listed.iter().filter(|frame| frame.is_moved(dir)).collect();
+    if let Some(first) = moved.first() {
+        let (image, stated) = (first.image.strip_prefix(dir).unwrap_or(&first.image), &first.stated.file_path);
+        let count = moved.len();
+        warnings
+            .push(format!("{count} images are found by the end of their paths, e.g. {} for {stated}", image.display()));
+    }
     let size = any_image_size(listed)?;
     let masks = companions::masks(dir, listed, size, warnings);
     let depths = companions::depths(dir, listed, warnings);
@@ -82,31 +70,4 @@ fn any_image_size(listed: &[ListedFrame<'_>]) -> Result<(u32, u32)> {
         Some(image) => image_size(image),
         None => Ok((1, 1)), // a capture without frames is reported as a problem of its own
     }
-}
-
-/// The image that a `file_path` names. Blender's files omit the extension, which is then the first of [`EXTENSIONS`] that
-/// exists, or `png`.
-pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
-    let name = relative(file_path)?;
-    if name.as_os_str().is_empty() {
-        return Err(bad("a frame has an empty file_path").hint("name its image, or remove the frame"));
-    }
-    let path = dir.join(name);
-    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-    if extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str())) || path.is_file() {
-        return Ok(path);
-    }
-    let candidates = EXTENSIONS.map(|extension| PathBuf::from(format!("{}.{extension}", path.display())));
-    Ok(candidates.iter().find(|path| path.is_file()).unwrap_or(&candidates[0]).clone())
-}
-
-/// A path as files state it, without `.` parts and with `/` for `\`. It must lead into the folder.
-pub(crate) fn relative(stated: &str) -> Result<PathBuf> {
-    let unified = stated.replace('\\', "/");
-    let parts = || Path::new(&unified).components();
-    if !parts().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
-        let hint = "state paths relative to the folder of the transforms file, and put the files into it";
-        return Err(bad(format!("file_path {stated} points outside of the capture's folder")).hint(hint));
-    }
-    Ok(parts().filter(|part| matches!(part, Component::Normal(_))).collect())
 }

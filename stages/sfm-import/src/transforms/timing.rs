@@ -5,7 +5,7 @@ use std::path::Path;
 
 use scene::{Split, TimeMap};
 
-use super::frames::ListedFrame;
+use super::listed::ListedFrame;
 use crate::error::{Result, bad};
 use crate::image_names::natural_order;
 use crate::params::Params;

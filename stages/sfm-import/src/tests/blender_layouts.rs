@@ -1,0 +1,86 @@
+//! Blender layouts beyond those of D-NeRF: missing split files, equal times, clouds, masks and depth maps.
+
+use scene::Split;
+use serde_json::json;
+
+use super::support::*;
+use crate::Params;
+use crate::recognise::read;
+
+#[test]
+fn frames_at_one_time_become_cameras() {
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "train", |json| json["frames"][0]["time"] = json!(0.75));
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let places =
+        |split| capture.views_of(split).map(|(_, view)| (view.camera_index, view.frame_index)).collect::<Vec<_>>();
+    assert_eq!(places(Split::Train), [(0, 0), (0, 1), (0, 2), (1, 2), (0, 3)]);
+    assert_eq!(places(Split::Test), [(0, 0), (0, 1), (0, 2)]);
+    assert!(read(dir.path(), &Params::default()).unwrap().warnings[0].contains("have the same time"));
+}
+
+#[test]
+fn missing_split_files_have_a_stated_rule() {
+    let dir = blender_scene();
+    std::fs::remove_file(transforms_path(dir.path(), "test")).unwrap();
+    let counts =
+        |capture: &scene::Capture| [Split::Train, Split::Val, Split::Test].map(|s| capture.views_of(s).count());
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    assert_eq!((counts(&capture), capture.protocol.split.as_str()), ([5, 0, 2], "official, tested on val"));
+    std::fs::remove_file(transforms_path(dir.path(), "val")).unwrap();
+    let (_root, capture) = run(dir.path(), &Params { every_nth: 2, ..Params::default() }).unwrap();
+    assert_eq!((counts(&capture), capture.protocol.split.as_str()), ([2, 0, 3], "1 of 2 images"));
+    let names: Vec<&str> = capture.views_of(Split::Test).map(|(_, view)| view.name.as_str()).collect();
+    assert_eq!(names, ["train_000", "train_002", "train_004"]);
+    let untested = Params { every_nth: 0, ..Params::default() };
+    assert_eq!(counts(&run(dir.path(), &untested).unwrap().1), [5, 0, 0]);
+    assert!(describe(dir.path()).unwrap().contains("every every_nth-th training image is held out"));
+}
+
+#[test]
+fn clouds_masks_and_depths_beside_the_images_are_used() {
+    let dir = blender_scene();
+    let positions: Vec<[f32; 3]> = (0..500).map(|i| [0.01 * i as f32 - 2.5, 1.0, -1.0]).collect();
+    let cloud = scene::PointCloud { colors: vec![[9; 3]; positions.len()], positions };
+    let write =
+        |name: &str| cloud.write_ply(&dir.path().join(name), scene::ply::PlyFormat::BinaryLittleEndian).unwrap();
+    ["points3d.ply", "fused.ply"].iter().for_each(|name| write(name));
+    for index in 0..5 {
+        write_mask(&dir.path().join(format!("masks/train/r_{index:03}.png")), (WIDTH, HEIGHT), 255);
+        let millimetres = |_, row| image::Luma([2000 + row as u16]);
+        let depth = image::ImageBuffer::<image::Luma<u16>, _>::from_fn(WIDTH, HEIGHT, millimetres);
+        std::fs::create_dir_all(dir.path().join("train/depth")).unwrap();
+        depth.save(dir.path().join(format!("train/depth/r_{index:03}.png"))).unwrap();
+    }
+    write_mask(&dir.path().join("masks/test/r_000.png"), (WIDTH + 1, HEIGHT), 255);
+    let params = Params { width: Some(WIDTH / 2), ..Params::default() };
+    let (_root, capture) = run(dir.path(), &params).unwrap();
+    assert_eq!(capture.load_points().unwrap(), Some(cloud));
+    let [low, high] = capture.bounds_world.unwrap();
+    assert!((low[0] - -2.98).abs() <= 0.05 && (high[0] - 2.97).abs() <= 0.05, "{low:?} {high:?}");
+    for (_, view) in capture.views_of(Split::Train) {
+        let (mask, depth) = (capture.load_mask(view).unwrap().unwrap(), capture.load_depth(view).unwrap().unwrap());
+        assert_eq!((mask.labels[0], mask.labels[11]), (0, 1));
+        assert!((depth.depth_view[0] - 2.001).abs() <= 1.1e-3, "{}", depth.depth_view[0]);
+    }
+    assert!(capture.views_of(Split::Test).all(|(_, view)| view.mask.is_none() && view.depth.is_none()));
+    let source = read(dir.path(), &params).unwrap();
+    assert_eq!(source.warnings.iter().filter(|warning| warning.contains("size differs")).count(), 1);
+    assert!(source.warnings.contains(&"several clouds: fused.ply is used, not points3d.ply".into()));
+    let used = source.used_files();
+    for name in
+        ["fused.ply", "masks/train/r_003.png", "train/depth/r_001.png", "train/r_000.png", "transforms_val.json"]
+    {
+        assert!(used.contains(&dir.path().join(name)), "{name} is not among the used files");
+    }
+    assert!(!used.contains(&dir.path().join("points3d.ply")));
+}
+
+#[test]
+fn a_mask_of_several_images_belongs_to_none() {
+    let dir = blender_scene();
+    write_mask(&dir.path().join("masks/r_001.png"), (WIDTH, HEIGHT), 255);
+    let source = read(dir.path(), &Params::default()).unwrap();
+    assert!(source.frames.iter().all(|frame| frame.mask.is_none()));
+    assert!(source.warnings[0].contains("3 images would share"), "{:?}", source.warnings);
+}
