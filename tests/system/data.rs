@@ -11,14 +11,16 @@ fn dnerf(verb: &str, data_root: &Path, store: &Path) -> Ended {
 }
 
 #[test]
-fn missing_data_is_named_with_a_hint() {
+fn a_run_without_any_data_stops_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let run = dnerf("run", dir.path(), &dir.path().join("store"));
     assert_eq!(run.code, 4, "{}", run.stderr);
     let missing = dir.path().join("dnerf/bouncingballs").display().to_string();
-    for expected in ["9 missing data", "capture/trex: ", "--data-root", &missing] {
+    for expected in ["all data of this recipe is missing", "--data-root", &missing] {
         assert!(run.stderr.contains(expected), "no {expected} in\n{}", run.stderr);
     }
+    assert!(run.stdout.is_empty() && run.stderr.lines().count() == 2, "{}", run.stderr);
+    assert!(!dir.path().join("store/results").exists(), "no empty report replaces an earlier one");
     let plan = dnerf("plan", dir.path(), &dir.path().join("store")).ok();
     assert!(plan.contains("missing data capture/lego") && plan.contains("9 missing data"), "{plan}");
 }

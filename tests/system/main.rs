@@ -12,6 +12,7 @@ mod device;
 mod dialect;
 mod editing;
 mod evidence;
+mod first_day;
 mod imports;
 mod kernels;
 mod links;

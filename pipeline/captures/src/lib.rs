@@ -5,9 +5,11 @@
 #![warn(missing_docs, unreachable_pub)]
 
 mod per_view;
+mod sizes;
 mod view_files;
 
 pub use per_view::per_view;
+pub use sizes::{all_views, pixels_per_view, view_count, with_sizes};
 pub use view_files::{match_required, open_folder};
 
 engine::artifact! {

@@ -3,13 +3,16 @@
 
 mod amount;
 mod args;
+mod best;
 mod checked;
 mod comparison;
 mod device;
 mod display;
 mod error;
+mod links;
 mod measured;
 mod output;
+mod partial;
 mod session;
 mod stages;
 mod verbs;
@@ -76,6 +79,8 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Export(args) => verbs::results::export(&store, &args),
         Verb::Render(args) => verbs::results::render(&store, &args),
         Verb::Inspect { dir, recipe } => verbs::tools::inspect(&dir, recipe),
+        Verb::Recipes(verb) => verbs::library::recipes(&verb),
+        Verb::Data(verb) => verbs::library::data(&verb),
         Verb::Eval(args) => verbs::tools::eval(&args),
         Verb::Cache(CacheVerb::Verify { repair }) => verbs::cache::verify(&store, repair),
         Verb::Cache(CacheVerb::Gc(args)) => verbs::cache::gc(&store, &args),

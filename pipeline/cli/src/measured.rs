@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use engine::status::State;
-use engine::{Digest, Failure, FailureKind};
+use engine::{Digest, Failure, FailureKind, builtin_name};
 use metric_evaluation::Score;
 use serde::Deserialize;
 use table_generation::{Column, Run};
@@ -25,7 +25,7 @@ struct Runs {
 /// The runs of `named`: a recipe (`.toml`), whose latest results under the conditions are read, or a report's folder or
 /// file.
 pub(crate) fn open(store: &Path, named: &Path, with: &Conditions) -> Result<Vec<Run>, CliError> {
-    if named.extension().is_some_and(|extension| extension == "toml") {
+    if builtin_name(named).is_some() || named.extension().is_some_and(|extension| extension == "toml") {
         let recipe = RecipeArgs { recipe: named.to_owned(), with: with.clone() };
         let session = Session::read_only(store, &recipe)?;
         return collect(&session, |index| Ok(session.record(index)?.content));
@@ -49,9 +49,14 @@ pub(crate) fn current(session: &Session) -> Result<Vec<Run>, CliError> {
 fn collect(session: &Session, content: impl Fn(usize) -> Result<Digest, CliError>) -> Result<Vec<Run>, CliError> {
     let mut runs = Vec::new();
     for index in session.required_reports()? {
-        runs.extend(read(&session.store.view(&content(index)?)?.join(REPORT))?);
+        runs.extend(read_report(&session.store.view(&content(index)?)?)?);
     }
     Ok(runs)
+}
+
+/// The runs of the report in a folder.
+pub(crate) fn read_report(dir: &Path) -> Result<Vec<Run>, CliError> {
+    read(&dir.join(REPORT))
 }
 
 fn read(path: &Path) -> Result<Vec<Run>, CliError> {

@@ -7,7 +7,7 @@ use engine::recipe::{Overrides, StageOverride};
 use engine::scheduler::Sources;
 use engine::status::{History, Prediction, State, predict};
 use engine::store::{ActionRecord, Provenance};
-use engine::{DeviceClass, Failure, FailureKind, Plan, Store};
+use engine::{DeviceClass, Failure, FailureKind, Plan, Store, builtin_name};
 
 use crate::args::{RecipeArgs, SelectionArgs};
 use crate::device::ChosenDevice;
@@ -170,6 +170,11 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
         option: "command line",
         params: format!("arguments = {arguments}"),
     });
+    overrides.of_stages.extend(builtin_name(&recipe.recipe).map(|_| StageOverride {
+        stage: REPORT.into(),
+        option: "command line",
+        params: format!("recipe = {}", toml::Value::from(recipe.recipe.display().to_string())),
+    }));
     let mut plan = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data_root)?;
     let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
     if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {

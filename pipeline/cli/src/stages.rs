@@ -1,8 +1,14 @@
-//! The list of stages. A new stage is one line here.
+//! The contents of the program: the list of stages (a new stage is one line here), recipes and data manifests.
 
-use engine::{CodeTable, Registry};
+use engine::{Builtins, CodeTable, Registry};
 
 include!(concat!(env!("OUT_DIR"), "/code.rs"));
+include!(concat!(env!("OUT_DIR"), "/texts.rs"));
+
+/// The descriptions of data sets in `data-manifests/`, by name.
+pub(crate) const fn manifests() -> Builtins {
+    MANIFESTS
+}
 
 /// All stages that recipes can name, with the hashes of the sources that this program was built from.
 pub fn stages() -> Registry {
@@ -13,6 +19,7 @@ pub fn stages() -> Registry {
 pub fn stages_of(code: CodeTable) -> Registry {
     Registry::new(code)
         .compiled_by(COMPILER)
+        .with_recipes(RECIPES)
         .with::<scene_synthesis::SceneSynthesis>()
         .with::<sfm_import::SfmImport>()
         .with::<feature_import::FeatureImport>()

@@ -133,6 +133,51 @@ fn numbers_are_formatted_for_people() {
 }
 
 #[test]
+fn the_ending_lists_each_failure_once() {
+    let failed = |message: &str| NodeResult {
+        failure: Some(engine::Failure::new(FailureKind::Diverged, message).hint("lower the rate")),
+        log_dir: Some("store/runs/r/jobs/x".into()),
+        ..NodeResult::new(Outcome::Failed)
+    };
+    let missing = |path: &str| NodeResult {
+        failure: Some(engine::Failure::new(FailureKind::MissingData, "the data is missing").at(path)),
+        ..NodeResult::new(Outcome::MissingData)
+    };
+    let skipped = || NodeResult { because_of: Some("train/a".into()), ..NodeResult::new(Outcome::Skipped) };
+    let train = ["train/a", "train/b", "train/c", "train/d"].map(|name| (name, failed("loss is NaN")));
+    let others = [
+        ("train/e", failed("no Gaussians left")),
+        ("capture/x", missing("data/x")),
+        ("capture/y", missing("data/y")),
+        ("render/a", skipped()),
+        ("render/b", skipped()),
+    ];
+    let results = train.into_iter().chain(others).map(|(name, result)| (name.to_owned(), result)).collect();
+    let summary = engine::scheduler::RunSummary {
+        run: "r".into(),
+        recipe: "dnerf".into(),
+        counts: Counts::default(),
+        wall_secs: 1.0,
+        stopped_by: None,
+        sinks: Vec::new(),
+        not_kept: None,
+        results,
+    };
+    insta::assert_snapshot!(crate::display::summary::failures(&summary).join("\n"), @r"
+    FAILED train/a, train/b, train/c and 1 more: loss is NaN; lower the rate
+      log: store/runs/r/jobs/x/log
+    FAILED train/e: no Gaussians left; lower the rate
+      log: store/runs/r/jobs/x/log
+    MISSING DATA capture/x, capture/y: the data is missing: data/x
+    skipped 2 jobs that need these results
+    ");
+    let mut lines = Lines::default();
+    let mut line = |result| lines.line(&Event::Finished { node: "train/a".into(), result });
+    assert_eq!(line(failed("loss is NaN")).as_deref(), Some("[1/0] FAILED train/a (diverged)"));
+    assert_eq!((line(skipped()), line(missing("x"))), (None, None));
+}
+
+#[test]
 fn logs_have_a_line_per_change_and_none_per_cached_job() {
     let mut lines = Lines::default();
     let mut line = |event: Event| lines.line(&event);

@@ -76,7 +76,7 @@ pub struct JobContext {
 }
 
 impl JobContext {
-    /// A context outside of any run, for tests. Creates `root/output` and `root/checkpoint`.
+    /// A context outside of any run, e.g. for tests. Creates `root/output` and `root/checkpoint`.
     pub fn detached(root: &Path) -> std::io::Result<Self> {
         let (output_dir, checkpoint_dir) = (root.join("output"), root.join("checkpoint"));
         std::fs::create_dir_all(&output_dir)?;

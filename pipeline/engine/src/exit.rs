@@ -15,7 +15,8 @@ pub const FAILED: u8 = 10;
 pub const DIFFERS: u8 = 11;
 /// The store is damaged and was not repaired.
 pub const DAMAGED: u8 = 12;
-/// The machine failed: a full disk, a store that is not writable, a process that cannot be started.
+/// The machine failed, in this process or in a job: a full disk, a store that is not writable, a process that cannot be
+/// started.
 pub const INFRASTRUCTURE: u8 = 13;
 /// A job saved its progress and is to be run again.
 pub const CHECKPOINTED: u8 = 75;

@@ -150,9 +150,11 @@ fn diff_input(label: &str, old: &KeyInput, new: &KeyInput) -> Vec<String> {
     let KeyInput { coordinates: _, content, measurements, failure } = new;
     let mut sentences = Vec::new();
     match (&old.failure, failure) {
-        (None, Some(failure)) => sentences.push(format!("{label}: failed ({failure:?})")),
+        (None, Some(failure)) => sentences.push(format!("{label}: failed ({})", failure.words())),
         (Some(_), None) => sentences.push(format!("{label}: no longer failed")),
-        (Some(old), Some(new)) if old != new => sentences.push(format!("{label}: failure {old:?} → {new:?}")),
+        (Some(old), Some(new)) if old != new => {
+            sentences.push(format!("{label}: failure {} → {}", old.words(), new.words()))
+        }
         _ if old.content != *content => sentences.push(format!("{label}: content changed")),
         _ => (),
     }

@@ -28,6 +28,23 @@ pub enum FailureKind {
     Crashed,
 }
 
+impl FailureKind {
+    /// The kind in words, e.g. `out of memory`.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::MissingData => "missing data",
+            Self::BadInput => "invalid input",
+            Self::Diverged => "diverged",
+            Self::OutOfMemory => "out of memory",
+            Self::Timeout => "time limit",
+            Self::Interrupted => "interrupted",
+            Self::DeviceLost => "device lost",
+            Self::World => "machine failure",
+            Self::Crashed => "crashed",
+        }
+    }
+}
+
 /// A failure: its kind, a message, and optionally a hint and a file.
 #[derive(Clone, Debug, thiserror::Error, Serialize, Deserialize)]
 #[error("{message}{}{}", .hint.as_ref().map(|hint| format!("; {hint}")).unwrap_or_default(), .path.as_ref().map(|path| format!(": {}", path.display())).unwrap_or_default())]

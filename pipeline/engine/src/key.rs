@@ -130,6 +130,7 @@ pub(crate) fn plan_id(node: &Node, producers: &[Node]) -> String {
         inputs,
         sources,
         threads: _,
+        work: _,
         on_device: _,
         output,
         unused_sources: _,

@@ -2,6 +2,7 @@
 #![warn(missing_docs, unreachable_pub)]
 
 pub mod digest;
+pub mod estimate;
 pub mod event;
 pub mod exit;
 pub mod explain;
@@ -20,11 +21,13 @@ mod context;
 mod failure;
 mod fingerprint;
 mod key;
+mod library;
 mod lock;
 mod registry;
 mod resolution;
 mod stage;
 mod suggest;
+mod work;
 
 #[cfg(test)]
 extern crate self as engine;
@@ -37,8 +40,10 @@ pub use digest::Digest;
 pub use failure::{Failure, FailureKind};
 pub use fingerprint::{Code, CodeTable, CrateCode, UnusedSources};
 pub use key::{ActionKey, KeyComponents, KeyInput};
+pub use library::{Builtins, builtin_name};
 pub use plan::{DeviceClass, IdleAxis, Node, Plan, PlanInput, PlanSource};
 pub use registry::{AnyStage, Registry};
 pub use resolution::{Decision, Facts, PlanContext, Resolution};
 pub use stage::{Arity, Measurements, ParamProblem, Port, Resources, Source, Stage};
 pub use store::Store;
+pub use work::Work;

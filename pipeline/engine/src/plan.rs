@@ -1,6 +1,7 @@
 //! Plans: resolved recipes, with the full parameters and the producers of every job, before anything runs.
 
 mod axes;
+mod order;
 mod select;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::fingerprint::{Code, UnusedSources};
-use crate::{Coordinates, Decision, Measurements};
+use crate::{Coordinates, Decision, Measurements, Work};
 
 pub use axes::IdleAxis;
 pub use select::{NothingSelected, matches_pattern};
@@ -74,6 +75,8 @@ pub struct Node {
     pub sources: Vec<PlanSource>,
     /// Number of worker threads that the job wants; 0 means all. Never part of a key.
     pub threads: usize,
+    /// The expected work, if the stage knows it. Never part of a key.
+    pub work: Option<Work>,
     /// Whether the job computes on the device that the user chooses.
     pub on_device: bool,
     /// The name and schema version of the job's artifact type.

@@ -1,12 +1,13 @@
 //! Recipes: TOML files that say which stages to run over which axes, resolved into a [`Plan`](crate::Plan).
 //!
 //! ```toml
-//! extends = ["common/benchmark.toml"]   # relative to this file; tables merge, arrays replace, [[set]] accumulates
+//! extends = ["common/benchmark.toml"]   # relative to this file, or a built-in recipe: "builtin:benchmark"; tables
+//!                                       # merge, arrays replace, [[set]] accumulates
 //! name = "dnerf-preview"                # default: the file's stem
 //! [axes]                                # their order is the order of names and table columns
 //! scene = ["bouncingballs", "lego"]
 //! method = "all"                        # all values that the stage lists; or { except = ["vcgs"] }: all but some
-//! seed = [0, 1]
+//! seed = [0, 1]                         # strings or numbers: scale = [0.5, 1] is an axis of any parameter
 //! [nodes.capture]
 //! stage = "sfm-import"
 //! over = ["scene"]                      # one job per value
@@ -26,6 +27,7 @@ mod all;
 mod draft;
 mod errors;
 mod expand;
+mod hints;
 mod link;
 mod load;
 mod places;

@@ -13,15 +13,17 @@ use serde_json::Value;
 
 use crate::canonical;
 use crate::fingerprint::{Code, CodeTable, UnusedSources, stage_code};
-use crate::{Artifact, Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
+use crate::library::Builtins;
+use crate::{Artifact, Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage, Work};
 
 /// Number of digits that distinguish two builds.
 const SHORT_DIGEST: usize = 12;
 
-/// All stages by id, e.g. `Registry::new(CODE).with::<Training>()`.
+/// All stages by id, and the built-in recipes, e.g. `Registry::new(CODE).with::<Training>()`.
 pub struct Registry {
     code: CodeTable,
     built_with: &'static str,
+    recipes: Builtins,
     stages: BTreeMap<&'static str, Box<dyn AnyStage>>,
 }
 
@@ -49,6 +51,8 @@ pub trait AnyStage: Send + Sync {
     fn facts(&self, params: &Value, context: &PlanContext<'_>) -> anyhow::Result<Facts>;
     /// [`Stage::resolve`], with canonical parameters in and out.
     fn resolve(&self, params: &Value, context: &PlanContext<'_>) -> Result<Resolution<Value>, Vec<ParamProblem>>;
+    /// [`Stage::work`].
+    fn work(&self, params: &Value, context: &PlanContext<'_>) -> anyhow::Result<Option<Work>>;
     /// [`Stage::resources`].
     fn resources(&self, params: &Value) -> anyhow::Result<Resources>;
     /// [`Stage::unused_sources`].
@@ -65,13 +69,24 @@ pub trait AnyStage: Send + Sync {
 impl Registry {
     /// A registry without stages. `code` lists the sources that the binary was built from.
     pub fn new(code: CodeTable) -> Self {
-        Self { code, built_with: "unknown", stages: BTreeMap::new() }
+        Self { code, built_with: "unknown", recipes: &[], stages: BTreeMap::new() }
     }
 
     /// Sets the compiler that built the program, e.g. `rustc 1.95.0`. Never part of a key.
     pub fn compiled_by(mut self, compiler: &'static str) -> Self {
         self.built_with = compiler;
         self
+    }
+
+    /// Adds the recipes that are built into the program. Recipes extend them as `builtin:NAME`.
+    pub fn with_recipes(mut self, recipes: Builtins) -> Self {
+        self.recipes = recipes;
+        self
+    }
+
+    /// The recipes that are built into the program.
+    pub fn recipes(&self) -> Builtins {
+        self.recipes
     }
 
     /// The compiler that built the program.
@@ -156,6 +171,10 @@ impl<S: Stage> AnyStage for Erased<S> {
     fn resolve(&self, params: &Value, context: &PlanContext<'_>) -> Result<Resolution<Value>, Vec<ParamProblem>> {
         let params = typed::<S>(params).map_err(|error| vec![params::problem("", format!("{error:#}"))])?;
         S::resolve(params, context)?.map(|params| params::written_back(&params).map_err(|problem| vec![problem]))
+    }
+
+    fn work(&self, params: &Value, context: &PlanContext<'_>) -> anyhow::Result<Option<Work>> {
+        Ok(S::work(&typed::<S>(params)?, context))
     }
 
     fn resources(&self, params: &Value) -> anyhow::Result<Resources> {

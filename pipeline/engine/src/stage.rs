@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::{Artifact, Facts, JobContext, PlanContext, Resolution, UnusedSources};
+use crate::{Artifact, Facts, JobContext, PlanContext, Resolution, UnusedSources, Work};
 
 /// A stage: a (nearly) pure function from parameters, input artifacts and source folders to one artifact.
 pub trait Stage: 'static {
@@ -50,6 +50,13 @@ pub trait Stage: 'static {
         _context: &PlanContext<'_>,
     ) -> Result<Resolution<Self::Params>, Vec<ParamProblem>> {
         Ok(Resolution::unchanged(params))
+    }
+
+    /// The expected work of a job with resolved parameters, from which its time is predicted; `None` if it is unknown.
+    /// `context` has the facts of the inputs that the job reads. By default, the work grows with the number of inputs.
+    /// Never part of a key.
+    fn work(_params: &Self::Params, context: &PlanContext<'_>) -> Option<Work> {
+        Work::of_inputs(context)
     }
 
     /// The machine resources that a job uses. Never part of a key.

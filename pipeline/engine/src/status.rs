@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
+use crate::estimate::Estimator;
 use crate::explain::{Change, Component, diff};
 use crate::graph::NodeState;
 use crate::scheduler::{Done, NodeOutcome, Readiness, Sources, readiness};
@@ -58,7 +59,8 @@ pub struct Prediction {
     /// The state.
     #[serde(flatten)]
     pub state: State,
-    /// The wall time in seconds of the last run of the same job, otherwise the mean over its stage.
+    /// The wall time of a cached job; for a job that may run, the time predicted from comparable jobs, in seconds. None if
+    /// nothing comparable was measured.
     pub expected_secs: Option<f64>,
 }
 
@@ -68,6 +70,14 @@ impl Prediction {
         match &self.state {
             State::WillRun { changes, .. } | State::Pending { changes, .. } => changes,
             _ => &[],
+        }
+    }
+
+    /// The failure that names a missing source of the job, if one is missing.
+    pub fn missing_data(&self) -> Option<&Failure> {
+        match &self.state {
+            State::MissingData { failure } if failure.kind == crate::FailureKind::MissingData => Some(failure),
+            _ => None,
         }
     }
 
@@ -127,7 +137,10 @@ impl Predictor<'_> {
         let node = &self.plan.nodes[index];
         let expected_secs = match &state {
             State::Cached { record } => Some(record.provenance.wall_secs),
-            State::WillRun { .. } | State::Pending { .. } => self.history()?.expected_secs(node),
+            State::WillRun { .. } | State::Pending { .. } => {
+                let plan = self.plan;
+                self.history()?.estimator.secs(plan, node)
+            }
             _ => None,
         };
         Ok(Prediction { state, expected_secs })
@@ -218,6 +231,7 @@ fn blocked_state(outcome: NodeOutcome) -> State {
 pub struct History {
     /// The records, oldest first.
     records: Vec<ActionRecord>,
+    estimator: Estimator,
 }
 
 impl History {
@@ -225,7 +239,13 @@ impl History {
     pub fn read(store: &Store) -> anyhow::Result<Self> {
         let mut records = store.records()?;
         records.sort_by(|a, b| a.provenance.started_at_secs.total_cmp(&b.provenance.started_at_secs));
-        Ok(Self { records })
+        let estimator = Estimator::new(records.iter());
+        Ok(Self { records, estimator })
+    }
+
+    /// Predicts times from the records.
+    pub fn estimator(&self) -> &Estimator {
+        &self.estimator
     }
 
     /// The newest record of the same job, i.e. with the same recipe, node name and stage. `device` restricts the search
@@ -237,16 +257,5 @@ impl History {
             is_job && device.is_none_or(|device| made.device == device)
         };
         self.records.iter().rev().find(is_same)
-    }
-
-    /// The wall time in seconds of the last run of the job, otherwise the mean over all jobs of its stage.
-    fn expected_secs(&self, node: &Node) -> Option<f64> {
-        let of_stage = self.records.iter().filter(|record| record.components.stage == node.stage);
-        let secs = |record: &ActionRecord| record.provenance.wall_secs;
-        if let Some(last) = of_stage.clone().rfind(|record| record.provenance.node == node.name) {
-            return Some(secs(last));
-        }
-        let count = of_stage.clone().count();
-        (count > 0).then(|| of_stage.map(secs).sum::<f64>() / count as f64)
     }
 }

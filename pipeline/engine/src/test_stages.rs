@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use anyhow::Context as _;
 use engine::{
     Artifact, Decision, Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resolution, Source,
     Stage,
@@ -98,7 +99,7 @@ pub(crate) struct WorkParams {
     pub(crate) rate: f64,
     /// Truncates the result to this number of letters, so that different parameters can have equal results.
     pub(crate) keep: usize,
-    /// The way to fail: `error`, `missing`, `diverged`, `panic`, `abort`, `hang`; empty for success.
+    /// The way to fail: `error`, `missing`, `diverged`, `full`, `panic`, `abort`, `hang`; empty for success.
     pub(crate) fail: String,
 }
 
@@ -156,6 +157,7 @@ fn fail(how: &str) -> anyhow::Result<()> {
         "missing" => Err(Failure::new(FailureKind::MissingData, "data is missing on request").into()),
         "diverged" => Err(Failure::new(FailureKind::Diverged, "weights at iteration 7").into()),
         "panic" => panic!("panicked on request"),
+        "full" => std::fs::write("/dev/full", "x").context("cannot write the text"),
         "abort" => std::process::abort(),
         "hang" => loop {
             std::thread::sleep(Duration::from_secs(1));

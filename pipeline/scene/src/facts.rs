@@ -1,7 +1,7 @@
 //! Keys of static facts: properties of an artifact that are known before it is computed. Producers and consumers share
 //! these keys.
 //!
-//! A missing fact is unknown. [`TIMES`] is a count; all other facts are booleans.
+//! A missing fact is unknown. [`TIMES`] and the facts below [`WIDTH`] are counts; the others are booleans.
 
 /// Number of distinct times among the training views.
 pub const TIMES: &str = "times";
@@ -23,3 +23,13 @@ pub const NORMALS: &str = "normals";
 pub const VELOCITY: &str = "velocity";
 /// Whether views have instance masks.
 pub const MASKS: &str = "masks";
+/// Width of the images in pixels.
+pub const WIDTH: &str = "width";
+/// Height of the images in pixels.
+pub const HEIGHT: &str = "height";
+/// Number of training views.
+pub const TRAIN_VIEWS: &str = "train views";
+/// Number of validation views.
+pub const VAL_VIEWS: &str = "val views";
+/// Number of test views.
+pub const TEST_VIEWS: &str = "test views";

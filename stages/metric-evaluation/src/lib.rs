@@ -19,6 +19,7 @@ mod trivial;
 pub use artifact::{ImageMetrics, Metrics, Remark};
 pub use folders::{evaluate_folders, evaluate_folders_with};
 pub use image_file::{Background, Quantise};
+pub use lpips::weights::lpips_files;
 pub use metrics::metric::Metric;
 pub use metrics::score::Score;
 pub use metrics::surfaces::MovingError;

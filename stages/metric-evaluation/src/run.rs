@@ -4,9 +4,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use captures::CaptureArtifact;
-use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Progress, Resources, Source, Stage};
-use rendering::Renders;
+use captures::{CaptureArtifact, pixels_per_view, view_count};
+use engine::{
+    Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resources, Source, Stage, Work,
+};
+use rendering::{Renders, SPLIT};
+use scene::Split;
+use serde::Deserialize as _;
 
 use crate::artifact::{ImageMetrics, METRIC_VERSION, Metrics};
 use crate::metrics::score::Score;
@@ -50,6 +54,14 @@ impl Stage for MetricEvaluation {
 
     fn check_params(params: &Self::Params) -> Vec<ParamProblem> {
         params.problems()
+    }
+
+    /// Pixels that are compared.
+    fn work(params: &Self::Params, context: &PlanContext<'_>) -> Option<Work> {
+        let (capture, split) = (context.facts("capture")?, context.facts("renders")?.value(SPLIT)?);
+        let split = Split::deserialize(split).ok()?;
+        let networks = if params.lpips_weights.as_os_str().is_empty() { "" } else { "with LPIPS" };
+        Work::of(networks, view_count(capture, split)? * pixels_per_view(capture)?)
     }
 
     fn resources(_params: &Self::Params) -> Resources {

@@ -16,4 +16,4 @@ mod tests;
 
 pub use artifact::{RenderedView, Renders, SemanticMaps, SurfaceMaps};
 pub use params::{Maps, RenderingParams};
-pub use run::Rendering;
+pub use run::{Rendering, SPLIT};

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use captures::CaptureArtifact;
-use engine::{Failure, FailureKind, JobContext, Port, Resources, Stage};
+use engine::{Facts, Failure, FailureKind, JobContext, PlanContext, Port, Resources, Stage, Work};
 use scene::{Capture, View, image_file};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Device;
-use training::{Model, Player, compute_on};
+use training::{Model, Player, compute_on, model_work};
 
 use crate::artifact::{RenderedView, Renders};
 use crate::frame_rate::{self, FrameRate, FrameTimes};
@@ -15,6 +15,9 @@ use crate::params::{Maps, RenderingParams};
 use crate::quantize::to_image;
 use crate::semantics::semantics;
 use crate::surfaces::surfaces;
+
+/// Name of the fact that holds the split whose views are rendered.
+pub const SPLIT: &str = "split";
 
 /// The stage that renders views from a model and measures frame rates.
 pub struct Rendering;
@@ -29,6 +32,15 @@ impl Stage for Rendering {
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<Model>("model"), Port::one::<CaptureArtifact>("capture")]
+    }
+
+    fn facts(params: &RenderingParams, _context: &PlanContext<'_>) -> Facts {
+        let split = serde_json::to_value(params.split).expect("a name is JSON");
+        Facts::default().with(SPLIT, split)
+    }
+
+    fn work(params: &RenderingParams, context: &PlanContext<'_>) -> Option<Work> {
+        model_work(context.facts("model")?, context.facts("capture")?, params.split)
     }
 
     fn resources(_params: &RenderingParams) -> Resources {

@@ -191,6 +191,11 @@ impl Params {
         (self.frames - 1) as f64 / self.fps
     }
 
+    /// Number of training cameras that take every frame.
+    pub(crate) fn cameras(&self) -> usize {
+        if self.camera == CameraPath::Rig { self.rig_cameras } else { 1 }
+    }
+
     /// Whether a map is requested.
     pub(crate) fn wants(&self, truth: Truth) -> bool {
         self.truths.contains(&truth)
@@ -198,7 +203,7 @@ impl Params {
 
     /// Every problem that the types do not rule out.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
-        let cameras = if self.camera == CameraPath::Rig { self.rig_cameras } else { 1 };
+        let cameras = self.cameras();
         let views = self.frames.saturating_mul(cameras).saturating_add(self.val_views).saturating_add(self.test_views);
         let samples = self.samples_per_side().pow(2) == self.samples_per_pixel && self.samples_per_pixel <= 1024;
         let fov = self.field_of_view_degrees;

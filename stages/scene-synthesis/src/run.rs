@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use captures::CaptureArtifact;
-use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Stage};
+use captures::{CaptureArtifact, all_views, pixels_per_view, with_sizes};
+use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Stage, Work};
 use rayon::prelude::*;
 use scene::camera::common_view_volume;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, PointCloud, Protocol, TimeMap, facts};
@@ -38,7 +38,9 @@ impl Stage for SceneSynthesis {
     /// Every fact is known, because the world is a function of the parameters.
     fn facts(params: &Params, _context: &PlanContext<'_>) -> Facts {
         let moves = scenes::build(params).bodies.iter().any(|body| body.label != 0);
-        Facts::default()
+        let train_views = params.frames.saturating_mul(params.cameras());
+        let views = [train_views, params.val_views, params.test_views];
+        with_sizes(Facts::default(), (params.width, params.height), views)
             .with(facts::TIMES, params.frames)
             .with(facts::MOVING, moves && params.frames > 1)
             .with(facts::VIEW_DEPENDENT, params.specular > 0.0)
@@ -49,6 +51,13 @@ impl Stage for SceneSynthesis {
             .with(facts::NORMALS, false)
             .with(facts::VELOCITY, params.wants(Truth::Velocity))
             .with(facts::MASKS, params.wants(Truth::Masks))
+    }
+
+    /// Rays that are cast.
+    fn work(params: &Params, context: &PlanContext<'_>) -> Option<Work> {
+        let known = Self::facts(params, context);
+        let pixels = all_views(&known)? * pixels_per_view(&known)?;
+        Work::of("", pixels * f64::from(params.samples_per_pixel))
     }
 
     fn resources(_params: &Params) -> Resources {

@@ -390,6 +390,11 @@ fn facts_hold_for_the_rendered_capture() {
             let views = || capture.views_of(Split::Train).map(|(_, view)| view);
             let times: BTreeSet<u64> = views().map(|view| view.time_secs.to_bits()).collect();
             assert_eq!(known.count(facts::TIMES), Some(times.len() as u64));
+            assert_eq!(captures::view_count(&known, Split::Train), Some(views().count() as f64));
+            assert_eq!(captures::all_views(&known), Some(capture.views.len() as f64));
+            let camera = views().next().unwrap().camera;
+            let pixels = f64::from(camera.intrinsics.width * camera.intrinsics.height);
+            assert_eq!(captures::pixels_per_view(&known), Some(pixels));
             let moves = views().any(|view| capture.load_mask(view).unwrap().unwrap().labels.iter().any(|&at| at > 0));
             assert_eq!(known.flag(facts::MOVING), Some(moves), "{scene:?}");
             assert_eq!(known.flag(facts::VIEW_DEPENDENT), Some(specular > 0.0));

@@ -157,6 +157,9 @@ impl Background {
     }
 }
 
+/// The widest image that renderers and GPUs hold; larger numbers are typing errors.
+const MAX_WIDTH: u32 = 16384;
+
 impl Params {
     /// The resize filter.
     pub(crate) fn filter(&self) -> Resize {
@@ -181,6 +184,12 @@ impl Params {
                 "e.g. images = \"images_4\"",
             ),
             (self.width == Some(0), "width", "must be at least 1 pixel", "omit it to keep the native size"),
+            (
+                self.width.is_some_and(|width| width > MAX_WIDTH),
+                "width",
+                "must be at most 16384 pixels",
+                "omit it to keep the native size",
+            ),
             (
                 self.resize.is_some() && self.width.is_none(),
                 "resize",

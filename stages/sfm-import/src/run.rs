@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use captures::CaptureArtifact;
 use engine::{
-    Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resources, Source, Stage,
+    Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Source,
+    Stage, Work,
 };
 use rayon::prelude::*;
 use scene::float_image::{FloatImage, ResizeFilter};
@@ -46,6 +47,22 @@ impl Stage for SfmImport {
 
     fn facts(params: &Params, context: &PlanContext<'_>) -> Facts {
         facts::of_capture(&context.data_root.join(&params.source), params)
+    }
+
+    /// Refuses a width that would enlarge the images, where the capture's files state their size.
+    fn resolve(
+        params: Params,
+        context: &PlanContext<'_>,
+    ) -> std::result::Result<Resolution<Params>, Vec<ParamProblem>> {
+        let native = params.width.and_then(|_| facts::native_size(&context.data_root.join(&params.source), &params));
+        match native.map(|native| facts::target_size(native, params.width)) {
+            Some(Err(Failure { message, hint, .. })) => Err(vec![ParamProblem { key: "width".into(), message, hint }]),
+            _ => Ok(Resolution::unchanged(params)),
+        }
+    }
+
+    fn work(params: &Params, context: &PlanContext<'_>) -> Option<Work> {
+        facts::work(&context.data_root.join(&params.source), params)
     }
 
     fn resources(_params: &Params) -> Resources {
@@ -131,7 +148,9 @@ fn check_protocol(protocol: &Protocol, params: &Params) -> Result<()> {
 
 /// Blames a failed write on the machine, because the input has been checked.
 fn not_written(error: scene::Error) -> Failure {
-    Failure { kind: FailureKind::World, message: error.message, hint: error.hint, path: error.path }
+    let cause = error.source.map(|cause| format!(" ({cause})")).unwrap_or_default();
+    let message = format!("{}{cause}", error.message);
+    Failure { kind: FailureKind::World, message, hint: error.hint, path: error.path }
 }
 
 /// The settings that all images of a capture share.
@@ -148,7 +167,7 @@ impl Conversion {
     fn plan(source: &SourceCapture, params: &Params) -> Result<Self> {
         let first = source.frames.first().ok_or_else(|| bad("the capture has no frames"))?;
         let native = (first.lens.intrinsics.width, first.lens.intrinsics.height);
-        let size = target_size(native, params.width)?;
+        let size = facts::target_size(native, params.width)?;
         let alphas = source.frames.par_iter().map(|frame| pixels::has_alpha(&frame.image));
         let any_alpha = alphas.collect::<Result<Vec<_>>>()?.contains(&true);
         let masks = source.frames.par_iter().filter_map(|frame| frame.mask.as_deref()).map(pixels::mask_values);
@@ -217,15 +236,4 @@ impl Conversion {
             velocity: None,
         })
     }
-}
-
-/// The output size for `width`; images are never enlarged.
-fn target_size(native: (u32, u32), width: Option<u32>) -> Result<(u32, u32)> {
-    let Some(width) = width else { return Ok(native) };
-    if width > native.0 {
-        let message = format!("width = {width} would enlarge images of {}×{} pixels", native.0, native.1);
-        return Err(bad(message).hint(format!("use at most {}, or omit width", native.0)));
-    }
-    let height = (f64::from(native.1) * f64::from(width) / f64::from(native.0)).round().max(1.0);
-    Ok((width, height as u32))
 }

@@ -37,7 +37,7 @@ pub use artifact::{LargestGradient, Model, ModelHeader, NamedTensor};
 pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
 pub use device::compute_on;
 pub use params::TrainingParams;
-pub use planning::resolve_for;
+pub use planning::{model_work, resolve_for};
 pub use player::{Player, Positions, SemanticImage};
 pub use stage::{Trained, Training, Watch, train};
 pub use trainer::{Report, Trainer, psnr, to_bytes};

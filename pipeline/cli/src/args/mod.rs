@@ -62,6 +62,12 @@ pub(crate) enum Verb {
         #[arg(long)]
         recipe: bool,
     },
+    /// List, print or copy the recipes that are built into this program
+    #[command(subcommand)]
+    Recipes(RecipesVerb),
+    /// List or print what is known about public data sets: folders, files, counts, flaws, licences
+    #[command(subcommand)]
+    Data(DataVerb),
     /// Compute image metrics for a folder of images from any source
     Eval(EvalArgs),
     /// Maintain the store
@@ -177,6 +183,9 @@ pub(crate) struct TableArgs {
     /// Output format
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: TableFormat,
+    /// Make the table from the jobs that are finished, e.g. after an interrupted run; the others count as not run
+    #[arg(long, conflicts_with_all = ["check", "write_check"])]
+    pub(crate) partial: bool,
     /// Compare the table with FILE within its tolerances instead of printing it; exit with 11 if a number, row or
     /// protocol differs
     #[arg(long, value_name = "FILE", conflicts_with = "format")]
@@ -278,6 +287,39 @@ pub(crate) struct EvalArgs {
     /// Print JSON with the values of every image
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum RecipesVerb {
+    /// List all recipes; run one as `pipeline run builtin:NAME`
+    List,
+    /// Print a recipe
+    Show {
+        /// Name of the recipe, e.g. quickstart
+        name: String,
+    },
+    /// Write a recipe to a file, to change it
+    Copy {
+        /// Name of the recipe, e.g. quickstart
+        name: String,
+        /// File to write, which must not exist (default: NAME.toml)
+        file: Option<PathBuf>,
+    },
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum DataVerb {
+    /// List the data sets, and how many of their scenes are below the data folder
+    List {
+        /// Folder that contains the data sets
+        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+        data_root: PathBuf,
+    },
+    /// Print the description of a data set
+    Show {
+        /// Name of the data set, e.g. dnerf
+        name: String,
+    },
 }
 
 #[derive(Debug, Subcommand)]

@@ -21,7 +21,7 @@ pub(crate) const VARIABLES: [&str; 3] = ["PIPELINE_STORE", "PIPELINE_DATA", "PIP
 /// A recipe and the conditions to apply it under.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct RecipeArgs {
-    /// Recipe to use, a TOML file
+    /// Recipe to use: a TOML file, or builtin:NAME for one of `pipeline recipes list`
     pub(crate) recipe: PathBuf,
     #[command(flatten)]
     pub(crate) with: Conditions,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use engine::event::{Event, Outcome};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
-use super::{Display, lines};
+use super::{Display, Eta, lines};
 use crate::error::CliError;
 
 pub(crate) struct Bars {
@@ -14,14 +14,22 @@ pub(crate) struct Bars {
     run: ProgressBar,
     jobs: BTreeMap<String, ProgressBar>,
     failed: usize,
+    eta: Eta,
 }
 
 impl Bars {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(eta: Eta) -> Self {
         let all = MultiProgress::new();
         let run = all.add(ProgressBar::new(0).with_style(style("{bar:24} {pos}/{len} jobs  {elapsed}  {msg}")));
         run.enable_steady_tick(Duration::from_millis(500));
-        Self { all, run, jobs: BTreeMap::new(), failed: 0 }
+        Self { all, run, jobs: BTreeMap::new(), failed: 0, eta }
+    }
+
+    /// Shows failures and the time that is left behind the run's bar.
+    fn show_state(&self) {
+        let failed = (self.failed > 0).then(|| format!("{} failed", self.failed));
+        let parts: Vec<String> = failed.into_iter().chain(self.eta.text()).collect();
+        self.run.set_message(parts.join("  "));
     }
 
     fn note(&self, text: &str) {
@@ -32,6 +40,8 @@ impl Bars {
 
 impl Display for Bars {
     fn show(&mut self, event: &Event) -> Result<(), CliError> {
+        self.eta.note(event);
+        self.show_state();
         match event {
             Event::Planned { jobs, .. } => self.run.set_length(*jobs as u64),
             Event::Started { node, .. } => {
@@ -54,7 +64,6 @@ impl Display for Bars {
                 self.run.inc(1);
                 if result.outcome == Outcome::Failed {
                     self.failed += 1;
-                    self.run.set_message(format!("{} failed", self.failed));
                 }
                 if let Some(text) = lines::finished(node, result) {
                     self.note(&text);

@@ -2,13 +2,14 @@
 
 use engine::event::{Counts, Event, NodeResult, Outcome};
 
-use super::Display;
+use super::{Display, Eta};
 use crate::error::CliError;
 use crate::output::{count, duration, note};
 
 #[derive(Default)]
 pub(crate) struct Lines {
     counts: Counts,
+    eta: Eta,
 }
 
 impl Display for Lines {
@@ -21,8 +22,14 @@ impl Display for Lines {
 }
 
 impl Lines {
+    /// Lines that predict the end of the run with `eta`.
+    pub(crate) fn new(eta: Eta) -> Self {
+        Self { counts: Counts::default(), eta }
+    }
+
     /// The line for an event; none for events that would flood the log.
     pub(crate) fn line(&mut self, event: &Event) -> Option<String> {
+        self.eta.note(event);
         match event {
             Event::Planned { run, recipe, jobs } => {
                 self.counts.total = *jobs;
@@ -40,7 +47,10 @@ impl Lines {
                 finished(node, result).map(|text| format!("{} {text}", self.place()))
             }
             Event::Waiting { node } => Some(format!("{} {node} waits for another run's result", self.place())),
-            Event::Heartbeat { counts, running } => Some(heartbeat(counts, running)),
+            Event::Heartbeat { counts, running } => {
+                let left = self.eta.text().map(|text| format!("; {text}")).unwrap_or_default();
+                Some(heartbeat(counts, running) + &left)
+            }
             Event::Stopping { message } => Some(format!("stopping: {message}")),
             Event::Warning { message } => Some(format!("warning: {message}")),
             Event::Progress { .. } | Event::RunFinished { .. } => None,
@@ -54,19 +64,18 @@ impl Lines {
     }
 }
 
-/// A job's outcome in words; none for cached jobs, because there may be thousands.
+/// A job's outcome in words; none for cached jobs, because there may be thousands, and none for jobs without data or
+/// without a producer's result, which the ending of the run counts. The ending has the reasons of failures, too.
 pub(crate) fn finished(node: &str, result: &NodeResult) -> Option<String> {
-    let failure = || result.failure.as_ref().map(ToString::to_string).unwrap_or_default();
     let note = result.note.as_ref().map(|note| format!(" ({note})")).unwrap_or_default();
     match result.outcome {
-        Outcome::Cached | Outcome::NotRun => None,
+        Outcome::Cached | Outcome::NotRun | Outcome::MissingData | Outcome::Skipped => None,
         Outcome::Executed => Some(format!("done {node} in {}{note}", duration(result.wall_secs.unwrap_or_default()))),
-        Outcome::Failed => Some(format!("FAILED {node}: {}", failure())),
-        Outcome::MissingData => Some(format!("missing data {node}: {}", failure())),
-        Outcome::Skipped => {
-            Some(format!("skipped {node}: needs {}", result.because_of.as_deref().unwrap_or("another job")))
+        Outcome::Failed => {
+            let kind = result.failure.as_ref().map(|failure| format!(" ({})", failure.kind.words()));
+            Some(format!("FAILED {node}{}", kind.unwrap_or_default()))
         }
-        Outcome::Interrupted => Some(format!("stopped {node}: {}", failure())),
+        Outcome::Interrupted => Some(format!("stopped {node}")),
     }
 }
 

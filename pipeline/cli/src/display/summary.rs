@@ -1,35 +1,34 @@
-//! The summary after a run: counts, failures, folders of results, and tables.
+//! The ending of a run: counts, the best rows, what failed and why, and where the results are.
 
-use anyhow::Context;
+use std::collections::BTreeMap;
+
+use engine::Failure;
 use engine::event::{NodeResult, Outcome};
 use engine::scheduler::RunSummary;
 
-use crate::error::CliError;
-use crate::output::{self, duration, note};
+use crate::output::{count, duration, note};
 use crate::session::Session;
+use crate::{best, links};
 
+/// Names that one line lists; the others are counted.
+const MAX_NAMES: usize = 3;
+/// Different failures that are listed; `pipeline status` has them all.
+const MAX_FAILURES: usize = 5;
 /// Results that are listed by name; the others are counted.
-const MAX_LISTED: usize = 20;
+const MAX_RESULTS: usize = 5;
 
-/// Prints counts, failures and folders of results to standard error.
+/// Links the results of a run to their names and prints its ending to standard error.
 pub(crate) fn print(session: &Session, summary: &RunSummary) {
-    note(&headline(summary));
-    list(summary, Outcome::Failed, "failed");
-    list(summary, Outcome::MissingData, "MISSING DATA");
-    let done = |name: &&String| summary.results.get(*name).is_some_and(|result| result.content.is_some());
-    let sinks: Vec<&String> = summary.sinks.iter().filter(done).collect();
-    let contents = summary.results.iter().filter_map(|(name, result)| Some((name.as_str(), result.content.as_ref()?)));
-    if let Err(error) = session.store.link_results(&summary.recipe, contents) {
+    let kept = links::update(session, summary).unwrap_or_else(|error| {
         note(&format!("warning: cannot link results to their names: {error:#}"));
-    }
-    for name in sinks.iter().take(MAX_LISTED) {
-        // A report has a file to open; for other artifacts, name the folder.
-        let folder = session.store.result_link(&summary.recipe, name);
-        let report = folder.join("report.md");
-        note(&format!("{name}: {}", if report.exists() { report } else { folder }.display()));
-    }
-    if sinks.len() > MAX_LISTED {
-        note(&format!("… and {} more; see `pipeline show`", sinks.len() - MAX_LISTED));
+        BTreeMap::new()
+    });
+    note(&headline(summary));
+    best::lines(session, summary).iter().for_each(|line| note(line));
+    failures(summary).iter().for_each(|line| note(line));
+    results(session, summary, &kept).iter().for_each(|line| note(line));
+    if summary.counts.interrupted + summary.counts.not_run > 0 {
+        note("finished cells: pipeline table RECIPE --partial");
     }
     summary.not_kept.iter().for_each(|reason| note(&format!("warning: {reason}")));
 }
@@ -49,30 +48,69 @@ fn headline(summary: &RunSummary) -> String {
     format!("run {}: {} in {}", summary.run, parts.join(", "), duration(summary.wall_secs))
 }
 
-fn list(summary: &RunSummary, outcome: Outcome, title: &str) {
-    let found: Vec<(&String, &NodeResult)> =
-        summary.results.iter().filter(|(_, result)| result.outcome == outcome).collect();
-    if !found.is_empty() {
-        note(&format!("{title}:"));
-    }
-    for (name, result) in found {
-        if let Some(failure) = &result.failure {
-            note(&format!("  {name}: {failure}"));
+/// Each failure once, with all of its jobs, its log, and the number of jobs that were skipped because of it.
+pub(crate) fn failures(summary: &RunSummary) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (outcome, word) in [(Outcome::Failed, "FAILED"), (Outcome::MissingData, "MISSING DATA")] {
+        let groups = groups(summary, outcome);
+        for (failure, jobs) in groups.iter().take(MAX_FAILURES) {
+            lines.push(format!("{word} {}: {failure}", names(jobs.iter().map(|(name, _)| *name))));
+            let log = jobs.iter().find_map(|(_, result)| result.log_dir.as_ref());
+            lines.extend(log.map(|dir| format!("  log: {}", dir.join("log").display())));
         }
-        if let Some(dir) = &result.log_dir {
-            note(&format!("    logs: {}", dir.display()));
+        if groups.len() > MAX_FAILURES {
+            let more = count(groups.len() - MAX_FAILURES, "other failure");
+            lines.push(format!("… and {more}; `pipeline status` lists them"));
         }
     }
+    let skipped = summary.results.values().filter(|result| result.outcome == Outcome::Skipped).count();
+    lines.extend((skipped > 0).then(|| format!("skipped {} that need these results", count(skipped, "job"))));
+    lines
 }
 
-/// Prints the run's tables to standard output, as Markdown.
-pub(crate) fn print_tables(session: &Session, summary: &RunSummary) -> Result<(), CliError> {
-    for index in session.reports() {
-        let result = summary.results.get(&session.plan.nodes[index].name);
-        let Some(content) = result.and_then(|result| result.content) else { continue };
-        let path = session.store.view(&content)?.join("report.md");
-        let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        output::print(&text)?;
+/// The jobs with this outcome, grouped by equal messages; files may differ.
+fn groups(summary: &RunSummary, outcome: Outcome) -> Vec<(String, Vec<(&str, &NodeResult)>)> {
+    let mut groups: Vec<(String, Vec<(&str, &NodeResult)>)> = Vec::new();
+    let found = summary.results.iter().filter(|(_, result)| result.outcome == outcome);
+    for (name, result) in found {
+        let text = result.failure.as_ref().map(Failure::to_string).unwrap_or_default();
+        let same = |a: &NodeResult| match (&a.failure, &result.failure) {
+            (Some(a), Some(b)) => (a.kind, &a.message, &a.hint) == (b.kind, &b.message, &b.hint),
+            _ => false,
+        };
+        match groups.iter_mut().find(|(_, jobs)| same(jobs[0].1)) {
+            Some((_, jobs)) => jobs.push((name, result)),
+            None => groups.push((text, vec![(name, result)])),
+        }
     }
-    Ok(())
+    groups
+}
+
+/// `a, b, c and 4 more`.
+fn names<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
+    let all = names.len();
+    let shown: Vec<&str> = names.take(MAX_NAMES).collect();
+    let more = if all > MAX_NAMES { format!(" and {} more", all - MAX_NAMES) } else { String::new() };
+    format!("{}{more}", shown.join(", "))
+}
+
+/// Where the results are: the page of a report, otherwise the folder of an artifact. `kept` has the nodes whose links
+/// stay at an earlier, more complete result, with the folder of this run's.
+fn results(session: &Session, summary: &RunSummary, kept: &BTreeMap<String, std::path::PathBuf>) -> Vec<String> {
+    let done = |name: &&String| summary.results.get(*name).is_some_and(|result| result.content.is_some());
+    let sinks: Vec<&String> = summary.sinks.iter().filter(done).collect();
+    let mut lines = Vec::new();
+    for name in sinks.iter().take(MAX_RESULTS) {
+        let link = session.store.result_link(&summary.recipe, name);
+        let folder = kept.get(*name).unwrap_or(&link);
+        let page = folder.join("index.html");
+        lines.push(format!("{name}: {}", if page.exists() { &page } else { folder }.display()));
+        if kept.contains_key(*name) {
+            lines.push(format!("  {} stays at the last result with more data", link.display()));
+        }
+    }
+    if sinks.len() > MAX_RESULTS {
+        lines.push(format!("… and {} more; see `pipeline show`", sinks.len() - MAX_RESULTS));
+    }
+    lines
 }

@@ -1,15 +1,17 @@
 //! `doctor`: checks whether this machine has what runs need.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use engine::{DeviceClass, Store, exit};
+use metric_evaluation::lpips_files;
 use shaders::check::conformance;
 use shaders::gpu::{self, AdapterReport};
 
 use crate::error::CliError;
 use crate::output::{bytes, print};
 use crate::stages::stages;
+use crate::verbs::library;
 
 /// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store, or the GPU
 /// that the user named, is unusable.
@@ -28,12 +30,56 @@ pub(crate) fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Re
     };
     let data = if data_root.is_dir() { "exists" } else { "missing (recipes with sources will report missing data)" };
     text += &format!("data root    {}: {data}\n", data_root.display());
-    for stage in stages().stages() {
-        text += &format!("stage        {:<18} {}\n", stage.id(), stage.about());
-    }
+    text += &data_sets(data_root)?;
+    text += &format!("LPIPS        {}\n", lpips(data_root));
+    text += &free_space(store, data_root);
+    let recipes = stages().recipes().len();
+    text += &format!("recipes      {recipes} built in; `pipeline recipes list`\n");
     print(&text)?;
     let device_is_sound = try_adapters(device)?;
     Ok(if store_is_sound && device_is_sound { exit::OK } else { exit::INFRASTRUCTURE })
+}
+
+/// The data sets that have scenes below the data folder.
+fn data_sets(data_root: &Path) -> Result<String, CliError> {
+    let lines = library::present(data_root)?;
+    let found: Vec<String> = lines.into_iter().filter(|set| set.exist > 0).map(|set| set.text(data_root)).collect();
+    let none = || vec!["none of the known data sets; `pipeline data list`\n".to_owned()];
+    let found = if found.is_empty() { none() } else { found };
+    Ok(found.iter().map(|line| format!("data set     {line}")).collect())
+}
+
+/// Whether the weights of LPIPS are below the data folder, and how to use or to get them.
+fn lpips(data_root: &Path) -> String {
+    let entries = std::fs::read_dir(data_root).into_iter().flatten().flatten().map(|entry| entry.path());
+    let folders: Vec<PathBuf> =
+        [data_root.to_owned()].into_iter().chain(entries.filter(|path| path.is_dir())).collect();
+    let mut missing = Vec::new();
+    for (network, files) in lpips_files() {
+        match folders.iter().find(|folder| files.iter().all(|file| folder.join(file).is_file())) {
+            Some(folder) => {
+                let name = folder.strip_prefix(data_root).unwrap_or(folder).display();
+                return format!(
+                    "{network} in {}; use it with -s 'nodes.metrics.params.lpips_weights=\"{name}\"'",
+                    folder.display()
+                );
+            }
+            None => missing.push(files.join(" and ")),
+        }
+    }
+    format!("not measured: put {} into a folder below the data root (pipeline eval --help)", missing[0])
+}
+
+/// The free space on the disks of the store and of the temporary folder.
+fn free_space(store: &Path, data_root: &Path) -> String {
+    let existing =
+        |path: &Path| std::path::absolute(path).ok()?.ancestors().find(|path| path.exists()).map(Path::to_owned);
+    let free = |path: &Path| {
+        let stat = rustix::fs::statvfs(&existing(path)?).ok()?;
+        Some(bytes(stat.f_bavail.saturating_mul(stat.f_frsize)))
+    };
+    let line = |what: &str, path: &Path| free(path).map(|free| format!("disk         {free} free for the {what}\n"));
+    [line("store", store), line("data", data_root)].into_iter().flatten().collect()
 }
 
 /// Checks that the store can be written or, if it is missing, created; describes it.

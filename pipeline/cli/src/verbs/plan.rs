@@ -91,10 +91,19 @@ fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {
     }
     let words: Vec<String> = words.iter().map(|(word, count)| format!("{count} {word}")).collect();
     let to_run = predictions.values().filter(|prediction| prediction.may_run());
-    let known: f64 = to_run.clone().filter_map(|prediction| prediction.expected_secs).sum();
-    let unknown = to_run.filter(|prediction| prediction.expected_secs.is_none()).count();
-    let unknown = if unknown > 0 { format!(" and {} never timed", count(unknown, "job")) } else { String::new() };
-    let time = if known > 0.0 { format!("; about {} of work{unknown}", duration(known)) } else { String::new() };
+    let known: Vec<f64> = to_run.clone().filter_map(|prediction| prediction.expected_secs).collect();
+    let about = duration(known.iter().sum());
+    let time = match (known.len(), to_run.count() - known.len()) {
+        (0, 0) => String::new(),
+        (_, 0) => format!("; about {about} of work"),
+        (0, _) => "; time unknown: nothing comparable was measured".to_owned(),
+        (_, unknown) => {
+            format!(
+                "; time unknown: nothing comparable to {} was measured; the others take about {about}",
+                count(unknown, "job")
+            )
+        }
+    };
     format!("\n{}: {}{time}\n", count(predictions.len(), "job"), words.join(", "))
 }
 

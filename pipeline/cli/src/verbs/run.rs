@@ -1,16 +1,18 @@
 //! `run`: executes the jobs whose results are missing from the store.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
+use engine::Failure;
 use engine::event::Event;
 use engine::job::StopRequests;
 use engine::scheduler::{self, RunOptions};
+use engine::status::{Prediction, State};
 
 use crate::args::RunArgs;
-use crate::display::{self, profile, summary};
+use crate::display::{self, Eta, profile, summary};
 use crate::error::CliError;
 use crate::session::Session;
 
@@ -25,8 +27,11 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     if session.needs_device()? {
         session.device.check()?;
     }
+    let predictions = session.predict()?;
+    refuse_without_data(&session, &predictions)?;
     let options = options(&session, args)?;
-    let mut display = display::choose(args.json);
+    let eta = Eta::new(&session, &predictions, options.threads)?;
+    let mut display = display::choose(args.json, eta);
     let mut closed = None;
     let watch = &mut |event: &Event| {
         if closed.is_none()
@@ -43,12 +48,9 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     if let Some(error) = closed {
         return Err(error);
     }
-    if !args.json {
-        summary::print_tables(&session, &result)?;
-        if args.profile {
-            // The forced jobs have run now, so their results count as cached.
-            profile::print(&Session { force: BTreeSet::new(), ..session })?;
-        }
+    if args.profile {
+        // The forced jobs have run now, so their results count as cached.
+        profile::print(&Session { force: BTreeSet::new(), ..session })?;
     }
     Ok(result.exit_code(args.require_data))
 }
@@ -79,6 +81,26 @@ fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
 fn own_program() -> anyhow::Result<PathBuf> {
     let image = PathBuf::from("/proc/self/exe");
     if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find the program's own file") }
+}
+
+/// Refuses a run for which all data is missing: its tables would be empty.
+fn refuse_without_data(session: &Session, predictions: &BTreeMap<usize, Prediction>) -> Result<(), CliError> {
+    let missing: Vec<&Failure> = predictions.values().filter_map(Prediction::missing_data).collect();
+    let mut has_data = vec![false; session.plan.nodes.len()];
+    for (&index, prediction) in predictions {
+        let producers = session.plan.nodes[index].producers();
+        let is_fed = producers.is_empty() || producers.iter().any(|&producer| has_data[producer]);
+        has_data[index] = is_fed && (prediction.may_run() || matches!(prediction.state, State::Cached { .. }));
+    }
+    match missing[..] {
+        [first, ..] if !has_data.contains(&true) => {
+            let path = first.path.as_deref().unwrap_or(&session.data_root);
+            let message = format!("all data of this recipe is missing, e.g. {}", path.display());
+            let hint = format!("choose another folder with --data-root (now {})", session.data_root.display());
+            Err(CliError::nothing(message, hint))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Checks `--frozen`: an error names the jobs that would have to run, if there are any.

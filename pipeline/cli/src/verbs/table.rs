@@ -10,6 +10,7 @@ use crate::checked::{CheckedTable, Findings};
 use crate::error::CliError;
 use crate::measured;
 use crate::output::{count, print};
+use crate::partial::PartialReport;
 use crate::session::Session;
 
 pub(crate) fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
@@ -17,20 +18,24 @@ pub(crate) fn table(store: &Path, args: &TableArgs) -> Result<u8, CliError> {
     match (&args.check, &args.write_check) {
         (Some(file), _) => check(&session, file),
         (None, Some(file)) => write_check(&session, file),
-        (None, None) => print_tables(&session, args.format),
+        (None, None) => print_tables(&session, args),
     }
 }
 
-fn print_tables(session: &Session, format: TableFormat) -> Result<u8, CliError> {
-    let file = match format {
+fn print_tables(session: &Session, args: &TableArgs) -> Result<u8, CliError> {
+    let file = match args.format {
         TableFormat::Md => "report.md",
         TableFormat::Latex => "report.tex",
         TableFormat::Csv => "report.csv",
         TableFormat::Json => "report.json",
     };
     for index in session.required_reports()? {
-        let record = session.record(index)?;
-        let path = session.store.view(&record.content)?.join(file);
+        let partial = if args.partial { Some(PartialReport::make(session, index)?) } else { None };
+        let dir = match &partial {
+            Some(report) => report.dir().to_owned(),
+            None => session.store.view(&session.record(index)?.content)?,
+        };
+        let path = dir.join(file);
         print(&std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?)?;
     }
     Ok(exit::OK)

@@ -53,7 +53,7 @@ fn inputs_are_compared_producer_by_producer() {
     let failed = |runs: &mut Vec<KeyInput>| {
         runs[0] = KeyInput { content: None, failure: Some(FailureKind::Diverged), ..runs[0].clone() };
     };
-    assert_eq!(many(failed), ["input runs (scene=ball): failed (Diverged)"]);
+    assert_eq!(many(failed), ["input runs (scene=ball): failed (diverged)"]);
 }
 
 fn change(component: Component) -> Vec<Change> {

@@ -20,6 +20,8 @@ use crate::{ActionKey, AnyStage, Failure, FailureKind, InputRecord, JobContext, 
 
 /// The minimum time between two progress reports.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
+/// The minimum time between two lines about progress in the log.
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
 /// The time that a job has to save its progress after its scheduler died.
 const ORPHAN_GRACE: Duration = Duration::from_secs(30);
 
@@ -32,20 +34,39 @@ pub fn execute(spec_file: &Path, registry: &Registry) -> anyhow::Result<u8> {
     stop_with_parent(spec.parent_pid, &stop)?;
     log::init(&spec.dir, &spec.log_filter)?;
     log_panics();
-    tracing::info!(node = spec.node, "started");
+    let JobSpec { node, components, threads, device, .. } = &spec;
+    tracing::info!("started {node}: stage {}, {threads} threads, device {device}", components.stage);
     let run = AssertUnwindSafe(|| run_and_publish(&spec, registry, stop));
     let status = match std::panic::catch_unwind(run) {
         Ok(Ok(status)) => status,
-        Ok(Err(error)) => JobStatus::Failed(failure::of_error(&error)),
+        Ok(Err(error)) => {
+            error.chain().skip(1).for_each(|cause| tracing::debug!("caused by: {cause}"));
+            JobStatus::Failed(failure::of_error(&error))
+        }
         Err(payload) => JobStatus::Failed(failure::of_panic(payload.as_ref())),
     };
-    tracing::info!(?status, "finished");
+    log_end(&status);
     Store::open(&spec.store)?.write_over(&spec.dir.join("status.json"), &serde_json::to_vec_pretty(&status)?)?;
     Ok(match status {
         JobStatus::Published { .. } => exit::OK,
         JobStatus::Failed(failure) if failure.kind == FailureKind::Interrupted => exit::CHECKPOINTED,
         JobStatus::Failed(_) => exit::FAILED,
     })
+}
+
+/// Logs the end of the job in words.
+fn log_end(status: &JobStatus) {
+    match status {
+        JobStatus::Published { content, note, .. } => {
+            tracing::info!(
+                "published {}{}",
+                content.short(),
+                note.iter().map(|note| format!(" ({note})")).collect::<String>()
+            );
+        }
+        JobStatus::Failed(failure) if failure.kind == FailureKind::Interrupted => tracing::info!("{failure}"),
+        JobStatus::Failed(failure) => tracing::error!("failed ({}): {failure}", failure.kind.words()),
+    }
 }
 
 fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -> anyhow::Result<JobStatus> {
@@ -59,6 +80,8 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
     let stage = stage.with_context(|| format!("this program has no stage {}", spec.components.stage))?;
     check_code(spec, registry, stage)?;
 
+    // The time of the rest of an interrupted job says nothing about the whole job.
+    let work = spec.work.clone().filter(|_| !store.has_checkpoint(&key));
     let (started_at, clock) = (SystemTime::now(), Instant::now());
     stage.run(&context, &spec.components.params)?;
     let wall_secs = clock.elapsed().as_secs_f64();
@@ -74,8 +97,9 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
         plan_id: spec.plan_id.clone(),
         run: spec.run.clone(),
         device: spec.device_of_run,
-        host: rustix::system::uname().nodename().to_string_lossy().into_owned(),
+        host: machine::host_name(),
         threads: spec.threads,
+        work,
         started_at_secs: started_at.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64(),
         wall_secs,
         peak_rss_bytes,
@@ -178,16 +202,23 @@ fn input_record(store: &Store, input: &InputSpec) -> anyhow::Result<InputRecord>
     })
 }
 
-/// Writes progress as JSON lines to standard output, at limited frequency; the last step is always written.
+/// Writes progress as JSON lines to standard output and, more rarely, to the log; the last step is always written.
 fn progress_printer() -> impl Fn(Progress) + Send + Sync {
-    let last: Mutex<Option<Instant>> = Mutex::new(None);
+    let last: Mutex<[Option<Instant>; 2]> = Mutex::default();
     move |progress| {
-        let mut last = last.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        let recent = last.is_some_and(|time| time.elapsed() < PROGRESS_INTERVAL);
-        if recent && progress.done < progress.total {
+        let [printed, logged] = &mut *last.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let is_last = progress.done >= progress.total;
+        let is_due = |last: &mut Option<Instant>, interval| {
+            let due = is_last || last.is_none_or(|time| time.elapsed() >= interval);
+            *last = if due { Some(Instant::now()) } else { *last };
+            due
+        };
+        if is_due(logged, LOG_INTERVAL) {
+            tracing::info!("step {}/{}: {}", progress.done, progress.total, progress.message);
+        }
+        if !is_due(printed, PROGRESS_INTERVAL) {
             return;
         }
-        *last = Some(Instant::now());
         if let Ok(line) = serde_json::to_string(&Line::Progress(progress)) {
             // Fails if the scheduler is gone; the job continues.
             let _ = writeln!(io::stdout().lock(), "{line}");

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::io;
 
-use crate::{Failure, FailureKind};
+use crate::{Failure, FailureKind, exit};
 
 /// The failure of a stage's error: the first typed [`Failure`] in its chain, with the context above it; otherwise
 /// `World` for an I/O error and `BadInput` for any other error.
@@ -18,8 +18,21 @@ pub(super) fn of_error(error: &anyhow::Error) -> Failure {
         }
         context.push(cause.to_string());
     }
-    let io_error = error.chain().any(|cause| cause.downcast_ref::<io::Error>().is_some());
-    Failure::new(if io_error { FailureKind::World } else { FailureKind::BadInput }, context.join(": "))
+    match error.chain().find_map(|cause| cause.downcast_ref::<io::Error>()) {
+        Some(cause) => of_machine(context.join(": "), is_full(cause)),
+        None => Failure::new(FailureKind::BadInput, context.join(": ")),
+    }
+}
+
+/// A failure of the machine, with advice for a full disk.
+fn of_machine(message: impl Into<String>, is_full: bool) -> Failure {
+    let failure = Failure::new(FailureKind::World, message);
+    if is_full { failure.hint("free space, or choose a folder on another disk with --store") } else { failure }
+}
+
+/// Whether the error means that nothing more fits on the disk.
+fn is_full(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge)
 }
 
 /// The failure of a panic.
@@ -63,6 +76,11 @@ pub(super) fn of_death(death: &Death<'_>) -> Failure {
             out_of_memory("the kernel killed the process because memory ran out")
         }
         (Some(signal), _) => Failure::new(FailureKind::Crashed, format!("killed by {}", signal_name(signal))),
+        (None, Some(code)) if code == i32::from(exit::INFRASTRUCTURE) => {
+            let said = death.log_tail.last().map_or("the job could not write its status", String::as_str);
+            let said = said.strip_prefix("error: ").unwrap_or(said);
+            of_machine(said, said.contains("No space left") || said.contains("quota"))
+        }
         (None, Some(code)) => {
             Failure::new(FailureKind::Crashed, format!("ended with exit code {code} and left no status"))
         }
@@ -99,7 +117,8 @@ mod tests {
     #[test]
     fn untyped_errors_are_bad_input_or_the_machine() {
         let full = anyhow::Error::from(io::Error::from(io::ErrorKind::StorageFull)).context("cannot write");
-        assert_eq!(of_error(&full).kind, FailureKind::World);
+        let full = of_error(&full);
+        assert_eq!((full.kind, full.hint.is_some()), (FailureKind::World, true));
         assert_eq!(of_error(&anyhow::anyhow!("two poses")).kind, FailureKind::BadInput);
     }
 
@@ -121,5 +140,10 @@ mod tests {
         let abort = Death { signal: Some(libc::SIGABRT), log_tail: &aborted, ..death };
         assert_eq!(kind(abort), FailureKind::OutOfMemory);
         assert_eq!(of_death(&death).to_string(), "killed by SIGKILL");
+        // A job that cannot write its status says so in a line and ends with the code of machine failures.
+        let said = ["error: failed to write status.json: No space left on device (os error 28)".to_owned()];
+        let unwritten = of_death(&Death { signal: None, code: Some(13), log_tail: &said, ..death });
+        assert_eq!((unwritten.kind, unwritten.hint.is_some()), (FailureKind::World, true));
+        assert_eq!(unwritten.message, "failed to write status.json: No space left on device (os error 28)");
     }
 }

@@ -13,11 +13,12 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::fingerprint::UnusedSources;
-use crate::{Coordinates, DeviceClass, Digest, Failure, KeyComponents, Progress};
+use crate::{Coordinates, DeviceClass, Digest, Failure, KeyComponents, Progress, Work};
 
 pub use child::{Ended, ProcessHandle, Stop, supervise};
 pub use exec::execute;
 pub use log::check_filter as check_log_filter;
+pub(crate) use machine::host_name;
 pub use signals::StopRequests;
 
 /// The specification of a job for its child process, written to `job.json` in the job's folder.
@@ -45,6 +46,8 @@ pub struct JobSpec {
     pub sources: BTreeMap<String, SourceSpec>,
     /// The number of threads that the job may use.
     pub threads: usize,
+    /// The expected work, which is recorded with the measured time.
+    pub work: Option<Work>,
     /// The device that the job computes on.
     pub device: String,
     /// The device class of the run, for jobs that compute on a device.

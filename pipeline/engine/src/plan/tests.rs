@@ -21,6 +21,7 @@ pub(crate) fn node(name: &str, producers: &[usize]) -> Node {
         }],
         sources: Vec::new(),
         threads: 1,
+        work: None,
         on_device: false,
         output: ("text".into(), 1),
         unused_sources: Default::default(),

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::errors::Report;
 use super::expand::{Instance, instances};
 use super::raw::{RawRecipe, Template};
-use super::tree::{self, Table};
+use super::tree::{self, Item, Table};
 use crate::fingerprint::UnusedSources;
 use crate::plan::{Origin, PlanSource};
 use crate::registry::AnyStage;
@@ -69,7 +69,8 @@ impl Drafter<'_> {
         let params = match stage.canonical_params(&tree::table_to_json(&instance.params)) {
             Ok(params) => params,
             Err(problems) => {
-                let mut add = |problem| add_problem(name, template, &instance.params, problem, self.report);
+                let mut add =
+                    |problem| add_problem(self.recipe, (name, template), &instance.params, problem, self.report);
                 problems.iter().for_each(&mut add);
                 return None;
             }
@@ -97,25 +98,45 @@ impl Drafter<'_> {
     }
 }
 
-/// Reports a problem with a parameter at the key that sets it, or at `params` if no key does.
+/// Reports a problem with a parameter at the key that sets it, or at `params` if no key does. A key that the node
+/// inherits is named as the user typed it, i.e. below the node that it is `like`.
 pub(super) fn add_problem(
-    node: &str,
-    template: &Template,
+    recipe: &RawRecipe,
+    (name, template): (&str, &Template),
     params: &Table,
     problem: &ParamProblem,
     report: &mut Report,
 ) {
-    let place = match tree::find(params, &problem.key) {
+    let found = tree::find(params, &problem.key);
+    let place = match found {
         Some((item, true)) if !problem.message.starts_with("unknown key") => item.at,
         Some((item, _)) => item.key_at,
         None => template.params_at,
     };
+    let typed_in = found.and_then(|(item, _)| inherited_from(recipe, (name, template), &problem.key, item));
     let dot = if problem.key.is_empty() { "" } else { "." };
-    let key = format!("nodes.{node}.params{dot}{}", problem.key);
+    let key = format!("nodes.{}.params{dot}{}", typed_in.unwrap_or(name), problem.key);
     // One line of the recipe may be wrong for hundreds of jobs, with a different message for each.
     if !report.has(&place, &key) {
         report.add(&place, key, problem.message.clone(), problem.hint.clone());
     }
+}
+
+/// The node that the template is `like`, if that node's parameters or rules have the item and its own do not.
+fn inherited_from<'a>(
+    recipe: &'a RawRecipe,
+    (name, template): (&str, &Template),
+    key: &str,
+    item: &Item,
+) -> Option<&'a str> {
+    let (model, model_template) = recipe.templates.get_key_value(&template.like.as_ref()?.node.name)?;
+    let has = |table: &Table| tree::find(table, key).is_some_and(|(own, _)| own.key_at.is_same_text(&item.key_at));
+    let rules_of = |node: &str| {
+        let of_node = recipe.rules.iter().flat_map(|rule| &rule.params).filter(|(other, _)| other == node);
+        of_node.map(|(_, params)| params).any(has)
+    };
+    let is_own = has(&template.params) || rules_of(name);
+    (!is_own && (has(&model_template.params) || rules_of(model))).then_some(model)
 }
 
 /// What the stage derives from canonical parameters.

@@ -12,9 +12,9 @@ use super::places::{Place, Texts};
 pub struct RecipeError {
     /// The file, or the option (e.g. `-s`) for an override.
     pub file: PathBuf,
-    /// The line number, from 1.
+    /// The line number, from 1; 0 if the error concerns the whole file.
     pub line: usize,
-    /// The column in characters, from 1.
+    /// The column in characters, from 1; 0 if the error concerns the whole file.
     pub column: usize,
     /// The dotted key, e.g. `nodes.train.params.iterations`; empty if the error concerns no key.
     pub key: String,
@@ -48,8 +48,10 @@ impl fmt::Display for RecipeErrors {
 impl fmt::Display for RecipeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "error: {}", self.message)?;
-        write!(f, "  at {}:{}:{}", self.file.display(), self.line, self.column)?;
-        writeln!(f, "{}", if self.key.is_empty() { String::new() } else { format!(", key {}", self.key) })?;
+        if self.line > 0 {
+            write!(f, "  at {}:{}:{}", self.file.display(), self.line, self.column)?;
+            writeln!(f, "{}", if self.key.is_empty() { String::new() } else { format!(", key {}", self.key) })?;
+        }
         if !self.source_line.trim().is_empty() {
             writeln!(f, "  | {}", self.source_line.replace('\t', " "))?;
             writeln!(f, "  | {}{}", " ".repeat(self.column - 1), "^".repeat(self.width))?;
@@ -95,6 +97,21 @@ impl Report {
         if !self.errors.iter().any(is_same) {
             self.errors.push((*place, error));
         }
+    }
+
+    /// Adds an error about a whole file, e.g. one that cannot be read. Its message names the file.
+    pub(super) fn add_for_file(&mut self, text: usize, message: impl Into<String>, hint: Option<String>) {
+        let error = RecipeError {
+            file: self.texts.get(text).path.clone(),
+            line: 0,
+            column: 0,
+            key: String::new(),
+            message: message.into(),
+            hint,
+            source_line: String::new(),
+            width: 0,
+        };
+        self.errors.push((Place::new(text, 0..0), error));
     }
 
     /// Whether an error about `key` at `place` is already in the report.

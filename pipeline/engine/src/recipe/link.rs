@@ -94,6 +94,7 @@ impl<'a> Linker<'a> {
                 Arity::One | Arity::Optional | Arity::Many => (),
             }
         }
+        let work = stage.work(&resolution.params, &self.context(&inputs));
         let facts = stage.facts(&resolution.params, &context);
         self.facts.push(facts.expect("the stage wrote these parameters itself"));
 
@@ -110,6 +111,7 @@ impl<'a> Linker<'a> {
             inputs,
             sources: draft.derived.sources,
             threads: draft.derived.threads,
+            work: work.expect("the stage wrote these parameters itself"),
             on_device: stage.on_device(),
             output: (stage.output().0.into(), stage.output().1),
             unused_sources,
@@ -153,7 +155,8 @@ impl<'a> Linker<'a> {
         context: &PlanContext<'_>,
     ) -> Resolution<Value> {
         let resolution = stage.resolve(&draft.params, context).unwrap_or_else(|problems| {
-            let mut add = |problem| add_problem(name, template, &draft.instance.params, problem, self.report);
+            let mut add =
+                |problem| add_problem(self.recipe, (name, template), &draft.instance.params, problem, self.report);
             problems.iter().for_each(&mut add);
             Resolution::unchanged(draft.params.clone())
         });

@@ -1,11 +1,14 @@
 //! Reads a recipe with everything that it extends and the overrides of the command line.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use super::errors::{Report, join_arrows};
+use super::hints;
 use super::places::Place;
 use super::tree::{self, Item, Table, Tree};
+use crate::library::{Library, builtin_name, extended_path};
 
 /// The changes that the command line makes to a recipe.
 #[derive(Clone, Debug, Default)]
@@ -46,9 +49,10 @@ pub(super) struct Loaded {
 
 /// Reads the recipe at `path` and reports all errors. Returns nothing if a file cannot be read: without it, the other
 /// files would only raise spurious errors.
-pub(super) fn load(path: &Path, overrides: &Overrides, report: &mut Report) -> Option<Loaded> {
-    let mut loaded = Loaded::default();
-    let root = read(path, None, &mut Vec::new(), report, &mut loaded);
+pub(super) fn load(path: &Path, overrides: &Overrides, library: Library, report: &mut Report) -> Option<Loaded> {
+    let mut reader = Reader { library, stack: Vec::new(), report, loaded: Loaded::default() };
+    let root = reader.read(path, None);
+    let mut loaded = reader.loaded;
     let tables: Vec<Option<Table>> = overrides
         .set
         .iter()
@@ -66,48 +70,72 @@ pub(super) fn load(path: &Path, overrides: &Overrides, report: &mut Report) -> O
     Some(loaded)
 }
 
-/// Reads one file and merges it over the files that it extends; `stack` holds the files that extend it.
-fn read(
-    path: &Path,
-    named_at: Option<&Item>,
-    stack: &mut Vec<PathBuf>,
-    report: &mut Report,
-    loaded: &mut Loaded,
-) -> Option<Table> {
-    let identity = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let content = std::fs::read_to_string(path);
-    // An unreadable file is an error at the line that names it, or at the file itself.
-    let text = report.texts.add(path, content.as_deref().unwrap_or("").into(), false);
-    let place = named_at.map_or(Place::new(text, 0..0), |item| item.at);
-    if let Err(error) = content {
-        report.add(&place, "", format!("cannot read the recipe ({error}): {}", path.display()), None);
-        return None;
-    }
-    if let Some(first) = stack.iter().position(|open| *open == identity) {
-        let names = stack[first..].iter().chain([&identity]).map(|path| path.display().to_string());
-        report.add(&place, "extends", format!("recipes extend each other: {}", join_arrows(names)), None);
-        return None;
-    }
-    let mut own = tree::parse(text, report)?;
-    let extends = own.shift_remove("extends");
-    stack.push(identity);
-    let (mut merged, mut is_whole) = (Table::new(), true);
-    let bases = extends.as_ref().map(|item| extended(item, report)).unwrap_or_default();
-    for item in bases {
-        let base = path.parent().unwrap_or(Path::new("")).join(item.as_str().unwrap_or_default());
-        match read(&base, Some(item), stack, report, loaded) {
-            Some(mut base) => {
-                // A recipe does not inherit the name of its base.
-                base.shift_remove("name");
-                tree::merge(&mut merged, base);
+/// Reads a recipe and all recipes that it extends.
+struct Reader<'a> {
+    library: Library,
+    /// The recipes that extend the one being read.
+    stack: Vec<PathBuf>,
+    report: &'a mut Report,
+    loaded: Loaded,
+}
+
+impl Reader<'_> {
+    /// Reads one recipe and merges it over the recipes that it extends. `named_at` is the place that names it.
+    fn read(&mut self, path: &Path, named_at: Option<&Item>) -> Option<Table> {
+        let identity = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let content = self.content(path);
+        let text = self.report.texts.add(path, content.as_deref().unwrap_or("").into(), false);
+        if let Err(error) = content {
+            self.report_unreadable(path, &error, text, named_at);
+            return None;
+        }
+        if let Some(first) = self.stack.iter().position(|open| *open == identity) {
+            let place = named_at.map_or(Place::new(text, 0..0), |item| item.at);
+            let names = self.stack[first..].iter().chain([&identity]).map(|path| path.display().to_string());
+            self.report.add(&place, "extends", format!("recipes extend each other: {}", join_arrows(names)), None);
+            return None;
+        }
+        let mut own = tree::parse(text, self.report)?;
+        let extends = own.shift_remove("extends");
+        self.stack.push(identity);
+        let (mut merged, mut is_whole) = (Table::new(), true);
+        let bases = extends.as_ref().map(|item| extended(item, self.report)).unwrap_or_default();
+        for item in bases {
+            match self.read(&extended_path(path, item.as_str().unwrap_or_default()), Some(item)) {
+                Some(mut base) => {
+                    // A recipe does not inherit the name of its base.
+                    base.shift_remove("name");
+                    tree::merge(&mut merged, base);
+                }
+                None => is_whole = false,
             }
-            None => is_whole = false,
+        }
+        self.stack.pop();
+        add_layer(&mut own, &mut self.loaded, self.report);
+        tree::merge(&mut merged, own);
+        is_whole.then_some(merged)
+    }
+
+    fn content(&self, path: &Path) -> io::Result<String> {
+        match builtin_name(path) {
+            Some(name) => self.library.text(name).map(str::to_owned).ok_or_else(|| ErrorKind::NotFound.into()),
+            None => std::fs::read_to_string(path),
         }
     }
-    stack.pop();
-    add_layer(&mut own, loaded, report);
-    tree::merge(&mut merged, own);
-    is_whole.then_some(merged)
+
+    /// Reports an unreadable recipe at the line that names it. The recipe of the command line has no line.
+    fn report_unreadable(&mut self, path: &Path, error: &io::Error, text: usize, named_at: Option<&Item>) {
+        let (message, hint) = match error.kind() {
+            ErrorKind::NotFound => {
+                (format!("no such recipe: {}", path.display()), hints::missing_recipe(path, self.library))
+            }
+            _ => (format!("cannot read the recipe ({error}): {}", path.display()), None),
+        };
+        match named_at {
+            Some(item) => self.report.add(&item.at, "extends", message, hint),
+            None => self.report.add_for_file(text, message, hint),
+        }
+    }
 }
 
 /// The entries of `extends`, if it is an array of strings.

@@ -31,6 +31,11 @@ impl Place {
     pub(super) fn new(text: usize, span: Range<usize>) -> Self {
         Self { text, start: span.start, end: span.end, rule: None }
     }
+
+    /// Whether both places are the same range of the same text.
+    pub(super) fn is_same_text(&self, other: &Self) -> bool {
+        (self.text, self.start, self.end) == (other.text, other.start, other.end)
+    }
 }
 
 impl Texts {

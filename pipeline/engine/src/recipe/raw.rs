@@ -8,6 +8,7 @@ use indexmap::IndexMap;
 use serde_json::Value;
 
 use super::errors::Report;
+use super::hints::KnownParams;
 use super::load::Loaded;
 use super::places::Place;
 use super::tree::{Item, Table, Tree};
@@ -94,9 +95,9 @@ const NODE_KEYS: [&str; 6] = ["stage", "over", "only", "inputs", "like", "params
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
 /// Reads the merged text.
-pub(super) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
+pub(super) fn read(loaded: Loaded, known: &KnownParams, report: &mut Report) -> RawRecipe {
     let mut recipe = RawRecipe { of_stages: loaded.of_stages, ..RawRecipe::default() };
-    refuse_unknown(&loaded.root, "", &ROOT_KEYS, report);
+    refuse_unknown(&loaded.root, "", &ROOT_KEYS, known, report);
     recipe.name = loaded.root.get("name").and_then(|item| recipe_name(item, report));
     for (key, item) in table_at(&loaded.root, "axes", "axes", report) {
         let values = axis_values(key, item, report);
@@ -104,7 +105,7 @@ pub(super) fn read(loaded: Loaded, report: &mut Report) -> RawRecipe {
     }
     for (key, item) in table_at(&loaded.root, "nodes", "nodes", report) {
         let axes = Axes { here: &recipe.axes, anywhere: &loaded.axis_values };
-        if let Some(template) = template(key, item, axes, report) {
+        if let Some(template) = template(key, item, axes, known, report) {
             recipe.templates.insert(key.clone(), template);
         }
     }
@@ -127,7 +128,7 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
     check_name(axis, item.key_at, &key, report);
     let Tree::Array(items) = &item.tree else {
         let hint = "or \"all\", or { except = […] }, where a stage lists the values";
-        report.add(&item.at, key, "an axis is an array of strings or integers", Some(hint.into()));
+        report.add(&item.at, key, "an axis is an array of strings or numbers", Some(hint.into()));
         return Vec::new();
     };
     // Values that recipes cannot contain are reported already and left out.
@@ -137,7 +138,7 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
     let (mut values, mut known) = (Vec::new(), BTreeSet::new());
     for item in items {
         let Some(text) = item.axis_text() else {
-            report.add(&item.at, &key, "axis values are strings or integers", None);
+            report.add(&item.at, &key, "axis values are strings or numbers", None);
             continue;
         };
         check_characters(&text, item.at, &key, report);
@@ -150,11 +151,11 @@ fn axis_values(axis: &str, item: &Item, report: &mut Report) -> Vec<AxisValue> {
     values
 }
 
-fn template(name: &str, item: &Item, axes: Axes<'_>, report: &mut Report) -> Option<Template> {
+fn template(name: &str, item: &Item, axes: Axes<'_>, known: &KnownParams, report: &mut Report) -> Option<Template> {
     let key = format!("nodes.{name}");
     check_name(name, item.key_at, &key, report);
     let fields = as_table(item, &key, report)?;
-    refuse_unknown(fields, &format!("{key}."), &NODE_KEYS, report);
+    refuse_unknown(fields, &format!("{key}."), &NODE_KEYS, known, report);
     // A node without a stage is kept, so that references to it are not reported as unknown.
     let stage = fields.get("stage").and_then(|item| self::name(item, &format!("{key}.stage"), report));
     let params = fields.get("params");
@@ -208,7 +209,7 @@ fn like(item: &Item, key: &str, axes: &IndexMap<String, Axis>, report: &mut Repo
     for (axis, item) in fields.iter().filter(|(axis, _)| *axis != "node") {
         match (axes.get_index_of(axis), item.axis_text()) {
             (Some(index), Some(text)) => values.push((index, AxisValue { text, value: item.to_json() })),
-            (Some(_), None) => report.add(&item.at, key, "axis values are strings or integers", None),
+            (Some(_), None) => report.add(&item.at, key, "axis values are strings or numbers", None),
             (None, _) => {
                 let hint = Some(names_hint(axis, axes.keys().map(String::as_str).chain(["node"])));
                 report.add(&item.key_at, key, format!("unknown axis `{axis}`"), hint);
@@ -229,7 +230,7 @@ fn rule(
     report: &mut Report,
 ) -> Option<Rule> {
     let fields = as_table(item, "set", report)?;
-    refuse_unknown(fields, "set.", &RULE_KEYS, report);
+    refuse_unknown(fields, "set.", &RULE_KEYS, &KnownParams::default(), report);
     let axes = Axes { here: &recipe.axes, anywhere: known };
     let when = conditions(fields, "when", "set.when", axes, report);
     let mut params = Vec::new();
@@ -248,7 +249,7 @@ fn rule(
         let Some(fields) = as_table(item, &key, report) else {
             continue;
         };
-        refuse_unknown(fields, &format!("{key}."), &["params"], report);
+        refuse_unknown(fields, &format!("{key}."), &["params"], &KnownParams::default(), report);
         params.push((name.clone(), table_at(fields, "params", &format!("{key}.params"), report).clone()));
     }
     Some(Rule { when, params })
@@ -272,9 +273,9 @@ fn check_characters(name: &str, at: Place, key: &str, report: &mut Report) {
     }
 }
 
-fn refuse_unknown(table: &Table, prefix: &str, allowed: &[&str], report: &mut Report) {
+fn refuse_unknown(table: &Table, prefix: &str, allowed: &[&str], known: &KnownParams, report: &mut Report) {
     for (key, item) in table.iter().filter(|(key, _)| !allowed.contains(&key.as_str())) {
-        let hint = Some(names_hint(key, allowed.iter().copied()));
+        let hint = Some(known.hint(prefix, key, allowed));
         report.add(&item.key_at, format!("{prefix}{key}"), format!("unknown key `{key}`"), hint);
     }
 }

@@ -5,14 +5,16 @@ use std::path::Path;
 use super::draft::{Draft, Drafter};
 use super::errors::{RecipeErrors, Report};
 use super::expand::has_too_many_jobs;
+use super::hints::KnownParams;
 use super::link::link;
 use super::load::Overrides;
 use super::places::Place;
 use super::{all, load, raw, wire};
 use crate::Registry;
+use crate::library::{Library, builtin_name};
 use crate::plan::Plan;
 
-/// Reads the recipe at `path`, applies `overrides` (e.g. `nodes.train.params.iterations=500`), and resolves it with the
+/// Reads the recipe at `path` (a file, or `builtin:NAME`), applies `overrides` (e.g. `nodes.train.params.iterations=500`), and resolves it with the
 /// stages of `registry`: every job with its full parameters, producers and plan id.
 ///
 /// All errors are reported at once, except that inputs are resolved only if the recipe has no other errors. Stages may
@@ -31,11 +33,13 @@ pub fn resolve_with(
     data_root: &Path,
 ) -> Result<Plan, RecipeErrors> {
     let mut report = Report::default();
-    let Some(mut loaded) = load::load(path, overrides, &mut report) else {
+    let library = Library(registry.recipes());
+    let Some(mut loaded) = load::load(path, overrides, library, &mut report) else {
         return report.finish(None);
     };
     all::expand(&mut loaded, registry, &mut report);
-    let recipe = raw::read(loaded, &mut report);
+    let known = KnownParams::of(&loaded.root, registry);
+    let recipe = raw::read(loaded, &known, &mut report);
     let order = wire::check(&recipe, registry, &mut report);
     if has_too_many_jobs(&recipe, &mut report) {
         return report.finish(None);
@@ -60,6 +64,7 @@ pub fn resolve_with(
 /// have.
 fn name_of_file(path: &Path) -> String {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = builtin_name(path).unwrap_or(&stem);
     let name = stem.trim_start_matches(['.', '-']);
     if name.is_empty() { "recipe".into() } else { name.into() }
 }

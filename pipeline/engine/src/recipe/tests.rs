@@ -113,6 +113,26 @@ fn a_placeholder_alone_keeps_the_type_of_the_value() {
 }
 
 #[test]
+fn numbers_are_axis_values_with_one_name_each() {
+    let text = GRID
+        .replace("rate = 1 }", r#"rate = "{scale}" }"#)
+        .replace("over = [\"seed\",", "over = [\"scale\", \"seed\",");
+    let text = text.replace("seed = [0, 1]", "seed = [0, 1]\nscale = [0.5, 1.0, 2, 1e-7]");
+    let rule = "[[set]]\nwhen = { scale = [5e-1, 1] }\nnodes.train.params.keep = 3\n";
+    let plan = plan(&(text.clone() + rule), &["axes.scene=[\"ball\"]", "axes.method=[\"a\"]", "axes.seed=[0]"]);
+    let trained = plan.nodes.iter().filter(|node| node.stage == "test-work");
+    let found: Vec<_> = trained.map(|node| (node.name.as_str(), &node.params["rate"], &node.params["keep"])).collect();
+    let all = usize::MAX >> 12;
+    let expected = [("0.5", 0.5, 3), ("1", 1.0, 3), ("2", 2.0, all), ("1e-7", 1e-7, all)];
+    for ((name, rate, keep), (text, value, kept)) in found.iter().zip(expected) {
+        assert_eq!((*name, *rate, *keep), (format!("train/ball/a/0/{text}").as_str(), &json!(value), &json!(kept)));
+    }
+    assert_eq!(found.len(), 4);
+    let twice = errors(&text, &["axes.scale = [1, 1.0]", "nodes.train.params.steps=\"{scale}\""]);
+    assert_eq!(twice[0], "1: axes.scale: axis value `1` occurs twice");
+}
+
+#[test]
 fn plans_survive_json() {
     let plan = plan(GRID, &[]);
     let copy: Plan = serde_json::from_str(&serde_json::to_string(&plan).unwrap()).unwrap();
@@ -186,14 +206,69 @@ fn recipes_that_extend_each_other_are_refused() {
     assert!(errors.0[0].message.starts_with("recipes extend each other: "), "{errors}");
     assert!(errors.0[0].message.ends_with("a.toml"), "{errors}");
     let missing = Recipes::new(&[("a.toml", "extends = [\"nowhere.toml\"]")]).resolve("a.toml", &[]).unwrap_err();
-    assert!(missing.0[0].message.contains("cannot read the recipe"), "{missing}");
+    let found = (missing.0[0].message.starts_with("no such recipe: "), missing.0[0].line, missing.0[0].key.as_str());
+    assert_eq!(found, (true, 1, "extends"), "{missing}");
+}
+
+#[test]
+fn a_missing_recipe_has_no_line_and_the_nearest_name() {
+    let recipes = Recipes::new(&[("tiny.toml", ""), ("other.toml", "")]);
+    let missing = |name: &str| {
+        let text = recipes.resolve(name, &[]).unwrap_err().to_string();
+        text.replace(&recipes.0.path().display().to_string(), "DIR")
+    };
+    let all = ["tinny.toml", "tiny", "bulit.toml", "elsewhere/x.toml"].map(missing).join("\n\n");
+    insta::assert_snapshot!(all, @r"
+    error: no such recipe: DIR/tinny.toml
+      hint: did you mean DIR/tiny.toml?
+
+    1 error in the recipe
+
+    error: no such recipe: DIR/tiny
+      hint: did you mean DIR/tiny.toml?
+
+    1 error in the recipe
+
+    error: no such recipe: DIR/bulit.toml
+      hint: did you mean builtin:built?
+
+    1 error in the recipe
+
+    error: no such recipe: DIR/elsewhere/x.toml
+
+    1 error in the recipe
+    ");
+    let builtin = |name: &str| resolve(Path::new(name), &[], &registry(), Path::new(".")).unwrap_err().to_string();
+    insta::assert_snapshot!([builtin("builtin:bult"), builtin("builtin:x")].join("\n\n"), @r"
+    error: no such recipe: builtin:bult
+      hint: did you mean builtin:built?
+
+    1 error in the recipe
+
+    error: no such recipe: builtin:x
+      hint: built-in recipes: base, built
+
+    1 error in the recipe
+    ");
+}
+
+#[test]
+fn built_in_recipes_run_and_can_be_extended() {
+    let recipes =
+        Recipes::new(&[("mine.toml", "extends = [\"builtin:built\"]\n[nodes.one.params]\ntext = \"mine\"\n")]);
+    let plan = recipes.resolve("mine.toml", &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    assert_eq!((plan.recipe.as_str(), &plan.nodes[0].params["text"]), ("mine", &json!("mine")));
+    let plan = resolve(Path::new("builtin:built"), &[], &registry(), Path::new(".")).unwrap();
+    assert_eq!((plan.recipe.as_str(), &plan.nodes[0].params["text"]), ("built", &json!("base")));
+    let origin = &plan.origins["one"]["text"];
+    assert_eq!(*origin, Origin::File { file: "builtin:base".into(), line: 4 });
 }
 
 #[test]
 fn all_errors_come_at_once() {
     let text = r#"
 [axes]
-scene = ["ball", "ball", 1.5, "a/b"]
+scene = ["ball", "ball", true, "a/b"]
 [nodes.capture]
 stage = "test-wirte"
 ovre = ["scene"]
@@ -211,7 +286,7 @@ nodes.trian.params.steps = 1
 "#;
     let expected = [
         "3: axes.scene: axis value `ball` occurs twice",
-        "3: axes.scene: axis values are strings or integers",
+        "3: axes.scene: axis values are strings or numbers",
         "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`, without a leading `.`)",
         "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-join, test-list, test-work, test-write)",
         "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, only, inputs, like, params)",
@@ -294,6 +369,29 @@ fn overrides_are_checked_like_files() {
 }
 
 #[test]
+fn a_parameter_without_its_node_is_suggested_its_place() {
+    let found = errors(GRID, &["steps=1", "keep.x=1", "nodes.train.rate=1", "nodes.capture.txt=\"a\"", "stesp=1"]);
+    insta::assert_snapshot!(found.join("\n"), @r"
+    1: steps: unknown key `steps` (did you mean `nodes.train.params.steps`?)
+    1: keep: unknown key `keep` (did you mean `nodes.train.params.keep`?)
+    1: nodes.train.rate: unknown key `rate` (did you mean `nodes.train.params.rate`?)
+    1: nodes.capture.txt: unknown key `txt` (did you mean `nodes.capture.params.text`?)
+    1: stesp: unknown key `stesp` (did you mean `nodes.train.params.steps`?)
+    ");
+}
+
+#[test]
+fn an_inherited_parameter_is_named_where_it_was_typed() {
+    let first = GRID.replace("[nodes.capture]", "[nodes.warm]\nstage = \"test-work\"\nover = [\"seed\", \"scene\"]\nlike = { node = \"train\", method = \"a\" }\ninputs = { text = \"capture\" }\n[nodes.capture]");
+    let with = |params: &str| errors(&first.replace("rate = 1 }", params), &[]);
+    assert_eq!(with("stesp = 1 }")[0].split(':').nth(1), Some(" nodes.train.params.stesp"));
+    assert_eq!(with("rate = \"x\" }")[0].split(':').nth(1), Some(" nodes.train.params.rate"));
+    let by_rule = errors(&first, &["nodes.train.params.keep=-1", "nodes.warm.params.letter=1"]);
+    let keys: Vec<_> = by_rule.iter().filter_map(|error| error.split(": ").nth(1)).collect();
+    assert_eq!(keys, ["nodes.train.params.keep", "nodes.warm.params.letter"]);
+}
+
+#[test]
 fn unsafe_names_are_refused() {
     let names = ["../../w", "..", "", "/w", "a/b", ".hidden"];
     let found: Vec<String> = names.iter().flat_map(|name| errors(GRID, &[&format!("name = \"{name}\"")])).collect();
@@ -368,9 +466,13 @@ fn sources_outside_the_data_root_are_refused() {
 }
 
 #[test]
-fn all_syntax_errors_come_at_once_with_a_caret() {
+fn the_first_syntax_error_is_reported_with_a_caret() {
     let found = errors("a = \n[nodes\nb = 1 2\n", &[]);
-    assert!(found.len() >= 2, "{found:#?}");
+    assert!(found.len() == 1 && found[0].starts_with("1: "), "{found:#?}");
+    let open = errors("[axes]\nscene = [\"a\", \"b\"\nseed = [0]\n[nodes.x]\n", &[]);
+    insta::assert_snapshot!(open.join("\n"), @r"
+    3: : missing comma between array elements, expected `,` (or close the array with `]` on a line above)
+    ");
     let recipes =
         Recipes::new(&[("recipe.toml", "[nodes.capture]\nstage = \"test-write\"\n\tparams = { \"tüxt\" = 1 }\n")]);
     let rendered = recipes.resolve("recipe.toml", &[]).unwrap_err().to_string();
@@ -393,6 +495,10 @@ fn a_node_without_a_stage_is_one_error() {
         errors(text, &[]),
         ["1: nodes.a.stage: node `a` has no stage (allowed: test-join, test-list, test-work, test-write)"]
     );
+    let misspelt = errors(&format!("{GRID}[nodes.trian]\nparams.steps = 1\n"), &[]);
+    insta::assert_snapshot!(misspelt.join("\n"), @r"
+    29: nodes.trian.stage: node `trian` has no stage (did you mean `train`? Otherwise set nodes.trian.stage)
+    ");
 }
 
 #[test]
@@ -467,6 +573,6 @@ fn an_axis_of_all_needs_a_stage_that_lists_its_values() {
     1: axes.seed: unknown values of axis `seed` (write them as an array: no stage lists the values of a parameter that is "{seed}")
     1: axes.method: axis `method` has no value `d` (allowed: a, b, c)
     1: axes.method: unknown key `but` (allowed: except)
-    1: axes.method: an axis is an array of strings or integers (or "all", or { except = […] }, where a stage lists the values)
+    1: axes.method: an axis is an array of strings or numbers (or "all", or { except = […] }, where a stage lists the values)
     "#);
 }

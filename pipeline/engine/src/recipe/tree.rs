@@ -49,11 +49,16 @@ impl Item {
         self.as_str() == Some("all") || self.as_table().is_some()
     }
 
-    /// The item as an axis value: strings and integers have a text.
+    /// The item as an axis value: strings and numbers have a text. Equal numbers have equal texts: 1.0 is `1`.
     pub(super) fn axis_text(&self) -> Option<String> {
         match &self.tree {
             Tree::Leaf(Value::String(text)) => Some(text.clone()),
-            Tree::Leaf(Value::Number(number)) if number.is_i64() => Some(number.to_string()),
+            Tree::Leaf(Value::Number(number)) => number.as_i64().map(|int| int.to_string()).or_else(|| {
+                // Adding 0 removes the sign of a negative zero.
+                let float = number.as_f64()? + 0.0;
+                let is_plain = float == 0.0 || (1e-5..1e15).contains(&float.abs());
+                Some(if is_plain { format!("{float}") } else { format!("{float:e}") })
+            }),
             _ => None,
         }
     }
@@ -95,15 +100,20 @@ pub(super) fn find<'a>(table: &'a Table, key: &str) -> Option<(&'a Item, bool)> 
     item.as_table().and_then(|table| find(table, rest)).or(Some((item, false)))
 }
 
-/// Parses text number `text`. Reports all syntax errors and returns no tree if there are any.
+/// Parses text number `text`. Reports the first syntax error, because others often follow from it, and returns no tree
+/// if there is one.
 pub(super) fn parse(text: usize, report: &mut Report) -> Option<Table> {
     let content = report.texts.get(text).text.clone();
     let (root, errors) = DeTable::parse_recoverable(&content);
-    for error in &errors {
-        let place = Place::new(text, error.span().unwrap_or(0..0));
-        report.add(&place, "", error.message().replace('\n', ", "), None);
-    }
-    errors.is_empty().then(|| table(root.get_ref(), text, "", report))
+    let Some(first) = errors.iter().min_by_key(|error| error.span().map_or(0, |span| span.start)) else {
+        return Some(table(root.get_ref(), text, "", report));
+    };
+    let place = Place::new(text, first.span().unwrap_or(0..0));
+    // The parser notices an open array at the next line that does not fit.
+    let is_in_array = first.message().contains("array elements");
+    let hint = is_in_array.then(|| "or close the array with `]` on a line above".to_owned());
+    report.add(&place, "", first.message().replace('\n', ", "), hint);
+    None
 }
 
 fn table(table: &DeTable, text: usize, prefix: &str, report: &mut Report) -> Table {

@@ -1,7 +1,7 @@
 //! Checks that the templates of a recipe fit together: stages, ports, types, arity, no cycles.
 
 use crate::registry::AnyStage;
-use crate::suggest::names_hint;
+use crate::suggest::{names_hint, nearest};
 use crate::{Arity, Port, Registry};
 
 use super::errors::{Report, join_arrows};
@@ -15,16 +15,23 @@ pub(super) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report
         match registry.get(&template.stage.name) {
             Some(stage) => Checker { recipe, registry, name, template, stage }.check(report),
             None => {
-                let hint = Some(names_hint(&template.stage.name, registry.stages().map(|stage| stage.id())));
-                let message = match template.stage.name.as_str() {
-                    "" => format!("node `{name}` has no stage"),
-                    stage => format!("unknown stage `{stage}`"),
+                let stages = names_hint(&template.stage.name, registry.stages().map(|stage| stage.id()));
+                let (message, hint) = match template.stage.name.as_str() {
+                    "" => (format!("node `{name}` has no stage"), similar_node(recipe, name).unwrap_or(stages)),
+                    stage => (format!("unknown stage `{stage}`"), stages),
                 };
-                report.add(&template.stage.at, format!("{key}.stage"), message, hint);
+                report.add(&template.stage.at, format!("{key}.stage"), message, Some(hint));
             }
         }
     }
     order(recipe).map_err(|cycle| report_cycle(recipe, &cycle, report)).ok()
+}
+
+/// The hint for a node without a stage whose name resembles that of a complete node.
+fn similar_node(recipe: &RawRecipe, name: &str) -> Option<String> {
+    let complete = recipe.templates.iter().filter(|(_, template)| !template.stage.name.is_empty());
+    let similar = nearest(name, complete.map(|(name, _)| name.as_str()))?;
+    Some(format!("did you mean `{similar}`? Otherwise set nodes.{name}.stage"))
 }
 
 /// One template with its stage.

@@ -22,9 +22,15 @@ const fn crate_code(name: &'static str, files: &'static [(&'static str, &'static
     CrateCode { name, files, dependencies: &[], reads_artifacts_of: &[], external: "e0" }
 }
 
+/// Built-in recipes: one that extends another by the name of its file.
+const RECIPES: crate::Builtins = &[
+    ("base", "name = \"base\"\n[nodes.one]\nstage = \"test-write\"\nparams.text = \"base\"\n"),
+    ("built", "extends = [\"builtin:base\"]\n"),
+];
+
 /// The test stages.
 pub(crate) fn registry() -> Registry {
-    Registry::new(CODE).with::<Write>().with::<Work>().with::<Join>().with::<List>()
+    Registry::new(CODE).with_recipes(RECIPES).with::<Write>().with::<Work>().with::<Join>().with::<List>()
 }
 
 fn canonical(stage: &str, raw: Value) -> Result<Value, Vec<(String, String)>> {

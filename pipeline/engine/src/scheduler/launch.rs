@@ -30,16 +30,16 @@ pub(super) struct Running {
 }
 
 impl Scheduler<'_> {
-    /// Launches queued jobs in plan order while slots are free.
+    /// Launches queued jobs in the order of their ranks while slots are free.
     pub(super) fn launch_jobs(&mut self) -> anyhow::Result<()> {
-        while let Some((&index, _)) = self.queue.first_key_value() {
+        while let Some((_, &(index, _))) = self.queue.first_key_value() {
             let threads = self.threads_of(index);
             let used: usize = self.running.values().map(|job| job.threads).sum();
             let fits = self.running.len() < self.options.jobs.max(1) && used + threads <= self.options.threads.max(1);
             if self.has_stopped_launching() || !fits {
                 break;
             }
-            if let Some((index, components)) = self.queue.pop_first() {
+            if let Some((_, (index, components))) = self.queue.pop_first() {
                 self.launch(index, *components, threads)?;
             }
         }
@@ -79,6 +79,7 @@ impl Scheduler<'_> {
             inputs: inputs::input_specs(self.plan, node, &self.outcomes),
             sources,
             threads,
+            work: node.work.clone(),
             device: self.device_of(node),
             device_of_run: self.plan.device,
             profile: self.options.profile,

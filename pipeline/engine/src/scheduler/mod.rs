@@ -129,8 +129,10 @@ struct Scheduler<'a> {
     unfinished_producers: Vec<usize>,
     /// Nodes whose producers are all finished and that are not dispatched yet.
     ready: BTreeSet<usize>,
-    /// Nodes that have to run, in plan order. Jobs are launched strictly in this order, so none starves.
-    queue: BTreeMap<usize, Box<KeyComponents>>,
+    /// The order of each node: jobs that complete one cell of the tables come together.
+    ranks: Vec<usize>,
+    /// Rank → node that has to run. Jobs are launched strictly in this order, so none starves.
+    queue: BTreeMap<usize, (usize, Box<KeyComponents>)>,
     running: BTreeMap<usize, Running>,
     /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
     in_flight: BTreeMap<ActionKey, Vec<usize>>,
@@ -175,6 +177,7 @@ impl<'a> Scheduler<'a> {
             consumers,
             unfinished_producers,
             ready,
+            ranks: plan.depth_first_ranks(),
             queue: BTreeMap::new(),
             running: BTreeMap::new(),
             in_flight: BTreeMap::new(),
@@ -240,7 +243,7 @@ impl<'a> Scheduler<'a> {
             }
         }
         self.in_flight.insert(key, Vec::new());
-        self.queue.insert(index, components);
+        self.queue.insert(self.ranks[index], (index, components));
         Ok(())
     }
 

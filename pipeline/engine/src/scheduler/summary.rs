@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::event::{Counts, NodeResult, Outcome};
-use crate::{Failure, exit};
+use crate::{Failure, FailureKind, exit};
 
 /// The summary of a run, stored as `summary.json` in its folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -42,6 +42,9 @@ impl RunSummary {
             };
         }
         if self.not_kept.is_some() {
+            return exit::INFRASTRUCTURE;
+        }
+        if self.failures().any(|(_, _, failure)| failure.kind == FailureKind::World) {
             return exit::INFRASTRUCTURE;
         }
         if counts.failed + counts.interrupted + counts.not_run > 0 {

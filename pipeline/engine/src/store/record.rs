@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::Store;
-use crate::{ActionKey, DeviceClass, Digest, Failure, KeyComponents};
+use crate::{ActionKey, DeviceClass, Digest, Failure, KeyComponents, Work};
 
 /// The version of both record types. A record of another version counts as missing.
 const VERSION: u32 = 1;
@@ -68,6 +68,9 @@ pub struct Provenance {
     pub host: String,
     /// The number of threads of the job.
     pub threads: usize,
+    /// The work that the job was expected to be; none if it continued from a checkpoint.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work: Option<Work>,
     /// The start in seconds since 1970.
     pub started_at_secs: f64,
     /// The wall time in seconds of the last attempt, without earlier, interrupted ones.

@@ -10,6 +10,8 @@ use crate::world::{GRID, World, nodes};
 
 pub const TESTS: &[(&str, fn())] = &[
     ("failures_are_typed_and_other_jobs_continue", failures_are_typed_and_other_jobs_continue),
+    #[cfg(target_os = "linux")]
+    ("a_full_disk_in_a_job_is_a_machine_failure", a_full_disk_in_a_job_is_a_machine_failure),
     ("invalid_artifacts_are_not_published", invalid_artifacts_are_not_published),
     ("code_that_changed_since_the_plan_is_refused", code_that_changed_since_the_plan_is_refused),
     ("failing_fast_launches_no_more_jobs", failing_fast_launches_no_more_jobs),
@@ -72,6 +74,25 @@ fn failures_are_typed_and_other_jobs_continue() {
     // A failure is never a cache hit; the unchanged list is.
     let again = world.run(&[]);
     assert_eq!((again.counts.executed, again.counts.failed), (0, 4));
+}
+
+#[cfg(target_os = "linux")]
+/// Every write to `/dev/full` fails like a write to a full disk.
+fn a_full_disk_in_a_job_is_a_machine_failure() {
+    let world = failing(r#""no", "full""#);
+    let summary = world.run(&[]);
+    let failure = summary.results["work/full"].failure.clone().unwrap();
+    assert_eq!(failure.kind, FailureKind::World);
+    let message = failure.to_string();
+    assert!(message.starts_with("cannot write the text: No space left on device"), "{message}");
+    assert!(message.contains("free space"), "{message}");
+    assert_eq!(summary.exit_code(false), exit::INFRASTRUCTURE);
+    let log_dir = summary.results["work/full"].log_dir.clone().unwrap();
+    let log = fs::read_to_string(log_dir.join("log")).unwrap();
+    assert!(log.contains("started work/full: stage test-work, 1 threads, device cpu"), "{log}");
+    assert!(log.contains("ERROR") && log.contains("failed (machine failure): cannot write the text"), "{log}");
+    let log = fs::read_to_string(log_dir.with_file_name("no").join("log")).unwrap();
+    assert!(log.contains("step 3/3: 4 letters") && log.contains("published "), "{log}");
 }
 
 fn invalid_artifacts_are_not_published() {

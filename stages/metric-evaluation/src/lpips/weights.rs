@@ -42,6 +42,12 @@ impl Backbone {
     }
 }
 
+/// The published files of each network of LPIPS: the network, the file of its classifier, and LPIPS's own file.
+pub fn lpips_files() -> [(&'static str, [&'static str; 2]); 3] {
+    [("alex", Backbone::Alex), ("vgg", Backbone::Vgg), ("squeeze", Backbone::Squeeze)]
+        .map(|(name, backbone)| (name, backbone.files().map(|files| files[0].file)))
+}
+
 /// LPIPS with one classifier, or the reason why it is unavailable.
 pub(crate) enum Weights {
     /// The weights are loaded.

@@ -36,8 +36,8 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
         ""
     };
     Some(format!(
-        "# Save as recipes/{name}.toml and run with --data-root {data_root}\n\
-         extends = [\"common/benchmark.toml\"]\nname = {name:?}\n\n\
+        "# Save as {name}.toml and run with --data-root {data_root}\n\
+         extends = [\"builtin:benchmark\"]\nname = {name:?}\n\n\
          [axes]\nscene = [{}]\nmethod = [\"static3dgs\", \"deformable4dgs\"]\nseed = [0]\n\n\
          {note}[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
          params = {{ source = \"{{scene}}\"{} }}\n{own}\n\
@@ -45,7 +45,7 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
          [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\
          density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n\
          deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n\n\
-         [nodes.report.params]\ntitle = {name:?}\nrecipe = \"recipes/{name}.toml\"\n",
+         [nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n",
         scenes.join(", "),
         common.concat(),
     ))

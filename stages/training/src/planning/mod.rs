@@ -4,6 +4,7 @@
 mod coarse;
 #[cfg(test)]
 mod tests;
+mod work;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,6 +19,8 @@ use crate::methods;
 use crate::params::TrainingParams;
 
 pub(crate) use coarse::check_start;
+pub use work::model_work;
+pub(crate) use work::training_work;
 
 /// The port of the model that a training continues.
 pub(crate) const START: &str = "start";
@@ -74,11 +77,17 @@ pub fn resolve_for(params: TrainingParams, capture: &Capture) -> Result<Training
     Ok(resolve(params, &context)?.params)
 }
 
-/// Static facts of the model: the recipe of its shared phase, if it is the model of one.
+/// Static facts of the model: its method, the expected number of Gaussians, and the recipe of its shared phase, if it is
+/// the model of one.
 pub(crate) fn facts(params: &TrainingParams) -> Facts {
-    coarse::offered(params).map_or_else(Facts::default, |recipe| Facts::default().with(COARSE, recipe))
+    let known = Facts::default().with(METHOD, params.method.as_str()).with(GAUSSIANS, work::gaussians(params));
+    coarse::offered(params).map_or(known.clone(), |recipe| known.with(COARSE, recipe))
 }
 
+/// Name of the fact that holds the method of a model.
+const METHOD: &str = "method";
+/// Name of the fact that holds the number of Gaussians that a training is expected to end with.
+const GAUSSIANS: &str = "expected gaussians";
 /// Name of the fact that holds the recipe of a shared phase.
 const COARSE: &str = "coarse phase";
 

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use captures::CaptureArtifact;
 use engine::{
-    Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage, UnusedSources,
+    Facts, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Stage, UnusedSources, Work,
 };
 use scene::Capture;
 use serde::Deserialize as _;
@@ -66,6 +66,10 @@ impl Stage for Training {
         context: &PlanContext<'_>,
     ) -> Result<Resolution<TrainingParams>, Vec<ParamProblem>> {
         planning::resolve(params, context)
+    }
+
+    fn work(params: &TrainingParams, context: &PlanContext<'_>) -> Option<Work> {
+        planning::training_work(params, context)
     }
 
     fn resources(_params: &TrainingParams) -> Resources {

@@ -1,0 +1,119 @@
+//! `recipes` and `data`: the recipes and data manifests that are built into the program.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use engine::{Builtins, Failure, FailureKind, exit};
+use serde::Deserialize;
+
+use crate::args::{DataVerb, RecipesVerb};
+use crate::error::CliError;
+use crate::output::{count, note, print};
+use crate::stages::{manifests, stages};
+
+pub(crate) fn recipes(verb: &RecipesVerb) -> Result<u8, CliError> {
+    let all = stages().recipes();
+    match verb {
+        RecipesVerb::List => print(&list(all))?,
+        RecipesVerb::Show { name } => print(text(all, name, "recipe")?)?,
+        RecipesVerb::Copy { name, file } => {
+            let file = file.clone().unwrap_or_else(|| PathBuf::from(format!("{name}.toml")));
+            let own = file.display().to_string();
+            write_new(&file, &text(all, name, "recipe")?.replace(&format!("recipes/{name}.toml"), &own))?;
+            note(&format!("wrote {own}; run it with: pipeline run {own}"));
+        }
+    }
+    Ok(exit::OK)
+}
+
+pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
+    match verb {
+        DataVerb::List { data_root } => {
+            let lines: String = present(data_root)?.iter().map(|set| set.text(data_root)).collect();
+            print(&lines)?;
+        }
+        DataVerb::Show { name } => print(text(manifests(), name, "data set")?)?,
+    }
+    Ok(exit::OK)
+}
+
+/// The recipes that can be run, each with the first sentence of its comment, and then the parts of recipes.
+fn list(all: Builtins) -> String {
+    let is_part = |text: &str| !text.lines().any(|line| line.starts_with("name = "));
+    let width = all.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+    let line = |(name, text): &(&str, &str)| format!("{name:<width$}  {}\n", about(text));
+    let runnable: String = all.iter().filter(|(_, text)| !is_part(text)).map(line).collect();
+    let parts: Vec<&str> = all.iter().filter(|(_, text)| is_part(text)).map(|(name, _)| *name).collect();
+    format!("{runnable}\nparts to extend: {}\n", parts.join(", "))
+}
+
+/// The first sentence of the comment that a recipe begins with.
+fn about(text: &str) -> String {
+    let comment = text.lines().map_while(|line| line.strip_prefix('#'));
+    let comment = comment.map(str::trim).collect::<Vec<_>>().join(" ");
+    comment.split_once(". ").map_or(comment.as_str(), |(first, _)| first).trim_end_matches('.').to_owned()
+}
+
+/// The text called `name`.
+fn text(all: Builtins, name: &str, what: &str) -> Result<&'static str, CliError> {
+    let name = name.strip_prefix("builtin:").unwrap_or(name);
+    all.iter().find(|(known, _)| *known == name).map(|(_, text)| *text).ok_or_else(|| {
+        let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
+        CliError::nothing(format!("no built-in {what} is called `{name}`"), format!("choose one: {}", names.join(", ")))
+    })
+}
+
+/// Writes a file that must not exist yet.
+fn write_new(file: &Path, text: &str) -> Result<(), CliError> {
+    let written = std::fs::File::create_new(file).and_then(|mut open| open.write_all(text.as_bytes()));
+    written.map_err(|error| {
+        let kind = match error.kind() {
+            std::io::ErrorKind::AlreadyExists | std::io::ErrorKind::NotFound => FailureKind::BadInput,
+            _ => FailureKind::World,
+        };
+        anyhow::Error::from(Failure::new(kind, format!("cannot write the recipe ({error})")).at(file)).into()
+    })
+}
+
+/// The part of a data manifest that names folders.
+#[derive(Deserialize)]
+struct Manifest {
+    name: String,
+    title: String,
+    folder: PathBuf,
+    scene: Vec<Scene>,
+}
+
+#[derive(Deserialize)]
+struct Scene {
+    name: String,
+    folder: Option<PathBuf>,
+}
+
+/// A data set, with the number of its scenes that exist.
+pub(crate) struct DataSet {
+    manifest: Manifest,
+    pub(crate) exist: usize,
+}
+
+impl DataSet {
+    /// One line: the data set, how many of its scenes exist, and where.
+    pub(crate) fn text(&self, data_root: &Path) -> String {
+        let Self { manifest: Manifest { name, title, folder, scene }, exist } = self;
+        let place = data_root.join(folder);
+        format!("{name:<12} {exist} of {} in {}: {title}\n", count(scene.len(), "scene"), place.display())
+    }
+}
+
+/// All data sets, in the order of their names.
+pub(crate) fn present(data_root: &Path) -> Result<Vec<DataSet>, CliError> {
+    let data_set = |(_, text): &(&str, &str)| {
+        let manifest: Manifest = toml::from_str(text).map_err(anyhow::Error::from)?;
+        let folder_of = |scene: &Scene| {
+            data_root.join(&manifest.folder).join(scene.folder.as_deref().unwrap_or(Path::new(&scene.name)))
+        };
+        let exist = manifest.scene.iter().filter(|scene| folder_of(scene).is_dir()).count();
+        Ok(DataSet { manifest, exist })
+    };
+    manifests().iter().map(data_set).collect()
+}

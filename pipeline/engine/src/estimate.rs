@@ -1,0 +1,138 @@
+//! Predicted seconds of jobs, scaled by their work from measured jobs.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use crate::store::ActionRecord;
+use crate::{Node, Plan, Work};
+
+/// The newest measurements that are kept per group; older ones may be of other code.
+const MAX_SAMPLES: usize = 32;
+/// Measured jobs with this many times more or less work are not comparable.
+const MAX_SCALE: f64 = 1000.0;
+/// The tried ratios between the costs of the two amounts of work: powers of this number, in both directions.
+const RATIO_STEP: f64 = 1.8;
+/// The number of powers in each direction: ratios up to 1.8⁸ ≈ 110.
+const RATIO_STEPS: i32 = 8;
+/// The weight of the assumption that both amounts cost the same per unit, in squared relative errors.
+const PRIOR: f64 = 0.0002;
+/// The weight of a measurement of the same job, relative to one of another job with equal work.
+const SAME_JOB: f64 = 4.0;
+
+/// Predicts the seconds of jobs from the measured jobs of the same stage, kind and device class.
+#[derive(Clone, Debug, Default)]
+pub struct Estimator {
+    /// Stage, kind of work and device class → measurements, oldest first.
+    groups: BTreeMap<[String; 3], Vec<Sample>>,
+    /// Stage and job → parameters and seconds of the last run, for jobs whose work is unknown.
+    last: BTreeMap<[String; 2], (serde_json::Value, f64)>,
+}
+
+/// A measured job.
+#[derive(Clone, Debug)]
+struct Sample {
+    node: String,
+    amounts: [f64; 2],
+    secs: f64,
+}
+
+impl Estimator {
+    /// Learns from records, oldest first. Records of this machine are preferred: those of others are used for groups
+    /// without any.
+    pub fn new<'a>(records: impl Iterator<Item = &'a ActionRecord> + Clone) -> Self {
+        let host = crate::job::host_name();
+        let (mut own, mut others) = (Self::default(), Self::default());
+        for record in records {
+            let estimator = if record.provenance.host == host { &mut own } else { &mut others };
+            estimator.learn(record);
+        }
+        others.groups.into_iter().for_each(|(group, samples)| _ = own.groups.entry(group).or_insert(samples));
+        others.last.into_iter().for_each(|(job, secs)| _ = own.last.entry(job).or_insert(secs));
+        own
+    }
+
+    fn learn(&mut self, record: &ActionRecord) {
+        let (made, components) = (&record.provenance, &record.components);
+        self.add(&components.stage, &made.node, &components.environment, made.work.as_ref(), made.wall_secs);
+        let job = [components.stage.clone(), made.node.clone()];
+        self.last.insert(job, (components.params.clone(), made.wall_secs));
+    }
+
+    /// Adds the measured seconds of a job of `plan` that has just run.
+    pub fn add_run(&mut self, plan: &Plan, node: &Node, secs: f64) {
+        self.add(&node.stage, &node.name, plan.device_of(node).as_str(), node.work.as_ref(), secs);
+        self.last.insert([node.stage.clone(), node.name.clone()], (node.params.clone(), secs));
+    }
+
+    fn add(&mut self, stage: &str, node: &str, device: &str, work: Option<&Work>, secs: f64) {
+        let Some(Work { kind, amounts }) = work else { return };
+        let samples = self.groups.entry([stage, kind, device].map(str::to_owned)).or_default();
+        // Shorter times are rounding errors of the clock.
+        samples.push(Sample { node: node.to_owned(), amounts: *amounts, secs: secs.max(1e-3) });
+        samples.drain(..samples.len().saturating_sub(MAX_SAMPLES));
+    }
+
+    /// The expected seconds of a job of `plan`; `None` if no comparable job was measured.
+    pub fn secs(&self, plan: &Plan, node: &Node) -> Option<f64> {
+        let Some(Work { kind, amounts }) = &node.work else {
+            let (params, secs) = self.last.get(&[node.stage.clone(), node.name.clone()])?;
+            return (*params == node.params).then_some(*secs);
+        };
+        let samples = self.groups.get(&[&node.stage, kind, plan.device_of(node).as_str()].map(str::to_owned))?;
+        let nearby: Vec<Weighted<'_>> = samples.iter().filter_map(|sample| weighted(sample, node, *amounts)).collect();
+        if nearby.is_empty() {
+            return None;
+        }
+        let ratios = (-RATIO_STEPS..=RATIO_STEPS).map(|power| RATIO_STEP.powi(power));
+        let fits = ratios.map(|ratio| (ratio, Fit::of(&nearby, ratio)));
+        let cost = |(ratio, fit): &(f64, Fit)| fit.variance + PRIOR * ratio.ln().powi(2);
+        let (ratio, fit) = fits.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+        Some(fit.log_rate.exp() * total(*amounts, ratio))
+    }
+}
+
+/// A measured job with its weight in one prediction.
+struct Weighted<'a> {
+    sample: &'a Sample,
+    weight: f64,
+}
+
+/// The measurement with a weight that falls with the relative difference of the work; `None` if it is not comparable.
+fn weighted<'a>(sample: &'a Sample, node: &Node, amounts: [f64; 2]) -> Option<Weighted<'a>> {
+    let scale = |(own, measured): (f64, f64)| match (own > 0.0, measured > 0.0) {
+        (true, true) => (own / measured).ln().abs(),
+        (false, false) => 0.0,
+        _ => f64::INFINITY,
+    };
+    let scales = [0, 1].map(|at| scale((amounts[at], sample.amounts[at])));
+    if !(scales[0].max(scales[1]) <= MAX_SCALE.ln()) {
+        return None;
+    }
+    let same_job = if sample.node == node.name { SAME_JOB } else { 1.0 };
+    Some(Weighted { sample, weight: same_job / (0.1 + scales[0] + scales[1]).powi(2) })
+}
+
+/// Seconds per unit of work, fitted for one ratio between the costs of the two amounts.
+struct Fit {
+    /// The logarithm of the seconds per unit.
+    log_rate: f64,
+    /// The weighted mean of the squared relative errors.
+    variance: f64,
+}
+
+impl Fit {
+    fn of(nearby: &[Weighted<'_>], ratio: f64) -> Self {
+        let log_rate = |one: &Weighted<'_>| (one.sample.secs / total(one.sample.amounts, ratio)).ln();
+        let sum: f64 = nearby.iter().map(|one| one.weight).sum();
+        let mean = nearby.iter().map(|one| one.weight * log_rate(one)).sum::<f64>() / sum;
+        let squares = nearby.iter().map(|one| one.weight * (log_rate(one) - mean).powi(2));
+        Self { log_rate: mean, variance: squares.sum::<f64>() / sum }
+    }
+}
+
+/// The work as one number, for one ratio between the costs of its amounts.
+fn total(amounts: [f64; 2], ratio: f64) -> f64 {
+    amounts[0] + ratio * amounts[1]
+}
