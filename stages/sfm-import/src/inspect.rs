@@ -1,18 +1,27 @@
 //! Description of the captures in a folder: a text for the terminal, and a recipe that trains on them.
 
+mod ignored;
 mod recipe;
+mod samples;
 mod suggestion;
 mod summary;
+mod views;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
+pub use self::samples::Samples;
 pub use self::summary::{Frames, Summary};
 use crate::params::Format;
 use crate::recognise::{captures_below, recognise};
 pub use crate::source::{Quality, ReprojectionError};
+
+/// Maximum number of images that are decoded per capture.
+const CAPTURE_IMAGES: usize = 8;
+/// Maximum number of images that are decoded in a folder of captures.
+const FOLDER_IMAGES: usize = 32;
 
 /// An inspected folder.
 pub struct Inspection {
@@ -27,9 +36,10 @@ pub fn inspect(dir: &Path) -> anyhow::Result<Inspection> {
     let dir = dir.canonicalize().with_context(|| format!("cannot open the folder: {}", dir.display()))?;
     let below = captures_below(&dir);
     let captures = if recognise(&dir, Format::Auto).is_err() && !below.is_empty() {
-        below.iter().map(|path| Summary::of(path)).collect()
+        let images = (FOLDER_IMAGES / below.len()).clamp(1, CAPTURE_IMAGES);
+        below.iter().map(|path| Summary::of(path, images)).collect()
     } else {
-        vec![Summary::of(&dir)]
+        vec![Summary::of(&dir, CAPTURE_IMAGES)]
     };
     Ok(Inspection { dir, captures })
 }

@@ -13,7 +13,10 @@ const MAX_ZOOM: f64 = 2.0;
 /// Bisection steps for the zoom: 40 halvings of [1, `MAX_ZOOM`] reach the rounding of pixel positions.
 const ZOOM_STEPS: usize = 40;
 /// Rows and columns of the grid on which the interior is checked: finer than any fold of a polynomial of this degree.
-const GRID: u32 = 64;
+const GRID: u32 = 32;
+/// Number of pixels of each side of the border that are checked: between them, a lens bends the border by less than 1/100
+/// of a pixel.
+const BORDER: u32 = 256;
 
 /// The pinhole and the distortion of a real camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,19 +106,22 @@ impl Lens {
 
     /// Whether the lens keeps rays in order on a grid over the pinhole `target`, so that the undistortion is unique.
     fn is_regular_over(&self, target: &Intrinsics) -> bool {
-        let at = |index: u32, length: u32| (u64::from(index) * u64::from(length - 1) / u64::from(GRID - 1)) as u32;
-        (0..GRID * GRID).all(|index| {
-            let (column, row) = (at(index % GRID, target.width), at(index / GRID, target.height));
-            self.distortion.is_regular_at(plane_point(target, column, row))
-        })
+        let is_regular = |column, row| self.distortion.is_regular_at(plane_point(target, column, row));
+        spread(GRID, target.height).all(|row| spread(GRID, target.width).all(|column| is_regular(column, row)))
     }
 }
 
-/// The pixels on the border of an image.
+/// Pixels on the border of an image, corners included.
 fn border(size: &Intrinsics) -> impl Iterator<Item = (u32, u32)> {
     let Intrinsics { width, height, .. } = *size;
-    let rows = (0..height).flat_map(move |row| [(0, row), (width - 1, row)]);
-    rows.chain((0..width).flat_map(move |column| [(column, 0), (column, height - 1)]))
+    let rows = spread(BORDER, height).flat_map(move |row| [(0, row), (width - 1, row)]);
+    rows.chain(spread(BORDER, width).flat_map(move |column| [(column, 0), (column, height - 1)]))
+}
+
+/// At most `count` numbers from 0 to `length - 1`, evenly spread, both ends included.
+fn spread(count: u32, length: u32) -> impl Iterator<Item = u32> + Clone {
+    let (count, last) = (count.min(length), u64::from(length - 1));
+    (0..count).map(move |index| (u64::from(index) * last / u64::from(count.max(2) - 1)) as u32)
 }
 
 /// The point of the plane z = 1 at the centre of a pixel.

@@ -25,7 +25,7 @@ pub(crate) fn has_alpha(path: &Path) -> Result<bool> {
 }
 
 /// Decodes an image file.
-fn decode(path: &Path) -> Result<DynamicImage> {
+pub(crate) fn decode(path: &Path) -> Result<DynamicImage> {
     image_file::decode(path)
         .map_err(|error| bad(format!("image cannot be read ({error})")).hint("the file may be damaged").at(path))
 }

@@ -35,9 +35,10 @@ impl ImageFolder {
         let chosen = match &params.images {
             Some(name) => Self::named(dir, name, model)?,
             None => {
-                let mut copies = copies(dir, model, &mut warnings);
-                let is_wide = |copy: &Self| params.width.is_some_and(|width| copy.smallest_width() >= width);
                 let has_originals = has_any(&original, model);
+                let wants_copy = params.width.is_some() || !has_originals;
+                let mut copies = if wants_copy { copies(dir, model, &mut warnings) } else { Vec::new() };
+                let is_wide = |copy: &Self| params.width.is_some_and(|width| copy.smallest_width() >= width);
                 match copies.iter().rposition(is_wide) {
                     Some(at) => copies.swap_remove(at),
                     None if has_originals => Self::originals(original, model),

@@ -2,14 +2,15 @@
 
 use scene::protocol::PRESETS;
 
+use super::samples::Samples;
 use crate::params::Format;
 use crate::source::SourceCapture;
 
 /// Minimum image width in pixels for which half of it is suggested.
 const LARGE_WIDTH: u32 = 800;
 
-/// Suggests import parameters besides `source`, for images of this width. Values are in TOML.
-pub(super) fn params(source: &SourceCapture, width: u32) -> Vec<(&'static str, String)> {
+/// Suggests import parameters besides `source`, for images of this width and content. Values are in TOML.
+pub(super) fn params(source: &SourceCapture, samples: Option<&Samples>, width: u32) -> Vec<(&'static str, String)> {
     let text = |text: &str| format!("{text:?}");
     let mut params = Vec::new();
     if source.format == Format::N3v {
@@ -25,6 +26,9 @@ pub(super) fn params(source: &SourceCapture, width: u32) -> Vec<(&'static str, S
         Format::Nerfies => params.push(("fps", "30.0".into())),
         _ if source.name == "lego" && source.dataset == "dnerf" => params.push(("test_split", text("val"))),
         _ => (),
+    }
+    if samples.is_some_and(Samples::suggest_black) {
+        params.push(("background", text("black")));
     }
     params
 }

@@ -1,13 +1,14 @@
 //! The description of one capture.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use engine::Failure;
 use scene::{Intrinsics, Split};
 use serde::Serialize;
 
-use super::suggestion;
+use super::samples::Samples;
+use super::{ignored, suggestion, views};
 use crate::params::{Format, Params};
 use crate::recognise::{read, recognise};
 use crate::source::{Quality, ReprojectionError, SourceCapture};
@@ -24,9 +25,10 @@ pub struct Summary {
     pub format: Format,
     /// The frames; `None` if there are no frames or their files could not be read.
     pub frames: Option<Frames>,
-    /// The files that an import reads; a folder stands for the files in it. Other files of the capture are ignored.
-    #[serde(skip)]
-    pub used_files: BTreeSet<PathBuf>,
+    /// Statistics of a few decoded images; `None` if the capture has other problems.
+    pub samples: Option<Samples>,
+    /// Files and folders of the capture that an import does not read, each with what is known about it.
+    pub ignored: Vec<String>,
     /// Oddities that do not prevent an import.
     pub warnings: Vec<String>,
     /// Problems that prevent an import, each with a hint and a file.
@@ -65,36 +67,39 @@ pub struct Frames {
 }
 
 impl Summary {
-    /// Describes the capture in `dir` without decoding images.
-    pub(super) fn of(dir: &Path) -> Self {
+    /// Describes the capture in `dir` and decodes at most `images` of its images.
+    pub(super) fn of(dir: &Path, images: usize) -> Self {
         let format = recognise(dir, Format::Auto).unwrap_or_default();
         let unread = |failure| Self {
             path: dir.into(),
             format,
             frames: None,
-            used_files: BTreeSet::new(),
+            samples: None,
+            ignored: Vec::new(),
             warnings: Vec::new(),
             problems: vec![failure],
             params: None,
         };
         match read(dir, &Params::default()) {
             Err(failure) => unread(failure),
-            Ok(source) => {
-                let problems = source.problems();
-                let frames = Frames::of(&source);
-                let usable = frames.as_ref().filter(|_| problems.is_empty());
-                let params = usable.map(|frames| suggestion::params(&source, frames.intrinsics.width));
-                Self {
-                    path: dir.into(),
-                    format,
-                    frames,
-                    used_files: source.used_files(),
-                    warnings: source.warnings,
-                    problems,
-                    params,
-                }
-            }
+            Ok(source) => Self::of_source(dir, source, images),
         }
+    }
+
+    fn of_source(dir: &Path, source: SourceCapture, images: usize) -> Self {
+        let mut problems = source.problems();
+        let samples = problems.is_empty().then(|| Samples::of(&source, images));
+        let samples = samples.map(|(samples, damaged)| {
+            problems.extend(damaged);
+            samples
+        });
+        let frames = Frames::of(&source);
+        let usable = frames.as_ref().filter(|_| problems.is_empty());
+        let params = usable.map(|frames| suggestion::params(&source, samples.as_ref(), frames.intrinsics.width));
+        let found = samples.iter().flat_map(Samples::warnings).chain(views::warnings(&source)).collect::<Vec<_>>();
+        let ignored = ignored::lines(dir, source.format, &source.used_files());
+        let warnings = source.warnings.into_iter().chain(found).collect();
+        Self { path: dir.into(), format: source.format, frames, samples, ignored, warnings, problems, params }
     }
 
     /// The description as aligned lines.
@@ -105,11 +110,13 @@ impl Summary {
         if let Some(frames) = &self.frames {
             frames.lines().iter().for_each(|(label, value)| line(label, value));
         }
+        self.samples.iter().for_each(|samples| line("pixels", &samples.text()));
+        self.ignored.iter().for_each(|entry| line("ignored", entry));
         self.warnings.iter().for_each(|warning| line("warning", warning));
         let problems = self.grouped_problems();
         problems.iter().take(LISTED_PROBLEMS).for_each(|problem| line("problem", problem));
         match problems.len().saturating_sub(LISTED_PROBLEMS) {
-            0 if problems.is_empty() => line("verdict", "ready to import (pixels were not decoded)"),
+            0 if problems.is_empty() => line("verdict", "ready to import"),
             0 => line("verdict", "cannot be imported until the problems are solved"),
             more => line("verdict", &format!("cannot be imported; {more} more problems of this kind")),
         }

@@ -105,3 +105,109 @@ fn recipes_state_common_parameters_once() {
     let recipe = inspect(root.path()).unwrap().recipe().unwrap();
     insta::assert_snapshot!(shortened(&recipe, root.path()));
 }
+
+/// A Blender capture whose images are drawn by `pixel`, which gets the index of the image, column and row.
+fn drawn(pixel: impl Fn(usize, u32, u32) -> image::Rgba<u8>) -> tempfile::TempDir {
+    let dir = blender_scene();
+    for (label, count) in [("train", 5), ("val", 2), ("test", 3)] {
+        for index in 0..count {
+            let path = dir.path().join(label).join(format!("r_{index:03}.png"));
+            image::RgbaImage::from_fn(WIDTH, HEIGHT, |column, row| pixel(index, column, row)).save(path).unwrap();
+        }
+    }
+    dir
+}
+
+/// The warnings about the content of the images.
+fn content_warnings(dir: &std::path::Path) -> Vec<String> {
+    let warnings = inspect(dir).unwrap().captures.remove(0).warnings;
+    warnings.into_iter().filter(|warning| !warning.contains("training views are few")).collect()
+}
+
+#[test]
+fn a_white_floor_on_white_suggests_black() {
+    let dir = drawn(|index, column, row| match (column, row) {
+        (3..8, 4..6) => image::Rgba([90, index as u8, 10, 255]),
+        (_, 8..) => image::Rgba([255, 254, 255, 255]),
+        _ => image::Rgba([0, 0, 0, 0]),
+    });
+    let warnings = content_warnings(dir.path());
+    let expected = "97 % of the pixels equal the background (white), although 50 % are opaque: a model cannot separate them from \
+                    nothing and may lose all Gaussians; set background = \"black\"";
+    let tiny = "the subject covers only 2.6 % of the pixels: crop the images around it, or keep their full width";
+    assert_eq!(warnings, [expected, tiny]);
+    assert!(inspect(dir.path()).unwrap().recipe().unwrap().contains("background = \"black\""));
+}
+
+#[test]
+fn a_transparent_background_does_not_suggest_black() {
+    let dir = drawn(|index, column, _| match column {
+        0..4 => image::Rgba([9, 9, index as u8, 255]),
+        _ => image::Rgba([255, 255, 255, 0]),
+    });
+    assert_eq!(content_warnings(dir.path()), [""; 0]);
+    assert!(!inspect(dir.path()).unwrap().recipe().unwrap().contains("background"));
+}
+
+#[test]
+fn equal_and_uniform_images_are_warned_of() {
+    let equal = drawn(|_, column, row| image::Rgba([column as u8, row as u8, 77, 255]));
+    assert_eq!(content_warnings(equal.path()), ["the 5 decoded images are equal: the capture shows one view"]);
+    let uniform =
+        drawn(|index, column, _| image::Rgba([if index == 2 { 7 } else { column as u8 }, index as u8, 77, 255]));
+    assert_eq!(content_warnings(uniform.path()), ["1 of 5 decoded images have a single colour"]);
+}
+
+#[test]
+fn damaged_images_are_found_before_the_import() {
+    let dir = blender_scene();
+    let path = dir.path().join("train/r_001.png");
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() - 20]).unwrap();
+    let summary = inspect(dir.path()).unwrap().captures.remove(0);
+    assert_eq!(summary.problems.len(), 1);
+    assert!(summary.problems[0].message.contains("image cannot be read") && summary.params.is_none());
+}
+
+#[test]
+fn cameras_at_one_place_are_warned_of() {
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "train", |json| {
+        for frame in json["frames"].as_array_mut().unwrap() {
+            frame["transform_matrix"] = serde_json::json!(blender_matrix(1));
+        }
+    });
+    assert!(content_warnings(dir.path())[0].starts_with("all training cameras are at one place"));
+    assert_eq!(content_warnings(blender_scene().path()), [""; 0]);
+}
+
+#[test]
+fn ignored_files_are_named() {
+    let dir = Workspace::video(12).write();
+    for file in
+        ["notes.txt", "database.db", "images/0003.json", "images/0004.json", "old/a.png", "old/b.png", ".DS_Store"]
+    {
+        let path = dir.path().join(file);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, "x").unwrap();
+    }
+    write_mask(&dir.path().join("masks/other.png"), (WIDTH, HEIGHT), 255);
+    std::fs::create_dir(dir.path().join("sparse/1")).unwrap();
+    let summary = inspect(dir.path()).unwrap().captures.remove(0);
+    let expected = [
+        "database.db (features and matches of COLMAP)",
+        "notes.txt",
+        "images/: 2 files that no frame names, e.g. 0003.json",
+        "masks/: 1 entry (no file in it has the name and size that a mask needs)",
+        "old/: 2 entries",
+        "sparse/1/: 0 entries",
+    ];
+    assert_eq!(summary.ignored, expected);
+    let in_one_folder = tempfile::tempdir().unwrap();
+    let workspace = Workspace::video(12);
+    super::colmap_files::write_binary(in_one_folder.path(), &workspace.cameras, &workspace.model);
+    for (id, image) in &workspace.model.images {
+        write_image(&in_one_folder.path().join(&image.name), *id);
+    }
+    assert_eq!(inspect(in_one_folder.path()).unwrap().captures[0].ignored, [""; 0]);
+}

@@ -6,9 +6,7 @@ use scene::Split;
 
 use super::document::{StatedFrame, TransformsFile};
 use crate::error::{Result, bad};
-
-/// File extensions of images. Blender's files omit them.
-const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
+use crate::image_names::EXTENSIONS;
 
 /// A frame of a file, with its name and split.
 pub(crate) struct ListedFrame<'a> {

@@ -1,0 +1,112 @@
+//! Files and folders of a capture that an import does not read.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use crate::files;
+use crate::params::Format;
+
+/// Maximum number of lines.
+const LINES: usize = 8;
+
+/// One line for each folder, and each file at the top, that an import ignores. `used` has the files that it reads; a folder
+/// stands for everything in it.
+pub(super) fn lines(dir: &Path, format: Format, used: &BTreeSet<PathBuf>) -> Vec<String> {
+    let mut search = Search { dir, format, used, lines: Vec::new() };
+    search.visit(dir);
+    let Search { mut lines, .. } = search;
+    let more = lines.len().saturating_sub(LINES);
+    lines.truncate(LINES);
+    if more > 0 {
+        lines.push(format!("and {more} more"));
+    }
+    lines
+}
+
+struct Search<'a> {
+    dir: &'a Path,
+    format: Format,
+    used: &'a BTreeSet<PathBuf>,
+    lines: Vec<String>,
+}
+
+impl Search<'_> {
+    /// Adds the lines of a folder that contains used files.
+    fn visit(&mut self, folder: &Path) {
+        let (mut files, mut folders) = (Vec::new(), Vec::new());
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            let is_hidden = entry.file_name().to_string_lossy().starts_with('.');
+            if is_hidden
+                || path.ancestors().take_while(|above| *above != self.dir).any(|above| self.used.contains(above))
+            {
+                continue;
+            }
+            let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+            (if is_folder { &mut folders } else { &mut files }).push(path);
+        }
+        files.sort();
+        folders.sort();
+        files.retain(|path| !is_metadata(self.format, &files::name(path)));
+        if folder == self.dir {
+            let line = |path: &PathBuf| noted(&files::name(path), "");
+            self.lines.extend(files.iter().map(line));
+        } else if let Some(first) = files.first() {
+            let what = match files.len() {
+                1 => format!("{}, which no frame names", files::name(first)),
+                count => format!(": {count} files that no frame names, e.g. {}", files::name(first)),
+            };
+            self.lines.push(self.shown(folder) + &what);
+        }
+        for path in folders {
+            let holds_used = self.used.range(path.clone()..).next().is_some_and(|used| used.starts_with(&path));
+            if holds_used {
+                self.visit(&path);
+            } else if !is_metadata(self.format, &files::name(&path)) {
+                let size = match files::children(&path).len() {
+                    1 => ": 1 entry".into(),
+                    entries => format!(": {entries} entries"),
+                };
+                self.lines.push(noted(&self.shown(&path), &size));
+            }
+        }
+    }
+
+    /// A folder relative to the capture.
+    fn shown(&self, folder: &Path) -> String {
+        format!("{}/", folder.strip_prefix(self.dir).unwrap_or(folder).display())
+    }
+}
+
+/// Whether the format reads a file or folder without naming it in a frame.
+fn is_metadata(format: Format, name: &str) -> bool {
+    const NERFIES: [&str; 7] =
+        ["camera", "camera-paths", "dataset.json", "metadata.json", "scene.json", "points.npy", "splits"];
+    const COLMAP: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
+    match format {
+        Format::Nerfies => NERFIES.contains(&name),
+        Format::N3v => name == "poses_bounds.npy",
+        Format::Colmap => {
+            let stem = name.strip_suffix(".bin").or(name.strip_suffix(".txt"));
+            stem.is_some_and(|stem| COLMAP.contains(&stem))
+        }
+        _ => false,
+    }
+}
+
+/// An entry with the reason why it is ignored, where that is known.
+fn noted(name: &str, size: &str) -> String {
+    let bare = name.trim_end_matches('/');
+    let reason = match bare {
+        "database.db" => "features and matches of COLMAP",
+        "masks" | "mask" => "no file in it has the name and size that a mask needs",
+        "depth" | "depths" | "flow" | "flow_fwd" | "flow_bwd" | "normal" => {
+            "maps are read by the stage depth-flow-import"
+        }
+        _ if bare.starts_with("images_") || bare.starts_with("rgb/") => "smaller copies, read if width asks for them",
+        _ if bare.ends_with(".mp4") => "videos are not decoded",
+        _ => "",
+    };
+    let reason = if reason.is_empty() { String::new() } else { format!(" ({reason})") };
+    format!("{name}{size}{reason}")
+}
