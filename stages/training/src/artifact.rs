@@ -48,8 +48,10 @@ pub struct ModelHeader {
     pub background: [f32; 3],
     /// Maps seconds of the capture to the normalised time in [0, 1] of the motion model.
     pub time_map: TimeMap,
-    /// 1.1 × the largest distance of a training camera from their mean, scene units.
+    /// The size of the scene ([`scene::Capture::scene_extent`]), scene units.
     pub scene_extent: f64,
+    /// Factor on published constants in scene units ([`scene::Capture::unit_world`]).
+    pub unit_world: f64,
     /// Number of distinct times among the training views.
     pub time_count: usize,
     /// Spherical-harmonics degree at the end of the training.
@@ -93,7 +95,7 @@ impl Model {
 
 impl engine::Artifact for Model {
     const NAME: &'static str = "model";
-    const SCHEMA: u32 = 3;
+    const SCHEMA: u32 = 4;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(HEADER);
@@ -105,6 +107,10 @@ impl engine::Artifact for Model {
     fn check(&self) -> anyhow::Result<()> {
         ensure!(!self.tensors.is_empty(), "model without tensors");
         ensure!(self.header.scene_extent.is_finite() && self.header.scene_extent > 0.0, "scene extent is not positive");
+        ensure!(
+            self.header.unit_world.is_finite() && self.header.unit_world > 0.0,
+            "the unit of length is not positive"
+        );
         ensure!(self.header.background.iter().all(|value| (0.0..=1.0).contains(value)), "background is not a colour");
         self.header.time_map.check()?;
         for (name, tensor) in &self.tensors {
@@ -182,6 +188,7 @@ pub(crate) mod tests {
             background: [1.0; 3],
             time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
             scene_extent: 1.5,
+            unit_world: 1.0,
             time_count: 3,
             sh_degree: 0,
             n_gaussians: 2,

@@ -42,6 +42,7 @@ fn write_artifacts(root: &Path) {
         background: [1.0; 3],
         time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
         scene_extent: 1.0,
+        unit_world: 1.0,
         time_count: 2,
         sh_degree: 0,
         n_gaussians: 7,

@@ -3,6 +3,7 @@
 pub(crate) mod anchors;
 pub(crate) mod bounds;
 pub(crate) mod canonical;
+pub(crate) mod collapse;
 pub(crate) mod control_nodes;
 pub(crate) mod coordinate_mlp;
 pub(crate) mod gates;

@@ -28,8 +28,10 @@ pub struct Dataset {
 /// The facts of a scene that methods may read.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SceneFacts {
-    /// 1.1 × the largest distance of a training camera from their mean, scene units.
+    /// The size of the scene ([`Capture::scene_extent`]), scene units.
     pub extent: f64,
+    /// Factor on published constants in scene units ([`Capture::unit_world`]).
+    pub unit_world: f64,
     /// Maps seconds of the capture to the normalised time in [0, 1].
     pub time_map: TimeMap,
     /// The colour behind the Gaussians, in [0, 1].
@@ -78,6 +80,7 @@ impl Dataset {
         let curve_candidates: Vec<_> = capture.views_of(curve_split).collect();
         let scene = SceneFacts {
             extent: capture.scene_extent(),
+            unit_world: capture.unit_world(),
             time_map: capture.time_map,
             background: capture.background,
             time_count: time_count(&capture),

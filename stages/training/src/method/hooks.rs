@@ -52,4 +52,6 @@ pub(crate) struct AfterStep<'a> {
     pub scene: &'a SceneFacts,
     /// The random stream of the hooks.
     pub random: &'a mut ChaCha8Rng,
+    /// What the report should say about the training; one entry per event.
+    pub notices: &'a mut Vec<String>,
 }

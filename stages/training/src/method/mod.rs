@@ -205,10 +205,11 @@ pub(crate) fn too_large(error: TooManyIntersections) -> Failure {
     Failure::new(FailureKind::Diverged, error.to_string())
 }
 
-/// Gaussians nearer than this are not drawn, scene units (Kerbl et al. 2023).
+/// Gaussians nearer than this are not drawn, in [`SceneFacts::unit_world`] (Kerbl et al. 2023).
 const NEAR_VIEW: f64 = 0.2;
 
 /// The rasteriser settings of every render of a model of this scene, during and after training.
 pub(crate) fn raster_settings(scene: &SceneFacts, sh_degree: usize) -> RasterSettings {
-    RasterSettings { background: scene.background, sh_degree, near_view: NEAR_VIEW, ..RasterSettings::default() }
+    let near_view = NEAR_VIEW * scene.unit_world;
+    RasterSettings { background: scene.background, sh_degree, near_view, ..RasterSettings::default() }
 }

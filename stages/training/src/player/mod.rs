@@ -79,6 +79,7 @@ impl Player {
         let (phase, _) = trained.context("the model was not trained in any phase")?;
         let scene = SceneFacts {
             extent: header.scene_extent,
+            unit_world: header.unit_world,
             time_map: header.time_map,
             background: header.background,
             time_count: header.time_count,

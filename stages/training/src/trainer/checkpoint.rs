@@ -115,7 +115,7 @@ mod tests {
             method_random: generator(4, Stream::Method),
         };
         let history =
-            History { curve: Vec::new(), loss: 0.1 + 0.2, loss_sums: [("photometric".to_string(), 0.7)].into() };
+            History { loss: 0.1 + 0.2, loss_sums: [("photometric".to_string(), 0.7)].into(), ..History::default() };
         let params = serde_json::json!({ "seed": 4 });
         let progress = Progress { params, state, history, clock: ClockReading::default() };
         let values = vec![0.1, -0.0, f32::MIN_POSITIVE / 8.0, 1e30];

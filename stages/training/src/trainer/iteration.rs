@@ -138,6 +138,7 @@ impl Trainer<'_> {
                 optimizer: &mut self.state.optimizer,
                 scene: self.setup.start.scene(),
                 random: &mut self.state.density_random,
+                notices: &mut self.telemetry.history.notices,
             })?;
         }
         self.check_not_empty()

@@ -193,6 +193,7 @@ impl Trainer<'_> {
             background: capture.background,
             time_map: capture.time_map,
             scene_extent: scene.extent,
+            unit_world: scene.unit_world,
             time_count: scene.time_count,
             sh_degree: self.state.sh_degree,
             n_gaussians,

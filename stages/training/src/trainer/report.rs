@@ -45,6 +45,8 @@ pub struct Report {
     pub skipped_work: SkippedWork,
     /// The largest gradient of every tensor since the last resumption.
     pub largest_gradients: BTreeMap<String, LargestGradient>,
+    /// What happened to the model that a reader must know, e.g. that pruning would have emptied it.
+    pub notices: Vec<String>,
     /// Number of values that the rasteriser clamped, by guard, summed over renders since the last resumption.
     pub guards: BTreeMap<&'static str, u64>,
 }
@@ -59,6 +61,8 @@ pub struct Earlier {
     pub curve: Vec<CurvePoint>,
     /// Weighted loss values summed over steps, by loss.
     pub loss_sums: BTreeMap<String, f64>,
+    /// What happened to the model.
+    pub notices: Vec<String>,
 }
 
 /// The contribution of one loss, and its cost.
@@ -93,6 +97,7 @@ impl Trainer<'_> {
             gpu: self.meter.as_ref().map(|meter| meter.per_iteration(steps)),
             skipped_work: skipped.clone(),
             largest_gradients: largest_gradients.clone(),
+            notices: history.notices.clone(),
             guards: profile.events.clone(),
         }
     }

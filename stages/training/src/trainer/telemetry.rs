@@ -34,11 +34,13 @@ pub(super) struct History {
     pub loss: f64,
     /// Weighted loss values summed over steps, by loss.
     pub loss_sums: BTreeMap<String, f64>,
+    /// What step hooks report, e.g. that pruning would have emptied the model.
+    pub notices: Vec<String>,
 }
 
 impl Default for History {
     fn default() -> Self {
-        Self { curve: Vec::new(), loss: f64::NAN, loss_sums: BTreeMap::new() }
+        Self { curve: Vec::new(), loss: f64::NAN, loss_sums: BTreeMap::new(), notices: Vec::new() }
     }
 }
 

@@ -11,9 +11,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::Context as _;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
+use serde::Deserialize as _;
 
 use super::initial::{cell, center};
 use super::{ANCHORS, AnchorSettings, Growth};
+use crate::bases::collapse::CollapseGuard;
 use crate::method::{AfterStep, ScreenStats, StepHook};
 use crate::model::Optimizer;
 use crate::schedule::stretch;
@@ -33,6 +35,7 @@ pub(crate) struct AnchorGrowth {
     voxel_size: f64,
     per_anchor: usize,
     statistics: Statistics,
+    guard: CollapseGuard,
 }
 
 /// A cell that becomes an anchor.
@@ -44,8 +47,8 @@ struct Candidate {
 }
 
 impl AnchorGrowth {
-    /// Growth of [`ANCHORS`], with a schedule stretched by `schedule_scale`.
-    pub(crate) fn new(density: &Density, settings: &AnchorSettings, schedule_scale: f64) -> Self {
+    /// Growth of [`ANCHORS`], with a schedule stretched by `schedule_scale` and voxels in units of `unit_world`.
+    pub(crate) fn new(density: &Density, settings: &AnchorSettings, schedule_scale: f64, unit_world: f64) -> Self {
         let density = Density {
             from: stretch(density.from, schedule_scale),
             until: stretch(density.until, schedule_scale),
@@ -56,9 +59,10 @@ impl AnchorGrowth {
         Self {
             density,
             growth,
-            voxel_size: settings.voxel_size,
+            voxel_size: settings.voxel_size * unit_world,
             per_anchor: settings.offsets,
             statistics: Statistics::default(),
+            guard: CollapseGuard::default(),
         }
     }
 
@@ -120,17 +124,21 @@ impl AnchorGrowth {
     }
 
     /// Removes anchors that were in view often enough and whose Gaussians were transparent. The most opaque anchor
-    /// always stays, so an empty scene keeps one.
-    fn prune(&mut self, optimizer: &mut Optimizer) -> anyhow::Result<()> {
+    /// always stays. A round that would empty the model removes none, ends all pruning, and returns a notice; networks
+    /// predict the opacities, so none is restored.
+    fn prune(&mut self, optimizer: &mut Optimizer, iteration: u64) -> anyhow::Result<Option<String>> {
         let opacities = self.statistics.mean_opacities(self.views_needed());
         let opacity = |anchor: usize| opacities[anchor].unwrap_or(1.0);
         let most_opaque = (0..opacities.len()).map(opacity).fold(0.0, f32::max);
         let min_opacity = most_opaque.min(self.density.min_opacity as f32);
         let keep: Vec<bool> = (0..opacities.len()).map(|anchor| opacity(anchor) >= min_opacity).collect();
+        if !self.guard.allows(&keep) {
+            return Ok(Some(self.guard.notice(ANCHORS, iteration, &keep)));
+        }
         optimizer.keep(ANCHORS, &keep)?;
         self.statistics.reset_opacities(self.views_needed());
         self.statistics.keep(&keep);
-        Ok(())
+        Ok(None)
     }
 }
 
@@ -188,23 +196,28 @@ impl StepHook for AnchorGrowth {
         self.observes_at(iteration) && iteration > from && iteration.is_multiple_of(interval)
     }
 
-    fn after_step(&mut self, AfterStep { iteration, optimizer, random, .. }: AfterStep<'_>) -> anyhow::Result<()> {
+    fn after_step(&mut self, step: AfterStep<'_>) -> anyhow::Result<()> {
+        let AfterStep { iteration, optimizer, random, notices, .. } = step;
         if !self.observes_at(iteration) {
             self.statistics = Statistics::default();
         }
         if self.reads_rows_at(iteration) && !self.statistics.is_empty() {
             self.grow(optimizer, random)?;
-            self.prune(optimizer)?;
+            if !self.guard.is_closed() {
+                notices.extend(self.prune(optimizer, iteration)?);
+            }
         }
         Ok(())
     }
 
     fn save(&self) -> serde_json::Value {
-        serde_json::to_value(&self.statistics).expect("numbers serialise")
+        serde_json::json!({ "statistics": self.statistics, "guard": self.guard })
     }
 
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
-        self.statistics = serde_json::from_value(saved).context("the statistics of anchors in the checkpoint")?;
+        let context = "the statistics of anchors in the checkpoint";
+        self.statistics = Statistics::deserialize(&saved["statistics"]).context(context)?;
+        self.guard = CollapseGuard::deserialize(&saved["guard"]).context(context)?;
         Ok(())
     }
 }

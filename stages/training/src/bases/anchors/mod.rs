@@ -50,7 +50,7 @@ const MAX_VALUES: usize = 8192;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct AnchorSettings {
-    /// Side of the voxels, scene units; each holds at most one initial anchor.
+    /// Side of the voxels, scene units (times [`SceneFacts::unit_world`]); each holds at most one initial anchor.
     pub voxel_size: f64,
     /// Values of an anchor's feature.
     pub features: usize,
@@ -220,8 +220,9 @@ impl AnchoredGaussians {
     }
 
     /// One position for every voxel that holds a point.
-    pub(crate) fn positions(&self, points: &PointCloud) -> Vec<[f32; 3]> {
-        voxels(&points.positions, self.settings.voxel_size).into_iter().map(|(center, _)| center).collect()
+    pub(crate) fn positions(&self, points: &PointCloud, scene: &SceneFacts) -> Vec<[f32; 3]> {
+        let size = self.settings.voxel_size * scene.unit_world;
+        voxels(&points.positions, size).into_iter().map(|(center, _)| center).collect()
     }
 }
 
@@ -237,7 +238,7 @@ impl<T: Real> Base<T> for AnchoredGaussians {
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        self.insert(&mut state, self.positions(points), start.scene(), random)?;
+        self.insert(&mut state, self.positions(points, start.scene()), start.scene(), random)?;
         Ok(state)
     }
 
@@ -253,9 +254,9 @@ impl<T: Real> Base<T> for AnchoredGaussians {
         Ok(self.spawn(tape, model, moment.camera).slots.map(|slots| slots.to_vec()))
     }
 
-    fn hooks(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+    fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let Shared { density, schedule_scale, .. } = &self.shared;
-        vec![Box::new(AnchorGrowth::new(density, &self.settings, *schedule_scale))]
+        vec![Box::new(AnchorGrowth::new(density, &self.settings, *schedule_scale, scene.unit_world))]
     }
 }
 

@@ -37,7 +37,7 @@ fn growth(change: impl FnOnce(&mut Density)) -> AnchorGrowth {
     let mut density = Density { interval: 10, from: 0, until: 1000, min_opacity: 0.1, ..Density::default() };
     change(&mut density);
     let settings = AnchorSettings { growth: Growth { statistics_from: 0, ..Growth::default() }, ..settings() };
-    AnchorGrowth::new(&density, &settings, 1.0)
+    AnchorGrowth::new(&density, &settings, 1.0, 1.0)
 }
 
 /// Values of a render of anchors with two Gaussians each.
@@ -71,12 +71,13 @@ impl Seen {
 /// The anchors after an interval of equal renders.
 fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, seen: &Seen) -> ModelState<f32> {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
-    let scene = SceneFacts { extent: 10.0, time_map, background: [0.0; 3], time_count: 4 };
+    let scene = SceneFacts { extent: 10.0, unit_world: 1.0, time_map, background: [0.0; 3], time_count: 4 };
     let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)));
     for iteration in 1..=10 {
         control.observe(&seen.screen());
         let random = &mut generator(3, Stream::Density);
-        control.after_step(AfterStep { iteration, optimizer: &mut optimizer, scene: &scene, random }).unwrap();
+        let (optimizer, scene, notices) = (&mut optimizer, &scene, &mut Vec::new());
+        control.after_step(AfterStep { iteration, optimizer, scene, random, notices }).unwrap();
     }
     optimizer.into_state()
 }
@@ -225,7 +226,8 @@ fn a_gpu_adds_the_same_statistics_without_readbacks() {
     let ((on_cpu, _), (on_gpu, readbacks)) = (observed_on(Device::Cpu), observed_on(Device::Gpu(gpu)));
     assert_eq!(readbacks, 0);
     let values = |saved: &serde_json::Value, name: &str| {
-        let values: Vec<f64> = saved[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
+        let values: Vec<f64> =
+            saved["statistics"][name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
         Tensor::from_vec([values.len()], values)
     };
     for (name, tolerance) in [("seen_count", 0.0), ("view_count", 0.0), ("opacity_sum", 1e-5), ("gradient_sum", 2e-3)] {

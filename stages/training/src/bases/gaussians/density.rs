@@ -2,14 +2,17 @@
 //!
 //! Gradients are those by the projected mean in normalised device coordinates, averaged over the steps in which the
 //! Gaussian is visible. Departures: a round uses only statistics from before it (as in the published code, a clone is
-//! never split in the same round), the optimizer's step of the same iteration comes first, and a hard cap keeps the
-//! largest gradients when a round would exceed it.
+//! never split in the same round), the optimizer's step of the same iteration comes first, a hard cap keeps the largest
+//! gradients when a round would exceed it, and a round that would empty the model ends all pruning.
 
 use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
+use serde::Deserialize as _;
 
+use super::initial::INITIAL_OPACITY;
 use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
+use crate::bases::collapse::CollapseGuard;
 use crate::method::{AfterStep, ScreenStats, StepHook};
 use crate::model::Optimizer;
 use crate::schedule::stretch;
@@ -29,6 +32,7 @@ pub(crate) struct AdaptiveDensity {
     steps_before: u64,
     dimensions: Dimensions,
     statistics: Statistics,
+    guard: CollapseGuard,
 }
 
 /// The axes along which the children of a split Gaussian are drawn and shrunk.
@@ -60,8 +64,15 @@ impl AdaptiveDensity {
             opacity_reset_interval: stretch(params.opacity_reset_interval, schedule_scale),
             ..params.clone()
         };
-        let (population, dimensions, statistics) = (population.into(), Dimensions::Space, Statistics::default());
-        Self { population, params, reset_at_start, steps_before: 0, dimensions, statistics }
+        Self {
+            population: population.into(),
+            params,
+            reset_at_start,
+            steps_before: 0,
+            dimensions: Dimensions::Space,
+            statistics: Statistics::default(),
+            guard: CollapseGuard::default(),
+        }
     }
 
     /// Continues the schedule of earlier phases with `steps_before` steps in total.
@@ -193,22 +204,33 @@ impl AdaptiveDensity {
         Ok(parents.iter().map(&mut draw).collect())
     }
 
-    /// Removes transparent Gaussians and, if `sizes_count`, those that are too large.
-    fn prune(&mut self, optimizer: &mut Optimizer, extent: f64, sizes_count: bool) -> anyhow::Result<()> {
+    /// The mask of the Gaussians to keep: neither transparent nor, if `sizes_count`, too large.
+    fn survivors(&self, optimizer: &Optimizer, extent: f64, sizes_count: bool) -> anyhow::Result<Vec<bool>> {
         let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
         let opacities = self.tensor(optimizer, "opacity_logits")?;
         let min_logit = logit(self.params.min_opacity) as f32;
         let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, self.params.max_radius_px as f32);
         let rows = self.statistics.rows();
-        let keep: Vec<bool> = (0..opacities.len())
-            .map(|at| {
-                let too_large = largest[at] > max_scale || rows.get(at).is_some_and(|row| row[RADIUS_PX] > max_radius);
-                opacities[at] >= min_logit && !(sizes_count && too_large)
-            })
-            .collect();
-        optimizer.keep(&self.population, &keep)?;
-        self.statistics.keep(&keep);
-        Ok(())
+        let stays = |at: usize| {
+            let too_large = largest[at] > max_scale || rows.get(at).is_some_and(|row| row[RADIUS_PX] > max_radius);
+            opacities[at] >= min_logit && !(sizes_count && too_large)
+        };
+        Ok((0..opacities.len()).map(stays).collect())
+    }
+
+    /// Removes all Gaussians but the survivors. If that would empty the model, it removes none, ends all pruning,
+    /// restores the initial opacity of fainter Gaussians, and returns a notice.
+    fn prune(&mut self, optimizer: &mut Optimizer, keep: &[bool], iteration: u64) -> anyhow::Result<Option<String>> {
+        if self.guard.allows(keep) {
+            optimizer.keep(&self.population, keep)?;
+            self.statistics.keep(keep);
+            return Ok(None);
+        }
+        let name = format!("{}.opacity_logits", self.population);
+        let initial = logit(INITIAL_OPACITY) as f32;
+        optimizer.edit(&name, |logits| logits.iter_mut().for_each(|value| *value = value.max(initial)))?;
+        optimizer.reset_moments(&name)?;
+        Ok(Some(self.guard.notice(&self.population, iteration, keep)))
     }
 
     /// Clamps every opacity to the reset value and resets its moments.
@@ -236,32 +258,36 @@ impl StepHook for AdaptiveDensity {
         grows || shrinks || resets
     }
 
-    fn after_step(&mut self, AfterStep { iteration, optimizer, scene, random }: AfterStep<'_>) -> anyhow::Result<()> {
+    fn after_step(&mut self, step: AfterStep<'_>) -> anyhow::Result<()> {
+        let AfterStep { iteration, optimizer, scene, random, notices } = step;
         let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
         if grows {
             self.densify(optimizer, scene.extent, random)?;
         }
-        if shrinks && optimizer.population_len(&self.population)? > prune_above_count {
+        if shrinks && !self.guard.is_closed() && optimizer.population_len(&self.population)? > prune_above_count {
             let sizes_count = opacity_reset_interval > 0 && iteration > opacity_reset_interval;
-            self.prune(optimizer, scene.extent, sizes_count)?;
+            let keep = self.survivors(optimizer, scene.extent, sizes_count)?;
+            notices.extend(self.prune(optimizer, &keep, iteration)?);
         }
         if grows {
             self.statistics = Statistics::default();
         }
-        if resets {
+        if resets && !self.guard.is_closed() {
             self.reset_opacity(optimizer)?;
         }
         Ok(())
     }
 
     fn save(&self) -> serde_json::Value {
-        serde_json::to_value(&self.statistics).expect("numbers serialise")
+        serde_json::json!({ "statistics": self.statistics, "guard": self.guard })
     }
 
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
-        self.statistics = serde_json::from_value(saved).context("the density statistics of the checkpoint")?;
+        let context = "the density statistics of the checkpoint";
+        self.statistics = Statistics::deserialize(&saved["statistics"]).context(context)?;
+        self.guard = CollapseGuard::deserialize(&saved["guard"]).context(context)?;
         Ok(())
     }
 }

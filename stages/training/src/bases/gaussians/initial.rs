@@ -14,7 +14,7 @@ use crate::model::ModelState;
 use crate::shared::Shared;
 
 /// The initial opacity.
-const INITIAL_OPACITY: f64 = 0.1;
+pub(super) const INITIAL_OPACITY: f64 = 0.1;
 /// Number of neighbours whose distance sets the initial size.
 const NEIGHBORS: usize = 3;
 /// Minimum mean squared distance, so that duplicate points do not give Gaussians of size 0 (published code).

@@ -13,7 +13,7 @@ use crate::shared::Density;
 
 fn scene() -> SceneFacts {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
-    SceneFacts { extent: 1.0, time_map, background: [0.0; 3], time_count: 4 }
+    SceneFacts { extent: 1.0, unit_world: 1.0, time_map, background: [0.0; 3], time_count: 4 }
 }
 
 /// Four Gaussians: scales 0.001, 0.001, 0.05, 0.05.
@@ -46,7 +46,8 @@ fn density() -> Density {
 /// Runs density control after a step, with random numbers of a seed.
 fn after_step(control: &mut AdaptiveDensity, iteration: u64, optimizer: &mut Optimizer, seed: u64) {
     let random = &mut generator(seed, Stream::Density);
-    control.after_step(AfterStep { iteration, optimizer, scene: &scene(), random }).unwrap();
+    let notices = &mut Vec::new();
+    control.after_step(AfterStep { iteration, optimizer, scene: &scene(), random, notices }).unwrap();
 }
 
 fn act(params: &Density, state: ModelState<f32>, gradients: &[f32], iteration: u64) -> ModelState<f32> {

@@ -12,7 +12,7 @@ use crate::scene_tests::TestScene;
 
 fn scene_facts() -> SceneFacts {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
-    SceneFacts { extent: 2.0, time_map, background: [1.0; 3], time_count: 9 }
+    SceneFacts { extent: 2.0, unit_world: 1.0, time_map, background: [1.0; 3], time_count: 9 }
 }
 
 fn base_of(settings: &HexplaneSettings) -> HexplaneGaussians {

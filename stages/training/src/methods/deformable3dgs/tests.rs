@@ -37,6 +37,7 @@ fn both_phases_share_one_schedule() {
     let method = Deformable3dgs::build::<f32>(&shared, Settings::default());
     let scene = crate::data::SceneFacts {
         extent: 3.0,
+        unit_world: 1.0,
         time_map: scene::TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
         background: [0.0; 3],
         time_count: 10,

@@ -145,13 +145,13 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        let mut positions = self.base.positions(points);
+        let mut positions = self.base.positions(points, start.scene());
         if self.has(MOMENTUM_INIT) {
             let seeds = start.supplements.particles.as_ref();
             let seeds = &seeds.context("momentum-init is on, but no particles were given")?.points.positions;
             // One particle per voxel, at the position of its first seed.
-            let particles =
-                anchors::voxels(seeds, self.settings.anchors.voxel_size).into_iter().map(|(_, first)| seeds[first]);
+            let size = self.settings.anchors.voxel_size * start.scene().unit_world;
+            let particles = anchors::voxels(seeds, size).into_iter().map(|(_, first)| seeds[first]);
             let static_count = positions.len();
             positions.extend(particles);
             let flag = |row: usize| if row < static_count { T::ZERO } else { T::ONE };

@@ -14,7 +14,7 @@ fn train(effects: &[&str]) -> ShortTraining {
 
 fn scene(time_count: usize) -> SceneFacts {
     let time_map = scene::TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
-    SceneFacts { extent: 3.0, time_map, background: [0.0; 3], time_count }
+    SceneFacts { extent: 3.0, unit_world: 1.0, time_map, background: [0.0; 3], time_count }
 }
 
 #[test]

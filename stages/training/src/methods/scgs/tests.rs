@@ -36,6 +36,7 @@ fn untrained_nodes_barely_move_the_gaussians() {
     nodes.insert_network(&mut state, &points, &mut random);
     let scene = crate::data::SceneFacts {
         extent: 3.0,
+        unit_world: 1.0,
         time_map: scene::TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
         background: [0.0; 3],
         time_count: 10,
