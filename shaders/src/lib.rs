@@ -14,8 +14,6 @@
 //! | 6 | [`rasteriser`] | 3D Gaussians to images: sources of splats, projection, binning, blending |
 //! | 7 | [`check`] | comparisons with finite differences and with the other device |
 
-#![warn(missing_docs, unreachable_pub)]
-
 pub mod adam;
 pub mod arrays;
 pub mod check;

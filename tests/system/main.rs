@@ -1,8 +1,6 @@
 //! Tests of the whole: the crate graph, the rules of the sources and texts, every recipe, and the program as users run
 //! it.
 
-#![warn(missing_docs, unreachable_pub)]
-
 mod architecture;
 mod command_line;
 mod crashes;

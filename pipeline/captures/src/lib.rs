@@ -2,7 +2,6 @@
 //! that its views need.
 //!
 //! `engine` does not know scenes, and `scene` does not know the engine. This crate joins the two.
-#![warn(missing_docs, unreachable_pub)]
 
 mod per_view;
 mod sizes;

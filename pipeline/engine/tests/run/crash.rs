@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::world::{GRID, World, contents};
 
-pub const TESTS: &[(&str, fn())] = &[
+pub(crate) const TESTS: &[(&str, fn())] = &[
     ("killed_scheduler_leaves_a_usable_store", killed_scheduler_leaves_a_usable_store),
     ("killed_jobs_are_run_again", killed_jobs_are_run_again),
     ("orphaned_jobs_stop", orphaned_jobs_stop),

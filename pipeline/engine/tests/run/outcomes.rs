@@ -8,7 +8,7 @@ use engine::{FailureKind, exit};
 
 use crate::world::{GRID, World, nodes};
 
-pub const TESTS: &[(&str, fn())] = &[
+pub(crate) const TESTS: &[(&str, fn())] = &[
     ("failures_are_typed_and_other_jobs_continue", failures_are_typed_and_other_jobs_continue),
     #[cfg(target_os = "linux")]
     ("a_full_disk_in_a_job_is_a_machine_failure", a_full_disk_in_a_job_is_a_machine_failure),

@@ -10,7 +10,7 @@ use engine::status::{History, Prediction, State, predict};
 
 use crate::world::{GRID, World, nodes};
 
-pub const TESTS: &[(&str, fn())] = &[
+pub(crate) const TESTS: &[(&str, fn())] = &[
     ("a_new_plan_will_run_completely", a_new_plan_will_run_completely),
     ("changes_are_named_and_consequences_may_be_cut_off", changes_are_named_and_consequences_may_be_cut_off),
     ("runs_of_another_recipe_are_not_earlier_runs", runs_of_another_recipe_are_not_earlier_runs),
@@ -18,7 +18,7 @@ pub const TESTS: &[(&str, fn())] = &[
 ];
 
 /// The prediction for every node, in words, in plan order.
-pub fn predicted(world: &World, overrides: &[&str]) -> Vec<String> {
+pub(crate) fn predicted(world: &World, overrides: &[&str]) -> Vec<String> {
     let plan = world.plan(overrides);
     let all: BTreeSet<usize> = (0..plan.nodes.len()).collect();
     let store = world.store();

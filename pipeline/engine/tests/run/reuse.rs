@@ -8,7 +8,7 @@ use engine::scheduler::{self, RunOptions};
 
 use crate::world::{GRID, World, contents, nodes};
 
-pub const TESTS: &[(&str, fn())] = &[
+pub(crate) const TESTS: &[(&str, fn())] = &[
     ("second_run_executes_nothing", second_run_executes_nothing),
     ("a_changed_parameter_reruns_its_dependents", a_changed_parameter_reruns_its_dependents),
     ("an_equal_result_cuts_the_rerun_off", an_equal_result_cuts_the_rerun_off),

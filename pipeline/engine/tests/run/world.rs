@@ -14,7 +14,7 @@ use tempfile::TempDir;
 use crate::test_stages::{Join, List, Work, Write};
 
 /// A recipe with two texts, two jobs on each, and a list of the four results.
-pub const GRID: &str = r#"
+pub(crate) const GRID: &str = r#"
 name = "grid"
 [axes]
 scene = ["ball", "lego"]
@@ -41,12 +41,12 @@ const fn crate_code(name: &'static str) -> CrateCode {
     CrateCode { name, files: &[("src/lib.rs", "0")], dependencies: &[], reads_artifacts_of: &[], external: "0" }
 }
 
-pub fn registry() -> Registry {
+pub(crate) fn registry() -> Registry {
     with_stages(CODE)
 }
 
 /// The registry of another build, in which the code of one stage differs.
-pub fn rebuilt_registry() -> Registry {
+pub(crate) fn rebuilt_registry() -> Registry {
     const REBUILT: CodeTable = CodeTable {
         crates: &[
             crate_code("test-join"),
@@ -62,13 +62,13 @@ fn with_stages(code: CodeTable) -> Registry {
     Registry::new(code).with::<Write>().with::<Work>().with::<Join>().with::<List>()
 }
 
-pub struct World {
+pub(crate) struct World {
     _keep: Option<TempDir>,
-    pub root: PathBuf,
+    pub(crate) root: PathBuf,
 }
 
 impl World {
-    pub fn new(recipe: &str) -> Self {
+    pub(crate) fn new(recipe: &str) -> Self {
         let keep = tempfile::tempdir().unwrap();
         let world = Self { root: keep.path().to_owned(), _keep: Some(keep) };
         std::fs::create_dir(world.root.join("data")).unwrap();
@@ -76,17 +76,17 @@ impl World {
         world
     }
 
-    pub fn store(&self) -> Store {
+    pub(crate) fn store(&self) -> Store {
         Store::open(&self.root.join("store")).unwrap()
     }
 
-    pub fn plan(&self, overrides: &[&str]) -> Plan {
+    pub(crate) fn plan(&self, overrides: &[&str]) -> Plan {
         let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
         engine::recipe::resolve(&self.root.join("recipe.toml"), &overrides, &registry(), &self.root.join("data"))
             .unwrap_or_else(|errors| panic!("{errors}"))
     }
 
-    pub fn options(&self, plan: &Plan) -> RunOptions {
+    pub(crate) fn options(&self, plan: &Plan) -> RunOptions {
         RunOptions {
             data_root: self.root.join("data"),
             targets: (0..plan.nodes.len()).collect(),
@@ -105,12 +105,12 @@ impl World {
         }
     }
 
-    pub fn run(&self, overrides: &[&str]) -> RunSummary {
+    pub(crate) fn run(&self, overrides: &[&str]) -> RunSummary {
         self.run_with(overrides, |_| (), |_, _| ())
     }
 
     /// Runs the recipe with adjusted options; `watch` receives every event.
-    pub fn run_with(
+    pub(crate) fn run_with(
         &self,
         overrides: &[&str],
         adjust: impl FnOnce(&mut RunOptions),
@@ -123,25 +123,25 @@ impl World {
     }
 
     /// The text in a node's artifact.
-    pub fn text(&self, summary: &RunSummary, node: &str) -> String {
+    pub(crate) fn text(&self, summary: &RunSummary, node: &str) -> String {
         let content = summary.results[node].content.unwrap_or_else(|| panic!("{node}: {:?}", summary.results[node]));
         std::fs::read_to_string(self.store().view(&content).unwrap().join("text.txt")).unwrap()
     }
 }
 
 /// The names of the nodes with this outcome.
-pub fn nodes(summary: &RunSummary, outcome: Outcome) -> Vec<&str> {
+pub(crate) fn nodes(summary: &RunSummary, outcome: Outcome) -> Vec<&str> {
     let found = summary.results.iter().filter(|(_, result)| result.outcome == outcome);
     found.map(|(name, _)| name.as_str()).collect()
 }
 
 /// The digest of every node's artifact.
-pub fn contents(summary: &RunSummary) -> BTreeMap<String, Option<Digest>> {
+pub(crate) fn contents(summary: &RunSummary) -> BTreeMap<String, Option<Digest>> {
     summary.results.iter().map(|(name, result)| (name.clone(), result.content)).collect()
 }
 
 /// Runs the recipe of an existing world in this process, like the program does.
-pub fn schedule(root: &Path) -> ExitCode {
+pub(crate) fn schedule(root: &Path) -> ExitCode {
     let world = World { root: root.to_owned(), _keep: None };
     let plan = world.plan(&[]);
     let mut options = world.options(&plan);
