@@ -73,8 +73,8 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
     ("inpaint-import", &["Background", "FilledView"]),
     ("feature-import", &["Features"]),
     ("momentum-sampling", &["Particles"]),
-    ("training", &["Model", "ModelHeader", "LargestGradient", "Player", "compute_on", "to_bytes"]),
-    ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),
+    ("training", &["Model", "ModelHeader", "LargestGradient", "Player", "compute_on", "model_work", "to_bytes"]),
+    ("rendering", &["Renders", "RenderedView", "SPLIT", "SemanticMaps", "SurfaceMaps"]),
     ("metric-evaluation", &["Metrics", "Metric", "Score"]),
 ];
 
