@@ -130,10 +130,10 @@ impl DeformationSettings {
     /// The learning rate of a tensor of either field; the boxes are not trained.
     pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().any(|field| Field::is_plane(field, tensor)) {
-            return Some(self.plane_rate.scaled(scene.extent));
+            return Some(self.plane_rate.scaled(scene.extent / scene.unit_world));
         }
         let is_network = [ANCHOR_NETWORK, GAUSSIAN_NETWORK].iter().any(|network| belongs(tensor, network));
-        is_network.then(|| self.network_rate.scaled(scene.extent))
+        is_network.then(|| self.network_rate.scaled(scene.extent / scene.unit_world))
     }
 }
 

@@ -232,7 +232,14 @@ impl HexplaneGaussians {
     fn network(&self, scene: &SceneFacts) -> Network {
         let sh_count = (self.shared.harmonics.degree + 1).pow(2);
         let features = self.field(scene).features();
-        Network::new(features, self.settings.width, self.settings.heads, sh_count, &self.further_heads)
+        Network::new(
+            features,
+            self.settings.width,
+            self.settings.heads,
+            sh_count,
+            &self.further_heads,
+            scene.unit_world,
+        )
     }
 }
 
@@ -269,10 +276,10 @@ impl<T: Real> Base<T> for HexplaneGaussians {
     /// The box is never trained; the field and the network exist only in `fine`.
     fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if Field::is_plane(FIELD, tensor) {
-            return Some(self.settings.plane_rate.scaled(scene.extent));
+            return Some(self.settings.plane_rate.scaled(scene.extent / scene.unit_world));
         }
         if belongs(tensor, network::NETWORK) {
-            return Some(self.settings.network_rate.scaled(scene.extent));
+            return Some(self.settings.network_rate.scaled(scene.extent / scene.unit_world));
         }
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
     }

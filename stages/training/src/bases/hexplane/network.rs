@@ -3,7 +3,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use shaders::pointwise::{add, adds};
+use shaders::pointwise::{add, adds, scale};
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
@@ -61,20 +61,22 @@ pub(crate) type FurtherHead = (&'static str, usize);
 pub(crate) struct Network {
     layers: HeadedNetwork,
     heads: Heads,
+    unit_world: f64,
 }
 
 impl Network {
     /// A network `features` → `width` → heads, with further heads that change no attribute; `sh_count` harmonics per
-    /// channel.
+    /// channel. Displacements are in `unit_world` scene units.
     pub(crate) fn new(
         features: usize,
         width: usize,
         heads: Heads,
         sh_count: usize,
         further_heads: &[FurtherHead],
+        unit_world: f64,
     ) -> Self {
         let layers = HeadedNetwork::new(NETWORK, features, width, heads.outputs(sh_count));
-        Self { layers: layers.with_silent_heads(further_heads.to_vec()), heads }
+        Self { layers: layers.with_silent_heads(further_heads.to_vec()), heads, unit_world }
     }
 
     /// Adds trunk and heads.
@@ -105,6 +107,9 @@ impl Network {
         if let Some(at) = heads.iter().position(|&head| head == "harmonics") {
             changes[at] = leading_harmonics(tape, changes[at], sh_degree);
         }
+        if let Some(at) = heads.iter().position(|&head| head == "position") {
+            changes[at] = self.displacements(tape, changes[at]);
+        }
         let moved = attributes.iter().filter(|(head, _)| heads.contains(head));
         let pairs: Vec<[Var; 2]> = moved.zip(changes).map(|(&(_, attribute), change)| [attribute, change]).collect();
         let mut sums = adds(tape, &pairs).into_iter();
@@ -127,7 +132,13 @@ impl Network {
     ) -> MovedPoints {
         let hidden = self.layers.hidden(tape, model, features);
         let change = self.layers.head(tape, model, "position", hidden);
+        let change = self.displacements(tape, change);
         MovedPoints { positions: add(tape, positions, change), hidden }
+    }
+
+    /// The output of the position head in scene units.
+    fn displacements<T: Real>(&self, tape: &mut Tape<T>, change: Var) -> Var {
+        if self.unit_world == 1.0 { change } else { scale(tape, change, self.unit_world) }
     }
 
     /// The output of a further head.

@@ -3,6 +3,7 @@ use std::collections::BTreeSet;
 use scene::TimeMap;
 use shaders::check;
 use shaders::geometry::camera::PinholeCamera;
+use shaders::pointwise::sub;
 use shaders::tape::{Device, Tensor};
 
 use super::*;
@@ -86,6 +87,26 @@ fn time_planes_start_without_change() {
     let at = |time| attributes(&base, &state, FINE, time);
     for (first, second) in at(0.1).iter().zip(&at(0.9)) {
         check::agree(first, second, 1e-12).unwrap();
+    }
+}
+
+#[test]
+fn displacements_are_in_units_of_the_scene() {
+    let (base, state) = fine_model(&HexplaneSettings::tiny());
+    let points = state.get("gaussians.positions").unwrap();
+    let displacements = |unit_world: f64| {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let at = tape.constant(points.clone());
+        let scene = SceneFacts { unit_world, ..scene_facts() };
+        let moved = base.move_points(&mut tape, &model, &scene, at, 0.37).positions;
+        let change = sub(&mut tape, moved, at);
+        tape.value(change).clone().into_vec()
+    };
+    let (published, tiny) = (displacements(1.0), displacements(0.01));
+    assert!(published.iter().any(|&change| change.abs() > 1e-3), "the network moves points: {published:?}");
+    for (published, tiny) in published.iter().zip(&tiny) {
+        assert!((0.01 * published - tiny).abs() <= 1e-9, "{published} {tiny}");
     }
 }
 
