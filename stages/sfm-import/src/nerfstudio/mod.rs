@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use scene::Split;
 
+use crate::colmap;
 use crate::error::{Result, bad};
 use crate::files;
 use crate::image_names::{natural_order, view_name};
@@ -39,6 +40,10 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         number_static(&mut frames)
     } else {
         number_by_time(&mut frames, &mut warnings)
+    }
+    if is_static && !params.static_scene && colmap::layout::sparse_dir(dir).is_some() {
+        let note = "if the images are frames of a video of something that moves, set format = \"colmap\"";
+        warnings.push(note.into());
     }
     let wants_test = official.is_some() || params.every_nth > 0;
     let mut rules = vec![official.unwrap_or_else(|| split::hold_out(&mut frames, is_static, params))];

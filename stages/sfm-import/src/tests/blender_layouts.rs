@@ -50,7 +50,7 @@ fn clouds_masks_and_depths_beside_the_images_are_used() {
         let millimetres = |_, row| image::Luma([2000 + row as u16]);
         let depth = image::ImageBuffer::<image::Luma<u16>, _>::from_fn(WIDTH, HEIGHT, millimetres);
         std::fs::create_dir_all(dir.path().join("train/depth")).unwrap();
-        depth.save(dir.path().join(format!("train/depth/r_{index:03}.png"))).unwrap();
+        depth.save(dir.path().join(format!("train/depth/r_{index:03}_depth.png"))).unwrap();
     }
     write_mask(&dir.path().join("masks/test/r_000.png"), (WIDTH + 1, HEIGHT), 255);
     let params = Params { width: Some(WIDTH / 2), ..Params::default() };
@@ -69,7 +69,7 @@ fn clouds_masks_and_depths_beside_the_images_are_used() {
     assert!(source.warnings.contains(&"several clouds: fused.ply is used, not points3d.ply".into()));
     let used = source.used_files();
     for name in
-        ["fused.ply", "masks/train/r_003.png", "train/depth/r_001.png", "train/r_000.png", "transforms_val.json"]
+        ["fused.ply", "masks/train/r_003.png", "train/depth/r_001_depth.png", "train/r_000.png", "transforms_val.json"]
     {
         assert!(used.contains(&dir.path().join(name)), "{name} is not among the used files");
     }

@@ -250,6 +250,21 @@ fn faults_are_refused_with_their_reason() {
 }
 
 #[test]
+fn transforms_are_preferred_to_the_model_that_they_come_from() {
+    let (dir, original, params) = colmap_capture("PINHOLE", &[30.0, 31.0, 12.0, 8.0]);
+    rewrite(dir.path(), &original, &Rewriting::default());
+    assert_eq!(read(dir.path(), &params).unwrap().warnings.len(), 0);
+    let model = Workspace::video(9).write();
+    std::fs::create_dir(dir.path().join("colmap")).unwrap();
+    std::fs::rename(model.path().join("sparse"), dir.path().join("colmap/sparse")).unwrap();
+    let found = read(dir.path(), &Params::default()).unwrap();
+    assert_eq!((found.format, found.time_map.end_secs), (Format::Nerfstudio, 0.0));
+    assert!(found.warnings[1].contains("set format = \"colmap\""), "{:?}", found.warnings);
+    let video = read(dir.path(), &Params { format: Format::Colmap, ..Params::default() }).unwrap();
+    assert!(video.time_map.end_secs > 0.0);
+}
+
+#[test]
 fn the_recipe_of_inspect_imports_what_it_describes() {
     let lists = ["train_filenames", "val_filenames", "test_filenames"];
     let only_train = blender_scene();

@@ -78,7 +78,7 @@ fn drop_if(found: &mut [Companions], is_bad: impl Fn(&Path) -> bool) -> usize {
     dropped.count()
 }
 
-/// The file with an image's stem (or name) in one of the folders: below `dir` under the image's own sub-folder or in
+/// The file with an image's stem or name, or with its stem and e.g. `_mask`, in one of the folders: below `dir` under the image's own sub-folder or in
 /// place of its first one, or beside the image, or beside the image's folder.
 fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Companions {
     let parent = image.strip_prefix(dir).ok()?.parent()?;
@@ -93,8 +93,10 @@ fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Co
         ]
     });
     let (stem, name) = (image.file_stem()?.to_string_lossy(), image.file_name()?.to_string_lossy());
+    let suffix = folders[0].trim_end_matches('s');
+    let bases = [stem.to_string(), name.to_string(), format!("{stem}_{suffix}")];
     let names: Vec<String> =
-        extensions.iter().flat_map(|extension| [&stem, &name].map(|base| format!("{base}.{extension}"))).collect();
+        extensions.iter().flat_map(|extension| bases.iter().map(move |base| format!("{base}.{extension}"))).collect();
     let mut candidates = places.flat_map(|place| names.iter().map(move |name| place.join(name)));
     candidates.find(|path| path.is_file() && path != image)
 }
