@@ -51,7 +51,9 @@ fn list(all: Builtins) -> String {
 fn about(text: &str) -> String {
     let comment = text.lines().map_while(|line| line.strip_prefix('#'));
     let comment = comment.map(str::trim).collect::<Vec<_>>().join(" ");
-    comment.split_once(". ").map_or(comment.as_str(), |(first, _)| first).trim_end_matches('.').to_owned()
+    // "et al. 2021" is not the end of a sentence.
+    let ends = comment.match_indices(". ").map(|(end, _)| end).find(|&end| !comment[..end].ends_with(" al"));
+    comment[..ends.unwrap_or(comment.len())].trim_end_matches('.').to_owned()
 }
 
 /// The text called `name`.
@@ -116,4 +118,19 @@ pub(crate) fn present(data_root: &Path) -> Result<Vec<DataSet>, CliError> {
         Ok(DataSet { manifest, exist })
     };
     manifests().iter().map(data_set).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recipes_are_listed_with_their_first_sentence() {
+        assert_eq!(about("# Two scenes,\n# small. Needs no data.\n\nname = \"x\"\n# Other.\n"), "Two scenes, small");
+        assert_eq!(
+            about("# D-NeRF (Pumarola et al. 2021) on white. Days.\n"),
+            "D-NeRF (Pumarola et al. 2021) on white"
+        );
+        assert_eq!(about("name = \"x\"\n"), "");
+    }
 }
