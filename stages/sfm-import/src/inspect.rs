@@ -14,6 +14,7 @@ use anyhow::Context as _;
 
 pub use self::samples::Samples;
 pub use self::summary::{Frames, Summary};
+pub use crate::foreign::next_step_for_file;
 use crate::params::Format;
 use crate::recognise::{captures_below, recognise};
 pub use crate::source::{Quality, ReprojectionError};

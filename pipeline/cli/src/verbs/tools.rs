@@ -20,7 +20,9 @@ fn require_folder(path: &Path) -> Result<(), CliError> {
 pub(crate) fn inspect(dir: &Path, only_recipe: bool) -> Result<u8, CliError> {
     if dir.is_file() {
         let failure = Failure::new(FailureKind::BadInput, "a capture is a folder, not a file");
-        return Err(anyhow::Error::from(failure.hint("name the folder that contains the file").at(dir)).into());
+        let next_step = sfm_import::inspect::next_step_for_file(dir);
+        let hint = next_step.unwrap_or_else(|| "name the folder that contains the file".into());
+        return Err(anyhow::Error::from(failure.hint(hint).at(dir)).into());
     }
     require_folder(dir)?;
     let found = sfm_import::inspect::inspect(dir).map_err(CliError::of_input)?;

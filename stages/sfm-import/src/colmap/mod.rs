@@ -12,6 +12,6 @@ pub(crate) mod model;
 mod model_files;
 mod text;
 
-pub(crate) use capture::read;
 #[cfg(test)]
-pub(crate) use model_files::read_model;
+pub(crate) use self::{model_files::read_model, text::cameras as text_cameras};
+pub(crate) use capture::read;

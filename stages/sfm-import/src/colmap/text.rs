@@ -13,7 +13,7 @@ use crate::files::read_bytes;
 use crate::lens::Lens;
 
 /// Reads `cameras.txt`: id, model, width, height, parameters.
-pub(super) fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
+pub(crate) fn cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
     records(path, |words, _| {
         let (id, model, width, height) = (words.next()?, words.word()?, words.next()?, words.next()?);
         let params = words.rest::<f64>()?;

@@ -50,8 +50,8 @@ pub(crate) fn next_step(dir: &Path) -> String {
     })
 }
 
-/// The next step for a single file in place of a capture.
-pub(crate) fn next_step_for_file(path: &Path) -> Option<String> {
+/// The next step for a single file in place of a capture, e.g. for a video; `None` if its kind is not known.
+pub fn next_step_for_file(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().into_owned();
     let listing = Listing::of_names(path.parent()?, vec![name]);
     [apps::record3d, apps::aria, media::archives, media::videos].iter().find_map(|rule: &Rule| rule(&listing))

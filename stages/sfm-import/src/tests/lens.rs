@@ -229,3 +229,39 @@ fn a_resized_lens_sees_the_same_rays() {
         assert!(half.pixel(point).distance(expected) <= 1e-12, "{model}");
     }
 }
+
+/// ETH3D's courtyard, whose calibration its homepage states, and the lenses of real captures.
+#[test]
+fn real_calibrations_are_invertible() {
+    let courtyard = [
+        3411.42,
+        3410.02,
+        3041.29,
+        2014.07,
+        0.21047,
+        0.21102,
+        -5.36231e-06,
+        0.00051541,
+        -0.158023,
+        0.406856,
+        -8.46499e-05,
+        0.000861313,
+    ];
+    let lens_of_eth3d = lens("THIN_PRISM_FISHEYE", 6048, 4032, &courtyard).unwrap();
+    let target = lens_of_eth3d.undistorted().unwrap();
+    assert!((1.0..1.1).contains(&(target.focal_x / 3411.42)), "{}", target.focal_x);
+    let Some(root) = support::data("formats/captures") else { return };
+    for (name, count) in [
+        ("colmap-opencv-fisheye", 1),
+        ("colmap-opencv-8cams", 8),
+        ("colmap-full-opencv-realitycapture", 92),
+        ("colmap-rigs-frames-text", 1),
+    ] {
+        let cameras = crate::colmap::text_cameras(&root.join(name).join("cameras.txt")).unwrap();
+        assert_eq!(cameras.len(), count, "{name}");
+        for (id, lens) in cameras {
+            let target = lens.undistorted().unwrap_or_else(|failure| panic!("{name}, camera {id}: {failure}"));
+            eprintln!("{name}, camera {id}: zoom {:.3}", target.focal_x / lens.intrinsics.focal_x);
+        }
+    }
+}

@@ -115,7 +115,7 @@ fn coffee_martini_warns_of_its_late_camera() {
     assert!(!warned());
 }
 
-/// At the real size: inspection decodes no pixels.
+/// At the real size.
 #[test]
 fn recipes_of_full_size_rigs_name_the_protocol() {
     let dir = rig(&["cam00", "cam01"], 300);
