@@ -13,8 +13,8 @@ use crate::metrics::metric::Metric;
 use crate::metrics::psnr::psnr_from_mse;
 use crate::metrics::score::Score;
 use crate::metrics::surfaces::MovingError;
+use crate::metrics::trivial::{Degenerate, MeanImage, MeanOver, Moments, Trivial};
 use crate::params::{Keep, MaskSource};
-use crate::trivial::{Degenerate, Moments, Trivial};
 
 /// Version of the metric definitions; values of different versions do not share a column.
 pub(crate) const METRIC_VERSION: u32 = 2;
@@ -124,7 +124,27 @@ impl Metrics {
     /// Why the renders show no more than an image that needs no model; none if they do, and none if the whole ground
     /// truth has one colour. `moves` states whether the model can show motion.
     pub fn degenerate(&self, moves: bool) -> Option<Degenerate> {
-        self.trivial.judge(&self.images, self.full_psnr(), moves)
+        let all_have = |remark| self.images.iter().all(|image| image.remarks.contains(&remark));
+        let is_flat = all_have(Remark::ConstantRender) && !all_have(Remark::ConstantTruth);
+        self.trivial.judge(self.full_psnr(), is_flat, moves)
+    }
+
+    /// Summarises what the images carry about trivial images; `over` is what their mean images were taken over.
+    pub(crate) fn trivial_of(images: &[ImageMetrics], over: MeanOver) -> Trivial {
+        let count = images.len() as f64;
+        let mean = |value: &dyn Fn(&ImageMetrics) -> f64| images.iter().map(value).sum::<f64>() / count;
+        let mean_of_all = |value: fn(&ImageMetrics) -> Option<f64>| -> Option<f64> {
+            images.iter().map(value).sum::<Option<f64>>().map(|sum| sum / count)
+        };
+        let colour = std::array::from_fn(|c| mean(&|image| image.truth.mean[c]));
+        let mean_image = mean_of_all(|image| image.mean_image_mse.map(psnr_from_mse));
+        Trivial {
+            colour,
+            constant_psnr: mean(&|image| psnr_from_mse(image.truth.mse_of_constant(colour))),
+            mean_image: mean_image.map(|psnr| MeanImage { psnr, over }),
+            background_share: mean_of_all(|image| image.background_share),
+            least_render_variance: images.iter().map(|image| image.render_variance).fold(f64::INFINITY, f64::min),
+        }
     }
 
     /// Describes the conditions of the evaluation. Values share a column only if their protocols and these lines are equal.
@@ -198,7 +218,8 @@ impl Artifact for Metrics {
         check_scores(&self.means).context("means")?;
         let recomputed = Self::means_of(&self.images, &self.means.keys().copied().collect());
         ensure!(recomputed == self.means, "the means differ from those of the images");
-        let trivial = Trivial::of(&self.images, self.trivial.over());
+        let over = self.trivial.mean_image.map_or(MeanOver::AllImages, |mean| mean.over);
+        let trivial = Self::trivial_of(&self.images, over);
         ensure!(trivial == self.trivial, "the errors of trivial images differ from those of the images");
         ensure!(trivial.is_finite(), "the error of a trivial image is not finite");
         let mut prompts = self.prompts.clone();

@@ -11,7 +11,7 @@ use crate::image_file::Background;
 use crate::pairs::{Pair, evaluate_pairs};
 use crate::params::{Keep, MaskSource, MetricEvaluationParams};
 use crate::scoring::perceptual::{self, Networks};
-use crate::trivial::{self, Trivial, Truths};
+use crate::scoring::trivial::{self, Truths};
 
 /// Extensions of image files, in lower case.
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
@@ -68,7 +68,7 @@ pub fn evaluate_folders_with(
         mask_keeps: Keep::Nonzero,
         means: Metrics::means_of(&images, &params.metrics),
         prompts: BTreeMap::new(),
-        trivial: Trivial::of(&images, truths.over),
+        trivial: Metrics::trivial_of(&images, truths.over),
         n_images: images.len(),
         images,
     })

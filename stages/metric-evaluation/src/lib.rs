@@ -13,7 +13,6 @@ mod summary;
 mod test_set;
 #[cfg(test)]
 mod tests;
-mod trivial;
 
 pub use artifact::{ImageMetrics, Metrics, Remark};
 pub use folders::{evaluate_folders, evaluate_folders_with};
@@ -22,6 +21,6 @@ pub use lpips::weights::lpips_files;
 pub use metrics::metric::Metric;
 pub use metrics::score::Score;
 pub use metrics::surfaces::MovingError;
+pub use metrics::trivial::{Degenerate, MeanImage, MeanOver, Trivial};
 pub use params::{Keep, MaskSource, MetricEvaluationParams};
 pub use run::MetricEvaluation;
-pub use trivial::{Degenerate, MeanImage, MeanOver, Trivial};

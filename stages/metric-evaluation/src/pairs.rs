@@ -10,8 +10,8 @@ use crate::artifact::{ImageMetrics, Remark, empty_set};
 use crate::image_file::{Background, Image};
 use crate::metrics::image_scores;
 use crate::metrics::psnr::mean_squared_error;
+use crate::metrics::trivial::Moments;
 use crate::params::MetricEvaluationParams;
-use crate::trivial::Moments;
 
 /// A render and its ground truth.
 #[derive(Clone, Debug, PartialEq)]

@@ -14,12 +14,13 @@ use serde::Deserialize as _;
 
 use crate::artifact::{ImageMetrics, METRIC_VERSION, Metrics};
 use crate::metrics::score::Score;
+use crate::metrics::trivial::Trivial;
 use crate::pairs::evaluate_pairs;
 use crate::params::MetricEvaluationParams;
 use crate::scoring::perceptual::Networks;
+use crate::scoring::trivial::{self, Truths};
 use crate::scoring::{language, masked, perceptual, surfaces, video};
 use crate::test_set::TestSet;
-use crate::trivial::{self, Trivial, Truths};
 
 /// The engine's name for the folder of LPIPS weights.
 const LPIPS_WEIGHTS: &str = "lpips_weights";
@@ -141,6 +142,6 @@ fn evaluate(
         }
         watch.checkpoint(index + 1, pairs.len(), "images evaluated by networks and masks")?;
     }
-    let trivial = Trivial::of(&images, truths.over);
+    let trivial = Metrics::trivial_of(&images, truths.over);
     Ok((images, prompts, trivial))
 }

@@ -7,7 +7,7 @@ use crate::artifact::{Metrics, Remark};
 use crate::metrics::metric::Metric;
 use crate::metrics::psnr::PSNR_CAP_DB;
 use crate::metrics::score::Score;
-use crate::trivial::{MeanImage, Trivial};
+use crate::metrics::trivial::{MeanImage, Trivial};
 
 impl Metrics {
     /// An aligned table with the mean, the worst value and the worst image of every metric, followed by the PSNR of trivial images and by

@@ -11,6 +11,7 @@ mod ssim;
 pub(crate) mod surfaces;
 #[cfg(test)]
 mod tests;
+pub(crate) mod trivial;
 pub(crate) mod video;
 
 use std::collections::{BTreeMap, BTreeSet};

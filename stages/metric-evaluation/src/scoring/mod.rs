@@ -6,4 +6,5 @@ pub(crate) mod perceptual;
 pub(crate) mod surfaces;
 #[cfg(test)]
 mod tests;
+pub(crate) mod trivial;
 pub(crate) mod video;

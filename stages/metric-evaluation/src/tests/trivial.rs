@@ -7,8 +7,8 @@ use scene::{Camera, Capture, Split};
 use super::stage::{SIZE, picture, run_with, write_capture, write_capture_along, write_renders};
 use crate::artifact::Metrics;
 use crate::folders::evaluate_folders;
+use crate::metrics::trivial::{Degenerate, MeanOver};
 use crate::params::MetricEvaluationParams;
-use crate::trivial::{Degenerate, MeanOver};
 
 fn flat(level: u8) -> image::RgbImage {
     image::RgbImage::from_pixel(SIZE[0], SIZE[1], image::Rgb([level; 3]))
