@@ -75,7 +75,7 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
     ("momentum-sampling", &["Particles"]),
     ("training", &["Model", "ModelHeader", "LargestGradient", "Player", "compute_on", "model_work", "to_bytes"]),
     ("rendering", &["Renders", "RenderedView", "SPLIT", "SemanticMaps", "SurfaceMaps"]),
-    ("metric-evaluation", &["Metrics", "Metric", "Score"]),
+    ("metric-evaluation", &["Metrics", "Metric", "Score", "Trivial", "MeanImage", "Degenerate"]),
 ];
 
 /// Helpers for tests: every crate's tests may use them, its product code must not.

@@ -8,6 +8,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// Two small scenes and two methods. Density control acts and spherical harmonics grow within the few iterations.
+/// Opacities are reset to a value from which so short a training recovers.
 const TINY: &str = r#"
 extends = ["@RECIPES@/common/benchmark.toml"]
 name = "tiny"
@@ -22,7 +23,7 @@ params = { scene = "{scene}", width = 32, height = 32, frames = 8, val_views = 2
 [nodes.train.params]
 initial_points = { random_count = 200 }
 harmonics = { interval = 10 }
-density = { from = 10, interval = 10, prune_interval = 10, opacity_reset_interval = 25, max_count = 400 }
+density = { from = 10, interval = 10, prune_interval = 10, opacity_reset_interval = 25, opacity_reset_to = 0.3, max_count = 400 }
 curve = { points = 3, views = 1 }
 deformable4dgs = { channels = 4, spatial_resolution = 8, time_resolution = 4 }
 [[set]]

@@ -40,6 +40,23 @@ fn texts_about_a_new_recipe_are_reviewed() {
     insta::assert_snapshot!(texts);
 }
 
+#[test]
+fn degenerate_results_have_an_exit_code_of_their_own() {
+    // Opacities that are reset to nearly 0 do not recover before the end.
+    let world = World::with_edit(", opacity_reset_to = 0.3", "");
+    for _ in 0..2 {
+        let ended = world.call("run", &[]);
+        assert_eq!(ended.code, i32::from(engine::exit::DEGENERATE), "{}", ended.stderr);
+        let named =
+            ["DEGENERATE", "deformable4dgs on swinging-arm, seed 0: the renders are not better", "40 iterations"];
+        named.iter().for_each(|text| assert!(ended.stderr.contains(text), "{}", ended.stderr));
+    }
+    let table = world.call("table", &[]).ok();
+    assert!(table.contains("| deformable4dgs | degenerate | degenerate |"), "{table}");
+    let compared = world.call("compare", &["tiny.toml"]);
+    assert_eq!(compared.code, 4, "{}{}", compared.stdout, compared.stderr);
+}
+
 fn second_run_executes_nothing(world: &World) {
     let clock = Instant::now();
     let second = world.run(&[]);

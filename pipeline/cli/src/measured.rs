@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use anyhow::Context;
+use engine::scheduler::RunSummary;
 use engine::status::State;
 use engine::{Digest, Failure, FailureKind, builtin_name};
 use metric_evaluation::Score;
 use serde::Deserialize;
-use table_generation::{Column, Run};
+use table_generation::{Column, DEGENERATE, Run};
 
 use crate::args::{Conditions, RecipeArgs};
 use crate::error::CliError;
@@ -59,6 +60,18 @@ pub(crate) fn read_report(dir: &Path) -> Result<Vec<Run>, CliError> {
     read(&dir.join(REPORT))
 }
 
+/// The runs of the reports that `summary` has results of.
+pub(crate) fn of_run(session: &Session, summary: &RunSummary) -> Result<Vec<Run>, CliError> {
+    let mut runs = Vec::new();
+    for index in session.reports() {
+        let result = summary.results.get(&session.plan.nodes[index].name);
+        if let Some(content) = result.and_then(|result| result.content) {
+            runs.extend(read_report(&session.store.view(&content)?)?);
+        }
+    }
+    Ok(runs)
+}
+
 fn read(path: &Path) -> Result<Vec<Run>, CliError> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()));
     let bytes = bytes.map_err(CliError::of_input)?;
@@ -70,8 +83,11 @@ fn read(path: &Path) -> Result<Vec<Run>, CliError> {
     Ok(serde_json::from_slice::<Runs>(&bytes).map_err(no_report)?.runs)
 }
 
-/// A finite value of a run, or the reason why it has none.
+/// A finite value of a run, or the reason why it has none. The values of a degenerate run do not count.
 pub(crate) fn value(run: &Run, column: Column) -> Result<f64, String> {
+    if run.degenerate.is_some() {
+        return Err(DEGENERATE.into());
+    }
     match run.figures.get(&column) {
         Some(Score::Value(value)) if value.is_finite() => Ok(*value),
         Some(Score::Value(_)) => Err("not finite".into()),

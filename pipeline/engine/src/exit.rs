@@ -18,6 +18,8 @@ pub const DAMAGED: u8 = 12;
 /// The machine failed, in this process or in a job: a full disk, a store that is not writable, a process that cannot be
 /// started.
 pub const INFRASTRUCTURE: u8 = 13;
+/// All requested results exist, but some run is degenerate: its renders are no better than an image that needs no model.
+pub const DEGENERATE: u8 = 14;
 /// A job saved its progress and is to be run again.
 pub const CHECKPOINTED: u8 = 75;
 /// The reader of the program's output closed it early, e.g. `head`.

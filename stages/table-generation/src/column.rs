@@ -52,6 +52,13 @@ pub enum Column {
     MsPerIteration,
     /// Peak resident memory of the training process, 10⁶ bytes.
     PeakMemoryMb,
+    /// PSNR above that of the best constant image, dB.
+    #[serde(rename = "psnr_above_constant")]
+    AboveConstant,
+    /// PSNR of the best constant image; the same for all methods of a scene.
+    PsnrConstant,
+    /// PSNR of the mean of the other images (see [`metric_evaluation::MeanImage`]); the same for all methods of a scene.
+    PsnrMeanImage,
     /// A metric of the stage `metric-evaluation`.
     #[serde(untagged)]
     Metric(Metric),
@@ -61,8 +68,8 @@ impl Column {
     /// PSNR: the value that ranks methods and that papers print.
     pub const PSNR: Self = Self::Metric(Metric::Psnr);
 
-    /// All columns other than metrics, in the order of the CSV file.
-    const COSTS: [Self; 18] = [
+    /// All columns other than metrics of their own stage, in the order of the CSV file.
+    const COSTS: [Self; 21] = [
         Self::TrainingSecs,
         Self::Gaussians,
         Self::SizeMb,
@@ -81,11 +88,15 @@ impl Column {
         Self::PsnrAtEnd,
         Self::MsPerIteration,
         Self::PeakMemoryMb,
+        Self::AboveConstant,
+        Self::PsnrConstant,
+        Self::PsnrMeanImage,
     ];
 
     /// The columns of the headline table.
-    pub(crate) const HEADLINE: [Self; 10] = [
+    pub(crate) const HEADLINE: [Self; 11] = [
         Self::PSNR,
+        Self::AboveConstant,
         Self::Metric(Metric::Ssim),
         Self::Metric(Metric::MsSsim),
         Self::Metric(Metric::LpipsAlex),
@@ -144,6 +155,9 @@ impl Column {
             Self::PsnrAtEnd => "psnr_at_end",
             Self::MsPerIteration => "ms_per_iteration",
             Self::PeakMemoryMb => "peak_memory_mb",
+            Self::AboveConstant => "psnr_above_constant",
+            Self::PsnrConstant => "psnr_constant",
+            Self::PsnrMeanImage => "psnr_mean_image",
             Self::Metric(metric) => metric.key(),
         }
     }
@@ -169,6 +183,9 @@ impl Column {
             Self::PsnrAtEnd => ("at the end", "dB"),
             Self::MsPerIteration => ("iteration", "ms"),
             Self::PeakMemoryMb => ("peak memory", "MB"),
+            Self::AboveConstant => ("above constant", "dB"),
+            Self::PsnrConstant => ("best constant image", "dB"),
+            Self::PsnrMeanImage => ("mean image", "dB"),
             Self::Metric(metric) => (metric.heading(), metric.unit()),
         };
         if unit.is_empty() { name.into() } else { format!("{name} ({unit})") }
@@ -180,6 +197,7 @@ impl Column {
             Self::Gaussians => 0,
             Self::SizeMb | Self::MsPerIteration => 2,
             Self::PsnrAt10s | Self::PsnrAt60s | Self::PsnrAt300s | Self::PsnrAtEnd => Metric::Psnr.decimals(),
+            Self::AboveConstant | Self::PsnrConstant | Self::PsnrMeanImage => Metric::Psnr.decimals(),
             Self::PeakMemoryMb => 0,
             _ => self.metric().map_or(1, Metric::decimals),
         }
@@ -188,11 +206,17 @@ impl Column {
     /// Whether a higher value is better.
     pub fn higher_is_better(self) -> bool {
         let is_rate = matches!(self, Self::FpsRaster | Self::FpsModel | Self::FpsDelivered);
-        self.metric().map_or(is_rate || Self::BUDGETS.contains(&self), Metric::higher_is_better)
+        self.metric().map_or(is_rate || Self::BUDGETS.contains(&self) || self.is_of_trivial(), Metric::higher_is_better)
     }
 
     /// Whether the value depends on the machine; such values are ranked only if one machine measured all of them.
     pub fn is_timing(self) -> bool {
-        self.metric().is_none() && !matches!(self, Self::Gaussians | Self::SizeMb | Self::PsnrAtEnd)
+        let is_count = matches!(self, Self::Gaussians | Self::SizeMb | Self::PsnrAtEnd);
+        self.metric().is_none() && !is_count && !self.is_of_trivial()
+    }
+
+    /// Whether the value is about images that need no model.
+    fn is_of_trivial(self) -> bool {
+        matches!(self, Self::AboveConstant | Self::PsnrConstant | Self::PsnrMeanImage)
     }
 }

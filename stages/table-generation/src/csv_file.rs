@@ -3,15 +3,15 @@
 use metric_evaluation::Score;
 
 use crate::column::Column;
-use crate::report::{Report, failure_mark};
+use crate::report::Report;
 
-/// One line per run: protocol, method, scene and seed, all values (empty if missing), the failure, and the action keys.
+/// One line per run: protocol, method, scene and seed, all values (empty if missing), the outcome, and the action keys.
 pub(crate) fn runs(report: &Report) -> anyhow::Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let ports = ["model", "renders", "metrics"];
     let lead = ["protocol", "protocol_hash", "method", "scene", "seed"].into_iter().map(String::from);
     let values = Column::all().map(|column| column.key().to_owned());
-    let trail = ["failure".to_owned()].into_iter().chain(ports.map(|port| format!("{port}_key")));
+    let trail = ["outcome".to_owned()].into_iter().chain(ports.map(|port| format!("{port}_key")));
     writer.write_record(lead.chain(values).chain(trail))?;
     for run in &report.runs {
         let protocol = report.group_of(run).map(|group| group.name.clone()).unwrap_or_default();
@@ -21,9 +21,8 @@ pub(crate) fn runs(report: &Report) -> anyhow::Result<String> {
             let value = run.figures.get(&column).and_then(Score::value).filter(|value| value.is_finite());
             value.map(|value| value.to_string()).unwrap_or_default()
         });
-        let failure = run.failure.as_ref().map(|failure| failure_mark(failure.kind).to_owned()).unwrap_or_default();
         let keys = ports.map(|port| run.jobs.get(port).map(|job| job.key.clone()).unwrap_or_default());
-        writer.write_record(lead.chain(values).chain([failure]).chain(keys))?;
+        writer.write_record(lead.chain(values).chain([run.outcome().to_owned()]).chain(keys))?;
     }
     Ok(String::from_utf8(writer.into_inner()?)?)
 }

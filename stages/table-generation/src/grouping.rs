@@ -7,13 +7,13 @@ use scene::Protocol;
 
 use crate::cell::{Cell, Cells};
 use crate::claims::Claim;
-use crate::collect::{Costs, Run};
+use crate::collect::{Costs, DEGENERATE, Run, failure_mark};
 use crate::column::Column;
 use crate::comparison::claim_table;
 use crate::format::number;
 use crate::params::TableGenerationParams;
 use crate::ranks::rank;
-use crate::report::{FailedRun, Group, Report, Row, ScenePart, failure_mark};
+use crate::report::{FailedRun, Group, Report, Row, ScenePart};
 use crate::statistics::{mean, sample_std};
 
 /// Relative overrun of a budget up to which it counts as met; prices of steps vary by about this much.
@@ -92,6 +92,7 @@ fn group(
         protocol,
         judged_by: members.first()?.judged_by.clone()?,
         machines: machines.into_iter().map(|(work, machine)| format!("{work} on {machine}")).collect(),
+        trivial: members.iter().filter_map(|run| Some((run.scene.clone(), run.trivial.clone()?))).collect(),
         scenes,
         parts,
         rows,
@@ -131,6 +132,7 @@ pub(crate) fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<String>
 fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row {
     let runs: Vec<&Run> = runs.iter().copied().filter(|run| run.row == name).collect();
     let seeds = distinct(runs.iter().map(|run| run.seed.as_str()));
+    let sound: Vec<&Run> = runs.iter().copied().filter(|run| run.degenerate.is_none()).collect();
     let means = |scenes: &[String]| -> Cells {
         Column::all().map(|column| (column, mean_cell(&runs, scenes, &seeds, column))).collect()
     };
@@ -146,8 +148,8 @@ fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row
         parts: parts.iter().map(|part| means(&part.scenes)).collect(),
         by_scene: by_scene.collect(),
         shortened: shortened(&runs),
-        phases: mean_phases(&runs),
-        costs: Costs::mean(runs.iter().map(|run| &run.costs)),
+        phases: mean_phases(&sound),
+        costs: Costs::mean(sound.iter().map(|run| &run.costs)),
     }
 }
 
@@ -196,8 +198,11 @@ fn short(value: f64) -> String {
     }
 }
 
-/// A value of a run, or why it is missing.
+/// A value of a run, or why it is missing. A degenerate run has no values: they would distort every mean and rank.
 fn value(run: &Run, column: Column) -> Result<f64, String> {
+    if run.degenerate.is_some() {
+        return Err(DEGENERATE.into());
+    }
     match run.figures.get(&column) {
         Some(Score::Value(value)) if value.is_finite() => Ok(*value),
         Some(Score::Value(_)) => Err("not finite".into()),

@@ -29,7 +29,8 @@ mod tests;
 
 pub use artifact::ReportFolder;
 pub use collect::{
-    Costs, CurvePoint, FrameScore, Job, LossShare, Machine, MovingShares, Run, RunFailure, TensorGradient,
+    Costs, CurvePoint, DEGENERATE, DegenerateRun, FrameScore, Job, LossShare, Machine, MovingShares, Run, RunFailure,
+    TensorGradient,
 };
 pub use column::Column;
 pub use format::{number, signed};

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::ensure;
 use engine::FailureKind;
+use metric_evaluation::Trivial;
 use scene::Protocol;
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +42,9 @@ pub(crate) struct Group {
     pub scenes: Vec<String>,
     /// Subsets of the scenes for which the literature prints means.
     pub parts: Vec<ScenePart>,
+    /// PSNR of images that need no model, by scene; scenes without measured runs are absent.
+    #[serde(default)]
+    pub trivial: BTreeMap<String, Trivial>,
     /// One row per method (and per value of further axes).
     pub rows: Vec<Row>,
     /// Published values, a table per row.
@@ -145,20 +149,5 @@ impl Run {
     /// Whether the run failed because its data is not on this machine.
     pub(crate) fn misses_data(&self) -> bool {
         self.failure.as_ref().is_some_and(|failure| failure.kind == FailureKind::MissingData)
-    }
-}
-
-/// The text that replaces a number in a cell, by kind of failure.
-pub(crate) fn failure_mark(kind: FailureKind) -> &'static str {
-    match kind {
-        FailureKind::MissingData => "no data",
-        FailureKind::BadInput => "bad input",
-        FailureKind::Diverged => "diverged",
-        FailureKind::OutOfMemory => "OOM",
-        FailureKind::Timeout => "timeout",
-        FailureKind::Interrupted => "stopped",
-        FailureKind::DeviceLost => "device lost",
-        FailureKind::World => "machine",
-        FailureKind::Crashed => "crash",
     }
 }

@@ -1,6 +1,7 @@
 //! Reports of synthetic runs: structure, rules, snapshots of the text, and planted faults.
 
 mod content;
+mod degenerate;
 mod formats;
 mod outcomes;
 mod page;
@@ -9,7 +10,7 @@ mod seeds;
 mod stage;
 
 use engine::FailureKind;
-use metric_evaluation::{Metric, Score};
+use metric_evaluation::{MeanImage, MeanOver, Metric, Score, Trivial};
 use scene::Protocol;
 
 use crate::collect::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure};
@@ -31,6 +32,20 @@ fn protocol(size: u32) -> Protocol {
     }
 }
 
+/// PSNR of the best constant image in every scene, dB.
+const CONSTANT_PSNR: f64 = 15.0;
+
+/// What images score that need no model.
+fn trivial() -> Trivial {
+    Trivial {
+        colour: [0.9; 3],
+        constant_psnr: CONSTANT_PSNR,
+        mean_image: Some(MeanImage { psnr: 16.5, over: MeanOver::AllImages }),
+        background_share: Some(0.93),
+        least_render_variance: 0.01,
+    }
+}
+
 /// A run with measurements at 800 px.
 fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
     let values = [
@@ -40,6 +55,7 @@ fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
         (Column::Gaussians, 12345.0),
         (Column::SizeMb, 2.5),
         (Column::FpsModel, 50.0),
+        (Column::AboveConstant, psnr - CONSTANT_PSNR),
     ];
     let mut run = Run {
         scene: scene.into(),
@@ -54,6 +70,7 @@ fn run(scene: &str, method: &str, seed: u32, psnr: f64) -> Run {
         jobs: [("model".to_owned(), job("train", scene, method, seed))].into(),
         schedule_scale: Some(1.0),
         frames: (0..4).map(|i| frame(i, psnr)).collect(),
+        trivial: Some(trivial()),
         ..Run::default()
     };
     run.figures.insert(Column::Metric(Metric::MsSsim), Score::undefined("image smaller than 161 px"));

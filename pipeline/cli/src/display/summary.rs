@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use engine::Failure;
 use engine::event::{NodeResult, Outcome};
 use engine::scheduler::RunSummary;
+use table_generation::{DegenerateRun, Run};
 
+use crate::measured;
 use crate::output::{count, duration, note};
 use crate::session::Session;
 use crate::{best, links};
@@ -84,6 +86,23 @@ fn groups(summary: &RunSummary, outcome: Outcome) -> Vec<(String, Vec<(&str, &No
         }
     }
     groups
+}
+
+/// Names the degenerate runs on standard error, with likely causes for the first; returns whether there are any.
+pub(crate) fn print_degenerate(runs: &[Run]) -> bool {
+    let found: Vec<(&Run, &DegenerateRun)> =
+        runs.iter().filter_map(|run| Some((run, run.degenerate.as_ref()?))).collect();
+    for (at, (run, degenerate)) in found.iter().take(MAX_FAILURES).enumerate() {
+        note(&format!("DEGENERATE {}: {}", measured::name(run), degenerate.message));
+        if at == 0 {
+            degenerate.advice.iter().for_each(|advice| note(&format!("  {advice}")));
+        }
+    }
+    if found.len() > MAX_FAILURES {
+        let more = count(found.len() - MAX_FAILURES, "other degenerate run");
+        note(&format!("… and {more}; the report lists them with likely causes"));
+    }
+    !found.is_empty()
 }
 
 /// `a, b, c and 4 more`.

@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::Context;
 use engine::Failure;
 use engine::event::Event;
+use engine::exit;
 use engine::job::StopRequests;
 use engine::scheduler::{self, RunOptions};
 use engine::status::{Prediction, State};
@@ -14,6 +15,7 @@ use engine::status::{Prediction, State};
 use crate::args::RunArgs;
 use crate::display::{self, Eta, profile, summary};
 use crate::error::CliError;
+use crate::measured;
 use crate::session::Session;
 
 /// Without a terminal, a line is printed at least this often to show that the run is alive.
@@ -45,6 +47,7 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
     drop(display);
     summary::print(&session, &result);
+    let is_degenerate = summary::print_degenerate(&measured::of_run(&session, &result)?);
     if let Some(error) = closed {
         return Err(error);
     }
@@ -52,7 +55,10 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
         // The forced jobs have run now, so their results count as cached.
         profile::print(&Session { force: BTreeSet::new(), ..session })?;
     }
-    Ok(result.exit_code(args.require_data))
+    Ok(match result.exit_code(args.require_data) {
+        exit::OK if is_degenerate => exit::DEGENERATE,
+        code => code,
+    })
 }
 
 fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {

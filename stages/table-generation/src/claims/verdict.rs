@@ -37,6 +37,16 @@ pub(crate) enum Verdict {
 }
 
 impl Verdict {
+    /// Whether measured and published value were compared.
+    pub(crate) fn is_judged(&self) -> bool {
+        !matches!(self, Self::NotComparable | Self::NotMeasured)
+    }
+
+    /// Whether the measured value reproduces the published one.
+    pub(crate) fn agrees(&self) -> bool {
+        matches!(self, Self::Reproduced { .. } | Self::WithinSpread { .. })
+    }
+
     /// The verdict on a published value (dB); `differences` are those between the protocols.
     pub(crate) fn new(published: f64, measured: &Cell, differences: &[String], tolerance_db: f64) -> Self {
         let Some(mean) = measured.mean else { return Self::NotMeasured };

@@ -23,6 +23,7 @@ pub(crate) struct TrainingMeasurements {
     pub phases: BTreeMap<String, f64>,
     pub largest_gradients: BTreeMap<String, LargestGradient>,
     pub guards: BTreeMap<String, u64>,
+    pub notices: Vec<String>,
     #[serde(flatten)]
     pub costs: Costs,
 }

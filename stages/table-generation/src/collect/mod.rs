@@ -2,6 +2,7 @@
 
 mod anytime;
 mod costs;
+mod degenerate;
 mod measured;
 mod run;
 
@@ -15,13 +16,19 @@ use serde_json::Value;
 use training::{Model, ModelHeader};
 
 pub use costs::{Costs, LossShare, MovingShares};
-pub use run::{CurvePoint, FrameScore, Job, Machine, Run, RunFailure, TensorGradient};
+pub use degenerate::DegenerateRun;
+pub use run::{CurvePoint, DEGENERATE, FrameScore, Job, Machine, Run, RunFailure, TensorGradient};
+pub(crate) use run::{FINISHED, failure_mark};
 
 use crate::column::Column;
+use degenerate::Circumstances;
 use measured::{RenderingMeasurements, TrainingMeasurements, measurements, time_and_machine};
 
 /// The axis whose values are variants of a method. The first value that a recipe lists is the reference of the others.
 pub(crate) const VARIANTS: &str = "ablation";
+
+/// The effect that lets a model show motion; a method without it is static.
+const MOTION: &str = "motion";
 
 /// Number of hexadecimal digits of an action key that tables show.
 const SHORT_KEY: usize = 12;
@@ -100,6 +107,7 @@ impl Inputs {
         for input in belonging(&self.metrics, coordinates) {
             run.add_metrics(input)?;
         }
+        run.judge(belonging(&self.models, coordinates), belonging(&self.metrics, coordinates));
         // A run that failed before it had a model takes the protocol of its capture.
         let mut captures = belonging(&self.captures, coordinates).filter_map(|input| input.artifact.as_ref().ok());
         run.protocol = run.protocol.or_else(|| Some(captures.next()?.protocol.clone()));
@@ -136,6 +144,11 @@ fn axis(coordinates: &Coordinates, name: &str) -> String {
     coordinates.get(name).cloned().unwrap_or_else(|| "–".into())
 }
 
+/// The PSNR above that of the best constant image, dB; none if the whole ground truth has one colour.
+fn above_constant(metrics: &Metrics) -> Option<f64> {
+    (!metrics.trivial.truth_is_constant()).then(|| metrics.full_psnr() - metrics.trivial.constant_psnr)
+}
+
 impl Run {
     fn add_model(&mut self, input: &Input<ModelSummary>) -> anyhow::Result<()> {
         let Some(model) = self.add_record("model", input, "training")? else { return Ok(()) };
@@ -152,6 +165,7 @@ impl Run {
         self.set(Column::PeakMemoryMb, measured.peak_memory_bytes.map(|bytes| bytes / 1e6));
         self.largest_gradient = measured.largest_gradient();
         self.guards = measured.guards;
+        self.notices = measured.notices;
         self.phases = measured.phases;
         self.costs = measured.costs;
         self.curve_split = measured.curve_split;
@@ -185,6 +199,10 @@ impl Run {
         self.judged_by = Some(metrics.judged_by());
         let means = metrics.means.iter().map(|(metric, score)| (Column::Metric(*metric), score.clone()));
         self.figures.extend(means);
+        self.set(Column::PsnrConstant, Some(metrics.trivial.constant_psnr));
+        self.set(Column::PsnrMeanImage, metrics.trivial.mean_image.map(|mean| mean.psnr));
+        self.set(Column::AboveConstant, above_constant(metrics));
+        self.trivial = Some(metrics.trivial.clone());
         self.frames = metrics
             .images
             .iter()
@@ -194,6 +212,32 @@ impl Run {
             })
             .collect();
         Ok(())
+    }
+
+    /// Marks the run as degenerate if its renders show no more than an image that needs no model.
+    fn judge<'a>(
+        &mut self,
+        models: impl Iterator<Item = &'a Input<ModelSummary>>,
+        metrics: impl Iterator<Item = &'a Input<Metrics>>,
+    ) {
+        let headers: Vec<&ModelHeader> =
+            models.filter_map(|input| input.artifact.as_ref().ok()).map(|model| &model.header).collect();
+        let can_move = |header: &&ModelHeader| header.effects.iter().any(|effect| effect.effect == MOTION && effect.on);
+        // Without a model, nothing says that the method is static.
+        let moves = headers.is_empty() || headers.iter().any(can_move);
+        let n_steps = headers.last().map(|header| header.iterations.iter().map(|(_, steps)| steps).sum());
+        let training = Circumstances {
+            n_gaussians: self.figures.get(&Column::Gaussians).and_then(Score::value),
+            schedule_scale: self.schedule_scale,
+            has_budget: self.budget_secs.is_some(),
+            n_steps,
+            notices: &self.notices,
+        };
+        let judged = metrics.filter_map(|input| input.artifact.as_ref().ok());
+        self.degenerate = judged
+            .filter_map(|metrics| Some((metrics, metrics.degenerate(moves)?)))
+            .map(|(metrics, kind)| DegenerateRun::new(kind, metrics.full_psnr(), &metrics.trivial, &training))
+            .next();
     }
 
     /// Records the job, its machine and the first failure; returns the artifact if there is one.

@@ -3,13 +3,20 @@
 use std::collections::BTreeMap;
 
 use engine::FailureKind;
-use metric_evaluation::Score;
+use metric_evaluation::{Score, Trivial};
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 use training::LargestGradient;
 
 use super::costs::Costs;
+use super::degenerate::DegenerateRun;
 use crate::column::Column;
+
+/// The outcome of runs whose renders show no more than an image that needs no model.
+pub const DEGENERATE: &str = "degenerate";
+
+/// The outcome of runs that neither failed nor are degenerate.
+pub(crate) const FINISHED: &str = "finished";
 
 /// One method on one scene with one seed, with its measurements or its failure.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -55,6 +62,16 @@ pub struct Run {
     pub machines: BTreeMap<String, Machine>,
     /// The first failure, if any.
     pub failure: Option<RunFailure>,
+    /// PSNR of images that need no model, against the run's ground truth.
+    #[serde(default)]
+    pub trivial: Option<Trivial>,
+    /// Set if the renders show no more than an image that needs no model. The run's values then belong to no mean, rank
+    /// or comparison.
+    #[serde(default)]
+    pub degenerate: Option<DegenerateRun>,
+    /// What the training reported about itself, e.g. that density control was stopped.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notices: Vec<String>,
     /// The jobs by port, to trace a number to its job.
     pub jobs: BTreeMap<String, Job>,
 }
@@ -143,6 +160,15 @@ pub struct RunFailure {
 }
 
 impl Run {
+    /// The outcome in a word: `finished`, `degenerate`, or the kind of failure.
+    pub fn outcome(&self) -> &'static str {
+        match (&self.failure, &self.degenerate) {
+            (Some(failure), _) => failure_mark(failure.kind),
+            (None, Some(_)) => DEGENERATE,
+            (None, None) => FINISHED,
+        }
+    }
+
     /// Whether `other` has the same scene, row and jobs. Such a run is no replicate: it says nothing about noise.
     pub(super) fn repeats(&self, other: &Self) -> bool {
         let keys = |run: &Self| run.jobs.iter().map(|(port, job)| (port.clone(), job.key.clone())).collect::<Vec<_>>();
@@ -157,5 +183,20 @@ impl Machine {
         let cpu = self.cpu.as_ref().map(|cpu| format!(" ({cpu})")).unwrap_or_default();
         let threads = self.threads.map(|threads| format!(", {threads} threads")).unwrap_or_default();
         format!("{}{cpu}{threads}", self.device)
+    }
+}
+
+/// The text that replaces a number in a cell, by kind of failure.
+pub(crate) fn failure_mark(kind: FailureKind) -> &'static str {
+    match kind {
+        FailureKind::MissingData => "no data",
+        FailureKind::BadInput => "bad input",
+        FailureKind::Diverged => "diverged",
+        FailureKind::OutOfMemory => "OOM",
+        FailureKind::Timeout => "timeout",
+        FailureKind::Interrupted => "stopped",
+        FailureKind::DeviceLost => "device lost",
+        FailureKind::World => "machine",
+        FailureKind::Crashed => "crash",
     }
 }

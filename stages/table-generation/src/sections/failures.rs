@@ -1,22 +1,28 @@
-//! Failed runs by kind, and scenes with missing data.
+//! Degenerate and failed runs, notices of trainings, and scenes with missing data.
 
 use std::collections::BTreeSet;
 
-use engine::FailureKind;
-
 use super::content::Content;
-use crate::collect::Run;
+use crate::collect::{FINISHED, Run, failure_mark};
+use crate::column::Column;
 use crate::document::{Block, Table, Text};
+use crate::format::{NONE, number};
 use crate::grouping::distinct;
-use crate::report::{Report, failure_mark};
+use crate::report::Report;
 
-/// Counts and messages of failures, and missing data, where present.
+/// Counts and reasons of runs that are degenerate or failed, notices, and missing data, where present.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let report = content.report;
     let mut blocks = Vec::new();
-    if !report.failures.is_empty() {
-        blocks.extend([Block::Table(count_table(report)), Block::Table(failure_table(report))]);
+    let degenerate = degenerate_table(content);
+    if !report.failures.is_empty() || degenerate.is_some() {
+        blocks.push(Block::Table(count_table(report)));
     }
+    blocks.extend(degenerate.map(Block::Table));
+    if !report.failures.is_empty() {
+        blocks.push(Block::Table(failure_table(report)));
+    }
+    blocks.extend(notice_table(report).map(Block::Table));
     if !report.missing_data.is_empty() {
         let header = ["scene", "message"].map(String::from).into();
         let mut table = Table::new("Scenes without data on this machine", header).with_text_columns(2);
@@ -29,22 +35,41 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
 
 /// Number of runs by method and outcome.
 fn count_table(report: &Report) -> Table {
-    let kinds: BTreeSet<FailureKind> = report.failures.iter().map(|failed| failed.failure.kind).collect();
-    let marks = kinds.iter().map(|kind| failure_mark(*kind).to_owned());
-    let header = ["method", "started", "finished"].into_iter().map(String::from).chain(marks).collect();
-    let mut table = Table::new("Runs by outcome", header);
     let present: Vec<&Run> = report.runs.iter().filter(|run| !run.misses_data()).collect();
+    let others: BTreeSet<&str> =
+        present.iter().map(|run| run.outcome()).filter(|outcome| *outcome != FINISHED).collect();
+    let outcomes = || [FINISHED].into_iter().chain(others.iter().copied());
+    let header = ["method", "started"].into_iter().chain(outcomes()).map(String::from).collect();
+    let mut table = Table::new("Runs by outcome", header);
     for row in distinct(present.iter().map(|run| run.row.as_str())) {
         let own = || present.iter().filter(|run| run.row == row);
-        let n_finished = own().filter(|run| run.failure.is_none()).count();
-        let n_failed = |kind: &FailureKind| {
-            own().filter(|run| run.failure.as_ref().is_some_and(|failure| failure.kind == *kind)).count()
-        };
-        let counts = [own().count(), n_finished].into_iter().chain(kinds.iter().map(n_failed));
-        let counts = counts.map(|count| Text::plain(count.to_string())).collect::<Vec<_>>();
+        let count = |outcome| own().filter(|run| run.outcome() == outcome).count();
+        let counts = [own().count()].into_iter().chain(outcomes().map(count));
+        let counts = counts.map(|count| Text::plain(count.to_string()));
         table.rows.push([Text::plain(&row)].into_iter().chain(counts).collect());
     }
     table
+}
+
+/// Every degenerate run with its reason, likely causes and what to try; none if no run is degenerate.
+fn degenerate_table(content: &Content<'_>) -> Option<Table> {
+    let header = ["method", "scene", "seed", "Gaussians", "reason", "likely causes, and what to try"];
+    let mut table =
+        Table::new("Degenerate runs: no better than an image that needs no model", header.map(String::from).into())
+            .with_text_columns(6);
+    for run in &content.report.runs {
+        let Some(degenerate) = &run.degenerate else { continue };
+        let count = run.figures.get(&Column::Gaussians).and_then(|score| score.value());
+        let count = count.map_or(NONE.into(), |count| number(count, 0));
+        let texts = [&run.scene, &run.seed, &count, &degenerate.message, &degenerate.advice.join("; ")];
+        let first = Text::plain(&run.row).linked(content.traces.scene(&run.row, &run.scene));
+        table.rows.push([first].into_iter().chain(texts.map(Text::plain)).collect());
+    }
+    table.remarks.push(
+        "Their values belong to no mean, rank, gain, verdict or comparison; report.csv and report.json have them."
+            .into(),
+    );
+    (!table.rows.is_empty()).then_some(table)
 }
 
 /// Every failure with its job and message, by kind.
@@ -59,4 +84,14 @@ fn failure_table(report: &Report) -> Table {
         table.rows.push(texts.map(Text::plain).into());
     }
     table
+}
+
+/// What trainings reported about themselves, with the runs that did.
+fn notice_table(report: &Report) -> Option<Table> {
+    let mut table = Table::new("Notices of trainings", ["run", "notice"].map(String::from).into()).with_text_columns(2);
+    for run in &report.runs {
+        let name = format!("{} on {}, seed {}", run.row, run.scene, run.seed);
+        table.rows.extend(run.notices.iter().map(|notice| [&name, notice].map(Text::plain).into()));
+    }
+    (!table.rows.is_empty()).then_some(table)
 }

@@ -17,6 +17,7 @@ mod published;
 mod runs;
 mod summary;
 mod traces;
+mod verdicts;
 
 use crate::document::{Block, Document, Section};
 use crate::params::TableGenerationParams;
@@ -35,18 +36,20 @@ pub(crate) fn document(
     let everywhere = |id, heading, blocks| Section { id, heading, page_only: false, blocks };
     let on_page = |id, heading, blocks| Section { id, heading, page_only: true, blocks };
     let pictures = if sheets.is_empty() { Vec::new() } else { vec![Block::Pictures(sheets)] };
+    let published =
+        verdicts::table(&content).map(Block::Table).into_iter().chain(published::blocks(&content)).collect();
     let mut sections = vec![
         everywhere("summary", "Summary", summary::blocks(&content)),
-        everywhere("papers", "Tables of the papers", papers::blocks(&content)?),
         everywhere("results", "Results", protocols::blocks(&content)),
-        everywhere("published", "Comparison with published values", published::blocks(&content)),
+        on_page("images", "Renders and errors", pictures),
+        everywhere("papers", "Tables of the papers", papers::blocks(&content)?),
+        everywhere("published", "Comparison with published values", published),
         everywhere("pareto", "Accuracy against cost", pareto::blocks(&content)),
         everywhere("curves", "Quality over training time", curves::blocks(&content)?),
         everywhere("budgets", "Quality under deadlines", budgets::blocks(&content)),
         everywhere("ablation", "Ablations", ablation::blocks(&content)),
         everywhere("costs", "Training costs", costs::blocks(&content)),
         everywhere("frames", "Quality per frame", frames::blocks(&content)),
-        on_page("images", "Renders and errors", pictures),
         everywhere("outcomes", "Outcomes", outcomes::blocks(&content)),
         everywhere("failures", "Failures", failures::blocks(&content)),
         everywhere("machine", "Machines", machine::blocks(&content)),

@@ -3,12 +3,11 @@
 use engine::FailureKind;
 
 use super::content::Content;
-use crate::collect::{Run, TensorGradient};
+use crate::collect::{Run, TensorGradient, failure_mark};
 use crate::column::Column;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, signed};
 use crate::grouping::distinct;
-use crate::report::failure_mark;
 
 /// The table of outcomes, if the recipe asks for it or a training diverged.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
@@ -39,7 +38,7 @@ fn outcome_table(content: &Content<'_>) -> Table {
         }
     }
     table.remarks.push(
-        "Where: for a failed run the message of the failure; otherwise tensor and iteration of the largest gradient. \
+        "Where: for a failed run the message of the failure, for a degenerate one the reason; otherwise tensor and iteration of the largest gradient. \
          Guards: how often the rasteriser clamped a value, summed over all renders of the training. Neither includes a \
          shared coarse phase, because both are counted from the last start of the training."
             .into(),
@@ -49,20 +48,21 @@ fn outcome_table(content: &Content<'_>) -> Table {
 
 fn outcome(run: &Run) -> String {
     match &run.failure {
-        None => "finished".into(),
+        None => run.outcome().into(),
         Some(failure) if failure.kind == FailureKind::Diverged => "diverged".into(),
         Some(failure) => format!("failed: {}", failure_mark(failure.kind)),
     }
 }
 
-/// The message of the failure, or tensor and iteration of the largest gradient.
+/// The message of the failure, why the run is degenerate, or tensor and iteration of the largest gradient.
 fn place(run: &Run) -> String {
     let of_gradient = || {
         let TensorGradient { tensor, largest } = run.largest_gradient.as_ref()?;
         Some(format!("{tensor}, iteration {} of {}", largest.iteration, largest.phase))
     };
     let of_failure = run.failure.as_ref().map(|failure| failure.message.clone());
-    of_failure.or_else(of_gradient).unwrap_or_else(|| NONE.into())
+    let of_degenerate = || run.degenerate.as_ref().map(|degenerate| degenerate.message.clone());
+    of_failure.or_else(of_degenerate).or_else(of_gradient).unwrap_or_else(|| NONE.into())
 }
 
 fn guards(run: &Run) -> String {
@@ -78,7 +78,8 @@ fn gain_text(content: &Content<'_>, run: &Run) -> String {
             && (&other.scene, &other.seed) == (&run.scene, &run.seed)
             && (&other.protocol, &other.judged_by) == (&run.protocol, &run.judged_by)
     };
-    let psnr = |run: &Run| run.figures.get(&Column::PSNR)?.value().filter(|psnr| psnr.is_finite());
+    let sound = |run: &Run| run.degenerate.is_none();
+    let psnr = |run: &Run| run.figures.get(&Column::PSNR)?.value().filter(|psnr| psnr.is_finite() && sound(run));
     let gain = || Some(psnr(run)? - psnr(content.report.runs.iter().find(is_baseline)?)?);
     if run.method == content.params.baseline {
         return NONE.into();

@@ -1,13 +1,17 @@
 //! Results per protocol: means, values per scene, gains over the baseline, and metrics that few captures provide.
 
+use metric_evaluation::Trivial;
+
 use super::cells::{explain_marks, mean_text, scene_cells, traced};
 use super::content::Content;
 use crate::cell::Cells;
+use crate::collect::failure_mark;
 use crate::column::Column;
 use crate::document::{Block, Table, Text};
-use crate::format::{NONE, scenes, signed};
+use crate::format::{NONE, number, scenes, signed};
 use crate::grouping::distinct;
-use crate::report::{FailedRun, Group, Report, Row, failure_mark};
+use crate::report::{FailedRun, Group, Report, Row};
+use crate::statistics::mean;
 
 /// The results of all groups.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
@@ -113,7 +117,28 @@ fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
         }
         table.rows.push(cells);
     }
+    if column == Column::PSNR {
+        table.rows.extend(trivial_rows(group));
+    }
     table
+}
+
+/// The PSNR of images that need no model, per scene and as means over the same scenes as the methods' means.
+fn trivial_rows(group: &Group) -> Vec<Vec<Text>> {
+    let constant = |trivial: &Trivial| Some(trivial.constant_psnr);
+    let mean_image = |trivial: &Trivial| trivial.mean_image.map(|mean| mean.psnr);
+    let sets = || [&group.scenes].into_iter().chain(group.parts.iter().map(|part| &part.scenes));
+    let row = |name: &str, psnr: &dyn Fn(&Trivial) -> Option<f64>| -> Vec<Text> {
+        let of_scene = |scene: &String| psnr(group.trivial.get(scene)?);
+        let of_set = |scenes: &Vec<String>| mean(&scenes.iter().map(of_scene).collect::<Option<Vec<f64>>>()?);
+        let values = group.scenes.iter().map(of_scene).chain(sets().map(of_set));
+        let texts = values.map(|value| value.map_or(NONE.into(), |value| number(value, Column::PSNR.decimals())));
+        [name.to_owned()].into_iter().chain(texts).map(Text::plain).collect()
+    };
+    if group.trivial.is_empty() {
+        return Vec::new();
+    }
+    vec![row("best constant image", &constant), row("mean of the other images", &mean_image)]
 }
 
 /// A note that the baseline was not measured, if several other methods were.

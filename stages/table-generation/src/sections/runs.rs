@@ -6,7 +6,6 @@ use crate::collect::Run;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
 use crate::grouping::distinct;
-use crate::report::failure_mark;
 
 /// The jobs of a run: port, and name of the column.
 const JOBS: [(&str, &str); 3] = [("model", "training"), ("renders", "rendering"), ("metrics", "judging")];
@@ -45,8 +44,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
 }
 
 fn details(content: &Content<'_>, run: &Run) -> Vec<Text> {
-    let outcome = run.failure.as_ref().map_or("finished", |failure| failure_mark(failure.kind));
-    let mut texts = vec![Text::plain(&run.seed), Text::plain(outcome)];
+    let mut texts = vec![Text::plain(&run.seed), Text::plain(run.outcome())];
     for (port, _) in JOBS {
         let job = run.jobs.get(port);
         let key = job.map(|job| job.key.as_str()).filter(|key| !key.is_empty()).unwrap_or(NONE);

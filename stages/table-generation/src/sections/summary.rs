@@ -1,43 +1,53 @@
-//! The summary: number of runs, best methods, smallest significant difference, reproduced values.
+//! The summary in sentences: number of runs, best methods, smallest significant difference, reproduced values.
 
 use std::collections::BTreeMap;
 
 use super::content::Content;
-use super::published::origin;
 use crate::cell::Cell;
-use crate::claims::{ClaimColumn, Verdict};
+use crate::collect::FINISHED;
 use crate::column::Column;
-use crate::document::{Block, Table, Text};
+use crate::document::Block;
 use crate::format::number;
-use crate::report::{Group, Report, failure_mark};
+use crate::grouping::distinct;
+use crate::report::{Group, Report};
 use crate::statistics::{mean, welch_half_width};
 
-/// Sentences about runs, leaders and noise, then the table of published values.
+/// Number of degenerate runs that the summary names.
+const NAMED: usize = 6;
+
+/// Sentences about runs, leaders, noise and published values.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut sentences = vec![outcomes(content.report)];
+    sentences.extend(degenerate(content.report));
     sentences.extend(content.report.groups.iter().flat_map(|group| [best(group), noise(group)]));
-    let mut blocks: Vec<Block> = sentences.into_iter().map(Block::Paragraph).collect();
-    let table = published(content);
-    if content.report.groups.is_empty() {
-        blocks.push(Block::Paragraph("Nothing was measured.".into()));
-    } else if table.rows.is_empty() {
-        blocks.push(Block::Paragraph("No published values are available for these methods and scenes.".into()));
-    } else {
-        blocks.push(Block::Table(table));
-    }
-    blocks
+    sentences.push(published(content.report));
+    sentences.into_iter().map(Block::Paragraph).collect()
 }
 
-/// Number of finished runs, and of failed runs by kind.
+/// Number of finished runs, and of the others by outcome.
 fn outcomes(report: &Report) -> String {
-    let mut failed: BTreeMap<&str, usize> = BTreeMap::new();
-    for failure in report.runs.iter().filter_map(|run| run.failure.as_ref()) {
-        *failed.entry(failure_mark(failure.kind)).or_default() += 1;
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for run in &report.runs {
+        *counts.entry(run.outcome()).or_default() += 1;
     }
     let n_runs = report.runs.len();
-    let n_finished = n_runs - failed.values().sum::<usize>();
-    let others: String = failed.iter().map(|(what, count)| format!(", {count} × {what}")).collect();
+    let n_finished = counts.remove(FINISHED).unwrap_or(0);
+    let others: String = counts.iter().map(|(what, count)| format!(", {count} × {what}")).collect();
     format!("{n_runs} runs: {n_finished} finished{others}.")
+}
+
+/// Names the degenerate runs; none if there are none.
+fn degenerate(report: &Report) -> Option<String> {
+    let runs = report.runs.iter().filter(|run| run.degenerate.is_some());
+    let names: Vec<String> = runs.map(|run| format!("{} on {}", run.row, run.scene)).collect();
+    let names = distinct(names.iter().map(String::as_str));
+    let shown = names.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", ");
+    let more = if names.len() > NAMED { format!(" and {} more", names.len() - NAMED) } else { String::new() };
+    (!names.is_empty()).then(|| {
+        format!(
+            "Degenerate, i.e. no better than an image that needs no model: {shown}{more}; see \"Failures\" for causes."
+        )
+    })
 }
 
 /// The best methods in quality, training time and speed, with the methods that are within noise of them.
@@ -99,41 +109,21 @@ fn noise(group: &Group) -> String {
     }
 }
 
-/// One line per row and source, with a summary of the verdicts.
-fn published(content: &Content<'_>) -> Table {
-    let header = ["method", "source", "origin", "verdict on PSNR"].map(String::from).into();
-    let mut table = Table::new("Published values and their reproduction", header).with_text_columns(4);
-    for (group, claims) in content.report.groups.iter().flat_map(|group| group.claims.iter().map(move |c| (group, c))) {
-        for column in &claims.columns {
-            let label = match group.label(content.report) {
-                label if label.is_empty() => claims.row.clone(),
-                label => format!("{} ({label})", claims.row),
-            };
-            let source = format!("{} ({})", column.claim.source, column.claim.label);
-            let texts = [source, origin(column.claim.kind).into(), summary(column, &claims.lines)];
-            let first = Text::plain(label).linked(content.traces.row(&claims.row));
-            table.rows.push([first].into_iter().chain(texts.map(Text::plain)).collect());
-        }
+/// How many of the published tables are comparable, and how many of their values are reproduced.
+fn published(report: &Report) -> String {
+    let columns = || report.groups.iter().flat_map(|group| &group.claims).flat_map(|table| &table.columns);
+    let n_sources = columns().count();
+    if report.groups.is_empty() {
+        return "Nothing was measured.".into();
     }
-    table
-}
-
-/// Number of reproduced lines, and the lines that are not reproduced.
-fn summary(column: &ClaimColumn, lines: &[String]) -> String {
-    if !column.differences.is_empty() {
-        return format!("not comparable: {}", column.differences.join("; "));
+    if n_sources == 0 {
+        return "No published values are available for these methods and scenes.".into();
     }
-    let entries = || column.entries.iter().zip(lines).filter_map(|(entry, line)| Some((&entry.as_ref()?.1, line)));
-    let judged = entries().filter(|(verdict, _)| !matches!(verdict, Verdict::NotComparable | Verdict::NotMeasured));
-    let agrees = |verdict: &Verdict| matches!(verdict, Verdict::Reproduced { .. } | Verdict::WithinSpread { .. });
-    let n_judged = judged.clone().count();
-    let n_agreeing = judged.clone().filter(|(verdict, _)| agrees(verdict)).count();
-    let others: String = judged
-        .filter(|(verdict, _)| !agrees(verdict))
-        .map(|(verdict, line)| format!("; {line}: {}", verdict.text()))
-        .collect();
-    match n_judged {
-        0 => "not measured, or measured on other scenes".into(),
-        n => format!("{n_agreeing} of {n} reproduced{others}"),
-    }
+    let comparable = || columns().filter(|column| column.differences.is_empty());
+    let verdicts = || comparable().flat_map(|column| &column.entries).flatten().map(|(_, verdict)| verdict);
+    let n_judged = verdicts().filter(|verdict| verdict.is_judged()).count();
+    let n_agreeing = verdicts().filter(|verdict| verdict.agrees()).count();
+    let judged =
+        if n_judged == 0 { String::new() } else { format!("; {n_agreeing} of {n_judged} values are reproduced") };
+    format!("Published values: {} of {n_sources} sources are comparable{judged}.", comparable().count())
 }

@@ -173,6 +173,7 @@ fn verdicts_require_the_same_protocol() {
     let small = two_by_two().into_iter().map(|run| Run { protocol: Some(protocol(200)), ..run }).collect();
     let small = report(small);
     assert_snapshot!("verdicts_under_another_protocol", section(&small, "summary"));
+    assert_snapshot!("reasons_under_another_protocol", section(&small, "published"));
     let entries = small.groups[0].claims.iter().flat_map(|table| &table.columns).flat_map(|column| &column.entries);
     assert!(entries.flatten().all(|(_, verdict)| *verdict == Verdict::NotComparable));
 }

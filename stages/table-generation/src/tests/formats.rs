@@ -94,7 +94,7 @@ fn csv_parses_and_keeps_every_digit() {
     assert_eq!(rows[0][column("psnr")].parse::<f64>().expect("a number"), 1.0 / 3.0);
     assert_eq!(&rows[0][column("ms_ssim")], "");
     assert_eq!(&rows[0][column("model_key")], "0123456789ab");
-    assert_eq!((&rows[8][column("scene")], &rows[8][column("failure")]), ("lego, \"test\"", "no data"));
+    assert_eq!((&rows[8][column("scene")], &rows[8][column("outcome")]), ("lego, \"test\"", "no data"));
 }
 
 #[test]
