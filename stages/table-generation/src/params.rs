@@ -46,7 +46,7 @@ impl Default for TableGenerationParams {
             baseline: "static3dgs".into(),
             hard_cases: false,
             shown_views: 2,
-            image_width: 200, // a render and its error fit side by side on a phone; about 10 kB per pair
+            image_width: 400, // wider than a phone, large on a desktop; about 30 kB per pair
         }
     }
 }

@@ -47,6 +47,8 @@ pub(crate) struct Comparison {
     pub row: String,
     /// PSNR of the render in dB.
     pub psnr: f64,
+    /// Whether the run is degenerate.
+    pub is_degenerate: bool,
     /// The render.
     pub render: Picture,
     /// The error in colours of [`ERROR_SCALE`].
@@ -149,6 +151,7 @@ fn sheet(
         comparisons.push(Comparison {
             row: run.row.clone(),
             psnr,
+            is_degenerate: run.degenerate.is_some(),
             render: Picture::new(&small(render, width))?,
             error,
         });

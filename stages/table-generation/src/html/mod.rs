@@ -10,6 +10,9 @@ use crate::svg::{Panel, SAMPLE};
 /// Style sheet for light and dark mode, narrow and wide screens, and print.
 const STYLE: &str = include_str!("style.css");
 
+/// Number of characters from which a cell holds a sentence rather than a value.
+const LONG_TEXT: usize = 40;
+
 /// The document as a self-contained HTML page.
 pub(crate) fn html(document: &Document) -> String {
     let page = html! {
@@ -45,7 +48,7 @@ fn section(part: &Section) -> Markup {
                     Block::Paragraph(paragraph) => p { (paragraph) },
                     Block::Table(content) => (table(content)),
                     Block::Figure(content) => (figure(content)),
-                    Block::Pictures(sheets) => (pictures::sheets(sheets)),
+                    Block::Pictures(sheets) => (pictures::sheets(sheets, part.id)),
                 }
             }
         }
@@ -55,8 +58,9 @@ fn section(part: &Section) -> Markup {
 fn table(table: &Table) -> Markup {
     html! {
         @let noted = table.lines_below().next().is_some();
+        @let labels = table.flat_header();
         div class=(if noted { "wide noted" } else { "wide" }) tabindex="0" role="region" aria-label=(table.caption) {
-            table {
+            table class=[is_wordy(table).then_some("wordy")] {
                 caption { span { (table.caption) } }
                 thead {
                     @if !table.groups.is_empty() {
@@ -68,15 +72,21 @@ fn table(table: &Table) -> Markup {
                         }
                     }
                 }
-                tbody { @for cells in &table.rows { (row(cells, table)) } }
+                tbody { @for cells in &table.rows { (row(cells, table, &labels)) } }
             }
         }
         @for line in table.lines_below() { p class="note" { (line) } }
     }
 }
 
-/// A row that its first cell names, or a heading over the rows below.
-fn row(cells: &[Text], table: &Table) -> Markup {
+/// Whether the table has so much text that a narrow screen shows each row as a block of labelled lines. Other tables
+/// scroll.
+fn is_wordy(table: &Table) -> bool {
+    table.n_text > 2 || table.rows.iter().flatten().any(|cell| cell.text.chars().count() > LONG_TEXT)
+}
+
+/// A row that its first cell names, or a heading over the rows below. `labels` are the headings of its cells.
+fn row(cells: &[Text], table: &Table, labels: &[String]) -> Markup {
     html! {
         tr {
             @match cells {
@@ -86,7 +96,7 @@ fn row(cells: &[Text], table: &Table) -> Markup {
                 [first, others @ ..] => {
                     th scope="row" id=[&first.id] { (cell(first)) }
                     @for (at, other) in others.iter().enumerate() {
-                        td id=[&other.id] class=[class(other, at + 1 < table.n_text)] { (cell(other)) }
+                        td id=[&other.id] class=[class(other, at + 1 < table.n_text)] data-label=[labels.get(at + 1)] { (cell(other)) }
                     }
                 },
                 [] => {},

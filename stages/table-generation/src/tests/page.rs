@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use super::content::document;
 use super::formats::awkward;
 use super::*;
+use crate::document::Block;
 use crate::html;
 
 fn page(report: &Report) -> String {
@@ -18,7 +19,7 @@ fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
 }
 
 /// Dead links, external resources, scripts and repeated ids of a page.
-fn problems(page: &str) -> Vec<String> {
+pub(super) fn problems(page: &str) -> Vec<String> {
     let ids: BTreeSet<&str> = attributes(page, "id").into_iter().collect();
     let dead = attributes(page, "href").into_iter().filter(|to| {
         let place = to.strip_prefix('#');
@@ -43,6 +44,29 @@ fn the_page_is_self_contained_and_links_resolve() {
     let page = page(&awkward());
     assert_eq!(problems(&page), Vec::<String>::new());
     assert!(attributes(&page, "href").iter().filter(|to| to.starts_with("#run-")).count() > 40, "numbers have links");
+}
+
+#[test]
+fn results_come_before_verdicts_and_equal_reasons_share_a_row() {
+    let small = two_by_two().into_iter().map(|run| Run { protocol: Some(protocol(200)), ..run });
+    let document = document(&report(small.collect()));
+    let ids: Vec<&str> = document.sections.iter().map(|section| section.id).collect();
+    assert_eq!(ids[..3], ["summary", "results", "published"]);
+    let Some(Block::Table(verdicts)) = document.sections[2].blocks.first() else { panic!("no table of verdicts") };
+    let reasons: Vec<&str> = verdicts.rows.iter().map(|row| row[3].text.as_str()).collect();
+    let distinct: BTreeSet<&str> = reasons.iter().copied().collect();
+    assert_eq!(distinct.len(), reasons.len(), "{reasons:?}");
+    let n_sources: usize = report(two_by_two()).groups[0].claims.iter().map(|table| table.columns.len()).sum();
+    assert!(reasons.len() < n_sources, "{} rows for {n_sources} sources", reasons.len());
+}
+
+#[test]
+fn wordy_tables_label_their_cells_for_narrow_screens() {
+    let page = page(&awkward());
+    let failed = page.split("Failed runs</span>").nth(1).expect("the table");
+    assert_eq!(attributes(failed.split("</table>").next().expect("its text"), "data-label")[..2], ["job", "message"]);
+    let before = page.split("Failed runs</span>").next().expect("the text before");
+    assert!(before.rfind("class=\"wordy\"") > before.rfind("</table>"), "the table of failures is not wordy");
 }
 
 #[test]
@@ -109,7 +133,7 @@ fn elements_are_closed_and_text_is_escaped() {
 #[test]
 fn tables_have_captions_and_heading_scopes() {
     let page = page(&awkward());
-    assert_eq!(page.matches("<table>").count(), page.matches("<caption>").count());
+    assert_eq!(page.matches("<table").count(), page.matches("<caption>").count());
     let headings = page.matches("<th ").count();
     let body = page.split("</style>").nth(1).expect("a body");
     assert_eq!(headings, body.matches(" scope=\"").count(), "a heading without a scope");

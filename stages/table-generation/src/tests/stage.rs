@@ -4,7 +4,7 @@ use std::path::Path;
 
 use engine::{Artifact, Coordinates, Failure, InputRecord, JobContext, Stage};
 use glam::DVec3;
-use metric_evaluation::evaluate_folders;
+use metric_evaluation::{Degenerate, evaluate_folders};
 use rendering::{RenderedView, Renders};
 use scene::capture::{CaptureInfo, CaptureWriter, Frame};
 use scene::{Camera, Intrinsics, Split, TimeMap};
@@ -29,8 +29,13 @@ fn record(node: &str, method: &str, artifact: Result<&Path, Failure>, measuremen
     }
 }
 
-/// Writes a model, its renders and their metrics.
+/// Writes a model, its renders and their metrics, all for ground truth of one colour.
 fn write_artifacts(root: &Path) {
+    write_artifacts_for(root, &image::RgbImage::from_pixel(8, 8, image::Rgb([90; 3])));
+}
+
+/// Writes a model, its renders, which have one colour, and their metrics.
+fn write_artifacts_for(root: &Path, true_image: &image::RgbImage) {
     let [model, renders, metrics] = ["model", "renders", "metrics"].map(|name| root.join(name));
     [&model, &renders.join("images"), &metrics]
         .into_iter()
@@ -76,7 +81,7 @@ fn write_artifacts(root: &Path) {
     rendered.save(&renders).expect("written");
     let truth = root.join("truth");
     std::fs::create_dir(&truth).expect("folder");
-    image(&truth.join("test_0.png"), 90);
+    true_image.save(truth.join("test_0.png")).expect("image written");
     let mut judged = evaluate_folders(&renders.join("images"), &truth).expect("judged");
     (judged.method, judged.protocol) = ("static3dgs".into(), protocol(8));
     judged.write(&metrics).expect("written");
@@ -170,6 +175,36 @@ fn artifacts_and_failures_become_a_report() {
     let page = std::fs::read_to_string(root.path().join("output/index.html")).expect("read");
     assert_eq!(page.matches("src=\"data:image/jpeg;base64,").count(), 3, "ground truth, render and error map");
     assert!(page.contains("static3dgs: error map of trex, view test_0"), "{page}");
+    assert_eq!(super::page::problems(&page), Vec::<String>::new());
+    let zooms = [r##"<figure id="view-0-0"><a class="pair" href="#view-0-0">"##, r##"href="#view-0-1">next"##];
+    zooms.iter().for_each(|link| assert!(page.contains(link), "{link} is missing"));
+}
+
+#[test]
+fn renders_of_one_colour_are_degenerate() {
+    let root = tempfile::tempdir().expect("folder");
+    write_artifacts_for(
+        root.path(),
+        &image::RgbImage::from_fn(8, 8, |x, y| image::Rgb([30 * x as u8, 0, 9 * y as u8])),
+    );
+    let mut context = JobContext::detached(root.path()).expect("context");
+    for (port, node) in [("model", "train"), ("renders", "render"), ("metrics", "metrics")] {
+        let measured =
+            if port == "model" { json!({ "notices": ["density control was stopped"] }) } else { Value::Null };
+        context.inputs.insert(port.into(), vec![record(node, "static3dgs", Ok(&root.path().join(port)), measured)]);
+    }
+    context.inputs.insert("capture".into(), Vec::new());
+    let folder = TableGeneration::run(&context, &TableGenerationParams::default()).expect("a report");
+    let [run] = folder.report.runs.as_slice() else { panic!("one run") };
+    let degenerate = run.degenerate.as_ref().expect("degenerate");
+    assert_eq!((degenerate.kind, run.outcome()), (Degenerate::NoVariance, "degenerate"));
+    assert!(degenerate.message.starts_with("every render has a single colour: "), "{degenerate:?}");
+    let [notice, few, short] = degenerate.advice.as_slice() else { panic!("three causes: {degenerate:?}") };
+    assert_eq!(notice, "density control was stopped");
+    assert!(few.starts_with("7 Gaussians are left") && short.starts_with("a schedule of 25 %"), "{degenerate:?}");
+    let above = run.figures[&Column::AboveConstant].value().expect("a value");
+    let constant = run.figures[&Column::PsnrConstant].value().expect("a value");
+    assert!((run.figures[&Column::PSNR].value().expect("a value") - above - constant).abs() <= 1e-9);
 }
 
 #[test]
