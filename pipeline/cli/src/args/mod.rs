@@ -30,7 +30,8 @@ pub(crate) struct Cli {
 const EXIT_CODES: &str = "\
 Exit codes: 0 success, 2 usage, 3 invalid recipe or other input, 4 nothing selected or nothing ran, 5 --frozen and a job \
 would have to run, 10 some jobs failed, 11 a table or check differs, 12 damaged store, 13 machine failure, \
-14 some results are degenerate (no better than a constant image), 75 checkpointed, 130/143 interrupted, 141 standard output was closed.";
+14 some results are degenerate (no better than a constant image), 75 checkpointed, 130/143 interrupted, \
+141 standard output was closed.";
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
