@@ -74,7 +74,7 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
     ("feature-import", &["Features"]),
     ("momentum-sampling", &["Particles"]),
     ("training", &["Model", "ModelHeader", "LargestGradient", "Player", "compute_on", "model_work", "to_bytes"]),
-    ("rendering", &["Renders", "RenderedView", "SPLIT", "SemanticMaps", "SurfaceMaps"]),
+    ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),
     ("metric-evaluation", &["Metrics", "Metric", "Score", "Trivial", "MeanImage", "Degenerate"]),
 ];
 

@@ -1,7 +1,8 @@
 //! Keys of static facts: properties of an artifact that are known before it is computed. Producers and consumers share
 //! these keys.
 //!
-//! A missing fact is unknown. [`TIMES`] and the facts below [`WIDTH`] are counts; the others are booleans.
+//! A missing fact is unknown. [`TIMES`] and the facts from [`WIDTH`] to [`TEST_VIEWS`] are counts, [`SPLIT`] is a name, and
+//! the others are booleans.
 
 /// Number of distinct times among the training views.
 pub const TIMES: &str = "times";
@@ -33,3 +34,5 @@ pub const TRAIN_VIEWS: &str = "train views";
 pub const VAL_VIEWS: &str = "val views";
 /// Number of test views.
 pub const TEST_VIEWS: &str = "test views";
+/// The split whose views are rendered.
+pub const SPLIT: &str = "split";

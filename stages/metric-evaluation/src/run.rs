@@ -8,8 +8,8 @@ use captures::{CaptureArtifact, pixels_per_view, view_count};
 use engine::{
     Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resources, Source, Stage, Work,
 };
-use rendering::{Renders, SPLIT};
-use scene::Split;
+use rendering::Renders;
+use scene::{Split, facts};
 use serde::Deserialize as _;
 
 use crate::artifact::{ImageMetrics, METRIC_VERSION, Metrics};
@@ -59,7 +59,7 @@ impl Stage for MetricEvaluation {
 
     /// Pixels that are compared.
     fn work(params: &Self::Params, context: &PlanContext<'_>) -> Option<Work> {
-        let (capture, split) = (context.facts("capture")?, context.facts("renders")?.value(SPLIT)?);
+        let (capture, split) = (context.facts("capture")?, context.facts("renders")?.value(facts::SPLIT)?);
         let split = Split::deserialize(split).ok()?;
         let networks = if params.lpips_weights.as_os_str().is_empty() { "" } else { "with LPIPS" };
         Work::of(networks, view_count(capture, split)? * pixels_per_view(capture)?)

@@ -15,4 +15,4 @@ mod tests;
 
 pub use artifact::{RenderedView, Renders, SemanticMaps, SurfaceMaps};
 pub use params::{Maps, RenderingParams};
-pub use run::{Rendering, SPLIT};
+pub use run::Rendering;

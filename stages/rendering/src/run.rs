@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use captures::CaptureArtifact;
 use engine::{Facts, Failure, FailureKind, JobContext, PlanContext, Port, Resources, Stage, Work};
-use scene::{Capture, View, image_file};
+use scene::{Capture, View, facts, image_file};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Device;
 use training::{Model, Player, compute_on, model_work};
@@ -15,9 +15,6 @@ use crate::params::{Maps, RenderingParams};
 use crate::quantize::to_image;
 use crate::semantics::semantics;
 use crate::surfaces::surfaces;
-
-/// Name of the fact that holds the split whose views are rendered.
-pub const SPLIT: &str = "split";
 
 /// The stage that renders views from a model and measures frame rates.
 pub struct Rendering;
@@ -36,7 +33,7 @@ impl Stage for Rendering {
 
     fn facts(params: &RenderingParams, _context: &PlanContext<'_>) -> Facts {
         let split = serde_json::to_value(params.split).expect("a name is JSON");
-        Facts::default().with(SPLIT, split)
+        Facts::default().with(facts::SPLIT, split)
     }
 
     fn work(params: &RenderingParams, context: &PlanContext<'_>) -> Option<Work> {
