@@ -1,8 +1,8 @@
 //! The scheduler: runs a plan's jobs as child processes, several at a time, and keeps going when one fails.
 //!
-//! One thread owns the state. Each running job has a thread that waits for the child and sends messages. A node is
-//! dispatched when all its producers are finished. Its action key is known then, so unchanged inputs cut the rerun off,
-//! even if the producers ran again.
+//! One thread owns the state. Each running job has a thread that waits for the child and sends messages. A node (a planned
+//! job) is dispatched when all its producers are finished. Its action key, the hash of its code, parameters and input
+//! contents, is known then. If the store has a result for that key, the job does not run, even if its producers ran again.
 
 mod inputs;
 mod launch;
@@ -27,10 +27,11 @@ pub use summary::RunSummary;
 
 use launch::Running;
 
-/// The time between two checks of clocks and stop requests while jobs run.
+/// The longest time between two checks of clocks and stop requests while jobs run.
 const TICK: Duration = Duration::from_millis(50);
 
-/// The options of a run. None of them can change a result.
+/// The options of a run. None of them is part of an action key, except through the digests of the sources below
+/// `data_root`.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
     /// The folder that sources are relative to.
@@ -65,7 +66,8 @@ pub struct RunOptions {
 
 /// Runs the targets of `plan` and their producers. `watcher` receives every event.
 ///
-/// Failed jobs are part of the summary. An error means that the store or the machine failed the scheduler itself.
+/// Failed jobs are part of the summary. An error means that the scheduler could not continue because of
+/// the store or the machine.
 pub fn run(
     plan: &Plan,
     store: &Store,
@@ -129,9 +131,10 @@ struct Scheduler<'a> {
     unfinished_producers: Vec<usize>,
     /// Nodes whose producers are all finished and that are not dispatched yet.
     ready: BTreeSet<usize>,
-    /// The order of each node: jobs that complete one cell of the tables come together.
+    /// The order of each node: the jobs of one table cell (capture, training, renders, metrics) are adjacent.
     ranks: Vec<usize>,
-    /// Rank → node that has to run. Jobs are launched strictly in this order, so none starves.
+    /// Rank → node that has to run. The lowest queued rank launches next; if it does not fit, later ones wait, so that
+    /// narrower jobs of later rank never overtake it.
     queue: BTreeMap<usize, (usize, Box<KeyComponents>)>,
     running: BTreeMap<usize, Running>,
     /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
@@ -339,7 +342,7 @@ impl<'a> Scheduler<'a> {
         self.events.emit(&Event::Heartbeat { counts, running: running.collect() });
     }
 
-    /// Counts the nodes that were never dispatched, and summarizes the run.
+    /// Counts the nodes without an outcome (never dispatched or never launched), and summarizes the run.
     fn finish(mut self, wall_secs: f64) -> RunSummary {
         for &index in &self.selected {
             if self.outcomes[index].is_none() {
@@ -369,7 +372,7 @@ impl<'a> Scheduler<'a> {
     }
 }
 
-/// The outcome in a word; `done` is the word for a node with an artifact.
+/// The kind of outcome; `done` distinguishes executed from cached nodes.
 fn summarize(outcome: &NodeOutcome, done: Outcome) -> Outcome {
     match outcome {
         NodeOutcome::Done(_) => done,

@@ -1,8 +1,10 @@
 //! Which splats each tile of the image blends, front to back.
 //!
-//! Splats are ordered by depth (rounded to f32), equal depths by index. A tile holds a splat iff the ellipse σ ≤ cutoff meets
-//! the rectangle spanned by the tile's pixel centres: the test is exact up to rounding, where it errs towards
-//! inclusion. After one pass over the ellipses everything is integer, so that counts and lists agree.
+//! Splats are ordered by depth (rounded to f32), equal depths by index. A splat's alpha at a
+//! pixel is opacity·e^(−σ), with σ half the squared Mahalanobis distance from its mean; `cutoff` = ln(255·opacity). A tile
+//! holds a splat iff the ellipse σ ≤ cutoff meets the rectangle spanned by the tile's pixel centres: the test is exact up to
+//! rounding, where it errs towards inclusion. After one pass over the ellipses, all passes use only integer spans of tiles,
+//! so that counts and lists agree.
 
 mod ellipse;
 mod gpu;
@@ -23,7 +25,7 @@ pub use gpu::GpuLists;
 /// Tiles are squares of this many pixels: a row is one vector of 16 lanes.
 pub(crate) const TILE: usize = 16;
 
-/// Intersections per render above which it is refused: 10 GiB of gradient rows on the CPU, far below overflow of u32.
+/// Intersections per render above which it is refused: at least 9 GiB of gradient rows in f32, far below overflow of u32.
 pub(crate) const MAX_INTERSECTIONS: u64 = 1 << 28;
 
 /// Splats per parallel chunk: tens of microseconds.
@@ -76,11 +78,11 @@ pub struct TileLists {
     pub order: Vec<u32>,
     /// `[N]`: the rank of a splat, `TileLists::NO_RANK` if it has none.
     pub rank_of_splat: Vec<u32>,
-    /// `[entries]`.
+    /// `[entries]`: the rank of each entry.
     pub ranks: Vec<u32>,
     /// [tiles + 1]: where the entries of a tile begin.
     pub tile_starts: Vec<usize>,
-    /// `hits`: the entry of each hit.
+    /// `[hits]`: the entry of each hit.
     pub entry_of_hit: Vec<u32>,
     /// [ranks + 1]: where the hits of a rank begin.
     pub hit_starts: Vec<usize>,
@@ -114,7 +116,7 @@ pub enum Lists {
 }
 
 impl Lists {
-    /// The lists in the host's memory. Panics if a GPU made them: its kernels use them there.
+    /// The lists in the host's memory. Panics if a GPU made them: such lists are never copied implicitly.
     pub fn on_host(&self) -> &TileLists {
         match self {
             Self::Host(lists) => lists,
@@ -189,7 +191,7 @@ pub fn bin<T: Real>(
 /// Computes no values: an operation so that its time is listed among the others.
 struct Binning {
     grid: Grid,
-    /// The capacity of buffers on a GPU, in intersections; `None`: their number is read back first.
+    /// The capacity of buffers on a GPU, in intersections; `None`: the host reads the count back, then allocates.
     capacity: Option<usize>,
     result: Arc<OnceLock<Result<Arc<Lists>, TooManyIntersections>>>,
 }
@@ -229,7 +231,7 @@ impl<T: Real> Op<T> for Binning {
 impl<T: Real> GpuOp<T> for Binning {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
         let [means2d, conics, depths, cutoffs] = exactly(inputs);
-        // If there are too many, the CPU counts them for the message.
+        // `None`: this operation runs on the CPU, which reports the exact count.
         let lists = gpu::tile_lists(gpu, [means2d, conics, depths, cutoffs], self.grid, self.capacity)?;
         self.publish(Ok(Lists::Gpu(Box::new(lists))));
         Some(Vec::new())

@@ -1,4 +1,5 @@
-//! Joins the inputs of a job to runs: one per scene, method and seed, with all measurements.
+//! Joins the inputs of a job to runs: one per finest combination of axis values (scene, method, seed and
+//! any other axis), with all measurements.
 
 mod anytime;
 mod costs;
@@ -54,7 +55,7 @@ impl Artifact for ModelSummary {
     }
 }
 
-/// The inputs of a job, opened and checked; failed producers are outcomes.
+/// The inputs of a job, opened and checked; an input whose producer failed keeps the failure.
 pub(crate) struct Inputs {
     models: Vec<Input<ModelSummary>>,
     renders: Vec<Input<Renders>>,

@@ -1,8 +1,9 @@
 //! Speculative steps: a GPU runs up to [`MAX_PENDING`] steps before the host checks any of them.
 //!
 //! The trainer takes a snapshot before the first speculative step. No value of a pending step is read back until
-//! [`MAX_PENDING`] steps are pending or until the host needs exact values: for a hook that reads rows, a point of the
-//! curve, a checkpoint or the end of a phase. If a value is then not finite, or a render overflowed its intersection
+//! [`MAX_PENDING`] steps are pending or until the host needs exact values: for a step hook
+//! that reads values per Gaussian (density control, pruning), a point of the quality curve, a checkpoint or the end of a
+//! phase. If a value is then not finite, or a render overflowed its intersection
 //! buffer, the trainer rolls back to the snapshot and replays the steps in checked mode. An error is therefore reported
 //! at the step that causes it, and an overflow never changes a result.
 
@@ -49,7 +50,7 @@ struct Snapshot {
 pub(super) struct PendingStep {
     /// Name and weight of every loss.
     losses: Vec<(&'static str, f64)>,
-    /// Name and total amount of work that the GPU counts.
+    /// Name and total of each item of work that may be skipped (e.g. rows); the GPU counts how many are processed.
     counts: Vec<(&'static str, usize)>,
     /// Names of the updated tensors.
     gradients: Vec<String>,
@@ -101,8 +102,8 @@ impl Trainer<'_> {
         });
     }
 
-    /// Adds a pending step, and drains where its hooks or the number of pending steps require it. Returns whether the
-    /// hooks of the step still have to run: a rollback has replayed them.
+    /// Adds a pending step, and drains where its hooks or the number of pending steps require it. Returns false if it
+    /// rolled back, because the replay already ran the hooks of the step.
     pub(super) fn add_pending(&mut self, step: PendingStep) -> anyhow::Result<bool> {
         let speculation = self.speculation.as_mut().expect("a speculative step starts with a snapshot");
         speculation.pending.push(step);

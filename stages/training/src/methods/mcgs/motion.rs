@@ -1,4 +1,5 @@
-//! Node motion from a direct branch, the Markov chain and their mixture, and its application to the Gaussians.
+//! Node motion from a direct branch (a coordinate MLP of position and time), the Markov chain and their mixture, and its
+//! application to the Gaussians. Equations are those of the MCGS paper.
 
 use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
@@ -41,7 +42,7 @@ impl Nodes {
         Self { settings: settings.clone(), network, chain: Chain::new(&settings.chain, attends) }
     }
 
-    /// Adds both branches for a scene with these points.
+    /// Adds the tensors of both branches; the points give the bounding box of the network.
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
         self.network.insert(state, points, random);
         self.chain.insert(state, random);
@@ -57,8 +58,8 @@ impl Nodes {
 
     /// Both branches at times that follow each other by one frame interval.
     ///
-    /// The chain reads previous states of the direct branch, so that any time can be predicted on its own. No gradient
-    /// flows into those states. Times before the start are clamped to the start.
+    /// The history that the chain reads comes from the direct branch, not from earlier predictions of the chain, so that
+    /// any time can be predicted on its own. No gradient flows into the history. Times before 0 repeat time 0.
     pub(crate) fn predict<T: Real>(
         &self,
         tape: &mut Tape<T>,
@@ -93,7 +94,8 @@ impl Nodes {
         NodeMotion { translations, rotations: quaternion::normalize(tape, raw) }
     }
 
-    /// (1 − λ)·direct + λ·chained; rotations are interpolated spherically (equations 10 and 11).
+    /// (1 − λ)·direct + λ·chained, with one λ for translations and one for rotations, both set by the ramp; rotations are
+    /// interpolated spherically (equations 10 and 11).
     pub(crate) fn mix<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, predictions: &Predictions) -> NodeMotion {
         let Predictions { direct, chained } = predictions;
         let shares = tape.value(model.get(SHARES)).as_slice().to_vec();
@@ -116,7 +118,7 @@ impl Nodes {
         (0..times).map(part).collect()
     }
 
-    /// Moves the Gaussians with their nodes: x + Σ wₖ·Δμₖ and Δq⊗q, where Δq is the blend of the nodes' rotations.
+    /// Moves the Gaussians that the static mask lets move with their nodes: x + Σ wₖ·Δμₖ and Δq⊗q, where Δq is the blend of the nodes' rotations.
     pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,
