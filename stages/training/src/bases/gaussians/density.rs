@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::Deserialize as _;
 
-use super::initial::INITIAL_OPACITY;
+use super::initial::{INITIAL_OPACITY, logit};
 use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 use crate::bases::collapse::CollapseGuard;
 use crate::method::{AfterStep, ScreenStats, StepHook};
@@ -290,11 +290,6 @@ impl StepHook for AdaptiveDensity {
         self.guard = CollapseGuard::deserialize(&saved["guard"]).context(context)?;
         Ok(())
     }
-}
-
-/// The logit ln(p / (1 − p)).
-pub(crate) fn logit(share: f64) -> f64 {
-    (share / (1.0 - share)).ln()
 }
 
 /// The largest standard deviation of each Gaussian.

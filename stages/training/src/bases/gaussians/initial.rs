@@ -7,7 +7,6 @@ use scene::cloud::PointCloud;
 use scene::gaussians::SH_C0;
 use shaders::tape::{Real, Tensor};
 
-use super::density::logit;
 use super::{GAUSSIANS, LONE_SCALE};
 use crate::data::SceneFacts;
 use crate::model::ModelState;
@@ -81,4 +80,9 @@ pub(crate) fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Re
         (squared / (found.len() - 1) as f64).max(MIN_SQUARED_DISTANCE).sqrt()
     };
     Ok(positions.par_iter().map(scale).collect())
+}
+
+/// The logit ln(p / (1 − p)).
+pub(crate) fn logit(share: f64) -> f64 {
+    (share / (1.0 - share)).ln()
 }

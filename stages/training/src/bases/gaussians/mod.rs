@@ -16,9 +16,9 @@ mod statistics;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use density::{AdaptiveDensity, logit};
+pub(crate) use density::AdaptiveDensity;
 pub(crate) use harmonics::{active_harmonics, leading_harmonics};
-pub(crate) use initial::{insert_gaussians, insert_initial, nearest_scales};
+pub(crate) use initial::{insert_gaussians, insert_initial, logit, nearest_scales};
 pub(crate) use statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 
 use principal_axes::principal_axes;
