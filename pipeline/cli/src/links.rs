@@ -34,8 +34,10 @@ fn is_worse(session: &Session, records: &[ActionRecord], (recipe, node): (&str, 
     let linked = linked.as_deref().and_then(|view| view.file_name()?.to_str());
     // Several jobs may have made the same bytes.
     let of = |content: &str| {
-        let made = records.iter().filter(|record| record.content.to_string() == content);
-        made.filter(|record| (&*record.provenance.recipe, &*record.provenance.node) == (recipe, node)).last()
+        records.iter().rfind(|record| {
+            let made_by = (&*record.provenance.recipe, &*record.provenance.node);
+            record.content.to_string() == content && made_by == (recipe, node)
+        })
     };
     match (linked.and_then(of), of(&content.to_string())) {
         (Some(old), Some(new)) => has_more(&old.components, &new.components),
