@@ -38,8 +38,7 @@ impl DepthFile {
         let values = formats::read(&self.path, Content::Depth).map_err(blame)?;
         let (values, _) = fit_to_view(values, &lens.intrinsics, &self.path).map_err(blame)?;
         let (width, height) = size;
-        let camera = scene::Camera { intrinsics: *target, camera_from_world: scene::RigidTransform::IDENTITY };
-        let scaled = camera.resized(width, height).intrinsics;
+        let scaled = target.resized(width, height);
         let mut depth_view = Vec::with_capacity(width as usize * height as usize);
         for row in 0..height {
             for column in 0..width {

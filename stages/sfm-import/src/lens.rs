@@ -35,17 +35,7 @@ impl Lens {
 
     /// The lens for the same images at another size; each axis is scaled by itself.
     pub(crate) fn resized(&self, width: u32, height: u32) -> Self {
-        let k = self.intrinsics;
-        let (x, y) = (f64::from(width) / f64::from(k.width), f64::from(height) / f64::from(k.height));
-        let intrinsics = Intrinsics {
-            width,
-            height,
-            focal_x: k.focal_x * x,
-            focal_y: k.focal_y * y,
-            center_x: k.center_x * x,
-            center_y: k.center_y * y,
-        };
-        Self { intrinsics, ..*self }
+        Self { intrinsics: self.intrinsics.resized(width, height), ..*self }
     }
 
     /// Projects a point of the plane z = 1 to a pixel position.

@@ -80,17 +80,7 @@ impl Camera {
 
     /// A camera with this pose and field of view, and an image of `width` × `height` pixels.
     pub fn resized(&self, width: u32, height: u32) -> Self {
-        let old = self.intrinsics;
-        let (sx, sy) = (f64::from(width) / f64::from(old.width), f64::from(height) / f64::from(old.height));
-        let intrinsics = Intrinsics {
-            width,
-            height,
-            focal_x: old.focal_x * sx,
-            focal_y: old.focal_y * sy,
-            center_x: old.center_x * sx,
-            center_y: old.center_y * sy,
-        };
-        Self { intrinsics, ..*self }
+        Self { intrinsics: self.intrinsics.resized(width, height), ..*self }
     }
 
     /// Checks for a non-empty image, positive focal lengths, finite values and an orthonormal right-handed rotation.
@@ -106,6 +96,21 @@ impl Camera {
             return Err(Error::new(format!("the principal point is not finite ({center_x}, {center_y})")));
         }
         self.camera_from_world.check()
+    }
+}
+
+impl Intrinsics {
+    /// The intrinsics of the same view in an image of `width` × `height` pixels; each axis is scaled by itself.
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let (sx, sy) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        Self {
+            width,
+            height,
+            focal_x: self.focal_x * sx,
+            focal_y: self.focal_y * sy,
+            center_x: self.center_x * sx,
+            center_y: self.center_y * sy,
+        }
     }
 }
 
