@@ -33,8 +33,8 @@ impl CollapseGuard {
     pub(crate) fn notice(&self, population: &str, iteration: u64, keep: &[bool]) -> String {
         let left = keep.iter().filter(|&&keep| keep).count();
         format!(
-            "pruning stopped at iteration {iteration}: it would have left {left} of {} {population} (at most {} before); \
-             faint ones were made visible again. Most pixels may equal the background, or the initial points may lie \
+            "pruning stopped at iteration {iteration}: it would have left {left} of {} {population} (at most {} before). \
+             Most pixels may equal the background, or the initial points may lie \
              outside of the scene",
             keep.len(),
             self.most

@@ -230,7 +230,8 @@ impl AdaptiveDensity {
         let initial = logit(INITIAL_OPACITY) as f32;
         optimizer.edit(&name, |logits| logits.iter_mut().for_each(|value| *value = value.max(initial)))?;
         optimizer.reset_moments(&name)?;
-        Ok(Some(self.guard.notice(&self.population, iteration, keep)))
+        let notice = self.guard.notice(&self.population, iteration, keep);
+        Ok(Some(notice + ". Fainter ones got their initial opacity back"))
     }
 
     /// Clamps every opacity to the reset value and resets its moments.
