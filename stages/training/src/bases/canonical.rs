@@ -4,14 +4,13 @@
 //! There are two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: learning rates and density
 //! control continue from the warm-up; only the optimizer's moments restart.
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::pointwise;
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::method::{Base, Moment, Start, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, stretch};
@@ -80,7 +79,7 @@ impl<T: Real> Base<T> for CanonicalGaussians {
     }
 
     /// Gaussians on the points.
-    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: &mut ChaCha8Rng) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
         Ok(state)

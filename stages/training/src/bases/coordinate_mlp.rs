@@ -5,7 +5,6 @@
 //! are in units of the box. The published code reads world coordinates, which its scenes keep near [−1, 1]; at
 //! coordinates of 10⁴ the highest frequencies in f32 would be noise.
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::{RowIndex, concat_columns, gather};
@@ -16,6 +15,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::bounds::{self, Bounds};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
+use crate::data::Streams;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
@@ -123,7 +123,7 @@ impl CoordinateMlp {
     }
 
     /// Adds the box of the points and all layers.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: Streams) {
         Bounds::typical_cube(&points.positions).insert(state, self.name);
         let CoordinateMlpSettings { depth, width, time_features, .. } = self.settings;
         if time_features > 0 {
@@ -233,14 +233,14 @@ mod tests {
     use shaders::tape::Device;
 
     use super::*;
-    use crate::data::{Stream, generator};
+    use crate::data::Streams;
 
     fn network(settings: &CoordinateMlpSettings) -> (CoordinateMlp, ModelState<f64>) {
         let heads = [Head { name: "position", outputs: 3, first: FirstWeights::FanIn }];
         let network = CoordinateMlp::new("network", settings, FirstWeights::FanIn, &heads);
         let mut state = ModelState::new();
         let points = PointCloud { positions: vec![[-1.0; 3], [0.0; 3], [1.0; 3]], colors: vec![[0; 3]; 3] };
-        network.insert(&mut state, &points, &mut generator(1, Stream::Initial));
+        network.insert(&mut state, &points, Streams::new(1));
         (network, state)
     }
 
@@ -280,7 +280,7 @@ mod tests {
             let heads = [Head { name: "position", outputs: 3, first: FirstWeights::FanIn }];
             let network = CoordinateMlp::new("network", &settings, FirstWeights::FanIn, &heads);
             let mut state = ModelState::<f64>::new();
-            network.insert(&mut state, points, &mut generator(1, Stream::Initial));
+            network.insert(&mut state, points, Streams::new(1));
             let mut tape = Tape::new(Device::Cpu);
             let model = state.bind(&mut tape, |_| false);
             let positions = points.positions.iter().flatten().map(|&value| f64::from(value)).collect();

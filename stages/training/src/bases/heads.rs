@@ -1,11 +1,11 @@
 //! The network shape of hexplane methods: one trunk layer and a small head per attribute, each ReLU, Linear, ReLU,
 //! Linear (Wu et al. 2024, section 4.3).
 
-use rand_chacha::ChaCha8Rng;
 use shaders::networks::linear::Activation;
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::layers::{FirstWeights, apply_layer, apply_layers, insert_layer};
+use crate::data::Streams;
 use crate::model::{ModelState, Variables};
 
 /// Sizes of a network with the tensors `{name}.trunk`, `{name}.{head}.0` and `{name}.{head}.1`.
@@ -24,14 +24,13 @@ impl HeadedNetwork {
         Self { name, features, width, heads, silent_heads: Vec::new() }
     }
 
-    /// Adds heads that always start at 0. They are drawn last, so all other tensors equal those of the network without
-    /// them.
+    /// Adds heads that always start at 0.
     pub(crate) fn with_silent_heads(self, silent_heads: Vec<(&'static str, usize)>) -> Self {
         Self { silent_heads, ..self }
     }
 
     /// Adds trunk and heads; with `zero_heads` every head starts at 0.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: Streams) {
         let last = if zero_heads { FirstWeights::Zero } else { FirstWeights::Xavier };
         insert_layer(state, &format!("{}.trunk", self.name), self.features, self.width, FirstWeights::Xavier, random);
         let heads = self.heads.iter().map(|head| (head, last));

@@ -6,6 +6,7 @@ use rand_distr::{Distribution as _, StandardNormal};
 use shaders::networks::linear::{Activation, Layer, linear, linears};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
+use crate::data::Streams;
 use crate::model::{ModelState, Variables};
 
 /// The distribution of the initial weights and biases.
@@ -30,24 +31,26 @@ pub(crate) fn insert_layer<T: Real>(
     inputs: usize,
     outputs: usize,
     first: FirstWeights,
-    random: &mut ChaCha8Rng,
+    random: Streams,
 ) {
     let fan_in = (1.0 / inputs as f64).sqrt();
-    let within = |bound: f64, shape: &[usize], random: &mut ChaCha8Rng| uniform(shape, -bound, bound, random);
-    let (weight_shape, bias_shape) = ([outputs, inputs], [outputs]);
+    let (weight_name, bias_name) = (format!("{name}.weight"), format!("{name}.bias"));
+    let mut weights = random.tensor(&weight_name);
+    let mut within = |bound: f64| uniform(&[outputs, inputs], -bound, bound, &mut weights);
     let weight = match first {
-        FirstWeights::Xavier => within((6.0 / (inputs + outputs) as f64).sqrt(), &weight_shape, random),
-        FirstWeights::FanIn => within(fan_in, &weight_shape, random),
-        FirstWeights::He => within((6.0 / inputs as f64).sqrt(), &weight_shape, random),
-        FirstWeights::Normal(deviation) => normal(&weight_shape, deviation, random),
-        FirstWeights::Zero => within(0.0, &weight_shape, random),
+        FirstWeights::Xavier => within((6.0 / (inputs + outputs) as f64).sqrt()),
+        FirstWeights::FanIn => within(fan_in),
+        FirstWeights::He => within((6.0 / inputs as f64).sqrt()),
+        FirstWeights::Normal(deviation) => normal(&[outputs, inputs], deviation, &mut weights),
+        FirstWeights::Zero => within(0.0),
     };
     let bias_bound = match first {
         FirstWeights::Xavier | FirstWeights::FanIn => fan_in,
         FirstWeights::He | FirstWeights::Normal(_) | FirstWeights::Zero => 0.0,
     };
-    state.insert(format!("{name}.weight"), weight);
-    state.insert(format!("{name}.bias"), within(bias_bound, &bias_shape, random));
+    let bias = uniform(&[outputs], -bias_bound, bias_bound, &mut random.tensor(&bias_name));
+    state.insert(weight_name, weight);
+    state.insert(bias_name, bias);
 }
 
 /// f(x·Wᵀ + b) with the tensors of [`insert_layer`].
@@ -80,10 +83,12 @@ pub(crate) fn insert_matrix<T: Real>(
     name: &str,
     inputs: usize,
     outputs: usize,
-    random: &mut ChaCha8Rng,
+    random: Streams,
 ) {
     let bound = (6.0 / (inputs + outputs) as f64).sqrt();
-    state.insert(format!("{name}.weight"), uniform(&[outputs, inputs], -bound, bound, random));
+    let name = format!("{name}.weight");
+    let weight = uniform(&[outputs, inputs], -bound, bound, &mut random.tensor(&name));
+    state.insert(name, weight);
 }
 
 /// x·Wᵀ with the tensor of [`insert_matrix`].

@@ -7,6 +7,6 @@ mod view_constants;
 
 pub use dataset::Dataset;
 pub(crate) use dataset::{LoadedView, SceneFacts, TrainingView, facts_of};
-pub(crate) use sampler::{Stream, ViewSampler, generator, phase_generator};
+pub(crate) use sampler::{StepRandom, Streams, ViewSampler};
 pub use supplements::{BackgroundView, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
 pub(crate) use view_constants::ViewConstants;

@@ -1,8 +1,11 @@
 //! The order of the training views, and the random streams of a training.
 
+use std::collections::BTreeMap;
+
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 
 /// Draws views without replacement, epoch by epoch, in an order that the seed fixes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,33 +32,63 @@ impl ViewSampler {
     }
 }
 
-/// The independent random streams of one training.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Stream {
-    /// First values of the parameters.
-    Initial = 0,
-    /// Order of the views.
-    Views = 1,
-    /// Positions of split Gaussians.
-    Density = 2,
-    /// Draws of a method within its steps.
-    Method = 3,
+/// The independent random streams of one training. Each is keyed by what it is for, never by how many numbers were
+/// drawn before or by the index of a phase: variants of a method that add a phase, a tensor or a loss change no other
+/// draw, so their results are paired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Streams {
+    seed: u64,
 }
 
-/// Streams per phase; more than there are kinds, so that adding a kind changes no other stream.
-const STREAMS_PER_PHASE: u64 = 16;
+impl Streams {
+    /// The streams of a training with this seed.
+    pub(crate) const fn new(seed: u64) -> Self {
+        Self { seed }
+    }
 
-/// The generator of one stream at the start of a training.
-pub(crate) fn generator(seed: u64, stream: Stream) -> ChaCha8Rng {
-    phase_generator(seed, stream, 0)
+    /// The initial values of a tensor.
+    pub(crate) fn tensor(self, name: &str) -> ChaCha8Rng {
+        self.keyed(&["tensor", name])
+    }
+
+    /// The order of the views in a phase.
+    pub(crate) fn views(self, phase: &str) -> ChaCha8Rng {
+        self.keyed(&["views", phase])
+    }
+
+    /// The draws within one step, counted from 1 within the phase.
+    pub(crate) fn step(self, phase: &'static str, iteration: u64) -> StepRandom {
+        StepRandom { streams: self, phase, iteration, drawn: BTreeMap::new() }
+    }
+
+    fn keyed(self, key: &[&str]) -> ChaCha8Rng {
+        let mut hash = Sha256::new_with_prefix(self.seed.to_le_bytes());
+        for part in key {
+            hash.update((part.len() as u64).to_le_bytes());
+            hash.update(part);
+        }
+        ChaCha8Rng::from_seed(hash.finalize().into())
+    }
 }
 
-/// The generator of one stream at the start of a phase (counted from 0). It does not depend on how many numbers earlier
-/// phases drew, or on which job ran them.
-pub(crate) fn phase_generator(seed: u64, stream: Stream, phase: usize) -> ChaCha8Rng {
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    random.set_stream(STREAMS_PER_PHASE * phase as u64 + stream as u64);
-    random
+/// The random streams of one step. They depend on the phase and the iteration only, so a checkpoint holds none of them.
+#[derive(Debug)]
+pub(crate) struct StepRandom {
+    streams: Streams,
+    phase: &'static str,
+    iteration: u64,
+    drawn: BTreeMap<&'static str, ChaCha8Rng>,
+}
+
+impl StepRandom {
+    /// The stream of a purpose, e.g. of one loss; within the step it goes on where it was left.
+    pub(crate) fn of(&mut self, purpose: &'static str) -> &mut ChaCha8Rng {
+        self.drawn.entry(purpose).or_insert_with(|| {
+            let mut random = self.streams.keyed(&["step", self.phase, purpose]);
+            random.set_stream(self.iteration);
+            random
+        })
+    }
 }
 
 #[cfg(test)]
@@ -64,7 +97,7 @@ mod tests {
 
     #[test]
     fn every_epoch_draws_every_view_once_in_a_new_order() {
-        let mut sampler = ViewSampler::new(17, generator(3, Stream::Views));
+        let mut sampler = ViewSampler::new(17, Streams::new(3).views("train"));
         let epochs: Vec<Vec<usize>> = (0..3).map(|_| (0..17).map(|_| sampler.next_view()).collect()).collect();
         for epoch in &epochs {
             let mut sorted = epoch.clone();
@@ -76,7 +109,7 @@ mod tests {
 
     #[test]
     fn a_sampler_survives_serialisation() {
-        let new = |seed| ViewSampler::new(9, generator(seed, Stream::Views));
+        let new = |seed| ViewSampler::new(9, Streams::new(seed).views("train"));
         let mut sampler = new(1);
         (0..5).for_each(|_| {
             sampler.next_view();
@@ -88,12 +121,31 @@ mod tests {
     }
 
     #[test]
-    fn streams_and_phases_are_independent() {
-        let streams = [Stream::Initial, Stream::Views, Stream::Density, Stream::Method];
-        let first = |(stream, phase)| phase_generator(3, stream, phase).random::<u64>();
-        let cases: Vec<_> = streams.iter().flat_map(|&stream| (0..3).map(move |phase| (stream, phase))).collect();
-        let drawn: std::collections::BTreeSet<u64> = cases.iter().map(|&case| first(case)).collect();
-        assert_eq!(drawn.len(), cases.len());
-        assert_eq!(first((Stream::Views, 0)), generator(3, Stream::Views).random::<u64>());
+    fn streams_differ_by_seed_purpose_phase_and_iteration() {
+        let streams = Streams::new(3);
+        let first = |mut random: ChaCha8Rng| random.random::<u64>();
+        let in_step = |phase, iteration, purpose| first(streams.step(phase, iteration).of(purpose).clone());
+        let drawn = [
+            first(streams.tensor("fine")),
+            first(streams.views("fine")),
+            first(streams.views("coarse")),
+            first(Streams::new(4).views("fine")),
+            in_step("fine", 1, "noise"),
+            in_step("fine", 2, "noise"),
+            in_step("fine", 1, "rigidity"),
+            in_step("coarse", 1, "noise"),
+        ];
+        assert_eq!(drawn.iter().collect::<std::collections::BTreeSet<_>>().len(), drawn.len());
+        assert_eq!(in_step("fine", 1, "noise"), drawn[4]);
+    }
+
+    #[test]
+    fn a_purpose_that_draws_more_changes_no_other_and_goes_on_within_its_step() {
+        let mut step = Streams::new(3).step("fine", 7);
+        let noise: [u64; 2] = [step.of("noise").random(), step.of("noise").random()];
+        let mut other = Streams::new(3).step("fine", 7);
+        other.of("rigidity").random::<[u64; 9]>();
+        assert_eq!([other.of("noise").random::<u64>(), other.of("noise").random()], noise);
+        assert_ne!(noise[0], noise[1]);
     }
 }

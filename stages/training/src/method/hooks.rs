@@ -1,10 +1,9 @@
 //! Hooks that a method runs between steps.
 
 use dyn_clone::DynClone;
-use rand_chacha::ChaCha8Rng;
 
 use super::screen::ScreenStats;
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, StepRandom};
 use crate::model::Optimizer;
 
 /// Runs between the steps of a phase: e.g. density control or annealing. Every method has an empty default, so a
@@ -50,8 +49,8 @@ pub(crate) struct AfterStep<'a> {
     pub optimizer: &'a mut Optimizer,
     /// The scene.
     pub scene: &'a SceneFacts,
-    /// The random stream of the hooks.
-    pub random: &'a mut ChaCha8Rng,
+    /// Random numbers, by purpose.
+    pub random: &'a mut StepRandom,
     /// What the report should say about the training; one entry per event.
     pub notices: &'a mut Vec<String>,
 }

@@ -19,14 +19,13 @@ pub(crate) use step::{
 };
 
 use engine::{Failure, FailureKind};
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde_json::Value;
 use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{RasterSettings, SplatVars, TooManyIntersections};
 use shaders::tape::{Real, Tape};
 
-use crate::data::{Dataset, SceneFacts, Supplements};
+use crate::data::{Dataset, SceneFacts, Streams, Supplements};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::Shared;
@@ -73,12 +72,7 @@ pub(crate) trait Base<T: Real>: Send + Sync {
     fn phases(&self) -> Vec<Phase>;
 
     /// The initial values of every tensor.
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>>;
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>>;
 
     /// Changes the state at the start of a phase, e.g. adds tensors. The default changes nothing.
     fn enter_phase(
@@ -86,7 +80,7 @@ pub(crate) trait Base<T: Real>: Send + Sync {
         _phase: &str,
         state: ModelState<T>,
         _start: &Start<'_>,
-        _random: &mut ChaCha8Rng,
+        _random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         Ok(state)
     }
@@ -121,12 +115,7 @@ pub(crate) trait Method<T: Real>: Send + Sync {
     }
 
     /// The initial values of every tensor.
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         self.base().initialize(start, points, random)
     }
 
@@ -136,7 +125,7 @@ pub(crate) trait Method<T: Real>: Send + Sync {
         phase: &str,
         state: ModelState<T>,
         start: &Start<'_>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         self.base().enter_phase(phase, state, start, random)
     }

@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use rand_chacha::ChaCha8Rng;
 use shaders::losses::l1::l1_dssim;
 use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Gradients, Real, Tape, Tensor, Var, first_elements};
 
 use super::{Method, Moment, too_large};
 use crate::clock::PhaseClock;
-use crate::data::{Dataset, SceneFacts, Supplements, TrainingView, ViewConstants};
+use crate::data::{Dataset, SceneFacts, StepRandom, Supplements, TrainingView, ViewConstants};
 use crate::model::Variables;
 use crate::shared::Shared;
 
@@ -94,8 +93,8 @@ pub(crate) struct Step<'a, T: Real> {
     pub sh_degree: usize,
     /// Settings of the rasteriser for the renders of the step.
     pub raster: RasterSettings,
-    /// The random stream of the method.
-    pub random: &'a mut ChaCha8Rng,
+    /// Random numbers, by purpose.
+    pub random: StepRandom,
     /// Attributes the time of the step to activities.
     pub clock: &'a mut PhaseClock,
     /// Constant tensors of views on the step's device.

@@ -8,7 +8,7 @@ use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
-use crate::data::{Dataset, Stream, Supplements, TrainingView, ViewConstants, generator};
+use crate::data::{Dataset, Streams, Supplements, TrainingView, ViewConstants};
 use crate::effects::{Effects, Need};
 use crate::method::{Moment, Recorded, Start, Step, StepOutcome, raster_settings, run_step};
 use crate::model::ModelState;
@@ -56,11 +56,11 @@ impl Case {
         let points = dataset.initial_points(&params.shared.initial_points, 0).unwrap();
         let supplements = test_scene.supplements(&dataset);
         let start = Start { dataset: &dataset, supplements: &supplements };
-        let mut random = generator(1, Stream::Initial);
+        let random = Streams::new(1);
         let phases = method.phases();
-        let mut state = method.initialize(&start, &points, &mut random).unwrap();
+        let mut state = method.initialize(&start, &points, random).unwrap();
         for phase in &phases[..=phase_index] {
-            state = method.enter_phase(phase.name, state, &start, &mut random).unwrap();
+            state = method.enter_phase(phase.name, state, &start, random).unwrap();
         }
         let mut moved = ModelState::new();
         for (index, (name, tensor)) in state.iter().enumerate() {
@@ -105,7 +105,7 @@ impl Case {
             iteration: 1,
             sh_degree: degree,
             raster,
-            random: &mut generator(2, Stream::Method),
+            random: Streams::new(2).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
             recorded: Recorded::default(),

@@ -101,7 +101,7 @@ impl Checkpoint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::{Stream, ViewSampler, generator};
+    use crate::data::{Streams, ViewSampler};
 
     fn checkpoint(iteration: u64) -> Checkpoint {
         let state = SavedState {
@@ -110,9 +110,7 @@ mod tests {
             sh_degree: 2,
             optimizer_steps: [("gaussians.positions".to_string(), 7)].into(),
             hooks: vec![serde_json::json!({ "seen_count": [1, 2] })],
-            sampler: ViewSampler::new(5, generator(4, Stream::Views)),
-            density_random: generator(4, Stream::Density),
-            method_random: generator(4, Stream::Method),
+            sampler: ViewSampler::new(5, Streams::new(4).views("fine")),
         };
         let history =
             History { loss: 0.1 + 0.2, loss_sums: [("photometric".to_string(), 0.7)].into(), ..History::default() };

@@ -77,7 +77,7 @@ impl Trainer<'_> {
             iteration: self.state.iteration,
             sh_degree: self.state.sh_degree,
             raster: raster_settings(&dataset.scene, self.state.sh_degree),
-            random: &mut self.state.method_random,
+            random: self.setup.streams().step(self.phase_name(), self.state.iteration),
             clock: &mut self.clock,
             constants: &self.constants,
             recorded: Recorded::default(),
@@ -132,12 +132,14 @@ impl Trainer<'_> {
     /// Runs the hooks after the optimizer's step.
     fn run_hooks(&mut self) -> anyhow::Result<()> {
         self.clock.enter("density");
+        let (phase, iteration) = (self.phase_name(), self.state.iteration);
+        let mut random = self.setup.streams().step(phase, iteration);
         for hook in &mut self.state.hooks {
             hook.after_step(AfterStep {
-                iteration: self.state.iteration,
+                iteration,
                 optimizer: &mut self.state.optimizer,
                 scene: self.setup.start.scene(),
-                random: &mut self.state.density_random,
+                random: &mut random,
                 notices: &mut self.telemetry.history.notices,
             })?;
         }

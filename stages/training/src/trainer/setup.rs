@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use anyhow::Context as _;
 
 use super::curve;
-use crate::data::{Dataset, Supplements};
+use crate::data::{Dataset, Streams, Supplements};
 use crate::method::{Method, Start};
 use crate::params::TrainingParams;
 use crate::schedule::{LogLinear, Phase};
@@ -41,6 +41,11 @@ impl<'a> Setup<'a> {
         }
         let curve_at = curve::schedule(&params.shared.curve, total);
         Ok(Self { start: Start { dataset, supplements }, params, method, phases, curve_at })
+    }
+
+    /// The random streams.
+    pub(crate) const fn streams(&self) -> Streams {
+        Streams::new(self.params.shared.seed)
     }
 
     /// The learning rate of every tensor that a phase trains.

@@ -11,7 +11,7 @@ use super::telemetry::{History, Telemetry};
 use super::train_state::TrainState;
 use crate::artifact::Model;
 use crate::clock::{ClockReading, PhaseClock};
-use crate::data::{Dataset, Stream, Supplements, ViewConstants, generator};
+use crate::data::{Dataset, Supplements, ViewConstants};
 use crate::device::Meter;
 use crate::model::ModelState;
 use crate::params::TrainingParams;
@@ -25,9 +25,8 @@ impl<'a> Trainer<'a> {
     pub fn new(dataset: &'a Dataset, supplements: &'a Supplements, params: &'a TrainingParams) -> anyhow::Result<Self> {
         let setup = Setup::new(dataset, supplements, params)?;
         let clock = PhaseClock::start(LOAD, ClockReading::default());
-        let seed = params.shared.seed;
-        let points = dataset.initial_points(&params.shared.initial_points, seed)?;
-        let model = setup.method.initialize(&setup.start, &points, &mut generator(seed, Stream::Initial))?;
+        let points = dataset.initial_points(&params.shared.initial_points, params.shared.seed)?;
+        let model = setup.method.initialize(&setup.start, &points, setup.streams())?;
         Self::begin(setup, 0, model, 0, History::default(), clock)
     }
 

@@ -4,7 +4,7 @@ use engine::{Failure, FailureKind};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::data::{Dataset, NOTHING, Stream, ViewSampler, generator};
+use crate::data::{Dataset, NOTHING, Streams, ViewSampler};
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
@@ -78,7 +78,7 @@ fn a_wrong_random_state_in_a_checkpoint_is_detected() {
     let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
     (0..10).for_each(|_| trainer.advance().unwrap());
     let mut checkpoint = trainer.checkpoint().unwrap();
-    checkpoint.progress.state.sampler = ViewSampler::new(dataset.train.len(), generator(99, Stream::Views));
+    checkpoint.progress.state.sampler = ViewSampler::new(dataset.train.len(), Streams::new(99).views("fine"));
     let resumed = train_to_end(Trainer::resume(&dataset, &NOTHING, &params, checkpoint).unwrap());
     assert_ne!(bits(&resumed), bits(&undisturbed));
 }

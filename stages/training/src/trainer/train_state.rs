@@ -6,12 +6,11 @@
 use std::collections::BTreeMap;
 
 use anyhow::ensure;
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::setup::Setup;
 use crate::artifact::NamedTensor;
-use crate::data::{Stream, ViewSampler, phase_generator};
+use crate::data::ViewSampler;
 use crate::method::StepHook;
 use crate::model::{ModelState, Optimizer};
 
@@ -30,10 +29,6 @@ pub(super) struct TrainState {
     pub hooks: Vec<Box<dyn StepHook>>,
     /// The order of the training views.
     pub sampler: ViewSampler,
-    /// Random numbers of the step hooks.
-    pub density_random: ChaCha8Rng,
-    /// Random numbers of the method's losses.
-    pub method_random: ChaCha8Rng,
 }
 
 /// A [`TrainState`] as a checkpoint stores it, without the tensors of the optimizer.
@@ -51,10 +46,6 @@ pub(super) struct SavedState {
     pub hooks: Vec<serde_json::Value>,
     /// The order of the training views.
     pub sampler: ViewSampler,
-    /// Random numbers of the step hooks.
-    pub density_random: ChaCha8Rng,
-    /// Random numbers of the method's losses.
-    pub method_random: ChaCha8Rng,
 }
 
 impl TrainState {
@@ -67,24 +58,21 @@ impl TrainState {
         sh_degree: usize,
     ) -> anyhow::Result<Self> {
         let name = setup.phases[phase].name;
-        let random = |stream| phase_generator(setup.params.shared.seed, stream, phase);
-        let mut method_random = random(Stream::Method);
-        let model = setup.method.enter_phase(name, model, &setup.start, &mut method_random)?;
+        let streams = setup.streams();
+        let model = setup.method.enter_phase(name, model, &setup.start, streams)?;
         Ok(Self {
             phase,
             iteration: 0,
             sh_degree,
             optimizer: Optimizer::new(model, setup.learning_rates(phase)),
             hooks: setup.method.hooks(name, setup.start.scene()),
-            sampler: ViewSampler::new(setup.start.dataset.train.len(), random(Stream::Views)),
-            density_random: random(Stream::Density),
-            method_random,
+            sampler: ViewSampler::new(setup.start.dataset.train.len(), streams.views(name)),
         })
     }
 
     /// The saved state, and the optimizer's values and moments by name.
     pub(crate) fn save(&self) -> (SavedState, BTreeMap<String, NamedTensor>) {
-        let Self { phase, iteration, sh_degree, optimizer, hooks, sampler, density_random, method_random } = self;
+        let Self { phase, iteration, sh_degree, optimizer, hooks, sampler } = self;
         let (tensors, optimizer_steps) = optimizer.save();
         let saved = SavedState {
             phase: *phase,
@@ -93,8 +81,6 @@ impl TrainState {
             optimizer_steps,
             hooks: hooks.iter().map(|hook| hook.save()).collect(),
             sampler: sampler.clone(),
-            density_random: density_random.clone(),
-            method_random: method_random.clone(),
         };
         (saved, tensors)
     }
@@ -105,16 +91,7 @@ impl TrainState {
         saved: SavedState,
         tensors: &BTreeMap<String, NamedTensor>,
     ) -> anyhow::Result<Self> {
-        let SavedState {
-            phase,
-            iteration,
-            sh_degree,
-            optimizer_steps,
-            hooks: saved_hooks,
-            sampler,
-            density_random,
-            method_random,
-        } = saved;
+        let SavedState { phase, iteration, sh_degree, optimizer_steps, hooks: saved_hooks, sampler } = saved;
         ensure!(phase < setup.phases.len(), "the checkpoint has more phases than the method");
         let optimizer = Optimizer::restore(tensors, &optimizer_steps, setup.learning_rates(phase))?;
         let mut hooks = setup.method.hooks(setup.phases[phase].name, setup.start.scene());
@@ -122,6 +99,6 @@ impl TrainState {
         for (hook, saved) in hooks.iter_mut().zip(saved_hooks) {
             hook.restore(saved)?;
         }
-        Ok(Self { phase, iteration, sh_degree, optimizer, hooks, sampler, density_random, method_random })
+        Ok(Self { phase, iteration, sh_degree, optimizer, hooks, sampler })
     }
 }

@@ -1,7 +1,6 @@
 //! The deformation of anchors and of the Gaussians they spawn: one hexplane field with heads each (Kwak et al. 2025,
 //! MoDec-GS, global and local deformation).
 
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::geometry::quaternion;
 use shaders::pointwise::adds;
@@ -13,7 +12,7 @@ use crate::bases::bounds::Bounds;
 use crate::bases::heads::HeadedNetwork;
 use crate::bases::hexplane::TimeAxis;
 use crate::bases::hexplane::field::{Field, PlaneWeights};
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::method::Step;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
@@ -168,7 +167,7 @@ impl AnchorDeformation {
     }
 
     /// Adds box, planes and network.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: Streams) -> anyhow::Result<()> {
         insert_box(state, ANCHOR_FIELD)?;
         self.field.insert_planes(state, random);
         self.network.insert(state, self.zero_heads, random);
@@ -228,7 +227,7 @@ impl GaussianDeformation {
     }
 
     /// Adds box, planes and network.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: Streams) -> anyhow::Result<()> {
         insert_box(state, GAUSSIAN_FIELD)?;
         self.field.insert_planes(state, random);
         self.network.insert(state, self.zero_heads, random);

@@ -202,7 +202,7 @@ impl StepHook for AnchorGrowth {
             self.statistics = Statistics::default();
         }
         if self.reads_rows_at(iteration) && !self.statistics.is_empty() {
-            self.grow(optimizer, random)?;
+            self.grow(optimizer, random.of("grow"))?;
             if !self.guard.is_closed() {
                 notices.extend(self.prune(optimizer, iteration)?);
             }

@@ -23,7 +23,6 @@ pub(crate) use views::{SpawnedGaussians, insert_view_networks, spawn};
 
 use std::collections::BTreeMap;
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::geometry::camera::PinholeCamera;
@@ -31,7 +30,7 @@ use shaders::losses::l1::l1_dssim;
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Var};
 
-use crate::data::{SceneFacts, TrainingView};
+use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::method::{Base, Moment, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
@@ -212,7 +211,7 @@ impl AnchoredGaussians {
         state: &mut ModelState<T>,
         positions: Vec<[f32; 3]>,
         scene: &SceneFacts,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<()> {
         insert_anchors(state, positions, &self.settings, scene.extent)?;
         insert_view_networks(state, &self.settings, random);
@@ -231,12 +230,7 @@ impl<T: Real> Base<T> for AnchoredGaussians {
         [COARSE, FINE].map(|name| self.shared.phase(name)).to_vec()
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         self.insert(&mut state, self.positions(points, start.scene()), start.scene(), random)?;
         Ok(state)

@@ -6,7 +6,7 @@ use shaders::rasteriser::{RasterSettings, render};
 use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
-use crate::data::{Stream, generator};
+use crate::data::Streams;
 use crate::method::{AfterStep, Parents, RenderRecord, ScreenGradients, ScreenStats, StepHook};
 use crate::model::{ModelState, Optimizer};
 
@@ -75,7 +75,7 @@ fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, seen: &See
     let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)));
     for iteration in 1..=10 {
         control.observe(&seen.screen());
-        let random = &mut generator(3, Stream::Density);
+        let random = &mut Streams::new(3).step("fine", iteration);
         let (optimizer, scene, notices) = (&mut optimizer, &scene, &mut Vec::new());
         control.after_step(AfterStep { iteration, optimizer, scene, random, notices }).unwrap();
     }
@@ -168,7 +168,7 @@ fn statistics_survive_a_checkpoint() {
 #[test]
 fn spawned_gaussians_have_slots_and_parents_in_view() {
     let mut state: ModelState<f64> = state_at(&[[0.0; 3], [0.0, 0.0, -20.0], [50.0, 0.0, 0.0]]).cast();
-    insert_view_networks(&mut state, &settings(), &mut generator(1, Stream::Initial));
+    insert_view_networks(&mut state, &settings(), Streams::new(1));
     // Opacities that do not depend on the view: one of two Gaussians.
     state.insert("views.opacity.1.weight", Tensor::zeros([2, 4]));
     state.insert("views.opacity.1.bias", Tensor::from_vec([2], vec![-1.0, 1.0]));
@@ -191,7 +191,7 @@ fn spawned_gaussians_have_slots_and_parents_in_view() {
 fn scattered() -> ModelState<f32> {
     let places: Vec<f32> = noise(120, 1).iter().map(|&place| 4.0 * place as f32).collect();
     let mut state = state_at(places.as_chunks::<3>().0);
-    insert_view_networks(&mut state, &settings(), &mut generator(1, Stream::Initial));
+    insert_view_networks(&mut state, &settings(), Streams::new(1));
     state
 }
 

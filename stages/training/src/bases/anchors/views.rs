@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use rand_chacha::ChaCha8Rng;
 use shaders::arrays::rows::{concat_columns, normalize, repeat_row, row_sum};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::geometry::point_lookup::in_view;
@@ -14,6 +13,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::{ANCHORS, AnchorSettings, Anchors};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
+use crate::data::Streams;
 use crate::method::{ParentVars, SplatRows};
 use crate::model::{ModelState, Variables};
 
@@ -23,11 +23,7 @@ pub(super) const VIEWS: &str = "views";
 const MIN_DISTANCE: f64 = 1e-8;
 
 /// Adds the three networks: F + 3 → width → outputs.
-pub(crate) fn insert_view_networks<T: Real>(
-    state: &mut ModelState<T>,
-    settings: &AnchorSettings,
-    random: &mut ChaCha8Rng,
-) {
+pub(crate) fn insert_view_networks<T: Real>(state: &mut ModelState<T>, settings: &AnchorSettings, random: Streams) {
     let AnchorSettings { features, offsets, width, .. } = *settings;
     for (network, outputs) in [("opacity", offsets), ("shape", 7 * offsets), ("color", 3 * offsets)] {
         let [inner, outer] = layers(network);

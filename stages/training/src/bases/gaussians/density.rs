@@ -265,7 +265,7 @@ impl StepHook for AdaptiveDensity {
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
         if grows {
-            self.densify(optimizer, scene.extent, random)?;
+            self.densify(optimizer, scene.extent, random.of("split"))?;
         }
         if shrinks && !self.guard.is_closed() && optimizer.population_len(&self.population)? > prune_above_count {
             let sizes_count = opacity_reset_interval > 0 && iteration > opacity_reset_interval;

@@ -6,7 +6,7 @@ use shaders::check;
 use shaders::tape::Tensor;
 
 use super::*;
-use crate::data::{Stream, generator};
+use crate::data::Streams;
 use crate::method::{AfterStep, ScreenGradients, ScreenStats, StepHook as _};
 use crate::model::{ModelState, Optimizer};
 use crate::shared::Density;
@@ -45,7 +45,7 @@ fn density() -> Density {
 
 /// Runs density control after a step, with random numbers of a seed.
 fn after_step(control: &mut AdaptiveDensity, iteration: u64, optimizer: &mut Optimizer, seed: u64) {
-    let random = &mut generator(seed, Stream::Density);
+    let random = &mut Streams::new(seed).step("fine", iteration);
     let notices = &mut Vec::new();
     control.after_step(AfterStep { iteration, optimizer, scene: &scene(), random, notices }).unwrap();
 }

@@ -1,12 +1,12 @@
 //! The hexplane field as tensors of a model: planes over pairs of (x, y, z, t) in a box (Wu et al. 2024, section 4.2).
 
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::networks::hexplane::{HexplaneShape, PlaneMean, hexplane, is_time_plane, plane_means};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::bounds;
 use crate::bases::layers::uniform;
+use crate::data::Streams;
 use crate::method::Step;
 use crate::model::{ModelState, Variables};
 
@@ -78,10 +78,12 @@ impl Field {
     }
 
     /// Adds the planes.
-    pub(crate) fn insert_planes<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert_planes<T: Real>(&self, state: &mut ModelState<T>, random: Streams) {
         for (index, shape) in self.shape.plane_shapes().iter().enumerate() {
             let [low, high] = if is_time_plane(index) { [1.0, 1.0] } else { SPATIAL_START };
-            state.insert(self.plane_name(index), uniform(shape, low, high, random));
+            let name = self.plane_name(index);
+            let plane = uniform(shape, low, high, &mut random.tensor(&name));
+            state.insert(name, plane);
         }
     }
 

@@ -10,7 +10,6 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::rasteriser::SplatVars;
@@ -22,7 +21,7 @@ pub(crate) use network::{FurtherHead, Heads, MovedPoints};
 use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::static_mask;
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, CoarseSharing, Moment, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
@@ -249,7 +248,7 @@ impl<T: Real> Base<T> for HexplaneGaussians {
     }
 
     /// Gaussians on the points, and the box of the field.
-    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: &mut ChaCha8Rng) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
         Bounds::enclosing(&points.positions).insert(&mut state, FIELD);
@@ -262,7 +261,7 @@ impl<T: Real> Base<T> for HexplaneGaussians {
         phase: &str,
         mut state: ModelState<T>,
         start: &Start<'_>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves(phase) {
             let scene = start.scene();

@@ -1,7 +1,6 @@
 //! The deformation network: heads that add to the attributes of Gaussians before their activation (Wu et al. 2024,
 //! section 4.3).
 
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::pointwise::{add, adds, scale};
 use shaders::rasteriser::{ShapeVars, SplatVars};
@@ -9,6 +8,7 @@ use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::leading_harmonics;
 use crate::bases::heads::HeadedNetwork;
+use crate::data::Streams;
 use crate::model::{ModelState, Variables};
 
 /// The name of the network, the prefix of its tensors.
@@ -80,7 +80,7 @@ impl Network {
     }
 
     /// Adds trunk and heads.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, zero_heads: bool, random: Streams) {
         self.layers.insert(state, zero_heads, random);
     }
 

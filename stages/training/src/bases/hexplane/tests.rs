@@ -7,7 +7,7 @@ use shaders::pointwise::sub;
 use shaders::tape::{Device, Tensor};
 
 use super::*;
-use crate::data::{Dataset, NOTHING, Stream, generator};
+use crate::data::{Dataset, NOTHING, Streams};
 use crate::effects::Effects;
 use crate::scene_tests::TestScene;
 
@@ -44,13 +44,13 @@ fn dataset() -> Dataset {
 fn begin(base: &HexplaneGaussians, points: &PointCloud) -> ModelState<f64> {
     let dataset = dataset();
     let start = Start { dataset: &dataset, supplements: &NOTHING };
-    base.initialize(&start, points, &mut generator(3, Stream::Initial)).unwrap()
+    base.initialize(&start, points, Streams::new(3)).unwrap()
 }
 
 fn enter_fine(base: &HexplaneGaussians, coarse: ModelState<f64>) -> ModelState<f64> {
     let dataset = dataset();
     let start = Start { dataset: &dataset, supplements: &NOTHING };
-    base.enter_phase(FINE, coarse, &start, &mut generator(3, Stream::Method)).unwrap()
+    base.enter_phase(FINE, coarse, &start, Streams::new(3)).unwrap()
 }
 
 fn camera() -> PinholeCamera {

@@ -9,12 +9,12 @@
 //!
 //! Spatial scales and colours differ between methods.
 
-use rand_chacha::ChaCha8Rng;
 use shaders::arrays::totals::total;
 use shaders::rasteriser::slicing4d::{self, Gaussians4dVars, SlicedVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::uniform;
+use crate::data::Streams;
 use crate::method::Step;
 use crate::model::{ModelState, Variables};
 
@@ -46,10 +46,11 @@ pub(crate) fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, t
 
 /// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: times
 /// spread over the clip, a variance of a fifth of its squared length, and no motion.
-pub(crate) fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: usize, random: &mut ChaCha8Rng) {
+pub(crate) fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: usize, random: Streams) {
     let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO].repeat(count);
+    let mut times = random.tensor(&format!("{population}.times"));
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{population}.{attribute}"), tensor);
-    insert("times", uniform(&[count, 1], -TIME_MARGIN, 1.0 + TIME_MARGIN, random));
+    insert("times", uniform(&[count, 1], -TIME_MARGIN, 1.0 + TIME_MARGIN, &mut times));
     insert("log_scales_time", Tensor::full([count, 1], T::from_f64(0.5 * INITIAL_VARIANCE_TIME.ln())));
     insert("rotations_left", Tensor::from_vec([count, 4], identity.clone()));
     insert("rotations_right", Tensor::from_vec([count, 4], identity));

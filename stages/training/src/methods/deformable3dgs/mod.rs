@@ -5,7 +5,6 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 use shaders::geometry::quaternion;
@@ -19,7 +18,7 @@ use crate::bases::coordinate_mlp::{CoordinateMlp, CoordinateMlpSettings, Head};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::data::{SceneFacts, TrainingView};
+use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
 use crate::model::{ModelState, Variables};
@@ -125,7 +124,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
         phase: &str,
         mut state: ModelState<T>,
         start: &Start<'_>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
             self.network.insert(&mut state, &start.initial_points(&self.shared)?, random);
@@ -181,7 +180,7 @@ impl DeformedGaussians {
         let iteration = stretch(self.canonical.iterations(WARM_UP), scale) + step.iteration;
         let until = stretch(self.settings.time_noise_until, scale);
         let left = (1.0 - iteration as f64 / until.max(1) as f64).max(0.0);
-        let noise: f64 = StandardNormal.sample(step.random);
+        let noise: f64 = StandardNormal.sample(step.random.of("time noise"));
         view.time + noise * self.settings.time_noise * left / step.scene.time_count as f64
     }
 }

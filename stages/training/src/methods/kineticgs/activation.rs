@@ -1,6 +1,5 @@
 //! Activation of each particle: a time window around a trained centre (KineticGS equations 7 to 9).
 
-use rand_chacha::ChaCha8Rng;
 use shaders::losses::histogram::{divergence_from_uniform, soft_histogram};
 use shaders::networks::linear::Activation;
 use shaders::networks::positional_encoding::PositionalEncoding;
@@ -8,6 +7,7 @@ use shaders::pointwise::{add, hyperbolic_tangent, mul, scale, shift, sigmoid, su
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer, uniform};
+use crate::data::Streams;
 use crate::model::{ModelState, Variables};
 
 /// Prefix of the network's tensors.
@@ -28,13 +28,14 @@ const FIRST_CENTERS: f64 = 0.3;
 const BINS: usize = 32;
 
 /// Adds the network 39 → 64 → 64 → (Δ^ct, Δ^cr).
-pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, random: Streams) {
     insert_layer(state, "activation.0", ENCODING.columns(3), WIDTH, FirstWeights::Xavier, random);
     insert_layer(state, "activation.1", WIDTH, WIDTH, FirstWeights::Xavier, random);
     // A uniform distribution with standard deviation s has the limits ±√3·s; s is divided among the inputs.
     let bound = FIRST_CENTERS * (3.0 / WIDTH as f64).sqrt();
     insert_layer(state, "activation.center", WIDTH, 1, FirstWeights::Zero, random);
-    state.insert("activation.center.weight", uniform(&[1, WIDTH], -bound, bound, random));
+    let center = "activation.center.weight";
+    state.insert(center, uniform(&[1, WIDTH], -bound, bound, &mut random.tensor(center)));
     insert_layer(state, "activation.radius", WIDTH, 1, FirstWeights::Zero, random);
     state.insert("activation.radius.bias", Tensor::full([1], T::from_f64(FIRST_RADIUS)));
 }

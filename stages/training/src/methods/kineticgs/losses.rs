@@ -87,7 +87,7 @@ impl<T: Real> KineticGaussians<T> {
         if !self.has(COHERENCE) || weights.coherence == 0.0 {
             return None;
         }
-        let search = self.settings.neighbors.draw(step.random);
+        let search = self.settings.neighbors.draw(step.random.of("neighbors"));
         particles.population.pairs(search, self.settings.anchors.voxel_size)
     }
 

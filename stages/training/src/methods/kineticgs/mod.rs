@@ -14,14 +14,13 @@ mod tests;
 mod weights;
 
 use anyhow::Context as _;
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
 use crate::bases::anchors::{self, AnchorDeformation, AnchoredGaussians, FINE, GaussianDeformation, SpawnedGaussians};
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, Method, Moment, Start, Step};
 use crate::model::{ModelState, Variables, belongs};
@@ -138,12 +137,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         &self.base
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         let mut positions = self.base.positions(points, start.scene());
         if self.has(MOMENTUM_INIT) {
@@ -167,7 +161,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         phase: &str,
         mut state: ModelState<T>,
         _start: &Start<'_>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves(phase) {
             self.motion.deformation.insert(&mut state, random)?;

@@ -13,7 +13,7 @@ use shaders::tape::{Device, Var};
 use super::*;
 use crate::bases::anchors::{Anchors, COARSE, DeformationSettings};
 use crate::clock::{ClockReading, PhaseClock};
-use crate::data::{Dataset, NOTHING, ParticleSeeds, Stream, Supplements, ViewConstants, generator};
+use crate::data::{Dataset, NOTHING, ParticleSeeds, Streams, Supplements, ViewConstants};
 use crate::effects::Effects;
 use crate::method::{Recorded, StepOutcome, raster_settings, run_step};
 use crate::scene_tests::TestScene;
@@ -36,10 +36,10 @@ impl World {
         let method = KineticGaussians::new(&Shared { effects, ..Kineticgs::shared_defaults() }, settings);
         let start = Start { dataset: &dataset, supplements: &supplements };
         let points = dataset.capture.load_points().unwrap().unwrap();
-        let mut random = generator(5, Stream::Method);
-        let mut state = method.initialize(&start, &points, &mut random).unwrap();
+        let random = Streams::new(5);
+        let mut state = method.initialize(&start, &points, random).unwrap();
         for name in [COARSE, FINE] {
-            state = method.enter_phase(name, state, &start, &mut random).unwrap();
+            state = method.enter_phase(name, state, &start, random).unwrap();
             if name == phase {
                 break;
             }
@@ -69,7 +69,7 @@ impl World {
             iteration: 1,
             sh_degree: 0,
             raster: raster_settings(&self.dataset.scene, 0),
-            random: &mut generator(2, Stream::Method),
+            random: Streams::new(2).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
             recorded: Recorded::default(),
@@ -247,15 +247,15 @@ fn momentum_init_requires_particles() {
     let dataset = Dataset::load(TestScene::default().write(dir.path()), 1).unwrap();
     let points = dataset.capture.load_points().unwrap().unwrap();
     let method = KineticGaussians::new(&Kineticgs::shared_defaults(), Settings::tiny());
-    let mut random = generator(1, Stream::Initial);
+    let random = Streams::new(1);
     let start = Start { dataset: &dataset, supplements: &NOTHING };
-    assert!(Method::<f64>::initialize(&method, &start, &points, &mut random).is_err());
+    assert!(Method::<f64>::initialize(&method, &start, &points, random).is_err());
     // Two particles in one voxel are merged at the position of the first.
     let seeds = PointCloud { positions: vec![[9.0, 0.0, 0.01], [9.0, 0.0, 0.0]], colors: vec![[0; 3]; 2] };
     let particles = Some(ParticleSeeds { points: seeds, energies: vec![0.5; 2] });
     let supplements = Supplements { particles, ..Supplements::default() };
     let start = Start { dataset: &dataset, supplements: &supplements };
-    let state = Method::<f64>::initialize(&method, &start, &points, &mut random).unwrap();
+    let state = Method::<f64>::initialize(&method, &start, &points, random).unwrap();
     let positions = state.get("anchors.positions").unwrap();
     let flags = state.get(DYNAMIC).unwrap().as_slice();
     assert_eq!(flags.iter().sum::<f64>(), 1.0);

@@ -9,15 +9,14 @@ mod teacher;
 mod tests;
 mod tokens;
 
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::bases::layers::normal;
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::data::{SceneFacts, Supplements};
+use crate::data::{SceneFacts, Streams, Supplements};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, CoarseSharing, Language, Method, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
@@ -142,7 +141,7 @@ impl LanguageGuided {
 
     /// Adds the teacher for the visual tokens and prompts of the features or, without features, for the settings'
     /// prompts.
-    fn insert_teacher<T: Real>(&self, state: &mut ModelState<T>, start: &Start<'_>, random: &mut ChaCha8Rng) {
+    fn insert_teacher<T: Real>(&self, state: &mut ModelState<T>, start: &Start<'_>, random: Streams) {
         let features = start.supplements.features.as_ref();
         let visual_tokens = features.and_then(|features| features.visual.iter().flatten().next());
         let token_width = visual_tokens.map(|tokens| tokens.shape()[2]);
@@ -159,14 +158,9 @@ impl LanguageGuided {
         (self.on.language && self.on.teacher()).then(|| imported.unwrap_or_else(made_up))
     }
 
-    fn insert_semantics<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+    fn insert_semantics<T: Real>(&self, state: &mut ModelState<T>, random: Streams) -> anyhow::Result<()> {
         let shape = [state.get(&format!("{GAUSSIANS}.positions"))?.rows(), self.settings.teacher.features];
-        let mut draw = |_| -> T {
-            let normal: f64 = StandardNormal.sample(random);
-            T::from_f64(FIRST_SEMANTICS * normal)
-        };
-        let values = (0..shape[0] * shape[1]).map(&mut draw).collect();
-        state.insert(SEMANTICS, Tensor::from_vec(shape, values));
+        state.insert(SEMANTICS, normal(&shape, FIRST_SEMANTICS, &mut random.tensor(SEMANTICS)));
         Ok(())
     }
 }
@@ -187,7 +181,7 @@ impl<T: Real> Method<T> for LanguageGuided {
         phase: &str,
         state: ModelState<T>,
         start: &Start<'_>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         let mut state = self.base.enter_phase(phase, state, start, random)?;
         if phase == TEACHER {

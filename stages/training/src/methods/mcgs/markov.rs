@@ -1,7 +1,6 @@
 //! The Markov chain: encodes the last states of every node, attends over them and predicts the next step (equations 3
 //! to 5, 14 and 15).
 
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::{RowIndex, columns, concat_columns, gather, reshape};
 use shaders::geometry::quaternion;
@@ -15,7 +14,7 @@ use super::node_motion::{NETWORK, NodeMotion, frame_interval};
 use crate::bases::bounds;
 use crate::bases::control_nodes::identity_rotations;
 use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix, normal};
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::model::{ModelState, Variables};
 
 /// Columns of a state: position and quaternion.
@@ -78,7 +77,7 @@ impl Chain {
     }
 
     /// Adds all layers. The predictor's last layer starts at zero, so that nodes initially keep their last state.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: Streams) {
         let width = self.settings.width;
         for (layer, inputs) in [STATE, width].into_iter().enumerate() {
             insert_layer(state, &format!("chain.encoder.{layer}"), inputs, width, FirstWeights::FanIn, random);
@@ -90,7 +89,8 @@ impl Chain {
                 insert_matrix(state, &format!("chain.{map}"), width, width, random);
             }
             if self.settings.embeds_time {
-                state.insert("chain.time", normal(&[self.window(), width], FIRST_EMBEDDING, random));
+                let time = normal(&[self.window(), width], FIRST_EMBEDDING, &mut random.tensor("chain.time"));
+                state.insert("chain.time", time);
             }
         }
         for layer in 0..2 {

@@ -11,7 +11,6 @@ mod settings;
 mod tests;
 
 use rand::RngExt as _;
-use rand_chacha::ChaCha8Rng;
 use shaders::arrays::rows::{RowIndex, gather};
 use shaders::pointwise::add;
 use shaders::rasteriser::SplatVars;
@@ -22,7 +21,7 @@ use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
 use crate::bases::control_nodes::{Rigidity, farthest_points, insert_nodes, published_decay, rows_of, sides};
 use crate::bases::gaussians::{self, GAUSSIANS, logit};
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
@@ -122,7 +121,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
         phase: &str,
         mut state: ModelState<T>,
         start: &Start<'_>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
             self.choose_nodes(&mut state)?;
@@ -203,7 +202,7 @@ impl MarkovGaussians {
     /// so with mixtures alone, an error in the branch that alternates in sign from frame to frame would never show in
     /// an image.
     fn training_motion<T: Real>(&self, step: &mut Step<'_, T>, time: f64) -> NodeMotion {
-        if step.random.random::<f64>() < self.settings.mixing.direct_views {
+        if step.random.of("direct views").random::<f64>() < self.settings.mixing.direct_views {
             step.count_skipped("chain in views of the direct branch", 1, 1);
             return self.nodes.direct(step.tape, step.model, &[time]);
         }

@@ -1,7 +1,6 @@
 //! Node motion from a direct branch (a coordinate MLP of position and time), the Markov chain and their mixture, and its
 //! application to the Gaussians. Equations are those of the MCGS paper.
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::arrays::rows::{RowIndex, gather};
 use shaders::geometry::neighbor_blend::{Neighbors, blend, weights};
@@ -19,7 +18,7 @@ use crate::bases::control_nodes::{NODES, identity_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::layers::FirstWeights;
 use crate::bases::static_mask;
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
@@ -43,7 +42,7 @@ impl Nodes {
     }
 
     /// Adds the tensors of both branches; the points give the bounding box of the network.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: Streams) {
         self.network.insert(state, points, random);
         self.chain.insert(state, random);
     }

@@ -1,6 +1,5 @@
 //! Annealed noise on the chain's prediction, stronger for nodes with rarely visible Gaussians (equations 6 and 7).
 
-use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::scale_rows;
 use shaders::geometry::quaternion;
@@ -10,6 +9,7 @@ use shaders::tape::{Real, Tensor};
 
 use super::node_motion::{NodeMotion, Predictions};
 use super::{NOISE, VISIBILITY};
+use crate::bases::layers::normal;
 use crate::method::Step;
 
 /// Strength and duration of the noise.
@@ -61,11 +61,7 @@ pub(crate) fn disturb<T: Real>(
 /// [M, columns] normal samples with this standard deviation.
 fn draws<T: Real>(step: &mut Step<'_, T>, columns: usize, deviation: f64) -> Tensor<T> {
     let nodes = step.tape.value(step.model.get(VISIBILITY)).rows();
-    let mut draw = || {
-        let standard: f64 = StandardNormal.sample(step.random);
-        T::from_f64(deviation * standard)
-    };
-    Tensor::from_vec([nodes, columns], (0..nodes * columns).map(|_| draw()).collect())
+    normal(&[nodes, columns], deviation, step.random.of("noise"))
 }
 
 pointwise! {

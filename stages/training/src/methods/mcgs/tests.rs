@@ -5,7 +5,7 @@ use shaders::tape::{Device, Tensor, Var};
 
 use super::*;
 use crate::bases::control_nodes::identity_rotations;
-use crate::data::{Stream, generator};
+use crate::data::Streams;
 use crate::short_training_tests::ShortTraining;
 
 fn train(effects: &[&str]) -> ShortTraining {
@@ -63,7 +63,7 @@ fn nodes(settings: &Settings, attends: bool) -> (Nodes, ModelState<f64>) {
     let mut state = ModelState::new();
     insert_nodes(&mut state, Tensor::from_vec([5, 3], noise(15, 1)), 0.3);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
-    nodes.insert(&mut state, &points, &mut generator(1, Stream::Initial));
+    nodes.insert(&mut state, &points, Streams::new(1));
     controls::insert(&mut state, settings, false).unwrap();
     (nodes, state)
 }

@@ -4,7 +4,6 @@
 #[cfg(test)]
 mod tests;
 
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::{columns, scale_rows};
 use shaders::pointwise::{add, sigmoid};
@@ -17,7 +16,7 @@ use crate::bases::anchors::{
     GaussianDeformation, SpawnedGaussians,
 };
 use crate::bases::gates::straight_through;
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
 use crate::model::{ModelState, Variables};
@@ -162,7 +161,7 @@ impl<T: Real> Method<T> for MotionDecomposition {
         phase: &str,
         mut state: ModelState<T>,
         _start: &Start<'_>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves(phase) {
             self.global.insert(&mut state, random)?;

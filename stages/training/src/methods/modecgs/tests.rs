@@ -3,7 +3,7 @@ use shaders::tape::Device;
 
 use super::*;
 use crate::bases::anchors::COARSE;
-use crate::data::{Dataset, NOTHING, Stream, generator};
+use crate::data::{Dataset, NOTHING, Streams};
 use crate::effects::Effects;
 use crate::scene_tests::TestScene;
 
@@ -14,10 +14,10 @@ fn at_fine(effects: Effects, settings: Settings) -> (MotionDecomposition, ModelS
     let method = MotionDecomposition::new(&Shared { effects, ..Modecgs::shared_defaults() }, settings);
     let start = Start { dataset: &dataset, supplements: &NOTHING };
     let points = dataset.capture.load_points().unwrap().unwrap();
-    let mut random = generator(5, Stream::Method);
-    let mut state = method.initialize(&start, &points, &mut random).unwrap();
+    let random = Streams::new(5);
+    let mut state = method.initialize(&start, &points, random).unwrap();
     for phase in [COARSE, FINE] {
-        state = method.enter_phase(phase, state, &start, &mut random).unwrap();
+        state = method.enter_phase(phase, state, &start, random).unwrap();
     }
     (method, state, dataset)
 }

@@ -52,7 +52,7 @@ impl PhysicalGaussians {
         let count = total(step.tape, count);
         step.count_skipped_deferred("physical losses of Gaussians in the background", count, candidates.len());
         let size = SampleSize { share: self.settings.sample_share, most: self.settings.sample_max };
-        let sampled = sample_rows(step.tape.device(), &candidates, size, step.random.random());
+        let sampled = sample_rows(step.tape.device(), &candidates, size, step.random.of("physical losses").random());
         let frames_ahead = self.parts.frames_ahead();
         let Some(followed) = Trajectories::follow(step, &self.base, &sampled, view.time, frames_ahead) else {
             return Ok(());

@@ -10,7 +10,7 @@ use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
-use crate::data::{Dataset, NOTHING, Stream, Supplements, TrainingView, ViewConstants, generator};
+use crate::data::{Dataset, NOTHING, Streams, Supplements, TrainingView, ViewConstants};
 use crate::method::{Recorded, SkippedWork, Start, raster_settings, run_step};
 use crate::model::ModelState;
 use crate::params::TrainingParams;
@@ -71,10 +71,10 @@ impl World {
     ) -> Observation {
         let start = Start { dataset: &self.dataset, supplements: &self.supplements };
         let points = self.dataset.initial_points(&params.shared.initial_points, 0).unwrap();
-        let mut state = method.initialize(&start, &points, &mut generator(1, Stream::Initial)).unwrap();
-        let mut random = generator(1, Stream::Method);
+        let mut state = method.initialize(&start, &points, Streams::new(1)).unwrap();
+        let random = Streams::new(1);
         for phase in method.phases() {
-            state = method.enter_phase(phase.name, state, &start, &mut random).unwrap();
+            state = method.enter_phase(phase.name, state, &start, random).unwrap();
         }
         vary_in_time(&mut state);
         let mut tape = Tape::new(device);
@@ -92,7 +92,7 @@ impl World {
             iteration: 1,
             sh_degree: 0,
             raster: raster_settings(&self.dataset.scene, 0),
-            random: &mut random,
+            random: random.step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
             recorded: Recorded::default(),

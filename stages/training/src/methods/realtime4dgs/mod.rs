@@ -7,7 +7,6 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::networks::temporal_harmonics::temporal_harmonics;
 use shaders::pointwise::add;
@@ -18,7 +17,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
 use crate::bases::primitives4d;
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::effects::Effect;
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
@@ -116,7 +115,8 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
             step.photometric(rendered.color, view);
             if self.switches.rigid {
                 step.clock.enter("loss rigid");
-                let loss = rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, step.random);
+                let loss =
+                    rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, step.random.of("rigid"));
                 let share = self.settings.rigid_weight / step.views.len() as f64;
                 loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
             }
@@ -130,12 +130,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
         vec![self.shared.phase(TRAIN)]
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         let mut still = ModelState::new();
         let (degree, count) = (self.shared.harmonics.degree, points.len());
         gaussians::insert_initial(&mut still, &self.shared, start.scene(), points)?;

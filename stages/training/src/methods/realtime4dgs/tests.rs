@@ -2,7 +2,7 @@ use shaders::tape::Device;
 
 use super::*;
 use crate::bases::gaussians::{baked, present};
-use crate::data::{Dataset, NOTHING, Stream, generator};
+use crate::data::{Dataset, NOTHING, Streams};
 use crate::effects::Effects;
 use crate::methods;
 use crate::params::TrainingParams;
@@ -24,7 +24,7 @@ fn method(effects: &[&str], degree: usize) -> SpaceTimeGaussians {
 fn first_state(method: &dyn Method<f32>, dataset: &Dataset) -> ModelState<f32> {
     let points = dataset.initial_points(&Shared::default().initial_points, 0).unwrap();
     let start = Start { dataset, supplements: &NOTHING };
-    method.initialize(&start, &points, &mut generator(0, Stream::Initial)).unwrap()
+    method.initialize(&start, &points, Streams::new(0)).unwrap()
 }
 
 /// A tape with the splats of a state at a time and degree, and the names of its operations.
@@ -121,7 +121,8 @@ fn equal_motion_of_neighbours_has_zero_loss() {
             opacity_logits: constant(1, vec![0.0; 5]),
             present: constant(1, present.to_vec()),
         };
-        let loss = rigidity::loss(&mut tape, positions, &sliced, &settings, &mut generator(0, Stream::Method));
+        let loss =
+            rigidity::loss(&mut tape, positions, &sliced, &settings, Streams::new(0).step("fine", 1).of("rigid"));
         tape.value(loss.unwrap()).as_slice()[0]
     };
     assert_eq!(loss_of([1.0, 2.0, 3.0].repeat(5), [1.0; 5]), 0.0);

@@ -5,7 +5,6 @@ mod nodes;
 #[cfg(test)]
 mod tests;
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::rasteriser::SplatVars;
@@ -17,7 +16,7 @@ use crate::bases::control_nodes::{ControlNodeSettings, published_decay};
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
@@ -167,12 +166,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         vec![place, choose, self.canonical.phase(WARM_UP), self.canonical.phase(ALL)]
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         if !self.moves {
             return self.canonical.initialize(start, points, random);
         }
@@ -188,7 +182,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         phase: &str,
         state: ModelState<T>,
         start: &Start<'_>,
-        _random: &mut ChaCha8Rng,
+        _random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if !self.moves || phase != WARM_UP {
             return Ok(state);

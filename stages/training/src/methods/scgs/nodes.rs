@@ -1,7 +1,6 @@
 //! The control nodes: their selection, their motion, and the Gaussians that follow them.
 
 use rand::RngExt as _;
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::arrays::rows::{RowIndex, concat_columns, gather};
 use shaders::geometry::neighbor_blend::{Frames, Neighbors, blend, blend_frames, weights};
@@ -15,6 +14,7 @@ use crate::bases::control_nodes::{NODES, Rigidity, farthest_points, identity_rot
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
+use crate::data::Streams;
 use crate::method::Step;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
@@ -52,12 +52,7 @@ impl Nodes {
     }
 
     /// Adds the network for a scene with these points.
-    pub(crate) fn insert_network<T: Real>(
-        &self,
-        state: &mut ModelState<T>,
-        points: &PointCloud,
-        random: &mut ChaCha8Rng,
-    ) {
+    pub(crate) fn insert_network<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: Streams) {
         self.network.insert(state, points, random);
     }
 
@@ -190,8 +185,9 @@ impl Nodes {
         if weight == 0.0 {
             return;
         }
-        let first = step.random.random::<f64>() * (1.0 - RIGID_SPAN);
-        let second = first + step.random.random::<f64>() * RIGID_SPAN;
+        let random = step.random.of("rigidity");
+        let first = random.random::<f64>() * (1.0 - RIGID_SPAN);
+        let second = first + random.random::<f64>() * RIGID_SPAN;
         let population = if population == CANDIDATES { CANDIDATES } else { NODES };
         let positions = self.evenly(step.tape, step.model.get(&format!("{population}.positions")));
         let per_node = self.settings.nodes.rigid_neighbors;

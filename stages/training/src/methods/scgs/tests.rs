@@ -1,6 +1,7 @@
 use serde_json::to_value;
 
 use super::*;
+use crate::data::Streams;
 use crate::short_training_tests::ShortTraining;
 
 fn train(effects: &[&str]) -> ShortTraining {
@@ -31,9 +32,9 @@ fn rigidity_adds_operations_but_no_tensors() {
 fn untrained_nodes_barely_move_the_gaussians() {
     let mut state = ModelState::<f64>::new();
     let nodes = Nodes::new(&Scgs::tiny_settings());
-    let mut random = crate::data::generator(1, crate::data::Stream::Initial);
+    let random = Streams::new(1);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
-    nodes.insert_network(&mut state, &points, &mut random);
+    nodes.insert_network(&mut state, &points, random);
     let scene = crate::data::SceneFacts {
         extent: 3.0,
         unit_world: 1.0,

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::rasteriser::SplatVars;
@@ -10,7 +9,7 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
-use crate::data::SceneFacts;
+use crate::data::{SceneFacts, Streams};
 use crate::method::{Base, Method, Moment, Start, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
@@ -55,7 +54,7 @@ impl<T: Real> Base<T> for StaticGaussians {
         vec![self.shared.phase(TRAIN)]
     }
 
-    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: &mut ChaCha8Rng) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
         Ok(state)

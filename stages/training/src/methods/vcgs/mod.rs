@@ -11,7 +11,6 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use rand_chacha::ChaCha8Rng;
 use scene::cloud::PointCloud;
 use shaders::pointwise::mul;
 use shaders::rasteriser::SplatVars;
@@ -20,7 +19,7 @@ use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
 use crate::bases::primitives4d;
-use crate::data::{LoadedView, SceneFacts, TrainingView};
+use crate::data::{LoadedView, SceneFacts, Streams, TrainingView};
 use crate::effects::Effect;
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
@@ -179,12 +178,7 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
         background.into_iter().chain(self.switches.motion.then_some(moving)).collect()
     }
 
-    fn initialize(
-        &self,
-        start: &Start<'_>,
-        _points: &PointCloud,
-        _random: &mut ChaCha8Rng,
-    ) -> anyhow::Result<ModelState<T>> {
+    fn initialize(&self, start: &Start<'_>, _points: &PointCloud, _random: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         self.insert_layer(if self.has_background() { STATIC } else { DYNAMIC }, &mut state, start)?;
         Ok(state)
@@ -195,7 +189,7 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
         phase: &str,
         mut state: ModelState<T>,
         start: &Start<'_>,
-        _random: &mut ChaCha8Rng,
+        _random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if phase == DYNAMIC && self.has_background() {
             self.insert_layer(DYNAMIC, &mut state, start)?;

@@ -10,7 +10,7 @@ use super::settings::Pruning;
 use super::splats::within_view_plane;
 use super::surfels::{DepthImage, Surfel, uncovered, without_duplicates};
 use super::*;
-use crate::data::{Dataset, NOTHING, Stream, Supplements, generator};
+use crate::data::{Dataset, NOTHING, Streams, Supplements};
 use crate::effects::Effects;
 use crate::method::{ScreenGradients, ScreenStats};
 use crate::scene_tests::TestScene;
@@ -44,12 +44,12 @@ const ALL: [&str; 4] = ["motion", "view-plane-constraint", "layer-split", "inpai
 
 /// The model state at the start of the last phase, and the phase.
 fn last_state(method: &ViewPlaneGaussians, start: &Start<'_>) -> anyhow::Result<(ModelState<f64>, &'static str)> {
-    let mut random = generator(0, Stream::Initial);
+    let random = Streams::new(0);
     let none = PointCloud { positions: Vec::new(), colors: Vec::new() };
-    let mut state = Method::<f64>::initialize(method, start, &none, &mut random)?;
+    let mut state = Method::<f64>::initialize(method, start, &none, random)?;
     let phases = Method::<f64>::phases(method);
     for phase in &phases {
-        state = Method::enter_phase(method, phase.name, state, start, &mut random)?;
+        state = Method::enter_phase(method, phase.name, state, start, random)?;
     }
     Ok((state, phases.last().unwrap().name))
 }

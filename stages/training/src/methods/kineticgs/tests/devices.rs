@@ -86,7 +86,7 @@ fn gpu_masks_the_particles_that_the_cpu_skips() {
     let (expected, expected_gradients, _) = outcome(&world, Device::Cpu);
     let (found, gradients, readbacks) = outcome(&world, Device::Gpu(gpu));
     let (active, followed) = (expected[0].as_slice().iter().sum::<f32>(), expected[1].as_slice()[0]);
-    assert!(followed >= 3.0 && followed < active && active < 0.8 * CROWD as f32, "{followed} of {active}");
+    assert!(followed >= 2.0 && followed < active && active < 0.8 * CROWD as f32, "{followed} of {active}");
     assert!(expected[2..4].iter().all(|loss| loss.as_slice()[0] > 0.0));
     assert_eq!(readbacks, 0);
     assert!(!gradients.is_empty() && gradients.len() == expected_gradients.len());

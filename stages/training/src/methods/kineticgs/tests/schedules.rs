@@ -4,6 +4,7 @@ use super::super::coherence::displacement_incoherence;
 use super::super::neighbors::{Neighbors, Pairs, Search};
 use super::super::weights::LossSettings;
 use super::*;
+use crate::data::Streams;
 
 #[test]
 fn neighbours_with_equal_motion_are_coherent() {
@@ -43,10 +44,11 @@ fn every_neighbour_search_finds_close_pairs() {
         assert!(pairs.iter().all(|[first, second]| first != second));
         assert!(search.pairs(&[], 1.0).is_empty());
     }
-    let drawn: BTreeSet<usize> =
-        (0..20).map(|seed| Neighbors::Curve.draw(&mut generator(seed, Stream::Method)) as usize).collect();
+    let drawn: BTreeSet<usize> = (0..20)
+        .map(|seed| Neighbors::Curve.draw(Streams::new(seed).step("fine", 1).of("neighbors")) as usize)
+        .collect();
     assert_eq!(drawn, [Search::Hilbert as usize, Search::ZOrder as usize].into());
-    assert_eq!(Neighbors::Knn.draw(&mut generator(0, Stream::Method)), Search::Nearest);
+    assert_eq!(Neighbors::Knn.draw(Streams::new(0).step("fine", 1).of("neighbors")), Search::Nearest);
 }
 
 #[test]

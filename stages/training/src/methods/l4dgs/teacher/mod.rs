@@ -12,7 +12,6 @@ mod text;
 
 pub(crate) use text::prompt_embeddings;
 
-use rand_chacha::ChaCha8Rng;
 use shaders::arrays::rows::{concat_columns, normalize};
 use shaders::networks::attention::{TopKAttention, top_k_attention};
 use shaders::networks::linear::Activation;
@@ -22,6 +21,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::settings::TeacherSettings;
 use super::tokens::TokenGrid;
 use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix};
+use crate::data::Streams;
 use crate::model::{ModelState, Variables};
 use network::Network;
 
@@ -59,7 +59,7 @@ impl<'a> Teacher<'a> {
         state: &mut ModelState<T>,
         token_width: Option<usize>,
         prompts: Option<Tensor<T>>,
-        random: &mut ChaCha8Rng,
+        random: Streams,
     ) {
         let TeacherSettings { width, features, decoder_width, .. } = *self.settings;
         let network = Network::new(self.settings);

@@ -1,7 +1,6 @@
 //! Three levels of central-difference convolutions (Yu et al. 2020) with dilations 1, 2 and 4, each at half the size of
 //! the previous one: convolution, group normalisation, ReLU.
 
-use rand_chacha::ChaCha8Rng;
 use shaders::networks::convolution::{Sampling, central_difference, convolution};
 use shaders::networks::group_norm::group_norm;
 use shaders::networks::pooling::average_pool;
@@ -11,6 +10,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::super::settings::TeacherSettings;
 use super::super::tokens::TokenGrid;
 use crate::bases::layers::uniform;
+use crate::data::Streams;
 use crate::model::{ModelState, Variables};
 
 /// Side length of the kernels.
@@ -34,11 +34,13 @@ impl<'a> Network<'a> {
     }
 
     /// Adds `teacher.level_{0,1,2}.weight`, `.scale` and `.shift`; weights are initialised for ReLUs (He et al. 2015).
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: &mut ChaCha8Rng) {
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: Streams) {
         let mut inputs = 3;
         for (level, &outputs) in self.settings.channels.iter().enumerate() {
             let bound = (6.0 / (KERNEL * KERNEL * inputs) as f64).sqrt();
-            state.insert(name(level, "weight"), uniform(&[outputs, KERNEL, KERNEL, inputs], -bound, bound, random));
+            let weight = name(level, "weight");
+            let first = uniform(&[outputs, KERNEL, KERNEL, inputs], -bound, bound, &mut random.tensor(&weight));
+            state.insert(weight, first);
             state.insert(name(level, "scale"), Tensor::full([outputs], T::ONE));
             state.insert(name(level, "shift"), Tensor::zeros([outputs]));
             inputs = outputs;
