@@ -192,8 +192,8 @@ fn kernels_are_counted_and_timed_by_name() {
     let y = pointwise::square(&mut tape, x);
     tape.value(y).as_slice();
     let spent = gpu.usage().since(&before);
-    let square = spent.kernels.iter().find(|(name, _)| name.contains("square")).expect("it ran").1;
+    // Other tests use the same adapter meanwhile, with kernels that are not submitted yet.
+    let square = spent.kernels.get("square").expect("it ran");
     assert!(square.launches >= 1 && (square.secs > 0.0) == can_time, "{square:?}");
-    // Other tests use the same adapter meanwhile.
-    assert!(spent.counts.launches >= square.launches && spent.counts.bytes_uploaded >= 400_000, "{spent:?}");
+    assert!(spent.counts.launches >= 1 && spent.counts.bytes_uploaded >= 400_000, "{spent:?}");
 }
