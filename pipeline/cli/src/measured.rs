@@ -8,7 +8,7 @@ use engine::status::State;
 use engine::{Digest, Failure, FailureKind, builtin_name};
 use metric_evaluation::Score;
 use serde::Deserialize;
-use table_generation::{Column, DEGENERATE, Run};
+use table_generation::{Column, DEGENERATE, RowDifference, Run};
 
 use crate::args::{Conditions, RecipeArgs};
 use crate::error::CliError;
@@ -17,10 +17,13 @@ use crate::session::Session;
 /// The file of a report that holds everything unrounded.
 const REPORT: &str = "report.json";
 
-/// The part of a report file that is compared.
-#[derive(Deserialize)]
-struct Runs {
-    runs: Vec<Run>,
+/// The parts of report files that verbs read.
+#[derive(Default, Deserialize)]
+pub(crate) struct Measured {
+    /// The runs.
+    pub(crate) runs: Vec<Run>,
+    /// The differences that the reports are about.
+    pub(crate) differences: Vec<RowDifference>,
 }
 
 /// The runs of `named`: a recipe (`.toml`), whose latest results under the conditions are read, or a report's folder or
@@ -31,7 +34,7 @@ pub(crate) fn open(store: &Path, named: &Path, with: &Conditions) -> Result<Vec<
         let session = Session::read_only(store, &recipe)?;
         return collect(&session, |index| Ok(session.record(index)?.content));
     }
-    read(&if named.is_dir() { named.join(REPORT) } else { named.to_owned() })
+    Ok(read(&if named.is_dir() { named.join(REPORT) } else { named.to_owned() })?.runs)
 }
 
 /// The runs of all tables of a recipe, which must be up to date.
@@ -57,22 +60,24 @@ fn collect(session: &Session, content: impl Fn(usize) -> Result<Digest, CliError
 
 /// The runs of the report in a folder.
 pub(crate) fn read_report(dir: &Path) -> Result<Vec<Run>, CliError> {
-    read(&dir.join(REPORT))
+    Ok(read(&dir.join(REPORT))?.runs)
 }
 
-/// The runs of the reports that `summary` has results of.
-pub(crate) fn of_run(session: &Session, summary: &RunSummary) -> Result<Vec<Run>, CliError> {
-    let mut runs = Vec::new();
+/// The content of the reports that `summary` has results of.
+pub(crate) fn of_run(session: &Session, summary: &RunSummary) -> Result<Measured, CliError> {
+    let mut all = Measured::default();
     for index in session.reports() {
         let result = summary.results.get(&session.plan.nodes[index].name);
         if let Some(content) = result.and_then(|result| result.content) {
-            runs.extend(read_report(&session.store.view(&content)?)?);
+            let Measured { runs, differences } = read(&session.store.view(&content)?.join(REPORT))?;
+            all.runs.extend(runs);
+            all.differences.extend(differences);
         }
     }
-    Ok(runs)
+    Ok(all)
 }
 
-fn read(path: &Path) -> Result<Vec<Run>, CliError> {
+fn read(path: &Path) -> Result<Measured, CliError> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()));
     let bytes = bytes.map_err(CliError::of_input)?;
     let no_report = |error: serde_json::Error| {
@@ -80,7 +85,7 @@ fn read(path: &Path) -> Result<Vec<Run>, CliError> {
         let hint = format!("name a recipe, a report folder, or its {REPORT}");
         CliError::of_input(Failure::new(FailureKind::BadInput, message).hint(hint).at(path).into())
     };
-    Ok(serde_json::from_slice::<Runs>(&bytes).map_err(no_report)?.runs)
+    serde_json::from_slice(&bytes).map_err(no_report)
 }
 
 /// A finite value of a run, or the reason why it has none. The values of a degenerate run do not count.

@@ -66,7 +66,7 @@ impl ReportFolder {
 
 impl Artifact for ReportFolder {
     const NAME: &'static str = "report";
-    const SCHEMA: u32 = 2;
+    const SCHEMA: u32 = 3;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(JSON);

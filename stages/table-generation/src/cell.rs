@@ -18,13 +18,15 @@ pub(crate) struct Cell {
     pub std: Option<f64>,
     /// The valid replicates, in the order of seeds.
     pub values: Vec<f64>,
+    /// The seed of each value.
+    pub seeds: Vec<String>,
     /// Number of replicates that the recipe asks for.
     pub n_expected: usize,
     /// Why the number is missing, or why some replicates are left out.
     pub reason: Option<String>,
     /// Rank of the rounded value in its column, 1 for the best; none where there is nothing to compare.
     pub rank: Option<usize>,
-    /// Whether the spread over seeds is too large to distinguish this value from the best of its column.
+    /// Whether the 95 % interval of the paired difference from the best of the column contains 0.
     pub within_noise: bool,
 }
 

@@ -10,6 +10,7 @@ use crate::claims::Claim;
 use crate::collect::{Costs, DEGENERATE, Run, failure_mark};
 use crate::column::Column;
 use crate::comparison::claim_table;
+use crate::difference::row_differences;
 use crate::format::number;
 use crate::params::TableGenerationParams;
 use crate::ranks::rank;
@@ -31,9 +32,11 @@ impl Report {
             run.failure.clone().map(|failure| FailedRun { scene, row, seed, failure })
         });
         let present: Vec<&Run> = runs.iter().filter(|run| !run.misses_data()).collect();
+        let groups = groups(&present, claims, params);
         Self {
             title: params.title.clone(),
-            groups: groups(&present, claims, params),
+            differences: groups.iter().flat_map(|group| row_differences(group, params)).collect(),
+            groups,
             failures: failed.collect(),
             missing_data: missing_data.collect(),
             runs,
@@ -213,10 +216,10 @@ fn value(run: &Run, column: Column) -> Result<f64, String> {
 
 /// Mean over the seeds of one scene.
 fn scene_cell(runs: &[&Run], n_expected: usize, column: Column) -> Cell {
-    let results: Vec<_> = runs.iter().map(|run| value(run, column)).collect();
-    let values: Vec<f64> = results.iter().filter_map(|result| result.clone().ok()).collect();
+    let results: Vec<_> = runs.iter().map(|run| value(run, column).map(|value| (run.seed.clone(), value))).collect();
+    let replicates = results.iter().filter_map(|result| result.clone().ok()).collect();
     let reason = results.into_iter().find_map(Result::err);
-    cell(values, n_expected, if runs.is_empty() { Some("not run".into()) } else { reason })
+    cell(replicates, n_expected, if runs.is_empty() { Some("not run".into()) } else { reason })
 }
 
 /// Mean over scenes for each seed, then mean and spread over the seeds with values for all scenes.
@@ -228,12 +231,15 @@ fn mean_cell(runs: &[&Run], scenes: &[String], seeds: &[String], column: Column)
             run.map_or(Err("not run".into()), |run| value(run, column)).map_err(|why| format!("{scene}: {why}"))
         };
         let values: Result<Vec<f64>, String> = scenes.iter().map(value_in).collect();
-        values.map_err(|why| reason.get_or_insert(why).clone()).ok().and_then(|values| mean(&values))
+        let values = values.map_err(|why| reason.get_or_insert(why).clone()).ok()?;
+        Some((seed.clone(), mean(&values)?))
     };
-    let replicates: Vec<f64> = seeds.iter().filter_map(&mut replicate).collect();
+    let replicates = seeds.iter().filter_map(&mut replicate).collect();
     cell(replicates, seeds.len(), reason)
 }
 
-fn cell(values: Vec<f64>, n_expected: usize, reason: Option<String>) -> Cell {
-    Cell { mean: mean(&values), std: sample_std(&values), values, n_expected, reason, ..Cell::default() }
+/// Mean and spread over replicates, each with its seed.
+fn cell(replicates: Vec<(String, f64)>, n_expected: usize, reason: Option<String>) -> Cell {
+    let (seeds, values): (Vec<String>, Vec<f64>) = replicates.into_iter().unzip();
+    Cell { mean: mean(&values), std: sample_std(&values), values, seeds, n_expected, reason, ..Cell::default() }
 }

@@ -7,6 +7,7 @@ mod collect;
 mod column;
 mod comparison;
 mod csv_file;
+mod difference;
 mod document;
 mod format;
 mod grouping;
@@ -33,6 +34,7 @@ pub use collect::{
     TensorGradient,
 };
 pub use column::Column;
+pub use difference::{Difference, RowDifference};
 pub use format::{number, signed};
 pub use params::TableGenerationParams;
 pub use run::TableGeneration;

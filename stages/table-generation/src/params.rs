@@ -1,5 +1,7 @@
 //! Parameters of the stage.
 
+use std::collections::BTreeMap;
+
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +28,8 @@ pub struct TableGenerationParams {
     pub reproduced_within_db: f64,
     /// Method with which every other method is compared, scene by scene.
     pub baseline: String,
+    /// The method that each method builds on, e.g. `mcgs = "scgs"`: they are compared seed by seed.
+    pub bases: BTreeMap<String, String>,
     /// Whether the report lists the outcome of every run; it does so in any case if a run diverged.
     pub hard_cases: bool,
     /// Number of worst views per scene that the page shows beside the median view; 0 shows no images.
@@ -44,6 +48,7 @@ impl Default for TableGenerationParams {
             log_time: false,
             reproduced_within_db: 0.3,
             baseline: "static3dgs".into(),
+            bases: BTreeMap::new(),
             hard_cases: false,
             shown_views: 2,
             image_width: 400, // wider than a phone, large on a desktop; about 30 kB per pair

@@ -2,9 +2,9 @@
 
 use crate::cell::Cell;
 use crate::column::Column;
+use crate::difference::Difference;
 use crate::format;
 use crate::report::Row;
-use crate::statistics::welch_half_width;
 
 /// Ranks every column by rounded values, so that equal printed values share a rank. A single value has no rank, and
 /// times are ranked only if `one_machine`.
@@ -40,13 +40,10 @@ fn rank_cells(mut cells: Vec<&mut Cell>, column: Column) {
     mark_noise(&mut cells);
 }
 
-/// Marks the values whose difference from the best has a 95 % interval over seeds that contains 0.
+/// Marks the values whose paired difference from the best has a 95 % interval over seeds that contains 0.
 fn mark_noise(cells: &mut [&mut Cell]) {
     let Some(best) = cells.iter().find(|cell| cell.rank == Some(1)).map(|cell| (**cell).clone()) else { return };
-    let (Some(best_mean), Some(best_std)) = (best.mean, best.std) else { return };
     for cell in cells.iter_mut().filter(|cell| cell.rank.is_some_and(|rank| rank > 1)) {
-        let (Some(mean), Some(std)) = (cell.mean, cell.std) else { continue };
-        let noise = welch_half_width((best_std, best.n()), (std, cell.n()));
-        cell.within_noise = noise.is_some_and(|noise| (best_mean - mean).abs() <= noise);
+        cell.within_noise = Difference::of(cell, &best).is_some_and(Difference::is_noise);
     }
 }

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::cell::Cells;
 use crate::claims::ClaimTable;
 use crate::collect::{Costs, Run, RunFailure};
+use crate::difference::RowDifference;
 
 /// All numbers of the report, unrounded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,6 +20,8 @@ pub(crate) struct Report {
     pub title: String,
     /// One group per protocol; numbers of different groups never share a column.
     pub groups: Vec<Group>,
+    /// The differences in PSNR that the report is about.
+    pub differences: Vec<RowDifference>,
     /// Failures other than missing data.
     pub failures: Vec<FailedRun>,
     /// Scenes whose data is not on this machine, with the reason.

@@ -1,4 +1,4 @@
-//! Mean, spread, and confidence intervals of means and of their differences.
+//! Mean, spread, and confidence intervals of means.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -32,20 +32,6 @@ pub(crate) fn half_width(std: f64, n: usize) -> Option<f64> {
     (n > 1).then(|| t_quantile((n - 1) as f64) * std / (n as f64).sqrt())
 }
 
-/// Half the width of the 95 % interval of the difference of two independent means (Welch 1947), each given by its
-/// standard deviation and count; none for fewer than two values on either side.
-pub(crate) fn welch_half_width((std_a, n_a): (f64, usize), (std_b, n_b): (f64, usize)) -> Option<f64> {
-    if n_a < 2 || n_b < 2 {
-        return None;
-    }
-    let (a, b) = (std_a * std_a / n_a as f64, std_b * std_b / n_b as f64);
-    if a + b == 0.0 {
-        return Some(0.0);
-    }
-    let freedom = (a + b).powi(2) / (a * a / (n_a - 1) as f64 + b * b / (n_b - 1) as f64);
-    Some(t_quantile(freedom) * (a + b).sqrt())
-}
-
 /// The 97.5 % quantile of Student's t distribution.
 fn t_quantile(freedom: f64) -> f64 {
     // `new` fails only if `freedom` is not positive, and callers pass at least one degree of freedom.
@@ -57,17 +43,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intervals_match_student_and_welch() {
+    fn intervals_match_student() {
         // Three values 1, 2, 3: standard deviation 1, t(2) = 4.303.
         let width = half_width(1.0, 3).expect("three values");
         assert!((width - 4.303 / 3.0_f64.sqrt()).abs() <= 1e-3);
-        // Equal spreads and counts: 2 (n - 1) degrees of freedom.
-        let equal = welch_half_width((1.0, 3), (1.0, 3)).expect("three each");
-        assert!((equal - 2.776 * (2.0_f64 / 3.0).sqrt()).abs() <= 1e-3);
-        // If one side has no spread, the degrees of freedom are those of the other side.
-        let one_sided = welch_half_width((1.0, 3), (0.0, 5)).expect("both sides");
-        assert!((one_sided - 4.303 / 3.0_f64.sqrt()).abs() <= 1e-3);
-        assert_eq!((welch_half_width((1.0, 1), (1.0, 3)), half_width(1.0, 1)), (None, None));
+        assert_eq!(half_width(1.0, 1), None);
         assert!((t_quantile(60.0) - 2.000).abs() <= 1e-3);
     }
 }

@@ -14,7 +14,7 @@ use clap::{Args, Parser, Subcommand, value_parser};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
-use values::{at_least_one, log_filter, parse_times, row_pair};
+use values::{at_least_one, half_width_db, log_filter, parse_times, row_pair};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
@@ -121,6 +121,10 @@ pub(crate) struct RunArgs {
     /// Fail without running anything if any job would have to run
     #[arg(long)]
     pub(crate) frozen: bool,
+    /// Train with the seeds 0 to 2, then add seeds, up to 8, until half the 95 % interval of every difference in PSNR
+    /// that the report is about (variants, methods and their bases) is at most DB, e.g. 0.3
+    #[arg(long, value_parser = half_width_db, value_name = "DB", conflicts_with_all = ["replicates", "frozen", "profile"])]
+    pub(crate) precision: Option<f64>,
     /// Print where the steps of each training spend their time. On a GPU, also print launches and readbacks per
     /// iteration and, for trainings of this run, the time of each kernel; timing kernels slows a training down
     #[arg(long, conflicts_with = "json")]

@@ -82,6 +82,12 @@ pub(crate) fn replicates(text: &str) -> Result<usize, String> {
     if count <= MAX_REPLICATES { Ok(count) } else { Err(format!("at most {MAX_REPLICATES} seeds, not {count}")) }
 }
 
+/// Parses the half-width of `--precision`.
+pub(crate) fn half_width_db(text: &str) -> Result<f64, String> {
+    let db = text.trim_end_matches("dB").trim().parse::<f64>().ok().filter(|db| db.is_finite() && *db > 0.0);
+    db.ok_or_else(|| format!("expected a positive number of dB, e.g. 0.3, not {text}"))
+}
+
 /// Parses the duration of `--budget`.
 pub(crate) fn budget(text: &str) -> Result<Duration, String> {
     let time = humantime::parse_duration(text).map_err(|error| error.to_string())?;

@@ -8,6 +8,7 @@ pub(crate) mod explain;
 pub(crate) mod graph;
 pub(crate) mod library;
 pub(crate) mod plan;
+mod precision;
 pub(crate) mod results;
 pub(crate) mod run;
 pub(crate) mod status;

@@ -12,20 +12,39 @@ use engine::job::StopRequests;
 use engine::scheduler::{self, RunOptions};
 use engine::status::{Prediction, State};
 
-use crate::args::RunArgs;
+use table_generation::RowDifference;
+
+use super::precision;
+use crate::args::{RecipeArgs, RunArgs};
 use crate::display::{self, Eta, profile, summary};
 use crate::error::CliError;
-use crate::measured;
+use crate::measured::{self, Measured};
 use crate::session::Session;
 
 /// Without a terminal, a line is printed at least this often to show that the run is alive.
 const HEARTBEAT: Duration = Duration::from_secs(30);
 
 pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
-    if args.frozen {
-        refuse_to_run(&Session::read_only(store, &args.recipe)?.select(&args.selection)?)?;
+    match args.precision {
+        Some(half_width_db) => precision::run(store, args, half_width_db),
+        None => Ok(once(store, &args.recipe, args)?.code),
     }
-    let session = Session::open(store, &args.recipe)?.select(&args.selection)?;
+}
+
+/// The end of a run.
+pub(super) struct Ended {
+    /// The exit code.
+    pub code: u8,
+    /// The differences that its reports are about.
+    pub differences: Vec<RowDifference>,
+}
+
+/// Runs a recipe once.
+pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<Ended, CliError> {
+    if args.frozen {
+        refuse_to_run(&Session::read_only(store, recipe)?.select(&args.selection)?)?;
+    }
+    let session = Session::open(store, recipe)?.select(&args.selection)?;
     if session.needs_device()? {
         session.device.check()?;
     }
@@ -47,7 +66,8 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
     drop(display);
     summary::print(&session, &result);
-    let is_degenerate = summary::print_degenerate(&measured::of_run(&session, &result)?);
+    let Measured { runs, differences } = measured::of_run(&session, &result)?;
+    let is_degenerate = summary::print_degenerate(&runs);
     if let Some(error) = closed {
         return Err(error);
     }
@@ -55,10 +75,11 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
         // The forced jobs have run now, so their results count as cached.
         profile::print(&Session { force: BTreeSet::new(), ..session })?;
     }
-    Ok(match result.exit_code(args.require_data) {
+    let code = match result.exit_code(args.require_data) {
         exit::OK if is_degenerate => exit::DEGENERATE,
         code => code,
-    })
+    };
+    Ok(Ended { code, differences })
 }
 
 fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {

@@ -61,7 +61,7 @@ pub(crate) fn explain_marks<'a>(table: &mut Table, cells: impl Iterator<Item = &
     }
     if cells.clone().any(|cell| cell.within_noise) {
         table.remarks.push(format!(
-            "{NOISE_MARK} within noise: the 95 % interval (Welch) of the difference from the best of the column \
+            "{NOISE_MARK} within noise: the 95 % interval of the paired difference from the best of the column \
              contains 0."
         ));
     }

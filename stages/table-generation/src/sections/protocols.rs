@@ -7,8 +7,9 @@ use super::content::Content;
 use crate::cell::Cells;
 use crate::collect::failure_mark;
 use crate::column::Column;
+use crate::difference::{Difference, REMARK, with_baseline, with_bases};
 use crate::document::{Block, Table, Text};
-use crate::format::{NONE, number, scenes, signed};
+use crate::format::{NONE, number, scenes};
 use crate::grouping::distinct;
 use crate::report::{FailedRun, Group, Report, Row};
 use crate::statistics::mean;
@@ -25,7 +26,17 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
         blocks.push(Block::Paragraph(protocol_text(group, content.report)));
         blocks.extend(mean_tables(content, group).into_iter().map(Block::Table));
         blocks.push(Block::Table(scene_table(content, group, Column::PSNR)));
-        blocks.extend(gain_table(content, group).map(Block::Table));
+        let caption = format!("Protocol {}: gain in PSNR over {} (dB)", group.name, content.params.baseline);
+        let over_baseline = with_baseline(group, content.params);
+        let caption_of_bases = format!("Protocol {}: gain in PSNR over the base of each method (dB)", group.name);
+        let over_bases = with_bases(group, content.params);
+        blocks.extend(gain_table(content, group, caption, &over_baseline, |row, _| row.name.clone()).map(Block::Table));
+        blocks.extend(
+            gain_table(content, group, caption_of_bases, &over_bases, |row, base| {
+                format!("{} − {}", row.name, base.name)
+            })
+            .map(Block::Table),
+        );
         blocks.extend(no_baseline(content, group).map(Block::Paragraph));
         blocks.extend(conditional_tables(content, group).map(Block::Table));
     }
@@ -149,25 +160,32 @@ fn no_baseline(content: &Content<'_>, group: &Group) -> Option<String> {
     (!is_measured && group.rows.len() > 1).then(note)
 }
 
-/// Gains in PSNR over the baseline, if the baseline was measured.
-fn gain_table(content: &Content<'_>, group: &Group) -> Option<Table> {
-    let baseline = group.rows.iter().find(|row| row.method == content.params.baseline && row.variant.is_none())?;
-    let others: Vec<&Row> = group.rows.iter().filter(|row| row.name != baseline.name).collect();
-    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(["scenes with a gain".into()]);
-    let caption = format!("Protocol {}: gain in PSNR over {} (dB)", group.name, baseline.name);
-    let mut table = Table::new(caption, header.collect());
-    for row in others {
-        let psnr = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&Column::PSNR)?.mean;
-        let gain = |scene| psnr(row, scene).zip(psnr(baseline, scene)).map(|(mine, base)| mine - base);
-        let gains: Vec<Option<f64>> = group.scenes.iter().map(gain).collect();
-        let n_above = gains.iter().flatten().filter(|gain| **gain > 0.0).count();
-        let texts = gains.iter().zip(&group.scenes).map(|(gain, scene)| {
-            let text = Text::plain(gain.map_or(NONE.into(), |gain| signed(gain, Column::PSNR.decimals())));
-            traced(text, content.traces.scene(&row.name, scene))
-        });
+/// Paired differences in PSNR of pairs of rows, per scene and over all scenes; none without pairs.
+fn gain_table(
+    content: &Content<'_>,
+    group: &Group,
+    caption: String,
+    pairs: &[(&Row, &Row)],
+    name: impl Fn(&Row, &Row) -> String,
+) -> Option<Table> {
+    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned());
+    let mut table = Table::new(caption, header.chain(["mean".into(), "scenes with a gain".into()]).collect());
+    for (row, reference) in pairs {
+        let cell = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&Column::PSNR).cloned();
+        let gain = |scene| Difference::of(&cell(row, scene)?, &cell(reference, scene)?);
+        let gains: Vec<Option<Difference>> = group.scenes.iter().map(gain).collect();
+        let n_above = gains.iter().flatten().filter(|gain| gain.mean > 0.0).count();
+        let text = |gain: Option<Difference>| {
+            Text::plain(gain.map_or(NONE.into(), |gain: Difference| gain.text(Column::PSNR)))
+        };
+        let by_scene = gains.iter().zip(&group.scenes);
+        let texts = by_scene.map(|(gain, scene)| traced(text(*gain), content.traces.scene(&row.name, scene)));
+        let over_all = Difference::of_rows(row, reference, Column::PSNR);
+        let mean = traced(text(over_all), content.traces.row(&row.name));
         let count = Text::plain(format!("{n_above} of {}", gains.iter().flatten().count()));
-        table.rows.push([Text::plain(&row.name)].into_iter().chain(texts).chain([count]).collect());
+        table.rows.push([Text::plain(name(row, reference))].into_iter().chain(texts).chain([mean, count]).collect());
     }
+    table.remarks.push(REMARK.into());
     (!table.rows.is_empty()).then_some(table)
 }
 

@@ -1,16 +1,15 @@
-//! The summary in sentences: number of runs, best methods, smallest significant difference, reproduced values.
+//! The summary in sentences: number of runs, best methods, precision of their differences, reproduced values.
 
 use std::collections::BTreeMap;
 
 use super::content::Content;
-use crate::cell::Cell;
 use crate::collect::FINISHED;
 use crate::column::Column;
+use crate::difference::Difference;
 use crate::document::Block;
 use crate::format::number;
 use crate::grouping::distinct;
 use crate::report::{Group, Report};
-use crate::statistics::{mean, welch_half_width};
 
 /// Number of degenerate runs that the summary names.
 const NAMED: usize = 6;
@@ -56,15 +55,9 @@ fn best(group: &Group) -> String {
         let cells = || group.rows.iter().filter_map(|row| Some((row.name.as_str(), row.headline.get(&column)?)));
         let best: Vec<_> = cells().filter(|(_, cell)| cell.rank == Some(1)).collect();
         let value = best.first()?.1.mean?;
-        let limit = smallest_difference(group, column).map_or(0.0, |(limit, _)| limit);
-        let is_tied = |cell: &Cell| {
-            let behind = cell.mean.map(|mean| (mean - value).abs());
-            cell.rank.is_some_and(|rank| rank > 1)
-                && (cell.within_noise || behind.is_some_and(|behind| cell.std.is_some() && behind < limit))
-        };
         let text = |value| number(value, column.decimals());
         let tied: Vec<String> = cells()
-            .filter(|(_, cell)| is_tied(cell))
+            .filter(|(_, cell)| cell.within_noise)
             .filter_map(|(name, cell)| Some(format!("{name} {}", text(cell.mean?))))
             .collect();
         let names: Vec<&str> = best.iter().map(|(name, _)| *name).collect();
@@ -85,27 +78,21 @@ fn best(group: &Group) -> String {
     format!("{about}: {}.", leaders.join("; "))
 }
 
-/// The smallest significant difference of two means, from the pooled spread of all rows, and the number of seeds.
-fn smallest_difference(group: &Group, column: Column) -> Option<(f64, usize)> {
-    let cells = || group.rows.iter().filter_map(|row| row.headline.get(&column));
-    let variances: Vec<f64> = cells().filter_map(|cell| cell.std).map(|std| std * std).collect();
-    let n_seeds = cells().filter(|cell| cell.std.is_some()).map(|cell| cell.n()).min()?;
-    let one = (mean(&variances)?.sqrt(), n_seeds);
-    Some((welch_half_width(one, one)?, n_seeds))
-}
-
-/// A sentence about the smallest significant difference in PSNR.
+/// A sentence about the precision of the differences in PSNR.
 fn noise(group: &Group) -> String {
-    match smallest_difference(group, Column::PSNR) {
-        Some((width, n)) => format!(
-            "With {n} seeds, differences in mean PSNR below {} dB are not significant under protocol {} (95 %).",
-            number(width, 2),
-            group.name
+    let cells = || group.rows.iter().filter_map(|row| row.headline.get(&Column::PSNR));
+    let best = cells().find(|cell| cell.rank == Some(1));
+    let differences = cells().filter_map(|cell| Difference::of(cell, best?)).filter(|other| other.seeds > 1);
+    let widths: Vec<(f64, usize)> = differences.filter_map(|other| Some((other.half_width?, other.seeds))).collect();
+    let name = &group.name;
+    match (widths.iter().map(|(width, _)| *width).reduce(f64::max), widths.iter().map(|(_, seeds)| *seeds).min()) {
+        (Some(width), Some(seeds)) if widths.len() > 1 => format!(
+            "With {seeds} seeds, paired differences in mean PSNR from the best method are known to ± {} dB or better \
+             under protocol {name} (95 %).",
+            number(width, 2)
         ),
-        _ => format!(
-            "Protocol {} has one seed per run, so the noise is unknown and small differences may be noise.",
-            group.name
-        ),
+        _ if cells().any(|cell| cell.n() > 1) => format!("Protocol {name} has one method: nothing to compare."),
+        _ => format!("Protocol {name} has one seed per run: no difference between methods is a finding."),
     }
 }
 

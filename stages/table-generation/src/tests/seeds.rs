@@ -4,6 +4,10 @@ use insta::assert_snapshot;
 
 use super::content::{section, text};
 use super::*;
+use crate::difference::Difference;
+
+/// PSNRs of two methods whose difference is noise.
+const CLOSE: [[f64; 3]; 2] = [[30.0, 30.5, 31.0], [31.0, 30.9, 30.0]];
 
 /// Two methods on one scene with three seeds each and these PSNRs.
 fn three_seeds(a: [f64; 3], b: [f64; 3]) -> Report {
@@ -13,29 +17,36 @@ fn three_seeds(a: [f64; 3], b: [f64; 3]) -> Report {
 
 #[test]
 fn values_within_noise_of_the_best_are_marked() {
-    let close = three_seeds([30.0, 30.5, 31.0], [30.4, 30.9, 31.4]);
+    let close = three_seeds(CLOSE[0], CLOSE[1]);
     let cell = |report: &Report, row: usize| report.groups[0].rows[row].headline[&Column::PSNR].clone();
     assert!(cell(&close, 0).within_noise && !cell(&close, 1).within_noise, "the best is not marked");
     assert_eq!([0, 1].map(|row| cell(&close, row).rank), [Some(2), Some(1)], "ranks stay those of rounded values");
     assert_snapshot!(section(&close, "results"));
-    let apart = three_seeds([30.0, 30.1, 30.2], [33.0, 33.1, 33.2]);
+    // A constant difference is no noise, however large the spread over seeds.
+    let apart = three_seeds([30.0, 30.5, 31.0], [30.4, 30.9, 31.4]);
     assert!(!cell(&apart, 0).within_noise);
-    assert!(!text(&apart).contains('≈'));
+    assert!(!text(&three_seeds([30.0, 30.1, 30.2], [33.0, 33.1, 33.2])).contains('≈'));
 }
 
 #[test]
-fn summary_states_the_smallest_significant_difference() {
-    // Standard deviation 0.5 in both: 2.776 · 0.5 · √(2/3) = 1.13 dB.
-    let text = text(&three_seeds([30.0, 30.5, 31.0], [30.4, 30.9, 31.4]));
-    assert!(text.contains("differences in mean PSNR below 1.13 dB are not significant"), "{text}");
+fn summary_states_the_precision_of_differences() {
+    // Differences −1, 0.4 and 1: standard deviation 1.03, so 4.303 · 1.03 / √3 = 2.55 dB.
+    let text = text(&three_seeds(CLOSE[0], CLOSE[1]));
+    assert!(
+        text.contains("With 3 seeds, paired differences in mean PSNR from the best method are known to ± 2.55 dB"),
+        "{text}"
+    );
     let alone = super::content::text(&report(vec![run("trex", "static3dgs", 0, 30.0)]));
-    assert!(alone.contains("one seed per run, so the noise is unknown"), "{alone}");
+    assert!(alone.contains("one seed per run: no difference between methods is a finding"), "{alone}");
 }
 
 #[test]
 fn gains_over_the_baseline_are_counted() {
     let with_baseline = text(&report(two_by_two()));
-    assert!(with_baseline.contains("| deformable4dgs | +15.50 | +10.00 | 2 of 2 |"), "{with_baseline}");
+    assert!(
+        with_baseline.contains("| deformable4dgs | +15.50 ± 0.00 | +10.00 ± 0.00 | +12.75 ± 0.00 | 2 of 2 |"),
+        "{with_baseline}"
+    );
     assert!(!with_baseline.contains("with the baseline"), "{with_baseline}");
     let without = text(&report(["scgs", "mcgs"].map(|method| run("trex", method, 0, 30.0)).to_vec()));
     assert!(without.contains("with the baseline: no run of static3dgs was measured"), "{without}");
@@ -43,26 +54,35 @@ fn gains_over_the_baseline_are_counted() {
 
 #[test]
 fn statistical_ties_with_the_best_are_listed() {
-    let close = text(&three_seeds([30.0, 30.5, 31.0], [30.4, 30.9, 31.4]));
-    let tied = "highest PSNR: deformable4dgs (30.90 dB; within noise: static3dgs 30.50); \
-                shortest training: static3dgs (130.5 s; within noise: deformable4dgs 130.9);";
-    assert!(close.contains(tied), "{close}");
+    let close = text(&three_seeds(CLOSE[0], CLOSE[1]));
+    assert!(close.contains("highest PSNR: deformable4dgs (30.63 dB; within noise: static3dgs 30.50); "), "{close}");
     let apart = text(&three_seeds([30.0, 30.1, 30.2], [33.0, 33.1, 33.2]));
     assert!(
         apart.contains("highest PSNR: deformable4dgs (33.10 dB); shortest training: static3dgs (130.1 s);"),
         "{apart}"
     );
-    // A lead below the limit that the summary states is a tie, even if these two rows alone have a smaller spread.
-    let noisy = (0..3).map(|seed| run("trex", "scgs", seed, 20.0 + 5.0 * f64::from(seed)));
-    let pair = [("static3dgs", 30.0), ("deformable4dgs", 31.0)];
-    let pair = pair
+}
+
+#[test]
+fn differences_from_bases_are_paired_by_seed() {
+    let values = [("scgs", [30.0, 31.0, 32.0]), ("mcgs", [30.5, 31.4, 32.6])];
+    let runs = values
         .into_iter()
-        .flat_map(|(method, psnr)| (0..3).map(move |seed| run("trex", method, seed, psnr + 0.01 * f64::from(seed))));
-    let text = text(&report(pair.chain(noisy).collect()));
-    assert!(
-        text.contains("highest PSNR: deformable4dgs (31.01 dB; within noise: static3dgs 30.01, scgs 25.00)"),
-        "{text}"
-    );
+        .flat_map(|(method, psnr)| (0..3_u32).zip(psnr).map(move |(seed, psnr)| run("trex", method, seed, psnr)));
+    let params =
+        TableGenerationParams { bases: [("mcgs".into(), "scgs".into())].into(), ..TableGenerationParams::default() };
+    let report = Report::new(runs.collect(), &library::claims().expect("valid claims"), &params);
+    // Differences 0.5, 0.4 and 0.6: standard deviation 0.1, so ± 4.303 · 0.1 / √3 = 0.25.
+    let [difference] = &report.differences[..] else { panic!("{:?}", report.differences) };
+    assert_eq!((difference.row.as_str(), difference.reference.as_str()), ("mcgs", "scgs"));
+    assert_eq!(difference.psnr.text(Column::PSNR), "+0.50 ± 0.25");
+    // Without the pairing by seed the spread of 1 dB would hide it.
+    let mut shuffled = report.groups[0].rows[1].headline[&Column::PSNR].clone();
+    shuffled.seeds.rotate_left(1);
+    let base = &report.groups[0].rows[0].headline[&Column::PSNR];
+    assert!(Difference::of(&shuffled, base).is_some_and(Difference::is_noise));
+    let one_seed = Report::new(vec![run("trex", "scgs", 0, 30.0), run("trex", "mcgs", 0, 31.0)], &[], &params);
+    assert_eq!(one_seed.differences[0].psnr.text(Column::PSNR), "+1.00");
 }
 
 #[test]
