@@ -6,7 +6,7 @@
 //! | the loop | `trainer` (steps, speculation, checkpoints, telemetry), `player` (a trained model in use) |
 //! | the methods | `params` (the parameters of one training), `methods` (one folder each), `bases` (what they build on) |
 //! | the contract | `method` (what a method is and what a step offers it) |
-//! | the foundations | `data` (views and optional inputs), `artifact` (models on disk), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `clock`, `device` |
+//! | the foundations | `data` (views and optional inputs), `artifact` (models on disk), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `influence` (of losses), `schedule`, `clock`, `device` |
 //!
 //! Modules depend only on the layers below, without cycles.
 
@@ -16,6 +16,7 @@ mod clock;
 mod data;
 mod device;
 mod effects;
+mod influence;
 mod method;
 mod methods;
 mod model;
@@ -34,6 +35,7 @@ mod trainer;
 pub use artifact::{LargestGradient, Model, ModelHeader, NamedTensor};
 pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
 pub use device::compute_on;
+pub use influence::{GroupShare, LossInfluence, PhaseInfluence};
 pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};
 pub use player::{Player, Positions, SemanticImage};

@@ -3,19 +3,21 @@
 //! The trainer knows phases, tensors by name, losses by name and step hooks; their meaning is up to the method.
 //! Everything is generic over the precision, so a whole step can be checked in f64.
 
+mod gradient_norms;
 mod hooks;
 mod language;
 mod screen;
 mod step;
 
+pub(crate) use gradient_norms::{NormKeys, gradient_norms};
 pub(crate) use hooks::{AfterStep, StepHook};
 pub(crate) use language::Language;
 pub(crate) use screen::{Parents, ScreenGradients, ScreenStats};
 #[cfg(test)]
 pub(crate) use step::RenderRecord;
 pub(crate) use step::{
-    Observed, ParentVars, Recorded, SkippedWork, SplatRows, Step, StepOutcome, add_processed, merge_skipped, run_step,
-    sum_by_name,
+    NamedLoss, Observed, ParentVars, Recorded, SkippedWork, SplatRows, Step, StepOutcome, add_processed, merge_skipped,
+    run_step, sum_by_name,
 };
 
 use engine::{Failure, FailureKind};

@@ -49,10 +49,18 @@ pub(crate) enum Observed<'p> {
 
 /// One loss of a step: a scalar on the tape and its weight in the sum.
 #[derive(Clone, Debug)]
-struct NamedLoss {
-    name: &'static str,
-    weight: f64,
-    value: Var,
+pub(crate) struct NamedLoss {
+    /// The name; losses of one name are summed.
+    pub name: &'static str,
+    pub(super) weight: f64,
+    pub(super) value: Var,
+}
+
+impl NamedLoss {
+    /// The variable and its seed for a backward pass: the derivative of the objective by it.
+    pub(crate) fn seed<T: Real>(&self, tape: &Tape<T>) -> (Var, Tensor<T>) {
+        (self.value, Tensor::full(tape.value(self.value).shape(), T::from_f64(self.weight)))
+    }
 }
 
 /// A render whose screen-space gradients drive a population.
@@ -187,6 +195,8 @@ impl<'a, T: Real> Step<'a, T> {
 
 /// The result of a step: its losses, its gradients and its renders.
 pub(crate) struct StepOutcome<T: Real> {
+    /// Every loss, in the order of recording.
+    pub losses: Vec<NamedLoss>,
     /// Name, weight and value of every loss.
     pub values: Vec<(&'static str, f64, Tensor<T>)>,
     /// Gradients of the sum of the weighted losses by everything on the tape.
@@ -204,16 +214,12 @@ pub(crate) fn run_step<T: Real>(method: &dyn Method<T>, mut step: Step<'_, T>) -
     method.losses(&mut step)?;
     step.clock.enter("backward");
     let Step { tape, recorded: Recorded { losses, renders, skipped, deferred }, .. } = step;
-    let seed = |loss: &NamedLoss| {
-        let shape = tape.value(loss.value).shape().to_vec();
-        (loss.value, Tensor::full(shape, T::from_f64(loss.weight)))
-    };
-    let seeds: Vec<_> = losses.iter().map(seed).collect();
+    let seeds: Vec<_> = losses.iter().map(|loss| loss.seed(tape)).collect();
     let gradients = tape.backward(&seeds);
     let value = |loss: &NamedLoss| (loss.name, loss.weight, tape.value(loss.value).clone());
     let values = losses.iter().map(value).collect();
     let deferred = deferred.iter().map(|&(what, var, of)| (what, tape.value(var).clone(), of)).collect();
-    Ok(StepOutcome { values, gradients, skipped, deferred, renders })
+    Ok(StepOutcome { losses, values, gradients, skipped, deferred, renders })
 }
 
 impl<T: Real> StepOutcome<T> {

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use super::watch::Watch;
 use crate::data::{Dataset, Supplements};
 use crate::params::TrainingParams;
-use crate::trainer::{EVALUATION, Trainer};
+use crate::trainer::{Trainer, UNCLOCKED};
 
 /// File name of the choice, in the folder of the checkpoints.
 const FILE: &str = "budget.json";
@@ -143,7 +143,7 @@ fn miniature(
         }
     }
     let clock = trainer.report().seconds_by_phase;
-    Ok(Some(Cost { training: clock.total_except(&[EVALUATION]), wall: clock.total_except(&[]) }))
+    Ok(Some(Cost { training: clock.total_except(&UNCLOCKED), wall: clock.total_except(&[]) }))
 }
 
 fn steps_of(dataset: &Dataset, supplements: &Supplements, params: &TrainingParams) -> anyhow::Result<u64> {

@@ -1,5 +1,7 @@
 //! Training on a GPU against training on the CPU, and speculative against checked steps.
 
+use std::collections::BTreeMap;
+
 use serde_json::json;
 use shaders::check::test_gpu;
 
@@ -7,6 +9,7 @@ use super::poison_tests::{Scene, all_effects};
 use super::tests::{bits, dataset, params};
 use super::*;
 use crate::data::NOTHING;
+use crate::influence::PhaseInfluence;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
@@ -20,6 +23,7 @@ const PSNR: f64 = 0.1;
 struct Trained {
     losses: Vec<f64>,
     psnr: f64,
+    influence: BTreeMap<String, PhaseInfluence>,
     model: Model,
 }
 
@@ -45,8 +49,9 @@ fn train_with(device: Device, rate: f64, mut change: impl FnMut(&mut Trainer)) -
         change(&mut trainer);
         trainer.advance()?;
     }
-    let psnr = trainer.report().curve.last().unwrap().psnr_val;
-    Ok(Trained { losses: trainer.telemetry.losses.clone(), psnr, model: trainer.finish()? })
+    let Report { curve, influence, .. } = trainer.report();
+    let psnr = curve.last().unwrap().psnr_val;
+    Ok(Trained { losses: trainer.telemetry.losses.clone(), psnr, influence, model: trainer.finish()? })
 }
 
 fn train(device: Device, rate: f64) -> Trained {
@@ -88,6 +93,7 @@ fn speculative_and_checked_steps_agree() {
     let speculative = speculative.unwrap();
     assert!(most_pending > 20 && overflows == 2, "{most_pending} {overflows}");
     assert_eq!(speculative.losses, checked.losses);
+    assert_eq!(speculative.influence, checked.influence);
     assert_eq!(bits(&speculative.model), bits(&checked.model));
 }
 

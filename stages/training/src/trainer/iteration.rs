@@ -40,12 +40,19 @@ impl Trainer<'_> {
         if pending.is_none() {
             self.check_gradients(&gradients, &tape)?;
         }
+        // The gradients by intermediate values are not needed any more, and the sample makes its own.
+        let StepOutcome { losses, .. } = outcome;
+        let sample = self.sample_influence(&mut tape, &losses, &model);
+        if let (None, Some(sample)) = (&pending, &sample) {
+            self.record_sample(sample);
+        }
         // The tape shares the tensors; once it is gone, the optimizer changes them in place.
-        drop((tape, outcome));
+        drop(tape);
         self.clock.enter("optimizer");
         if let (Mode::Speculative(gpu), Some(mut pending)) = (mode, pending) {
             let magnitudes = self.state.optimizer.step_on(gpu, &gradients, self.state.iteration)?;
             pending.add_update(gradients, magnitudes);
+            sample.into_iter().for_each(|sample| pending.add_sample(sample));
             self.device.submit();
             return if self.add_pending(pending)? { self.run_hooks() } else { Ok(()) };
         }
@@ -99,7 +106,7 @@ impl Trainer<'_> {
         self.split_render_time(tape);
         self.telemetry.record_work(tape.profile(), &skipped);
         self.check_losses(&losses, tape)?;
-        self.telemetry.record_losses(&losses);
+        self.telemetry.record_losses(self.phase_name(), &losses);
         Ok(())
     }
 

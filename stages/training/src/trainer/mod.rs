@@ -12,6 +12,7 @@ mod curve;
 mod finite;
 #[cfg(test)]
 mod gpu_tests;
+mod influence;
 mod iteration;
 #[cfg(test)]
 mod poison_tests;
@@ -51,8 +52,10 @@ use speculation::Speculation;
 use telemetry::Telemetry;
 use train_state::TrainState;
 
-/// The activity that the training clock leaves out.
-pub(crate) const EVALUATION: &str = "evaluation";
+/// The activity of measuring the quality curve.
+const EVALUATION: &str = "evaluation";
+/// The activities that the training clock leaves out.
+pub(crate) const UNCLOCKED: [&str; 2] = [EVALUATION, influence::SAMPLING];
 
 /// A training between two steps.
 pub struct Trainer<'a> {
@@ -104,6 +107,7 @@ impl Trainer<'_> {
         while self.is_done() && self.state.phase + 1 < self.setup.phases.len() {
             let next = self.state.phase + 1;
             self.clock.enter_phase(self.setup.phases[next].name);
+            self.telemetry.history.sampled_slots.clear();
             let model = std::mem::take(&mut self.state.optimizer).into_state();
             self.state = TrainState::enter_phase(&self.setup, next, model, self.state.sh_degree)?;
             self.check_tensors()?;
@@ -126,7 +130,7 @@ impl Trainer<'_> {
             psnr_sum += curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
         }
         self.telemetry.history.curve.push(CurvePoint {
-            seconds: self.clock.reading().total_except(&[EVALUATION]),
+            seconds: self.clock.reading().total_except(&UNCLOCKED),
             iteration: self.steps().0,
             n_gaussians,
             psnr_val: psnr_sum / dataset.curve.len() as f64,

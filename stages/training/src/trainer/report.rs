@@ -7,19 +7,20 @@ use shaders::tape::Profile;
 
 use super::curve::CurvePoint;
 use super::telemetry::Telemetry;
-use super::{EVALUATION, Trainer};
+use super::{Trainer, UNCLOCKED};
 use crate::artifact::LargestGradient;
 use crate::clock::ClockReading;
 use crate::device::GpuUse;
+use crate::influence::PhaseInfluence;
 use crate::method::SkippedWork;
 use crate::schedule::Phase;
 
 /// The measurements of a training. Field names are the names of the measurements in the job's record.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// Seconds of training, evaluation excluded.
+    /// Seconds of training, without evaluation and sampling of the influence of losses.
     pub training_secs: f64,
-    /// Seconds of training, evaluation included.
+    /// Seconds of training, with evaluation and sampling.
     pub total_secs: f64,
     /// Training time per step, milliseconds.
     pub ms_per_iteration: f64,
@@ -29,6 +30,8 @@ pub struct Report {
     pub loss_shares: BTreeMap<String, LossShare>,
     /// Weighted loss values summed over steps, by loss.
     pub loss_sums: BTreeMap<String, f64>,
+    /// The gradients of every loss by phase.
+    pub influence: BTreeMap<String, PhaseInfluence>,
     /// Seconds per activity.
     pub phases: BTreeMap<String, f64>,
     /// Seconds per phase and activity.
@@ -61,6 +64,8 @@ pub struct Earlier {
     pub curve: Vec<CurvePoint>,
     /// Weighted loss values summed over steps, by loss.
     pub loss_sums: BTreeMap<String, f64>,
+    /// The gradients of every loss by phase.
+    pub influence: BTreeMap<String, PhaseInfluence>,
     /// What happened to the model.
     pub notices: Vec<String>,
 }
@@ -79,7 +84,7 @@ impl Trainer<'_> {
     pub fn report(&mut self) -> Report {
         let clock = self.clock.reading();
         let (steps, _) = self.steps();
-        let training_secs = clock.total_except(&[EVALUATION]);
+        let training_secs = clock.total_except(&UNCLOCKED);
         let phases = &self.setup.phases[..=self.state.phase];
         let Telemetry { history, profile, skipped, largest_gradients, .. } = &self.telemetry;
         Report {
@@ -89,6 +94,7 @@ impl Trainer<'_> {
             ms_per_iteration_by_phase: milliseconds_by_phase(&clock, phases, self.state.iteration),
             loss_shares: loss_shares(&history.loss_sums, &clock),
             loss_sums: history.loss_sums.clone(),
+            influence: history.influence.clone(),
             phases: clock.by_activity(),
             seconds_by_phase: clock,
             curve: history.curve.clone(),
@@ -125,7 +131,7 @@ fn milliseconds_by_phase(
     let steps = |at: usize| if at + 1 < phases.len() { phases[at].iterations } else { iteration };
     let per_step = |at: usize| {
         let phase = phases[at].name.to_string();
-        let own = clock.secs.get(&phase)?.iter().filter(|(activity, _)| *activity != EVALUATION);
+        let own = clock.secs.get(&phase)?.iter().filter(|(activity, _)| !UNCLOCKED.contains(&activity.as_str()));
         let scaled = own.map(|(activity, secs)| (activity.clone(), 1e3 * secs / steps(at).max(1) as f64)).collect();
         Some((phase, scaled))
     };

@@ -22,6 +22,8 @@ pub(super) struct Setup<'a> {
     pub phases: Vec<Phase>,
     /// Steps (over all phases) after which the quality curve is measured.
     pub curve_at: BTreeSet<u64>,
+    /// Whether the influence of losses is sampled; tests compare with trainings that do not.
+    pub samples_influence: bool,
 }
 
 impl<'a> Setup<'a> {
@@ -40,7 +42,7 @@ impl<'a> Setup<'a> {
             phases.truncate(at.with_context(|| format!("{} has no phase {last}", params.method))? + 1);
         }
         let curve_at = curve::schedule(&params.shared.curve, total);
-        Ok(Self { start: Start { dataset, supplements }, params, method, phases, curve_at })
+        Ok(Self { start: Start { dataset, supplements }, params, method, phases, curve_at, samples_influence: true })
     }
 
     /// The random streams.

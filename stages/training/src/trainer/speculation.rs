@@ -14,9 +14,10 @@ use shaders::rasteriser::NOT_FINITE;
 use shaders::tape::{PendingReadback, Readback, Tape, Tensor};
 
 use super::Trainer;
+use super::influence::InfluenceSample;
 use super::telemetry::Telemetry;
 use super::train_state::TrainState;
-use crate::method::{StepOutcome, add_processed, sum_by_name};
+use crate::method::{NormKeys, StepOutcome, add_processed, sum_by_name};
 
 /// Maximum number of unchecked steps. One readback per 32 steps is negligible, and a rollback wastes little work.
 const MAX_PENDING: usize = 32;
@@ -54,8 +55,10 @@ pub(super) struct PendingStep {
     counts: Vec<(&'static str, usize)>,
     /// Names of the updated tensors.
     gradients: Vec<String>,
+    /// The losses and tensors of a sample, if the step was sampled.
+    sample: Option<NormKeys>,
     /// The value of every loss, then the processed part of every count, then [gradients, 2]: the largest magnitude of
-    /// each gradient and of the updated tensor.
+    /// each gradient and of the updated tensor, then the norms of the sample.
     values: PendingReadback,
 }
 
@@ -68,6 +71,7 @@ impl PendingStep {
             losses: outcome.values.iter().map(|(name, weight, _)| (*name, *weight)).collect(),
             counts: outcome.deferred.iter().map(|(what, _, of)| (*what, *of)).collect(),
             gradients: Vec::new(),
+            sample: None,
             values: PendingReadback::of(tape, losses.chain(processed).cloned().collect()),
         }
     }
@@ -77,12 +81,19 @@ impl PendingStep {
         self.gradients = gradients.into_keys().map(str::to_owned).collect();
         self.values.push(magnitudes);
     }
-}
 
-/// Whether a step succeeded: every value is finite and no buffer overflowed.
-fn succeeded(found: &Readback) -> bool {
-    let is_finite = found.values.iter().flatten().all(|value| value.is_finite());
-    is_finite && !found.overflowed && !found.events.contains_key(NOT_FINITE)
+    /// Adds the gradient norms of a sample, after the update.
+    pub(crate) fn add_sample(&mut self, sample: InfluenceSample) {
+        sample.norms.into_iter().for_each(|norm| self.values.push(norm));
+        self.sample = Some(sample.keys);
+    }
+
+    /// Whether the step succeeded: every value that it depends on is finite and no buffer overflowed.
+    fn succeeded(&self, found: &Readback) -> bool {
+        let sampled = self.sample.as_ref().map_or(0, NormKeys::len);
+        let mut own = found.values[..found.values.len() - sampled].iter().flatten();
+        own.all(|value| value.is_finite()) && !found.overflowed && !found.events.contains_key(NOT_FINITE)
+    }
 }
 
 impl Trainer<'_> {
@@ -126,7 +137,7 @@ impl Trainer<'_> {
         let Some(speculation) = self.speculation.take() else { return Ok(true) };
         self.clock.enter("waiting for the device");
         let found = PendingReadback::read(speculation.pending.iter().map(|step| &step.values));
-        if !found.iter().all(succeeded) {
+        if !speculation.pending.iter().zip(&found).all(|(step, found)| step.succeeded(found)) {
             self.roll_back(speculation)?;
             return Ok(false);
         }
@@ -143,14 +154,19 @@ impl Trainer<'_> {
         found.events.iter().for_each(|(what, count)| self.telemetry.profile.count(what, *count));
         let (losses, rest) = found.values.split_at(step.losses.len());
         let values = losses.iter().map(|value| f64::from(value[0]));
-        self.telemetry.record_losses(&sum_by_name(step.losses.iter().copied().zip(values)));
+        let phase = self.phase_name();
+        self.telemetry.record_losses(phase, &sum_by_name(step.losses.iter().copied().zip(values)));
         let (processed, magnitudes) = rest.split_at(step.counts.len());
         for ((what, of), processed) in step.counts.iter().zip(processed) {
             add_processed(&mut self.telemetry.skipped, what, f64::from(processed[0]), *of);
         }
         let of_gradients = magnitudes[0].chunks_exact(2).map(|pair| pair[0]);
         let gradients = step.gradients.iter().map(String::as_str).zip(of_gradients);
-        self.telemetry.record_gradients(self.setup.phases[self.state.phase].name, iteration, gradients);
+        self.telemetry.record_gradients(phase, iteration, gradients);
+        if let Some(keys) = &step.sample {
+            let norms = magnitudes[1..].iter().map(|norm| f64::from(norm[0]));
+            self.telemetry.record_influence(phase, iteration, &keys.squared_by_loss(norms));
+        }
     }
 
     /// Restores the snapshot and replays the steps since then in checked mode, including one that failed half-way.

@@ -7,6 +7,7 @@ use shaders::tape::Profile;
 
 use super::curve::CurvePoint;
 use crate::artifact::LargestGradient;
+use crate::influence::PhaseInfluence;
 use crate::method::{SkippedWork, merge_skipped};
 
 /// The measurements of a running training.
@@ -34,20 +35,32 @@ pub(super) struct History {
     pub loss: f64,
     /// Weighted loss values summed over steps, by loss.
     pub loss_sums: BTreeMap<String, f64>,
+    /// The influence of losses by phase.
+    pub influence: BTreeMap<String, PhaseInfluence>,
+    /// The slot of the running phase in which each loss was last sampled.
+    pub sampled_slots: BTreeMap<String, u64>,
     /// What step hooks report, e.g. that pruning would have emptied the model.
     pub notices: Vec<String>,
 }
 
 impl Default for History {
     fn default() -> Self {
-        Self { curve: Vec::new(), loss: f64::NAN, loss_sums: BTreeMap::new(), notices: Vec::new() }
+        Self {
+            curve: Vec::new(),
+            loss: f64::NAN,
+            loss_sums: BTreeMap::new(),
+            influence: BTreeMap::new(),
+            sampled_slots: BTreeMap::new(),
+            notices: Vec::new(),
+        }
     }
 }
 
 impl Telemetry {
     /// Adds the weighted losses of one step.
-    pub(crate) fn record_losses(&mut self, losses: &BTreeMap<&'static str, f64>) {
+    pub(crate) fn record_losses(&mut self, phase: &str, losses: &BTreeMap<&'static str, f64>) {
         self.history.loss = losses.values().sum();
+        self.influence_mut(phase).count(losses.keys().copied());
         #[cfg(test)]
         self.losses.push(self.history.loss);
         for (&name, value) in losses {
@@ -62,6 +75,27 @@ impl Telemetry {
     pub(crate) fn record_work(&mut self, profile: &Profile, skipped: &SkippedWork) {
         self.profile.merge(profile);
         merge_skipped(&mut self.skipped, skipped);
+    }
+
+    /// Adds the squared gradient norms of a sampled step, by loss and tensor.
+    pub(crate) fn record_influence(
+        &mut self,
+        phase: &str,
+        iteration: u64,
+        squared_by_loss: &BTreeMap<&'static str, Vec<(&str, f64)>>,
+    ) {
+        for (loss, norms) in squared_by_loss {
+            self.influence_mut(phase).add_sample(loss, iteration, norms.iter().copied());
+        }
+    }
+
+    /// The influence of losses in a phase so far.
+    fn influence_mut(&mut self, phase: &str) -> &mut PhaseInfluence {
+        let influence = &mut self.history.influence;
+        if !influence.contains_key(phase) {
+            influence.insert(phase.into(), PhaseInfluence::default());
+        }
+        influence.get_mut(phase).expect("just inserted")
     }
 
     /// Keeps the largest magnitude of each gradient, with the step at which it occurred.

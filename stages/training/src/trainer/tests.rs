@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::data::{Dataset, NOTHING, Streams, ViewSampler};
+use crate::influence::PhaseInfluence;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
@@ -40,6 +41,15 @@ fn train_to_end(mut trainer: Trainer<'_>) -> Model {
     trainer.finish().unwrap()
 }
 
+/// The model, and the influence of its losses by phase.
+fn train_and_compare_losses(mut trainer: Trainer<'_>) -> (Model, BTreeMap<String, PhaseInfluence>) {
+    while !trainer.is_done() {
+        trainer.advance().unwrap();
+    }
+    let influence = trainer.report().influence;
+    (trainer.finish().unwrap(), influence)
+}
+
 /// Bit patterns of every tensor, so that −0 and 0 differ.
 pub(super) fn bits(model: &Model) -> BTreeMap<&str, Vec<u32>> {
     model
@@ -53,7 +63,7 @@ pub(super) fn bits(model: &Model) -> BTreeMap<&str, Vec<u32>> {
 fn a_training_resumed_anywhere_ends_in_the_same_bytes() {
     let (_dir, dataset) = dataset(TestScene::default());
     let params = busy_params();
-    let undisturbed = train_to_end(Trainer::new(&dataset, &NOTHING, &params).unwrap());
+    let (undisturbed, expected) = train_and_compare_losses(Trainer::new(&dataset, &NOTHING, &params).unwrap());
     assert!(undisturbed.header.n_gaussians > 30, "density control did nothing");
     // In the coarse phase, on a density round, just before and after the switch of phases, and in the fine phase.
     for stop_after in [1, 10, 17, 18, 19, 31, 39] {
@@ -63,9 +73,50 @@ fn a_training_resumed_anywhere_ends_in_the_same_bytes() {
         trainer.checkpoint().unwrap().save(dir.path()).unwrap();
         drop(trainer);
         let checkpoint = Checkpoint::load(dir.path(), &serde_json::to_value(&params).unwrap()).unwrap();
-        let resumed = train_to_end(Trainer::resume(&dataset, &NOTHING, &params, checkpoint).unwrap());
+        let resumed = Trainer::resume(&dataset, &NOTHING, &params, checkpoint).unwrap();
+        let (resumed, influence) = train_and_compare_losses(resumed);
         assert_eq!(resumed.header, undisturbed.header, "stopped after {stop_after}");
         assert_eq!(bits(&resumed), bits(&undisturbed), "stopped after {stop_after}");
+        assert_eq!(influence, expected, "stopped after {stop_after}");
+    }
+}
+
+#[test]
+fn sampling_the_influence_of_losses_changes_no_bit() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = busy_params();
+    let mut unsampled = Trainer::new(&dataset, &NOTHING, &params).unwrap();
+    unsampled.setup.samples_influence = false;
+    let mut sampled = Trainer::new(&dataset, &NOTHING, &params).unwrap();
+    while !sampled.is_done() {
+        sampled.advance().unwrap();
+        unsampled.advance().unwrap();
+    }
+    let influence = sampled.report().influence;
+    assert!(unsampled.report().influence["fine"].losses["photometric"].iterations.is_empty());
+    assert_eq!(influence["coarse"].losses["photometric"].iterations, [0; 0], "a single loss is not compared");
+    assert_eq!(influence["fine"].losses["photometric"].iterations, [3, 9, 14, 20]);
+    assert_eq!(bits(&sampled.finish().unwrap()), bits(&unsampled.finish().unwrap()));
+}
+
+#[test]
+fn every_loss_of_every_method_is_sampled() {
+    let scene = poison_tests::Scene::new();
+    for entry in crate::methods::registry() {
+        let mut params = poison_tests::all_effects(entry.name);
+        params.shared.iterations.values_mut().for_each(|steps| *steps = 8);
+        let mut trainer = Trainer::new(&scene.dataset, &scene.supplements, &params).unwrap();
+        while !trainer.is_done() {
+            trainer.advance().unwrap();
+        }
+        for (phase, influence) in trainer.report().influence {
+            assert_eq!(influence.steps, 8);
+            let losses = influence.losses.iter().filter(|_| influence.losses.len() > 1);
+            for (name, loss) in losses {
+                let norms: f64 = loss.norms.values().flatten().sum();
+                assert!(norms > 0.0 && norms.is_finite(), "{} in {phase}: {name} has {loss:?}", entry.name);
+            }
+        }
     }
 }
 

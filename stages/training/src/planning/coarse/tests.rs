@@ -109,7 +109,7 @@ fn time_and_curve_include_the_start() {
     let coarse = params("deformable4dgs", json!({ "stop_after": "coarse", "curve": { "points": 6, "views": 1 } }));
     let (start, report) = to_the_end(Trainer::new(&dataset, &NOTHING, &coarse).unwrap());
     let measured = json!({
-        "seconds_by_phase": report.seconds_by_phase, "curve": report.curve, "loss_sums": report.loss_sums, "notices": report.notices,
+        "seconds_by_phase": report.seconds_by_phase, "curve": report.curve, "loss_sums": report.loss_sums, "influence": report.influence, "notices": report.notices,
     });
     let mut earlier: Earlier = serde_json::from_value(measured).unwrap();
     assert_eq!((&earlier.clock, &earlier.curve), (&report.seconds_by_phase, &report.curve));

@@ -1,0 +1,78 @@
+//! Samples the gradient of every loss by itself, a few times per phase.
+//!
+//! A phase is divided into slots. In each, the first step with a given loss is sampled, so losses that act only every
+//! n-th step are sampled as often as others. Nothing that a later step reads changes, and nothing waits for a GPU.
+
+use shaders::tape::{Tape, Tensor, first_elements};
+
+use super::Trainer;
+use crate::method::{NamedLoss, NormKeys, gradient_norms};
+use crate::model::Variables;
+
+/// The activity of the clock, which training seconds leave out as they leave out the evaluation.
+pub(crate) const SAMPLING: &str = "influence";
+
+/// Steps of a phase per sample: a sample costs one more backward pass per loss, about two steps in all.
+const STEPS_PER_SAMPLE: u64 = 250;
+/// Fewest and most samples of a loss in a phase. In a short phase, four cost more than 1 % of it.
+const SAMPLES: [u64; 2] = [4, 16];
+
+/// The squared gradient norms of one step.
+pub(super) struct InfluenceSample {
+    /// The losses and tensors of the norms.
+    pub keys: NormKeys,
+    /// One value per key.
+    pub norms: Vec<Tensor<f32>>,
+}
+
+/// The slot of a step, from 0 (before the first sample) to the number of samples. Slots begin at odd multiples of half
+/// a slot's length: the first step of a phase is not typical.
+fn slot(iteration: u64, iterations: u64) -> u64 {
+    let samples = (iterations / STEPS_PER_SAMPLE).clamp(SAMPLES[0], SAMPLES[1]);
+    (2 * iteration * samples + iterations) / (2 * iterations)
+}
+
+impl Trainer<'_> {
+    /// The norms of this step, if one of its losses is due. A single loss has nothing to be compared with.
+    pub(super) fn sample_influence(
+        &mut self,
+        tape: &mut Tape<f32>,
+        losses: &[NamedLoss],
+        model: &Variables,
+    ) -> Option<InfluenceSample> {
+        let slot = slot(self.state.iteration, self.setup.phases[self.state.phase].iterations);
+        let sampled = &mut self.telemetry.history.sampled_slots;
+        let is_due = |loss: &NamedLoss| sampled.get(loss.name).is_none_or(|&last| last < slot);
+        let compares = losses.iter().any(|loss| loss.name != losses[0].name);
+        if !self.setup.samples_influence || slot == 0 || !compares || !losses.iter().any(is_due) {
+            return None;
+        }
+        sampled.extend(losses.iter().map(|loss| (loss.name.to_owned(), slot)));
+        self.clock.enter(SAMPLING);
+        let (keys, norms) = gradient_norms(tape, losses, model);
+        Some(InfluenceSample { keys, norms })
+    }
+
+    /// Reads back and records the norms of a checked step.
+    pub(super) fn record_sample(&mut self, sample: &InfluenceSample) {
+        let norms: Vec<&Tensor<f32>> = sample.norms.iter().collect();
+        let scaled = first_elements(&norms).into_iter().map(f64::from);
+        let (phase, iteration) = (self.phase_name(), self.state.iteration);
+        self.telemetry.record_influence(phase, iteration, &sample.keys.squared_by_loss(scaled));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slots_cover_a_phase_evenly() {
+        let starts = |iterations: u64| -> Vec<u64> {
+            (1..=iterations).filter(|&at| slot(at, iterations) > slot(at - 1, iterations)).collect()
+        };
+        assert_eq!(starts(80), [10, 30, 50, 70]);
+        assert_eq!(starts(14_000).len(), 16);
+        assert_eq!(starts(2), [1, 2], "a phase may have fewer steps than samples");
+    }
+}
