@@ -132,8 +132,10 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Four significant digits: measurements of samples need no more, and records stay small.
+/// Four significant digits: measurements of samples need no more, and records stay small. A norm whose square is too
+/// large for f32 becomes the largest number, because JSON has no infinity.
 fn rounded(value: f64) -> f64 {
+    let value = value.min(1e300);
     format!("{value:.3e}").parse().expect("a formatted number")
 }
 
