@@ -101,6 +101,25 @@ fn replicates_set_seeds_and_a_budget_applies_to_every_training() {
     assert_eq!(refused.code, 3, "{}", refused.stderr);
 }
 
+#[test]
+fn precision_adds_seeds_until_intervals_are_narrow_or_eight_are_used() {
+    let world = World::tiny();
+    let one_scene = ["-s", "axes.scene=[\"swinging-arm\"]"];
+    let run = |precision: &str| world.call("run", &with(&one_scene, &["--precision", precision]));
+    let wide = run("1000");
+    assert!(wide.code == 0 && wide.stderr.contains("3 seeds: the widest interval is"), "{}", wide.stderr);
+    assert!(wide.stderr.contains("precise enough") && !wide.stderr.contains("4 seeds"), "{}", wide.stderr);
+    let narrow = run("1e-9").stderr;
+    for seeds in 3..8 {
+        let adds = |line: &str| line.starts_with(&format!("{seeds} seeds:")) && line.ends_with("adding a seed");
+        assert!(narrow.lines().any(adds), "no seed is added to {seeds}: {narrow}");
+    }
+    assert!(narrow.contains("8 seeds: the widest interval is") && narrow.contains("no more seeds"), "{narrow}");
+    let table = world.call("table", &with(&one_scene, &["--replicates", "8"])).ok();
+    assert!(table.contains("gain in PSNR over static3dgs") && table.contains(" ± "), "{table}");
+    assert_eq!(run("0").code, 2, "zero is no precision");
+}
+
 /// Largest factor between budget and training time. It allows for a machine that slows down after the calibration.
 const SLOWEST: f64 = 10.0;
 
