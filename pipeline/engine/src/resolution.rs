@@ -73,6 +73,9 @@ pub struct Resolution<P> {
     pub chosen: BTreeMap<&'static str, usize>,
     /// The decisions with their reasons, for the user.
     pub decisions: Vec<Decision>,
+    /// Set if the job would repeat another one, with the reason, e.g. because it leaves out an effect that is off. The
+    /// plan then leaves out the job and those that read its artifact.
+    pub repeats: Option<String>,
 }
 
 /// The decision to simulate or leave out an effect, with its reason. Not part of a key, because equal parameters may be
@@ -90,12 +93,12 @@ pub struct Decision {
 impl<P> Resolution<P> {
     /// A resolution that keeps the parameters and reads every optional port.
     pub fn unchanged(params: P) -> Self {
-        Self { params, unread: BTreeSet::new(), chosen: BTreeMap::new(), decisions: Vec::new() }
+        Self { params, unread: BTreeSet::new(), chosen: BTreeMap::new(), decisions: Vec::new(), repeats: None }
     }
 
     /// Replaces the parameters.
     pub(crate) fn map<Q, E>(self, change: impl FnOnce(P) -> Result<Q, E>) -> Result<Resolution<Q>, E> {
-        let Self { params, unread, chosen, decisions } = self;
-        Ok(Resolution { params: change(params)?, unread, chosen, decisions })
+        let Self { params, unread, chosen, decisions, repeats } = self;
+        Ok(Resolution { params: change(params)?, unread, chosen, decisions, repeats })
     }
 }

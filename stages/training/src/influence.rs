@@ -21,6 +21,8 @@ pub struct PhaseInfluence {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LossInfluence {
+    /// The effect that it belongs to, if any.
+    pub effect: Option<String>,
     /// Steps whose objective it was part of.
     pub acted: u64,
     /// The sampled steps, counted from 1 within the phase; a step with a single loss is never sampled.

@@ -87,7 +87,16 @@ impl TrainingParams {
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let registration = self.registration();
         let values = self.shared.problems(&self.method, &(registration.shared_defaults)());
-        values.into_iter().chain(self.shared.effects.problems(&registration.effects())).collect()
+        let effects = self.shared.effects.problems(&registration.effects());
+        values.into_iter().chain(effects).chain(self.unknown_part()).collect()
+    }
+
+    /// The problem of a `without` that no method has. A part of another method is none: an axis has all of them.
+    fn unknown_part(&self) -> Option<ParamProblem> {
+        let (without, parts) = (&self.shared.without, methods::parts());
+        let message = format!("no method has an effect or a loss `{without}`");
+        let hint = Some(format!("one of: {}", parts.join(", ")));
+        (!parts.contains(without)).then(|| ParamProblem { key: "without".into(), message, hint })
     }
 }
 
@@ -175,6 +184,7 @@ mod tests {
             ("learning_rates.opacity", json!({ "learning_rates": { "opacity": -1.0 } })),
             ("density.max_scale", json!({ "density": { "max_scale": -1.0 } })),
             ("harmonics.degree", json!({ "method": "modecgs", "harmonics": { "degree": 1 } })),
+            ("without", json!({ "without": "photometric" })),
             ("density.split_above", json!({ "density": { "split_above": -3.0 } })),
         ];
         for (key, table) in bad {

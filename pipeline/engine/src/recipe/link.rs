@@ -40,6 +40,7 @@ pub(super) fn link(
             device: Default::default(),
         },
         linked: vec![Vec::new(); drafts.len()],
+        repeating: vec![Vec::new(); drafts.len()],
         facts: Vec::new(),
         wired: Vec::new(),
         unused: Vec::new(),
@@ -59,6 +60,8 @@ struct Linker<'a> {
     plan: Plan,
     /// Template → its nodes, each with its axis values.
     linked: Vec<Vec<(usize, Values)>>,
+    /// Template → the axis values of its jobs that would repeat others and are left out.
+    repeating: Vec<Vec<Values>>,
     /// The facts of each node's artifact.
     facts: Vec<Facts>,
     /// The producers that the recipe wires to each node, whether it reads them or not.
@@ -80,12 +83,18 @@ impl<'a> Linker<'a> {
         let ports = stage.ports();
         let mut inputs: Vec<PlanInput> =
             ports.iter().map(|port| plan_input(recipe, template, port, &values, &self.linked)).collect();
-        self.wired.push(inputs.iter().flat_map(|input| input.producers.iter().copied()).collect());
+        if self.reads_left_out(template, &ports, &inputs, &values) {
+            return self.leave_out(index, draft.instance.name, values);
+        }
         self.refuse_gaps(template_name, template, &ports, &inputs);
 
         // The facts of the producers decide which of them the stage reads.
         let context = self.context(&inputs);
         let resolution = self.resolve(stage, template_name, template, &mut draft, &context);
+        if resolution.repeats.is_some() {
+            return self.leave_out(index, draft.instance.name, values);
+        }
+        self.wired.push(inputs.iter().flat_map(|input| input.producers.iter().copied()).collect());
         for (input, port) in inputs.iter_mut().zip(&ports) {
             let chosen = resolution.chosen.get(port.name).and_then(|&chosen| input.producers.get(chosen)).copied();
             match port.arity {
@@ -123,6 +132,23 @@ impl<'a> Linker<'a> {
         self.linked[index].push((self.plan.nodes.len(), values));
         self.plan.origins.insert(node.name.clone(), draft.origins);
         self.plan.nodes.push(node);
+    }
+
+    /// Leaves a job out of the plan.
+    fn leave_out(&mut self, index: usize, name: String, values: Values) {
+        self.repeating[index].push(values);
+        self.plan.left_out.push(name);
+    }
+
+    /// Whether the job's producer on a port for one is left out.
+    fn reads_left_out(&self, template: &Template, ports: &[Port], inputs: &[PlanInput], values: &Values) -> bool {
+        let lacks_one = |(port, input): &(&Port, &PlanInput)| port.arity == Arity::One && input.producers.is_empty();
+        let is_left_out = |port: &Port| {
+            let wires = template.inputs.iter().filter(|wire| wire.port.name == port.name).flat_map(|wire| &wire.from);
+            let from = wires.filter_map(|from| self.recipe.templates.get_index_of(&from.name));
+            from.flat_map(|index| &self.repeating[index]).any(|other| agree(values, other))
+        };
+        ports.iter().zip(inputs).filter(lacks_one).any(|(port, _)| is_left_out(port))
     }
 
     /// Refuses nodes without a producer on a port for one: `only` may give the producer fewer axis values than the
@@ -229,6 +255,11 @@ fn unused_sources(
     unused
 }
 
+/// Whether two jobs have equal values on all axes that both have.
+fn agree(values: &[(usize, String)], others: &[(usize, String)]) -> bool {
+    others.iter().all(|(axis, text)| values.iter().all(|(own, own_text)| own != axis || own_text == text))
+}
+
 /// The producers on one port: of each template wired to it, the nodes that agree on all shared axes.
 fn plan_input(
     recipe: &RawRecipe,
@@ -237,13 +268,10 @@ fn plan_input(
     values: &[(usize, String)],
     linked: &[Vec<(usize, Values)>],
 ) -> PlanInput {
-    let agrees = |other: &[(usize, String)]| {
-        other.iter().all(|(axis, text)| values.iter().all(|(own, own_text)| own != axis || own_text == text))
-    };
     let wires = template.inputs.iter().filter(|wire| wire.port.name == port.name).flat_map(|wire| &wire.from);
     let templates = wires.filter_map(|from| recipe.templates.get_index_of(&from.name));
     let producers =
-        templates.flat_map(|index| &linked[index]).filter(|(_, other)| agrees(other)).map(|(node, _)| *node);
+        templates.flat_map(|index| &linked[index]).filter(|(_, other)| agree(values, other)).map(|(node, _)| *node);
     PlanInput {
         port: port.name.into(),
         artifact: (port.artifact.0.into(), port.artifact.1),

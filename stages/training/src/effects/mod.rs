@@ -5,6 +5,7 @@
 
 mod choice;
 mod evidence;
+mod leave_out;
 #[cfg(test)]
 mod tests;
 
@@ -13,8 +14,9 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use serde_json::Value;
 
-pub(crate) use choice::{known_inputs, outcomes};
+pub(crate) use choice::{Choice, KnownInputs, known_inputs, outcomes};
 pub(crate) use evidence::{BACKGROUND, CAPTURE, FEATURES, LAYERS, PARTICLES, PRIORS};
+pub(crate) use leave_out::{Loss, NOTHING_LEFT_OUT};
 
 /// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has
 /// this effect; without it the degree is 0 and no coefficients are allocated.

@@ -1,6 +1,7 @@
 //! The gradient of every loss of a step by itself.
 
 use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
 
 use shaders::arrays::totals::total;
 use shaders::pointwise::{scale, square};
@@ -36,17 +37,20 @@ impl NormKeys {
 }
 
 /// Differentiates the weighted losses of each name alone, by every tensor of the model that they reach. Returns scaled
-/// squared norms [1], which may lie on a GPU. No value on the tape changes.
+/// squared norms [1], which may lie on a GPU. No value on the tape changes. `on_pass` gets the time of each pass.
 pub(crate) fn gradient_norms<T: Real>(
     tape: &mut Tape<T>,
     losses: &[NamedLoss],
     model: &Variables,
+    mut on_pass: impl FnMut(&'static str, Duration),
 ) -> (NormKeys, Vec<Tensor<T>>) {
     let mut seeds: BTreeMap<&'static str, Vec<(Var, Tensor<T>)>> = BTreeMap::new();
     losses.iter().for_each(|loss| seeds.entry(loss.name).or_default().push(loss.seed(tape)));
     let (mut keys, mut norms) = (Vec::new(), Vec::new());
     for (loss, seeds) in seeds {
+        let start = Instant::now();
         let mut gradients = tape.backward(&seeds);
+        on_pass(loss, start.elapsed());
         for (tensor, var) in model.iter() {
             let Some(gradient) = gradients.take(var) else { continue };
             keys.push((loss, tensor.to_owned()));
@@ -116,7 +120,7 @@ mod tests {
         let [a, b] = values.clone().map(|values| tape.leaf(Tensor::from_vec([5], values)));
         let losses = losses(&mut tape, [a, b]);
         let model = Variables::new([("a".to_owned(), a), ("b".to_owned(), b)].into());
-        let (keys, norms) = gradient_norms(&mut tape, &losses, &model);
+        let (keys, norms) = gradient_norms(&mut tape, &losses, &model, |_, _| ());
         let found = keys.squared_by_loss(norms.iter().map(|norm| norm.as_slice()[0]));
         let tensors = |loss: &str| found[loss].iter().map(|(tensor, _)| *tensor).collect::<Vec<_>>();
         assert_eq!([tensors("near"), tensors("coupled"), tensors("faint")], [vec!["a"], vec!["a", "b"], vec!["b"]]);

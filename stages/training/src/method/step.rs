@@ -187,8 +187,11 @@ impl<'a, T: Real> Step<'a, T> {
         self.recorded.deferred.push((what, processed, of));
     }
 
-    /// Adds `weight` · `value` to the objective.
+    /// Adds `weight` · `value` to the objective, unless the training leaves this loss out.
     pub(crate) fn add_loss(&mut self, name: &'static str, weight: f64, value: Var) {
+        if self.shared.without == name {
+            return;
+        }
         self.recorded.losses.push(NamedLoss { name, weight, value });
     }
 }

@@ -22,7 +22,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use shaders::tape::Real;
 
-use crate::effects::{Effect, VIEW_DEPENDENT_COLOR};
+use crate::effects::{Effect, Loss, NOTHING_LEFT_OUT, VIEW_DEPENDENT_COLOR};
 use crate::method::{CoarseSharing, Method};
 use crate::shared::Shared;
 
@@ -58,6 +58,8 @@ pub(crate) trait MethodFolder: 'static {
     /// The kernel folders below `shaders/src` that only this method uses, e.g. `losses/histogram`. Editing them does
     /// not rerun other methods. A workspace test derives them from the sources.
     const KERNELS: &'static [&'static str] = &[];
+    /// The losses beside the photometric one.
+    const LOSSES: &'static [Loss] = &[];
     /// The method's own table of parameters.
     type Settings: Serialize + DeserializeOwned + Default;
 
@@ -101,6 +103,8 @@ pub(crate) struct Registration {
     /// The name in recipes and tables.
     pub name: &'static str,
     kernels: &'static [&'static str],
+    /// The losses beside the photometric one.
+    pub losses: &'static [Loss],
     /// The method's defaults for the tables of all methods.
     pub shared_defaults: fn() -> Shared,
     own_effects: fn() -> Vec<Effect>,
@@ -119,6 +123,7 @@ impl Registration {
         Self {
             name: M::NAME,
             kernels: M::KERNELS,
+            losses: M::LOSSES,
             shared_defaults: M::shared_defaults,
             own_effects: M::effects,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
@@ -190,6 +195,20 @@ pub(crate) fn find(name: &str) -> Result<&'static Registration, UnknownName> {
 /// The names of all methods, in the order of the tables.
 pub(crate) fn names() -> &'static [&'static str] {
     &NAMES
+}
+
+/// What a training can leave out: nothing, or an effect or a loss of any method.
+pub(crate) fn parts() -> Vec<String> {
+    let own_name = |loss: &&Loss| !loss.is_named_like_its_effect();
+    let losses = METHODS.iter().flat_map(|method| method.losses.iter().filter(own_name).map(|loss| loss.name));
+    let effects = METHODS.iter().flat_map(|method| method.effects().into_iter().map(|effect| effect.name));
+    let mut parts: Vec<String> = Vec::new();
+    for part in [NOTHING_LEFT_OUT].into_iter().chain(effects).chain(losses) {
+        if !parts.iter().any(|known| known == part) {
+            parts.push(part.into());
+        }
+    }
+    parts
 }
 
 /// The folders and kernels of all other methods. Editing them cannot change the result of this method.

@@ -29,6 +29,7 @@ pub(crate) fn recipe(params: &TrainingParams) -> Option<Value> {
         stop_after: _,
         batch,
         effects: _,
+        without,
         initial_points,
         harmonics,
         loss,
@@ -43,7 +44,7 @@ pub(crate) fn recipe(params: &TrainingParams) -> Option<Value> {
     Some(json!({
         "base": base, "phase": phase, "settings": settings, "seed": seed, "schedule_scale": schedule_scale,
         "iterations": iterations.get(phase), "batch": batch, "initial_points": initial_points, "harmonics": harmonics,
-        "loss": loss, "learning_rates": learning_rates, "density": density,
+        "loss": loss, "learning_rates": learning_rates, "density": density, "without": without,
     }))
 }
 

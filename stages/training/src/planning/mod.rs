@@ -14,7 +14,7 @@ use scene::Capture;
 use serde_json::Value;
 
 use crate::data::facts_of;
-use crate::effects::{CAPTURE, Effects, VIEW_DEPENDENT_COLOR, known_inputs};
+use crate::effects::{CAPTURE, Choice, Effects, NOTHING_LEFT_OUT, VIEW_DEPENDENT_COLOR, known_inputs};
 use crate::methods;
 use crate::params::TrainingParams;
 
@@ -41,7 +41,13 @@ pub(crate) fn resolve(
         effects.retain(|effect| effect.name == VIEW_DEPENDENT_COLOR.name);
         params.shared.effects = params.shared.effects.among(&effects);
     }
-    let choice = params.shared.effects.choose(&effects, &known_inputs(context))?;
+    let known = known_inputs(context);
+    let mut choice = params.shared.effects.choose(&effects, &known)?;
+    let repeats = repeats_the_whole(&params, &choice);
+    if choice.on.contains(&params.shared.without) {
+        let left_out = std::mem::replace(&mut params.shared.without, NOTHING_LEFT_OUT.into());
+        choice = choice.without(&left_out, &effects, &known)?;
+    }
     if !choice.on.contains(VIEW_DEPENDENT_COLOR.name) {
         params.shared.harmonics.degree = 0;
     }
@@ -53,7 +59,16 @@ pub(crate) fn resolve(
     let (start, sharing) = chosen_start(&params, context);
     decisions.extend(constant_color.into_iter().chain(sharing));
     let chosen = start.map(|start| (START, start)).into_iter().collect();
-    Ok(Resolution { params, unread: choice.unread, chosen, decisions })
+    Ok(Resolution { params, unread: choice.unread, chosen, decisions, repeats })
+}
+
+/// Why a training that leaves something out would equal the whole training; `None` if it does not.
+fn repeats_the_whole(params: &TrainingParams, choice: &Choice) -> Option<String> {
+    let without = params.shared.without.as_str();
+    let losses = params.registration().losses;
+    let acts = || losses.iter().any(|loss| loss.name == without && choice.has_loss(loss));
+    let is_whole = without == NOTHING_LEFT_OUT || choice.on.contains(without) || acts();
+    (!is_whole).then(|| format!("{without} is no part of it"))
 }
 
 /// The parameters of a shared phase without those that only later phases read, so a change of these does not retrain

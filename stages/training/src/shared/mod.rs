@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-use crate::effects::Effects;
+use crate::effects::{Effects, NOTHING_LEFT_OUT};
 use crate::schedule::{Phase, stretch};
 use check::{Checks, is_count, is_positive};
 
@@ -50,6 +50,9 @@ pub(crate) struct Shared {
     pub batch: usize,
     /// The effects to simulate beyond a static scene.
     pub effects: Effects,
+    /// One effect or loss to leave out, to measure what it contributes; `nothing` for a whole training. An axis
+    /// `without = "all"` has one cell for each effect and loss that acts; the others leave the plan.
+    pub without: String,
     /// The points of the first Gaussians.
     pub initial_points: InitialPoints,
     /// Spherical harmonics.
@@ -86,6 +89,7 @@ impl Default for Shared {
             stop_after: None,
             batch: 1,
             effects: Effects::Auto,
+            without: NOTHING_LEFT_OUT.into(),
             initial_points: InitialPoints::default(),
             harmonics: Harmonics::default(),
             loss: Loss::default(),

@@ -81,7 +81,11 @@ impl Stage for Training {
     }
 
     fn values(key: &str) -> Option<Vec<String>> {
-        (key == "method").then(|| methods::names().iter().map(|name| name.to_string()).collect())
+        match key {
+            "method" => Some(methods::names().iter().map(|name| name.to_string()).collect()),
+            "without" => Some(methods::parts()),
+            _ => None,
+        }
     }
 
     fn run(context: &JobContext, params: &TrainingParams) -> anyhow::Result<Model> {

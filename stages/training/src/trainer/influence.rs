@@ -49,7 +49,14 @@ impl Trainer<'_> {
         }
         sampled.extend(losses.iter().map(|loss| (loss.name.to_owned(), slot)));
         self.clock.enter(SAMPLING);
-        let (keys, norms) = gradient_norms(tape, losses, model);
+        let device = tape.device();
+        let (keys, norms) = gradient_norms(tape, losses, model, |loss, elapsed| {
+            if device.gpu().is_none() {
+                let cost = self.telemetry.backward.entry(loss).or_default();
+                cost.calls += 1;
+                cost.secs += elapsed.as_secs_f64();
+            }
+        });
         Some(InfluenceSample { keys, norms })
     }
 

@@ -77,6 +77,9 @@ pub struct LossShare {
     pub value_share: f64,
     /// Seconds of its forward pass, if the method clocks it as the activity `loss NAME`.
     pub forward_secs: Option<f64>,
+    /// Seconds of its backward pass, estimated from the sampled steps since the last resumption: those that the loss
+    /// would take alone, including what it shares with others. None on a GPU, which does not wait for single passes.
+    pub backward_secs: Option<f64>,
 }
 
 impl Trainer<'_> {
@@ -92,9 +95,9 @@ impl Trainer<'_> {
             total_secs: clock.total_except(&[]),
             ms_per_iteration: 1e3 * training_secs / steps.max(1) as f64,
             ms_per_iteration_by_phase: milliseconds_by_phase(&clock, phases, self.state.iteration),
-            loss_shares: loss_shares(&history.loss_sums, &clock),
+            loss_shares: self.loss_shares(&clock),
             loss_sums: history.loss_sums.clone(),
-            influence: history.influence.clone(),
+            influence: self.influence(),
             phases: clock.by_activity(),
             seconds_by_phase: clock,
             curve: history.curve.clone(),
@@ -109,16 +112,35 @@ impl Trainer<'_> {
     }
 }
 
-/// Value and time shares of every loss.
-fn loss_shares(sums: &BTreeMap<String, f64>, clock: &ClockReading) -> BTreeMap<String, LossShare> {
-    let total: f64 = sums.values().map(|sum| sum.abs()).sum();
-    let activities = clock.by_activity();
-    let share = |(name, sum): (&String, &f64)| {
-        let forward_secs = activities.get(&format!("loss {name}")).copied();
-        let value_share = if total > 0.0 { sum.abs() / total } else { 0.0 };
-        (name.clone(), LossShare { value_share, forward_secs })
-    };
-    sums.iter().map(share).collect()
+impl Trainer<'_> {
+    /// Value and time shares of every loss.
+    fn loss_shares(&self, clock: &ClockReading) -> BTreeMap<String, LossShare> {
+        let Telemetry { history, backward, .. } = &self.telemetry;
+        let total: f64 = history.loss_sums.values().map(|sum| sum.abs()).sum();
+        let activities = clock.by_activity();
+        let acted = |name: &String| -> u64 {
+            history.influence.values().filter_map(|phase| Some(phase.losses.get(name)?.acted)).sum()
+        };
+        let share = |(name, sum): (&String, &f64)| {
+            let forward_secs = activities.get(&format!("loss {name}")).copied();
+            let per_step = backward.get(name.as_str()).map(|cost| cost.secs / cost.calls as f64);
+            let backward_secs = per_step.map(|secs| secs * acted(name) as f64);
+            let value_share = if total > 0.0 { sum.abs() / total } else { 0.0 };
+            (name.clone(), LossShare { value_share, forward_secs, backward_secs })
+        };
+        history.loss_sums.iter().map(share).collect()
+    }
+
+    /// The influence of every loss, with the effect that it belongs to.
+    fn influence(&self) -> BTreeMap<String, PhaseInfluence> {
+        let declared = self.setup.params.registration().losses;
+        let mut influence = self.telemetry.history.influence.clone();
+        for (name, loss) in influence.values_mut().flat_map(|phase| &mut phase.losses) {
+            let found = declared.iter().find(|declared| declared.name == name);
+            loss.effect = found.and_then(|declared| declared.effect).map(str::to_owned);
+        }
+        influence
+    }
 }
 
 /// Milliseconds per step of every activity in every phase that has begun; the last of `phases` has completed

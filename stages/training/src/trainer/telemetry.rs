@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use shaders::tape::Profile;
+use shaders::tape::{Cost, Profile};
 
 use super::curve::CurvePoint;
 use crate::artifact::LargestGradient;
@@ -19,6 +19,8 @@ pub(super) struct Telemetry {
     pub profile: Profile,
     /// Work left out since the last resumption.
     pub skipped: SkippedWork,
+    /// Seconds of the backward passes of single losses in sampled steps on the CPU, since the last resumption.
+    pub backward: BTreeMap<&'static str, Cost>,
     /// The largest gradient of every tensor since the last resumption.
     pub largest_gradients: BTreeMap<String, LargestGradient>,
     /// The total loss of every step.

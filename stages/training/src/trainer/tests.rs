@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use engine::{Failure, FailureKind};
 use serde_json::{Value, json};
@@ -109,8 +109,14 @@ fn every_loss_of_every_method_is_sampled() {
         while !trainer.is_done() {
             trainer.advance().unwrap();
         }
+        let mut unseen: BTreeSet<&str> = entry.losses.iter().map(|loss| loss.name).collect();
         for (phase, influence) in trainer.report().influence {
             assert_eq!(influence.steps, 8);
+            for loss in influence.losses.keys().filter(|loss| *loss != "photometric") {
+                let is_declared = entry.losses.iter().any(|declared| declared.name == loss);
+                assert!(is_declared, "{}: LOSSES lacks {loss}", entry.name);
+                unseen.remove(loss.as_str());
+            }
             let losses = influence.losses.iter().filter(|_| influence.losses.len() > 1);
             for (name, loss) in losses {
                 let is_finite = loss.norms.values().flatten().all(|norm| norm.is_finite());
@@ -118,6 +124,7 @@ fn every_loss_of_every_method_is_sampled() {
                 assert!(is_finite && is_sampled, "{} in {phase}: {name} has {loss:?}", entry.name);
             }
         }
+        assert!(unseen.is_empty(), "{}: no step has {unseen:?}", entry.name);
     }
 }
 

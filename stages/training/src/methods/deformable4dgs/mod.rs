@@ -5,7 +5,7 @@ use shaders::tape::Real;
 use super::MethodFolder;
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::effects::Effect;
+use crate::effects::{Effect, Loss};
 use crate::method::{Base, CoarseSharing, Method, Step, photometric_losses};
 use crate::shared::Shared;
 
@@ -14,6 +14,11 @@ pub(crate) struct Deformable4dgs;
 
 impl MethodFolder for Deformable4dgs {
     const NAME: &'static str = "deformable4dgs";
+    const LOSSES: &'static [Loss] = &[
+        Loss::of("motion", "spatial_smoothness"),
+        Loss::of("motion", "temporal_smoothness"),
+        Loss::of("motion", "time_to_one"),
+    ];
     type Settings = HexplaneSettings;
 
     fn shared_defaults() -> Shared {

@@ -21,7 +21,7 @@ use shaders::tape::{Real, Tape, Tensor};
 use super::MethodFolder;
 use crate::bases::anchors::{self, AnchorDeformation, AnchoredGaussians, FINE, GaussianDeformation, SpawnedGaussians};
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Need};
+use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Start, Step};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
@@ -42,6 +42,11 @@ pub(crate) struct Kineticgs;
 impl MethodFolder for Kineticgs {
     const NAME: &'static str = "kineticgs";
     const KERNELS: &'static [&'static str] = &["losses/histogram"];
+    const LOSSES: &'static [Loss] = &[
+        Loss::of("activation", "activation"),
+        Loss::of("energy-flow", "energy_flow"),
+        Loss::of("coherence", "coherence"),
+    ];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {

@@ -17,7 +17,7 @@ use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, 
 use crate::bases::layers::normal;
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::data::{SceneFacts, Streams, Supplements};
-use crate::effects::{Effect, Need};
+use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, CoarseSharing, Language, Method, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase, stretch};
@@ -36,6 +36,16 @@ pub(crate) struct L4dgs;
 impl MethodFolder for L4dgs {
     const NAME: &'static str = "l4dgs";
     const KERNELS: &'static [&'static str] = &["networks/convolution", "networks/group_norm", "networks/pooling"];
+    const LOSSES: &'static [Loss] = &[
+        Loss::of("motion", "spatial_smoothness"),
+        Loss::of("motion", "temporal_smoothness"),
+        Loss::of("motion", "time_to_one"),
+        Loss::always("reconstruction"),
+        Loss::of("dynamic-semantics", "dynamic_semantics"),
+        Loss::of("static-semantics", "static_semantics"),
+        Loss::of("dynamic-depth", "dynamic_depth"),
+        Loss::of("static-depth", "static_depth"),
+    ];
     type Settings = L4dgsSettings;
 
     fn shared_defaults() -> Shared {

@@ -22,7 +22,7 @@ use crate::bases::control_nodes::{Rigidity, farthest_points, insert_nodes, publi
 use crate::bases::gaussians::{self, GAUSSIANS, logit};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Need};
+use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
@@ -48,6 +48,8 @@ pub(crate) struct Mcgs;
 impl MethodFolder for Mcgs {
     const NAME: &'static str = "mcgs";
     const KERNELS: &'static [&'static str] = &["networks/layer_norm"];
+    const LOSSES: &'static [Loss] =
+        &[Loss::of("arap", "rigidity"), Loss::of("physics", "acceleration"), Loss::of("physics", "haste")];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {

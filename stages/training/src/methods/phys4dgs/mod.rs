@@ -13,7 +13,7 @@ use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::effects::{Effect, Effects, Need};
+use crate::effects::{Effect, Effects, Loss, Need};
 use crate::method::{Base, CoarseSharing, Method, Observed, Step};
 use crate::schedule::stretch;
 use crate::shared::Shared;
@@ -30,6 +30,18 @@ pub(crate) struct Phys4dgs;
 impl MethodFolder for Phys4dgs {
     const NAME: &'static str = "phys4dgs";
     const KERNELS: &'static [&'static str] = &["arrays/sample"];
+    const LOSSES: &'static [Loss] = &[
+        Loss::of("motion", "spatial_smoothness"),
+        Loss::of("motion", "temporal_smoothness"),
+        Loss::of("motion", "time_to_one"),
+        Loss::of("velocity", "velocity"),
+        Loss::of("velocity", "temporal"),
+        Loss::of("displacement", "displacement"),
+        Loss::of("higher-order", "acceleration"),
+        Loss::of("higher-order", "jerk"),
+        Loss::of("flow", "flow"),
+        Loss::of("true-displacement", "true_displacement"),
+    ];
     type Settings = Phys4dgsSettings;
 
     fn shared_defaults() -> Shared {

@@ -18,7 +18,7 @@ use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
 use crate::bases::primitives4d;
 use crate::data::{SceneFacts, Streams};
-use crate::effects::Effect;
+use crate::effects::{Effect, Loss};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
@@ -36,6 +36,7 @@ pub(crate) struct Realtime4dgs;
 impl MethodFolder for Realtime4dgs {
     const NAME: &'static str = "realtime4dgs";
     const KERNELS: &'static [&'static str] = &["networks/temporal_harmonics"];
+    const LOSSES: &'static [Loss] = &[Loss::of("rigid", "rigid")];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {

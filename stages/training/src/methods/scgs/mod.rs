@@ -17,7 +17,7 @@ use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Need};
+use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, stretch};
@@ -75,6 +75,7 @@ impl Default for Settings {
 
 impl MethodFolder for Scgs {
     const NAME: &'static str = "scgs";
+    const LOSSES: &'static [Loss] = &[Loss::of("arap", "rigidity")];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
