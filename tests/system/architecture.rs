@@ -73,7 +73,20 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
     ("inpaint-import", &["Background", "FilledView"]),
     ("feature-import", &["Features"]),
     ("momentum-sampling", &["Particles"]),
-    ("training", &["Model", "ModelHeader", "LargestGradient", "Player", "compute_on", "model_work", "to_bytes"]),
+    (
+        "training",
+        &[
+            "Model",
+            "ModelHeader",
+            "LargestGradient",
+            "PhaseInfluence",
+            "INERT_SHARE",
+            "Player",
+            "compute_on",
+            "model_work",
+            "to_bytes",
+        ],
+    ),
     ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),
     ("metric-evaluation", &["Metrics", "Metric", "Score", "Trivial", "MeanImage", "Degenerate"]),
 ];

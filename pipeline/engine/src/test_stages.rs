@@ -176,6 +176,8 @@ pub(crate) struct Join;
 pub(crate) struct JoinParams {
     /// Whether to read the optional text; by default unless it is known to be empty.
     pub(crate) suffix: Option<bool>,
+    /// Whether the job repeats another one.
+    pub(crate) repeats: bool,
 }
 
 impl Stage for Join {
@@ -205,7 +207,8 @@ impl Stage for Join {
             (None, Some(Some(false))) => (true, "not empty"),
             (None, Some(None)) => (true, "unknown before it is read"),
         };
-        let mut resolution = Resolution::unchanged(JoinParams { suffix: Some(on) });
+        let mut resolution = Resolution::unchanged(JoinParams { suffix: Some(on), ..params });
+        resolution.repeats = resolution.params.repeats.then(|| "asked to".into());
         resolution.unread.extend((!on).then_some("suffix"));
         resolution.decisions.push(Decision { effect: "suffix".into(), on, reason: reason.into() });
         // The first ending that is known not to be empty.

@@ -12,6 +12,7 @@ use crate::column::Column;
 use crate::comparison::claim_table;
 use crate::difference::row_differences;
 use crate::format::number;
+use crate::influence::influences;
 use crate::params::TableGenerationParams;
 use crate::ranks::rank;
 use crate::report::{FailedRun, Group, Report, Row, ScenePart};
@@ -90,6 +91,12 @@ fn group(
     // Times of different machines are not comparable.
     let one_machine = machines.len() == works().map(|(work, _)| work).collect::<BTreeSet<_>>().len();
     rank(&mut rows, &scenes, one_machine);
+    let influence = |row: &Row| {
+        let sound = members.iter().copied().filter(|run| run.row == row.name && run.degenerate.is_none());
+        influences(row, &sound.collect::<Vec<_>>(), &rows)
+    };
+    let influence: Vec<_> = rows.iter().map(influence).collect();
+    rows.iter_mut().zip(influence).for_each(|(row, influence)| row.influence = influence);
     let mut group = Group {
         name: char::from(b'A' + (index % 26) as u8).to_string().repeat(index / 26 + 1),
         protocol,
@@ -153,7 +160,15 @@ fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row
         shortened: shortened(&runs),
         phases: mean_phases(&sound),
         costs: Costs::mean(sound.iter().map(|run| &run.costs)),
+        effects: common_effects(&sound),
+        influence: Vec::new(),
     }
+}
+
+/// The effects that every run simulated.
+fn common_effects(runs: &[&Run]) -> BTreeSet<String> {
+    let sets = runs.iter().map(|run| run.effects.clone());
+    sets.reduce(|common, other| common.intersection(&other).cloned().collect()).unwrap_or_default()
 }
 
 /// Seconds by activity, mean over the runs that measured any.

@@ -12,6 +12,7 @@ mod document;
 mod format;
 mod grouping;
 mod html;
+mod influence;
 mod latex;
 mod library;
 mod markdown;

@@ -12,6 +12,7 @@ use crate::cell::Cells;
 use crate::claims::ClaimTable;
 use crate::collect::{Costs, Run, RunFailure};
 use crate::difference::RowDifference;
+use crate::influence::Influence;
 
 /// All numbers of the report, unrounded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,6 +85,12 @@ pub(crate) struct Row {
     pub phases: BTreeMap<String, f64>,
     /// Costs by phase, by loss and by skipped work, mean over the row's runs.
     pub costs: Costs,
+    /// The effects that all runs of the row simulated.
+    #[serde(default)]
+    pub effects: BTreeSet<String>,
+    /// The influence of every loss and effect; empty for a variant that leaves one out.
+    #[serde(default)]
+    pub influence: Vec<Influence>,
 }
 
 /// A run that failed.

@@ -3,6 +3,7 @@
 mod content;
 mod degenerate;
 mod formats;
+mod influence;
 mod outcomes;
 mod page;
 mod papers;

@@ -7,6 +7,10 @@ use serde::{Deserialize, Serialize};
 /// The loss that all others are compared with.
 pub(crate) const PHOTOMETRIC: &str = "photometric";
 
+/// Below this share of the photometric gradient in every group of tensors, a loss moves nothing: a thousand of its
+/// steps weigh less than one of the photometric loss.
+pub const INERT_SHARE: f64 = 1e-3;
+
 /// The influence of all losses in one phase of a training.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -40,6 +44,15 @@ pub struct GroupShare {
     /// The median over the sampled steps of the ratio of both norms, times the share of the steps in which the loss
     /// acted. Infinite where the loss is the only one that moves the group.
     pub share: f64,
+}
+
+/// The largest share of a loss in any phase and group, infinite where it is the only one; `None` if it was never
+/// sampled or is the photometric loss.
+pub fn largest_share(phases: &BTreeMap<String, PhaseInfluence>, loss: &str) -> Option<f64> {
+    let is_sampled = |phase: &&PhaseInfluence| phase.losses.get(loss).is_some_and(|own| !own.iterations.is_empty());
+    let sampled = phases.values().filter(is_sampled).filter(|_| loss != PHOTOMETRIC);
+    let largest = sampled.map(|phase| phase.shares(loss).first().map_or(0.0, |largest| largest.share));
+    largest.max_by(f64::total_cmp)
 }
 
 impl PhaseInfluence {
@@ -160,6 +173,9 @@ mod tests {
         assert_eq!(phase.shares("rigid"), [share("nodes.gates", f64::INFINITY), share("positions", 0.25)]);
         assert_eq!(phase.losses["rigid"].norms["nodes.gates"], [0.0, 3.0]);
         assert_eq!(phase.shares("absent"), []);
+        let phases = [("fine".to_owned(), phase)].into();
+        let largest = ["rigid", "absent", PHOTOMETRIC].map(|loss| largest_share(&phases, loss));
+        assert_eq!(largest, [Some(f64::INFINITY), None, None]);
     }
 
     #[test]

@@ -35,7 +35,7 @@ mod trainer;
 pub use artifact::{LargestGradient, Model, ModelHeader, NamedTensor};
 pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
 pub use device::compute_on;
-pub use influence::{GroupShare, LossInfluence, PhaseInfluence};
+pub use influence::{GroupShare, INERT_SHARE, LossInfluence, PhaseInfluence, largest_share};
 pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};
 pub use player::{Player, Positions, SemanticImage};

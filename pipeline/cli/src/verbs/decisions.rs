@@ -53,7 +53,7 @@ pub(crate) fn render(plan: &Plan, nodes: impl Iterator<Item = usize>) -> String 
     }
     let counts: Vec<String> = left_out.iter().map(|(template, count)| format!("{count} × {template}")).collect();
     if !counts.is_empty() {
-        text += &format!("left out, because no job needs them: {}\n", counts.join(", "));
+        text += &format!("left out, because no job needs them or they would repeat another: {}\n", counts.join(", "));
     }
     text
 }

@@ -9,7 +9,7 @@ use crate::args::NodeArgs;
 use crate::error::CliError;
 use crate::output::{print, print_json};
 use crate::session::Session;
-use crate::verbs::{decisions, plan};
+use crate::verbs::{decisions, inert, plan};
 
 pub(crate) fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?;
@@ -19,6 +19,7 @@ pub(crate) fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
     let causes = plan::causes(&session.plan, &predictions);
     let own = &predictions[&index];
     let origins = session.plan.origins.get(&node.name);
+    let inert = inert::inert_losses(&session, [index].into_iter())?;
     if args.json {
         let name = |index: &usize| session.plan.nodes[*index].name.as_str();
         let causes: Vec<_> = causes
@@ -28,6 +29,7 @@ pub(crate) fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
         let params = json!({ "values": node.params, "origins": origins });
         print_json(&json!({
             "node": node.name, "prediction": own, "first_causes": causes, "params": params, "effects": node.decisions,
+            "inert": inert,
         }))?;
         return Ok(engine::exit::OK);
     }
@@ -40,6 +42,7 @@ pub(crate) fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
     for decision in &node.decisions {
         text += &format!("effect {}\n", decisions::sentence(decision));
     }
+    text += &inert::render(&inert);
     text += "parameters:\n";
     for (key, origin) in origins.into_iter().flatten() {
         let value = value_at(&node.params, key).map_or_else(|| "–".to_owned(), ToString::to_string);

@@ -6,6 +6,7 @@ pub(crate) mod decisions;
 pub(crate) mod doctor;
 pub(crate) mod explain;
 pub(crate) mod graph;
+mod inert;
 pub(crate) mod library;
 pub(crate) mod plan;
 mod precision;

@@ -12,12 +12,13 @@ use crate::args::PlanArgs;
 use crate::error::CliError;
 use crate::output::{count, duration, print, print_json};
 use crate::session::Session;
-use crate::verbs::decisions;
+use crate::verbs::{decisions, inert};
 
 pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?.select(&args.selection)?;
     let predictions = session.predict()?;
     let causes = causes(&session.plan, &predictions);
+    let inert = inert::inert_losses(&session, predictions.keys().copied())?;
     if args.json {
         let name = |index: &usize| &session.plan.nodes[*index].name;
         let jobs: BTreeMap<&String, &Prediction> =
@@ -37,6 +38,7 @@ pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
         let plan = &session.plan;
         print_json(&json!({
             "recipe": plan.recipe, "jobs": jobs, "causes": causes, "effects": effects, "left_out": plan.left_out,
+            "inert": inert,
         }))?;
         return Ok(engine::exit::OK);
     }
@@ -47,6 +49,7 @@ pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     text += &totals(&predictions);
     text += &render_causes(&session.plan, &causes);
     text += &decisions::render(&session.plan, predictions.keys().copied());
+    text += &inert::render(&inert);
     print(&text)?;
     Ok(engine::exit::OK)
 }

@@ -64,7 +64,7 @@ struct Linker<'a> {
     repeating: Vec<Vec<Values>>,
     /// The facts of each node's artifact.
     facts: Vec<Facts>,
-    /// The producers that the recipe wires to each node, whether it reads them or not.
+    /// The producers that the recipe wires to each job, whether it reads them or not and whether it is left out or not.
     wired: Vec<BTreeSet<usize>>,
     /// The sources that each node's stage declares as unused by the node and its readers.
     unused: Vec<UnusedSources>,
@@ -83,6 +83,7 @@ impl<'a> Linker<'a> {
         let ports = stage.ports();
         let mut inputs: Vec<PlanInput> =
             ports.iter().map(|port| plan_input(recipe, template, port, &values, &self.linked)).collect();
+        self.wired.push(inputs.iter().flat_map(|input| input.producers.iter().copied()).collect());
         if self.reads_left_out(template, &ports, &inputs, &values) {
             return self.leave_out(index, draft.instance.name, values);
         }
@@ -94,7 +95,6 @@ impl<'a> Linker<'a> {
         if resolution.repeats.is_some() {
             return self.leave_out(index, draft.instance.name, values);
         }
-        self.wired.push(inputs.iter().flat_map(|input| input.producers.iter().copied()).collect());
         for (input, port) in inputs.iter_mut().zip(&ports) {
             let chosen = resolution.chosen.get(port.name).and_then(|&chosen| input.producers.get(chosen)).copied();
             match port.arity {

@@ -53,6 +53,16 @@ fn an_optional_port_has_one_producer_or_none() {
 }
 
 #[test]
+fn jobs_that_repeat_others_leave_the_plan_with_their_readers() {
+    let rule = "[[set]]\nwhen = { seed = 1 }\nnodes.joined.params.repeats = true\n";
+    let reader = "[nodes.copy]\nstage = \"test-join\"\nover = [\"seed\"]\ninputs.text = \"joined\"\n";
+    let plan = plan(&(recipe(WIRED, "") + reader + rule), &[]);
+    assert_eq!(names(&plan), ["a/0", "b/0", "joined/0", "list", "copy/0"]);
+    assert_eq!(plan.left_out, ["joined/1", "copy/1", "a/1", "b/1"]);
+    assert_eq!(plan.nodes[3].inputs[0].producers, [2], "a job that collects the others goes without them");
+}
+
+#[test]
 fn unread_inputs_are_pruned_with_their_jobs() {
     let with = plan(&recipe(WIRED, ""), &[]);
     assert_eq!(names(&with), ["a/0", "a/1", "b/0", "b/1", "joined/0", "joined/1", "list"]);

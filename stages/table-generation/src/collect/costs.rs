@@ -34,6 +34,9 @@ pub struct LossShare {
     pub value_share: f64,
     /// Seconds of the loss's forward pass, if its method measures them.
     pub forward_secs: Option<f64>,
+    /// Estimated seconds of a backward pass of its own.
+    #[serde(default)]
+    pub backward_secs: Option<f64>,
 }
 
 impl Costs {
@@ -52,8 +55,10 @@ impl Costs {
                 let count = runs.clone().filter(|other| other.loss_shares.contains_key(name)).count() as f64;
                 let sum = total.loss_shares.entry(name.clone()).or_default();
                 sum.value_share += share.value_share / count;
-                if let Some(secs) = share.forward_secs {
-                    *sum.forward_secs.get_or_insert(0.0) += secs / count;
+                let pairs =
+                    [(share.forward_secs, &mut sum.forward_secs), (share.backward_secs, &mut sum.backward_secs)];
+                for (secs, sum) in pairs.into_iter().filter_map(|(secs, sum)| Some((secs?, sum))) {
+                    *sum.get_or_insert(0.0) += secs / count;
                 }
             }
             for (work, [skipped, of]) in &run.skipped_work {
@@ -69,9 +74,12 @@ impl Costs {
     /// Whether every number is finite.
     pub(crate) fn is_finite(&self) -> bool {
         let times = self.ms_per_iteration_by_phase.values().flat_map(BTreeMap::values);
-        let shares = self.loss_shares.values().flat_map(|share| [share.value_share, share.forward_secs.unwrap_or(0.0)]);
+        let shares = self
+            .loss_shares
+            .values()
+            .flat_map(|share| [Some(share.value_share), share.forward_secs, share.backward_secs]);
         let moving = self.particles_moving.iter().flat_map(|shares| [shares.of_area, shares.of_particles]);
-        times.copied().chain(shares).chain(moving).all(f64::is_finite)
+        times.copied().chain(shares.flatten()).chain(moving).all(f64::is_finite)
     }
 }
 
@@ -91,7 +99,11 @@ mod tests {
     fn costs(ms: f64, skipped: u64) -> Costs {
         Costs {
             ms_per_iteration_by_phase: [("fine".into(), [("motion".into(), ms)].into())].into(),
-            loss_shares: [("flow".into(), LossShare { value_share: 0.01 * ms, forward_secs: Some(ms) })].into(),
+            loss_shares: [(
+                "flow".into(),
+                LossShare { value_share: 0.01 * ms, forward_secs: Some(ms), backward_secs: Some(2.0 * ms) },
+            )]
+            .into(),
             skipped_work: [("still Gaussians".into(), [skipped, 10])].into(),
             particles_moving: Some(MovingShares { of_area: 0.1, of_particles: 0.1 * ms }),
         }
@@ -103,6 +115,7 @@ mod tests {
         let mean = Costs::mean(runs.iter());
         assert_eq!(mean.ms_per_iteration_by_phase["fine"]["motion"], 3.0, "over the runs that have the phase");
         assert_eq!(mean.loss_shares["flow"].forward_secs, Some(3.0));
+        assert_eq!(mean.loss_shares["flow"].backward_secs, Some(6.0));
         assert_eq!(mean.skipped_work["still Gaussians"], [8, 20]);
         assert!((mean.particles_moving.unwrap().of_particles - 0.3).abs() <= 1e-12);
         assert_eq!(Costs::mean([Costs::default()].iter()).particles_moving, None);

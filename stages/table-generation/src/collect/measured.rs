@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use engine::InputRecord;
 use scene::Split;
 use serde::Deserialize;
-use training::LargestGradient;
+use training::{LargestGradient, PhaseInfluence};
 
 use super::costs::Costs;
 use super::run::{CurvePoint, Machine, TensorGradient};
@@ -24,6 +24,7 @@ pub(crate) struct TrainingMeasurements {
     pub largest_gradients: BTreeMap<String, LargestGradient>,
     pub guards: BTreeMap<String, u64>,
     pub notices: Vec<String>,
+    pub influence: BTreeMap<String, PhaseInfluence>,
     #[serde(flatten)]
     pub costs: Costs,
 }

@@ -4,6 +4,7 @@
 mod anytime;
 mod costs;
 mod degenerate;
+mod influence;
 mod measured;
 mod run;
 
@@ -18,6 +19,7 @@ use training::{Model, ModelHeader};
 
 pub use costs::{Costs, LossShare, MovingShares};
 pub use degenerate::DegenerateRun;
+pub(crate) use influence::LossInfluence;
 pub use run::{CurvePoint, DEGENERATE, FrameScore, Job, Machine, Run, RunFailure, TensorGradient};
 pub(crate) use run::{FINISHED, failure_mark};
 
@@ -27,6 +29,12 @@ use measured::{RenderingMeasurements, TrainingMeasurements, measurements, time_a
 
 /// The axis whose values are variants of a method. The first value that a recipe lists is the reference of the others.
 pub(crate) const VARIANTS: &str = "ablation";
+/// The axis whose values are parts that a training leaves out, and the value for none.
+const LEFT_OUT: (&str, &str) = ("without", "nothing");
+/// The beginning of the name of a variant that leaves something out.
+pub(crate) const WITHOUT: &str = "without ";
+/// The variant that leaves out nothing.
+const WHOLE: &str = "whole";
 
 /// The effect that lets a model show motion; a method without it is static.
 const MOTION: &str = "motion";
@@ -168,6 +176,9 @@ impl Run {
         self.guards = measured.guards;
         self.notices = measured.notices;
         self.phases = measured.phases;
+        self.influence = influence::influence(&measured.influence, &measured.costs.loss_shares);
+        let active = model.header.effects.iter().filter(|decision| decision.on);
+        self.effects = active.map(|decision| decision.effect.clone()).collect();
         self.costs = measured.costs;
         self.curve_split = measured.curve_split;
         self.set_curve(measured.curve);
@@ -264,7 +275,12 @@ impl Run {
         if let Some(method) = coordinates.get("method") {
             self.method.clone_from(method);
         }
-        self.variant = coordinates.get(VARIANTS).cloned();
+        let (axis, nothing) = LEFT_OUT;
+        let left_out = coordinates.get(axis).map(|part| match part.as_str() {
+            whole if whole == nothing => WHOLE.to_owned(),
+            part => format!("{WITHOUT}{part}"),
+        });
+        self.variant = coordinates.get(VARIANTS).cloned().or(left_out);
         let named = |name: &str| matches!(name, "scene" | "seed" | "method");
         let others = coordinates.iter().filter(|(name, _)| !named(name)).map(|(name, value)| format!("{name}={value}"));
         let method = Some(self.method.clone()).filter(|method| !method.is_empty());

@@ -1,6 +1,6 @@
 //! One run: a method on a scene with a seed.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use engine::FailureKind;
 use metric_evaluation::{Score, Trivial};
@@ -10,6 +10,7 @@ use training::LargestGradient;
 
 use super::costs::Costs;
 use super::degenerate::DegenerateRun;
+use super::influence::LossInfluence;
 use crate::column::Column;
 
 /// The outcome of runs whose renders show no more than an image that needs no model.
@@ -47,6 +48,12 @@ pub struct Run {
     pub phases: BTreeMap<String, f64>,
     /// Costs by phase, by loss and by skipped work.
     pub costs: Costs,
+    /// The influence of every loss but the photometric one.
+    #[serde(default)]
+    pub influence: Vec<LossInfluence>,
+    /// The effects that the training simulated.
+    #[serde(default)]
+    pub effects: BTreeSet<String>,
     /// The largest gradient of the training.
     #[serde(default)]
     pub largest_gradient: Option<TensorGradient>,

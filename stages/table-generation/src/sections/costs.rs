@@ -14,6 +14,8 @@ use crate::svg::bars::Bars;
 /// Activities of training in the order of a step; other activities follow in alphabetical order.
 const ACTIVITIES: [&str; 10] =
     ["load", "motion", "projection", "sort", "blend", "losses", "backward", "optimizer", "density", "evaluation"];
+/// Activities that are no part of training.
+const UNCLOCKED: [&str; 2] = ["evaluation", "influence"];
 
 /// A figure and up to five tables per group.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
@@ -34,9 +36,9 @@ fn activities(group: &Group) -> Vec<&str> {
     known.chain(names.iter().copied().filter(|name| !ACTIVITIES.contains(name))).collect()
 }
 
-/// Seconds by activity as bars. Evaluation is left out, because it is not part of training.
+/// Seconds by activity as bars, without those that are not part of training.
 fn phase_figure(content: &Content<'_>, group: &Group) -> Option<Figure> {
-    let drawn: Vec<&str> = activities(group).into_iter().filter(|activity| *activity != "evaluation").collect();
+    let drawn: Vec<&str> = activities(group).into_iter().filter(|activity| !UNCLOCKED.contains(activity)).collect();
     let bar = |row: &Row| {
         let segments = drawn.iter().map(|activity| row.phases.get(*activity).copied().unwrap_or(0.0)).collect();
         (row.name.clone(), segments)
@@ -101,13 +103,15 @@ fn iteration_table(content: &Content<'_>, group: &Group) -> Table {
 
 /// Share of the total loss and seconds of the forward pass, per loss.
 fn loss_table(content: &Content<'_>, group: &Group) -> Table {
-    let header = ["method · loss", "share of the total (%)", "forward (s)"].map(String::from);
+    let header =
+        ["method · loss", "share of the total value (%)", "forward (s)", "backward alone (s)"].map(String::from);
     let mut table = Table::new(format!("Protocol {}: losses, mean over runs", group.name), header.into());
     // A single loss has a share of 100 %.
     for row in group.rows.iter().filter(|row| row.costs.loss_shares.len() > 1) {
         for (name, share) in &row.costs.loss_shares {
-            let secs = share.forward_secs.map_or(NONE.into(), |secs| number(secs, 2));
-            let cells = [number(100.0 * share.value_share, 2), secs];
+            let secs = |secs: Option<f64>| secs.map_or(NONE.into(), |secs| number(secs, 2));
+            let [forward, backward] = [share.forward_secs, share.backward_secs].map(secs);
+            let cells = [number(100.0 * share.value_share, 2), forward, backward];
             table.rows.push(line(content, row, format!("{} · {name}", row.name), cells.into_iter()));
         }
     }

@@ -8,6 +8,7 @@ mod costs;
 mod curves;
 mod failures;
 mod frames;
+mod influence;
 mod machine;
 mod outcomes;
 mod papers;
@@ -48,6 +49,7 @@ pub(crate) fn document(
         everywhere("curves", "Quality over training time", curves::blocks(&content)?),
         everywhere("budgets", "Quality under deadlines", budgets::blocks(&content)),
         everywhere("ablation", "Ablations", ablation::blocks(&content)),
+        everywhere("influence", "Influence of losses and effects", influence::blocks(&content)),
         everywhere("costs", "Training costs", costs::blocks(&content)),
         everywhere("frames", "Quality per frame", frames::blocks(&content)),
         everywhere("outcomes", "Outcomes", outcomes::blocks(&content)),

@@ -54,6 +54,32 @@ fn automatic_and_named_effects_give_one_training() {
     }
 }
 
+/// A training without a part, on a scene of which nothing is known.
+fn without(method: &str, part: &str) -> Resolution<TrainingParams> {
+    resolve(params(json!({ "method": method, "without": part })), &context(Facts::default(), &[])).unwrap()
+}
+
+#[test]
+fn a_training_without_an_effect_is_one_with_the_others() {
+    let resolved = without("mcgs", "physics");
+    let named = json!({ "method": "mcgs", "effects": ["-physics"] });
+    let named = resolve(params(named), &context(Facts::default(), &[])).unwrap();
+    assert_eq!((&resolved.params, resolved.repeats), (&named.params, None));
+    let reason = resolved.decisions.iter().find(|decision| decision.effect == "physics").unwrap();
+    assert_eq!((reason.on, reason.reason.as_str()), (false, "left out"));
+    let of_motion = without("mcgs", "motion");
+    assert_eq!(effects(&of_motion), json!(["view-dependent-color"]));
+    assert!(of_motion.decisions.iter().any(|decision| decision.reason == "motion is left out"));
+}
+
+#[test]
+fn a_training_without_what_it_lacks_repeats_the_whole() {
+    assert_eq!(without("mcgs", "spatial_smoothness").repeats.unwrap(), "spatial_smoothness is no part of it");
+    assert!(without("static3dgs", "motion").repeats.is_some());
+    let loss = without("deformable4dgs", "spatial_smoothness");
+    assert_eq!((loss.params.shared.without.as_str(), loss.repeats), ("spatial_smoothness", None));
+}
+
 #[test]
 fn degree_zero_disables_the_colour_effect() {
     let zero = |effects: Value| {

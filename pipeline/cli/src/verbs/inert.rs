@@ -1,0 +1,95 @@
+//! Losses that moved nothing in earlier runs of a recipe.
+
+use std::collections::BTreeMap;
+
+use engine::Node;
+use engine::status::History;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use training::{INERT_SHARE, PhaseInfluence, largest_share};
+
+use crate::error::CliError;
+use crate::output::count;
+use crate::session::{Session, TRAINING};
+
+/// A loss whose gradient was negligible in the newest training of every job that has it.
+#[derive(Debug, PartialEq, Serialize)]
+pub(crate) struct InertLoss {
+    /// The method.
+    pub(crate) method: String,
+    /// The loss.
+    pub(crate) loss: String,
+    /// The effect that it belongs to.
+    pub(crate) effect: Option<String>,
+    /// The largest share of its gradient in any group of tensors, relative to the photometric loss.
+    pub(crate) largest_share: f64,
+    /// Measured trainings.
+    pub(crate) trainings: usize,
+}
+
+/// The measurements of a training that tell the influence of its losses.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Influences {
+    influence: BTreeMap<String, PhaseInfluence>,
+}
+
+/// The inert losses of the trainings among the nodes with these indices, from the newest record of each job under the
+/// same recipe. A loss whose effect the plan leaves out is none of them.
+pub(crate) fn inert_losses(session: &Session, nodes: impl Iterator<Item = usize>) -> Result<Vec<InertLoss>, CliError> {
+    let trainings: Vec<&Node> =
+        nodes.map(|index| &session.plan.nodes[index]).filter(|node| node.stage == TRAINING).collect();
+    if trainings.is_empty() {
+        return Ok(Vec::new());
+    }
+    let history = History::read(&session.store)?;
+    let mut found: BTreeMap<(&str, String), InertLoss> = BTreeMap::new();
+    for node in trainings {
+        let Some(record) = history.newest(&session.plan.recipe, node, None) else { continue };
+        let measured = session.store.read_measurements(&record.measurements)?;
+        // Records of other versions of the program may lack the measurement or have another form of it.
+        let Influences { influence } = Influences::deserialize(measured).unwrap_or_default();
+        add(&mut found, node, &influence);
+    }
+    Ok(found.into_values().filter(|loss| loss.largest_share < INERT_SHARE).collect())
+}
+
+/// Adds the losses of one measured training.
+fn add<'n>(
+    found: &mut BTreeMap<(&'n str, String), InertLoss>,
+    node: &'n Node,
+    influence: &BTreeMap<String, PhaseInfluence>,
+) {
+    let method = node.params.get("method").and_then(Value::as_str).unwrap_or_default();
+    let is_off = |effect: &str| node.decisions.iter().any(|decision| decision.effect == effect && !decision.on);
+    for (name, loss) in influence.values().flat_map(|phase| &phase.losses) {
+        let (Some(share), false) = (largest_share(influence, name), loss.effect.as_deref().is_some_and(is_off)) else {
+            continue;
+        };
+        let known = found.entry((method, name.clone())).or_insert_with(|| InertLoss {
+            method: method.into(),
+            loss: name.clone(),
+            effect: loss.effect.clone(),
+            largest_share: 0.0,
+            trainings: 0,
+        });
+        known.largest_share = known.largest_share.max(share);
+        // A loss that acts in several phases counts once, in the first of them.
+        let first = influence.values().find(|phase| phase.losses.contains_key(name));
+        known.trainings += usize::from(first.is_some_and(|phase| std::ptr::eq(&phase.losses[name], loss)));
+    }
+}
+
+/// One line per inert loss, with the next step.
+pub(crate) fn render(losses: &[InertLoss]) -> String {
+    let line = |loss: &InertLoss| {
+        let InertLoss { method, loss, effect, largest_share, trainings } = loss;
+        let of = effect.as_ref().map(|effect| format!(" (effect {effect})")).unwrap_or_default();
+        format!(
+            "warning: the loss {loss}{of} of {method} was inert in {} of this recipe: its gradient was at most \
+             {largest_share:.0e} of the photometric one; measure what leaving it out changes with an axis `without`\n",
+            count(*trainings, "earlier training"),
+        )
+    };
+    losses.iter().map(line).collect()
+}

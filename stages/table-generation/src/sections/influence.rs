@@ -1,0 +1,92 @@
+//! The influence of every loss and effect, one table per method.
+
+use training::INERT_SHARE;
+
+use super::cells::traced;
+use super::content::Content;
+use crate::column::Column;
+use crate::document::{Block, Table, Text};
+use crate::format::{NONE, number};
+use crate::influence::{Influence, PRECISE_DB};
+use crate::report::{Group, Row};
+
+/// One table per row with losses or effects.
+pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
+    let groups = content.report.groups.iter();
+    let tables = groups.flat_map(|group| {
+        let rows = group.rows.iter().filter(|row| !row.influence.is_empty());
+        rows.map(|row| Block::Table(influence_table(content, group, row)))
+    });
+    let mut blocks: Vec<Block> = tables.collect();
+    if !blocks.is_empty() {
+        blocks.insert(0, Block::Paragraph(explanation()));
+    }
+    blocks
+}
+
+fn explanation() -> String {
+    format!(
+        "The gradient share of a loss is the norm of its gradient relative to that of the photometric loss, in the group \
+         of tensors where it is largest: the median over sampled steps, weighed by the share of steps in which the loss \
+         acts. \"alone\" marks losses that move a group which the photometric loss does not reach. Left out: PSNR without \
+         the loss or effect minus PSNR with it, paired by seed; ± is half the 95 % interval, and a difference without ± \
+         is of one seed. A loss is inert if its share is below {INERT_SHARE} in every group and leaving it out changes \
+         nothing, where that was measured; an effect, if its interval contains 0 and is at most ±{PRECISE_DB} dB wide. \
+         Seconds of a loss are estimated from its forward pass, where it is clocked, and from a backward pass of its \
+         own; those of an effect are the seconds saved by leaving it out."
+    )
+}
+
+fn influence_table(content: &Content<'_>, group: &Group, row: &Row) -> Table {
+    let header = [
+        "loss or effect",
+        "gradient share",
+        "in group",
+        "left out: Δ dB",
+        "seconds",
+        "share of training (%)",
+        "verdict",
+    ];
+    let caption = format!("Protocol {}: influence in {}", group.name, row.name);
+    let mut table = Table::new(caption, header.map(String::from).into());
+    for influence in &row.influence {
+        let secs = influence.secs.map_or(NONE.into(), |secs| number(secs, 2));
+        let secs_share = influence.secs_share.map_or(NONE.into(), |share| number(100.0 * share, 1));
+        let left_out = influence.left_out.map_or("not measured".into(), |left_out| left_out.text(Column::PSNR));
+        let (share, group) = share_text(influence);
+        let cells = [share, group, left_out, secs, secs_share, verdict(influence)];
+        let cells = cells.map(|cell| traced(Text::plain(cell), content.traces.row(&row.name)));
+        table.rows.push([Text::plain(name(influence))].into_iter().chain(cells).collect());
+    }
+    table
+}
+
+/// The part, with the effect that a loss belongs to.
+fn name(influence: &Influence) -> String {
+    match &influence.effect {
+        Some(effect) if effect.replace('-', "_") != influence.part => format!("{} ({effect})", influence.part),
+        Some(_) => influence.part.clone(),
+        None if influence.is_loss => influence.part.clone(),
+        None => format!("{} (effect)", influence.part),
+    }
+}
+
+/// The largest share and its group.
+fn share_text(influence: &Influence) -> (String, String) {
+    match influence.largest_share() {
+        None if influence.is_loss => ("not sampled".into(), NONE.into()),
+        None => ("no own loss".into(), NONE.into()),
+        Some((group, None)) => ("alone".into(), group.into()),
+        Some((group, Some(share))) if share >= 0.01 => (number(share, 2), group.into()),
+        Some((group, Some(share))) => (format!("{share:.0e}"), group.into()),
+    }
+}
+
+/// Why a part is inert; empty for others.
+fn verdict(influence: &Influence) -> String {
+    match influence.secs_share.filter(|_| influence.is_inert) {
+        Some(share) => format!("inert: costs {} % of the time, moves nothing", number(100.0 * share, 1)),
+        None if influence.is_inert => "inert: moves nothing".into(),
+        None => String::new(),
+    }
+}

@@ -1,0 +1,73 @@
+//! The influence of losses and effects: what is inert, and what is not.
+
+use std::collections::BTreeMap;
+
+use super::content::section;
+use super::*;
+use crate::collect::LossInfluence;
+
+/// A loss with the given shares by group, that takes 12 s of a training of about 100 s.
+fn loss(name: &str, effect: Option<&str>, shares: &[(&str, Option<f64>)]) -> LossInfluence {
+    let shares: BTreeMap<String, Option<f64>> = shares.iter().map(|(group, share)| ((*group).into(), *share)).collect();
+    let samples = 4 * usize::from(name != "acceleration");
+    LossInfluence { loss: name.into(), effect: effect.map(str::to_owned), shares, samples, secs: Some(12.0) }
+}
+
+/// A run of `phys4dgs` that leaves out a part, with the effects of the whole.
+fn variant(without: Option<&str>, seed: u32, psnr: f64) -> Run {
+    let mut run = run("trex", "phys4dgs", seed, psnr);
+    run.variant = Some(without.map_or("whole".into(), |part| format!("without {part}")));
+    run.row = format!("phys4dgs without={}", without.unwrap_or("nothing"));
+    run.effects = ["flow", "motion", "velocity"].map(String::from).into();
+    run.influence = vec![
+        loss("flow", Some("flow"), &[("positions", Some(2e-9)), ("network.trunk", Some(1e-8))]),
+        loss("temporal", Some("velocity"), &[("network.velocity", None)]),
+        loss("velocity", Some("velocity"), &[("positions", Some(1e-5)), ("network.velocity", Some(0.7))]),
+        loss("acceleration", None, &[]),
+        loss("jerk", None, &[]),
+    ];
+    run
+}
+
+/// Whole trainings and trainings without a part, whose PSNR differs by `change` and a spread over three seeds.
+fn with_and_without(part: &str, change: f64) -> Vec<Run> {
+    let seeds = || [(0, 0.01), (1, -0.02), (2, 0.015)].into_iter();
+    let whole = seeds().map(|(seed, _)| variant(None, seed, 30.0 + f64::from(seed)));
+    let without = seeds().map(|(seed, noise)| variant(Some(part), seed, 30.0 + f64::from(seed) + noise + change));
+    whole.chain(without).collect()
+}
+
+fn influence_of<'r>(report: &'r Report, part: &str) -> &'r crate::influence::Influence {
+    let row = &report.groups[0].rows[0];
+    row.influence.iter().find(|influence| influence.part == part).expect("a part of the row")
+}
+
+#[test]
+fn a_faint_loss_is_inert_and_a_loss_that_acts_is_not() {
+    let report = report(vec![variant(None, 0, 30.0)]);
+    let inert = ["flow", "jerk"].map(|part| influence_of(&report, part).is_inert);
+    assert_eq!(inert, [true; 2], "a gradient below the threshold everywhere, and none at all");
+    let acting = ["temporal", "velocity", "acceleration", "motion"].map(|part| influence_of(&report, part).is_inert);
+    assert_eq!(acting, [false; 4], "alone in a group, strong in one, never sampled, and not measured");
+    insta::assert_snapshot!(section(&report, "influence"));
+}
+
+#[test]
+fn a_measured_difference_outweighs_a_faint_gradient() {
+    let acts = report(with_and_without("flow", -0.5));
+    assert!(!influence_of(&acts, "flow").is_inert, "leaving it out costs half a decibel");
+    let left_out = influence_of(&acts, "flow").left_out.expect("a difference");
+    assert!((left_out.mean + 0.4983).abs() <= 1e-3 && left_out.half_width.is_some_and(|width| width < 0.1));
+    assert!(influence_of(&report(with_and_without("flow", 0.0)), "flow").is_inert);
+}
+
+#[test]
+fn an_effect_is_inert_only_if_that_was_measured() {
+    let idle = report(with_and_without("motion", 0.0));
+    assert!(influence_of(&idle, "motion").is_inert);
+    assert!(!influence_of(&report(with_and_without("motion", -3.0)), "motion").is_inert);
+    let one_seed: Vec<Run> = with_and_without("motion", 0.0).into_iter().filter(|run| run.seed == "0").collect();
+    assert!(!influence_of(&report(one_seed), "motion").is_inert, "one seed shows nothing");
+    let rows = &idle.groups[0].rows;
+    assert!(rows[1].influence.is_empty(), "a training without a part has no table of its own");
+}
