@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use engine::Node;
 use engine::status::History;
+use engine::{Decision, Node};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use training::{INERT_SHARE, PhaseInfluence, largest_share};
@@ -27,7 +27,7 @@ pub(crate) struct InertLoss {
     pub(crate) trainings: usize,
 }
 
-/// The measurements of a training that tell the influence of its losses.
+/// The measurements of a training that hold the influence of its losses.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Influences {
@@ -49,19 +49,20 @@ pub(crate) fn inert_losses(session: &Session, nodes: impl Iterator<Item = usize>
         let measured = session.store.read_measurements(&record.measurements)?;
         // Records of other versions of the program may lack the measurement or have another form of it.
         let Influences { influence } = Influences::deserialize(measured).unwrap_or_default();
-        add(&mut found, node, &influence);
+        let method = node.params.get("method").and_then(Value::as_str).unwrap_or_default();
+        add(&mut found, method, &node.decisions, &influence);
     }
     Ok(found.into_values().filter(|loss| loss.largest_share < INERT_SHARE).collect())
 }
 
-/// Adds the losses of one measured training.
+/// Adds the losses of one measured training of a method, except those whose effects are off by these decisions.
 fn add<'n>(
     found: &mut BTreeMap<(&'n str, String), InertLoss>,
-    node: &'n Node,
+    method: &'n str,
+    decisions: &[Decision],
     influence: &BTreeMap<String, PhaseInfluence>,
 ) {
-    let method = node.params.get("method").and_then(Value::as_str).unwrap_or_default();
-    let is_off = |effect: &str| node.decisions.iter().any(|decision| decision.effect == effect && !decision.on);
+    let is_off = |effect: &str| decisions.iter().any(|decision| decision.effect == effect && !decision.on);
     for (name, loss) in influence.values().flat_map(|phase| &phase.losses) {
         let (Some(share), false) = (largest_share(influence, name), loss.effect.as_deref().is_some_and(is_off)) else {
             continue;
@@ -92,4 +93,36 @@ pub(crate) fn render(losses: &[InertLoss]) -> String {
         )
     };
     losses.iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    /// Measurements in which `flow` has `norm` times the gradient of the photometric loss.
+    fn measured(norm: f64) -> BTreeMap<String, PhaseInfluence> {
+        let loss = |effect: Option<&str>, norm: f64| json!({ "effect": effect, "acted": 8, "iterations": [2, 6], "norms": { "positions": [norm, norm] } });
+        let losses = json!({ "photometric": loss(None, 1.0), "flow": loss(Some("flow"), norm) });
+        let influence = json!({ "influence": { "fine": { "steps": 8, "losses": losses } } });
+        Influences::deserialize(influence).expect("the form of the measurement").influence
+    }
+
+    /// The losses after trainings with these norms, where the plan simulates `flow` or not.
+    fn after(norms: [f64; 2], on: bool) -> Vec<InertLoss> {
+        let decisions = [Decision { effect: "flow".into(), on, reason: String::new() }];
+        let mut found = BTreeMap::new();
+        norms.into_iter().for_each(|norm| add(&mut found, "phys4dgs", &decisions, &measured(norm)));
+        found.into_values().filter(|loss| loss.largest_share < INERT_SHARE).collect()
+    }
+
+    #[test]
+    fn a_loss_that_moved_nothing_in_any_training_is_named() {
+        insta::assert_snapshot!(render(&after([1e-9, 2e-9], true)), @r"
+        warning: the loss flow (effect flow) of phys4dgs was inert in 2 earlier trainings of this recipe: its gradient was at most 2e-9 of the photometric one; measure what leaving it out changes with an axis `without`
+        ");
+        assert_eq!(after([1e-9, 0.5], true), [], "it moves something in one of them");
+        assert_eq!(after([1e-9, 1e-9], false), [], "the plan leaves it out already");
+    }
 }

@@ -61,12 +61,12 @@ pub(crate) fn gradient_norms<T: Real>(
 }
 
 /// The scaled squared norm of a gradient, computed on a tape that is then dropped.
-fn squared_norm<T: Real>(mut aside: Tape<T>, gradient: Tensor<T>) -> Tensor<T> {
-    let gradient = aside.constant(gradient);
-    let scaled = scale(&mut aside, gradient, SCALE);
-    let squared = square(&mut aside, scaled);
-    let sum = total(&mut aside, squared);
-    aside.value(sum).clone()
+fn squared_norm<T: Real>(mut child: Tape<T>, gradient: Tensor<T>) -> Tensor<T> {
+    let gradient = child.constant(gradient);
+    let scaled = scale(&mut child, gradient, SCALE);
+    let squared = square(&mut child, scaled);
+    let sum = total(&mut child, squared);
+    child.value(sum).clone()
 }
 
 #[cfg(test)]
