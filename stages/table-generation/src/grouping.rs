@@ -10,9 +10,10 @@ use crate::claims::Claim;
 use crate::collect::{Costs, DEGENERATE, Run, failure_mark};
 use crate::column::Column;
 use crate::comparison::claim_table;
-use crate::difference::row_differences;
+use crate::distinct::distinct;
 use crate::format::number;
-use crate::influence::influences;
+use crate::influences::influences;
+use crate::pairs::row_differences;
 use crate::params::TableGenerationParams;
 use crate::ranks::rank;
 use crate::report::{FailedRun, Group, Report, Row, ScenePart};
@@ -126,17 +127,6 @@ fn parts_of(protocol: &Protocol, scenes: &[String]) -> Vec<ScenePart> {
         }
     }
     parts
-}
-
-/// The distinct values in order of appearance, which is the order of the recipe.
-pub(crate) fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<String> {
-    let mut seen = Vec::new();
-    for value in values {
-        if !seen.iter().any(|other| other == value) {
-            seen.push(value.to_owned());
-        }
-    }
-    seen
 }
 
 fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row {

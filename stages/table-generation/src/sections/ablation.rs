@@ -3,9 +3,10 @@
 use super::cells::traced;
 use super::content::Content;
 use crate::column::Column;
-use crate::difference::{Difference, REMARK, variants};
+use crate::difference::{Difference, REMARK};
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
+use crate::pairs::variants;
 use crate::report::{Group, Row};
 
 /// One table per method with several variants.
@@ -44,7 +45,8 @@ fn mean(row: &Row, column: Column) -> Option<f64> {
 
 /// The difference from the reference; a dash for the reference itself.
 fn difference_text(row: &Row, reference: &Row, column: Column) -> String {
-    let difference = Difference::of_rows(row, reference, column).filter(|_| row.name != reference.name);
+    let difference =
+        Difference::of_column(&row.headline, &reference.headline, column).filter(|_| row.name != reference.name);
     difference.map_or(NONE.into(), |difference| difference.text(column))
 }
 

@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use super::content::Content;
 use crate::collect::{FINISHED, Run, failure_mark};
 use crate::column::Column;
+use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
-use crate::grouping::distinct;
 use crate::report::Report;
 
 /// Counts and reasons of runs that are degenerate or failed, notices, and missing data, where present.

@@ -78,7 +78,8 @@ fn share_text(influence: &Influence) -> (String, String) {
         None => ("no own loss".into(), NONE.into()),
         Some((group, None)) => ("alone".into(), group.into()),
         Some((group, Some(share))) if share >= 0.01 => (number(share, 2), group.into()),
-        Some((group, Some(share))) => (format!("{share:.0e}"), group.into()),
+        Some((group, Some(share))) if share > 0.0 => (format!("{share:.0e}"), group.into()),
+        Some(_) => ("0".into(), NONE.into()),
     }
 }
 

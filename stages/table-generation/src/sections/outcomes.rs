@@ -5,9 +5,9 @@ use engine::FailureKind;
 use super::content::Content;
 use crate::collect::{Run, TensorGradient, failure_mark};
 use crate::column::Column;
+use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, signed};
-use crate::grouping::distinct;
 
 /// The table of outcomes, if the recipe asks for it or a training diverged.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {

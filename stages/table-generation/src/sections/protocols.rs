@@ -7,10 +7,11 @@ use super::content::Content;
 use crate::cell::Cells;
 use crate::collect::failure_mark;
 use crate::column::Column;
-use crate::difference::{Difference, REMARK, with_baseline, with_bases};
+use crate::difference::{Difference, REMARK};
+use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number, scenes};
-use crate::grouping::distinct;
+use crate::pairs::{with_baseline, with_bases};
 use crate::report::{FailedRun, Group, Report, Row};
 use crate::statistics::mean;
 
@@ -180,7 +181,7 @@ fn gain_table(
         };
         let by_scene = gains.iter().zip(&group.scenes);
         let texts = by_scene.map(|(gain, scene)| traced(text(*gain), content.traces.scene(&row.name, scene)));
-        let over_all = Difference::of_rows(row, reference, Column::PSNR);
+        let over_all = Difference::of_column(&row.headline, &reference.headline, Column::PSNR);
         let mean = traced(text(over_all), content.traces.row(&row.name));
         let count = Text::plain(format!("{n_above} of {}", gains.iter().flatten().count()));
         table.rows.push([Text::plain(name(row, reference))].into_iter().chain(texts).chain([mean, count]).collect());

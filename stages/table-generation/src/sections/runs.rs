@@ -3,9 +3,9 @@
 use super::content::Content;
 use super::traces::command;
 use crate::collect::Run;
+use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
-use crate::grouping::distinct;
 
 /// The jobs of a run: port, and name of the column.
 const JOBS: [(&str, &str); 3] = [("model", "training"), ("renders", "rendering"), ("metrics", "judging")];

@@ -6,9 +6,9 @@ use super::content::Content;
 use crate::collect::FINISHED;
 use crate::column::Column;
 use crate::difference::Difference;
+use crate::distinct::distinct;
 use crate::document::Block;
 use crate::format::number;
-use crate::grouping::distinct;
 use crate::report::{Group, Report};
 
 /// Number of degenerate runs that the summary names.

@@ -4,8 +4,8 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use crate::collect::Run;
+use crate::distinct::distinct;
 use crate::document::Link;
-use crate::grouping::distinct;
 use crate::params::TableGenerationParams;
 use crate::report::Report;
 

@@ -3,8 +3,8 @@
 use super::content::Content;
 use super::published::origin;
 use crate::claims::{ClaimColumn, ClaimTable};
+use crate::distinct::distinct;
 use crate::document::{Table, Text};
-use crate::grouping::distinct;
 use crate::report::Group;
 
 /// A source about a row of the report.
