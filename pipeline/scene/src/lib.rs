@@ -21,7 +21,7 @@ mod videos;
 mod view_folder;
 
 pub use camera::{Camera, Intrinsics, RigidTransform};
-pub use capture::{Capture, CaptureInfo, CaptureWriter, Frame, Split, View};
+pub use capture::{Capture, CaptureInfo, CaptureWriter, Frame, SceneScale, Split, View};
 pub use cloud::PointCloud;
 pub use error::{Error, Result};
 pub use float_image::{FloatImage, ResizeFilter};

@@ -310,7 +310,7 @@ fn the_stage_writes_a_valid_capture() {
         assert_eq!(labels.max(), Some(1));
         let flows = capture.views_of(Split::Train).filter(|(_, view)| view.flow.is_some()).count();
         assert_eq!(flows, train / 6 * 5, "all but the last frame");
-        assert!(capture.scene_extent() > 0.5);
+        assert!(capture.scale().extent > 0.5);
     }
 }
 

@@ -48,9 +48,9 @@ pub struct ModelHeader {
     pub background: [f32; 3],
     /// Maps seconds of the capture to the normalised time in [0, 1] of the motion model.
     pub time_map: TimeMap,
-    /// The size of the scene ([`scene::Capture::scene_extent`]), scene units.
+    /// The size of the scene ([`scene::SceneScale::extent`]), scene units.
     pub scene_extent: f64,
-    /// Factor on published constants in scene units ([`scene::Capture::unit_world`]).
+    /// Factor on published constants in scene units ([`scene::SceneScale::unit`]).
     pub unit_world: f64,
     /// Number of distinct times among the training views.
     pub time_count: usize,

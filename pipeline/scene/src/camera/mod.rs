@@ -5,6 +5,7 @@ mod view_volume;
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
+pub(crate) use view_volume::spread;
 pub use view_volume::{Ball, common_view_volume};
 
 use crate::{Error, Result};

@@ -12,7 +12,7 @@ const PARALLEL_DEPTH: f64 = 5.0;
 /// Depth of the assumed scene of a single camera, and of cameras at one place, in scene units.
 const LONE_DEPTH: f64 = 4.0;
 
-/// Distance between cameras, relative to their coordinates, below which rounding alone sets them apart.
+/// Radius of a set of points, relative to their coordinates, below which rounding alone sets them apart.
 const SAME_PLACE: f64 = 1e-6;
 
 /// A ball in world coordinates.
@@ -41,13 +41,13 @@ impl Ball {
 pub fn common_view_volume(cameras: &[Camera]) -> Option<Ball> {
     let axes: Vec<Axis> = cameras.iter().map(Axis::of).collect();
     let count = (!axes.is_empty()).then_some(axes.len() as f64)?;
-    let origin = axes.iter().map(|axis| axis.origin).sum::<DVec3>() / count;
+    let origins: Vec<DVec3> = axes.iter().map(|axis| axis.origin).collect();
+    let origin = origins.iter().sum::<DVec3>() / count;
     let ahead = axes.iter().map(|axis| axis.direction).sum::<DVec3>() / count;
-    let apart = axes.iter().map(|axis| 2.0 * axis.origin.distance(origin)).fold(0.0, f64::max);
-    let is_apart = apart > SAME_PLACE * (1.0 + origin.length());
-    let convergence = if is_apart { convergence(&axes, origin) } else { None };
+    let radius = spread(&origins);
+    let convergence = radius.and_then(|_| convergence(&axes, origin));
     let center_world = convergence.unwrap_or_else(|| {
-        let depth = if is_apart { PARALLEL_DEPTH * apart } else { LONE_DEPTH };
+        let depth = radius.map_or(LONE_DEPTH, |radius| PARALLEL_DEPTH * 2.0 * radius);
         origin + depth * ahead.normalize_or(axes[0].direction)
     });
     let mut radii: Vec<f64> = cameras.iter().map(|camera| clearance(camera, center_world)).collect();
@@ -60,6 +60,13 @@ pub fn common_view_volume(cameras: &[Camera]) -> Option<Ball> {
         _ => LONE_DEPTH,
     };
     Some(Ball { center_world, radius })
+}
+
+/// The largest distance of a point from the mean of all; `None` if rounding alone sets them apart, or without points.
+pub(crate) fn spread(points_world: &[DVec3]) -> Option<f64> {
+    let mean = points_world.iter().sum::<DVec3>() / points_world.len().max(1) as f64;
+    let radius = points_world.iter().map(|point| point.distance(mean)).fold(0.0, f64::max);
+    (radius > SAME_PLACE * (1.0 + mean.length())).then_some(radius)
 }
 
 /// An optical axis.

@@ -1,6 +1,7 @@
 //! A capture: the posed and timed images of one dynamic scene in one folder, from any importer.
 
 mod reading;
+mod scale;
 mod writing;
 
 #[cfg(test)]
@@ -10,6 +11,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+pub use scale::SceneScale;
 pub use writing::{CaptureInfo, CaptureWriter, Frame};
 
 use crate::{Camera, Protocol, TimeMap};

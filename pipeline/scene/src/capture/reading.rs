@@ -3,10 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use glam::DVec3;
-
 use super::{BACKGROUND, Capture, Split, View};
-use crate::camera::{Camera, common_view_volume};
 use crate::cloud::PointCloud;
 use crate::image_file::{self, GrayImage, RgbImage};
 use crate::index_file::{self, ViewFiles};
@@ -21,14 +18,6 @@ pub(super) const POINTS_FILE: &str = "points.ply";
 /// Hint for maps that do not match the views.
 const OTHER_CAPTURE: &str = "they may belong to another capture";
 
-/// Factor on the radius of the camera positions (Kerbl et al. 2023, `getNerfppNorm`).
-const EXTENT_MARGIN: f64 = 1.1;
-/// Smallest extent of a scene, as a share of the distance of the cameras from it.
-const MIN_EXTENT: f64 = 0.25;
-/// The range of camera distances for which constants in scene units were published.
-const PUBLISHED_DISTANCES: [f64; 2] = [1.0, 40.0];
-/// Smallest radius of the camera positions, relative to the size of the coordinates, that defines a scale.
-const SAME_PLACE: f64 = 1e-6;
 /// Coarsest usable f32 step of the coordinates, relative to the extent of the scene.
 const MAX_COORDINATE_STEP: f64 = 1e-2;
 /// Tolerance for rounded times, relative to the duration of the capture.
@@ -112,44 +101,6 @@ impl Capture {
         self.has_points.then(|| PointCloud::read_ply(&self.dir.join(POINTS_FILE))).transpose()
     }
 
-    /// The size of the scene: 1.1 times the largest distance of a training camera from the mean of all training cameras
-    /// (Kerbl et al. 2023), and at least a quarter of [`Capture::viewing_distance`], so that a camera that hardly moves
-    /// gives no scene of almost no size.
-    ///
-    /// If all training cameras share one position, it is half the diagonal of the bounds, or 1 without bounds.
-    pub fn scene_extent(&self) -> f64 {
-        let centers: Vec<DVec3> = self.views_of(Split::Train).map(|(_, view)| view.camera.position_world()).collect();
-        let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
-        let radius = centers.iter().fold(0.0_f64, |radius, center| radius.max(center.distance(mean)));
-        if radius > SAME_PLACE * (1.0 + mean.length()) {
-            return (EXTENT_MARGIN * radius).max(MIN_EXTENT * self.viewing_distance());
-        }
-        let half_diagonal = |[low, high]: [[f64; 3]; 2]| 0.5 * DVec3::from(low).distance(DVec3::from(high));
-        self.bounds_world.map_or(1.0, half_diagonal)
-    }
-
-    /// Median distance of the training cameras from the centre of their common view volume, scene units; 1 without
-    /// training cameras.
-    pub fn viewing_distance(&self) -> f64 {
-        let cameras: Vec<Camera> = self.views_of(Split::Train).map(|(_, view)| view.camera).collect();
-        let Some(volume) = common_view_volume(&cameras) else { return 1.0 };
-        let distance = |camera: &Camera| camera.position_world().distance(volume.center_world);
-        let mut distances: Vec<f64> = cameras.iter().map(distance).collect();
-        distances.sort_by(f64::total_cmp);
-        match distances[distances.len() / 2] {
-            distance if distance > 0.0 => distance,
-            _ => 1.0,
-        }
-    }
-
-    /// The length in scene units by which published constants in scene units (e.g. the near plane at 0.2) are
-    /// multiplied: 1 if cameras are 1 to 40 units away from the scene, as in the data sets of the papers; proportional to
-    /// the distance outside of this range.
-    pub fn unit_world(&self) -> f64 {
-        let distance = self.viewing_distance();
-        distance / distance.clamp(PUBLISHED_DISTANCES[0], PUBLISHED_DISTANCES[1])
-    }
-
     /// Checks that maps belong to this capture: one name per view, in the order of the views.
     pub fn check_names<'a>(&self, names: impl ExactSizeIterator<Item = &'a str>) -> Result<()> {
         let (count, expected) = (names.len(), self.views.len());
@@ -228,7 +179,7 @@ impl Capture {
         let centers = self.views.iter().map(|view| view.camera.position_world().abs().max_element());
         let largest = centers.fold(0.0_f64, f64::max);
         let step = largest * f64::from(f32::EPSILON);
-        let extent = self.scene_extent();
+        let extent = self.scale().extent;
         if step <= MAX_COORDINATE_STEP * extent {
             return Ok(());
         }

@@ -203,12 +203,12 @@ fn the_extent_follows_the_training_cameras() {
     let capture = write(dir.path(), &frames()).unwrap();
     // Two training cameras at distance 2 from the origin, 0.7 rad apart: half their chord.
     let expected = 1.1 * 2.0 * (0.35_f64).sin();
-    assert!((capture.scene_extent() - expected).abs() <= 1e-12);
+    assert!((capture.scale().extent - expected).abs() <= 1e-12);
     let mut single = capture.clone();
     single.views.remove(1);
-    assert_eq!(single.scene_extent(), 3.0, "half the diagonal of the bounds");
+    assert_eq!(single.scale().extent, 3.0, "half the diagonal of the bounds");
     single.bounds_world = None;
-    assert_eq!(single.scene_extent(), 1.0);
+    assert_eq!(single.scale().extent, 1.0);
 }
 
 #[test]

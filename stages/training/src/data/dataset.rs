@@ -28,9 +28,9 @@ pub struct Dataset {
 /// The facts of a scene that methods may read.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SceneFacts {
-    /// The size of the scene ([`Capture::scene_extent`]), scene units.
+    /// The size of the scene ([`scene::SceneScale::extent`]), scene units.
     pub extent: f64,
-    /// Factor on published constants in scene units ([`Capture::unit_world`]).
+    /// Factor on published constants in scene units ([`scene::SceneScale::unit`]).
     pub unit_world: f64,
     /// Maps seconds of the capture to the normalised time in [0, 1].
     pub time_map: TimeMap,
@@ -38,6 +38,14 @@ pub(crate) struct SceneFacts {
     pub background: [f32; 3],
     /// Number of distinct times among the training views.
     pub time_count: usize,
+}
+
+impl SceneFacts {
+    /// The size of the scene in units of published constants: the factor on published learning rates of values that are
+    /// not lengths but whose published rates follow the size of the scene.
+    pub(crate) fn relative_extent(&self) -> f64 {
+        self.extent / self.unit_world
+    }
 }
 
 /// One training view in the working precision.
@@ -78,9 +86,10 @@ impl Dataset {
         let has_val = capture.views_of(Split::Val).next().is_some();
         let curve_split = if has_val { Split::Val } else { Split::Train };
         let curve_candidates: Vec<_> = capture.views_of(curve_split).collect();
+        let scale = capture.scale();
         let scene = SceneFacts {
-            extent: capture.scene_extent(),
-            unit_world: capture.unit_world(),
+            extent: scale.extent,
+            unit_world: scale.unit,
             time_map: capture.time_map,
             background: capture.background,
             time_count: time_count(&capture),

@@ -275,10 +275,10 @@ impl<T: Real> Base<T> for HexplaneGaussians {
     /// The box is never trained; the field and the network exist only in `fine`.
     fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if Field::is_plane(FIELD, tensor) {
-            return Some(self.settings.plane_rate.scaled(scene.extent / scene.unit_world));
+            return Some(self.settings.plane_rate.scaled(scene.relative_extent()));
         }
         if belongs(tensor, network::NETWORK) {
-            return Some(self.settings.network_rate.scaled(scene.extent / scene.unit_world));
+            return Some(self.settings.network_rate.scaled(scene.relative_extent()));
         }
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
     }

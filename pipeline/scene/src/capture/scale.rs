@@ -1,0 +1,56 @@
+//! How large a scene is, and the length that constants in scene units refer to.
+
+use glam::DVec3;
+
+use super::{Capture, Split};
+use crate::camera::{Camera, common_view_volume, spread};
+
+/// Factor on the radius of the camera positions (Kerbl et al. 2023, `getNerfppNorm`).
+const EXTENT_MARGIN: f64 = 1.1;
+/// Smallest extent of a scene, as a share of the distance of the cameras from it.
+const MIN_EXTENT: f64 = 0.25;
+/// The range of camera distances for which constants in scene units were published.
+const PUBLISHED_DISTANCES: [f64; 2] = [1.0, 40.0];
+
+/// Two lengths of a scene, both in scene units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneScale {
+    /// The size of the scene: 1.1 times the largest distance of a training camera from the mean of all training cameras
+    /// (Kerbl et al. 2023), and at least a quarter of the viewing distance, so that a camera that hardly moves gives no
+    /// scene of almost no size. If all training cameras share one position, it is half the diagonal of the bounds, or 1
+    /// without bounds.
+    pub extent: f64,
+    /// The length by which published constants in scene units (e.g. the near plane at 0.2) are multiplied: 1 if cameras
+    /// are 1 to 40 units away from the scene, as in the data sets of the papers; proportional to the distance outside of
+    /// this range.
+    pub unit: f64,
+}
+
+impl Capture {
+    /// The size of the scene and the unit of published constants, from the training cameras.
+    pub fn scale(&self) -> SceneScale {
+        let cameras: Vec<Camera> = self.views_of(Split::Train).map(|(_, view)| view.camera).collect();
+        let centers: Vec<DVec3> = cameras.iter().map(Camera::position_world).collect();
+        let distance = viewing_distance(&cameras, &centers);
+        let extent = match spread(&centers) {
+            Some(radius) => (EXTENT_MARGIN * radius).max(MIN_EXTENT * distance),
+            None => self.bounds_world.map_or(1.0, half_diagonal),
+        };
+        SceneScale { extent, unit: distance / distance.clamp(PUBLISHED_DISTANCES[0], PUBLISHED_DISTANCES[1]) }
+    }
+}
+
+/// Median distance of the cameras from the centre of their common view volume; 1 without cameras.
+fn viewing_distance(cameras: &[Camera], centers: &[DVec3]) -> f64 {
+    let Some(volume) = common_view_volume(cameras) else { return 1.0 };
+    let mut distances: Vec<f64> = centers.iter().map(|center| center.distance(volume.center_world)).collect();
+    distances.sort_by(f64::total_cmp);
+    match distances[distances.len() / 2] {
+        distance if distance > 0.0 => distance,
+        _ => 1.0,
+    }
+}
+
+fn half_diagonal([low, high]: [[f64; 3]; 2]) -> f64 {
+    0.5 * DVec3::from(low).distance(DVec3::from(high))
+}
