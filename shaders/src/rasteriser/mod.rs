@@ -12,7 +12,7 @@ mod settings;
 pub mod slicing4d;
 mod splats;
 
-pub use binning::TooManyIntersections;
+pub use binning::{MAX_INTERSECTIONS, TooManyIntersections};
 pub use isa::Isa;
 pub use projection::{NOT_FINITE, ProjectedVars};
 pub use render::{RenderStats, Rendered, RenderedImage, render, render_image};

@@ -26,7 +26,7 @@ pub use gpu::GpuLists;
 pub(crate) const TILE: usize = 16;
 
 /// Intersections per render above which it is refused: at least 9 GiB of gradient rows in f32, far below overflow of u32.
-pub(crate) const MAX_INTERSECTIONS: u64 = 1 << 28;
+pub const MAX_INTERSECTIONS: u64 = 1 << 28;
 
 /// Splats per parallel chunk: tens of microseconds.
 const SPLATS_PER_CHUNK: usize = 1024;

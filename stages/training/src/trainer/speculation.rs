@@ -10,7 +10,7 @@
 use std::collections::BTreeMap;
 
 use shaders::gpu::Gpu;
-use shaders::rasteriser::NOT_FINITE;
+use shaders::rasteriser::{MAX_INTERSECTIONS, NOT_FINITE};
 use shaders::tape::{PendingReadback, Readback, Tape, Tensor};
 
 use super::Trainer;
@@ -96,12 +96,16 @@ impl PendingStep {
     }
 }
 
+/// Size of the intersection buffers after a render with this many intersections; never more than a GPU can bin.
+fn capacity_for(intersections: usize) -> usize {
+    ((CAPACITY_FACTOR * intersections as f64) as usize + EXTRA_CAPACITY).min(MAX_INTERSECTIONS as usize)
+}
+
 impl Trainer<'_> {
     /// Enlarges the intersection buffers of later speculative renders to suit a render with this many intersections.
     pub(super) fn grow_capacity(&mut self, intersections: usize) {
-        let capacity = (CAPACITY_FACTOR * intersections as f64) as usize + EXTRA_CAPACITY;
         if self.device.gpu().is_some() {
-            self.capacity = self.capacity.max(capacity);
+            self.capacity = self.capacity.max(capacity_for(intersections));
         }
     }
 
@@ -183,5 +187,19 @@ impl Trainer<'_> {
     #[cfg(test)]
     pub(super) fn pending_steps(&self) -> usize {
         self.speculation.as_ref().map_or(0, |speculation| speculation.pending.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buffers_hold_more_than_the_last_render_and_no_more_than_a_gpu_can_bin() {
+        assert_eq!(capacity_for(1000), 1250 + EXTRA_CAPACITY);
+        let limit = MAX_INTERSECTIONS as usize;
+        for legal in [215_000_000, limit] {
+            assert!((legal..=limit).contains(&capacity_for(legal)), "{legal}");
+        }
     }
 }
