@@ -21,24 +21,20 @@ impl CollapseGuard {
         self.closed
     }
 
-    /// Whether a round may prune a population to the rows of `keep`; a refusal closes the guard.
-    pub(crate) fn allows(&mut self, keep: &[bool]) -> bool {
+    /// Refuses to prune a population to the rows of `keep` if that would empty it, and every later round. Returns what
+    /// the report says about the refusal; `None` if the round may prune.
+    pub(crate) fn refuses(&mut self, population: &str, iteration: u64, keep: &[bool]) -> Option<String> {
         self.most = self.most.max(keep.len());
         let left = keep.iter().filter(|&&keep| keep).count();
         self.closed |= left == 0 || (left as f64) < MIN_SHARE * self.most as f64;
-        !self.closed
-    }
-
-    /// What the report says about the refused round.
-    pub(crate) fn notice(&self, population: &str, iteration: u64, keep: &[bool]) -> String {
-        let left = keep.iter().filter(|&&keep| keep).count();
-        format!(
-            "pruning stopped at iteration {iteration}: it would have left {left} of {} {population} (at most {} before). \
-             Most pixels may equal the background, or the initial points may lie \
-             outside of the scene",
-            keep.len(),
-            self.most
-        )
+        self.closed.then(|| {
+            format!(
+                "pruning stopped at iteration {iteration}: it would have left {left} of {} {population} (at most {} \
+                 before). Most pixels may equal the background, or the initial points may lie outside of the scene",
+                keep.len(),
+                self.most
+            )
+        })
     }
 }
 
@@ -51,19 +47,24 @@ mod tests {
         (0..count).map(|row| row < left).collect()
     }
 
+    /// Whether a guard lets a round keep the first `left` of `count` rows.
+    fn allows(guard: &mut CollapseGuard, left: usize, count: usize) -> bool {
+        guard.refuses("gaussians", 70, &keeping(left, count)).is_none()
+    }
+
     #[test]
     fn rounds_that_leave_almost_nothing_are_refused_for_good() {
         let mut guard = CollapseGuard::default();
-        assert!(guard.allows(&keeping(50, 1000)) && guard.allows(&keeping(5, 50)), "five of a thousand may stay");
-        assert!(!guard.allows(&keeping(4, 5)), "four of at most 1000");
-        assert!(guard.is_closed() && !guard.allows(&keeping(5, 5)), "the guard stays closed");
-        assert!(guard.notice("gaussians", 70, &keeping(4, 5)).contains("left 4 of 5 gaussians (at most 1000 before)"));
+        assert!(allows(&mut guard, 50, 1000) && allows(&mut guard, 5, 50), "five of a thousand may stay");
+        let notice = guard.refuses("gaussians", 70, &keeping(4, 5)).expect("four of at most 1000");
+        assert!(notice.contains("left 4 of 5 gaussians (at most 1000 before)"), "{notice}");
+        assert!(guard.is_closed() && !allows(&mut guard, 5, 5), "the guard stays closed");
     }
 
     #[test]
     fn small_models_may_shrink_but_not_vanish() {
         let mut guard = CollapseGuard::default();
-        assert!(guard.allows(&keeping(1, 4)) && guard.allows(&keeping(1, 1)));
-        assert!(!guard.allows(&keeping(0, 1)));
+        assert!(allows(&mut guard, 1, 4) && allows(&mut guard, 1, 1));
+        assert!(!allows(&mut guard, 0, 1));
     }
 }

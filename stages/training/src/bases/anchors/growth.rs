@@ -132,8 +132,8 @@ impl AnchorGrowth {
         let most_opaque = (0..opacities.len()).map(opacity).fold(0.0, f32::max);
         let min_opacity = most_opaque.min(self.density.min_opacity as f32);
         let keep: Vec<bool> = (0..opacities.len()).map(|anchor| opacity(anchor) >= min_opacity).collect();
-        if !self.guard.allows(&keep) {
-            return Ok(Some(self.guard.notice(ANCHORS, iteration, &keep)));
+        if let Some(notice) = self.guard.refuses(ANCHORS, iteration, &keep) {
+            return Ok(Some(notice));
         }
         optimizer.keep(ANCHORS, &keep)?;
         self.statistics.reset_opacities(self.views_needed());

@@ -221,16 +221,15 @@ impl AdaptiveDensity {
     /// Removes all Gaussians but the survivors. If that would empty the model, it removes none, ends all pruning,
     /// restores the initial opacity of fainter Gaussians, and returns a notice.
     fn prune(&mut self, optimizer: &mut Optimizer, keep: &[bool], iteration: u64) -> anyhow::Result<Option<String>> {
-        if self.guard.allows(keep) {
+        let Some(notice) = self.guard.refuses(&self.population, iteration, keep) else {
             optimizer.keep(&self.population, keep)?;
             self.statistics.keep(keep);
             return Ok(None);
-        }
+        };
         let name = format!("{}.opacity_logits", self.population);
         let initial = logit(INITIAL_OPACITY) as f32;
         optimizer.edit(&name, |logits| logits.iter_mut().for_each(|value| *value = value.max(initial)))?;
         optimizer.reset_moments(&name)?;
-        let notice = self.guard.notice(&self.population, iteration, keep);
         Ok(Some(notice + ". Fainter ones got their initial opacity back"))
     }
 
