@@ -21,7 +21,8 @@ pub(crate) const WARM_UP: &str = "warm-up";
 /// All tensors are trained.
 pub(crate) const ALL: &str = "all";
 
-/// The published code scales the learning rate of positions by this instead of by the scene's extent.
+/// The published code scales the learning rate of positions by this instead of by the scene's extent; here in
+/// [`SceneFacts::unit_world`].
 const POSITION_RATE_FACTOR: f64 = 5.0;
 
 /// Minimum standard deviation, scene units, because the logarithm of zero is not finite.
@@ -88,7 +89,7 @@ impl<T: Real> Base<T> for CanonicalGaussians {
     /// The learning rates of the Gaussians. That of the positions does not restart in [`ALL`].
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if tensor == "gaussians.positions" {
-            let rate = self.shared.learning_rates.position.scaled(POSITION_RATE_FACTOR);
+            let rate = self.shared.learning_rates.position.scaled(POSITION_RATE_FACTOR * scene.unit_world);
             return Some(rate.after(self.steps_before(phase)));
         }
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)

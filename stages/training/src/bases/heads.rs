@@ -2,11 +2,20 @@
 //! Linear (Wu et al. 2024, section 4.3).
 
 use shaders::networks::linear::Activation;
+use shaders::pointwise::scale;
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::layers::{FirstWeights, apply_layer, apply_layers, insert_layer};
 use crate::data::Streams;
 use crate::model::{ModelState, Variables};
+
+/// The name of the head that moves positions.
+pub(crate) const POSITION: &str = "position";
+
+/// Displacements that a network with fixed learning rates counts in units of `unit_world`, in scene units.
+pub(crate) fn in_scene_units<T: Real>(tape: &mut Tape<T>, displacements: Var, unit_world: f64) -> Var {
+    if unit_world == 1.0 { displacements } else { scale(tape, displacements, unit_world) }
+}
 
 /// Sizes of a network with the tensors `{name}.trunk`, `{name}.{head}.0` and `{name}.{head}.1`.
 #[derive(Clone, Debug)]
@@ -64,6 +73,18 @@ impl HeadedNetwork {
     /// The output [N, outputs] of a head.
     pub(crate) fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         self.heads(tape, model, &[head], hidden)[0]
+    }
+
+    /// The output [N, 3] of the head `position` in scene units; the network counts in units of `unit_world`.
+    pub(crate) fn displacements<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        hidden: Var,
+        unit_world: f64,
+    ) -> Var {
+        let change = self.head(tape, model, POSITION, hidden);
+        in_scene_units(tape, change, unit_world)
     }
 
     fn layers(&self, head: &str) -> [String; 2] {

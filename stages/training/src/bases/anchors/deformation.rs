@@ -9,7 +9,7 @@ use shaders::tape::{Real, Tape, Var};
 
 use super::{ANCHORS, AnchorSettings};
 use crate::bases::bounds::Bounds;
-use crate::bases::heads::HeadedNetwork;
+use crate::bases::heads::{HeadedNetwork, POSITION, in_scene_units};
 use crate::bases::hexplane::TimeAxis;
 use crate::bases::hexplane::field::{Field, PlaneWeights};
 use crate::data::{SceneFacts, Streams};
@@ -129,10 +129,10 @@ impl DeformationSettings {
     /// The learning rate of a tensor of either field; the boxes are not trained.
     pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().any(|field| Field::is_plane(field, tensor)) {
-            return Some(self.plane_rate.scaled(scene.extent / scene.unit_world));
+            return Some(self.plane_rate.scaled(scene.relative_extent()));
         }
         let is_network = [ANCHOR_NETWORK, GAUSSIAN_NETWORK].iter().any(|network| belongs(tensor, network));
-        is_network.then(|| self.network_rate.scaled(scene.extent / scene.unit_world))
+        is_network.then(|| self.network_rate.scaled(scene.relative_extent()))
     }
 }
 
@@ -161,7 +161,7 @@ impl AnchorDeformation {
     /// The field of anchors of these sizes.
     pub(crate) fn new(settings: &DeformationSettings, anchors: &AnchorSettings) -> Self {
         let field = settings.anchors.build(ANCHOR_FIELD, settings.time_axis);
-        let heads = vec![("position", 3), ("feature", anchors.features), ("offset", 3 * anchors.offsets), ("scale", 6)];
+        let heads = vec![(POSITION, 3), ("feature", anchors.features), ("offset", 3 * anchors.offsets), ("scale", 6)];
         let network = HeadedNetwork::new(ANCHOR_NETWORK, field.features(), settings.width, heads);
         Self { field, network, weights: settings.anchors.regularizers, zero_heads: settings.zero_heads }
     }
@@ -174,11 +174,20 @@ impl AnchorDeformation {
         Ok(())
     }
 
-    /// The changes of anchors at canonical positions [M, 3] at a time in [0, 1].
-    pub(crate) fn at<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> AnchorChange {
+    /// The changes of anchors at canonical positions [M, 3] at a time in [0, 1]; the network counts displacements in
+    /// units of `unit_world`.
+    pub(crate) fn at<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        positions: Var,
+        time: f64,
+        unit_world: f64,
+    ) -> AnchorChange {
         let hidden = self.hidden(tape, model, positions, time);
-        let heads = self.network.heads(tape, model, &["position", "feature", "offset", "scale"], hidden);
-        AnchorChange { positions: heads[0], features: heads[1], offsets: heads[2], log_scales: heads[3] }
+        let heads = self.network.heads(tape, model, &[POSITION, "feature", "offset", "scale"], hidden);
+        let positions = in_scene_units(tape, heads[0], unit_world);
+        AnchorChange { positions, features: heads[1], offsets: heads[2], log_scales: heads[3] }
     }
 
     /// Positions [M, 3] in the field's box, as [−1, 1].
@@ -193,9 +202,10 @@ impl AnchorDeformation {
         model: &Variables,
         positions: Var,
         time: f64,
+        unit_world: f64,
     ) -> Var {
         let hidden = self.hidden(tape, model, positions, time);
-        self.network.head(tape, model, "position", hidden)
+        self.network.displacements(tape, model, hidden, unit_world)
     }
 
     /// Adds the regularisers of the planes.
@@ -221,7 +231,7 @@ impl GaussianDeformation {
     /// The field with these settings.
     pub(crate) fn new(settings: &DeformationSettings) -> Self {
         let field = settings.gaussians.build(GAUSSIAN_FIELD, settings.time_axis);
-        let heads = vec![("position", 3), ("scale", 3), ("rotation", 4)];
+        let heads = vec![(POSITION, 3), ("scale", 3), ("rotation", 4)];
         let network = HeadedNetwork::new(GAUSSIAN_NETWORK, field.features(), settings.width, heads);
         Self { field, network, weights: settings.gaussians.regularizers, zero_heads: settings.zero_heads }
     }
@@ -235,19 +245,21 @@ impl GaussianDeformation {
     }
 
     /// Gaussians at a time in [0, 1]: the outputs of the heads are added to positions, logarithmic scales and unit
-    /// quaternions.
+    /// quaternions. The network counts displacements in units of `unit_world`.
     pub(crate) fn deform<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
         spawned: SplatVars,
         time: f64,
+        unit_world: f64,
     ) -> SplatVars {
         let features = self.field.at(tape, model, spawned.positions, time);
         let hidden = self.network.hidden(tape, model, features);
         let (log_scales, rotations) = spawned.shape.scales_and_rotations().expect("anchors spawn both");
         let rotations = quaternion::normalize(tape, rotations);
-        let changes = self.network.heads(tape, model, &["position", "scale", "rotation"], hidden);
+        let mut changes = self.network.heads(tape, model, &[POSITION, "scale", "rotation"], hidden);
+        changes[0] = in_scene_units(tape, changes[0], unit_world);
         let attributes = [spawned.positions, log_scales, rotations];
         let pairs: Vec<[Var; 2]> = attributes.into_iter().zip(changes).map(|(a, change)| [a, change]).collect();
         let moved = adds(tape, &pairs);

@@ -143,7 +143,7 @@ impl AnchorSettings {
         let (owner, rest) = tensor.split_once('.')?;
         match (owner, rest.split('.').next()?) {
             (ANCHORS, "features") => Some(LogLinear::constant(self.feature_rate)),
-            (ANCHORS, "offsets") => Some(self.offset_rate.scaled(scene.extent)),
+            (ANCHORS, "offsets") => Some(self.offset_rate.scaled(scene.relative_extent())),
             (ANCHORS, "log_scales") => Some(LogLinear::constant(self.scale_rate)),
             (views::VIEWS, "opacity") => Some(self.opacity_network_rate),
             (views::VIEWS, "shape") => Some(self.shape_network_rate),

@@ -2,12 +2,12 @@
 //! section 4.3).
 
 use serde::{Deserialize, Serialize};
-use shaders::pointwise::{add, adds, scale};
+use shaders::pointwise::{add, adds};
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::gaussians::leading_harmonics;
-use crate::bases::heads::HeadedNetwork;
+use crate::bases::heads::{HeadedNetwork, POSITION, in_scene_units};
 use crate::data::Streams;
 use crate::model::{ModelState, Variables};
 
@@ -38,7 +38,7 @@ impl Heads {
     /// Name and number of outputs of the heads that are on, always in this order.
     fn outputs(self, sh_count: usize) -> Vec<(&'static str, usize)> {
         let all = [
-            (self.position, "position", 3),
+            (self.position, POSITION, 3),
             (self.scale, "scale", 3),
             (self.rotation, "rotation", 4),
             (self.opacity, "opacity", 1),
@@ -96,7 +96,7 @@ impl Network {
         let hidden = self.layers.hidden(tape, model, features);
         let (log_scales, rotations) = canonical.shape.scales_and_rotations().expect("Gaussians have both");
         let attributes = [
-            ("position", canonical.positions),
+            (POSITION, canonical.positions),
             ("scale", log_scales),
             ("rotation", rotations),
             ("opacity", canonical.opacity_logits),
@@ -107,8 +107,8 @@ impl Network {
         if let Some(at) = heads.iter().position(|&head| head == "harmonics") {
             changes[at] = leading_harmonics(tape, changes[at], sh_degree);
         }
-        if let Some(at) = heads.iter().position(|&head| head == "position") {
-            changes[at] = self.displacements(tape, changes[at]);
+        if let Some(at) = heads.iter().position(|&head| head == POSITION) {
+            changes[at] = in_scene_units(tape, changes[at], self.unit_world);
         }
         let moved = attributes.iter().filter(|(head, _)| heads.contains(head));
         let pairs: Vec<[Var; 2]> = moved.zip(changes).map(|(&(_, attribute), change)| [attribute, change]).collect();
@@ -131,14 +131,8 @@ impl Network {
         positions: Var,
     ) -> MovedPoints {
         let hidden = self.layers.hidden(tape, model, features);
-        let change = self.layers.head(tape, model, "position", hidden);
-        let change = self.displacements(tape, change);
+        let change = self.layers.displacements(tape, model, hidden, self.unit_world);
         MovedPoints { positions: add(tape, positions, change), hidden }
-    }
-
-    /// The output of the position head in scene units.
-    fn displacements<T: Real>(&self, tape: &mut Tape<T>, change: Var) -> Var {
-        if self.unit_world == 1.0 { change } else { scale(tape, change, self.unit_world) }
     }
 
     /// The output of a further head.

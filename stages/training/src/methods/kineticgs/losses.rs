@@ -47,7 +47,7 @@ impl<T: Real> KineticGaussians<T> {
     pub(super) fn fine_losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         let weights = self.settings.losses.at(step.iteration, self.shared.schedule_scale);
         step.clock.enter("motion");
-        let particles = self.particles(step.tape, step.model);
+        let particles = self.particles(step.tape, step.model, step.scene);
         let pairs = self.neighbor_pairs(step, &particles, &weights);
         for view in step.views {
             step.clock.enter("motion");
@@ -88,7 +88,7 @@ impl<T: Real> KineticGaussians<T> {
             return None;
         }
         let search = self.settings.neighbors.draw(step.random.of("neighbors"));
-        particles.population.pairs(search, self.settings.anchors.voxel_size)
+        particles.population.pairs(search, self.settings.anchors.voxel_size * particles.unit_world)
     }
 
     fn flow_loss(

@@ -114,9 +114,9 @@ impl<T: Real> KineticGaussians<T> {
         phase == FINE && self.has(MOTION)
     }
 
-    fn particles(&self, tape: &mut Tape<T>, model: &Variables) -> Particles<T> {
+    fn particles(&self, tape: &mut Tape<T>, model: &Variables, scene: &SceneFacts) -> Particles<T> {
         let population = self.population.of(tape, model);
-        self.motion.particles(tape, model, population, self.has(ACTIVATION))
+        self.motion.particles(tape, model, population, self.has(ACTIVATION), scene.unit_world)
     }
 
     /// The Gaussians of a view at a moment.
@@ -124,7 +124,7 @@ impl<T: Real> KineticGaussians<T> {
         if !self.moves(moment.phase) {
             return self.base.spawn(tape, model, moment.camera);
         }
-        let particles = self.particles(tape, model);
+        let particles = self.particles(tape, model, moment.scene);
         let moved = self.motion.at(tape, model, &particles, moment.time);
         self.gaussians(tape, model, &moved, moment)
     }
@@ -132,7 +132,7 @@ impl<T: Real> KineticGaussians<T> {
     /// The Gaussians of moved anchors at a moment.
     fn gaussians(&self, tape: &mut Tape<T>, model: &Variables, moved: &Moved, moment: &Moment<'_>) -> SpawnedGaussians {
         let mut spawned = anchors::spawn(tape, model, &moved.anchors, moment.camera);
-        spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time);
+        spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time, moment.scene.unit_world);
         spawned
     }
 }

@@ -45,6 +45,8 @@ pub(crate) struct Particles<T: Real> {
     pub positions: Var,
     /// Activation windows; `None` if the particles are always active.
     pub windows: Option<Windows>,
+    /// The unit in which the deformation field counts displacements ([`SceneFacts::unit_world`]).
+    pub unit_world: f64,
 }
 
 /// The gates of P particles at one time.
@@ -113,13 +115,14 @@ impl ParticleMotion {
         model: &Variables,
         population: Arc<Population<T>>,
         activation: bool,
+        unit_world: f64,
     ) -> Particles<T> {
         let positions = gather(tape, model.get("anchors.positions"), &population.rows);
         let windows = (activation && !population.rows.is_empty()).then(|| {
             let inside = self.deformation.inside(tape, model, positions);
             Windows::of(tape, model, inside)
         });
-        Particles { population, positions, windows }
+        Particles { population, positions, windows, unit_world }
     }
 
     /// The anchors at a time in [0, 1].
@@ -142,7 +145,7 @@ impl ParticleMotion {
             return Moved { anchors: canonical, active, displacements: None };
         }
         let positions = chosen.gather(tape, particles.positions);
-        let change = self.deformation.at(tape, model, positions, time);
+        let change = self.deformation.at(tape, model, positions, time, particles.unit_world);
         let gated = self.through_gates(tape, change, gates, &chosen);
         let rows = chosen.among(anchors);
         let mut moved = |attribute: Var, change: Var| {
@@ -176,7 +179,7 @@ impl ParticleMotion {
         time: f64,
     ) -> Var {
         let canonical = chosen.gather(tape, particles.positions);
-        let mut displacements = self.deformation.displacements(tape, model, canonical, time);
+        let mut displacements = self.deformation.displacements(tape, model, canonical, time, particles.unit_world);
         if let Some(gates) = gates {
             let gates = chosen.gather(tape, gates.soft);
             let gate = self.location_gate(tape, gates);

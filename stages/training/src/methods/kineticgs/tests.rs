@@ -155,7 +155,7 @@ fn skipping_inactive_particles_keeps_values_and_gradients() {
     let run = |skip: bool| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
         let model = world.state.bind(&mut tape, |name| name != "anchors.positions");
-        let particles = world.method.particles(&mut tape, &model);
+        let particles = world.method.particles(&mut tape, &model, &world.dataset.scene);
         let anchors = if skip {
             let moved = world.method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
             let active = tape.value(moved.active.unwrap()).as_slice();
@@ -195,7 +195,7 @@ fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, part
     let soft = mul(tape, gates, open);
     let hard = crate::bases::gates::straight_through(tape, gates, motion.gate_threshold);
     let hard = mul(tape, hard, open);
-    let change = motion.deformation.at(tape, model, particles.positions, SPLIT_TIME);
+    let change = motion.deformation.at(tape, model, particles.positions, SPLIT_TIME, 1.0);
     let canonical = Anchors::stored(model);
     let mut moved = |attribute: Var, change: Var, gate: Var| {
         let gated = scale_rows(tape, change, gate);
@@ -229,7 +229,7 @@ fn windows_open_and_close_as_in_the_paper() {
     world.state.insert("activation.radius.weight", Tensor::zeros([1, 64]));
     let mut tape = Tape::<f64>::new(Device::Cpu);
     let model = world.state.bind(&mut tape, |_| false);
-    let windows = world.method.particles(&mut tape, &model).windows.unwrap();
+    let windows = world.method.particles(&mut tape, &model, &world.dataset.scene).windows.unwrap();
     let radius = 0.25 + 0.24 * 1.5_f64.tanh();
     let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
     for time in [0.0, 0.02, 0.5, 0.9, 1.0] {

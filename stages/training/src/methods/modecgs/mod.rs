@@ -119,10 +119,11 @@ impl MotionDecomposition {
             return self.base.spawn(tape, model, moment.camera);
         }
         let canonical = Anchors::stored(model);
-        let change = self.global.at(tape, model, canonical.positions, self.segment_time(moment.time));
+        let (segment_time, unit_world) = (self.segment_time(moment.time), moment.scene.unit_world);
+        let change = self.global.at(tape, model, canonical.positions, segment_time, unit_world);
         let moved = through_gates(tape, model.get(GATES), &canonical, &change);
         let mut spawned = anchors::spawn(tape, model, &moved, moment.camera);
-        spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time);
+        spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time, unit_world);
         spawned
     }
 

@@ -116,8 +116,9 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
             step.photometric(rendered.color, view);
             if self.switches.rigid {
                 step.clock.enter("loss rigid");
+                let (unit_world, random) = (step.scene.unit_world, step.random.of("rigid"));
                 let loss =
-                    rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, step.random.of("rigid"));
+                    rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, unit_world, random);
                 let share = self.settings.rigid_weight / step.views.len() as f64;
                 loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
             }
@@ -153,7 +154,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
         let rates = &self.shared.learning_rates;
         match tensor.strip_prefix(GAUSSIANS)?.strip_prefix('.')? {
             // Constant, because the published code never applies its schedule for the times.
-            "times" => Some(LogLinear::constant(rates.position.start * scene.extent)),
+            "times" => Some(LogLinear::constant(rates.position.start * scene.relative_extent())),
             "log_scales_time" => Some(LogLinear::constant(rates.scale)),
             "rotations_left" | "rotations_right" => Some(LogLinear::constant(rates.rotation)),
             "sh_waves" => Some(LogLinear::constant(rates.sh_rest)),

@@ -16,19 +16,20 @@ use super::settings::Settings;
 
 /// The time over which displacements are compared, as a share of the clip (0.1 s of a clip of one second).
 const DURATION: f64 = 0.1;
-/// 1 / (distance at which a neighbour's weight is e⁻¹)², in scene units (published code).
+/// 1 / (distance at which a neighbour's weight is e⁻¹)², in [`SceneFacts::unit_world`] (published code).
 const FALLOFF: f64 = 100.0;
-/// Distance of absent Gaussians from all others, in scene units, at which their weight vanishes.
+/// Distance of absent Gaussians from all others, in the same unit, at which their weight vanishes.
 const ELSEWHERE: f64 = 1e3;
 
 /// Σ e^(−100·d²)·‖vᵢ − vⱼ‖ over random Gaussians i and the nearest neighbours j of each, divided by the number of
-/// pairs, with displacements v over a tenth of the clip and distances d at one time; positions [N, 3]. Absent Gaussians
-/// do not contribute. `None` with fewer than two Gaussians.
+/// pairs, with displacements v over a tenth of the clip and distances d at one time, both in `unit_world` scene units;
+/// positions [N, 3]. Absent Gaussians do not contribute. `None` with fewer than two Gaussians.
 pub(crate) fn loss<T: Real>(
     tape: &mut Tape<T>,
     positions: Var,
     sliced: &SlicedVars,
     settings: &Settings,
+    unit_world: f64,
     random: &mut ChaCha8Rng,
 ) -> Option<Var> {
     let count = tape.value(positions).rows();
@@ -36,6 +37,7 @@ pub(crate) fn loss<T: Real>(
     chosen.sort_unstable();
     let chosen = RowIndex::new(chosen.into_iter().map(|row| row as u32).collect(), count);
     // The neighbour search and the weights are not differentiated.
+    let positions = in_units(tape, positions, unit_world);
     let places = places(tape, positions, sliced.present);
     let of_chosen = gather(tape, places, &chosen);
     // One neighbour is the Gaussian itself, with a difference of zero.
@@ -43,7 +45,7 @@ pub(crate) fn loss<T: Real>(
     let owners = (0..chosen.len() * per_chosen).map(|pair| chosen.row_of_item()[pair / per_chosen]).collect();
     let owners = RowIndex::new(owners, count);
 
-    let displacements = scale(tape, sliced.velocities, DURATION);
+    let displacements = scale(tape, sliced.velocities, DURATION / unit_world);
     let mut apart = |of: Var| {
         let (first, second) = (gather(tape, of, &owners), gather(tape, of, &neighbors));
         sub(tape, first, second)
@@ -63,6 +65,11 @@ pub(crate) fn loss<T: Real>(
     let pairs = scale(tape, present, pairs_per_chosen);
     let mean = divide_rows(tape, sum, pairs, pairs_per_chosen);
     Some(reshape(tape, mean, [1]))
+}
+
+/// Lengths in scene units, in units of `unit_world`.
+fn in_units<T: Real>(tape: &mut Tape<T>, lengths: Var, unit_world: f64) -> Var {
+    if unit_world == 1.0 { lengths } else { scale(tape, lengths, 1.0 / unit_world) }
 }
 
 /// Positions in four dimensions [N, 4]; absent Gaussians are displaced by [`ELSEWHERE`] along the fourth axis.

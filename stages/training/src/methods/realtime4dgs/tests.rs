@@ -110,21 +110,23 @@ fn slices_convert_to_3d_gaussians() {
 #[test]
 fn equal_motion_of_neighbours_has_zero_loss() {
     let settings = Settings { rigid_samples: 10, rigid_neighbors: 3, ..Settings::default() };
-    let loss_of = |velocities: Vec<f64>, present: [f64; 5]| {
+    let loss_in = |unit_world: f64, velocities: Vec<f64>, present: [f64; 5]| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
         let mut constant = |columns: usize, values: Vec<f64>| tape.constant(Tensor::from_vec([5, columns], values));
-        let positions = constant(3, (0..15).map(|at| 0.01 * f64::from(at)).collect());
+        let positions = constant(3, (0..15).map(|at| 0.01 * unit_world * f64::from(at)).collect());
         let sliced = SlicedVars {
             displacements: positions,
-            velocities: constant(3, velocities),
+            velocities: constant(3, velocities.iter().map(|velocity| unit_world * velocity).collect()),
             factors: constant(9, vec![0.0; 45]),
             opacity_logits: constant(1, vec![0.0; 5]),
             present: constant(1, present.to_vec()),
         };
-        let loss =
-            rigidity::loss(&mut tape, positions, &sliced, &settings, Streams::new(0).step("fine", 1).of("rigid"));
+        let mut streams = Streams::new(0).step("fine", 1);
+        let random = streams.of("rigid");
+        let loss = rigidity::loss(&mut tape, positions, &sliced, &settings, unit_world, random);
         tape.value(loss.unwrap()).as_slice()[0]
     };
+    let loss_of = |velocities, present| loss_in(1.0, velocities, present);
     assert_eq!(loss_of([1.0, 2.0, 3.0].repeat(5), [1.0; 5]), 0.0);
     assert!(loss_of((0..15).map(f64::from).collect(), [1.0; 5]) > 0.1);
     // Absent Gaussians have no velocity; each of the two present ones has one present neighbour of three.
@@ -135,4 +137,8 @@ fn equal_motion_of_neighbours_has_zero_loss() {
     let expected = 0.1 * 12.0_f64.sqrt() * (-100.0 * 3.0 * 0.09_f64.powi(2)).exp() / 3.0;
     assert_eq!(two(1.0), 0.0);
     assert!((two(3.0) - expected).abs() <= 1e-12, "{} {expected}", two(3.0));
+    // A scene in another unit has the same loss.
+    let velocities = || (0..15).map(f64::from).collect();
+    let (published, tiny) = (loss_of(velocities(), [1.0; 5]), loss_in(0.01, velocities(), [1.0; 5]));
+    assert!((published - tiny).abs() <= 1e-9 * published, "{published} {tiny}");
 }

@@ -57,7 +57,7 @@ fn outcome(world: &World, device: Device) -> (Vec<Tensor<f32>>, Vec<Tensor<f32>>
     let mut tape = Tape::new(device);
     let learns = |name: &str| Method::<f32>::learning_rate(&method, FINE, name, &world.dataset.scene).is_some();
     let model = state.bind(&mut tape, learns);
-    let particles = method.particles(&mut tape, &model);
+    let particles = method.particles(&mut tape, &model, &world.dataset.scene);
     let moved = method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
     let maps = partially_visible_maps(world, device);
     let followed = energy_flow(&mut tape, &model, &method.motion, &particles, &moved, &maps, 0.6).unwrap();
@@ -104,7 +104,7 @@ fn the_population_is_cached_until_anchors_change() {
     let population = |world: &World| {
         let mut tape = Tape::new(Device::Cpu);
         let model = world.state.bind(&mut tape, |_| false);
-        world.method.particles(&mut tape, &model).population
+        world.method.particles(&mut tape, &model, &world.dataset.scene).population
     };
     let same = std::sync::Arc::<Population<f64>>::ptr_eq;
     let first = population(&world);

@@ -92,7 +92,7 @@ fn loss_and_gradient(depth_to: Option<f32>, shift: f64) -> (f64, Vec<f64>) {
     world.state.insert(bias, Tensor::from_vec([3], vec![shift, 0.0, 0.0]));
     let mut tape = Tape::<f64>::new(Device::Cpu);
     let model = world.state.bind(&mut tape, |name| name == bias);
-    let particles = world.method.particles(&mut tape, &model);
+    let particles = world.method.particles(&mut tape, &model, &world.dataset.scene);
     let moved = world.method.motion.at(&mut tape, &model, &particles, 0.0);
     let followed = energy_flow(&mut tape, &model, &world.method.motion, &particles, &moved, &maps, 0.25).unwrap();
     assert_eq!(tape.value(followed.count).as_slice(), [3.0]);
