@@ -219,17 +219,26 @@ impl SourceCapture {
         problems
     }
 
-    /// Reports the first view whose size differs from that of the first view.
+    /// Reports the sizes of the views if they have more than one, the most frequent first, and an image of the rarest.
     fn size_problem(&self) -> Option<Failure> {
-        let first = self.frames.first()?;
-        let (width, height) = (first.lens.intrinsics.width, first.lens.intrinsics.height);
-        let other = self.frames.iter().find(|frame| {
-            let intrinsics = frame.lens.intrinsics;
-            (intrinsics.width, intrinsics.height) != (width, height)
-        })?;
-        let (w, h) = (other.lens.intrinsics.width, other.lens.intrinsics.height);
-        let message = format!("views differ in size: {} is {width}×{height}, {} is {w}×{h}", first.name, other.name);
-        Some(bad(message).hint("crop or resize the images to one size before structure from motion").at(&other.image))
+        let mut by_size: BTreeMap<(u32, u32), Vec<&Frame>> = BTreeMap::new();
+        for frame in &self.frames {
+            let lens = frame.lens.intrinsics;
+            by_size.entry((lens.width, lens.height)).or_default().push(frame);
+        }
+        if by_size.len() < 2 {
+            return None;
+        }
+        let mut sizes: Vec<_> = by_size.into_iter().collect();
+        sizes.sort_by_key(|(_, frames)| std::cmp::Reverse(frames.len()));
+        let rarest = sizes.last().map(|(_, frames)| &frames[0].image)?;
+        let shown = |((width, height), frames): &((u32, u32), Vec<&Frame>)| {
+            format!("{} of {width}×{height} (e.g. {})", frames.len(), frames[0].name)
+        };
+        let message = format!("views differ in size: {}", sizes.iter().map(shown).collect::<Vec<_>>().join(", "));
+        let hint = "all views of a capture need one size: crop or resize the images before structure from motion, or \
+                    remove the frames of other sizes";
+        Some(bad(message).hint(hint).at(rarest))
     }
 }
 

@@ -1,6 +1,7 @@
 //! The ending of a run: counts, the best rows, what failed and why, and where the results are.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use engine::Failure;
 use engine::event::{NodeResult, Outcome};
@@ -19,8 +20,8 @@ const MAX_FAILURES: usize = 5;
 /// Results that are listed by name; the others are counted.
 const MAX_RESULTS: usize = 5;
 
-/// Links the results of a run to their names and prints its ending to standard error.
-pub(crate) fn print(session: &Session, summary: &RunSummary) {
+/// Links the results of a run to their names and prints its ending to standard error; `recipe` is the recipe as typed.
+pub(crate) fn print(session: &Session, summary: &RunSummary, recipe: &Path) {
     let kept = links::update(session, summary).unwrap_or_else(|error| {
         note(&format!("warning: cannot link results to their names: {error:#}"));
         BTreeMap::new()
@@ -30,7 +31,8 @@ pub(crate) fn print(session: &Session, summary: &RunSummary) {
     failures(summary).iter().for_each(|line| note(line));
     results(session, summary, &kept).iter().for_each(|line| note(line));
     if summary.counts.interrupted + summary.counts.not_run > 0 {
-        note("finished cells: pipeline table RECIPE --partial");
+        let same = if session.is_plain { "" } else { " with the same options" };
+        note(&format!("finished cells: pipeline table {} --partial{same}", recipe.display()));
     }
     summary.not_kept.iter().for_each(|reason| note(&format!("warning: {reason}")));
 }

@@ -102,7 +102,7 @@ impl DataSet {
     /// One line: the data set, how many of its scenes exist, and where.
     pub(crate) fn text(&self, data_root: &Path) -> String {
         let Self { manifest: Manifest { name, title, folder, scene }, exist } = self;
-        let place = data_root.join(folder);
+        let place: PathBuf = data_root.join(folder).components().collect(); // without a final `.`
         format!("{name:<12} {exist} of {} in {}: {title}\n", count(scene.len(), "scene"), place.display())
     }
 }

@@ -65,7 +65,7 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
     };
     let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
     drop(display);
-    summary::print(&session, &result);
+    summary::print(&session, &result, &recipe.recipe);
     let Measured { runs, differences } = measured::of_run(&session, &result)?;
     let is_degenerate = summary::print_degenerate(&runs);
     if let Some(error) = closed {

@@ -49,7 +49,7 @@ impl Search<'_> {
         folders.sort();
         files.retain(|path| !is_metadata(self.format, &files::name(path)));
         if folder == self.dir {
-            let line = |path: &PathBuf| noted(&files::name(path), "");
+            let line = |path: &PathBuf| noted(&files::name(path), "", self.format);
             self.lines.extend(files.iter().map(line));
         } else if let Some(first) = files.first() {
             let what = match files.len() {
@@ -67,7 +67,7 @@ impl Search<'_> {
                     1 => ": 1 entry".into(),
                     entries => format!(": {entries} entries"),
                 };
-                self.lines.push(noted(&self.shown(&path), &size));
+                self.lines.push(noted(&self.shown(&path), &size, self.format));
             }
         }
     }
@@ -95,7 +95,7 @@ fn is_metadata(format: Format, name: &str) -> bool {
 }
 
 /// An entry with the reason why it is ignored, where that is known.
-fn noted(name: &str, size: &str) -> String {
+fn noted(name: &str, size: &str, format: Format) -> String {
     let bare = name.trim_end_matches('/');
     let reason = match bare {
         "database.db" => "features and matches of COLMAP",
@@ -103,7 +103,10 @@ fn noted(name: &str, size: &str) -> String {
         "depth" | "depths" | "flow" | "flow_fwd" | "flow_bwd" | "normal" => {
             "maps are read by the stage depth-flow-import"
         }
-        _ if bare.starts_with("images_") || bare.starts_with("rgb/") => "smaller copies, read if width asks for them",
+        _ if bare.starts_with("images_") || bare.starts_with("rgb/") => match format {
+            Format::Colmap | Format::Nerfies => "smaller copies, read if width asks for them",
+            _ => "smaller copies; width resizes the images that the frames name",
+        },
         _ if bare.ends_with(".mp4") => "videos are not decoded",
         _ => "",
     };

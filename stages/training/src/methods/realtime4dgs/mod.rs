@@ -117,8 +117,7 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
             if self.switches.rigid {
                 step.clock.enter("loss rigid");
                 let (unit_world, random) = (step.scene.unit_world, step.random.of("rigid"));
-                let loss =
-                    rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, unit_world, random);
+                let loss = rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, unit_world, random);
                 let share = self.settings.rigid_weight / step.views.len() as f64;
                 loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
             }
