@@ -20,6 +20,8 @@ const SUMS: Tolerance = Tolerance { value: 2e-5, gradient: 2e-5 };
 const SMOOTH_RENDER: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
 /// A pixel on the edge of a splat may see it on one device only: up to half a grey level, twice.
 const RENDER: Tolerance = Tolerance { value: 2.0 / 255.0, gradient: 2e-2 };
+/// The pointwise expressions that every training rests on.
+pub(crate) const EXPRESSIONS: [&[&Expression]; 3] = [pointwise::EXPRESSIONS, l1::EXPRESSIONS, totals::EXPRESSIONS];
 /// Elements per expression: several workgroups, the last one not full.
 const ELEMENTS: usize = 1000;
 
@@ -59,7 +61,7 @@ impl std::error::Error for Disagreement {}
 /// Runs the kernels that every training rests on, forward and backward on small inputs, and compares with the CPU.
 pub fn check(gpu: Gpu) -> Result<Conformance, Disagreement> {
     let (start, mut comparisons) = (Instant::now(), 0);
-    for expression in [pointwise::EXPRESSIONS, l1::EXPRESSIONS, totals::EXPRESSIONS].into_iter().flatten() {
+    for expression in EXPRESSIONS.into_iter().flatten() {
         comparisons += check_expression(gpu, expression)?;
     }
     for (smooth_cutoff, tolerance) in [(true, SMOOTH_RENDER), (false, RENDER)] {

@@ -1,14 +1,40 @@
+use std::path::{Path, PathBuf};
+
 use super::*;
 use crate::check::conformance::run;
-use crate::check::{self, agree, gradients};
+use crate::check::{self, agree, conformance, gradients};
 use crate::gpu::layout_tests::validate;
 use crate::gpu::parts::tests::assert_equal_in_parts;
 use crate::gpu::tests::{bits, test_gpu};
 use crate::tape::{Device, Tape, Tensor, Var};
 
+/// The expressions of modules that only some methods use.
+const FURTHER: [&[&Expression]; 0] = [];
+
 /// Every expression of this crate.
 fn all() -> impl Iterator<Item = &'static &'static Expression> {
-    EXPRESSIONS.iter().chain(crate::losses::l1::EXPRESSIONS)
+    conformance::EXPRESSIONS.into_iter().chain(FURTHER).flatten()
+}
+
+/// Number of modules below a folder, apart from tests, that define pointwise expressions.
+fn defining_modules(folder: &Path) -> usize {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let count = |path: PathBuf| match path.file_name().and_then(|name| name.to_str()) {
+        _ if path.is_dir() => defining_modules(&path),
+        Some(name) if name.ends_with(".rs") && !name.ends_with("tests.rs") => {
+            let text = std::fs::read_to_string(&path).unwrap();
+            usize::from(text.lines().any(|line| line == "pointwise! {"))
+        }
+        _ => 0,
+    };
+    entries.map(count).sum()
+}
+
+#[test]
+fn every_module_with_expressions_is_listed() {
+    let modules = defining_modules(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"));
+    let listed = conformance::EXPRESSIONS.len() + FURTHER.len();
+    assert_eq!(listed, modules, "add `EXPRESSIONS` of a new module to FURTHER, so that these tests cover it");
 }
 
 /// Inputs in [−3, 3] and constants in [−1, 1] for any expression.
