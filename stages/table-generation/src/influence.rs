@@ -35,12 +35,20 @@ pub(crate) struct Influence {
 }
 
 impl Influence {
-    /// The group with the largest share, and the share; none without samples.
-    pub(crate) fn largest_share(&self) -> Option<(&str, Option<f64>)> {
-        let order = |share: &Option<f64>| share.unwrap_or(f64::INFINITY);
-        let largest = self.shares.iter().max_by(|(_, a), (_, b)| order(a).total_cmp(&order(b)));
-        let nowhere = (self.samples > 0).then_some(("none", Some(0.0)));
-        largest.map(|(group, share)| (group.as_str(), *share)).or(nowhere)
+    /// The group with the largest share, among those that the photometric loss moves too; none without such a group.
+    pub(crate) fn largest_share(&self) -> Option<(&str, f64)> {
+        let shared = self.shares.iter().filter_map(|(group, share)| Some((group.as_str(), (*share)?)));
+        shared.max_by(|(_, a), (_, b)| a.total_cmp(b))
+    }
+
+    /// The groups that only this loss and others beside the photometric one move.
+    pub(crate) fn alone_in(&self) -> Vec<&str> {
+        self.shares.iter().filter(|(_, share)| share.is_none()).map(|(group, _)| group.as_str()).collect()
+    }
+
+    /// Whether it was sampled, and its gradient is negligible wherever the photometric loss has one.
+    pub(crate) fn is_faint(&self) -> bool {
+        self.samples > 0 && self.largest_share().is_none_or(|(_, share)| share < INERT_SHARE)
     }
 
     /// A loss is inert if its gradient is too small in every group and leaving it out changes nothing, as far as that
@@ -50,8 +58,8 @@ impl Influence {
         let is_precise = self.left_out.is_some_and(|left_out| {
             left_out.is_noise() && left_out.half_width.is_some_and(|width| width <= PRECISE_DB) //
         });
-        let is_faint = self.largest_share().is_some_and(|(_, share)| share.is_some_and(|share| share < INERT_SHARE));
-        let is_inert = if self.is_loss { is_faint && noise.unwrap_or(true) } else { is_precise };
+        let moves_nothing = self.is_faint() && self.alone_in().is_empty();
+        let is_inert = if self.is_loss { moves_nothing && noise.unwrap_or(true) } else { is_precise };
         Self { is_inert, ..self }
     }
 }

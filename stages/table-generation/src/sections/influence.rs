@@ -28,7 +28,8 @@ fn explanation() -> String {
     format!(
         "The gradient share of a loss is the norm of its gradient relative to that of the photometric loss, in the group \
          of tensors where it is largest: the median over sampled steps, weighed by the share of steps in which the loss \
-         acts. \"alone\" marks losses that move a group which the photometric loss does not reach. Left out: PSNR without \
+         acts. \"Moves only\" names groups that the photometric loss does not reach, where the share is too small in all \
+         others: what is rendered does not depend on such a loss. Left out: PSNR without \
          the loss or effect minus PSNR with it, paired by seed; ± is half the 95 % interval, and a difference without ± \
          is of one seed. A loss is inert if its share is below {INERT_SHARE} in every group and leaving it out changes \
          nothing, where that was measured; an effect, if its interval contains 0 and is at most ±{PRECISE_DB} dB wide. \
@@ -74,20 +75,22 @@ fn name(influence: &Influence) -> String {
 /// The largest share and its group.
 fn share_text(influence: &Influence) -> (String, String) {
     match influence.largest_share() {
-        None if influence.is_loss => ("not sampled".into(), NONE.into()),
-        None => ("no own loss".into(), NONE.into()),
-        Some((group, None)) => ("alone".into(), group.into()),
-        Some((group, Some(share))) if share >= 0.01 => (number(share, 2), group.into()),
-        Some((group, Some(share))) if share > 0.0 => (format!("{share:.0e}"), group.into()),
-        Some(_) => ("0".into(), NONE.into()),
+        _ if !influence.is_loss => ("no own loss".into(), NONE.into()),
+        _ if influence.samples == 0 => ("not sampled".into(), NONE.into()),
+        Some((group, share)) if share >= 0.01 => (number(share, 2), group.into()),
+        Some((group, share)) if share > 0.0 => (format!("{share:.0e}"), group.into()),
+        _ => ("0".into(), NONE.into()),
     }
 }
 
-/// Why a part is inert; empty for others.
+/// Why a part is inert, or what it moves beside the scene; empty for others.
 fn verdict(influence: &Influence) -> String {
     match influence.secs_share.filter(|_| influence.is_inert) {
         Some(share) => format!("inert: costs {} % of the time, moves nothing", number(100.0 * share, 1)),
         None if influence.is_inert => "inert: moves nothing".into(),
-        None => String::new(),
+        None => match influence.alone_in() {
+            alone if influence.is_faint() && !alone.is_empty() => format!("moves only {}", alone.join(", ")),
+            _ => String::new(),
+        },
     }
 }
