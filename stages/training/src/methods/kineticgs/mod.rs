@@ -43,6 +43,9 @@ impl MethodFolder for Kineticgs {
     const NAME: &'static str = "kineticgs";
     const KERNELS: &'static [&'static str] = &["losses/histogram"];
     const LOSSES: &'static [Loss] = &[
+        Loss::of(MOTION, "spatial_smoothness"),
+        Loss::of(MOTION, "temporal_smoothness"),
+        Loss::of(MOTION, "time_to_one"),
         Loss::of("activation", "activation"),
         Loss::of("energy-flow", "energy_flow"),
         Loss::of("coherence", "coherence"),

@@ -17,7 +17,7 @@ use crate::bases::anchors::{
 };
 use crate::bases::gates::straight_through;
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Need};
+use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
 use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
@@ -60,6 +60,11 @@ impl Default for Settings {
 
 impl MethodFolder for Modecgs {
     const NAME: &'static str = "modecgs";
+    const LOSSES: &'static [Loss] = &[
+        Loss::of(MOTION, "spatial_smoothness"),
+        Loss::of(MOTION, "temporal_smoothness"),
+        Loss::of(MOTION, "time_to_one"),
+    ];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
