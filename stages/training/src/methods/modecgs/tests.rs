@@ -1,4 +1,6 @@
 use shaders::check;
+use shaders::pointwise::sub;
+use shaders::rasteriser::ShapeVars;
 use shaders::tape::Device;
 
 use super::*;
@@ -53,6 +55,30 @@ fn only_nonzero_heads_move_gaussians_initially() {
     let (still, _) = positions(&method, &state, &dataset, COARSE, 0.0);
     let (moved, _) = positions(&method, &state, &dataset, FINE, 0.4);
     assert!(moved.shape() != still.shape() || check::agree(&moved, &still, 1e-3).is_err());
+}
+
+#[test]
+fn displacements_are_in_units_of_the_scene() {
+    let (method, state, _) = at_fine(Effects::Auto, Modecgs::tiny_settings());
+    let displacements = |unit_world: f64| {
+        let mut tape = Tape::<f64>::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let positions = model.get("anchors.positions");
+        let global = method.global.at(&mut tape, &model, positions, 0.3, unit_world).positions;
+        let count = tape.value(positions).rows();
+        let mut ones = |columns: usize| tape.constant(Tensor::full([count, columns], 1.0));
+        let shape = ShapeVars::ScaleRotation { log_scales: ones(3), rotations: ones(4) };
+        let spawned = SplatVars { positions, shape, opacity_logits: ones(1), sh: ones(3) };
+        let moved = method.local.deform(&mut tape, &model, spawned, 0.3, unit_world).positions;
+        let local = sub(&mut tape, moved, positions);
+        [global, local].map(|change| tape.value(change).clone().into_vec())
+    };
+    for (published, tiny) in displacements(1.0).iter().zip(displacements(0.01)) {
+        assert!(published.iter().any(|change| change.abs() > 1e-3), "the network moves points: {published:?}");
+        for (published, tiny) in published.iter().zip(&tiny) {
+            assert!((0.01 * published - tiny).abs() <= 1e-9, "{published} {tiny}");
+        }
+    }
 }
 
 #[test]
