@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::image_file::Quantise;
 use crate::metrics::metric::Metric;
+use crate::metrics::prompt_prior::TrivialOverlap;
 use crate::metrics::psnr::psnr_from_mse;
 use crate::metrics::score::Score;
 use crate::metrics::surfaces::MovingError;
@@ -48,6 +49,9 @@ pub struct Metrics {
     /// without a class.
     #[serde(default)]
     pub prompts: BTreeMap<String, Score>,
+    /// What answers that need no model score for each prompt, over the same images as [`Metrics::prompts`].
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub trivial_prompts: BTreeMap<String, TrivialOverlap>,
     /// PSNR of images that need no model.
     pub trivial: Trivial,
     /// Number of evaluated images.
@@ -81,6 +85,9 @@ pub struct ImageMetrics {
     /// Intersection over union per prompt with visible classes, if the model has prompts and the capture has labels.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub prompt_ious: BTreeMap<String, f64>,
+    /// What answers that need no model score for these prompts.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub trivial_ious: BTreeMap<String, TrivialOverlap>,
     /// Caveats for the reader of the values.
     pub remarks: BTreeSet<Remark>,
 }
@@ -145,6 +152,14 @@ impl Metrics {
             background_share: mean_of_all(|image| image.background_share),
             least_render_variance: images.iter().map(|image| image.render_variance).fold(f64::INFINITY, f64::min),
         }
+    }
+
+    /// What trivial answers score in [`Metric::PromptIou`], averaged like it: over the prompts of an image, then over the
+    /// images. None if no image has prompts with visible classes.
+    pub fn trivial_prompt_iou(&self) -> Option<TrivialOverlap> {
+        let of_image =
+            |image: &ImageMetrics| TrivialOverlap::mean(&image.trivial_ious.values().copied().collect::<Vec<_>>());
+        TrivialOverlap::mean(&self.images.iter().filter_map(of_image).collect::<Vec<_>>())
     }
 
     /// Describes the conditions of the evaluation. Values share a column only if their protocols and these lines are equal.
@@ -225,6 +240,8 @@ impl Artifact for Metrics {
         let mut prompts = self.prompts.clone();
         prompts.retain(|_, score| score.value().is_some());
         ensure!(mean_overlaps(&self.images) == prompts, "the prompt overlaps differ from the means of the images");
+        let trivial_prompts = mean_trivial_overlaps(&self.images);
+        ensure!(trivial_prompts == self.trivial_prompts, "the trivial overlaps differ from the means of the images");
         Ok(())
     }
 }
@@ -292,6 +309,18 @@ pub(crate) fn mean_overlaps(images: &[ImageMetrics]) -> BTreeMap<String, Score> 
         (prompt.to_owned(), Score::Value(values.iter().sum::<f64>() / values.len() as f64))
     };
     values.into_iter().map(mean).collect()
+}
+
+/// What trivial answers score per prompt, over the images with visible classes of that prompt.
+pub(crate) fn mean_trivial_overlaps(images: &[ImageMetrics]) -> BTreeMap<String, TrivialOverlap> {
+    let mut values = BTreeMap::<&str, Vec<TrivialOverlap>>::new();
+    for (prompt, overlap) in images.iter().flat_map(|image| &image.trivial_ious) {
+        values.entry(prompt).or_default().push(*overlap);
+    }
+    values
+        .into_iter()
+        .filter_map(|(prompt, values)| Some((prompt.to_owned(), TrivialOverlap::mean(&values)?)))
+        .collect()
 }
 
 /// The failure for a set without images.

@@ -68,6 +68,7 @@ pub fn evaluate_folders_with(
         mask_keeps: Keep::Nonzero,
         means: Metrics::means_of(&images, &params.metrics),
         prompts: BTreeMap::new(),
+        trivial_prompts: BTreeMap::new(),
         trivial: Metrics::trivial_of(&images, truths.over),
         n_images: images.len(),
         images,

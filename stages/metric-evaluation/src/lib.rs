@@ -19,6 +19,7 @@ pub use folders::{evaluate_folders, evaluate_folders_with};
 pub use image_file::{Background, Quantise};
 pub use lpips::weights::lpips_files;
 pub use metrics::metric::Metric;
+pub use metrics::prompt_prior::TrivialOverlap;
 pub use metrics::score::Score;
 pub use metrics::surfaces::MovingError;
 pub use metrics::trivial::{Degenerate, MeanImage, MeanOver, Trivial};

@@ -84,6 +84,7 @@ fn evaluate_pair(
         values: image_scores(&render, &truth, &params.metrics),
         moving: None,
         prompt_ious: BTreeMap::new(),
+        trivial_ious: BTreeMap::new(),
         remarks,
     };
     Ok((scored, [render.width as u32, render.height as u32]))

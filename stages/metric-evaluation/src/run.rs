@@ -12,7 +12,7 @@ use rendering::Renders;
 use scene::{Split, facts};
 use serde::Deserialize as _;
 
-use crate::artifact::{ImageMetrics, METRIC_VERSION, Metrics};
+use crate::artifact::{ImageMetrics, METRIC_VERSION, Metrics, mean_trivial_overlaps};
 use crate::metrics::score::Score;
 use crate::metrics::trivial::Trivial;
 use crate::pairs::evaluate_pairs;
@@ -86,6 +86,7 @@ impl Stage for MetricEvaluation {
             mask_keeps: params.mask_keeps,
             means: Metrics::means_of(&images, &params.metrics),
             prompts,
+            trivial_prompts: mean_trivial_overlaps(&images),
             trivial,
             n_images: images.len(),
             images,

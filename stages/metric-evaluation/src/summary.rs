@@ -5,6 +5,7 @@ use std::fmt::Write;
 
 use crate::artifact::{Metrics, Remark};
 use crate::metrics::metric::Metric;
+use crate::metrics::prompt_prior::TrivialOverlap;
 use crate::metrics::psnr::PSNR_CAP_DB;
 use crate::metrics::score::Score;
 use crate::metrics::trivial::{MeanImage, Trivial};
@@ -23,7 +24,7 @@ impl Metrics {
             let line = format!("{metric:<0$}  {mean:>1$}  {worst:>2$}  {name}", widths[0], widths[1], widths[2]);
             writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");
         }
-        text + &self.trivial_lines() + &self.undefined_lines() + &self.remark_lines()
+        text + &self.trivial_lines() + &self.prompt_lines() + &self.undefined_lines() + &self.remark_lines()
     }
 
     /// The PSNR of images that need no model, and a warning if the renders are not better.
@@ -45,6 +46,18 @@ impl Metrics {
             writeln!(text, "DEGENERATE: {}", degenerate.about()).expect("writing to a string succeeds");
         }
         text
+    }
+
+    /// One line per prompt, with what answers that need no model score.
+    fn prompt_lines(&self) -> String {
+        let line = |(prompt, trivial): (&String, &TrivialOverlap)| {
+            let overlap = self.prompts.get(prompt)?.value()?;
+            let TrivialOverlap { constant, spatial_prior } = trivial;
+            Some(format!(
+                "prompt {prompt:?}: IoU {overlap:.3} (best constant answer {constant:.3}, spatial prior {spatial_prior:.3})\n"
+            ))
+        };
+        self.trivial_prompts.iter().filter_map(line).collect()
     }
 
     /// One line per reason why metrics are undefined.

@@ -59,6 +59,10 @@ pub enum Column {
     PsnrConstant,
     /// PSNR of the mean of the other images (see [`metric_evaluation::MeanImage`]); the same for all methods of a scene.
     PsnrMeanImage,
+    /// Prompt IoU of the best constant answer; the same for all models with the same prompts.
+    PromptIouConstant,
+    /// Prompt IoU of the places where other images show the class; the same for all models with the same prompts.
+    PromptIouPrior,
     /// A metric of the stage `metric-evaluation`.
     #[serde(untagged)]
     Metric(Metric),
@@ -69,7 +73,7 @@ impl Column {
     pub const PSNR: Self = Self::Metric(Metric::Psnr);
 
     /// All columns other than metrics of their own stage, in the order of the CSV file.
-    const COSTS: [Self; 21] = [
+    const COSTS: [Self; 23] = [
         Self::TrainingSecs,
         Self::Gaussians,
         Self::SizeMb,
@@ -91,6 +95,8 @@ impl Column {
         Self::AboveConstant,
         Self::PsnrConstant,
         Self::PsnrMeanImage,
+        Self::PromptIouConstant,
+        Self::PromptIouPrior,
     ];
 
     /// The columns of the headline table.
@@ -122,9 +128,14 @@ impl Column {
         Metric::ALL.into_iter().map(Self::Metric).chain(Self::COSTS)
     }
 
-    /// Metrics that need more than images (exact maps, labels, masks, a static camera), which few captures provide.
+    /// Metrics that need more than images (exact maps, labels, masks, a static camera), which few captures provide; prompt IoU
+    /// is followed by that of answers that need no model.
     pub(crate) fn conditional() -> impl Iterator<Item = Self> {
-        Metric::ALL.into_iter().filter(|metric| metric.is_conditional()).map(Self::Metric)
+        let with_trivial = |metric| match metric {
+            Metric::PromptIou => vec![Self::Metric(metric), Self::PromptIouConstant, Self::PromptIouPrior],
+            metric => vec![Self::Metric(metric)],
+        };
+        Metric::ALL.into_iter().filter(|metric| metric.is_conditional()).flat_map(with_trivial)
     }
 
     fn metric(self) -> Option<Metric> {
@@ -158,6 +169,8 @@ impl Column {
             Self::AboveConstant => "psnr_above_constant",
             Self::PsnrConstant => "psnr_constant",
             Self::PsnrMeanImage => "psnr_mean_image",
+            Self::PromptIouConstant => "prompt_iou_constant",
+            Self::PromptIouPrior => "prompt_iou_prior",
             Self::Metric(metric) => metric.key(),
         }
     }
@@ -186,6 +199,8 @@ impl Column {
             Self::AboveConstant => ("above constant", "dB"),
             Self::PsnrConstant => ("best constant image", "dB"),
             Self::PsnrMeanImage => ("mean image", "dB"),
+            Self::PromptIouConstant => ("prompt IoU, best constant answer", ""),
+            Self::PromptIouPrior => ("prompt IoU, spatial prior", ""),
             Self::Metric(metric) => (metric.heading(), metric.unit()),
         };
         if unit.is_empty() { name.into() } else { format!("{name} ({unit})") }
@@ -199,6 +214,7 @@ impl Column {
             Self::PsnrAt10s | Self::PsnrAt60s | Self::PsnrAt300s | Self::PsnrAtEnd => Metric::Psnr.decimals(),
             Self::AboveConstant | Self::PsnrConstant | Self::PsnrMeanImage => Metric::Psnr.decimals(),
             Self::PeakMemoryMb => 0,
+            Self::PromptIouConstant | Self::PromptIouPrior => Metric::PromptIou.decimals(),
             _ => self.metric().map_or(1, Metric::decimals),
         }
     }
@@ -217,6 +233,13 @@ impl Column {
 
     /// Whether the value is about images that need no model.
     fn is_of_trivial(self) -> bool {
-        matches!(self, Self::AboveConstant | Self::PsnrConstant | Self::PsnrMeanImage)
+        matches!(
+            self,
+            Self::AboveConstant
+                | Self::PsnrConstant
+                | Self::PsnrMeanImage
+                | Self::PromptIouConstant
+                | Self::PromptIouPrior
+        )
     }
 }

@@ -26,6 +26,16 @@ impl PromptLabels {
         Self(prompts.iter().map(|prompt| (prompt.clone(), labels_of(prompt))).collect())
     }
 
+    /// The number of prompts.
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether a pixel shows a class of a prompt.
+    pub(crate) fn shows(&self, prompt: usize, label: Option<u8>) -> bool {
+        label.is_some_and(|label| self.0[prompt].1.contains(&label))
+    }
+
     /// The prompts without a label of their name.
     pub(crate) fn without_class(&self) -> impl Iterator<Item = &str> {
         self.0.iter().filter(|(_, labels)| labels.is_empty()).map(|(prompt, _)| prompt.as_str())

@@ -5,6 +5,7 @@ pub(crate) mod language;
 pub(crate) mod masked;
 pub(crate) mod metric;
 mod ms_ssim;
+pub(crate) mod prompt_prior;
 pub(crate) mod psnr;
 pub(crate) mod score;
 mod ssim;

@@ -9,6 +9,7 @@ use scene::View;
 use crate::artifact::{ImageMetrics, mean_overlaps};
 use crate::metrics::language::{ClassFeatures, PromptLabels, class_features, feature_drifts, prompt_overlaps};
 use crate::metrics::metric::Metric;
+use crate::metrics::prompt_prior::{ClassCounts, trivial_overlaps};
 use crate::metrics::score::Score;
 use crate::params::MetricEvaluationParams;
 use crate::test_set::TestSet;
@@ -51,10 +52,33 @@ pub(crate) fn add(
             image.values.insert(Metric::FeatureDrift, score);
         }
     }
+    if wanted(Metric::PromptIou) {
+        add_trivial(images, set, &prompts)?;
+    }
     let overlaps = mean_overlaps(images);
     let unmatched =
         prompts.without_class().map(|prompt| (prompt.to_owned(), Score::undefined("no class of this name")));
     Ok(overlaps.into_iter().chain(unmatched).collect())
+}
+
+/// Adds the overlaps of answers that need no model to images with overlaps.
+fn add_trivial(images: &mut [ImageMetrics], set: &TestSet<'_>, prompts: &PromptLabels) -> anyhow::Result<()> {
+    if images.iter().all(|image| image.prompt_ious.is_empty()) {
+        return Ok(());
+    }
+    let mut counts = ClassCounts::new(prompts);
+    for (_, view) in &set.views {
+        labels(set, view)?.iter().for_each(|labels| counts.add(labels, prompts));
+    }
+    let overlaps = set
+        .views
+        .par_iter()
+        .map(|(_, view)| Ok(labels(set, view)?.map_or_else(Vec::new, |labels| counts.overlaps(&labels, prompts))));
+    let overlaps: Vec<_> = overlaps.collect::<anyhow::Result<_>>()?;
+    for (image, trivial) in images.iter_mut().zip(trivial_overlaps(&overlaps, &set.renders.prompts)) {
+        image.trivial_ious = trivial.into_iter().filter(|(prompt, _)| image.prompt_ious.contains_key(prompt)).collect();
+    }
+    Ok(())
 }
 
 /// The comparison of one render with the labels of its view.

@@ -214,6 +214,10 @@ impl Run {
         self.set(Column::PsnrConstant, Some(metrics.trivial.constant_psnr));
         self.set(Column::PsnrMeanImage, metrics.trivial.mean_image.map(|mean| mean.psnr));
         self.set(Column::AboveConstant, above_constant(metrics));
+        if let Some(trivial) = metrics.trivial_prompt_iou() {
+            self.set(Column::PromptIouConstant, Some(trivial.constant));
+            self.set(Column::PromptIouPrior, Some(trivial.spatial_prior));
+        }
         self.trivial = Some(metrics.trivial.clone());
         self.frames = metrics
             .images
