@@ -19,7 +19,7 @@ const TEXT: &str = "text.safetensors";
 const VISUAL: &str = "visual";
 
 /// Language features of a capture: the index `features.json` (this structure), text embeddings `text.safetensors` [P,
-/// F] and visual tokens `visual/<view>.safetensors` [rows, columns, F]. Both are in one embedding space, in which the
+/// F] if there are prompts, and visual tokens `visual/<view>.safetensors` [rows, columns, F]. Both are in one embedding space, in which the
 /// cosine similarity of a token and a prompt grows with how much of the prompt the image patch shows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -31,7 +31,7 @@ pub struct Features {
     pub source: String,
     /// Dimension F of the embedding space.
     pub dimension: usize,
-    /// The P prompts, one per row of the text embeddings.
+    /// The P prompts, one per row of the text embeddings; none for an estimator without text, e.g. DINOv2.
     pub prompts: Vec<String>,
     /// One entry per view of the capture, in its order.
     pub views: Vec<TokenView>,
@@ -68,8 +68,11 @@ impl Features {
         Ok(Some(TokenGrid { rows, columns, values }))
     }
 
-    /// Reads the [P, F] text embeddings, one row per prompt.
+    /// Reads the [P, F] text embeddings, one row per prompt; empty without prompts.
     pub fn load_text(&self) -> anyhow::Result<Vec<f32>> {
+        if self.prompts.is_empty() {
+            return Ok(Vec::new());
+        }
         load(&self.dir.join(TEXT), &[self.prompts.len(), self.dimension])
     }
 
@@ -85,8 +88,10 @@ impl Features {
     }
 
     /// Writes the text embeddings and the index, after all tokens.
-    pub(crate) fn finish(&self, text: &[f32]) -> anyhow::Result<()> {
-        tensor_file::write(&self.dir.join(TEXT), "text", &[self.prompts.len(), self.dimension], text)?;
+    pub(crate) fn finish(&self, text: Option<&[f32]>) -> anyhow::Result<()> {
+        if let Some(text) = text {
+            tensor_file::write(&self.dir.join(TEXT), "text", &[self.prompts.len(), self.dimension], text)?;
+        }
         Ok(index_file::write(&self.dir.join(INDEX_FILE), WHAT, self)?)
     }
 
@@ -109,10 +114,9 @@ impl engine::Artifact for Features {
         Ok(Self { dir: dir.into(), ..index_file::read(&dir.join(INDEX_FILE), WHAT)? })
     }
 
-    /// Checks for one embedding per prompt, at least one view with tokens, and files of the stated shapes with finite,
+    /// Checks for one embedding per prompt, if there are prompts, at least one view with tokens, and files of the stated shapes with finite,
     /// nonzero vectors.
     fn check(&self) -> anyhow::Result<()> {
-        ensure!(!self.prompts.is_empty(), "the features have no prompts");
         if let Some(at) = self.prompts.iter().position(|prompt| prompt.trim().is_empty()) {
             anyhow::bail!("prompt {at} is empty");
         }

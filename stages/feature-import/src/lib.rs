@@ -1,11 +1,14 @@
 #![doc = include_str!("../README.md")]
 
+mod array_file;
 mod artifact;
 mod files;
 mod labels;
+mod layouts;
 mod params;
 mod run;
 mod tensor_file;
+mod text;
 
 #[cfg(test)]
 mod tests;
@@ -13,3 +16,4 @@ mod tests;
 pub use artifact::{Features, TokenGrid};
 pub use params::Params;
 pub use run::FeatureImport;
+pub use text::TextEmbeddings;

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub struct Params {
     /// The origin of tokens and embeddings.
     pub source: FeatureSource,
-    /// For `files`: the folder with `clip/`, `text.npy` and `prompts.txt`, relative to the data root.
+    /// For `files`: the folder with `clip/` or `dino/` and, for prompts, `text.npy` and `prompts.txt`, relative to the data root.
     pub folder: PathBuf,
     /// For `labels`: dimension F of the embeddings; at least the number of classes plus one for the background.
     pub dimension: usize,

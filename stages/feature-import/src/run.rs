@@ -3,14 +3,15 @@
 use std::path::Path;
 
 use captures::CaptureArtifact;
-use engine::{JobContext, ParamProblem, Port, Resources, Source, Stage};
+use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Source, Stage};
 use rayon::prelude::*;
-use scene::{Capture, View};
+use scene::{Capture, Split, View};
 
 use crate::artifact::{TokenGrid, TokenView};
 use crate::files::FeatureFiles;
 use crate::labels::Vocabulary;
 use crate::params::FeatureSource;
+use crate::text::TextEmbeddings;
 use crate::{Features, Params};
 
 /// Name of the source folder of features.
@@ -67,43 +68,41 @@ impl Stage for FeatureImport {
 /// Writes exact features from the instance labels of every view of `capture` into the folder `dir`.
 pub(crate) fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> anyhow::Result<Features> {
     let vocabulary = Vocabulary::of(capture, params)?;
-    let tokens = |view: &View| Ok(Some(vocabulary.tokens(capture, view, params.grid)?));
-    let text = Text { prompts: &vocabulary.prompts, embeddings: &vocabulary.embeddings, dimension: params.dimension };
-    write(capture, "labels", text, tokens, dir)
+    let dimension = params.dimension;
+    let tokens = |view: &View| Ok(Some((vocabulary.tokens(capture, view, params.grid)?, dimension)));
+    let text = TextEmbeddings { prompts: vocabulary.prompts.clone(), values: vocabulary.embeddings.clone(), dimension };
+    write(capture, "labels", Some(&text), tokens, dir)
 }
 
 /// Imports the features of `capture` from the files below `folder` into the folder `dir`.
 pub(crate) fn from_files(capture: &Capture, folder: &Path, dir: &Path) -> anyhow::Result<Features> {
     let files = FeatureFiles::open(folder, capture)?;
-    let text = Text { prompts: &files.prompts, embeddings: &files.text, dimension: files.dimension };
-    write(capture, "files", text, |view| files.tokens(view), dir)
-}
-
-/// Prompts and their embeddings [P, F].
-struct Text<'a> {
-    prompts: &'a [String],
-    embeddings: &'a [f32],
-    dimension: usize,
+    write(capture, "files", files.text.as_ref(), |view| files.tokens(view), dir)
 }
 
 /// Writes the tokens of all views, the text embeddings and the index.
 fn write(
     capture: &Capture,
     source: &str,
-    text: Text<'_>,
-    tokens: impl Fn(&View) -> anyhow::Result<Option<TokenGrid>> + Sync,
+    text: Option<&TextEmbeddings>,
+    tokens: impl Fn(&View) -> anyhow::Result<Option<(TokenGrid, usize)>> + Sync,
     dir: &Path,
 ) -> anyhow::Result<Features> {
-    let prompts = text.prompts.to_vec();
-    let mut features =
-        Features { dir: dir.into(), source: source.into(), dimension: text.dimension, prompts, views: Vec::new() };
+    let prompts = text.map_or_else(Vec::new, |text| text.prompts.clone());
+    let first = capture.views_of(Split::Train).next().map(|(_, view)| tokens(view)).transpose()?.flatten();
+    let dimension = text.map(|text| text.dimension).or(first.map(|(_, dimension)| dimension)).unwrap_or(0);
+    let mut features = Features { dir: dir.into(), source: source.into(), dimension, prompts, views: Vec::new() };
     features.create_folders()?;
     let views = capture.views.par_iter().map(|view| {
         let tokens = tokens(view)?;
-        tokens.iter().try_for_each(|tokens| features.write_tokens(&view.name, tokens))?;
-        Ok(TokenView { name: view.name.clone(), grid: tokens.map(|tokens| [tokens.rows, tokens.columns]) })
+        if let Some((_, other)) = tokens.as_ref().filter(|(_, other)| *other != dimension) {
+            let message = format!("the tokens of {} have dimension {other}, those of others {dimension}", view.name);
+            return Err(Failure::new(FailureKind::BadInput, message).into());
+        }
+        tokens.iter().try_for_each(|(tokens, _)| features.write_tokens(&view.name, tokens))?;
+        Ok(TokenView { name: view.name.clone(), grid: tokens.map(|(tokens, _)| [tokens.rows, tokens.columns]) })
     });
     features.views = views.collect::<anyhow::Result<_>>()?;
-    features.finish(text.embeddings)?;
+    features.finish(text.map(|text| text.values.as_slice()))?;
     Ok(features)
 }

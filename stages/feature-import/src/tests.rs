@@ -213,3 +213,45 @@ fn inconsistent_files_are_rejected_by_name() {
     let message = format!("{:#}", from_files(&capture, &dir.path().join("none"), dir.path()).unwrap_err());
     assert!(message.contains("--data-root"), "{message}");
 }
+
+#[test]
+fn tokens_without_text_are_imported_from_dino() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = capture(&dir.path().join("capture"), SceneKind::Occluder);
+    let folder = dir.path().join("aux");
+    std::fs::create_dir_all(folder.join("dino")).unwrap();
+    // As DINOv2 in transformers writes them: a batch of one image, a class token, then 2 × 2 patches.
+    for (index, view) in capture.views_of(scene::Split::Train) {
+        let values: Vec<f32> = (0..5 * 3).map(|at| (at + index) as f32).collect();
+        write_npy(&folder.join(format!("dino/{}.npy", view.name)), "(1, 5, 3)", &values);
+    }
+    let out = dir.path().join("features");
+    let features = from_files(&capture, &folder, &out).unwrap();
+    features.check().unwrap();
+    assert_eq!(Features::open(&out).unwrap(), features);
+    assert!(features.prompts.is_empty() && features.load_text().unwrap().is_empty() && features.dimension == 3);
+    let (index, _) = capture.views_of(scene::Split::Train).nth(1).unwrap();
+    let tokens = features.load_tokens(index).unwrap().unwrap();
+    assert_eq!((tokens.rows, tokens.columns, tokens.values[0]), (2, 2, (3 + index) as f32));
+}
+
+#[test]
+fn segments_of_langsplat_are_imported() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = capture(&dir.path().join("capture"), SceneKind::Occluder);
+    let folder = dir.path().join("aux");
+    write_files(&folder, &capture);
+    for (_, view) in capture.views_of(scene::Split::Train) {
+        let name = |ending: &str| folder.join(format!("clip/{}{ending}", view.name));
+        [name(".npy"), name(".safetensors")].iter().for_each(|path| drop(std::fs::remove_file(path)));
+        write_npy(&name("_f.npy"), "(2, 2)", &[1.0, 0.0, 0.0, 1.0]);
+        // Four levels of 2 × 4 pixels; the left half shows the second segment.
+        let whole = [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
+        write_npy(&name("_s.npy"), "(4, 2, 4)", &[[-1.0; 8], [-1.0; 8], [-1.0; 8], whole].concat());
+    }
+    let features = from_files(&capture, &folder, &dir.path().join("features")).unwrap();
+    features.check().unwrap();
+    let tokens = features.load_tokens(0).unwrap().unwrap();
+    assert_eq!(tokens.values[..2], [0.0, 1.0]);
+    assert_eq!(tokens.values[tokens.values.len() - 2..], [1.0, 0.0]);
+}
