@@ -33,6 +33,7 @@ points = 60
 camera = "arc"
 [nodes.train.params]
 schedule_scale = 0.0004
+l4dgs = { teacher = { iterations = 2 } }
 "#;
 
 /// Copies an artifact to a writable folder.

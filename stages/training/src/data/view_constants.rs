@@ -9,7 +9,8 @@ use shaders::tape::{Device, Real, Tensor};
 const MAX_BYTES: usize = 2 << 30;
 
 /// Tensors of views that many steps read. A GPU receives each of them once, up to the capacity of the cache; on the CPU
-/// they are recomputed, because caching them would double the memory of the data set.
+/// they are recomputed, because caching them would double the memory of the data set. Results of long computations are
+/// kept on both.
 pub(crate) struct ViewConstants<T: Real> {
     cache: Mutex<Cache<T>>,
 }
@@ -50,6 +51,23 @@ impl<T: Real> ViewConstants<T> {
         }
         tensor
     }
+
+    /// A tensor that [`ViewConstants::keep`] kept, on any device.
+    pub(crate) fn kept(&self, what: &'static str, view: usize) -> Option<Tensor<T>> {
+        let cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        cache.tensors.get(&(what, view)).cloned()
+    }
+
+    /// Keeps a small tensor that is expensive to compute, as long as the cache has capacity. Unlike [`ViewConstants::get`], it is
+    /// kept on the CPU, too.
+    pub(crate) fn keep(&self, what: &'static str, view: usize, tensor: &Tensor<T>) {
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        let bytes = size_of::<T>() * tensor.len();
+        if cache.bytes + bytes <= MAX_BYTES {
+            cache.bytes += bytes;
+            cache.tensors.insert((what, view), tensor.clone());
+        }
+    }
 }
 
 #[cfg(test)]
@@ -59,6 +77,14 @@ mod tests {
     use shaders::check::test_gpu;
 
     use super::*;
+
+    #[test]
+    fn kept_tensors_are_found_by_name_and_view() {
+        let constants = ViewConstants::<f32>::default();
+        constants.keep("answer", 3, &Tensor::full([2], 7.0));
+        assert_eq!(constants.kept("answer", 3).unwrap().as_slice(), [7.0; 2]);
+        assert!(constants.kept("answer", 2).is_none() && constants.kept("other", 3).is_none());
+    }
 
     #[test]
     fn a_gpu_receives_every_tensor_once() {

@@ -2,6 +2,7 @@
 //! a frozen teacher of visual tokens and language. Features and depth are regularised at one instant and between two,
 //! weighted by the teacher's attention.
 
+mod lesson;
 mod losses;
 mod settings;
 mod teacher;
@@ -49,9 +50,7 @@ impl MethodFolder for L4dgs {
     type Settings = L4dgsSettings;
 
     fn shared_defaults() -> Shared {
-        let mut shared = HexplaneSettings::shared_defaults();
-        shared.iterations.insert(TEACHER.into(), 2000);
-        shared
+        HexplaneSettings::shared_defaults()
     }
 
     fn effects() -> Vec<Effect> {
@@ -62,6 +61,14 @@ impl MethodFolder for L4dgs {
             SKIP_STILL,
             effect("dynamic-semantics", "semantic features change as the teacher's tokens do (equations 6, 7)", CHANGE),
             effect("static-semantics", "semantic features follow the teacher's tokens (equation 3)", &[]),
+            Effect {
+                by_default: false,
+                ..effect(
+                    "perceptual-semantics",
+                    "renders look to the teacher as frames do (equation 3 on colours)",
+                    &[],
+                )
+            },
             effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
             effect("static-depth", "depth follows imported depth (equation 4)", &[Need::Depth]),
             effect("attention-focus", "tokens weigh as much as the teacher attends to them", &[]),
@@ -100,6 +107,7 @@ struct LanguageGuided {
 struct EffectsOn {
     dynamic_semantics: bool,
     static_semantics: bool,
+    perceptual_semantics: bool,
     dynamic_depth: bool,
     static_depth: bool,
     attention_focus: bool,
@@ -114,6 +122,7 @@ impl EffectsOn {
         Self {
             dynamic_semantics: moves && on("dynamic-semantics"),
             static_semantics: on("static-semantics"),
+            perceptual_semantics: on("perceptual-semantics"),
             dynamic_depth: moves && on("dynamic-depth"),
             static_depth: on("static-depth"),
             attention_focus: on("attention-focus"),
@@ -131,7 +140,7 @@ impl EffectsOn {
 
     /// Whether any loss reads the teacher's features or attention.
     fn teacher(&self) -> bool {
-        self.semantics() || self.attention_focus && self.depth()
+        self.semantics() || self.perceptual_semantics || self.attention_focus && self.depth()
     }
 }
 
@@ -159,13 +168,18 @@ impl LanguageGuided {
         self.teacher().insert(state, token_width, prompts, random);
     }
 
-    /// The prompts and their embeddings [P, E]: imported, or generated from the settings; `None` if no effect uses
-    /// language.
+    /// The prompts and their embeddings [P, E]: imported, or without features generated from the settings; `None` if no
+    /// effect uses language, and for features without text.
     fn prompts<T: Real>(&self, supplements: &Supplements) -> Option<(Vec<String>, Tensor<T>)> {
-        let features = supplements.features.as_ref().filter(|features| features.text.rows() > 0);
-        let imported = features.map(|features| (features.prompts.clone(), features.text.cast()));
-        let made_up = || (self.settings.prompts.clone(), prompt_embeddings(&self.settings.prompts));
-        (self.on.language && self.on.teacher()).then(|| imported.unwrap_or_else(made_up))
+        if !self.on.language || !self.on.teacher() {
+            return None;
+        }
+        match &supplements.features {
+            // Tokens of an estimator without text, e.g. DINOv2, cannot be compared with generated embeddings.
+            Some(features) if features.prompts.is_empty() => None,
+            Some(features) => Some((features.prompts.clone(), features.text.cast())),
+            None => Some((self.settings.prompts.clone(), prompt_embeddings(&self.settings.prompts))),
+        }
     }
 
     fn insert_semantics<T: Real>(&self, state: &mut ModelState<T>, random: Streams) -> anyhow::Result<()> {
@@ -182,8 +196,10 @@ impl<T: Real> Method<T> for LanguageGuided {
 
     /// The base's phases, with the phase `teacher` between them if any loss reads the teacher.
     fn phases(&self) -> Vec<Phase> {
-        let teacher = self.on.teacher().then_some(TEACHER);
-        [Some(COARSE), teacher, Some(FINE)].into_iter().flatten().map(|name| self.shared.phase(name)).collect()
+        let iterations = self.settings.teacher.iterations;
+        let teacher = self.on.teacher().then_some(Phase { name: TEACHER, iterations });
+        let phase = |name| Some(self.shared.phase(name));
+        [phase(COARSE), teacher, phase(FINE)].into_iter().flatten().collect()
     }
 
     fn enter_phase(

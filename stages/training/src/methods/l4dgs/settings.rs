@@ -14,9 +14,9 @@ pub(crate) struct L4dgsSettings {
     pub weights: LossWeights,
     /// Iterations of `fine`, before stretching, over which the semantic losses grow from 0 to their weight.
     pub ramp: [u64; 2],
-    /// Interval of the semantic losses, in iterations.
+    /// Interval of the semantic losses, in iterations; at least 2, because density control observes the other iterations.
     pub interval: u64,
-    /// Interval of the losses between two instants, which need a second render, in iterations.
+    /// Interval of the losses between two instants, which need a second render, in iterations; at least 2.
     pub dynamic_interval: u64,
     /// Minimum opacity of tokens and depth cells; those with less show no surface and have no weight.
     pub min_alpha: f64,
@@ -30,6 +30,9 @@ pub(crate) struct L4dgsSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct TeacherSettings {
+    /// Iterations of the phase `teacher`. `schedule_scale` does not stretch them: what a teacher has to learn does not
+    /// shrink with the schedule of the Gaussians.
+    pub iterations: u64,
     /// Minimum number of image pixels along a token's side.
     pub pixels_per_token: usize,
     /// Maximum number of tokens along the longer side of the image.
@@ -70,6 +73,8 @@ pub(crate) struct LossWeights {
     pub dynamic_depth: f64,
     /// λ_O, the weight of the losses at one instant (equation 10).
     pub statics: f64,
+    /// The weight of the effect `perceptual-semantics`.
+    pub perceptual: f64,
 }
 
 impl Default for L4dgsSettings {
@@ -92,6 +97,7 @@ impl Default for L4dgsSettings {
 impl Default for TeacherSettings {
     fn default() -> Self {
         Self {
+            iterations: 2000,
             pixels_per_token: 4,
             tokens_per_side: 32,
             channels: [32, 64, 64],
@@ -109,7 +115,15 @@ impl Default for TeacherSettings {
 
 impl Default for LossWeights {
     fn default() -> Self {
-        Self { semantics: 0.05, angle: 0.1, static_depth: 0.1, change_angle: 0.1, dynamic_depth: 0.1, statics: 1.0 }
+        Self {
+            semantics: 0.05,
+            angle: 0.1,
+            static_depth: 0.1,
+            change_angle: 0.1,
+            dynamic_depth: 0.1,
+            statics: 1.0,
+            perceptual: 1.0,
+        }
     }
 }
 
@@ -124,6 +138,7 @@ impl L4dgsSettings {
         Self {
             hexplane: HexplaneSettings::tiny(),
             teacher: TeacherSettings {
+                iterations: 6,
                 pixels_per_token: 4,
                 channels: [4, 4, 4],
                 width: 8,
@@ -141,10 +156,11 @@ impl L4dgsSettings {
                 change_angle: 1.0,
                 dynamic_depth: 1.0,
                 statics: 1.0,
+                perceptual: 1.0,
             },
             ramp: [0, 0],
-            interval: 1,
-            dynamic_interval: 1,
+            interval: 2,
+            dynamic_interval: 2,
             // Low, because the initial Gaussians are nearly transparent.
             min_alpha: 2e-3,
             ..Self::default()
@@ -156,8 +172,9 @@ impl L4dgsSettings {
         self.hexplane.check()?;
         let TeacherSettings { pixels_per_token, tokens_per_side, channels, theta, width, heads, .. } = self.teacher;
         let TeacherSettings { top_k, text_top_k, features, decoder_width, rate, .. } = self.teacher;
-        let LossWeights { semantics, angle, static_depth, change_angle, dynamic_depth, statics } = self.weights;
-        let weights = [semantics, angle, static_depth, change_angle, dynamic_depth, statics];
+        let LossWeights { semantics, angle, static_depth, change_angle, dynamic_depth, statics, perceptual } =
+            self.weights;
+        let weights = [semantics, angle, static_depth, change_angle, dynamic_depth, statics, perceptual];
         let sizes = [pixels_per_token, width, heads, top_k, text_top_k, features, decoder_width];
         let few = |size: &usize| (1..=MOST).contains(size);
         let positive = |value: f64| value > 0.0 && value.is_finite();
@@ -168,7 +185,10 @@ impl L4dgsSettings {
             ((0.0..=1.0).contains(&theta), "theta must be in [0, 1]"),
             (positive(rate) && positive(self.semantic_rate), "rates must be positive"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
-            (self.interval > 0 && self.dynamic_interval > 0, "intervals must be at least 1"),
+            (
+                self.interval > 1 && self.dynamic_interval > 1,
+                "intervals must be at least 2, because density control observes the other iterations",
+            ),
             ((0.0..=1.0).contains(&self.min_alpha), "min_alpha must be in [0, 1]"),
             (self.ramp[0] <= self.ramp[1], "the ramp must not end before it begins"),
             (!self.prompts.is_empty(), "prompts must not be empty"),

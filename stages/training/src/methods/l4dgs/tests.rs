@@ -33,14 +33,10 @@ fn train(dataset: &Dataset, supplements: &Supplements, params: Value) -> (Model,
 /// Parameters of a few steps per phase with these effects.
 fn few_steps(method: &str, effects: &[&str]) -> Value {
     let hexplane = serde_json::to_value(HexplaneSettings::tiny()).unwrap();
-    let iterations = match method {
-        "l4dgs" => json!({ "coarse": 3, "teacher": 3, "fine": 4 }),
-        _ => json!({ "coarse": 3, "fine": 4 }),
-    };
     json!({
         "method": method,
         "effects": effects,
-        "iterations": iterations,
+        "iterations": { "coarse": 3, "fine": 4 },
         "curve": { "points": 0 },
         "deformable4dgs": hexplane,
         "l4dgs": serde_json::to_value(L4dgsSettings::tiny()).unwrap(),
@@ -153,7 +149,8 @@ fn each_phase_trains_only_its_own_tensors() {
     let supplements = TestScene::default().supplements(&dataset);
     let with = |teacher: u64, fine: u64| {
         let mut params = few_steps("l4dgs", &["motion", "static-semantics", "attention-focus", "language"]);
-        params["iterations"] = json!({ "coarse": 3, "teacher": teacher, "fine": fine });
+        params["iterations"] = json!({ "coarse": 3, "fine": fine });
+        params["l4dgs"]["teacher"]["iterations"] = json!(teacher);
         train(&dataset, &supplements, params).0
     };
     let (untaught, taught, finished) = (with(0, 0), with(3, 0), with(3, 4));
@@ -205,7 +202,7 @@ fn invalid_l4dgs_settings_are_refused() {
     L4dgsSettings::default().check().unwrap();
     let teacher = settings::TeacherSettings::default;
     let bad = [
-        L4dgsSettings { interval: 0, ..L4dgsSettings::default() },
+        L4dgsSettings { interval: 1, ..L4dgsSettings::default() },
         L4dgsSettings { ramp: [5, 4], ..L4dgsSettings::default() },
         L4dgsSettings { prompts: Vec::new(), ..L4dgsSettings::default() },
         L4dgsSettings { semantic_rate: f64::NAN, ..L4dgsSettings::default() },
@@ -264,12 +261,12 @@ fn a_prompt_selects_pixels_of_its_class() {
     let params = json!({
         "method": "l4dgs",
         "effects": ["motion", "static-semantics", "dynamic-semantics", "attention-focus", "language"],
-        "iterations": { "coarse": 150, "teacher": 400, "fine": 300 },
+        "iterations": { "coarse": 150, "fine": 300 },
         "curve": { "points": 0 },
         "learning_rates": { "sh_dc": 1e-2, "scale": 1e-2, "position": { "start": 1e-3, "end": 1e-4, "steps": 450 } },
         "l4dgs": {
             "hexplane": { "channels": 4, "spatial_resolution": 8, "width": 16 },
-            "teacher": { "pixels_per_token": 2, "channels": [8, 16, 16], "width": 32, "decoder_width": 32, "rate": 3e-3 },
+            "teacher": { "iterations": 400, "pixels_per_token": 2, "channels": [8, 16, 16], "width": 32, "decoder_width": 32, "rate": 3e-3 },
             "ramp": [0, 50],
             "semantic_rate": 2e-2,
         },

@@ -9,13 +9,14 @@ use crate::trainer::{Earlier, Trainer};
 fn table(method: &str) -> Value {
     json!({
         "method": method,
-        "iterations": { "coarse": 14, "fine": 15, "teacher": 3 },
+        "iterations": { "coarse": 14, "fine": 15 },
         "batch": 2,
         "harmonics": { "interval": 6 },
         "loss": { "lambda_dssim": 0.2 },
         "density": { "from": 3, "interval": 5, "prune_interval": 5, "prune_above_count": 0, "gradient_threshold": 1e-6,
                      "opacity_reset_interval": 9, "max_count": 200 },
         "curve": { "points": 3, "views": 1 },
+        "l4dgs": { "teacher": { "iterations": 3 } },
     })
 }
 

@@ -10,27 +10,40 @@ use shaders::rasteriser::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
 use super::settings::LossWeights;
-use super::teacher::{Teacher, TeacherOutput};
+use super::teacher::Teacher;
 use super::tokens::TokenGrid;
-use super::{LanguageGuided, SEMANTICS};
-use crate::bases::gaussians::GAUSSIANS;
+use super::{LanguageGuided, SEMANTICS, lesson};
 use crate::bases::hexplane::FINE;
 use crate::data::TrainingView;
 use crate::method::{Method as _, Moment, Observed, Step, photometric_losses};
-use observed::{RenderedTokens, color_statistics, depth_cells, rendered_tokens};
+use observed::{RenderedTokens, color_statistics, depth_cells, depth_unit, rendered_tokens};
 use terms::{add_angle, add_distance};
 use weights::{CellMask, focus, normalized, still};
 
 /// Minimum length of semantic features, or of their changes, for a cosine; the targets are unit vectors, so shorter
 /// ones carry no direction.
 const MIN_FEATURE_NORM: f64 = 1e-2;
-/// Minimum norm of a token's centred depths, in scene extents, for a cosine; the relief is flat below it.
+/// Minimum norm of a token's centred depths, in [`depth_unit`], for a cosine; the relief is flat below it.
 const MIN_RELIEF_NORM: f64 = 1e-4;
+
+/// Names of kept answers of the teacher (features, attention) to frames whose visual tokens it was given.
+const GIVEN: [&str; 2] = ["teacher's features", "teacher's attention"];
+/// Names of kept answers of the teacher to frames whose visual tokens were withheld.
+const WITHHELD: [&str; 2] = ["teacher's features without tokens", "teacher's attention without tokens"];
+
+/// The frozen teacher's answer to a frame.
+struct Answer {
+    /// [tokens, features]: SMSA, of unit length.
+    features: Var,
+    /// [tokens, 1]: the attention that every token receives.
+    focus: Var,
+}
 
 /// The semantic losses that a step evaluates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Due {
     static_semantics: bool,
+    perceptual_semantics: bool,
     static_depth: bool,
     dynamic_semantics: bool,
     dynamic_depth: bool,
@@ -69,18 +82,22 @@ impl LanguageGuided {
         for view in step.views {
             step.clock.enter("teacher");
             let grid = self.grid(view);
-            let visual_tokens = visual_tokens(step, view.index);
+            let visual_tokens = lesson::visual_tokens(step, grid, view.index);
             let given = visual_tokens.filter(|_| !step.iteration.is_multiple_of(2));
             let image = step.tape.constant(view.image.clone());
             let output = self.teacher().observe(step.tape, step.model, grid, image, given);
-            let targets = visual_tokens.filter(|_| Teacher::reads_visual_tokens(step.model)).map(|tokens| {
-                let tokens = step.tape.constant(tokens.cast());
-                grid.pool(step.tape, tokens)
-            });
             let statistics = color_statistics(step.tape, grid, image);
+            let weights = lesson::weights(step, grid, view, &self.settings.teacher);
             step.clock.enter("losses");
-            for (weight, value) in Teacher::reconstruction(step.tape, step.model, output.features, statistics, targets)
-            {
+            let losses = Teacher::reconstruction(
+                step.tape,
+                step.model,
+                output.features,
+                statistics,
+                visual_tokens.filter(|_| Teacher::reads_visual_tokens(step.model)),
+                weights,
+            );
+            for (weight, value) in losses {
                 step.add_loss("reconstruction", share * weight, value);
             }
         }
@@ -93,16 +110,20 @@ impl LanguageGuided {
         let (statics, dynamics) = (every(self.settings.interval), every(self.settings.dynamic_interval));
         let due = Due {
             static_semantics: self.on.static_semantics && statics,
+            perceptual_semantics: self.on.perceptual_semantics && statics,
             static_depth: self.on.static_depth && statics,
             dynamic_semantics: self.on.dynamic_semantics && dynamics && step.scene.time_count > 1,
             dynamic_depth: self.on.dynamic_depth && dynamics && step.scene.time_count > 1,
             weight: ramp * self.settings.weights.semantics / step.views.len() as f64,
         };
-        (step.phase == FINE && due.weight > 0.0 && (due.semantics() || due.depth())).then_some(due)
+        (step.phase == FINE && due.weight > 0.0 && (due.semantics() || due.depth() || due.perceptual_semantics))
+            .then_some(due)
     }
 
     fn view_losses<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>, due: &Due) -> anyhow::Result<()> {
-        let rendered = self.render(step, view, due, Observed::All(GAUSSIANS))?;
+        // Density control observes only steps without semantic losses, whose gradients would decide where Gaussians are
+        // cloned. Its statistics are means over the observed steps.
+        let rendered = self.render(step, view, due, Observed::Nothing)?;
         step.photometric(rendered.color, view);
         let grid = self.grid(view);
         let tokens = rendered_tokens(step, grid, &rendered, self.settings.min_alpha);
@@ -110,13 +131,16 @@ impl LanguageGuided {
         step.count_skipped_deferred("tokens without Gaussians", covered, grid.count());
 
         let needs_teacher = due.static_semantics || self.on.attention_focus;
-        let output = needs_teacher.then(|| self.teacher_output(step, grid, view, true));
-        let focus = match &output {
-            Some(output) if self.on.attention_focus => focus(step.tape, output.probabilities),
+        let answer = needs_teacher.then(|| self.answer(step, grid, view, true));
+        let focus = match &answer {
+            Some(answer) if self.on.attention_focus => answer.focus,
             _ => step.tape.constant(Tensor::full([grid.count(), 1], T::ONE)),
         };
-        if let (true, Some(output)) = (due.static_semantics, &output) {
-            self.static_semantics(step, due, output, &tokens, focus);
+        if let (true, Some(answer)) = (due.static_semantics, &answer) {
+            self.static_semantics(step, due, answer, &tokens, focus);
+        }
+        if due.perceptual_semantics {
+            self.perceptual_semantics(step, due, view, grid, (&rendered, &tokens), focus);
         }
         if due.static_depth {
             self.static_depth(step, due, view, grid, &tokens, focus);
@@ -152,19 +176,41 @@ impl LanguageGuided {
         &self,
         step: &mut Step<'_, T>,
         due: &Due,
-        output: &TeacherOutput,
+        answer: &Answer,
         tokens: &RenderedTokens,
         focus: Var,
     ) {
         let weights = normalized(step.tape, focus, tokens.covered);
         let features = tokens.features.expect("rendered where semantic losses are due");
         let weight = due.weight * self.settings.weights.statics;
-        add_distance(step, "static_semantics", weight, [output.features, features], weights);
+        add_distance(step, "static_semantics", weight, [answer.features, features], weights);
         let angle = weight * self.settings.weights.angle;
-        add_angle(step, "static_semantics", angle, [output.features, features], weights, MIN_FEATURE_NORM);
+        add_angle(step, "static_semantics", angle, [answer.features, features], weights, MIN_FEATURE_NORM);
     }
 
-    /// Equation 4 on the vector of a token's cell depths: Σ w·(‖D − D*‖² + λ·(1 − cos(D − mean D, D* − mean D*))) over
+    /// The other reading of equation 3: SMSA of the *render*, with its gradient into the colours, follows SMSA of the frame.
+    /// Both are encoded without visual tokens, which a render does not have.
+    fn perceptual_semantics<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        due: &Due,
+        view: &TrainingView<T>,
+        grid: TokenGrid,
+        (rendered, tokens): (&Rendered, &RenderedTokens),
+        focus: Var,
+    ) {
+        let target = self.answer(step, grid, view, false).features;
+        step.clock.enter("teacher");
+        let shown = self.teacher().observe(step.tape, step.model, grid, rendered.color, None).features;
+        step.clock.enter("loss semantics");
+        let weights = normalized(step.tape, focus, tokens.covered);
+        let weight = due.weight * self.settings.weights.perceptual;
+        add_distance(step, "perceptual_semantics", weight, [target, shown], weights);
+        let angle = weight * self.settings.weights.angle;
+        add_angle(step, "perceptual_semantics", angle, [target, shown], weights, MIN_FEATURE_NORM);
+    }
+
+    /// Equation 4 on the vector of a token's n cell depths: Σ w·(‖D − D*‖²/n + λ·(1 − cos(D − mean D, D* − mean D*))) over
     /// cells that Gaussians cover and that have a depth.
     fn static_depth<T: Real>(
         &self,
@@ -178,7 +224,7 @@ impl LanguageGuided {
         let Some(prior) = step.supplements.view(view.index).and_then(|priors| priors.depth.as_ref()) else {
             return step.count_skipped("depth of frames without depth", 1, 1);
         };
-        let [target, known] = depth_cells::<T>(grid, prior, step.scene.extent).map(|cells| step.tape.constant(cells));
+        let [target, known] = depth_cells::<T>(grid, prior, depth_unit(step)).map(|cells| step.tape.constant(cells));
         let mask = CellMask::new(step.tape, tokens.cells_covered, known);
         let any = mask.any(step.tape);
         let weights = normalized(step.tape, focus, any);
@@ -186,7 +232,8 @@ impl LanguageGuided {
         let LossWeights { statics, static_depth, angle, .. } = self.settings.weights;
         let weight = due.weight * statics * static_depth;
         let masked = [target, depth].map(|depth| mask.masked(step.tape, depth));
-        add_distance(step, "static_depth", weight, masked, weights);
+        let per_cell = mask.per_cell(step.tape, weights);
+        add_distance(step, "static_depth", weight, masked, per_cell);
         let centered = masked.map(|depth| mask.centered(step.tape, depth));
         add_angle(step, "static_depth", weight * angle, centered, weights, MIN_RELIEF_NORM);
     }
@@ -213,24 +260,25 @@ impl LanguageGuided {
             // Compares real frames if the camera is static, otherwise two renders: the difference between a frame and a
             // render would be mistaken for motion.
             let outputs = if is_real {
-                let tokens_given = [view, &later].iter().all(|view| visual_tokens(step, view.index).is_some());
-                [view, &later].map(|view| self.teacher_output(step, grid, view, tokens_given))
+                let tokens_given = [view, &later].iter().all(|view| lesson::has_tokens(step, view.index));
+                [view, &later].map(|view| self.answer(step, grid, view, tokens_given).features)
             } else {
                 [rendered, &later_rendered].map(|rendered| {
                     let image = step.tape.detach(rendered.color);
-                    self.teacher().observe(step.tape, step.model, grid, image, None)
+                    self.teacher().observe(step.tape, step.model, grid, image, None).features
                 })
             };
             let features = [tokens, &later_tokens].map(|tokens| tokens.features.expect("rendered"));
             let covered = mul(step.tape, tokens.covered, later_tokens.covered);
             let weights = normalized(step.tape, focus, covered);
-            self.dynamic_semantics(step, due, outputs.map(|output| output.features), features, weights);
+            self.dynamic_semantics(step, due, outputs, features, weights);
         }
         if due.dynamic_depth {
             let mask = CellMask::new(step.tape, tokens.cells_covered, later_tokens.cells_covered);
             let any = mask.any(step.tape);
             let weights = normalized(step.tape, focus, any);
             let weights = still(step.tape, weights);
+            let weights = mask.per_cell(step.tape, weights);
             let depths = [&later_tokens, tokens].map(|tokens| tokens.depth.expect("rendered"));
             let masked = depths.map(|depth| mask.masked(step.tape, depth));
             let weight = due.weight * self.settings.weights.dynamic_depth;
@@ -257,30 +305,34 @@ impl LanguageGuided {
         add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], weights);
     }
 
-    /// The teacher's output for a training frame.
-    fn teacher_output<T: Real>(
+    /// The frozen teacher's answer to a training frame, computed when it is first needed.
+    fn answer<T: Real>(
         &self,
         step: &mut Step<'_, T>,
         grid: TokenGrid,
         view: &TrainingView<T>,
         tokens_given: bool,
-    ) -> TeacherOutput {
+    ) -> Answer {
+        let [features, attention] = if tokens_given { GIVEN } else { WITHHELD };
+        let kept = [features, attention].map(|what| step.constants.kept(what, view.index));
+        if let [Some(features), Some(attention)] = kept {
+            return Answer { features: step.tape.constant(features), focus: step.tape.constant(attention) };
+        }
         step.clock.enter("teacher");
-        let tokens = visual_tokens(step, view.index).filter(|_| tokens_given);
+        let visual_tokens = lesson::visual_tokens(step, grid, view.index).filter(|_| tokens_given);
         let image = step.tape.constant(view.image.clone());
-        let output = self.teacher().observe(step.tape, step.model, grid, image, tokens);
+        let output = self.teacher().observe(step.tape, step.model, grid, image, visual_tokens);
+        let focus = focus(step.tape, output.probabilities);
+        for (what, var) in [(features, output.features), (attention, focus)] {
+            step.constants.keep(what, view.index, step.tape.value(var));
+        }
         step.clock.enter("loss semantics");
-        output
+        Answer { features: output.features, focus }
     }
 
     fn grid<T: Real>(&self, view: &TrainingView<T>) -> TokenGrid {
         TokenGrid::of_image(view.camera.height, view.camera.width, &self.settings.teacher)
     }
-}
-
-/// The imported visual tokens of a view.
-fn visual_tokens<'a, T: Real>(step: &Step<'a, T>, view: usize) -> Option<&'a Tensor<f32>> {
-    step.supplements.features.as_ref()?.visual.get(view)?.as_ref()
 }
 
 /// A view of the same camera one frame later (earlier at the end of the clip): the next training frame if the camera is

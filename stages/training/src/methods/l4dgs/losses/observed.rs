@@ -31,7 +31,7 @@ shaders::pointwise! {
 pub(crate) struct RenderedTokens {
     /// [tokens, features]: mean feature of the visible Gaussians.
     pub features: Option<Var>,
-    /// [tokens, CELLS²]: mean depth, in scene extents.
+    /// [tokens, CELLS²]: mean depth, in [`depth_unit`].
     pub depth: Option<Var>,
     /// [tokens, 1]: 1 where Gaussians cover the token, otherwise 0.
     pub covered: Var,
@@ -47,7 +47,8 @@ pub(crate) fn rendered_tokens<T: Real>(
     rendered: &Rendered,
     min_alpha: f64,
 ) -> RenderedTokens {
-    let (tape, extent) = (&mut *step.tape, step.scene.extent);
+    let unit = depth_unit(step);
+    let tape = &mut *step.tape;
     let &[height, width] = tape.value(rendered.alpha).shape() else { unreachable!("alpha is [H, W]") };
     let alpha_image = reshape(tape, rendered.alpha, [height, width, 1]);
     let alpha = grid.pool(tape, alpha_image);
@@ -59,7 +60,7 @@ pub(crate) fn rendered_tokens<T: Real>(
     let depth = rendered.depth.map(|depth| {
         let cells = grid.cells(tape, depth);
         let depth_view = divide_rows(tape, cells, cell_alpha, MIN_ALPHA);
-        let relative = scale(tape, depth_view, 1.0 / extent);
+        let relative = scale(tape, depth_view, 1.0 / unit);
         reshape(tape, relative, [grid.count(), TOKEN_CELLS])
     });
     let [covered, cells_covered] = [alpha, cell_alpha].map(|alpha| covered(tape, alpha, min_alpha));
@@ -67,11 +68,20 @@ pub(crate) fn rendered_tokens<T: Real>(
     RenderedTokens { features, depth, covered, cells_covered }
 }
 
-/// The depth map per cell, [tokens, CELLS²] in scene extents, and a mask of the cells in which all depths are known.
-pub(crate) fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, extent: f64) -> [Tensor<T>; 2] {
+/// The unit of depth, scene units: the range of depths that what the cameras look at has, i.e. half the diagonal of the
+/// capture's box, or the size of the scene if the capture has none. In units of the much larger distance to the cameras,
+/// squared errors would vanish.
+pub(crate) fn depth_unit<T: Real>(step: &Step<'_, T>) -> f64 {
+    let half_diagonal =
+        |[low, high]: [[f64; 3]; 2]| 0.5 * (0..3).map(|axis| (high[axis] - low[axis]).powi(2)).sum::<f64>().sqrt();
+    step.dataset.capture.bounds_world.map(half_diagonal).filter(|unit| *unit > 0.0).unwrap_or(step.scene.extent)
+}
+
+/// The depth map per cell, [tokens, CELLS²] in units of `unit`, and a mask of the cells in which all depths are known.
+pub(crate) fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, unit: f64) -> [Tensor<T>; 2] {
     let (height, width) = (map.height as usize, map.width as usize);
     let is_known = |depth: f32| depth > 0.0 && depth.is_finite();
-    let relative = |&depth: &f32| T::from_f64(if is_known(depth) { f64::from(depth) / extent } else { 0.0 });
+    let relative = |&depth: &f32| T::from_f64(if is_known(depth) { f64::from(depth) / unit } else { 0.0 });
     let depth = grid.cell_values(height, width, map.depth_view.iter().map(relative).collect());
     let holes = map.depth_view.iter().map(|&depth| T::from_f64(f64::from(u8::from(!is_known(depth))))).collect();
     let holes = grid.cell_values(height, width, holes);

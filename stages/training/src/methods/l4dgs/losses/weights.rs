@@ -102,6 +102,11 @@ impl CellMask {
         at_least(tape, self.counts, 1.0)
     }
 
+    /// Weights [tokens, 1] divided by the number of counted cells, for sums over cells that become means.
+    pub(crate) fn per_cell<T: Real>(self, tape: &mut Tape<T>, weights: Var) -> Var {
+        divide_rows(tape, weights, self.counts, 1.0)
+    }
+
     /// x [tokens, cells] where the mask is 1, otherwise 0.
     pub(crate) fn masked<T: Real>(self, tape: &mut Tape<T>, x: Var) -> Var {
         mul(tape, x, self.ones)

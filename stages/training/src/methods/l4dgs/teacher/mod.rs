@@ -15,7 +15,7 @@ pub(crate) use text::prompt_embeddings;
 use shaders::arrays::rows::{concat_columns, normalize};
 use shaders::networks::attention::{TopKAttention, top_k_attention};
 use shaders::networks::linear::Activation;
-use shaders::pointwise::add;
+use shaders::pointwise::{add, scale};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::settings::TeacherSettings;
@@ -91,21 +91,22 @@ impl<'a> Teacher<'a> {
         }
     }
 
-    /// Encodes an image [H, W, 3], with the frame's visual tokens [rows, columns, F] if it has any.
+    /// Encodes an image [H, W, 3], with the frame's visual tokens [tokens, F], of unit length, if it has any.
     pub(crate) fn observe<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
         grid: TokenGrid,
         image: Var,
-        visual_tokens: Option<&Tensor<f32>>,
+        visual_tokens: Option<Var>,
     ) -> TeacherOutput {
         let levels = Network::new(self.settings).levels(tape, model, grid, image);
         let joined = concat_columns(tape, &levels);
         let mut tokens = apply_layer(tape, model, "teacher.visual", joined, Activation::Identity);
         if let (Some(visual_tokens), true) = (visual_tokens, Self::reads_visual_tokens(model)) {
-            let visual_tokens = tape.constant(visual_tokens.cast());
-            let visual_tokens = grid.pool(tape, visual_tokens);
+            // Values of order 1, like the network's outputs.
+            let length = (tape.value(visual_tokens).row_len() as f64).sqrt();
+            let visual_tokens = scale(tape, visual_tokens, length);
             let projected = apply_layer(tape, model, "teacher.tokens", visual_tokens, Activation::Identity);
             tokens = add(tape, tokens, projected);
         }
