@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::ensure;
+use engine::{Failure, FailureKind};
 use scene::{Capture, Gaussians};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{self, RasterSettings, SplatTensors};
@@ -12,21 +13,38 @@ use shaders::tape::Tensor;
 use training::Player;
 
 use crate::inputs::{create_folder, first_view, open_model, times_within};
+use crate::prompts::{Prompt, Selection, Show};
 
 /// Writes the Gaussians at each time (seconds of the capture, increasing) as `frame_0000.ply`, `frame_0001.ply`, …
 ///
 /// Each file is read back and rendered at the first test camera, and the image is compared with the model's own. The
-/// report has one line per file.
-pub fn ply_sequence(model_dir: &Path, capture_dir: &Path, times: &[f64], out: &Path) -> anyhow::Result<String> {
+/// report has one line per file. A selection must edit the model; files and report are then about the edited model.
+pub fn ply_sequence(
+    model_dir: &Path,
+    capture_dir: &Path,
+    times: &[f64],
+    selection: Option<&Selection<'_>>,
+    out: &Path,
+) -> anyhow::Result<String> {
     let model = open_model(model_dir)?;
     let capture = Capture::open(capture_dir)?;
     ensure!(times.windows(2).all(|pair| pair[0] < pair[1]), "times must increase");
     let times = times_within(times, &capture)?;
     let camera = PinholeCamera::from(&first_view(&capture)?.camera);
-    let player = Player::new(&model)?;
+    let mut player = Player::new(&model)?;
+    if let Some(selection) = selection {
+        let Show::Edit(edit) = selection.show else {
+            let failure = Failure::new(FailureKind::BadInput, "only edits can be exported, not highlights or masks");
+            return Err(failure.hint("use --edit remove, keep or recolour=#rrggbb").into());
+        };
+        player = Prompt::of(selection, &player, &model)?.edit(player, edit)?;
+    }
     create_folder(out)?;
 
     let mut report = String::new();
+    if let (Some(selection), Some([selected, all])) = (selection, player.selected_count()) {
+        writeln!(report, "{:?} selects {selected} of {all} Gaussians", selection.prompt)?;
+    }
     for (index, time_secs) in times.into_iter().enumerate() {
         let path = out.join(format!("frame_{index:04}.ply"));
         player.gaussians(time_secs, &camera)?.write_ply(&path)?;

@@ -6,6 +6,7 @@ pub mod film;
 mod frame_rate;
 mod inputs;
 mod params;
+mod prompts;
 mod quantize;
 mod run;
 mod semantics;
@@ -15,4 +16,5 @@ mod tests;
 
 pub use artifact::{RenderedView, Renders, SemanticMaps, SurfaceMaps};
 pub use params::{Maps, RenderingParams};
+pub use prompts::{Selection, Show};
 pub use run::Rendering;

@@ -38,6 +38,6 @@ pub use device::compute_on;
 pub use influence::{GroupShare, INERT_SHARE, LossInfluence, PhaseInfluence, largest_share};
 pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};
-pub use player::{Player, Positions, SemanticImage};
+pub use player::{Edit, Player, Positions, SemanticImage};
 pub use stage::{Trained, Training, Watch, train};
 pub use trainer::{Report, Trainer, psnr, to_bytes};

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Parser, Subcommand, value_parser};
+use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
@@ -236,9 +237,38 @@ pub(crate) struct ExportArgs {
     /// Evenly spaced times to export, in seconds of the capture
     #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT", allow_hyphen_values = true)]
     pub(crate) times: Times,
+    #[command(flatten)]
+    pub(crate) prompt: PromptArgs,
     /// Folder to write to
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
+}
+
+/// A prompt to a model of l4dgs.
+#[derive(Debug, Args)]
+pub(crate) struct PromptArgs {
+    /// Select what matches PROMPT, one of the model's prompts (e.g. ball) or of --embeddings; l4dgs models only
+    #[arg(long)]
+    pub(crate) prompt: Option<String>,
+    /// What to do with what the prompt selects: highlight, mask (white on black), remove, keep (remove all else), or
+    /// recolour=#rrggbb
+    #[arg(long, value_name = "EDIT", requires = "prompt", default_value = "highlight", value_parser = parse_show)]
+    pub(crate) edit: Show,
+    /// Folder with further prompts: prompts.txt (one per line) and text.npy [P, F], from the text encoder of the training
+    #[arg(long, value_name = "DIR", requires = "prompt")]
+    pub(crate) embeddings: Option<PathBuf>,
+}
+
+impl PromptArgs {
+    /// The selection, if there is a prompt.
+    pub(crate) fn selection(&self) -> Option<Selection<'_>> {
+        let prompt = self.prompt.as_deref()?;
+        Some(Selection { prompt, embeddings: self.embeddings.as_deref(), show: self.edit })
+    }
+}
+
+fn parse_show(text: &str) -> Result<Show, String> {
+    text.parse()
 }
 
 #[derive(Debug, Args)]
@@ -257,9 +287,8 @@ pub(crate) struct RenderArgs {
     /// test (default: a fixed camera at the first test view)
     #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
     pub(crate) views: Vec<String>,
-    /// Highlight the region that matches PROMPT, one of the model's prompts (e.g. ball); l4dgs models only
-    #[arg(long)]
-    pub(crate) prompt: Option<String>,
+    #[command(flatten)]
+    pub(crate) prompt: PromptArgs,
     /// Write PNG frames to this folder, which must be new or empty
     #[arg(long, value_name = "DIR", required_unless_present = "gif", conflicts_with = "gif")]
     pub(crate) out: Option<PathBuf>,

@@ -63,7 +63,10 @@ pub(crate) fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?;
     let [model, capture] = model_and_capture(&session, &args.node)?;
     let report = match args.format {
-        ExportFormat::PlySeq => rendering::export::ply_sequence(&model, &capture, &args.times.0, &args.out),
+        ExportFormat::PlySeq => {
+            let selection = args.prompt.selection();
+            rendering::export::ply_sequence(&model, &capture, &args.times.0, selection.as_ref(), &args.out)
+        }
     };
     print_line(report.map_err(CliError::of_input)?.trim_end())?;
     Ok(engine::exit::OK)
@@ -74,7 +77,7 @@ pub(crate) fn render(store: &Path, args: &RenderArgs) -> Result<u8, CliError> {
     session.device.check()?;
     let (models, capture) = models_and_capture(&session, &args.jobs)?;
     let times = args.times.as_ref().map_or(&[][..], |times| &times.0);
-    let film = Film { times, views: &args.views, prompt: args.prompt.as_deref() };
+    let film = Film { times, views: &args.views, selection: args.prompt.selection() };
     let gif = Gif { truth: args.truth, scale: args.scale, fps: args.fps };
     let summary = compute_on(&session.device.id(), |device| match (&args.gif, &args.out, &models[..]) {
         (Some(file), ..) => film_to_gif(&models, &capture, &film, gif, device, file),

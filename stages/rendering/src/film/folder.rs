@@ -19,7 +19,7 @@ pub fn film_to_folder(
 ) -> anyhow::Result<String> {
     let capture = Capture::open(capture_dir)?;
     let shots = shots(film, &capture)?;
-    let subject = Subject::open(model_dir, film.prompt, device)?;
+    let subject = Subject::open(model_dir, film.selection.as_ref(), device)?;
     create_folder(out)?;
     for (index, shot) in shots.iter().enumerate() {
         image_file::write_rgb(&out.join(format!("frame_{index:04}.png")), &subject.image(shot)?)?;

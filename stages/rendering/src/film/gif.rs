@@ -43,8 +43,10 @@ pub fn film_to_gif(
     let capture = Capture::open(capture_dir)?;
     let shots = shots(film, &capture)?;
     let truths = if gif.truth { truths(&shots, &capture)? } else { Vec::new() };
-    let subjects: Vec<Subject> =
-        model_dirs.iter().map(|dir| Subject::open(dir, film.prompt, device)).collect::<anyhow::Result<_>>()?;
+    let subjects: Vec<Subject> = model_dirs
+        .iter()
+        .map(|dir| Subject::open(dir, film.selection.as_ref(), device))
+        .collect::<anyhow::Result<_>>()?;
     let panels = subjects.len() + usize::from(gif.truth);
     let (width, height) = size(&shots[0].camera, panels, gif.scale)?;
     check_place(file)?;

@@ -5,6 +5,7 @@ use scene::{Camera, Capture, Split, View};
 
 use super::path::CameraPath;
 use crate::inputs::{first_view, times_within};
+use crate::prompts::Selection;
 
 /// Names for all views of a split.
 const SPLITS: [(&str, Split); 3] = [("train", Split::Train), ("val", Split::Val), ("test", Split::Test)];
@@ -18,8 +19,8 @@ pub struct Film<'a> {
     /// Names of capture views, or of one split (`train`, `val` or `test`) for all of its views. The camera moves
     /// through their cameras evenly over the frames; without views it stands at the first test view.
     pub views: &'a [String],
-    /// One of the prompts that the model was trained with. Pixels that it does not describe are dimmed.
-    pub prompt: Option<&'a str>,
+    /// A prompt, and what to do with what it selects.
+    pub selection: Option<Selection<'a>>,
 }
 
 /// The time and the camera of one frame.

@@ -1,16 +1,17 @@
-//! A filmed model, with the region of a prompt highlighted.
+//! A filmed model, with what a prompt selects.
 
 use std::path::Path;
 
 use anyhow::Context as _;
-use engine::{Failure, FailureKind};
-use image::RgbImage;
+use image::{Rgb, RgbImage};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor};
-use training::{Model, Player};
+use training::Player;
 
 use super::shots::Shot;
+use crate::artifact::SemanticMaps;
 use crate::inputs::open_model;
+use crate::prompts::{Prompt, Selection, Show};
 use crate::quantize::to_image;
 
 /// Brightness of a pixel that is irrelevant to the prompt.
@@ -19,50 +20,50 @@ const DIMMED: f32 = 0.2;
 /// A model that is filmed.
 pub(super) struct Subject {
     player: Player,
-    /// The index of the film's prompt among the model's prompts.
-    prompt: Option<usize>,
+    /// The prompt whose pixels are shown, and how.
+    shown: Option<(Prompt, Show)>,
 }
 
 impl Subject {
-    /// Opens a model; `prompt` must be one of the prompts that it was trained with.
-    pub(super) fn open(model_dir: &Path, prompt: Option<&str>, device: Device) -> anyhow::Result<Self> {
+    /// Opens a model, edited if the selection says so.
+    pub(super) fn open(model_dir: &Path, selection: Option<&Selection<'_>>, device: Device) -> anyhow::Result<Self> {
         let model = open_model(model_dir)?;
         let player = Player::new(&model)?.on(device);
-        let prompt = prompt.map(|prompt| prompt_index(&player, &model, prompt)).transpose()?;
-        Ok(Self { player, prompt })
+        let Some(selection) = selection else { return Ok(Self { player, shown: None }) };
+        let prompt = Prompt::of(selection, &player, &model)?;
+        match selection.show {
+            Show::Edit(edit) => Ok(Self { player: prompt.edit(player, edit)?, shown: None }),
+            show => Ok(Self { player, shown: Some((prompt, show)) }),
+        }
     }
 
     /// Renders one frame.
     pub(super) fn image(&self, shot: &Shot) -> anyhow::Result<RgbImage> {
         let camera = PinholeCamera::from(&shot.camera);
-        let mut color = self.player.render(shot.time_secs, &camera)?;
-        if let Some(prompt) = self.prompt {
-            dim(&mut color, &relevancy(&self.player, shot.time_secs, &camera, prompt)?);
+        let Some((prompt, show)) = &self.shown else {
+            return Ok(to_image(&self.player.render(shot.time_secs, &camera)?));
+        };
+        let relevancy = relevancy(&self.player, shot.time_secs, &camera, prompt)?;
+        if *show == Show::Mask {
+            return Ok(mask(&relevancy, camera.width as u32, camera.height as u32));
         }
+        let mut color = self.player.render(shot.time_secs, &camera)?;
+        dim(&mut color, &relevancy);
         Ok(to_image(&color))
     }
 }
 
-/// The index of a prompt among those that the model was trained with.
-fn prompt_index(player: &Player, model: &Model, prompt: &str) -> anyhow::Result<usize> {
-    let names = player.prompt_names();
-    if names.is_empty() || player.prompts().is_none() {
-        let message = format!("this model of {} was trained without prompts", model.header.method);
-        let hint = "train l4dgs with features (effects language and semantics)";
-        return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
-    }
-    let found = names.iter().position(|name| name == prompt);
-    Ok(found.ok_or_else(|| {
-        let hint = format!("it was trained with {}", names.join(", "));
-        Failure::new(FailureKind::BadInput, format!("the model does not know the prompt {prompt:?}")).hint(hint)
-    })?)
+/// [H·W] in [0, 1]: how relevant a prompt is to each pixel.
+fn relevancy(player: &Player, time_secs: f64, camera: &PinholeCamera, prompt: &Prompt) -> anyhow::Result<Vec<f32>> {
+    let all = player.prompt_relevancy(time_secs, camera, &prompt.embeddings)?;
+    let all = all.context("the model has no semantic features that could be compared with prompts")?;
+    Ok(all.as_slice().iter().skip(prompt.row).step_by(prompt.embeddings.rows()).copied().collect())
 }
 
-/// [H·W] in [0, 1]: how relevant a prompt is to each pixel.
-fn relevancy(player: &Player, time_secs: f64, camera: &PinholeCamera, prompt: usize) -> anyhow::Result<Vec<f32>> {
-    let prompts = player.prompts().context("the model has no prompts")?;
-    let all = player.prompt_relevancy(time_secs, camera, &prompts)?.context("the model has no semantic features")?;
-    Ok(all.as_slice().iter().skip(prompt).step_by(prompts.rows()).copied().collect())
+/// White where the prompt is relevant, otherwise black.
+fn mask(relevancy: &[f32], width: u32, height: u32) -> RgbImage {
+    let level = |at: usize| if relevancy[at] > SemanticMaps::RELEVANT { u8::MAX } else { 0 };
+    RgbImage::from_fn(width, height, |x, y| Rgb([level((y * width + x) as usize); 3]))
 }
 
 /// Darkens an image [H, W, 3] where the relevancy is low.
@@ -83,5 +84,11 @@ mod tests {
         let mut image = Tensor::full([1, 2, 3], 1.0);
         dim(&mut image, &[1.0, 0.0]);
         assert_eq!(image.as_slice(), [1.0, 1.0, 1.0, DIMMED, DIMMED, DIMMED]);
+    }
+
+    #[test]
+    fn masks_are_white_where_the_prompt_is_relevant() {
+        let mask = mask(&[0.0, 0.9, 0.5, 0.6], 2, 2);
+        assert_eq!(mask.as_raw().chunks(3).map(|pixel| pixel[0]).collect::<Vec<_>>(), [0, 255, 0, 255]);
     }
 }

@@ -7,7 +7,7 @@ use crate::export::ply_sequence;
 fn exported_gaussians_render_like_the_model() {
     let (dir, ..) = trained("deformable4dgs");
     let [capture, model, out] = ["capture", "model", "ply"].map(|name| dir.path().join(name));
-    let report = ply_sequence(&model, &capture, &[0.0, 0.7, 2.0], &out).unwrap();
+    let report = ply_sequence(&model, &capture, &[0.0, 0.7, 2.0], None, &out).unwrap();
     assert_eq!(report.lines().count(), 3);
     for (index, line) in report.lines().enumerate() {
         assert!(out.join(format!("frame_{index:04}.ply")).is_file());
@@ -19,10 +19,10 @@ fn exported_gaussians_render_like_the_model() {
     let read = |index: usize| std::fs::read(out.join(format!("frame_{index:04}.ply"))).unwrap();
     assert_ne!(read(0), read(2));
     // Times typed by hand may exceed the capture by their rounding.
-    let report = ply_sequence(&model, &capture, &[0.0, 2.00005], &dir.path().join("rounded")).unwrap();
+    let report = ply_sequence(&model, &capture, &[0.0, 2.00005], None, &dir.path().join("rounded")).unwrap();
     assert!(report.lines().last().unwrap().starts_with("2.0000 s"), "{report}");
     let file = out.join("frame_0000.ply");
-    assert!(ply_sequence(&model, &capture, &[0.0], &file).unwrap_err().to_string().contains("not a folder"));
+    assert!(ply_sequence(&model, &capture, &[0.0], None, &file).unwrap_err().to_string().contains("not a folder"));
 }
 
 #[test]
@@ -30,6 +30,6 @@ fn nonsense_times_are_refused() {
     let (dir, ..) = trained("static3dgs");
     let [capture, model, out] = ["capture", "model", "ply"].map(|name| dir.path().join(name));
     for times in [&[][..], &[f64::NAN], &[-1.0], &[2.5], &[1.0, 1.0], &[1.0, 0.5], &[f64::INFINITY]] {
-        assert!(ply_sequence(&model, &capture, times, &out).is_err(), "{times:?} was accepted");
+        assert!(ply_sequence(&model, &capture, times, None, &out).is_err(), "{times:?} was accepted");
     }
 }

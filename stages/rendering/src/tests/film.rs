@@ -15,6 +15,7 @@ use training::Player;
 use super::{SIZE, trained};
 use crate::film::{Film, Gif, film_to_folder, film_to_gif};
 use crate::quantize::to_image;
+use crate::{Selection, Show};
 
 /// Mean difference per channel that quantising a frame to 256 colours may cause. Views of one capture differ by more.
 const PALETTE_ERROR: f64 = 6.0;
@@ -33,7 +34,7 @@ fn frames_equal_the_players_renders_along_the_path() {
     let (dir, model, capture) = trained("deformable4dgs");
     let [capture_dir, model_dir] = ["capture", "model"].map(|name| dir.path().join(name));
     let shoot = |times: &[f64], views: &[&str], name: &str| {
-        let film = Film { times, views: &names(views), prompt: None };
+        let film = Film { times, views: &names(views), selection: None };
         film_to_folder(&model_dir, &capture_dir, &film, Device::Cpu, &dir.path().join(name))
     };
     let frame = |name: &str, index: usize| {
@@ -63,7 +64,11 @@ fn frames_equal_the_players_renders_along_the_path() {
     assert_refused(shoot(&[], &["val"], "other"), "no view \"val\"");
     assert_refused(shoot(&[3.0], &[], "other"), "outside of the capture");
     assert_refused(shoot(&[], &[], "other"), "no times given");
-    let with_prompt = Film { times: &[1.0], views: &[], prompt: Some("ball") };
+    let with_prompt = Film {
+        times: &[1.0],
+        views: &[],
+        selection: Some(Selection { prompt: "ball", embeddings: None, show: Show::Highlight }),
+    };
     let out = dir.path().join("other");
     assert_refused(film_to_folder(&model_dir, &capture_dir, &with_prompt, Device::Cpu, &out), "without prompts");
     assert!(!out.exists(), "nothing is written");
@@ -95,7 +100,7 @@ fn gifs_show_the_truth_and_every_model_side_by_side() {
     let (other_dir, other, _) = trained("static3dgs");
     let models = [dir.path().join("model"), other_dir.path().join("model")];
     let views = names(&["train"]);
-    let film = Film { times: &[], views: &views, prompt: None };
+    let film = Film { times: &[], views: &views, selection: None };
     let file = dir.path().join("film.gif");
     let gif = Gif { truth: true, scale: 2, fps: 10 };
     let summary = film_to_gif(&models, &dir.path().join("capture"), &film, gif, Device::Cpu, &file).unwrap();
@@ -124,7 +129,7 @@ fn gifs_that_cannot_be_made_are_refused() {
     let (dir, ..) = trained("static3dgs");
     let models = [dir.path().join("model")];
     let shoot = |times: &[f64], views: &[&str], gif: Gif, file: PathBuf| {
-        let film = Film { times, views: &names(views), prompt: None };
+        let film = Film { times, views: &names(views), selection: None };
         film_to_gif(&models, &dir.path().join("capture"), &film, gif, Device::Cpu, &file)
     };
     let file = || dir.path().join("film.gif");

@@ -2,6 +2,7 @@
 
 mod export;
 mod film;
+mod prompts;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -19,7 +20,7 @@ use crate::film::{Film, film_to_folder};
 use crate::frame_rate::FrameRate;
 use crate::quantize::to_image;
 use crate::run::render;
-use crate::{Maps, Rendering, RenderingParams, Renders};
+use crate::{Maps, Rendering, RenderingParams, Renders, Selection, Show};
 
 const SIZE: u32 = 20;
 
@@ -142,8 +143,8 @@ fn absent_gaussians_are_left_out_of_exports_and_surfaces() {
     render(&model, &capture, &params, Device::Cpu, &dir.path().join("renders")).unwrap();
 }
 
-#[test]
-fn prompts_select_pixels_in_maps_and_films() {
+/// Trains l4dgs for a few steps with the prompts "sky" and "ground"; the folder holds `capture` and `model`.
+fn trained_with_prompts() -> (tempfile::TempDir, Model, Capture) {
     // In every training view, "sky" describes the upper half and "ground" the lower half.
     let tokens = Tensor::from_vec([2, 1, 2], vec![1.0, 0.0, 0.0, 1.0]);
     let features = FeatureTokens {
@@ -154,11 +155,16 @@ fn prompts_select_pixels_in_maps_and_films() {
     let supplements = Supplements { features: Some(features), ..Supplements::default() };
     let params = json!({
         "method": "l4dgs",
-        "iterations": { "coarse": 5, "teacher": 5, "fine": 5 },
+        "iterations": { "coarse": 5, "fine": 5 },
         "effects": ["motion", "static-semantics", "language"],
-        "l4dgs": { "hexplane": { "channels": 4, "spatial_resolution": 8, "width": 8 }, "teacher": { "channels": [4, 4, 4] } },
+        "l4dgs": { "hexplane": { "channels": 4, "spatial_resolution": 8, "width": 8 }, "teacher": { "iterations": 5, "channels": [4, 4, 4] } },
     });
-    let (dir, model, capture) = trained_with(params, &supplements);
+    trained_with(params, &supplements)
+}
+
+#[test]
+fn prompts_select_pixels_in_maps_and_films() {
+    let (dir, model, capture) = trained_with_prompts();
     let out = dir.path().join("renders");
     let (renders, _) =
         render(&model, &capture, &RenderingParams { maps: Maps::All, ..RenderingParams::default() }, Device::Cpu, &out)
@@ -180,8 +186,9 @@ fn prompts_select_pixels_in_maps_and_films() {
         }
     }
     // A film with a prompt dims irrelevant pixels. The error about an unknown prompt lists the known ones.
-    let shot = |prompt, name: &str| {
-        let shot = Film { times: &[0.4], views: &[], prompt };
+    let shot = |prompt: Option<&str>, name: &str| {
+        let selection = prompt.map(|prompt| Selection { prompt, embeddings: None, show: Show::Highlight });
+        let shot = Film { times: &[0.4], views: &[], selection };
         film_to_folder(
             &dir.path().join("model"),
             &dir.path().join("capture"),

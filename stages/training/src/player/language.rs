@@ -11,6 +11,8 @@ use crate::method::too_large;
 
 /// Sharpness of the comparison between prompts (Qin et al. 2024).
 const SHARPNESS: f64 = 10.0;
+/// A prompt selects what is more relevant to it than this.
+pub(super) const RELEVANT: f32 = 0.5;
 /// Minimum opacity of a pixel with a meaning.
 const MIN_ALPHA: f64 = 0.5;
 /// Minimum norm in the denominator of a cosine.
@@ -70,22 +72,38 @@ impl Player {
         let Some(SemanticImage { features, alpha }) = self.render_semantics(time_secs, camera)? else {
             return Ok(None);
         };
-        let mut tape = self.tape();
-        let model = self.state.bind(&mut tape, |_| false);
         let (pixels, width) = (alpha.len(), features.shape()[2]);
+        let mut tape = self.tape();
         let features = tape.constant(features.reshape([pixels, width]));
-        let Some(meaning) = self.method.language().and_then(|words| words.meaning(&mut tape, &model, features)) else {
-            return Ok(None);
-        };
-        let (found, given) = (tape.value(meaning).row_len(), prompts.row_len());
-        ensure!(found == given, "prompts have {given} dimensions, the model was trained with {found}");
-        let cosines = cosines(&mut tape, meaning, prompts);
+        let Some(cosines) = self.cosines(&mut tape, features, prompts)? else { return Ok(None) };
         let rows = cosines.chunks_exact(prompts.rows()).zip(alpha.as_slice());
         let relevancy = rows.flat_map(|(cosines, &alpha)| {
             let seen = f64::from(alpha) >= MIN_ALPHA;
             relevancies(cosines).into_iter().map(move |value| if seen { value } else { 0.0 })
         });
         Ok(Some(Tensor::from_vec([camera.height, camera.width, prompts.rows()], relevancy.collect())))
+    }
+
+    /// The relevancy of each Gaussian to each prompt, N·P values row by row, as [`Player::prompt_relevancy`] has it for pixels.
+    pub(super) fn gaussian_relevancy(&self, prompts: &Tensor<f32>) -> anyhow::Result<Option<Vec<f32>>> {
+        let mut tape = self.tape();
+        let model = self.state.bind(&mut tape, |_| false);
+        let Some(semantics) = self.method.language().and_then(|language| language.semantics(&model)) else {
+            return Ok(None);
+        };
+        let cosines = self.cosines(&mut tape, semantics, prompts)?;
+        Ok(cosines.map(|cosines| cosines.chunks_exact(prompts.rows()).flat_map(relevancies).collect()))
+    }
+
+    /// Cosines of what semantic features [M, features] mean with prompts [P, E], M·P values row by row.
+    fn cosines(&self, tape: &mut Tape<f32>, features: Var, prompts: &Tensor<f32>) -> anyhow::Result<Option<Vec<f32>>> {
+        let model = self.state.bind(tape, |_| false);
+        let Some(meaning) = self.method.language().and_then(|words| words.meaning(tape, &model, features)) else {
+            return Ok(None);
+        };
+        let (found, given) = (tape.value(meaning).row_len(), prompts.row_len());
+        ensure!(found == given, "prompts have {given} dimensions, the model was trained with {found}");
+        Ok(Some(cosines(tape, meaning, prompts)))
     }
 }
 

@@ -1,5 +1,6 @@
 //! A trained model in use: Gaussians and images at any time, from any camera.
 
+mod edit;
 mod language;
 
 use std::collections::BTreeMap;
@@ -20,6 +21,8 @@ use crate::method::{Method, Moment, raster_settings, too_large};
 use crate::model::ModelState;
 use crate::params::TrainingParams;
 
+use edit::ActiveEdit;
+pub use edit::Edit;
 pub use language::SemanticImage;
 
 /// A model with its method, ready to render.
@@ -34,6 +37,8 @@ pub struct Player {
     /// The largest number of intersections of a render so far, the capacity of later renders; a render that overflows
     /// it is repeated.
     capacity: AtomicUsize,
+    /// The edit that all images show.
+    edit: Option<ActiveEdit>,
 }
 
 /// Positions of the Gaussians at one time, indexed so that the same Gaussian can be found at another time.
@@ -88,7 +93,7 @@ impl Player {
         let prompt_names = header.prompts.clone();
         let (device, phase) = (Device::Cpu, phase.clone());
         let (sh_degree, capacity) = (header.sh_degree, AtomicUsize::new(0));
-        Ok(Self { method, state, prompt_names, scene, device, phase, sh_degree, capacity })
+        Ok(Self { method, state, prompt_names, scene, device, phase, sh_degree, capacity, edit: None })
     }
 
     /// Moves the player's computations to a device.
@@ -112,10 +117,14 @@ impl Player {
         Ok(baked(&tape, &splats, self.sh_degree))
     }
 
-    /// Motion model only: the Gaussians at a time, on a tape.
+    /// Motion model only: the Gaussians at a time, on a tape, with the edit if there is one.
     pub fn splats(&self, tape: &mut Tape<f32>, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<SplatVars> {
         let model = self.state.bind(tape, |_| false);
-        self.method.splats(tape, &model, &self.moment(time_secs, camera))
+        let splats = self.method.splats(tape, &model, &self.moment(time_secs, camera))?;
+        match &self.edit {
+            Some(edit) => edit.apply(tape, splats),
+            None => Ok(splats),
+        }
     }
 
     /// The first and the last second of the capture.
