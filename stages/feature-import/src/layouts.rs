@@ -87,10 +87,12 @@ pub(crate) fn tokens_of_segments(
     Some(TokenGrid { rows, columns, values })
 }
 
-/// The shape without a leading batch axis of length 1, if two or three axes remain.
+/// The shape without a leading batch axis of length 1. Of three axes, the first is one only if the second holds at least 2 × 2
+/// patches; otherwise it is a single row.
 fn without_batch(shape: &[usize]) -> &[usize] {
     match shape {
-        [1, rest @ ..] if rest.len() >= 2 && rest.len() <= 3 => rest,
+        [1, rest @ [_, _, _]] => rest,
+        [1, rest @ [tokens, _]] if *tokens >= 4 => rest,
         _ => shape,
     }
 }

@@ -55,7 +55,8 @@ impl FromStr for Show {
 
 /// The colour of six hexadecimal digits.
 fn color(digits: &str) -> Option<[f32; 3]> {
-    let value = u32::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 6)?;
+    let is_color = digits.len() == 6 && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+    let value = u32::from_str_radix(digits, 16).ok().filter(|_| is_color)?;
     let [_, rgb @ ..] = value.to_be_bytes();
     Some(rgb.map(|level| f32::from(level) / 255.0))
 }

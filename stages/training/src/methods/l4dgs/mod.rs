@@ -44,6 +44,7 @@ impl MethodFolder for L4dgs {
         Loss::always("reconstruction"),
         Loss::of("dynamic-semantics", "dynamic_semantics"),
         Loss::of("static-semantics", "static_semantics"),
+        Loss::of("perceptual-semantics", "perceptual_semantics"),
         Loss::of("dynamic-depth", "dynamic_depth"),
         Loss::of("static-depth", "static_depth"),
     ];
