@@ -91,8 +91,7 @@ pub(crate) fn tokens_of_segments(
 /// patches; otherwise it is a single row.
 fn without_batch(shape: &[usize]) -> &[usize] {
     match shape {
-        [1, rest @ [_, _, _]] => rest,
-        [1, rest @ [tokens, _]] if *tokens >= 4 => rest,
+        [1, rest @ ..] if rest.len() == 3 || rest.len() == 2 && rest[0] >= 4 => rest,
         _ => shape,
     }
 }

@@ -14,9 +14,10 @@ pub(crate) struct L4dgsSettings {
     pub weights: LossWeights,
     /// Iterations of `fine`, before stretching, over which the semantic losses grow from 0 to their weight.
     pub ramp: [u64; 2],
-    /// Interval of the semantic losses, in iterations; at least 2, because density control observes the other iterations.
+    /// Interval of the semantic losses, in iterations. Density control observes the other iterations, or all of them if there
+    /// are no others.
     pub interval: u64,
-    /// Interval of the losses between two instants, which need a second render, in iterations; at least 2.
+    /// Interval of the losses between two instants, which need a second render, in iterations.
     pub dynamic_interval: u64,
     /// Minimum opacity of tokens and depth cells; those with less show no surface and have no weight.
     pub min_alpha: f64,
@@ -159,8 +160,8 @@ impl L4dgsSettings {
                 perceptual: 1.0,
             },
             ramp: [0, 0],
-            interval: 2,
-            dynamic_interval: 2,
+            interval: 1,
+            dynamic_interval: 1,
             // Low, because the initial Gaussians are nearly transparent.
             min_alpha: 2e-3,
             ..Self::default()
@@ -185,10 +186,7 @@ impl L4dgsSettings {
             ((0.0..=1.0).contains(&theta), "theta must be in [0, 1]"),
             (positive(rate) && positive(self.semantic_rate), "rates must be positive"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
-            (
-                self.interval > 1 && self.dynamic_interval > 1,
-                "intervals must be at least 2, because density control observes the other iterations",
-            ),
+            (self.interval > 0 && self.dynamic_interval > 0, "intervals must be at least 1"),
             ((0.0..=1.0).contains(&self.min_alpha), "min_alpha must be in [0, 1]"),
             (self.ramp[0] <= self.ramp[1], "the ramp must not end before it begins"),
             (!self.prompts.is_empty(), "prompts must not be empty"),

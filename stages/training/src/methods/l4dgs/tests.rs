@@ -202,7 +202,7 @@ fn invalid_l4dgs_settings_are_refused() {
     L4dgsSettings::default().check().unwrap();
     let teacher = settings::TeacherSettings::default;
     let bad = [
-        L4dgsSettings { interval: 1, ..L4dgsSettings::default() },
+        L4dgsSettings { interval: 0, ..L4dgsSettings::default() },
         L4dgsSettings { ramp: [5, 4], ..L4dgsSettings::default() },
         L4dgsSettings { prompts: Vec::new(), ..L4dgsSettings::default() },
         L4dgsSettings { semantic_rate: f64::NAN, ..L4dgsSettings::default() },

@@ -13,6 +13,7 @@ use super::settings::LossWeights;
 use super::teacher::Teacher;
 use super::tokens::TokenGrid;
 use super::{LanguageGuided, SEMANTICS, lesson};
+use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::FINE;
 use crate::data::TrainingView;
 use crate::method::{Method as _, Moment, Observed, Step, photometric_losses};
@@ -121,9 +122,11 @@ impl LanguageGuided {
     }
 
     fn view_losses<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>, due: &Due) -> anyhow::Result<()> {
-        // Density control observes only steps without semantic losses, whose gradients would decide where Gaussians are
-        // cloned. Its statistics are means over the observed steps.
-        let rendered = self.render(step, view, due, Observed::Nothing)?;
+        // The gradients of the semantic losses must not decide where Gaussians are cloned. The statistics of density control
+        // are means over the observed steps, so it does without these steps, unless there are no others.
+        let every_step = self.settings.interval == 1 || self.settings.dynamic_interval == 1;
+        let observed = if every_step { Observed::All(GAUSSIANS) } else { Observed::Nothing };
+        let rendered = self.render(step, view, due, observed)?;
         step.photometric(rendered.color, view);
         let grid = self.grid(view);
         let tokens = rendered_tokens(step, grid, &rendered, self.settings.min_alpha);
