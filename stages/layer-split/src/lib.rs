@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod artifact;
+mod median;
 mod params;
 mod residual;
 mod run;

@@ -21,6 +21,10 @@ pub struct Params {
     pub min_residual_px: f64,
     /// For `residual-flow`: lower limit of the residual of a moving pixel, in standard deviations of the flow's noise.
     pub noise_multiple: f64,
+    /// For `temporal-median`: lower limit of the difference of a moving pixel in any channel, of colours in [0, 1].
+    pub min_difference: f64,
+    /// For `temporal-median`: radius by which the differing pixels are widened.
+    pub dilation_px: u32,
     /// For `residual-flow`: radius of the morphological closing; gaps of up to twice this width are closed.
     pub closing_px: u32,
     /// For `residual-flow`: minimum number of pixels of a component or hole; smaller ones count as noise.
@@ -38,6 +42,8 @@ pub enum LayerSource {
     Files,
     /// Optical flow that camera motion does not explain.
     ResidualFlow,
+    /// For static cameras: difference from the median over time of the training images of the same camera pose.
+    TemporalMedian,
 }
 
 /// Which pixels of a mask move.
@@ -60,6 +66,8 @@ impl Default for Params {
             threshold: 0,
             min_residual_px: 0.5, // below it, flow estimators disagree with each other
             noise_multiple: 5.0,  // exceeded by one in 10⁵ pixels of pure noise (Rayleigh)
+            min_difference: 0.05, // above the noise of cameras
+            dilation_px: 5,
             closing_px: 1,
             min_area_px: 4,
         }
@@ -103,6 +111,7 @@ impl Params {
                 "must be finite and not negative",
                 "the default is 5.0",
             ),
+            (!(0.0..1.0).contains(&self.min_difference), "min_difference", "must be in [0, 1)", "the default is 0.05"),
         ];
         let problem = |(_, key, message, hint): (bool, &str, &str, &str)| ParamProblem {
             key: key.into(),

@@ -12,7 +12,7 @@ use scene::maps::formats::{self, Content};
 use scene::{Capture, Mask, MatchedFiles, Split, facts};
 
 use crate::params::{LayerSource, Polarity};
-use crate::{Layers, Params, residual};
+use crate::{Layers, Params, median, residual};
 
 /// Name of the source folder of masks.
 const FOLDER: &str = "folder";
@@ -26,7 +26,7 @@ impl Stage for LayerSplit {
 
     const ID: &'static str = "layer-split";
     const ABOUT: &'static str =
-        "masks the moving pixels of every view, from given masks, exact velocity or residual flow";
+        "masks the moving pixels of every view, from given masks, exact velocity, residual flow or temporal medians";
 
     fn ports() -> Vec<Port> {
         vec![Port::one::<CaptureArtifact>("capture"), Port::optional::<Priors>("priors")]
@@ -35,7 +35,7 @@ impl Stage for LayerSplit {
     fn sources(params: &Params) -> Vec<Source> {
         match params.source {
             LayerSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
-            LayerSource::Auto | LayerSource::ResidualFlow => Vec::new(),
+            LayerSource::Auto | LayerSource::ResidualFlow | LayerSource::TemporalMedian => Vec::new(),
         }
     }
 
@@ -54,7 +54,7 @@ impl Stage for LayerSplit {
         let has = |fact| context.facts("capture").and_then(|capture| capture.flag(fact)) == Some(true);
         let decided = match params.source {
             LayerSource::Auto => has(facts::VELOCITY) || has(facts::MASKS),
-            LayerSource::Files => true,
+            LayerSource::Files | LayerSource::TemporalMedian => true,
             LayerSource::ResidualFlow => false,
         };
         let unread = if decided { ["priors"].into() } else { Default::default() };
@@ -102,6 +102,7 @@ fn masks(
     let known = |index: usize| known_motion(capture, priors, index, params.polarity);
     match (params.source, has_velocity, has_masks, priors.filter(|_| has_flow)) {
         (LayerSource::Files, ..) => Ok(("files", from_files(context, capture, params)?)),
+        (LayerSource::TemporalMedian, ..) => Ok(("temporal-median", median::masks(context, capture, params)?)),
         (LayerSource::Auto, true, true, _) => Ok(("velocity+masks", per_view(context, count, known)?)),
         (LayerSource::Auto, true, false, _) => Ok(("velocity", per_view(context, count, known)?)),
         (LayerSource::Auto, false, true, _) => Ok(("masks", per_view(context, count, known)?)),

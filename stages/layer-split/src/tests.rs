@@ -106,6 +106,25 @@ fn residual_flow() -> Params {
 }
 
 #[test]
+fn temporal_medians_segment_what_moves_before_static_cameras() {
+    let params = Params { source: LayerSource::TemporalMedian, dilation_px: 1, ..Params::default() };
+    let nothing = Path::new("");
+    let dir = tempfile::tempdir().unwrap();
+    let rig = capture(dir.path(), SceneKind::BouncingSpheres, CameraPath::Rig, &[Truth::Masks]);
+    let (_root, layers) = run(&rig, None, nothing, &params).unwrap();
+    let found = agreement(&rig, &layers);
+    // Widened by a pixel all around, and blind where a ball is seen twice.
+    assert!(found >= 0.5, "{found}");
+    let wide = Params { dilation_px: 8, ..params.clone() };
+    let (_root, layers) = run(&rig, None, nothing, &wide).unwrap();
+    assert!(agreement(&rig, &layers) < 0.8 * found, "widened masks fit worse");
+    let dir = tempfile::tempdir().unwrap();
+    let moving = capture(dir.path(), SceneKind::BouncingSpheres, CameraPath::Arc, &[Truth::Masks]);
+    let error = run(&moving, None, nothing, &params).unwrap_err().to_string();
+    assert!(error.contains("every camera pose"), "{error}");
+}
+
+#[test]
 fn residual_flow_segments_moving_instances() {
     for (scene, camera) in [
         (SceneKind::BouncingSpheres, CameraPath::Arc),
