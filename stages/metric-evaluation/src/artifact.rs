@@ -82,6 +82,9 @@ pub struct ImageMetrics {
     /// The error on moving surfaces, if the capture has their velocity.
     #[serde(default)]
     pub moving: Option<MovingError>,
+    /// What a render without motion scores in the metrics of motion.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub without_motion: BTreeMap<Metric, f64>,
     /// Intersection over union per prompt with visible classes, if the model has prompts and the capture has labels.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub prompt_ious: BTreeMap<String, f64>,
@@ -150,6 +153,7 @@ impl Metrics {
             constant_psnr: mean(&|image| psnr_from_mse(image.truth.mse_of_constant(colour))),
             mean_image: mean_image.map(|psnr| MeanImage { psnr, over }),
             background_share: mean_of_all(|image| image.background_share),
+            without_motion: means_without_motion(images),
             least_render_variance: images.iter().map(|image| image.render_variance).fold(f64::INFINITY, f64::min),
         }
     }
@@ -277,6 +281,15 @@ fn mean_where_defined(images: &[ImageMetrics], metric: Metric) -> Option<Score> 
     } else {
         Score::Value(values.iter().sum::<f64>() / values.len() as f64)
     })
+}
+
+/// Means of what renders without motion score, over the images that define the metrics.
+fn means_without_motion(images: &[ImageMetrics]) -> BTreeMap<Metric, f64> {
+    let mut values = BTreeMap::<Metric, Vec<f64>>::new();
+    for (metric, value) in images.iter().flat_map(|image| &image.without_motion) {
+        values.entry(*metric).or_default().push(*value);
+    }
+    values.into_iter().map(|(metric, values)| (metric, values.iter().sum::<f64>() / values.len() as f64)).collect()
 }
 
 /// PSNR on moving surfaces, pooled over images with less than half as many moving pixels as the image with most of them.

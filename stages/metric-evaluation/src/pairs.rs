@@ -80,6 +80,7 @@ fn evaluate_pair(
         render_variance: Moments::of(&render).variance.iter().sum::<f64>() / 3.0,
         truth: Moments::of(&truth),
         mean_image_mse: None,
+        without_motion: BTreeMap::new(),
         background_share: None,
         values: image_scores(&render, &truth, &params.metrics),
         moving: None,

@@ -42,6 +42,11 @@ impl Metrics {
         if let Some(MeanImage { psnr, .. }) = mean_image {
             writeln!(text, "mean of the other images: {psnr:.2} dB").expect("writing to a string succeeds");
         }
+        for (metric, score) in &self.trivial.without_motion {
+            let (name, decimals, unit) = (metric.heading(), metric.decimals(), metric.unit());
+            writeln!(text, "without motion, the {name} is {score:.decimals$} {unit}")
+                .expect("writing to a string succeeds");
+        }
         if let Some(degenerate) = self.degenerate(true) {
             writeln!(text, "DEGENERATE: {}", degenerate.about()).expect("writing to a string succeeds");
         }

@@ -62,6 +62,24 @@ pub(crate) fn surface_scores(
     scores.into_iter().filter_map(wanted).collect()
 }
 
+/// What a render without motion scores in the metrics of motion that are wanted and defined.
+pub(crate) fn scores_without_motion(truths: &Truths, wanted: &BTreeSet<Metric>) -> BTreeMap<Metric, f64> {
+    let Some((velocity, moving)) = truths.velocity.as_ref().zip(truths.moving()) else { return BTreeMap::new() };
+    let pixels = moving.len();
+    let still = SurfaceMaps {
+        velocity_world: vec![[0.0; 3]; pixels],
+        flow_px: vec![[0.0; 2]; pixels],
+        ..SurfaceMaps::default()
+    };
+    let flow = truths.flow.as_ref().map(|flow| flow_error(&still, &flow.flow_px, &moving));
+    let scores = [
+        (Metric::VelocityError, Some(velocity_error(&still, &velocity.velocity_world, &moving))),
+        (Metric::FlowError, flow),
+    ];
+    let wanted = scores.into_iter().filter(|(metric, _)| wanted.contains(metric));
+    wanted.filter_map(|(metric, score)| Some((metric, score?.value()?))).collect()
+}
+
 /// PSNR over the pixels whose true surface moves, with its mean squared error and number of pixels.
 pub(crate) fn psnr_of_moving(render: &Image, truth: &Image, moving: &[bool]) -> (Score, Option<MovingError>) {
     let pixels = moving.iter().filter(|moving| **moving).count();
@@ -200,6 +218,21 @@ mod tests {
         let scores = scores(&still, &truths());
         assert_eq!(scores[&Metric::VelocityError], Score::Value((5.0 + 1.0) / 2.0));
         assert_eq!(scores[&Metric::FlowError], Score::Value(10.0), "over the one pixel that stays visible");
+    }
+
+    #[test]
+    fn no_motion_scores_like_a_static_render() {
+        let mut still = perfect();
+        still.velocity_world.fill([0.0; 3]);
+        still.flow_px.fill([0.0; 2]);
+        let trivial = scores_without_motion(&truths(), &Metric::ALL.into());
+        assert_eq!(trivial.keys().copied().collect::<Vec<_>>(), [Metric::VelocityError, Metric::FlowError]);
+        let scores = scores(&still, &truths());
+        assert!(trivial.iter().all(|(metric, score)| scores[metric] == Score::Value(*score)), "{trivial:?}");
+        assert!(scores_without_motion(&Truths::default(), &Metric::ALL.into()).is_empty());
+        let mut nothing_moves = truths();
+        nothing_moves.velocity.as_mut().unwrap().velocity_world.fill([0.0; 3]);
+        assert!(scores_without_motion(&nothing_moves, &Metric::ALL.into()).is_empty());
     }
 
     #[test]

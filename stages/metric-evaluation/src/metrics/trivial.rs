@@ -1,7 +1,10 @@
 //! Images that need no model: one colour, and the mean of the other images. Renders that are not better show nothing.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
+use super::metric::Metric;
 use super::psnr::PSNR_CAP_DB;
 use crate::image_file::Image;
 
@@ -17,6 +20,10 @@ pub struct Trivial {
     pub mean_image: Option<MeanImage>,
     /// Share of the ground truth's pixels that have the capture's background colour; none without a capture.
     pub background_share: Option<f64>,
+    /// What renders without motion score in the metrics of motion, over the images that define these; empty without
+    /// exact maps.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub without_motion: BTreeMap<Metric, f64>,
     /// The least variance of a render over its pixels, mean over the channels, for colours in [0, 1].
     pub least_render_variance: f64,
 }
@@ -71,7 +78,8 @@ impl Trivial {
     /// Whether every number is finite.
     pub(crate) fn is_finite(&self) -> bool {
         let optional = self.mean_image.map(|mean| mean.psnr).into_iter().chain(self.background_share);
-        let required = [self.constant_psnr, self.least_render_variance];
+        let required =
+            [self.constant_psnr, self.least_render_variance].into_iter().chain(self.without_motion.values().copied());
         self.colour.into_iter().chain(required).chain(optional).all(f64::is_finite)
     }
 

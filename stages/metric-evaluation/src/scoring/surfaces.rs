@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::artifact::ImageMetrics;
 use crate::metrics::metric::{Family, Metric};
-use crate::metrics::surfaces::{Truths, psnr_of_moving, surface_scores};
+use crate::metrics::surfaces::{Truths, psnr_of_moving, scores_without_motion, surface_scores};
 use crate::params::MetricEvaluationParams;
 use crate::test_set::TestSet;
 
@@ -43,6 +43,7 @@ fn add_to_image(
     if let Some(maps) = set.renders.load_maps(rendered)? {
         set.check_size(view, (maps.width, maps.height))?;
         image.values.extend(surface_scores(&maps, &truths, &params.metrics));
+        image.without_motion = scores_without_motion(&truths, &params.metrics);
     }
     Ok(())
 }

@@ -202,6 +202,18 @@ fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Ite
         let caption = format!("Protocol {}: {} per scene ({better} is better)", group.name, column.heading());
         let mut table = Table::new(caption, header);
         table.rows = rows.map(|row| scene_cells(content, row, &scenes, column)).collect();
+        table.rows.extend(row_without_motion(group, &scenes, column));
         (!scenes.is_empty()).then_some(table)
+    })
+}
+
+/// What renders without motion score per scene, in a metric of motion.
+fn row_without_motion(group: &Group, scenes: &[String], column: Column) -> Option<Vec<Text>> {
+    let Column::Metric(metric) = column else { return None };
+    let score = |scene: &String| group.trivial.get(scene)?.without_motion.get(&metric).copied();
+    scenes.iter().any(|scene| score(scene).is_some()).then(|| {
+        let texts =
+            scenes.iter().map(|scene| score(scene).map_or(NONE.into(), |score| number(score, column.decimals())));
+        ["without motion".into()].into_iter().chain(texts).map(Text::plain).collect()
     })
 }
