@@ -4,16 +4,16 @@ use rand::RngExt as _;
 use shaders::arrays::rows::weighted_mean_squared_difference;
 use shaders::arrays::sample::{SampleSize, sample_rows};
 use shaders::arrays::totals::total;
-use shaders::geometry::camera::PinholeCamera;
-use shaders::pointwise::{add, scale, sub};
+use shaders::pointwise::{add, scale};
 use shaders::rasteriser::Rendered;
 use shaders::tape::{Real, Tensor, Var};
 
-use super::observation::{
-    Observed, ProjectedPoints, displacement_map, flow_displacements, flow_map, surface_depth, true_displacements,
-};
-use super::trajectories::{STATIC_THRESHOLD, Trajectories, differences, foreground, frame_of, motion_unit};
+use super::flow::Surfaces;
+use super::observation::{Observed, ProjectedPoints, displacement_map, surface_depth, true_displacements};
+use super::settings::Phys4dgsSettings;
+use super::trajectories::{STATIC_THRESHOLD, Trajectories, differences, foreground, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
+use crate::bases::hexplane::MovedPoints;
 use crate::data::TrainingView;
 use crate::method::Step;
 
@@ -21,11 +21,11 @@ use crate::method::Step;
 const AXES: f64 = 3.0;
 
 /// Predicted motion of M Gaussians per frame; tensors are [M, 3].
-struct Kinematics {
+pub(super) struct Kinematics {
     /// v^sf at t, t + δt, …: displacement from one evaluation of the field to the next.
     moved: Vec<Var>,
     /// v^attr at t, the predicted velocity.
-    velocity: Option<Var>,
+    pub velocity: Option<Var>,
     /// δv^attr at t and t + δt, the predicted change of velocity.
     variations: Vec<Var>,
 }
@@ -47,16 +47,16 @@ impl PhysicalGaussians {
         rendered: &Rendered,
         gain: f64,
     ) -> anyhow::Result<()> {
-        let candidates = foreground(step.tape, rendered, step.supplements.moving(view.index));
+        let moving = step.supplements.moving(view.index).filter(|_| self.parts.foreground);
+        let candidates = foreground(step.tape, rendered, moving);
         let count = step.tape.constant(candidates.clone());
         let count = total(step.tape, count);
         step.count_skipped_deferred("physical losses of Gaussians in the background", count, candidates.len());
         let size = SampleSize { share: self.settings.sample_share, most: self.settings.sample_max };
         let sampled = sample_rows(step.tape.device(), &candidates, size, step.random.of("physical losses").random());
-        let frames_ahead = self.parts.frames_ahead();
-        let Some(followed) = Trajectories::follow(step, &self.base, &sampled, view.time, frames_ahead) else {
-            return Ok(());
-        };
+        let (parts, observes) = (self.due(step.iteration), self.observes(step, view));
+        let followed = Trajectories::follow(step, &self.base, &sampled, view.time, parts.frames_ahead(), observes);
+        let Some(followed) = followed else { return Ok(()) };
         let kinematics = self.kinematics(step, &followed);
         let motion_unit = motion_unit(step.scene);
         let scales = Scales {
@@ -64,8 +64,10 @@ impl PhysicalGaussians {
             factor: gain * AXES / (motion_unit * motion_unit * step.views.len() as f64),
         };
         self.compare_velocities(step, &scales, &kinematics);
-        self.compare_higher_orders(step, &scales, &kinematics);
-        if self.observes(step, view) {
+        if parts.higher_order {
+            self.compare_higher_orders(step, &scales.of_higher_order(&self.settings), &kinematics);
+        }
+        if observes {
             step.clock.enter("loss flow");
             self.compare_observations(step, &scales, &kinematics, &followed, view, rendered)?;
         }
@@ -73,13 +75,16 @@ impl PhysicalGaussians {
     }
 
     /// Evaluates the heads that active losses need, at the instants that they need.
-    fn kinematics<T: Real>(&self, step: &mut Step<'_, T>, followed: &Trajectories) -> Kinematics {
+    pub(super) fn kinematics<T: Real>(&self, step: &mut Step<'_, T>, followed: &Trajectories) -> Kinematics {
         let moved = followed.displacements(step.tape);
         // The heads output motion units, so that their values are of the order of 1.
         let unit = motion_unit(step.scene);
         let mut head = |name: &str, instant: usize| {
-            let points = &followed.points[instant];
-            let output = self.base.further_head(step.tape, step.model, step.scene, name, points);
+            // The motion leads and the heads follow: a head that shaped the field would pull it towards its own initial
+            // value, no motion.
+            let hidden = step.tape.detach(followed.points[instant].hidden);
+            let points = MovedPoints { hidden, ..followed.points[instant] };
+            let output = self.base.further_head(step.tape, step.model, step.scene, name, &points);
             scale(step.tape, output, unit)
         };
         let velocity = self.parts.needs_velocity().then(|| head(VELOCITY_HEAD.0, 0));
@@ -96,7 +101,7 @@ impl PhysicalGaussians {
     fn compare_velocities<T: Real>(&self, step: &mut Step<'_, T>, scales: &Scales, kinematics: &Kinematics) {
         let (weights, Kinematics { moved, velocity, variations }) = (&self.settings.weights, kinematics);
         let Some(velocity) = *velocity else { return };
-        let here = scales.mean_square(step, velocity, moved[0]);
+        let here = scales.followed(step, velocity, moved[0]);
         if self.parts.displacement {
             scales.add(step, "displacement", weights.displacement, here);
         }
@@ -107,7 +112,7 @@ impl PhysicalGaussians {
             return scales.add(step, "velocity", weights.velocity, here);
         };
         let next = add(step.tape, velocity, variation);
-        let next = scales.mean_square(step, next, moved[1]);
+        let next = scales.followed(step, next, moved[1]);
         scales.add(step, "velocity", 0.5 * weights.velocity, here);
         scales.add(step, "velocity", 0.5 * weights.velocity, next);
 
@@ -120,23 +125,20 @@ impl PhysicalGaussians {
 
     /// Accelerations (eq 8) and jerks (eq 9).
     fn compare_higher_orders<T: Real>(&self, step: &mut Step<'_, T>, scales: &Scales, kinematics: &Kinematics) {
-        if !self.parts.higher_order {
-            return;
-        }
         let (weights, Kinematics { moved, variations, .. }) = (&self.settings.weights, kinematics);
         let accelerations = differences(step.tape, moved);
         if let (Some(&from_heads), Some(&from_field)) = (variations.first(), accelerations.first()) {
-            let value = scales.mean_square(step, from_heads, from_field);
+            let value = scales.followed(step, from_heads, from_field);
             scales.add(step, "acceleration", weights.acceleration, value);
         }
         let (from_heads, from_field) = (differences(step.tape, variations), differences(step.tape, &accelerations));
         if let (Some(&from_heads), Some(&from_field)) = (from_heads.first(), from_field.first()) {
-            let value = scales.mean_square(step, from_heads, from_field);
+            let value = scales.followed(step, from_heads, from_field);
             scales.add(step, "jerk", weights.jerk, value);
         }
     }
 
-    /// Observed motion: optical flow (β and γ of eqs 3 and 5) and exact displacements (eq 4).
+    /// Observed motion: exact displacements (eq 4) and optical flow (β and γ of eqs 3, 5, 8 and 9).
     fn compare_observations<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -146,37 +148,67 @@ impl PhysicalGaussians {
         view: &TrainingView<T>,
         rendered: &Rendered,
     ) -> anyhow::Result<()> {
-        let (weights, positions) = (&self.settings.weights, followed.points[0].positions);
         let surface = surface_depth(step.tape, rendered, self.settings.min_coverage);
-        let points = [positions, followed.weights].map(|var| step.tape.value(var));
-        let projected = ProjectedPoints::of(step.tape.device(), points, &view.camera, step.raster.near_view, surface);
         if let Some(velocity) = self.velocity_of(step, view) {
+            let points = [followed.points[0].positions, followed.weights].map(|var| step.tape.value(var));
+            let (device, near_view) = (step.tape.device(), step.raster.near_view);
+            let projected = ProjectedPoints::of(device, points, &view.camera, near_view, surface.clone());
             let map = || displacement_map(velocity, step.scene.time_map.frame_secs);
             let map = step.constants.get(step.tape.device(), "displacement", view.index, map);
-            let truth = true_displacements(&projected, &map);
-            let (truth, valid) = truth.constants(step);
+            let (truth, valid) = true_displacements(&projected, &map).constants(step);
             let value = weighted_mean_squared_difference(step.tape, kinematics.moved[0], truth, valid);
-            scales.add(step, "true_displacement", weights.true_displacement, value);
+            scales.add(step, "true_displacement", self.settings.weights.true_displacement, value);
         }
-        let Some(flow) = self.flow_of(step, view) else { return Ok(()) };
-        let time_to = step.scene.time_map.normalized(flow.time_to_secs);
-        let frames = (time_to - view.time) / frame_of(step.scene);
-        let surface_to = self.surface_at(step, time_to, flow)?;
-        let cameras = [&view.camera, &PinholeCamera::from(&flow.camera_to)];
-        let map = step.constants.get(step.tape.device(), "flow", view.index, || flow_map(&flow.map));
-        let observed = flow_displacements(&projected, cameras, [&map, &surface_to], frames);
-        let arrived = followed.positions_at(step, &self.base, time_to);
-        let moved = sub(step.tape, arrived, positions);
-        let moved = scale(step.tape, moved, 1.0 / frames);
-        let outlier = self.settings.flow_outlier;
-        let (limit, least) = (observed.median_length(outlier), outlier * STATIC_THRESHOLD * step.scene.extent);
-        for estimate in [kinematics.velocity, Some(moved)].into_iter().flatten() {
-            let observed = observed.without_outliers(step.tape.value(estimate), &limit, least);
-            let (target, weight) = observed.constants(step);
-            let value = weighted_mean_squared_difference(step.tape, estimate, target, weight);
-            scales.add(step, "flow", weights.flow * self.flow_weight(), value);
+        let sightings = self.sightings(step, followed, view, Surfaces::of(view, surface))?;
+        let weights = &self.settings.weights;
+        if let Some(first) = sightings.first() {
+            let estimates = [kinematics.velocity, Some(first.moved)];
+            self.compare_with_flow(step, scales, ("flow", self.flow_weight()), &first.observed, estimates);
+        }
+        if !self.due(step.iteration).higher_order {
+            return Ok(());
+        }
+        let scales = &scales.of_higher_order(&self.settings);
+        let changes: Vec<_> =
+            sightings.windows(2).map(|pair| Observed::change([&pair[0].observed, &pair[1].observed])).collect();
+        let accelerations = differences(step.tape, &kinematics.moved);
+        if let Some(seen) = changes.first() {
+            let estimates = [kinematics.variations.first().copied(), accelerations.first().copied()];
+            self.compare_with_flow(step, scales, ("flow_acceleration", weights.acceleration), seen, estimates);
+        }
+        if let [first, second] = &changes[..] {
+            let [heads, field] = [&kinematics.variations, &accelerations].map(|of| differences(step.tape, of));
+            let estimates = [heads.first().copied(), field.first().copied()];
+            self.compare_with_flow(
+                step,
+                scales,
+                ("flow_jerk", weights.jerk),
+                &Observed::change([first, second]),
+                estimates,
+            );
         }
         Ok(())
+    }
+
+    /// Adds the loss of estimates [M, 3] against what flow shows, without outliers; the weight is relative to β = γ.
+    fn compare_with_flow<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        scales: &Scales,
+        (name, weight): (&'static str, f64),
+        observed: &Observed<T>,
+        estimates: [Option<Var>; 2],
+    ) {
+        let (outlier, still) = (self.settings.flow_outlier, STATIC_THRESHOLD * step.scene.extent);
+        let (limit, least) = (observed.median_length(still, outlier), outlier * still);
+        for estimate in estimates.into_iter().flatten().filter(|_| weight > 0.0) {
+            let value = step.tape.value(estimate);
+            let observed = observed.trusting_depth(value, self.settings.depth_trust);
+            let observed = observed.without_outliers(value, &limit, least);
+            let (target, counts) = observed.constants(step);
+            let value = weighted_mean_squared_difference(step.tape, estimate, target, counts);
+            scales.add(step, name, weight * self.settings.weights.flow, value);
+        }
     }
 
     /// Weight of flow, which is part of eqs 3 and 5; in units of frames the two are one equation.
@@ -188,19 +220,24 @@ impl PhysicalGaussians {
 }
 
 impl Scales {
+    /// The scales of losses that only some steps evaluate.
+    fn of_higher_order(&self, settings: &Phys4dgsSettings) -> Self {
+        Self { weights: self.weights, factor: self.factor * settings.higher_order_interval as f64 }
+    }
+
     /// Mean of ‖a − b‖² over the compared Gaussians, divided by [`AXES`]; 0 if there are none.
     fn mean_square<T: Real>(&self, step: &mut Step<'_, T>, a: Var, b: Var) -> Var {
         weighted_mean_squared_difference(step.tape, a, b, self.weights)
     }
 
+    /// As [`Scales::mean_square`], for heads that follow the field: they start at zero, and a field that met them halfway
+    /// would be braked by them.
+    fn followed<T: Real>(&self, step: &mut Step<'_, T>, from_heads: Var, from_field: Var) -> Var {
+        let from_field = step.tape.detach(from_field);
+        self.mean_square(step, from_heads, from_field)
+    }
+
     fn add<T: Real>(&self, step: &mut Step<'_, T>, name: &'static str, weight: f64, value: Var) {
         step.add_loss(name, weight * self.factor, value);
-    }
-}
-
-impl<T: Real> Observed<T> {
-    /// Puts the displacements [M, 3] and the weights [M] on the tape as constants.
-    fn constants(&self, step: &mut Step<'_, T>) -> (Var, Var) {
-        (step.tape.detach_value(self.displacements.clone()), step.tape.detach_value(self.weights.clone()))
     }
 }

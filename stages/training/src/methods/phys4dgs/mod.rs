@@ -1,5 +1,6 @@
 //! Phys4DGS: a hexplane field with losses that keep velocities, displacements and higher derivatives consistent.
 
+mod flow;
 mod losses;
 mod observation;
 mod settings;
@@ -64,18 +65,23 @@ impl MethodFolder for Phys4dgs {
             ),
             effect(
                 "displacement",
-                "predicted velocities agree with displacements from frame to frame (eq 5)",
-                &[Need::Effect("motion")],
+                "displacements from frame to frame agree with predicted velocities and optical flow (eq 5)",
+                &[Need::Flow, Need::Effect("motion")],
             ),
             effect(
                 "higher-order",
-                "predicted changes of velocity agree with acceleration and jerk (eqs 8, 9)",
-                &[Need::Times(4), Need::Effect("motion")],
+                "accelerations and jerks agree with predicted and observed changes of velocity (eqs 8, 9)",
+                &[Need::Times(4), Need::Flow, Need::Effect("motion")],
             ),
             effect(
                 "flow",
-                "velocity and displacement agree with optical flow as well (eq 2)",
+                "velocities, displacements, accelerations and jerks agree with optical flow as well (eq 2)",
                 &[Need::Flow, Need::Effect("motion")],
+            ),
+            effect(
+                "foreground",
+                "only Gaussians in the moving part of a view are compared (section 3.1)",
+                &[Need::Layers, Need::Effect("motion")],
             ),
             Effect {
                 name: "true-displacement",
@@ -108,20 +114,21 @@ struct Parts {
     higher_order: bool,
     flow: bool,
     true_displacement: bool,
+    foreground: bool,
 }
 
 impl Parts {
-    /// Active parts. None without motion; flow only supplements the comparison of velocities or displacements, so it
-    /// needs one of them.
+    /// Active parts. None without motion; flow only supplements other comparisons, so it needs one of them.
     fn of(effects: &Effects) -> Self {
         let has = |name: &str| effects.has("motion") && effects.has(name);
-        let (velocity, displacement) = (has("velocity"), has("displacement"));
+        let [velocity, displacement, higher_order] = ["velocity", "displacement", "higher-order"].map(has);
         Self {
             velocity,
             displacement,
-            higher_order: has("higher-order"),
-            flow: (velocity || displacement) && has("flow"),
+            higher_order,
+            flow: (velocity || displacement || higher_order) && has("flow"),
             true_displacement: has("true-displacement"),
+            foreground: has("foreground"),
         }
     }
 
@@ -165,10 +172,16 @@ impl PhysicalGaussians {
         Self { base, settings, parts, ramp }
     }
 
-    /// Current share of the loss weights, 0 to 1.
+    /// The parts whose losses a step evaluates.
+    fn due(&self, iteration: u64) -> Parts {
+        let is_due = iteration.is_multiple_of(self.settings.higher_order_interval);
+        Parts { higher_order: self.parts.higher_order && is_due, ..self.parts }
+    }
+
+    /// Current share of the loss weights, 0 to 1; 0 in steps without physical losses.
     fn gain(&self, phase: &str, iteration: u64) -> f64 {
         let [first, last] = self.ramp.map(|iteration| iteration as f64);
-        match self.base.moves(phase) && self.parts.frames_ahead() > 0 {
+        match self.base.moves(phase) && self.due(iteration).frames_ahead() > 0 {
             true if iteration as f64 >= last => 1.0,
             true => ((iteration as f64 - first) / (last - first)).max(0.0),
             false => 0.0,

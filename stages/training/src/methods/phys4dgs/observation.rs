@@ -1,18 +1,18 @@
 //! Motion of points as observed in images. Observations are constants: no gradient flows through them.
 
 use scene::{FlowMap, VelocityMap};
-use shaders::arrays::rows::{divide_rows, keep_rows, median_where, norm, repeat_row, reshape};
+use shaders::arrays::rows::{
+    divide_rows, keep_rows, median_where, norm, normalize, repeat_row, reshape, row_dot, scale_rows,
+};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::geometry::point_lookup::{PointsInImage, Sampled, Sampling, lookup, project_points, unproject};
 use shaders::pointwise;
 use shaders::pointwise::{add, mul, scale, sub};
-use shaders::rasteriser::{self, Rendered};
+use shaders::rasteriser::Rendered;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
-use super::PhysicalGaussians;
-use crate::data::{FlowPrior, TrainingView};
-use crate::method::{Base, Moment, Step, too_large};
-use crate::model::Variables;
+use super::trajectories::where_below;
+use crate::method::Step;
 
 /// A Gaussian farther than this share of the depth from its pixel's surface is occluded by it or not part of it.
 const ON_SURFACE: f64 = 0.05;
@@ -43,6 +43,7 @@ pointwise! {
 /// M points as seen in a view.
 pub(crate) struct ProjectedPoints<T: Real> {
     device: Device,
+    near_view: f64,
     /// Pixel positions [M, 2], px.
     pixels: Tensor<T>,
     /// View-space depth z of the surface at those pixels, [M].
@@ -52,12 +53,15 @@ pub(crate) struct ProjectedPoints<T: Real> {
 }
 
 /// Observed displacements per frame, from optical flow or exact velocities.
+#[derive(Clone)]
 pub(crate) struct Observed<T: Real> {
     device: Device,
     /// [M, 3] in world space, scene units per frame; 0 where unobserved.
     pub displacements: Tensor<T>,
     /// [M] weights; 0 where unobserved.
     pub weights: Tensor<T>,
+    /// [M, 3] unit vectors of the viewing rays; 0 where motion along the ray is observed as well as across it.
+    pub rays: Tensor<T>,
 }
 
 /// Expected depth Σwz / Σw [H, W] of a render with depth; NaN where it covers no more than `min_coverage`.
@@ -88,7 +92,7 @@ impl<T: Real> ProjectedPoints<T> {
         let counts = mul(&mut tape, valid, weights);
         let visible = on_surface(&mut tape, counts, depths, surface_depths, ON_SURFACE);
         let [pixels, surface_depths, visible] = [pixels, surface_depths, visible].map(|var| tape.value(var).clone());
-        Self { device, pixels, surface_depths, visible }
+        Self { device, near_view, pixels, surface_depths, visible }
     }
 }
 
@@ -111,48 +115,84 @@ pub(crate) fn true_displacements<T: Real>(projected: &ProjectedPoints<T>, map: &
     let map = tape.constant(map.clone());
     let [pixels, visible] = [&projected.pixels, &projected.visible].map(|tensor| tape.constant(tensor.clone()));
     let Sampled { values, valid } = lookup(&mut tape, map, pixels, SAMPLING);
-    Observed::where_all(tape, values, &[visible, valid])
+    let rays = tape.constant(Tensor::zeros(tape.value(values).shape()));
+    Observed::where_all(tape, [values, rays], &[visible, valid])
+}
+
+/// Where optical flow leads: the camera and the surface depths [H, W] there, the points moved by the model [M, 3]
+/// (world), and the number of frames until then.
+pub(crate) struct Arrival<'a, T: Real> {
+    pub camera: &'a PinholeCamera,
+    pub surface_depth: &'a Tensor<T>,
+    pub moved: &'a Tensor<T>,
+    pub frames: f64,
 }
 
 /// Displacements per frame from optical flow (eq 2): unprojects each pixel before and after the flow at the rendered
-/// depths; the views are `frames` frames apart.
+/// depths. A point is observed only if the surface at the end of the flow is its own, i.e. lies at its depth.
 pub(crate) fn flow_displacements<T: Real>(
     projected: &ProjectedPoints<T>,
-    [camera, camera_to]: [&PinholeCamera; 2],
-    [map, surface_depth_to]: [&Tensor<T>; 2],
-    frames: f64,
+    camera: &PinholeCamera,
+    map: &Tensor<T>,
+    to: &Arrival<'_, T>,
 ) -> Observed<T> {
     let mut tape = Tape::new(projected.device);
-    let given = [map, &projected.pixels, &projected.surface_depths, &projected.visible, surface_depth_to];
-    let [map, pixels, depths, visible, surface_to] = given.map(|tensor| tape.constant(tensor.clone()));
+    let given = [map, &projected.pixels, &projected.surface_depths, &projected.visible, to.surface_depth, to.moved];
+    let [map, pixels, depths, visible, surface_to, moved] = given.map(|tensor| tape.constant(tensor.clone()));
     let shift = lookup(&mut tape, map, pixels, SAMPLING);
     let pixels_to = add(&mut tape, pixels, shift.values);
     let depths_to = lookup(&mut tape, surface_to, pixels_to, SAMPLING);
     let before = unproject(&mut tape, pixels, depths, camera);
-    let after = unproject(&mut tape, pixels_to, depths_to.values, camera_to);
+    let after = unproject(&mut tape, pixels_to, depths_to.values, to.camera);
     let displacement = sub(&mut tape, after, before);
-    let per_frame = scale(&mut tape, displacement, 1.0 / frames);
-    Observed::where_all(tape, per_frame, &[visible, shift.valid, depths_to.valid])
+    let per_frame = scale(&mut tape, displacement, 1.0 / to.frames);
+    let PointsInImage { depths: moved, .. } = project_points(&mut tape, moved, to.camera, projected.near_view);
+    let count = tape.value(moved).len();
+    let surface = reshape(&mut tape, depths_to.values, [count]);
+    let stays = on_surface(&mut tape, visible, moved, surface, ON_SURFACE);
+    let twice_as_far = scale(&mut tape, depths, 2.0);
+    let behind = unproject(&mut tape, pixels, twice_as_far, camera);
+    let rays = sub(&mut tape, behind, before);
+    let rays = normalize(&mut tape, rays, 1e-12);
+    Observed::where_all(tape, [per_frame, rays], &[stays, shift.valid, depths_to.valid])
 }
 
 impl<T: Real> Observed<T> {
-    /// Displacements from a tape, with weight 1 where all conditions [M] are 1; otherwise displacement and weight are
-    /// 0.
-    fn where_all(mut tape: Tape<T>, displacements: Var, conditions: &[Var]) -> Self {
+    /// Displacements and rays from a tape, with weight 1 where all conditions [M] are 1; otherwise they and the
+    /// weight are 0.
+    fn where_all(mut tape: Tape<T>, vectors: [Var; 2], conditions: &[Var]) -> Self {
         let both = |a: Var, &b: &Var| mul(&mut tape, a, b);
         let weights = conditions[1..].iter().fold(conditions[0], both);
-        let displacements = keep_rows(&mut tape, displacements, weights);
-        let [displacements, weights] = [displacements, weights].map(|var| tape.value(var).clone());
-        Self { device: tape.device(), displacements, weights }
+        let [displacements, rays] = vectors.map(|vectors| keep_rows(&mut tape, vectors, weights));
+        let [displacements, weights, rays] = [displacements, weights, rays].map(|var| tape.value(var).clone());
+        Self { device: tape.device(), displacements, weights, rays }
     }
 
-    /// The median length of the observed displacements, multiplied by `times`: [1], scene units per frame; 0 without
-    /// observations.
-    pub(crate) fn median_length(&self, times: f64) -> Tensor<T> {
+    /// Observed changes: what was seen `later` minus what was seen `earlier`, where both were observed.
+    pub(crate) fn change([earlier, later]: [&Self; 2]) -> Self {
+        let mut tape = Tape::new(earlier.device);
+        let given = [&later.displacements, &earlier.displacements, &earlier.rays, &earlier.weights, &later.weights];
+        let [after, before, rays, first, second] = given.map(|tensor| tape.constant(tensor.clone()));
+        let difference = sub(&mut tape, after, before);
+        Self::where_all(tape, [difference, rays], &[first, second])
+    }
+
+    /// Puts the displacements [M, 3] and the weights [M] on the tape as constants.
+    pub(crate) fn constants(&self, step: &mut Step<'_, T>) -> (Var, Var) {
+        (step.tape.detach_value(self.displacements.clone()), step.tape.detach_value(self.weights.clone()))
+    }
+
+    /// The median length of the observed displacements longer than `least`, multiplied by `times`: [1], scene units per
+    /// frame; 0 without such observations. Shorter ones are of static surfaces: where most of the scene stands still,
+    /// their median would make an outlier of every motion.
+    pub(crate) fn median_length(&self, least: f64, times: f64) -> Tensor<T> {
         let mut tape = Tape::new(self.device);
         let [displacements, weights] = [&self.displacements, &self.weights].map(|of| tape.constant(of.clone()));
-        let lengths = norm(&mut tape, displacements);
-        let median = median_where(&mut tape, lengths, weights);
+        let (lengths, count) = (norm(&mut tape, displacements), tape.value(weights).len());
+        let lengths = reshape(&mut tape, lengths, [count]);
+        let still = where_below(&mut tape, lengths, weights, least);
+        let moving = sub(&mut tape, weights, still);
+        let median = median_where(&mut tape, lengths, moving);
         let median = scale(&mut tape, median, times);
         tape.value(median).clone()
     }
@@ -171,54 +211,20 @@ impl<T: Real> Observed<T> {
         let excess = divide_rows(&mut tape, distances, limits, least);
         let weights = divide_rows(&mut tape, weights, excess, 1.0);
         let weights = reshape(&mut tape, weights, [count]);
-        Self { device: self.device, displacements: self.displacements.clone(), weights: tape.value(weights).clone() }
-    }
-}
-
-impl PhysicalGaussians {
-    /// Whether a step on this view uses any observation; depth is rendered only then.
-    pub(super) fn observes<T: Real>(&self, step: &Step<'_, T>, view: &TrainingView<T>) -> bool {
-        self.velocity_of(step, view).is_some() || self.flow_of(step, view).is_some()
+        Self { weights: tape.value(weights).clone(), ..self.clone() }
     }
 
-    /// The exact velocities of a view, if known and needed.
-    pub(super) fn velocity_of<'a, T: Real>(
-        &self,
-        step: &Step<'a, T>,
-        view: &TrainingView<T>,
-    ) -> Option<&'a VelocityMap> {
-        let wanted = self.parts.true_displacement && view.time < 1.0;
-        step.supplements.view(view.index).filter(|_| wanted)?.velocity.as_ref()
+    /// With displacements moved along the rays towards `estimate` [M, 3], so that the gradient of the squared distance
+    /// along a ray is multiplied by `trust`.
+    pub(crate) fn trusting_depth(&self, estimate: &Tensor<T>, trust: f64) -> Self {
+        let mut tape = Tape::new(self.device);
+        let [estimate, displacements, rays] =
+            [estimate, &self.displacements, &self.rays].map(|tensor| tape.constant(tensor.clone()));
+        let difference = sub(&mut tape, estimate, displacements);
+        let along = row_dot(&mut tape, difference, rays);
+        let along = scale(&mut tape, along, 1.0 - trust);
+        let shift = scale_rows(&mut tape, rays, along);
+        let displacements = add(&mut tape, displacements, shift);
+        Self { displacements: tape.value(displacements).clone(), ..self.clone() }
     }
-
-    /// The optical flow of a view, if given and needed, if it points forward in time and if the view shows motion.
-    pub(super) fn flow_of<'a, T: Real>(&self, step: &Step<'a, T>, view: &TrainingView<T>) -> Option<&'a FlowPrior> {
-        let flow = step.supplements.view(view.index).filter(|_| self.parts.flow)?.flow.as_ref()?;
-        let points_forward = step.scene.time_map.normalized(flow.time_to_secs) > view.time;
-        (points_forward && !is_static(step, view)).then_some(flow)
-    }
-
-    /// Surface depths [H, W] of the view where the flow ends, rendered without gradients.
-    pub(super) fn surface_at<T: Real>(
-        &self,
-        step: &mut Step<'_, T>,
-        time: f64,
-        flow: &FlowPrior,
-    ) -> anyhow::Result<Tensor<T>> {
-        let mut child = step.tape.child();
-        let constant = |(name, var): (&str, _)| (name.to_string(), child.constant(step.tape.value(var).clone()));
-        let model = Variables::new(step.model.iter().map(constant).collect());
-        let camera = PinholeCamera::from(&flow.camera_to);
-        let moment = Moment { scene: step.scene, phase: step.phase, time, camera: &camera, sh_degree: step.sh_degree };
-        let splats = self.base.splats(&mut child, &model, &moment)?;
-        let rendered = rasteriser::render(&mut child, &splats, None, &camera, &step.raster).map_err(too_large)?;
-        let surface = surface_depth(&child, &rendered, self.settings.min_coverage);
-        step.tape.absorb(child);
-        Ok(surface)
-    }
-}
-
-/// Whether a view is known to show no motion.
-fn is_static<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> bool {
-    step.supplements.moving(view.index).is_some_and(|moving| moving.labels.iter().all(|&label| label == 0))
 }

@@ -5,8 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use scene::LabelMap;
 use serde_json::{Value, json};
+use shaders::arrays::sample::{SampleSize, sample_rows};
 use shaders::check::noise;
-use shaders::tape::{Device, Tape, Tensor};
+use shaders::tape::{Device, Tape, Tensor, Var};
 
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
@@ -15,9 +16,10 @@ use crate::method::{Recorded, SkippedWork, Start, raster_settings, run_step};
 use crate::model::ModelState;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
+use crate::shared::InitialPoints;
 use crate::trainer::Trainer;
 
-const PHYSICS: [&str; 5] = ["velocity", "displacement", "higher-order", "flow", "true-displacement"];
+const PHYSICS: [&str; 6] = ["velocity", "displacement", "higher-order", "flow", "true-displacement", "foreground"];
 
 fn named(effects: &[&str]) -> Effects {
     Effects::Named(effects.iter().map(ToString::to_string).collect())
@@ -69,19 +71,43 @@ impl World {
         params: &TrainingParams,
         view: usize,
     ) -> Observation {
+        let (state, mut tape) = (self.fine_state(method), Tape::new(device));
+        let outcome = self.in_step(&mut tape, &state, method, (params, view), |step| run_step(method, step).unwrap());
+        let (losses, skipped) = outcome.read_back();
+        Observation {
+            tensors: state.names().map(String::from).collect(),
+            losses,
+            skipped,
+            operations: tape.profile().ops.iter().map(|(name, cost)| (*name, cost.forward.calls)).collect(),
+        }
+    }
+
+    /// A model at the start of `fine`, with motion.
+    fn fine_state<T: Real>(&self, method: &dyn Method<T>) -> ModelState<T> {
         let start = Start { dataset: &self.dataset, supplements: &self.supplements };
-        let points = self.dataset.initial_points(&params.shared.initial_points, 0).unwrap();
-        let mut state = method.initialize(&start, &points, Streams::new(1)).unwrap();
+        let points = self.dataset.initial_points(&InitialPoints { max_count: 8, ..Default::default() }, 0).unwrap();
         let random = Streams::new(1);
+        let mut state = method.initialize(&start, &points, random).unwrap();
         for phase in method.phases() {
             state = method.enter_phase(phase.name, state, &start, random).unwrap();
         }
         vary_in_time(&mut state);
-        let mut tape = Tape::new(device);
-        let model = state.bind(&mut tape, |name| method.learning_rate("fine", name, &self.dataset.scene).is_some());
+        state
+    }
+
+    /// Does something with the first step of `fine` on a training view.
+    fn in_step<T: Real, R>(
+        &self,
+        tape: &mut Tape<T>,
+        state: &ModelState<T>,
+        method: &dyn Method<T>,
+        (params, view): (&TrainingParams, usize),
+        act: impl FnOnce(Step<'_, T>) -> R,
+    ) -> R {
+        let model = state.bind(tape, |name| method.learning_rate("fine", name, &self.dataset.scene).is_some());
         let view: TrainingView<T> = self.dataset.train[view].to_training();
-        let step = Step {
-            tape: &mut tape,
+        act(Step {
+            tape,
             model: &model,
             views: std::slice::from_ref(&view),
             scene: &self.dataset.scene,
@@ -92,19 +118,11 @@ impl World {
             iteration: 1,
             sh_degree: 0,
             raster: raster_settings(&self.dataset.scene, 0),
-            random: random.step("fine", 1),
+            random: Streams::new(1).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
             recorded: Recorded::default(),
-        };
-        let outcome = run_step(method, step).unwrap();
-        let (losses, skipped) = outcome.read_back();
-        Observation {
-            tensors: state.names().map(String::from).collect(),
-            losses,
-            skipped,
-            operations: tape.profile().ops.iter().map(|(name, cost)| (*name, cost.forward.calls)).collect(),
-        }
+        })
     }
 }
 
@@ -214,12 +232,71 @@ fn losses_need_their_frames_within_the_clip() {
 fn static_gaussians_are_skipped_and_counted() {
     let (world, mut tiny) = (World::new(), Phys4dgsSettings::tiny());
     tiny.field.zero_heads = true; // A field without effect.
-    let found = world.step(&world.phys4dgs(&[&["motion"][..], &PHYSICS].concat(), &tiny), 3);
+    let unobserved = ["motion", "velocity", "displacement", "higher-order", "foreground"];
+    let found = world.step(&world.phys4dgs(&unobserved, &tiny), 3);
     let [skipped, of] = found.skipped["physical losses of Gaussians that stand still"];
     assert!(skipped == of && of > 0 && found.physics().is_empty(), "{skipped} of {of}, {:?}", found.losses);
     let moving = world.step(&world.phys4dgs(&["motion", "velocity"], &Phys4dgsSettings::tiny()), 3);
     let [skipped, of] = moving.skipped["physical losses of Gaussians that stand still"];
     assert!(skipped < of, "{skipped} of {of}");
+}
+
+#[test]
+fn observations_can_start_motion() {
+    let (world, mut tiny) = (World::new(), Phys4dgsSettings::tiny());
+    tiny.field.zero_heads = true;
+    for (effects, loss) in [(["displacement", "flow"], "flow"), (["true-displacement"; 2], "true_displacement")] {
+        let found = world.step(&world.phys4dgs(&[&["motion"][..], &effects].concat(), &tiny), 3);
+        assert!(found.losses[loss] > 0.0, "{effects:?}: {:?}", found.losses);
+        assert!(!found.skipped.contains_key("physical losses of Gaussians that stand still"));
+    }
+}
+
+#[test]
+fn heads_follow_the_field_and_do_not_shape_it() {
+    let world = World::new();
+    let params = world.phys4dgs(&["motion", "velocity"], &Phys4dgsSettings::tiny());
+    let method = PhysicalGaussians::new(&params.shared, Phys4dgsSettings::tiny());
+    let mut state = world.fine_state::<f64>(&method);
+    let last = "network.velocity.1.weight";
+    let shape = state.get(last).unwrap().shape().to_vec();
+    let count = shape.iter().product();
+    state.insert(last, Tensor::from_vec(shape, noise(count, 8)));
+    let mut tape = Tape::new(Device::Cpu);
+    let reached = world.in_step(&mut tape, &state, &method, (&params, 3), |mut step| {
+        let sampled = sample_rows(Device::Cpu, &Tensor::full([8], 1.0), SampleSize { share: 1.0, most: 8 }, 1);
+        let time = step.views[0].time;
+        let followed = trajectories::Trajectories::follow(&mut step, &method.base, &sampled, time, 2, false).unwrap();
+        let velocity = method.kinematics(&mut step, &followed).velocity.unwrap();
+        let seed = Tensor::full(step.tape.value(velocity).shape(), 1.0);
+        let gradients = step.tape.backward(&[(velocity, seed)]);
+        let is_reached = |(name, var): (&str, Var)| gradients.get(var).is_some().then(|| name.to_owned());
+        step.model.iter().filter_map(is_reached).collect::<Vec<_>>()
+    });
+    assert!(!reached.is_empty() && reached.iter().all(|name| name.starts_with("network.velocity.")), "{reached:?}");
+}
+
+#[test]
+fn flow_from_frame_to_frame_is_compared_with_acceleration_and_jerk() {
+    let (mut world, mut tiny) = (World::new(), Phys4dgsSettings::tiny());
+    let effects = ["motion", "higher-order", "flow"];
+    let flow = |world: &World, settings: &Phys4dgsSettings| {
+        let found = world.step(&world.phys4dgs(&effects, settings), 3);
+        let of_flow = |name: &&&str| name.starts_with("flow") && found.losses[**name] > 0.0;
+        found.losses.keys().filter(of_flow).copied().collect::<Vec<_>>()
+    };
+    assert!(flow(&world, &tiny).is_empty(), "flow over two frames has no part in differences from frame to frame");
+    // A view every seventh and a frame every eighth of the time: let both last equally long.
+    world.dataset.scene.time_map.frame_secs = 2.0 / 7.0;
+    for (view, priors) in world.dataset.capture.views.iter().zip(&mut world.supplements.priors) {
+        priors.flow.as_mut().unwrap().time_to_secs = view.time_secs + 2.0 / 7.0;
+    }
+    assert_eq!(flow(&world, &tiny), ["flow_acceleration", "flow_jerk"]);
+    tiny.weights.jerk = 0.0;
+    assert_eq!(flow(&world, &tiny), ["flow_acceleration"]);
+    let next = world.dataset.train[4].index;
+    world.supplements.priors[next].flow = None;
+    assert!(flow(&world, &tiny).is_empty(), "without flow at the next instant there is no change to see");
 }
 
 #[test]
@@ -233,6 +310,8 @@ fn a_static_view_has_no_physical_losses() {
     world.supplements.moving[index] = Some(LabelMap { width: 16, height: 16, labels: vec![0; 256] });
     assert_eq!(background(&world), [all, all]);
     assert!(world.step(&params, 3).physics().is_empty());
+    let everywhere = world.phys4dgs(&["motion", "velocity"], &Phys4dgsSettings::tiny());
+    assert!(!world.step(&everywhere, 3).physics().is_empty(), "without `foreground` no mask is read");
 }
 
 #[test]
@@ -253,6 +332,10 @@ fn weights_grow_from_zero_over_the_stretched_ramp() {
     let method = PhysicalGaussians::new(&shared, Phys4dgsSettings { ramp: [1000, 3000], ..Phys4dgsSettings::tiny() });
     assert_eq!([50, 100, 200, 300, 900].map(|iteration| method.gain("fine", iteration)), [0.0, 0.0, 0.5, 1.0, 1.0]);
     assert_eq!(method.gain("coarse", 900), 0.0);
+    shared.effects = named(&["motion", "higher-order"]);
+    let seldom = Phys4dgsSettings { higher_order_interval: 3, ..Phys4dgsSettings::tiny() };
+    let seldom = PhysicalGaussians::new(&shared, seldom);
+    assert_eq!([301, 302, 303].map(|iteration| seldom.gain("fine", iteration)), [0.0, 0.0, 1.0]);
     shared.effects = named(&["motion", "flow"]);
     assert_eq!(PhysicalGaussians::new(&shared, Phys4dgsSettings::tiny()).gain("fine", 900), 0.0);
 }
@@ -262,9 +345,14 @@ fn a_partial_field_table_keeps_the_papers_rates() {
     let read = |value: Value| serde_json::from_value::<Phys4dgsSettings>(value);
     let settings = read(json!({ "field": { "channels": 8 }, "weights": { "jerk": 0.0 } })).unwrap();
     assert_eq!(settings.field.plane_rate, Phys4dgsSettings::default().field.plane_rate);
-    assert_eq!((settings.field.channels, settings.weights.velocity), (8, 0.001));
+    assert_eq!((settings.field.channels, settings.weights.velocity), (8, 0.06));
     assert!(read(json!({ "field": { "chanels": 8 } })).is_err());
-    let bad = [json!({ "sample_share": 0.0 }), json!({ "ramp": [5, 4] }), json!({ "weights": { "flow": -1.0 } })];
+    let bad = [
+        json!({ "sample_share": 0.0 }),
+        json!({ "ramp": [5, 4] }),
+        json!({ "higher_order_interval": 0 }),
+        json!({ "weights": { "flow": -1.0 } }),
+    ];
     assert!(bad.into_iter().all(|table| read(table).unwrap().check().is_err()));
 }
 

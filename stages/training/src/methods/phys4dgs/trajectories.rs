@@ -19,11 +19,11 @@ use crate::method::Step;
 pub(crate) const STATIC_THRESHOLD: f64 = 1e-4;
 
 /// Instants less than this share of a frame apart are equal; an instant this close after the end is clamped to the end.
-const SAME_INSTANT: f64 = 1e-3;
+pub(crate) const SAME_INSTANT: f64 = 1e-3;
 
 pointwise! {
     /// y = value where x < limit, otherwise 0 (also for NaN).
-    fn where_below(x, value) with(limit) -> y {
+    pub(crate) fn where_below(x, value) with(limit) -> y {
         return select(0.0, value, x < limit);
     }
     gradients(dy) {
@@ -46,7 +46,7 @@ pub(crate) struct Trajectories {
     /// [M, 3]: canonical positions.
     canonical: Var,
     /// The evaluated times in [0, 1], one frame apart.
-    times: Vec<f64>,
+    pub times: Vec<f64>,
     /// The moved Gaussians at each of these times.
     pub points: Vec<MovedPoints>,
 }
@@ -59,13 +59,15 @@ pub(crate) fn frame_of(scene: &SceneFacts) -> f64 {
 impl Trajectories {
     /// Evaluates the `sampled` Gaussians at `time` and at most `frames_ahead` later frames within the capture.
     ///
-    /// Static Gaussians get weight 0. `None` if the host knows that no Gaussian is left to compare.
+    /// Static Gaussians get weight 0 unless `keeps_static`: an observation may set them in motion. `None` if the host
+    /// knows that no Gaussian is left to compare.
     pub(crate) fn follow<T: Real>(
         step: &mut Step<'_, T>,
         base: &HexplaneGaussians,
         sampled: &SampledRows<T>,
         time: f64,
         frames_ahead: usize,
+        keeps_static: bool,
     ) -> Option<Self> {
         let frame = frame_of(step.scene);
         let within = ((1.0 - time) / frame + SAME_INSTANT).max(0.0) as usize;
@@ -77,6 +79,10 @@ impl Trajectories {
         let canonical = gather(step.tape, positions, &sampled.rows);
         let points: Vec<MovedPoints> =
             times.iter().map(|&time| base.move_points(step.tape, step.model, step.scene, canonical, time)).collect();
+        if keeps_static {
+            let weights = step.tape.constant(sampled.weights.clone());
+            return Some(Self { weights, canonical, times, points });
+        }
         let threshold = STATIC_THRESHOLD * step.scene.extent;
         let [moving, kept] = moving(step.tape, &points, &sampled.weights, threshold);
         let kept = step.tape.constant(kept);
@@ -128,8 +134,7 @@ pub(crate) fn differences<T: Real>(tape: &mut Tape<T>, values: &[Var]) -> Vec<Va
     values.windows(2).map(|pair| sub(tape, pair[1], pair[0])).collect()
 }
 
-/// [N] mask of Gaussians that may move: those with a centre in the view's moving region, or all if that region is
-/// unknown.
+/// [N] mask of compared Gaussians: those with a centre in the view's moving region, or all if that region is unknown.
 pub(crate) fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: Option<&LabelMap>) -> Tensor<T> {
     match moving {
         Some(moving) => covered(tape, rendered, moving),

@@ -8,7 +8,7 @@ use shaders::tape::{Device, Real, Tensor};
 
 use crate::data::FlowPrior;
 use crate::methods::phys4dgs::observation::{
-    Observed, ProjectedPoints, displacement_map, flow_displacements, flow_map, true_displacements,
+    Arrival, Observed, ProjectedPoints, displacement_map, flow_displacements, flow_map, true_displacements,
 };
 
 /// A camera at `position` that looks along +z.
@@ -67,9 +67,18 @@ impl MovingWall {
 
     fn observed_on<T: Real>(&self, device: Device, flow: &FlowPrior) -> Observed<T> {
         // The wall moved 0.5 away and the camera 0.2 back.
-        let cameras = [&self.before, &flow.camera_to].map(PinholeCamera::from);
-        let maps = [&flow_map(&flow.map), &Self::depth(4.7)];
-        flow_displacements(&self.projected(device), cameras.each_ref(), maps, 2.0)
+        self.arrived_on(device, flow, [self.displacement; 6])
+    }
+
+    /// What the flow shows, if the model moves the points by these displacements.
+    fn arrived_on<T: Real>(&self, device: Device, flow: &FlowPrior, by: [DVec3; 6]) -> Observed<T> {
+        let [camera, camera_to] = [&self.before, &flow.camera_to].map(PinholeCamera::from);
+        let [mut moved, _] = Self::points::<T>();
+        let by = by.iter().flat_map(|by| by.to_array());
+        moved.make_mut().iter_mut().zip(by).for_each(|(at, by)| *at = T::from_f64(at.to_f64() + by));
+        let surface_depth = &Self::depth(4.7);
+        let to = Arrival { camera: &camera_to, surface_depth, moved: &moved, frames: 2.0 };
+        flow_displacements(&self.projected(device), &camera, &flow_map(&flow.map), &to)
     }
 }
 
@@ -112,6 +121,27 @@ fn flow_into_holes_or_off_image_is_not_observed() {
 }
 
 #[test]
+fn flow_to_another_surface_is_not_observed() {
+    let wall = MovingWall::new();
+    let mut moved = [wall.displacement; 6];
+    assert_eq!(wall.arrived_on::<f64>(Device::Cpu, &wall.flow(), moved).weights.as_slice()[..2], [1.0, 1.0]);
+    // The model moves the first point off the surface that the flow leads to.
+    moved[0].z -= 0.5;
+    assert_eq!(wall.arrived_on::<f64>(Device::Cpu, &wall.flow(), moved).weights.as_slice()[..2], [0.0, 1.0]);
+}
+
+#[test]
+fn changes_are_observed_where_both_motions_are() {
+    let wall = MovingWall::new();
+    let [earlier, mut later] = [0; 2].map(|_| wall.observed(&wall.flow()));
+    later.weights.make_mut()[0] = 0.0;
+    later.displacements.make_mut()[3] += 0.25;
+    let change = Observed::change([&earlier, &later]);
+    assert_eq!(change.weights.as_slice(), [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+    assert_eq!([change.displacements.row(0), change.displacements.row(1)], [[0.0; 3], [0.25, 0.0, 0.0]]);
+}
+
+#[test]
 fn exact_velocities_become_displacements_per_frame() {
     let wall = MovingWall::new();
     let velocity = VelocityMap { width: 40, height: 30, velocity_world: vec![[2.0, 0.0, -4.0]; 1200] };
@@ -136,15 +166,40 @@ fn outliers_have_a_constant_gradient() {
 }
 
 #[test]
+fn motion_along_a_ray_counts_as_much_as_depth_is_trusted() {
+    let wall = MovingWall::new();
+    let observed = wall.observed(&wall.flow());
+    let ray = DVec3::from_slice(observed.rays.row(0));
+    // The first point is seen from the origin.
+    assert!(ray.dot(DVec3::new(-0.3, 0.4, 4.0).normalize()) >= 1.0 - 1e-9, "{ray}");
+    let across = ray.any_orthonormal_vector();
+    let mut estimate = observed.displacements.clone();
+    let off = 0.3 * ray + 0.2 * across;
+    estimate.make_mut()[..3].iter_mut().zip(off.to_array()).for_each(|(value, off)| *value += off);
+    for (trust, along) in [(1.0, 0.3), (0.1, 0.03), (0.0, 0.0)] {
+        let trusting = observed.trusting_depth(&estimate, trust);
+        let left = DVec3::from_slice(estimate.row(0)) - DVec3::from_slice(trusting.displacements.row(0));
+        assert!((left - (along * ray + 0.2 * across)).length() <= 1e-9, "{trust}: {left}");
+        assert_eq!(trusting.weights, observed.weights);
+    }
+}
+
+#[test]
 fn outlier_limits_scale_with_the_median_observation() {
     let wall = MovingWall::new();
     let observed = wall.observed(&wall.flow());
-    let length = observed.median_length(3.0).as_slice()[0];
+    let length = observed.median_length(1e-3, 3.0).as_slice()[0];
     let expected = 1.5 * wall.displacement.length();
     assert!((length - expected).abs() <= 1e-2, "{length} instead of {expected}");
+    // Static surfaces do not count: with the second point at rest, the median is that of the first.
+    let mut mostly_still = observed;
+    mostly_still.displacements.make_mut()[3..].fill(1e-6);
+    mostly_still.weights = Tensor::full([6], 1.0);
+    assert!((mostly_still.median_length(1e-3, 3.0).as_slice()[0] - expected).abs() <= 1e-2);
+    assert!(mostly_still.median_length(0.0, 3.0).as_slice()[0] <= 1e-5);
     let mut nothing = wall.flow();
     nothing.map.flow_px.fill([f32::NAN; 2]);
-    assert_eq!(wall.observed(&nothing).median_length(3.0).as_slice(), [0.0]);
+    assert_eq!(wall.observed(&nothing).median_length(1e-3, 3.0).as_slice(), [0.0]);
 }
 
 #[test]
@@ -159,7 +214,7 @@ fn gpu_observations_agree_with_the_cpu() {
     let velocity = VelocityMap { width: 40, height: 30, velocity_world };
     let tensors = |device: Device| {
         let seen = wall.observed_on::<f32>(device, &flow);
-        let limit = seen.median_length(0.5);
+        let limit = seen.median_length(1e-3, 0.5);
         let estimate = Tensor::from_vec([6, 3], (0..18).map(|at| at as f32 / 9.0).collect());
         let pulled = seen.without_outliers(&estimate, &limit, 1e-3);
         let exact = true_displacements(&wall.projected::<f32>(device), &displacement_map(&velocity, 0.25));
