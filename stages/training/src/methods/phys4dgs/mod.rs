@@ -41,6 +41,8 @@ impl MethodFolder for Phys4dgs {
         Loss::of("higher-order", "acceleration"),
         Loss::of("higher-order", "jerk"),
         Loss::of("flow", "flow"),
+        Loss::of("flow", "flow_acceleration"),
+        Loss::of("flow", "flow_jerk"),
         Loss::of("true-displacement", "true_displacement"),
     ];
     type Settings = Phys4dgsSettings;
