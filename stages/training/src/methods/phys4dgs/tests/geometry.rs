@@ -191,7 +191,7 @@ fn outlier_limits_scale_with_the_median_observation() {
     let length = observed.median_length(1e-3, 3.0).as_slice()[0];
     let expected = 1.5 * wall.displacement.length();
     assert!((length - expected).abs() <= 1e-2, "{length} instead of {expected}");
-    // Static surfaces do not count: with the second point at rest, the median is that of the first.
+    // Static surfaces do not count: if only the first point moves, the median is that of the first.
     let mut mostly_still = observed;
     mostly_still.displacements.make_mut()[3..].fill(1e-6);
     mostly_still.weights = Tensor::full([6], 1.0);
