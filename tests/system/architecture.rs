@@ -40,7 +40,10 @@ const ALLOWED: [(&str, &[&str]); 18] = [
             "momentum-sampling",
         ],
     ),
-    ("rendering", &["engine", "scene", "captures", "shaders", "training", "scene-synthesis", "sfm-import"]),
+    (
+        "rendering",
+        &["engine", "scene", "captures", "shaders", "training", "scene-synthesis", "sfm-import", "feature-import"],
+    ),
     ("metric-evaluation", &["engine", "scene", "captures", "rendering", "scene-synthesis", "sfm-import"]),
     ("table-generation", &["engine", "scene", "captures", "training", "rendering", "metric-evaluation"]),
     (
@@ -66,12 +69,13 @@ const ALLOWED: [(&str, &[&str]); 18] = [
 ];
 
 /// For each stage, the items that the product code of other stages may use: types of its artifact. `rendering` must
-/// also evaluate a trained model, so it uses the player, the choice of a device and the 8-bit rounding of `training`.
+/// also evaluate a trained model, so it uses the player with its edits, the choice of a device and the 8-bit rounding of
+/// `training`, and the embeddings of prompts that `feature-import` reads.
 const SHARED_ITEMS: [(&str, &[&str]); 8] = [
     ("depth-flow-import", &["Priors", "FlowPrior"]),
     ("layer-split", &["Layers"]),
     ("inpaint-import", &["Background", "FilledView"]),
-    ("feature-import", &["Features"]),
+    ("feature-import", &["Features", "TextEmbeddings"]),
     ("momentum-sampling", &["Particles"]),
     (
         "training",
@@ -82,6 +86,7 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
             "PhaseInfluence",
             "INERT_SHARE",
             "Player",
+            "Edit",
             "compute_on",
             "model_work",
             "to_bytes",

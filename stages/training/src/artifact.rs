@@ -1,5 +1,7 @@
 //! The artifact of training: every tensor of a model by name, and the header needed to use them.
 
+mod influence;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -8,6 +10,8 @@ use engine::Decision;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use scene::{Protocol, TimeMap};
 use serde::{Deserialize, Serialize};
+
+pub use influence::{GroupShare, INERT_SHARE, LossInfluence, PhaseInfluence, largest_share};
 
 /// The header's file name.
 const HEADER: &str = "model.json";

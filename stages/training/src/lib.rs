@@ -6,7 +6,7 @@
 //! | the loop | `trainer` (steps, speculation, checkpoints, telemetry), `player` (a trained model in use) |
 //! | the methods | `params` (the parameters of one training), `methods` (one folder each), `bases` (what they build on) |
 //! | the contract | `method` (what a method is and what a step offers it) |
-//! | the foundations | `data` (views and optional inputs), `artifact` (models on disk), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `influence` (of losses), `schedule`, `clock`, `device` |
+//! | the foundations | `data` (views and optional inputs), `artifact` (models on disk, the influence of losses), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `clock`, `device` |
 //!
 //! Modules depend only on the layers below, without cycles.
 
@@ -16,7 +16,6 @@ mod clock;
 mod data;
 mod device;
 mod effects;
-mod influence;
 mod method;
 mod methods;
 mod model;
@@ -32,10 +31,12 @@ mod short_training_tests;
 mod stage;
 mod trainer;
 
-pub use artifact::{LargestGradient, Model, ModelHeader, NamedTensor};
+pub use artifact::{
+    GroupShare, INERT_SHARE, LargestGradient, LossInfluence, Model, ModelHeader, NamedTensor, PhaseInfluence,
+    largest_share,
+};
 pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
 pub use device::compute_on;
-pub use influence::{GroupShare, INERT_SHARE, LossInfluence, PhaseInfluence, largest_share};
 pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};
 pub use player::{Edit, Player, Positions, SemanticImage};

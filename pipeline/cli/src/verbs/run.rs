@@ -1,139 +1,84 @@
-//! `run`: executes the jobs whose results are missing from the store.
+//! `run`: runs a recipe once or, with `--precision`, adds seeds until its differences are known precisely enough.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::path::Path;
 
-use anyhow::Context;
-use engine::Failure;
-use engine::event::Event;
 use engine::exit;
-use engine::job::StopRequests;
-use engine::scheduler::{self, RunOptions};
-use engine::status::{Prediction, State};
-
 use table_generation::RowDifference;
 
-use super::precision;
-use crate::args::{RecipeArgs, RunArgs};
-use crate::display::{self, Eta, profile, summary};
+use super::once::once;
+use crate::args::RunArgs;
 use crate::error::CliError;
-use crate::measured::{self, Measured};
-use crate::session::Session;
+use crate::output::note;
 
-/// Without a terminal, a line is printed at least this often to show that the run is alive.
-const HEARTBEAT: Duration = Duration::from_secs(30);
+/// Seeds of the first run: with fewer, an interval says nothing.
+const FEWEST: usize = 3;
+/// Most seeds.
+const MOST: usize = 8;
 
 pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     match args.precision {
-        Some(half_width_db) => precision::run(store, args, half_width_db),
+        Some(half_width_db) => until_precise(store, args, half_width_db),
         None => Ok(once(store, &args.recipe, args)?.code),
     }
 }
 
-/// The end of a run.
-pub(super) struct Ended {
-    /// The exit code.
-    pub code: u8,
-    /// The differences that its reports are about.
-    pub differences: Vec<RowDifference>,
-}
-
-/// Runs a recipe once.
-pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<Ended, CliError> {
-    if args.frozen {
-        refuse_to_run(&Session::read_only(store, recipe)?.select(&args.selection)?)?;
-    }
-    let session = Session::open(store, recipe)?.select(&args.selection)?;
-    if session.needs_device()? {
-        session.device.check()?;
-    }
-    let predictions = session.predict()?;
-    refuse_without_data(&session, &predictions)?;
-    let options = options(&session, args)?;
-    let eta = Eta::new(&session, &predictions, options.threads)?;
-    let mut display = display::choose(args.json, eta);
-    let mut closed = None;
-    let watch = &mut |event: &Event| {
-        if closed.is_none()
-            && let Err(error) = display.show(event)
-        {
-            // The reader of the events exited: stop the jobs, which save their progress.
-            options.stop.reader_is_gone();
-            closed = Some(error);
+/// Runs a recipe with one seed more at a time. The rule looks at the widths of the intervals alone, never at whether
+/// they contain 0: stopping on significance would favour findings.
+fn until_precise(store: &Path, args: &RunArgs, half_width_db: f64) -> Result<u8, CliError> {
+    let mut recipe = args.recipe.clone();
+    for seeds in FEWEST..=MOST {
+        recipe.with.replicates = Some(seeds);
+        let ended = once(store, &recipe, args)?;
+        let has_ended = ![exit::OK, exit::DEGENERATE].contains(&ended.code);
+        let Some((widest, text)) = widest(&ended.differences) else {
+            note("the report compares nothing, so no seeds are added");
+            return Ok(ended.code);
+        };
+        let is_precise = widest <= half_width_db;
+        let next = match (has_ended, is_precise, seeds < MOST) {
+            (true, ..) => "the run did not finish, so no seeds are added",
+            (_, true, _) => "precise enough",
+            (_, _, true) => "adding a seed",
+            _ => "no more seeds are added",
+        };
+        note(&format!("{seeds} seeds: {text}; {next}"));
+        if has_ended || is_precise || seeds == MOST {
+            note(&format!("see pipeline table {} --replicates {seeds}", args.recipe.recipe.display()));
+            return Ok(ended.code);
         }
+    }
+    Ok(exit::OK)
+}
+
+/// Half the width of the widest interval, and its difference in words; a difference without an interval is the widest.
+fn widest(differences: &[RowDifference]) -> Option<(f64, String)> {
+    let width = |difference: &RowDifference| difference.psnr.half_width.unwrap_or(f64::INFINITY);
+    let widest = differences.iter().max_by(|a, b| width(a).total_cmp(&width(b)))?;
+    let RowDifference { row, reference, .. } = widest;
+    let text = match widest.psnr.half_width {
+        Some(half) => format!("the widest interval is ± {half:.2} dB ({row} − {reference})"),
+        None => format!("{row} − {reference} has no interval, because seeds are missing"),
     };
-    let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
-    drop(display);
-    summary::print(&session, &result, &recipe.recipe);
-    let Measured { runs, differences } = measured::of_run(&session, &result)?;
-    let is_degenerate = summary::print_degenerate(&runs);
-    if let Some(error) = closed {
-        return Err(error);
-    }
-    if args.profile {
-        // The forced jobs have run now, so their results count as cached.
-        profile::print(&Session { force: BTreeSet::new(), ..session })?;
-    }
-    let code = match result.exit_code(args.require_data) {
-        exit::OK if is_degenerate => exit::DEGENERATE,
-        code => code,
-    };
-    Ok(Ended { code, differences })
+    Some((width(widest), text))
 }
 
-fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
-    let available = || std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = args.threads.unwrap_or_else(available);
-    Ok(RunOptions {
-        data_root: session.data_root.clone(),
-        targets: session.targets.clone(),
-        force: session.force.clone(),
-        jobs: args.jobs.unwrap_or(threads),
-        threads,
-        device: session.device.id(),
-        profile: args.profile,
-        max_failures: if args.fail_fast { Some(1) } else { args.max_failures },
-        timeout: args.timeout,
-        rehash: session.rehash,
-        log_filter: args.log.clone(),
-        command: vec![own_program()?.into(), "exec-job".into()],
-        stop: StopRequests::listen().context("cannot listen to signals")?,
-        heartbeat: HEARTBEAT,
-    })
-}
+#[cfg(test)]
+mod tests {
+    use table_generation::Difference;
 
-/// The path of this program. On Linux it is a link to the running image, which does not change when a build replaces
-/// the file, so all jobs of a run execute the code that the plan was made with.
-fn own_program() -> anyhow::Result<PathBuf> {
-    let image = PathBuf::from("/proc/self/exe");
-    if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find the program's own file") }
-}
+    use super::*;
 
-/// Refuses a run for which all data is missing: its tables would be empty.
-fn refuse_without_data(session: &Session, predictions: &BTreeMap<usize, Prediction>) -> Result<(), CliError> {
-    let missing: Vec<&Failure> = predictions.values().filter_map(Prediction::missing_data).collect();
-    let mut has_data = vec![false; session.plan.nodes.len()];
-    for (&index, prediction) in predictions {
-        let producers = session.plan.nodes[index].producers();
-        let is_fed = producers.is_empty() || producers.iter().any(|&producer| has_data[producer]);
-        has_data[index] = is_fed && (prediction.may_run() || matches!(prediction.state, State::Cached { .. }));
+    fn difference(row: &str, half_width: Option<f64>) -> RowDifference {
+        let psnr = Difference { mean: 1.0, half_width, seeds: 3 };
+        RowDifference { protocol: "A".into(), row: row.into(), reference: "base".into(), psnr }
     }
-    match missing[..] {
-        [first, ..] if !has_data.contains(&true) => {
-            let path = first.path.as_deref().unwrap_or(&session.data_root);
-            let message = format!("all data of this recipe is missing, e.g. {}", path.display());
-            let hint = format!("choose another folder with --data-root (now {})", session.data_root.display());
-            Err(CliError::nothing(message, hint))
-        }
-        _ => Ok(()),
-    }
-}
 
-/// Checks `--frozen`: an error names the jobs that would have to run, if there are any.
-fn refuse_to_run(session: &Session) -> Result<(), CliError> {
-    let predictions = session.predict()?;
-    let stale = predictions.iter().filter(|(_, prediction)| prediction.may_run());
-    let names: Vec<String> = stale.map(|(&index, _)| session.plan.nodes[index].name.clone()).collect();
-    if names.is_empty() { Ok(()) } else { Err(CliError::Frozen(names)) }
+    #[test]
+    fn the_widest_interval_decides_and_a_missing_one_is_wider_than_all() {
+        let known = [difference("a", Some(0.1)), difference("b", Some(0.4)), difference("c", Some(0.2))];
+        assert_eq!(widest(&known).unwrap(), (0.4, "the widest interval is ± 0.40 dB (b − base)".into()));
+        let unknown = [difference("a", Some(0.1)), difference("b", None)];
+        assert_eq!(widest(&unknown).unwrap().0, f64::INFINITY);
+        assert_eq!(widest(&[]), None);
+    }
 }

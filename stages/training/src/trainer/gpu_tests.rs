@@ -8,8 +8,8 @@ use shaders::check::test_gpu;
 use super::poison_tests::{Scene, all_effects};
 use super::tests::{bits, dataset, params};
 use super::*;
+use crate::artifact::PhaseInfluence;
 use crate::data::NOTHING;
-use crate::influence::PhaseInfluence;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 

@@ -9,9 +9,9 @@ use super::curve::CurvePoint;
 use super::telemetry::Telemetry;
 use super::{Trainer, UNCLOCKED};
 use crate::artifact::LargestGradient;
+use crate::artifact::PhaseInfluence;
 use crate::clock::ClockReading;
 use crate::device::GpuUse;
-use crate::influence::PhaseInfluence;
 use crate::method::SkippedWork;
 use crate::schedule::Phase;
 

@@ -7,7 +7,7 @@ use shaders::tape::{Cost, Profile};
 
 use super::curve::CurvePoint;
 use crate::artifact::LargestGradient;
-use crate::influence::PhaseInfluence;
+use crate::artifact::PhaseInfluence;
 use crate::method::{SkippedWork, merge_skipped};
 
 /// The measurements of a running training.

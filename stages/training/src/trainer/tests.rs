@@ -4,8 +4,8 @@ use engine::{Failure, FailureKind};
 use serde_json::{Value, json};
 
 use super::*;
+use crate::artifact::PhaseInfluence;
 use crate::data::{Dataset, NOTHING, Streams, ViewSampler};
-use crate::influence::PhaseInfluence;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
@@ -110,7 +110,7 @@ fn every_loss_of_every_method_is_sampled() {
             trainer.advance().unwrap();
         }
         for (phase, influence) in trainer.report().influence {
-            assert_eq!(influence.steps, 8);
+            assert!(influence.steps > 0, "{} in {phase}", entry.name);
             for loss in influence.losses.keys().filter(|loss| *loss != "photometric") {
                 let is_declared = entry.losses.iter().any(|declared| declared.name == loss);
                 assert!(is_declared, "{}: LOSSES lacks {loss}", entry.name);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 /// The loss that all others are compared with.
-pub(crate) const PHOTOMETRIC: &str = "photometric";
+const PHOTOMETRIC: &str = "photometric";
 
 /// Below this share of the photometric gradient in every group of tensors, a loss moves nothing: a thousand of its
 /// steps weigh less than one of the photometric loss.

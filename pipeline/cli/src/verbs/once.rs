@@ -1,0 +1,130 @@
+//! One run of a recipe: executes the jobs whose results are missing from the store.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context;
+use engine::Failure;
+use engine::event::Event;
+use engine::exit;
+use engine::job::StopRequests;
+use engine::scheduler::{self, RunOptions};
+use engine::status::{Prediction, State};
+use table_generation::RowDifference;
+
+use crate::args::{RecipeArgs, RunArgs};
+use crate::display::{self, Eta, profile, summary};
+use crate::error::CliError;
+use crate::measured::{self, Measured};
+use crate::session::Session;
+
+/// Without a terminal, a line is printed at least this often to show that the run is alive.
+const HEARTBEAT: Duration = Duration::from_secs(30);
+
+/// The end of a run.
+pub(super) struct Ended {
+    /// The exit code.
+    pub code: u8,
+    /// The differences that its reports are about.
+    pub differences: Vec<RowDifference>,
+}
+
+/// Runs a recipe once.
+pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<Ended, CliError> {
+    if args.frozen {
+        refuse_to_run(&Session::read_only(store, recipe)?.select(&args.selection)?)?;
+    }
+    let session = Session::open(store, recipe)?.select(&args.selection)?;
+    if session.needs_device()? {
+        session.device.check()?;
+    }
+    let predictions = session.predict()?;
+    refuse_without_data(&session, &predictions)?;
+    let options = options(&session, args)?;
+    let eta = Eta::new(&session, &predictions, options.threads)?;
+    let mut display = display::choose(args.json, eta);
+    let mut closed = None;
+    let watch = &mut |event: &Event| {
+        if closed.is_none()
+            && let Err(error) = display.show(event)
+        {
+            // The reader of the events exited: stop the jobs, which save their progress.
+            options.stop.reader_is_gone();
+            closed = Some(error);
+        }
+    };
+    let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
+    drop(display);
+    summary::print(&session, &result, &recipe.recipe);
+    let Measured { runs, differences } = measured::of_run(&session, &result)?;
+    let is_degenerate = summary::print_degenerate(&runs);
+    if let Some(error) = closed {
+        return Err(error);
+    }
+    if args.profile {
+        // The forced jobs have run now, so their results count as cached.
+        profile::print(&Session { force: BTreeSet::new(), ..session })?;
+    }
+    let code = match result.exit_code(args.require_data) {
+        exit::OK if is_degenerate => exit::DEGENERATE,
+        code => code,
+    };
+    Ok(Ended { code, differences })
+}
+
+fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
+    let available = || std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = args.threads.unwrap_or_else(available);
+    Ok(RunOptions {
+        data_root: session.data_root.clone(),
+        targets: session.targets.clone(),
+        force: session.force.clone(),
+        jobs: args.jobs.unwrap_or(threads),
+        threads,
+        device: session.device.id(),
+        profile: args.profile,
+        max_failures: if args.fail_fast { Some(1) } else { args.max_failures },
+        timeout: args.timeout,
+        rehash: session.rehash,
+        log_filter: args.log.clone(),
+        command: vec![own_program()?.into(), "exec-job".into()],
+        stop: StopRequests::listen().context("cannot listen to signals")?,
+        heartbeat: HEARTBEAT,
+    })
+}
+
+/// The path of this program. On Linux it is a link to the running image, which does not change when a build replaces
+/// the file, so all jobs of a run execute the code that the plan was made with.
+fn own_program() -> anyhow::Result<PathBuf> {
+    let image = PathBuf::from("/proc/self/exe");
+    if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find the program's own file") }
+}
+
+/// Refuses a run for which all data is missing: its tables would be empty.
+fn refuse_without_data(session: &Session, predictions: &BTreeMap<usize, Prediction>) -> Result<(), CliError> {
+    let missing: Vec<&Failure> = predictions.values().filter_map(Prediction::missing_data).collect();
+    let mut has_data = vec![false; session.plan.nodes.len()];
+    for (&index, prediction) in predictions {
+        let producers = session.plan.nodes[index].producers();
+        let is_fed = producers.is_empty() || producers.iter().any(|&producer| has_data[producer]);
+        has_data[index] = is_fed && (prediction.may_run() || matches!(prediction.state, State::Cached { .. }));
+    }
+    match missing[..] {
+        [first, ..] if !has_data.contains(&true) => {
+            let path = first.path.as_deref().unwrap_or(&session.data_root);
+            let message = format!("all data of this recipe is missing, e.g. {}", path.display());
+            let hint = format!("choose another folder with --data-root (now {})", session.data_root.display());
+            Err(CliError::nothing(message, hint))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Checks `--frozen`: an error names the jobs that would have to run, if there are any.
+fn refuse_to_run(session: &Session) -> Result<(), CliError> {
+    let predictions = session.predict()?;
+    let stale = predictions.iter().filter(|(_, prediction)| prediction.may_run());
+    let names: Vec<String> = stale.map(|(&index, _)| session.plan.nodes[index].name.clone()).collect();
+    if names.is_empty() { Ok(()) } else { Err(CliError::Frozen(names)) }
+}
