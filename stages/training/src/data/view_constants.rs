@@ -44,11 +44,7 @@ impl<T: Real> ViewConstants<T> {
             return tensor.clone();
         }
         let tensor = make().moved_to(device);
-        let bytes = size_of::<T>() * tensor.len();
-        if cache.bytes + bytes <= MAX_BYTES {
-            cache.bytes += bytes;
-            cache.tensors.insert((what, view), tensor.clone());
-        }
+        cache.keep((what, view), &tensor);
         tensor
     }
 
@@ -61,11 +57,17 @@ impl<T: Real> ViewConstants<T> {
     /// Keeps a small tensor that is expensive to compute, as long as the cache has capacity. Unlike [`ViewConstants::get`], it is
     /// kept on the CPU, too.
     pub(crate) fn keep(&self, what: &'static str, view: usize, tensor: &Tensor<T>) {
-        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner).keep((what, view), tensor);
+    }
+}
+
+impl<T: Real> Cache<T> {
+    /// Keeps a tensor if it fits.
+    fn keep(&mut self, key: (&'static str, usize), tensor: &Tensor<T>) {
         let bytes = size_of::<T>() * tensor.len();
-        if cache.bytes + bytes <= MAX_BYTES {
-            cache.bytes += bytes;
-            cache.tensors.insert((what, view), tensor.clone());
+        if self.bytes + bytes <= MAX_BYTES {
+            self.bytes += bytes;
+            self.tensors.insert(key, tensor.clone());
         }
     }
 }

@@ -186,9 +186,20 @@ impl LanguageGuided {
         let weights = normalized(step.tape, focus, tokens.covered);
         let features = tokens.features.expect("rendered where semantic losses are due");
         let weight = due.weight * self.settings.weights.statics;
-        add_distance(step, "static_semantics", weight, [answer.features, features], weights);
-        let angle = weight * self.settings.weights.angle;
-        add_angle(step, "static_semantics", angle, [answer.features, features], weights, MIN_FEATURE_NORM);
+        self.add_equation_3(step, "static_semantics", weight, [answer.features, features], weights);
+    }
+
+    /// Distance and angle of equation 3 between target and found features, as a loss of this name.
+    fn add_equation_3<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        name: &'static str,
+        weight: f64,
+        features: [Var; 2],
+        weights: Var,
+    ) {
+        add_distance(step, name, weight, features, weights);
+        add_angle(step, name, weight * self.settings.weights.angle, features, weights, MIN_FEATURE_NORM);
     }
 
     /// The other reading of equation 3: SMSA of the *render*, with its gradient into the colours, follows SMSA of the frame.
@@ -208,9 +219,7 @@ impl LanguageGuided {
         step.clock.enter("loss semantics");
         let weights = normalized(step.tape, focus, tokens.covered);
         let weight = due.weight * self.settings.weights.perceptual;
-        add_distance(step, "perceptual_semantics", weight, [target, shown], weights);
-        let angle = weight * self.settings.weights.angle;
-        add_angle(step, "perceptual_semantics", angle, [target, shown], weights, MIN_FEATURE_NORM);
+        self.add_equation_3(step, "perceptual_semantics", weight, [target, shown], weights);
     }
 
     /// Equation 4 on the vector of a token's n cell depths: Σ w·(‖D − D*‖²/n + λ·(1 − cos(D − mean D, D* − mean D*))) over
