@@ -17,6 +17,8 @@ pub(crate) struct Influence {
     pub part: String,
     /// The effect that a loss belongs to.
     pub effect: Option<String>,
+    /// Why a loss stays part of the objective where it moves nothing; none if it has to act.
+    pub stays: Option<String>,
     /// Whether it is a loss.
     pub is_loss: bool,
     /// By group of tensors: the gradient relative to the photometric one, median over runs; none where the loss is the

@@ -31,7 +31,7 @@ pub(crate) fn influences(row: &Row, runs: &[&Run], rows: &[Row]) -> Vec<Influenc
 
 /// The influence of one loss in several runs.
 fn of_loss(of_runs: &[&LossInfluence], row: &Row, rows: &[Row]) -> Influence {
-    let LossInfluence { loss, effect, .. } = of_runs[0];
+    let LossInfluence { loss, effect, stays, .. } = of_runs[0];
     let mut by_group: BTreeMap<&String, Vec<f64>> = BTreeMap::new();
     for (group, share) in of_runs.iter().flat_map(|run| &run.shares) {
         by_group.entry(group).or_default().push(share.unwrap_or(f64::INFINITY));
@@ -43,6 +43,7 @@ fn of_loss(of_runs: &[&LossInfluence], row: &Row, rows: &[Row]) -> Influence {
     Influence {
         part: loss.clone(),
         effect: effect.clone(),
+        stays: stays.clone(),
         is_loss: true,
         shares: by_group.into_iter().map(|(group, values)| (group.clone(), typical(values))).collect(),
         samples: of_runs.iter().map(|run| run.samples).sum(),

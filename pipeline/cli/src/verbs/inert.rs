@@ -21,6 +21,8 @@ pub(crate) struct InertLoss {
     pub(crate) loss: String,
     /// The effect that it belongs to.
     pub(crate) effect: Option<String>,
+    /// Why it stays part of the objective all the same.
+    pub(crate) stays: Option<String>,
     /// The largest share of its gradient in any group of tensors, relative to the photometric loss.
     pub(crate) largest_share: f64,
     /// Measured trainings.
@@ -71,6 +73,7 @@ fn add<'n>(
             method: method.into(),
             loss: name.clone(),
             effect: loss.effect.clone(),
+            stays: loss.stays.clone(),
             largest_share: 0.0,
             trainings: 0,
         });
@@ -84,11 +87,15 @@ fn add<'n>(
 /// One line per inert loss, with the next step.
 pub(crate) fn render(losses: &[InertLoss]) -> String {
     let line = |loss: &InertLoss| {
-        let InertLoss { method, loss, effect, largest_share, trainings } = loss;
+        let InertLoss { method, loss, effect, stays, largest_share, trainings } = loss;
+        let next = match stays {
+            Some(reason) => format!("it stays: {reason}"),
+            None => "measure what leaving it out changes with an axis `without`".into(),
+        };
         let of = effect.as_ref().map(|effect| format!(" (effect {effect})")).unwrap_or_default();
         format!(
             "warning: the loss {loss}{of} of {method} was inert in {} of this recipe: its gradient was at most \
-             {largest_share:.0e} of the photometric one; measure what leaving it out changes with an axis `without`\n",
+             {largest_share:.0e} of the photometric one; {next}\n",
             count(*trainings, "earlier training"),
         )
     };

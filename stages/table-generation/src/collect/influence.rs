@@ -17,6 +17,8 @@ pub struct LossInfluence {
     pub loss: String,
     /// The effect that it belongs to, if any.
     pub effect: Option<String>,
+    /// Why it stays part of the objective where it moves nothing.
+    pub stays: Option<String>,
     /// By group of tensors: the norm of its gradient, relative to that of the photometric loss, weighed by the share of
     /// steps in which it acts; the largest of all phases. None where it is the only loss that moves the group. A group
     /// that its gradient does not reach is absent.
@@ -39,6 +41,7 @@ pub(super) fn influence(
         }
         let own = found.entry(name).or_default();
         own.effect.clone_from(&loss.effect);
+        own.stays.clone_from(&loss.stays);
         own.samples += loss.iterations.len();
         for share in phase.shares(name) {
             let finite = Some(share.share).filter(|share| share.is_finite());

@@ -85,9 +85,10 @@ fn share_text(influence: &Influence) -> (String, String) {
 
 /// Why a part is inert, or what it moves beside the scene; empty for others.
 fn verdict(influence: &Influence) -> String {
+    let stays = influence.stays.as_ref().map_or(String::new(), |reason| format!("; stays: {reason}"));
     match influence.secs_share.filter(|_| influence.is_inert) {
-        Some(share) => format!("inert: costs {} % of the time, moves nothing", number(100.0 * share, 1)),
-        None if influence.is_inert => "inert: moves nothing".into(),
+        Some(share) => format!("inert: costs {} % of the time, moves nothing{stays}", number(100.0 * share, 1)),
+        None if influence.is_inert => format!("inert: moves nothing{stays}"),
         None => match influence.alone_in() {
             alone if influence.is_faint() && !alone.is_empty() => format!("moves only {}", alone.join(", ")),
             _ => String::new(),

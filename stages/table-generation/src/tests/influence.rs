@@ -10,7 +10,8 @@ use crate::collect::LossInfluence;
 fn loss(name: &str, effect: Option<&str>, shares: &[(&str, Option<f64>)]) -> LossInfluence {
     let shares: BTreeMap<String, Option<f64>> = shares.iter().map(|(group, share)| ((*group).into(), *share)).collect();
     let samples = 4 * usize::from(name != "acceleration");
-    LossInfluence { loss: name.into(), effect: effect.map(str::to_owned), shares, samples, secs: Some(12.0) }
+    let stays = (name == "jerk").then(|| "published".into());
+    LossInfluence { loss: name.into(), effect: effect.map(str::to_owned), stays, shares, samples, secs: Some(12.0) }
 }
 
 /// A run of `phys4dgs` that leaves out a part, with the effects of the whole.

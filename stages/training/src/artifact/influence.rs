@@ -27,6 +27,9 @@ pub struct PhaseInfluence {
 pub struct LossInfluence {
     /// The effect that it belongs to, if any.
     pub effect: Option<String>,
+    /// Why it stays part of the objective where it moves nothing; none if it has to act.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stays: Option<String>,
     /// Steps whose objective it was part of.
     pub acted: u64,
     /// The sampled steps, counted from 1 within the phase; a step with a single loss is never sampled.

@@ -16,17 +16,24 @@ pub(crate) struct Loss {
     pub name: &'static str,
     /// The effect that it belongs to; none for a loss that every training of the method has.
     pub effect: Option<&'static str>,
+    /// Why it stays part of the objective where its gradient moves nothing; none for a loss that has to act.
+    pub stays: Option<&'static str>,
 }
 
 impl Loss {
     /// A loss of an effect.
     pub(crate) const fn of(effect: &'static str, name: &'static str) -> Self {
-        Self { name, effect: Some(effect) }
+        Self { name, effect: Some(effect), stays: None }
     }
 
     /// A loss of every training.
     pub(crate) const fn always(name: &'static str) -> Self {
-        Self { name, effect: None }
+        Self { name, effect: None, stays: None }
+    }
+
+    /// The loss with the reason why it stays where it moves nothing.
+    pub(crate) const fn stays(self, reason: &'static str) -> Self {
+        Self { stays: Some(reason), ..self }
     }
 
     /// Whether its effect goes by the same name, so that leaving out either is the same.

@@ -7,8 +7,8 @@ use scene::Split;
 use super::{COARSE, GAUSSIANS, METHOD, START};
 use crate::effects::CAPTURE;
 use crate::params::TrainingParams;
-use crate::shared::{Density, Shared};
 use crate::schedule::stretch;
+use crate::shared::{Density, Shared};
 
 /// Pixels that cost about as much to draw as one Gaussian costs to move and project. The engine learns the ratio of each
 /// method from measured jobs; this is where it begins.

@@ -138,6 +138,7 @@ impl Trainer<'_> {
         for (name, loss) in influence.values_mut().flat_map(|phase| &mut phase.losses) {
             let found = declared.iter().find(|declared| declared.name == name);
             loss.effect = found.and_then(|declared| declared.effect).map(str::to_owned);
+            loss.stays = found.and_then(|declared| declared.stays).map(str::to_owned);
         }
         influence
     }

@@ -7,6 +7,7 @@ use shaders::tape::{Real, Tape, Var};
 use crate::bases::bounds;
 use crate::bases::layers::uniform;
 use crate::data::Streams;
+use crate::effects::Loss;
 use crate::method::Step;
 use crate::model::{ModelState, Variables};
 
@@ -14,6 +15,15 @@ use crate::model::{ModelState, Variables};
 const SPATIAL_START: [f64; 2] = [0.1, 0.5];
 /// Infix of the planes' tensor names.
 const PLANE: &str = ".plane_";
+
+/// Second differences of the spatial planes.
+pub(crate) const SPATIAL_SMOOTHNESS: Loss = Loss::of("motion", "spatial_smoothness").stays(PUBLISHED);
+/// Second differences of the time planes along time.
+pub(crate) const TEMPORAL_SMOOTHNESS: Loss = Loss::of("motion", "temporal_smoothness").stays(PUBLISHED);
+/// The distance of the time planes to one.
+pub(crate) const TIME_TO_ONE: Loss = Loss::of("motion", "time_to_one").stays(PUBLISHED);
+/// Why the regularisers stay where they move nothing.
+const PUBLISHED: &str = "part of the published objective of 4DGaussians, which a baseline has to keep";
 
 /// The mapping of normalised time in [0, 1] to the time axis of the planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -114,9 +124,9 @@ impl Field {
         let is_space: fn(usize) -> bool = |index| !is_time_plane(index);
         let PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one } = *weights;
         let all = [
-            ("spatial_smoothness", spatial_smoothness, PlaneMean::SecondDifference, is_space),
-            ("temporal_smoothness", time_factor * temporal_smoothness, PlaneMean::SecondDifference, is_time_plane),
-            ("time_to_one", time_factor * time_to_one, PlaneMean::DistanceToOne, is_time_plane),
+            (SPATIAL_SMOOTHNESS.name, spatial_smoothness, PlaneMean::SecondDifference, is_space),
+            (TEMPORAL_SMOOTHNESS.name, time_factor * temporal_smoothness, PlaneMean::SecondDifference, is_time_plane),
+            (TIME_TO_ONE.name, time_factor * time_to_one, PlaneMean::DistanceToOne, is_time_plane),
         ];
         let wanted: Vec<_> = all.into_iter().filter(|(_, weight, ..)| *weight > 0.0).collect();
         if wanted.is_empty() {

@@ -3,6 +3,7 @@
 use shaders::tape::Real;
 
 use super::MethodFolder;
+use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::effects::{Effect, Loss};
@@ -14,11 +15,7 @@ pub(crate) struct Deformable4dgs;
 
 impl MethodFolder for Deformable4dgs {
     const NAME: &'static str = "deformable4dgs";
-    const LOSSES: &'static [Loss] = &[
-        Loss::of("motion", "spatial_smoothness"),
-        Loss::of("motion", "temporal_smoothness"),
-        Loss::of("motion", "time_to_one"),
-    ];
+    const LOSSES: &'static [Loss] = &[SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE];
     type Settings = HexplaneSettings;
 
     fn shared_defaults() -> Shared {

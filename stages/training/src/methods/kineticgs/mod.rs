@@ -20,6 +20,7 @@ use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
 use crate::bases::anchors::{self, AnchorDeformation, AnchoredGaussians, FINE, GaussianDeformation, SpawnedGaussians};
+use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Start, Step};
@@ -43,9 +44,9 @@ impl MethodFolder for Kineticgs {
     const NAME: &'static str = "kineticgs";
     const KERNELS: &'static [&'static str] = &["losses/histogram"];
     const LOSSES: &'static [Loss] = &[
-        Loss::of(MOTION, "spatial_smoothness"),
-        Loss::of(MOTION, "temporal_smoothness"),
-        Loss::of(MOTION, "time_to_one"),
+        SPATIAL_SMOOTHNESS,
+        TEMPORAL_SMOOTHNESS,
+        TIME_TO_ONE,
         Loss::of("activation", "activation"),
         Loss::of("energy-flow", "energy_flow"),
         Loss::of("coherence", "coherence"),

@@ -14,6 +14,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
 use crate::bases::layers::normal;
 use crate::bases::static_mask::{self, SKIP_STILL};
@@ -38,9 +39,9 @@ impl MethodFolder for L4dgs {
     const NAME: &'static str = "l4dgs";
     const KERNELS: &'static [&'static str] = &["networks/convolution", "networks/group_norm", "networks/pooling"];
     const LOSSES: &'static [Loss] = &[
-        Loss::of("motion", "spatial_smoothness"),
-        Loss::of("motion", "temporal_smoothness"),
-        Loss::of("motion", "time_to_one"),
+        SPATIAL_SMOOTHNESS,
+        TEMPORAL_SMOOTHNESS,
+        TIME_TO_ONE,
         Loss::always("reconstruction"),
         Loss::of("dynamic-semantics", "dynamic_semantics"),
         Loss::of("static-semantics", "static_semantics"),

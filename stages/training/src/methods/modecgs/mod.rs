@@ -16,6 +16,7 @@ use crate::bases::anchors::{
     GaussianDeformation, SpawnedGaussians,
 };
 use crate::bases::gates::straight_through;
+use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
@@ -60,11 +61,7 @@ impl Default for Settings {
 
 impl MethodFolder for Modecgs {
     const NAME: &'static str = "modecgs";
-    const LOSSES: &'static [Loss] = &[
-        Loss::of(MOTION, "spatial_smoothness"),
-        Loss::of(MOTION, "temporal_smoothness"),
-        Loss::of(MOTION, "time_to_one"),
-    ];
+    const LOSSES: &'static [Loss] = &[SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {

@@ -12,6 +12,7 @@ use shaders::tape::Real;
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::effects::{Effect, Effects, Loss, Need};
@@ -32,9 +33,9 @@ impl MethodFolder for Phys4dgs {
     const NAME: &'static str = "phys4dgs";
     const KERNELS: &'static [&'static str] = &["arrays/sample"];
     const LOSSES: &'static [Loss] = &[
-        Loss::of("motion", "spatial_smoothness"),
-        Loss::of("motion", "temporal_smoothness"),
-        Loss::of("motion", "time_to_one"),
+        SPATIAL_SMOOTHNESS,
+        TEMPORAL_SMOOTHNESS,
+        TIME_TO_ONE,
         Loss::of("velocity", "velocity"),
         Loss::of("velocity", "temporal"),
         Loss::of("displacement", "displacement"),
