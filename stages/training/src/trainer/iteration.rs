@@ -62,7 +62,7 @@ impl Trainer<'_> {
     }
 
     /// Computes the losses of the next views and their gradients.
-    fn differentiate(&mut self, tape: &mut Tape<f32>) -> anyhow::Result<(StepOutcome<f32>, Variables)> {
+    pub(super) fn differentiate(&mut self, tape: &mut Tape<f32>) -> anyhow::Result<(StepOutcome<f32>, Variables)> {
         self.clock.enter("load");
         self.state.iteration += 1;
         let shared = &self.setup.params.shared;

@@ -25,6 +25,8 @@ mod start;
 mod telemetry;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod trace_tests;
 mod train_state;
 
 use engine::{Decision, Facts};
