@@ -31,7 +31,7 @@ pub use mask::Mask;
 pub use protocol::Protocol;
 pub use time::TimeMap;
 pub use videos::Videos;
-pub use view_folder::{MatchedFiles, ViewFolder};
+pub use view_folder::{MatchedFiles, Naming, ViewFolder, canonical, matched_names};
 
 #[cfg(test)]
 mod damaged_files_tests;

@@ -3,12 +3,25 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::{Capture, Error, Result, Videos, View};
+use serde::{Deserialize, Serialize};
+
+use crate::{Capture, Error, Result, Videos};
+
+/// What the names of files refer to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Naming {
+    /// Names of views or frame numbers, whichever fit. It is an error if both fit some file and disagree, unless every
+    /// file has exactly the name of a view, and every view a file.
+    #[default]
+    Auto,
+    /// Names of views (`train_000.npy`).
+    Views,
+    /// Frame numbers from 0 (`00042.exr`, with any number of leading zeros), if each identifies one view.
+    Frames,
+}
 
 /// The files of one folder, indexed by the view that they belong to.
-///
-/// A file has the name of its view (`train_000.npy`). If every frame number identifies one view, the frame number works
-/// too (`00042.exr`, with any number of leading zeros).
 pub struct ViewFolder {
     dir: PathBuf,
     by_stem: BTreeMap<String, PathBuf>,
@@ -52,22 +65,66 @@ impl ViewFolder {
         &self.dir
     }
 
-    /// Finds the file of every view of `capture`.
-    pub fn match_views(&self, capture: &Capture) -> MatchedFiles<'_> {
-        let videos = Videos::of(capture);
-        let files: Vec<_> = capture.views.iter().map(|view| self.find(view, &videos)).collect();
+    /// Finds the file of every view of `capture`. An error if `naming` leaves open which file belongs to which view.
+    pub fn match_views(&self, capture: &Capture, naming: Naming) -> Result<MatchedFiles<'_>> {
+        let chosen = matched_names(&self.by_stem, capture, naming).map_err(|error| error.at(&self.dir))?;
+        let files: Vec<_> = chosen.into_iter().map(|stem| Some(self.by_stem[&stem?].as_path())).collect();
         let found = files.iter().flatten().count();
-        MatchedFiles { files, unused: self.by_stem.len().saturating_sub(found) }
-    }
-
-    /// The file of one view.
-    fn find(&self, view: &View, videos: &Videos) -> Option<&Path> {
-        let by_number = || self.by_stem.get(&videos.number(view)?.to_string());
-        self.by_stem.get(&canonical(&view.name)).or_else(by_number).map(PathBuf::as_path)
+        Ok(MatchedFiles { files, unused: self.by_stem.len() - found })
     }
 }
 
-/// Drops the leading zeros of numbers.
-fn canonical(stem: &str) -> String {
+/// The key in `files` of the file of every view of `capture`; keys are stems as [`canonical`] writes them. An error if
+/// `naming` leaves open which file belongs to which view.
+pub fn matched_names<F>(files: &BTreeMap<String, F>, capture: &Capture, naming: Naming) -> Result<Vec<Option<String>>> {
+    let videos = Videos::of(capture);
+    let existing = |stem: String| files.contains_key(&stem).then_some(stem);
+    let by_name: Vec<_> = capture.views.iter().map(|view| existing(canonical(&view.name))).collect();
+    let number = |view| existing(videos.number(view)?.to_string());
+    let by_number: Vec<_> = capture.views.iter().map(number).collect();
+    let is_exact = files.len() == by_name.len() && by_name.iter().all(Option::is_some);
+    match naming {
+        Naming::Views => Ok(by_name),
+        Naming::Frames => Ok(by_number),
+        Naming::Auto if is_exact => Ok(by_name),
+        Naming::Auto => match conflict(&by_name, &by_number) {
+            Some(at) => Err(ambiguous(capture, at, &by_name, &by_number)),
+            None => Ok(by_name.into_iter().zip(by_number).map(|(name, number)| name.or(number)).collect()),
+        },
+    }
+}
+
+/// The first view with different files by name and by number, or whose file is that of another view by the other rule.
+fn conflict(by_name: &[Option<String>], by_number: &[Option<String>]) -> Option<usize> {
+    let numbered: BTreeMap<&String, usize> =
+        by_number.iter().enumerate().filter_map(|(at, stem)| Some((stem.as_ref()?, at))).collect();
+    by_name.iter().zip(by_number).enumerate().find_map(|(at, (name, number))| {
+        let name = name.as_ref()?;
+        let has_two = number.as_ref().is_some_and(|number| number != name);
+        let is_of_another = numbered.get(name).is_some_and(|other| *other != at);
+        (has_two || is_of_another).then_some(at)
+    })
+}
+
+fn ambiguous(capture: &Capture, at: usize, by_name: &[Option<String>], by_number: &[Option<String>]) -> Error {
+    let count = |stems: &[Option<String>]| stems.iter().flatten().count();
+    let shown = |stem: &Option<String>| stem.as_ref().map_or("no file".into(), |stem| format!("file {stem}"));
+    let message = format!(
+        "the numbers of these files fit the views in two ways: as names of views ({} of {} views have a file) and as \
+         frame numbers from 0 ({} of {}); e.g. view {} has {} by its name and {} by its frame number",
+        count(by_name),
+        capture.views.len(),
+        count(by_number),
+        capture.views.len(),
+        capture.views[at].name,
+        shown(&by_name[at]),
+        shown(&by_number[at]),
+    );
+    let hint = "say which: naming = \"views\" or naming = \"frames\"; or rename the files exactly like the views";
+    Error::new(message).hint(hint)
+}
+
+/// A stem without the leading zeros of a number.
+pub fn canonical(stem: &str) -> String {
     stem.parse::<u32>().map_or_else(|_| stem.to_owned(), |number| number.to_string())
 }

@@ -61,7 +61,7 @@ impl<'a> Files<'a> {
             let folder = ViewFolder::open(&dir.join(name), &formats::EXTENSIONS)?.filter(|_| params.wants(kind));
             let Some(folder) = folder else { return Ok(vec![None; capture.views.len()]) };
             let is_required = |view: &View| view.split == Split::Train && !params.allow_missing && needs(view);
-            let matched = captures::match_required(&folder, capture, is_required)?;
+            let matched = captures::match_required(&folder, capture, params.naming, is_required)?;
             unused += matched.unused;
             Ok(matched.files.into_iter().map(|path| path.map(Path::to_path_buf)).collect())
         };
@@ -114,6 +114,25 @@ impl<'a> Files<'a> {
             maps.flow = self.flow(index, path, &mut outcome)?;
         }
         Ok((maps, outcome))
+    }
+
+    /// The forward flow of a view from the file that belongs to the view `shift` frames later, and the view where it
+    /// leads; none without such a file, or if either is no training view.
+    pub(crate) fn shifted_flow(&self, index: usize, shift: i64) -> anyhow::Result<Option<(FlowMap, &View)>> {
+        let view = &self.capture.views[index];
+        let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
+        let file = self.videos.after(view, shift).and_then(|at| self.flow_forward[at].as_deref());
+        let (Some(to), Some(file)) = (to, file) else { return Ok(None) };
+        if [view, to].iter().any(|view| view.split != Split::Train) {
+            return Ok(None);
+        }
+        let (values, scale) = fit_to_view(formats::read(file, Content::Flow)?, &view.camera.intrinsics, file)?;
+        Ok(Some((flow::flow_map(&values, scale), to)))
+    }
+
+    /// The capture that the files belong to.
+    pub(crate) fn capture(&self) -> &Capture {
+        self.capture
     }
 
     /// The flow from a training view to a later training view of the same video. Flow from or to any other view is

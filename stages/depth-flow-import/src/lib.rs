@@ -8,6 +8,7 @@ mod from_capture;
 mod from_files;
 mod from_points;
 mod normals;
+mod offset;
 mod params;
 mod run;
 #[cfg(test)]

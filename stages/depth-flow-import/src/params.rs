@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
 use engine::ParamProblem;
+use scene::Naming;
 use scene::maps::DepthKind;
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +16,8 @@ pub struct Params {
     pub source: MapSource,
     /// For `files`: the folder with `depth/`, `flow_fwd/`, `flow_bwd/` and `normal/`, relative to the data root.
     pub folder: PathBuf,
+    /// For `files`: what their names refer to.
+    pub naming: Naming,
     /// The kinds of maps to import; empty imports every kind that exists.
     pub maps: BTreeSet<MapKind>,
     /// For `files`: whether training views may lack a map that other views have.

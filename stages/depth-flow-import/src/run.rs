@@ -8,6 +8,7 @@ use scene::maps::alignment::median;
 use crate::from_capture;
 use crate::from_files::{Files, Outcome};
 use crate::from_points;
+use crate::offset;
 use crate::params::MapSource;
 use crate::{Params, PriorView, Priors, ViewMaps, facts};
 
@@ -73,6 +74,14 @@ impl Stage for DepthFlowImport {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;
                 let (views, outcomes) = write_views(context, &capture, |index| files.maps(index))?;
                 measure(context, &outcomes, files.unused)?;
+                let shift = offset::better_shift(&files)?;
+                context.measure("flow_fits_images_better_shifted_by_frames", shift)?;
+                if let Some(shift) = shift {
+                    tracing::warn!(
+                        "the flow files fit the images better if each belongs to the frame {shift:+} away: is their \
+                         first number that of the first frame? See `naming`"
+                    );
+                }
                 Ok(Priors::save(context.output_dir(), "files", views)?)
             }
         }

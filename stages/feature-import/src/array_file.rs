@@ -8,7 +8,7 @@ use scene::npy_file;
 use crate::tensor_file;
 
 /// Extensions of arrays, in order of preference.
-const EXTENSIONS: [&str; 2] = ["npy", "safetensors"];
+pub(crate) const EXTENSIONS: [&str; 2] = ["npy", "safetensors"];
 
 /// Finds the file of an array from its path without extension.
 pub(crate) fn array_path(stem: &Path) -> Option<PathBuf> {

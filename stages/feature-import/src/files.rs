@@ -1,19 +1,21 @@
 //! Features of an estimator: visual tokens in `clip/` or `dino/`, one file per view, and prompts with their embeddings, if
 //! the estimator has any. Each array may also be a safetensors file with one f32 tensor.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
-use scene::{Capture, Split, View};
+use scene::{Capture, Naming, Split, View, canonical, matched_names};
 
-use crate::array_file::{array_path, read_array, wrong_shape};
+use crate::array_file::{EXTENSIONS, array_path, read_array, wrong_shape};
 use crate::artifact::{TokenGrid, check_vectors};
 use crate::layouts::{tokens_of, tokens_of_segments};
 use crate::text::TextEmbeddings;
 
 /// Names of the folder of visual tokens.
 const VISUAL: [&str; 2] = ["clip", "dino"];
+/// Endings of the names of the two files of segments.
+const PAIR: [&str; 2] = ["f", "s"];
 /// Tokens along the longer side of an image that is given as segments.
 const GRID: usize = 32;
 
@@ -23,33 +25,33 @@ pub(crate) struct FeatureFiles {
     pub(crate) text: Option<TextEmbeddings>,
     /// Folder of visual tokens.
     visual: PathBuf,
-    /// Whether every frame number identifies one view.
-    by_number: bool,
+    /// By the name of a view: the name of its file or pair of files, without ending.
+    stems: BTreeMap<String, String>,
 }
 
 impl FeatureFiles {
     /// Reads prompts and text embeddings.
-    pub(crate) fn open(folder: &Path, capture: &Capture) -> anyhow::Result<Self> {
+    pub(crate) fn open(folder: &Path, capture: &Capture, naming: Naming) -> anyhow::Result<Self> {
         let Some(visual) = VISUAL.iter().map(|name| folder.join(name)).find(|visual| visual.is_dir()) else {
             let failure = Failure::new(FailureKind::MissingData, "no such folder of visual tokens");
             let hint = "check --data-root and the recipe's folder; tokens without text belong into dino/";
             return Err(failure.hint(hint).at(folder.join(VISUAL[0])).into());
         };
         let text = TextEmbeddings::find(folder)?;
-        let numbers: BTreeSet<u32> = capture.views.iter().map(|view| view.frame_index).collect();
-        Ok(Self { text, visual, by_number: numbers.len() == capture.views.len() })
+        let stems = stems(&visual)?;
+        let chosen = matched_names(&stems, capture, naming).map_err(|error| error.at(&visual))?;
+        let names = capture.views.iter().map(|view| view.name.clone()).zip(chosen);
+        let stems = names.filter_map(|(name, key)| Some((name, stems[&key?].clone()))).collect();
+        Ok(Self { text, visual, stems })
     }
 
-    /// Reads the tokens of a view, and their dimension, from a file with its name or, if every frame number identifies one
-    /// view, with the frame number in five digits. Training views must have tokens; held-out views may lack them.
+    /// Reads the tokens of a view, and their dimension. Training views must have tokens; held-out views may lack them.
     pub(crate) fn tokens(&self, view: &View) -> anyhow::Result<Option<(TokenGrid, usize)>> {
-        let numbered = self.by_number.then(|| format!("{:05}", view.frame_index));
-        for name in [&view.name].into_iter().chain(&numbered) {
-            if let Some(path) = array_path(&self.visual.join(name)) {
+        if let Some(stem) = self.stems.get(&view.name) {
+            if let Some(path) = array_path(&self.visual.join(stem)) {
                 return self.read_tokens(view, &path).map(Some);
             }
-            let [features, segments] = ["f", "s"].map(|part| array_path(&self.visual.join(format!("{name}_{part}"))));
-            if let (Some(features), Some(segments)) = (features, segments) {
+            if let [Some(features), Some(segments)] = pair(&self.visual.join(stem)) {
                 return self.read_segments(&features, &segments).map(Some);
             }
         }
@@ -89,4 +91,27 @@ impl FeatureFiles {
     fn text_dimension(&self) -> Option<usize> {
         self.text.as_ref().map(|text| text.dimension)
     }
+}
+
+/// The names of the files in a folder without their endings, by their canonical form; the two files of segments share
+/// one.
+fn stems(dir: &Path) -> anyhow::Result<BTreeMap<String, String>> {
+    let mut stems = BTreeMap::new();
+    for entry in fs_err::read_dir(dir)? {
+        let name = entry?.file_name();
+        let Some((stem, extension)) = name.to_str().and_then(|name| name.rsplit_once('.')) else { continue };
+        if !EXTENSIONS.contains(&extension) {
+            continue;
+        }
+        let shared = PAIR.iter().find_map(|part| stem.strip_suffix(&format!("_{part}")));
+        let shared = shared.filter(|shared| pair(&dir.join(shared)).iter().all(Option::is_some));
+        let stem = shared.unwrap_or(stem).to_owned();
+        stems.insert(canonical(&stem), stem);
+    }
+    Ok(stems)
+}
+
+/// The features of the segments of a view, and the segment of every pixel.
+fn pair(stem: &Path) -> [Option<PathBuf>; 2] {
+    PAIR.map(|part| array_path(&PathBuf::from(format!("{}_{part}", stem.display()))))
 }

@@ -3,6 +3,7 @@
 use std::path::{Component, PathBuf};
 
 use engine::ParamProblem;
+use scene::Naming;
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the stage `feature-import`.
@@ -13,6 +14,8 @@ pub struct Params {
     pub source: FeatureSource,
     /// For `files`: the folder with `clip/` or `dino/` and, for prompts, `text.npy` and `prompts.txt`, relative to the data root.
     pub folder: PathBuf,
+    /// For `files`: what the names of files of visual tokens refer to.
+    pub naming: Naming,
     /// For `labels`: dimension F of the embeddings; at least the number of classes plus one for the background.
     pub dimension: usize,
     /// For `labels`: number of tokens along the longer side of an image.
@@ -37,6 +40,7 @@ impl Default for Params {
         Self {
             source: FeatureSource::Labels,
             folder: PathBuf::new(),
+            naming: Naming::Auto,
             dimension: 64, // language-guided models reduce the 512 dimensions of CLIP to this
             grid: 32,      // attention over all tokens of an image has at most 1024² entries
             seed: 0,

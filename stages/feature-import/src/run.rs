@@ -5,7 +5,7 @@ use std::path::Path;
 use captures::CaptureArtifact;
 use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Source, Stage};
 use rayon::prelude::*;
-use scene::{Capture, Split, View};
+use scene::{Capture, Naming, Split, View};
 
 use crate::artifact::{TokenGrid, TokenView};
 use crate::files::FeatureFiles;
@@ -57,7 +57,7 @@ impl Stage for FeatureImport {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let features = pool.install(|| match folder {
             None => from_labels(&capture, params, dir),
-            Some(folder) => from_files(&capture, folder, dir),
+            Some(folder) => from_files(&capture, folder, params.naming, dir),
         })?;
         let with_tokens = features.views.iter().filter(|view| view.grid.is_some()).count();
         context.measure("views_with_tokens", with_tokens)?;
@@ -74,9 +74,9 @@ pub(crate) fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> any
     write(capture, "labels", Some(&text), tokens, dir)
 }
 
-/// Imports the features of `capture` from the files below `folder` into the folder `dir`.
-pub(crate) fn from_files(capture: &Capture, folder: &Path, dir: &Path) -> anyhow::Result<Features> {
-    let files = FeatureFiles::open(folder, capture)?;
+/// Imports the features of `capture` from the files below `folder`, whose names `naming` explains, into the folder `dir`.
+pub(crate) fn from_files(capture: &Capture, folder: &Path, naming: Naming, dir: &Path) -> anyhow::Result<Features> {
+    let files = FeatureFiles::open(folder, capture, naming)?;
     write(capture, "files", files.text.as_ref(), |view| files.tokens(view), dir)
 }
 

@@ -1,7 +1,7 @@
 //! The stage on synthetic captures and on files.
 
 use engine::Artifact as _;
-use scene::Capture;
+use scene::{Capture, Naming};
 use scene_synthesis::{Params as SceneParams, SceneKind, Truth};
 
 use crate::run::{from_files, from_labels};
@@ -154,7 +154,7 @@ fn files_are_found_by_view_name_or_frame_number() {
     let folder = dir.path().join("aux");
     write_files(&folder, &capture);
     let check = |capture: &Capture, out: &str| {
-        let features = from_files(capture, &folder, &dir.path().join(out)).unwrap();
+        let features = from_files(capture, &folder, Naming::Auto, &dir.path().join(out)).unwrap();
         features.check().unwrap();
         assert_eq!(features.prompts, ["a ball", "the floor", "nothing"]);
         assert_eq!(features.load_text().unwrap()[4..], [-1.0, 0.0]);
@@ -207,10 +207,12 @@ fn inconsistent_files_are_rejected_by_name() {
         let folder = dir.path().join(format!("aux{at}"));
         write_files(&folder, &capture);
         fault(&folder);
-        let message = format!("{:#}", from_files(&capture, &folder, &dir.path().join("features")).unwrap_err());
+        let message =
+            format!("{:#}", from_files(&capture, &folder, Naming::Auto, &dir.path().join("features")).unwrap_err());
         assert!(expected.iter().all(|part| message.contains(part)), "{expected:?}: {message}");
     }
-    let message = format!("{:#}", from_files(&capture, &dir.path().join("none"), dir.path()).unwrap_err());
+    let message =
+        format!("{:#}", from_files(&capture, &dir.path().join("none"), Naming::Auto, dir.path()).unwrap_err());
     assert!(message.contains("--data-root"), "{message}");
 }
 
@@ -226,7 +228,7 @@ fn tokens_without_text_are_imported_from_dino() {
         write_npy(&folder.join(format!("dino/{}.npy", view.name)), "(1, 5, 3)", &values);
     }
     let out = dir.path().join("features");
-    let features = from_files(&capture, &folder, &out).unwrap();
+    let features = from_files(&capture, &folder, Naming::Auto, &out).unwrap();
     features.check().unwrap();
     assert_eq!(Features::open(&out).unwrap(), features);
     assert!(features.prompts.is_empty() && features.load_text().unwrap().is_empty() && features.dimension == 3);
@@ -249,7 +251,7 @@ fn segments_of_langsplat_are_imported() {
         let whole = [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
         write_npy(&name("_s.npy"), "(4, 2, 4)", &[[-1.0; 8], [-1.0; 8], [-1.0; 8], whole].concat());
     }
-    let features = from_files(&capture, &folder, &dir.path().join("features")).unwrap();
+    let features = from_files(&capture, &folder, Naming::Auto, &dir.path().join("features")).unwrap();
     features.check().unwrap();
     let tokens = features.load_tokens(0).unwrap().unwrap();
     assert_eq!(tokens.values[..2], [0.0, 1.0]);

@@ -36,7 +36,7 @@ impl<'a> Frames<'a> {
     ) -> anyhow::Result<Self> {
         let files = |dir: &Path, extensions: &[&str]| -> anyhow::Result<Vec<Option<PathBuf>>> {
             let folder = open_folder(dir, extensions, "inpainted frames")?;
-            let matched = match_required(&folder, capture, |view| view.split == Split::Train)?;
+            let matched = match_required(&folder, capture, params.naming, |view| view.split == Split::Train)?;
             Ok(matched.files.into_iter().map(|path| path.map(Path::to_path_buf)).collect())
         };
         let depths = match depths {

@@ -3,6 +3,7 @@
 use std::path::{Component, Path, PathBuf};
 
 use engine::ParamProblem;
+use scene::Naming;
 use scene::maps::DepthKind;
 use serde::{Deserialize, Serialize};
 
@@ -14,6 +15,8 @@ pub struct Params {
     pub source: FillSource,
     /// For `files`: the folder of inpainted frames, relative to the data root.
     pub folder: PathBuf,
+    /// For `files`: what the names of files refer to.
+    pub naming: Naming,
     /// For `files`: the folder with the depth of the inpainted frames, if they have any.
     pub depth_folder: Option<PathBuf>,
     /// For `files`: the quantity that these depth files store.
@@ -40,6 +43,7 @@ impl Default for Params {
         Self {
             source: FillSource::Propagate,
             folder: PathBuf::new(),
+            naming: Naming::Auto,
             depth_folder: None,
             depth_kind: DepthKind::Z,
             margin_px: 2,

@@ -3,6 +3,7 @@
 use std::path::{Component, Path, PathBuf};
 
 use engine::ParamProblem;
+use scene::Naming;
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the stage `layer-split`.
@@ -13,6 +14,8 @@ pub struct Params {
     pub source: LayerSource,
     /// For `files`: the folder of masks, relative to the data root, e.g. `priors/scene/mask`.
     pub folder: PathBuf,
+    /// For `files`: what the names of its files refer to.
+    pub naming: Naming,
     /// For masks of the capture and of `files`: which pixels move.
     pub polarity: Polarity,
     /// For `files`: pixels above this grey level are set, e.g. 127 for soft mattes.
@@ -62,6 +65,7 @@ impl Default for Params {
         Self {
             source: LayerSource::Auto,
             folder: PathBuf::new(),
+            naming: Naming::Auto,
             polarity: Polarity::SetMoves,
             threshold: 0,
             min_residual_px: 0.5, // below it, flow estimators disagree with each other

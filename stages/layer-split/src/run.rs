@@ -154,7 +154,8 @@ fn known_motion(
 fn from_files(context: &JobContext, capture: &Capture, params: &Params) -> anyhow::Result<Vec<Option<Mask>>> {
     let dir = context.source(FOLDER)?;
     let folder = open_folder(dir, &formats::EXTENSIONS, "masks")?;
-    let MatchedFiles { files, unused } = match_required(&folder, capture, |view| view.split == Split::Train)?;
+    let MatchedFiles { files, unused } =
+        match_required(&folder, capture, params.naming, |view| view.split == Split::Train)?;
     context.measure("files_without_a_view", unused)?;
     let read = |path: &Path, index: usize| -> anyhow::Result<Mask> {
         let values = formats::read(path, Content::Mask)?;

@@ -41,14 +41,43 @@ fn cell(cell: &Text) -> String {
     if cell.rank == 1 { format!("**{text}**") } else { text }
 }
 
-/// Escapes characters that would end a cell or start markup.
+/// Escapes characters that would end a cell or start markup. Pairs of backticks stay code spans; underscores within words
+/// start no markup.
 fn escape(text: &str) -> String {
-    let special = |c: char| matches!(c, '|' | '*' | '_' | '`' | '<' | '\\');
-    text.chars().fold(String::new(), |mut escaped, c| {
-        if special(c) {
-            escaped.push('\\');
-        }
+    let has_code = text.matches('`').count().is_multiple_of(2);
+    let (mut escaped, mut in_code, mut before) = (String::new(), false, None);
+    let mut rest = text.chars().peekable();
+    while let Some(c) = rest.next() {
+        let in_word =
+            before.is_some_and(char::is_alphanumeric) && rest.peek().is_some_and(|next| next.is_alphanumeric());
+        let is_markup = match c {
+            '|' => true,
+            '`' => !has_code,
+            '_' => !in_code && !in_word,
+            '*' | '<' | '\\' => !in_code,
+            _ => false,
+        };
+        in_code ^= c == '`' && has_code;
+        escaped.extend(is_markup.then_some('\\'));
         escaped.push(if c == '\n' { ' ' } else { c });
-        escaped
-    })
+        before = Some(c);
+    }
+    escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_characters_that_are_markup_are_escaped() {
+        let cases = [
+            ("lpips_weights", "lpips_weights"),
+            ("_start and end_", "\\_start and end\\_"),
+            ("set `a_*` to 1 | 2", "set `a_*` to 1 \\| 2"),
+            ("a single ` and *", "a single \\` and \\*"),
+            ("two\nlines", "two lines"),
+        ];
+        cases.into_iter().for_each(|(text, escaped)| assert_eq!(escape(text), escaped));
+    }
 }

@@ -228,3 +228,76 @@ fn normals_must_face_the_camera() {
     let normal = priors.load_normals(0).unwrap().unwrap().normals_view[7];
     assert!((glam::Vec3::from(normal) - glam::Vec3::new(0.0, -0.6, -0.8)).length() <= 1e-6, "{normal:?}");
 }
+
+/// A video whose views are called 1, 2, …, as frames that a video tool has written.
+fn numbered_from_one(dir: &Path, scene: SceneKind) -> Capture {
+    let mut capture = capture(dir, scene, CameraPath::Arc);
+    capture.views.retain(|view| view.split == Split::Train);
+    for (at, view) in capture.views.iter_mut().enumerate() {
+        view.name = format!("{:05}", at + 1);
+    }
+    scene::index_file::write(&dir.join("capture.json"), "a capture", &capture).unwrap();
+    capture
+}
+
+/// Writes the depth of every view into a file with the number of its frame, from `first`.
+fn write_numbered_depth(folder: &Path, capture: &Capture, first: usize) {
+    std::fs::create_dir_all(folder.join("depth")).unwrap();
+    for (at, view) in capture.views.iter().enumerate() {
+        let depth = capture.load_depth(view).unwrap().unwrap();
+        let path = folder.join("depth").join(format!("{:05}.exr", at + first));
+        scene::exr_file::write(&path, depth.width, depth.height, &[("Z", depth.depth_view)]).unwrap();
+    }
+}
+
+#[test]
+fn maps_numbered_from_zero_beside_frames_numbered_from_one_are_never_shifted() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = numbered_from_one(dir.path(), SceneKind::BouncingSpheres);
+    write_numbered_depth(maps.path(), &capture, 0);
+    let count = capture.views.len();
+    let by_name = format!("names of views ({} of {count} views have a file)", count - 1);
+    let parts = [&by_name, "e.g. view 00001 has file 1 by its name and file 0", "naming = \"frames\"", "depth"];
+    assert_refused(&capture, maps.path(), &params(), &parts);
+    let frames = Params { naming: scene::Naming::Frames, ..params() };
+    let (_root, priors, measured) = run(&capture, maps.path(), &frames).unwrap();
+    assert_eq!((depth_error(&capture, &priors).0, &measured["files_without_a_view"]), (0.0, &0.into()));
+}
+
+#[test]
+fn files_with_exactly_the_names_of_the_views_need_no_naming() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = numbered_from_one(dir.path(), SceneKind::BouncingSpheres);
+    write_numbered_depth(maps.path(), &capture, 1);
+    let (_root, priors, _) = run(&capture, maps.path(), &params()).unwrap();
+    assert_eq!(depth_error(&capture, &priors).0, 0.0);
+    // A file more, and the names could be frame numbers of a longer video.
+    std::fs::copy(maps.path().join("depth/00001.exr"), maps.path().join("depth/00000.exr")).unwrap();
+    assert_refused(&capture, maps.path(), &params(), &["fit the views in two ways"]);
+    let views = Params { naming: scene::Naming::Views, ..params() };
+    let (_root, priors, measured) = run(&capture, maps.path(), &views).unwrap();
+    assert_eq!((depth_error(&capture, &priors).0, &measured["files_without_a_view"]), (0.0, &1.into()));
+}
+
+#[test]
+fn flow_of_other_frames_is_noticed_by_the_images() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = capture_of(12, dir.path(), SceneKind::BouncingSpheres, CameraPath::Rig);
+    let videos = scene::Videos::of(&capture);
+    let shift_of = |shift: i64| {
+        let folder = maps.path().join("flow_fwd");
+        std::fs::create_dir_all(&folder).unwrap();
+        for view in capture.views.iter().filter(|view| view.flow.is_some()) {
+            let shown = videos.after(view, shift).map(|at| &capture.views[at]).filter(|view| view.flow.is_some());
+            let shown = shown.unwrap_or(view);
+            let flow = capture.load_flow(shown).unwrap().unwrap();
+            let channel = |axis: usize| flow.flow_px.iter().map(|step| step[axis]).collect::<Vec<f32>>();
+            let path = folder.join(format!("{}.exr", view.name));
+            scene::exr_file::write(&path, flow.width, flow.height, &[("X", channel(0)), ("Y", channel(1))]).unwrap();
+        }
+        let (_root, _, measured) = run(&capture, maps.path(), &params()).unwrap();
+        measured["flow_fits_images_better_shifted_by_frames"].clone()
+    };
+    assert_eq!(shift_of(0), serde_json::Value::Null);
+    assert_eq!(shift_of(1), serde_json::json!(-1));
+}

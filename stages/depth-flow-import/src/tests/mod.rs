@@ -13,14 +13,19 @@ use tempfile::TempDir;
 
 use crate::{DepthFlowImport, Params, Priors};
 
-/// Renders a small synthetic capture into `dir`.
+/// Renders a small synthetic capture of five frames into `dir`.
 fn capture(dir: &Path, scene: SceneKind, camera: CameraPath) -> Capture {
+    capture_of(5, dir, scene, camera)
+}
+
+/// Renders a small synthetic capture into `dir`.
+fn capture_of(frames: usize, dir: &Path, scene: SceneKind, camera: CameraPath) -> Capture {
     let params = Scene {
         scene,
         camera,
         width: 48,
         height: 32,
-        frames: 5,
+        frames,
         rig_cameras: 2,
         val_views: 0,
         test_views: 2,
