@@ -23,11 +23,13 @@ DEPARTURES = {
 }
 
 
-def layer_names(depth):
+HEADS = {"position": "gaussian_warp", "rotation": "gaussian_rotation", "scale": "gaussian_scaling"}
+
+
+def layer_names(depth, heads):
     """Our layers and the published ones."""
     names = {f"network.time.{layer}": f"timenet.{2 * layer}" for layer in range(2)}
     names |= {f"network.hidden.{layer}": f"linear.{layer}" for layer in range(depth)}
-    heads = {"position": "gaussian_warp", "rotation": "gaussian_rotation", "scale": "gaussian_scaling"}
     names |= {f"network.{ours}": theirs for ours, theirs in heads.items()}
     return {f"{ours}.{part}": f"{theirs}.{part}" for ours, theirs in names.items() for part in ("weight", "bias")}
 
@@ -51,12 +53,12 @@ class Original:
             setattr(self.gaussians, attribute, torch.nn.Parameter(torch.zeros(1, 1)))
         self.gaussians.training_setup(self.opt)
         self.deform.train_setting(self.opt)
-        self.names = layer_names(scene.params["deformable3dgs"]["network"]["depth"])
+        self.names = layer_names(scene.params["deformable3dgs"]["network"]["depth"], HEADS)
         self.box = None
 
     def load(self, state, phase_begins):
         """Continues from a state of ours."""
-        gaussians.load(self.gaussians, state)
+        gaussians.load(self.gaussians, state, keeps_moments=phase_begins and "moments" not in self.ours)
         if "network.bounds" not in state.value:
             return
         low, high = state.value["network.bounds"]
@@ -147,10 +149,10 @@ class Original:
         return rates | {name: self.deform.optimizer.param_groups[0]["lr"] for name in self.names}
 
 
-def options(params):
+def options(params, method="deformable3dgs"):
     """The published options with the values of our parameters."""
     density, rates = params["density"], params["learning_rates"]
-    network = params["deformable3dgs"]["network"]["rate"]
+    network = params[method]["network"]["rate"]
     return SimpleNamespace(
         warm_up=params["iterations"]["warm-up"], position_lr_init=rates["position"]["start"],
         position_lr_final=rates["position"]["end"], position_lr_delay_mult=0.01,

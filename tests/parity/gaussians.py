@@ -13,25 +13,28 @@ ATTRIBUTES = (
 )
 
 
-def set_moments(optimizer, parameter, name, state, with_moments=True):
-    """Values and moments of one tensor; a fresh optimizer has no moments."""
+def set_moments(optimizer, parameter, name, state):
+    """The moments of one tensor; a fresh optimizer has none."""
     steps = state.after["optimizer_steps"][name]
     optimizer.state.pop(parameter, None)
-    if steps > 0 and with_moments:
+    if steps > 0:
         optimizer.state[parameter] = {
             "step": torch.tensor(float(steps)), "exp_avg": state.first_moment[name].clone(),
             "exp_avg_sq": state.second_moment[name].clone()}
 
 
-def load(model, state, attributes=ATTRIBUTES):
-    """Sets the Gaussians, their moments and the statistics of density control."""
+def load(model, state, attributes=ATTRIBUTES, keeps_moments=False):
+    """Sets the Gaussians, their moments unless it `keeps_moments`, and the statistics of density control."""
     groups = {group["name"]: group for group in model.optimizer.param_groups}
     for name, group, attribute in attributes:
-        model.optimizer.state.pop(groups[group]["params"][0], None)
+        kept = model.optimizer.state.pop(groups[group]["params"][0], None)
         parameter = torch.nn.Parameter(state.value[name].clone())
         groups[group]["params"] = [parameter]
         setattr(model, attribute, parameter)
-        set_moments(model.optimizer, parameter, name, state)
+        if not keeps_moments:
+            set_moments(model.optimizer, parameter, name, state)
+        elif kept:
+            model.optimizer.state[parameter] = kept
     statistics = torch.tensor(state.after["hooks"][0]["statistics"]).view(-1, 3)
     count = model._xyz.shape[0]
     if len(statistics) < count:

@@ -65,7 +65,7 @@ def compare(original, args, stop):
     step = args.first
     while step < args.first + args.steps and (args.trace / f"{step:05}.safetensors").exists():
         after = trace.read_step(args.trace, step)
-        if synced is None or step <= RESYNC or (step - 1) % RESYNC == 0:
+        if synced is None or step < args.first + RESYNC or (step - 1) % RESYNC == 0:
             original.load(before, after.facts["iteration"] == 1)
             synced = before
         losses, gradients, order = original.step(after.facts, after.noise)

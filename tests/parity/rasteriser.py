@@ -48,7 +48,9 @@ class GaussianRasterizationSettings(NamedTuple):
 
 
 class GaussianRasterizer(torch.nn.Module):
-    """Returns the image [3, H, W], radii [N] and depth [1, H, W]."""
+    """Returns the image [3, H, W], radii [N], depth [1, H, W] and, of some forks, the opacity [1, H, W]."""
+
+    returns_opacity = False
 
     def __init__(self, raster_settings):
         super().__init__()
@@ -63,8 +65,8 @@ class GaussianRasterizer(torch.nn.Module):
             direction = torch.nn.functional.normalize(means3D - settings.campos, dim=1)
             colors = harmonics(settings.sh_degree, shs, direction)
         screen = [points for points in (means2D, means2D_densify) if points is not None]
-        image, depth, _, radii = render(settings, means3D, covariances, opacities[:, 0], colors, screen)
-        return image, radii, depth
+        image, depth, opacity, radii = render(settings, means3D, covariances, opacities[:, 0], colors, screen)
+        return (image, radii, depth, opacity) if self.returns_opacity else (image, radii, depth)
 
 
 def harmonics(degree, coefficients, direction):

@@ -122,6 +122,7 @@ class Original:
                                  second_moment=converted(state.second_moment, square=True), after=state.after)
         merged.after["optimizer_steps"]["rest"] = merged.after["optimizer_steps"]["gaussians.sh_rest"]
         gaussians.load(model, merged, ATTRIBUTES + (("rest", "f_rest", "_features_rest"),))
+        self.wave_steps = state.after["optimizer_steps"]["gaussians.sh_waves"]
         model.t_gradient_accum = torch.zeros_like(model.denom)
 
     def in_our_names(self, get):
@@ -198,8 +199,17 @@ class Original:
             return shared.order()
 
     def update(self):
-        self.gaussians.optimizer.step()
-        self.gaussians.optimizer.zero_grad(set_to_none=True)
+        optimizer, rest = self.gaussians.optimizer, self.gaussians._features_rest
+        before = rest[:, 15:].clone()
+        optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
+        if "harmonics" in self.ours and self.gaussians.active_sh_degree_t > 0:
+            # The published waves share their count of steps with the harmonics; ours have their own.
+            self.wave_steps += 1
+            moments, rate = optimizer.state[rest], self.rates()["gaussians.sh_waves"]
+            first = moments["exp_avg"][:, 15:] / (1 - 0.9**self.wave_steps)
+            second = moments["exp_avg_sq"][:, 15:] / (1 - 0.999**self.wave_steps)
+            rest[:, 15:] = before - rate * first / (second.sqrt() + 1e-15)
 
     def rates(self):
         groups = {group["name"]: group["lr"] for group in self.gaussians.optimizer.param_groups}

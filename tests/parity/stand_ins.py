@@ -46,6 +46,7 @@ class OnCpu(TorchFunctionMode):
     """Runs calls that name the device `cuda` on the CPU, and replaces the noise of splits."""
 
     split_noise = None  # (mean, std) → samples, where noise is shared
+    uniform = []  # our uniform draws, in their order, where they are shared
 
     def __torch_function__(self, func, types, args=(), kwargs=None):
         kwargs = dict(kwargs or {})
@@ -57,6 +58,9 @@ class OnCpu(TorchFunctionMode):
             return args[0]
         if func is torch.normal and self.split_noise:
             return self.split_noise(kwargs["mean"], kwargs["std"])
+        if func is torch.rand and self.uniform:
+            shape = torch.Size(args[0] if args and not isinstance(args[0], int) else args)
+            return torch.tensor([self.uniform.pop(0) for _ in range(shape.numel())]).view(shape)
         return func(*args, **kwargs)
 
 

@@ -1,6 +1,6 @@
 //! A training step by step in files, for other programs to compare with (`tests/parity`).
 //!
-//! `PARITY_REQUEST` names a file `{ "params": {…}, "steps": N, "noise": [PURPOSE, …] }` with keys of `params` as in a
+//! `PARITY_REQUEST` names a file `{ "params": {…}, "steps": N, "noise": […], "uniform": […] }` with keys of `params` as in a
 //! recipe, `PARITY_CAPTURE` a capture, and `PARITY_TRACE` the folder to write into: `scene.safetensors` (images, and as
 //! metadata the cameras, times and facts), and for each step from 0 on `NNNNN.safetensors`: the state after the step
 //! (`value.`, `first_moment.`, `second_moment.`), its gradients (`gradient.`) and random draws (`noise.`), and as
@@ -8,6 +8,7 @@
 
 use std::path::{Path, PathBuf};
 
+use rand::RngExt as _;
 use rand_distr::{Distribution as _, StandardNormal};
 use scene::Capture;
 use serde::Deserialize;
@@ -21,7 +22,7 @@ use crate::method::StepOutcome;
 use crate::params::TrainingParams;
 use crate::planning::resolve_for;
 
-/// Standard normal draws that are written for each purpose of a step.
+/// Draws that are written for each purpose of a step.
 const DRAWS: usize = 60_000;
 
 type Tensors = std::collections::BTreeMap<String, NamedTensor>;
@@ -30,8 +31,11 @@ type Tensors = std::collections::BTreeMap<String, NamedTensor>;
 struct Request {
     params: TrainingParams,
     steps: u64,
-    /// Purposes whose random draws are written, e.g. `split`.
+    /// Purposes whose draws are normal, e.g. `split`.
     noise: Vec<String>,
+    /// Purposes whose draws are uniform, e.g. `rigidity`.
+    #[serde(default)]
+    uniform: Vec<String>,
 }
 
 #[test]
@@ -59,7 +63,7 @@ fn write_trace() {
     write(0, &trainer, (Tensors::new(), Value::Null));
     for step in 1..=request.steps {
         let before = trainer.state.clone();
-        let of_step = describe_next(&mut trainer, &request.noise);
+        let of_step = describe_next(&mut trainer, &request);
         trainer.state = before;
         trainer.advance().unwrap();
         write(step, &trainer, of_step);
@@ -67,7 +71,7 @@ fn write_trace() {
 }
 
 /// Gradients, draws, losses, views and learning rates of the next step. The trainer's state is that amid the step.
-fn describe_next(trainer: &mut Trainer<'_>, purposes: &[String]) -> (Tensors, Value) {
+fn describe_next(trainer: &mut Trainer<'_>, request: &Request) -> (Tensors, Value) {
     let mut sampler = trainer.state.sampler.clone();
     let views: Vec<usize> = (0..trainer.setup.params.shared.batch).map(|_| sampler.next_view()).collect();
     let mut tape = Tape::new(trainer.device);
@@ -83,12 +87,15 @@ fn describe_next(trainer: &mut Trainer<'_>, purposes: &[String]) -> (Tensors, Va
         let tensor = NamedTensor { shape: gradient.shape().to_vec(), values: gradient.as_slice().to_vec() };
         tensors.insert(format!("gradient.{name}"), tensor);
     }
-    for purpose in purposes {
-        let mut random = trainer.setup.streams().step(trainer.phase_name(), iteration);
+    let mut random = trainer.setup.streams().step(trainer.phase_name(), iteration);
+    let mut draw = |purpose: &String, normal: bool| {
         let draws = random.of(purpose.clone().leak());
-        let values = (0..DRAWS).map(|_| StandardNormal.sample(draws)).collect();
+        let draw = |_| if normal { StandardNormal.sample(draws) } else { draws.random::<f64>() as f32 };
+        let values = (0..DRAWS).map(draw).collect();
         tensors.insert(format!("noise.{purpose}"), NamedTensor { shape: vec![DRAWS], values });
-    }
+    };
+    request.noise.iter().for_each(|purpose| draw(purpose, true));
+    request.uniform.iter().for_each(|purpose| draw(purpose, false));
     let losses = outcome.read_back().0;
     let facts = json!({ "views": views, "losses": losses, "rates": rates, "phase": trainer.phase_name(),
         "iteration": iteration, "sh_degree": sh_degree });
