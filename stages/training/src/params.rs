@@ -152,6 +152,17 @@ mod tests {
     }
 
     #[test]
+    fn a_single_value_of_a_nested_table_keeps_the_rest() {
+        let given = json!({ "deformation": { "gaussians": { "time_resolution": 20 } } });
+        for method in ["modecgs", "kineticgs"] {
+            let params = read(json!({ "method": method, method: given })).unwrap();
+            let mut expected = TrainingParams::of(method).unwrap();
+            expected.settings["deformation"]["gaussians"]["time_resolution"] = json!(20);
+            assert_eq!(params, expected);
+        }
+    }
+
+    #[test]
     fn another_methods_table_is_checked_and_dropped() {
         let plain = read(json!({ "method": "static3dgs" })).unwrap();
         let with_other = json!({ "method": "static3dgs", "deformable4dgs": { "time_resolution": 75 } });

@@ -24,7 +24,7 @@ use shaders::tape::Real;
 
 use crate::effects::{Effect, Loss, NOTHING_LEFT_OUT, VIEW_DEPENDENT_COLOR};
 use crate::method::{CoarseSharing, Method};
-use crate::shared::Shared;
+use crate::shared::{Shared, merge};
 
 /// Every method, in the order of the tables.
 static METHODS: LazyLock<Vec<Registration>> = LazyLock::new(|| {
@@ -170,8 +170,10 @@ impl Registration {
     }
 }
 
+/// The settings of a method's table: tables merge over the method's defaults, at any depth.
 fn read_settings<M: MethodFolder>(given: &Value) -> anyhow::Result<M::Settings> {
-    let settings = serde_json::from_value(given.clone())?;
+    let defaults = serde_json::to_value(M::Settings::default())?;
+    let settings = serde_json::from_value(merge(defaults, given.clone()))?;
     M::check(&settings).map_err(anyhow::Error::msg)?;
     Ok(settings)
 }
