@@ -14,6 +14,8 @@ pub struct Costs {
     pub loss_shares: BTreeMap<String, LossShare>,
     /// Skipped and total number of items, by kind of work.
     pub skipped_work: BTreeMap<String, [u64; 2]>,
+    /// Figures of the trained models that show what the parts of a method do, by name.
+    pub figures: BTreeMap<String, f64>,
     /// Moving shares of the initial particles, if the capture has ground truth for motion.
     pub particles_moving: Option<MovingShares>,
 }
@@ -61,6 +63,10 @@ impl Costs {
                     *sum.get_or_insert(0.0) += secs / count;
                 }
             }
+            for (name, figure) in &run.figures {
+                let count = runs.clone().filter(|other| other.figures.contains_key(name)).count();
+                *total.figures.entry(name.clone()).or_default() += figure / count as f64;
+            }
             for (work, [skipped, of]) in &run.skipped_work {
                 let sum = total.skipped_work.entry(work.clone()).or_default();
                 sum[0] += skipped;
@@ -79,7 +85,8 @@ impl Costs {
             .values()
             .flat_map(|share| [Some(share.value_share), share.forward_secs, share.backward_secs]);
         let moving = self.particles_moving.iter().flat_map(|shares| [shares.of_area, shares.of_particles]);
-        times.copied().chain(shares.flatten()).chain(moving).all(f64::is_finite)
+        let figures = self.figures.values().copied();
+        times.copied().chain(shares.flatten()).chain(figures).chain(moving).all(f64::is_finite)
     }
 }
 
@@ -105,6 +112,7 @@ mod tests {
             )]
             .into(),
             skipped_work: [("still Gaussians".into(), [skipped, 10])].into(),
+            figures: [("active (%)".into(), 10.0 * ms)].into(),
             particles_moving: Some(MovingShares { of_area: 0.1, of_particles: 0.1 * ms }),
         }
     }
@@ -116,6 +124,7 @@ mod tests {
         assert_eq!(mean.ms_per_iteration_by_phase["fine"]["motion"], 3.0, "over the runs that have the phase");
         assert_eq!(mean.loss_shares["flow"].forward_secs, Some(3.0));
         assert_eq!(mean.loss_shares["flow"].backward_secs, Some(6.0));
+        assert_eq!(mean.figures["active (%)"], 30.0, "over the runs that have the figure");
         assert_eq!(mean.skipped_work["still Gaussians"], [8, 20]);
         assert!((mean.particles_moving.unwrap().of_particles - 0.3).abs() <= 1e-12);
         assert_eq!(Costs::mean([Costs::default()].iter()).particles_moving, None);

@@ -1,5 +1,5 @@
 //! Training costs: seconds by activity, milliseconds per iteration by phase, share and time of each loss, skipped work,
-//! and the placement of particles.
+//! figures of the parts of methods, and the placement of particles.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,12 +17,12 @@ const ACTIVITIES: [&str; 10] =
 /// Activities that are no part of training.
 const UNCLOCKED: [&str; 2] = ["evaluation", "influence"];
 
-/// A figure and up to five tables per group.
+/// A figure and up to six tables per group.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut blocks = Vec::new();
     for group in &content.report.groups {
         blocks.extend(phase_figure(content, group).map(Block::Figure));
-        let tables = [phase_table, iteration_table, loss_table, skipped_table, particle_table]
+        let tables = [phase_table, iteration_table, loss_table, skipped_table, figure_table, particle_table]
             .map(|table| table(content, group));
         blocks.extend(tables.into_iter().filter(|table| !table.rows.is_empty()).map(Block::Table));
     }
@@ -128,6 +128,19 @@ fn skipped_table(content: &Content<'_>, group: &Group) -> Table {
             let share = 100.0 * *skipped as f64 / (*total).max(1) as f64;
             let cells = [skipped.to_string(), total.to_string(), number(share, 1)];
             table.rows.push(line(content, row, format!("{} · {work}", row.name), cells.into_iter()));
+        }
+    }
+    table
+}
+
+/// What the parts of a method do in its trained models.
+fn figure_table(content: &Content<'_>, group: &Group) -> Table {
+    let caption = format!("Protocol {}: parts of methods after training, mean over runs", group.name);
+    let mut table = Table::new(caption, ["method · figure", "mean"].map(String::from).into());
+    for row in &group.rows {
+        for (name, figure) in &row.costs.figures {
+            let cells = [number(*figure, 2)];
+            table.rows.push(line(content, row, format!("{} · {name}", row.name), cells.into_iter()));
         }
     }
     table

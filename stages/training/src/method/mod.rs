@@ -20,6 +20,8 @@ pub(crate) use step::{
     run_step, sum_by_name,
 };
 
+use std::collections::BTreeMap;
+
 use engine::{Failure, FailureKind};
 use scene::cloud::PointCloud;
 use serde_json::Value;
@@ -156,6 +158,11 @@ pub(crate) trait Method<T: Real>: Send + Sync {
     /// Adds the losses of one step ([`Step::add_loss`]); by default the photometric loss of every view.
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         photometric_losses(self, step)
+    }
+
+    /// Figures of the trained model that show what its parts do, by name, for the report.
+    fn figures(&self, _tape: &mut Tape<T>, _model: &Variables, _scene: &SceneFacts) -> BTreeMap<String, f64> {
+        BTreeMap::new()
     }
 
     /// Semantic features of the Gaussians, for the methods that have them.

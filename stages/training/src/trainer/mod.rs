@@ -29,6 +29,8 @@ mod tests;
 mod trace_tests;
 mod train_state;
 
+use std::collections::BTreeMap;
+
 use engine::{Decision, Facts};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{self, SplatVars};
@@ -155,6 +157,16 @@ impl Trainer<'_> {
     fn splats(&self, tape: &mut Tape<f32>, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
         let model = self.state.optimizer.bind_constant(tape);
         self.setup.method.splats(tape, &model, moment)
+    }
+
+    /// The figures of the model, if it is in its last phase; the parts of a method need not exist before.
+    fn figures(&self) -> BTreeMap<String, f64> {
+        if self.state.phase + 1 < self.setup.phases.len() {
+            return BTreeMap::new();
+        }
+        let mut tape = Tape::new(self.device);
+        let model = self.state.optimizer.bind_constant(&mut tape);
+        self.setup.method.figures(&mut tape, &model, self.setup.start.scene())
     }
 
     /// One line on the state of the training, for progress displays.

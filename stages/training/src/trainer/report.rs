@@ -46,6 +46,8 @@ pub struct Report {
     pub gpu: Option<GpuUse>,
     /// Work left out because it could not change the result, since the last resumption.
     pub skipped_work: SkippedWork,
+    /// Figures of the model that show what the parts of its method do, by name.
+    pub figures: BTreeMap<String, f64>,
     /// The largest gradient of every tensor since the last resumption.
     pub largest_gradients: BTreeMap<String, LargestGradient>,
     /// What happened to the model that a reader must know, e.g. that pruning would have emptied it.
@@ -88,6 +90,7 @@ impl Trainer<'_> {
         let clock = self.clock.reading();
         let (steps, _) = self.steps();
         let training_secs = clock.total_except(&UNCLOCKED);
+        let figures = self.figures();
         let phases = &self.setup.phases[..=self.state.phase];
         let Telemetry { history, profile, skipped, largest_gradients, .. } = &self.telemetry;
         Report {
@@ -105,6 +108,7 @@ impl Trainer<'_> {
             kernels_ms: kernel_milliseconds(profile),
             gpu: self.meter.as_ref().map(|meter| meter.per_iteration(steps)),
             skipped_work: skipped.clone(),
+            figures,
             largest_gradients: largest_gradients.clone(),
             notices: history.notices.clone(),
             guards: profile.events.clone(),
