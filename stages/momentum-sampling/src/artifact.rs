@@ -1,4 +1,4 @@
-//! The artifact: particles at the canonical time.
+//! The artifact: sampled particles.
 
 use std::path::{Path, PathBuf};
 
@@ -27,9 +27,10 @@ pub struct Particles {
     pub dir: PathBuf,
     /// Number of particles.
     pub count: usize,
-    /// The time of the particle positions, in seconds: the first instant of the training views.
+    /// The first instant of the training views, in seconds. Particles of later views have the positions of their own
+    /// instants.
     pub canonical_time_secs: f64,
-    /// The views that they were sampled from, all at the canonical time.
+    /// The views that they were sampled from.
     pub canonical_views: Vec<CanonicalView>,
     /// Strides in frames for which flow was available.
     pub strides: Vec<usize>,

@@ -11,5 +11,5 @@ mod sampling;
 mod tests;
 
 pub use artifact::Particles;
-pub use params::Params;
+pub use params::{Instants, Params};
 pub use run::MomentumSampling;

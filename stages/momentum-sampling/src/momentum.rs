@@ -39,11 +39,14 @@ pub(crate) fn momentum(
         let next = view_to.map(load).transpose()?;
         if params.strides.contains(&stride) && tracks.positions.iter().any(Option::is_some) {
             strides.push(stride);
+            let arrivals: Vec<Option<Arrival>> = (0..squared_norm.len())
+                .map(|pixel| arrival(start, pixel, tracks.positions[pixel]?, &camera_to, next.as_ref()))
+                .collect();
+            let deviations = deviations(&arrivals, tracks.size);
             for (pixel, sum) in squared_norm.iter_mut().enumerate() {
-                let (Some(sum), Some(moved)) = (sum, tracks.positions[pixel]) else { continue };
-                let Some(expected) = static_point(start, pixel, &camera_to) else { continue };
-                let confidence = slopes[pixel] * arrival_confidence(moved, expected, next.as_ref(), params.depth_error);
-                *sum += (confidence * (moved - expected.position) / stride as f64).length_squared();
+                let (Some(sum), Some(arrival)) = (sum, &arrivals[pixel]) else { continue };
+                let confidence = slopes[pixel] * (-deviations[pixel] / params.depth_error).exp();
+                *sum += (confidence * arrival.momentum_px / stride as f64).length_squared();
             }
         }
         let Some(next) = next else { break };
@@ -82,17 +85,30 @@ impl Tracks {
     }
 }
 
-/// Where a camera would see the surface point of a pixel if the point were static.
+/// What the flow says of the surface point of a pixel, relative to a static point.
 #[derive(Clone, Copy)]
-struct StaticPoint {
-    position: DVec2,
-    depth_view: f64,
+struct Arrival {
+    /// Flow that camera motion does not explain, px.
+    momentum_px: DVec2,
+    /// Change of the depth at the end of the flow, relative to that of the static point; unknown without depth there.
+    depth_change: Option<f64>,
 }
 
-/// Projects the surface point of a pixel into another camera.
-fn static_point(start: &MotionView, pixel: usize, camera_to: &Camera) -> Option<StaticPoint> {
+/// Compares the end of a pixel's flow, `moved`, with the projection of the static point into the camera there.
+fn arrival(
+    start: &MotionView,
+    pixel: usize,
+    moved: DVec2,
+    camera_to: &Camera,
+    next: Option<&MotionView>,
+) -> Option<Arrival> {
     let (position, depth_view) = camera_to.project(surface_point(start, pixel)?)?;
-    Some(StaticPoint { position, depth_view })
+    let depth = next.and_then(|next| {
+        let depth = next.depth.depth_view[pixels::index_at(moved, next.depth.width, next.depth.height)?];
+        has_depth(depth).then_some(f64::from(depth))
+    });
+    let depth_change = depth.map(|depth| (depth - depth_view) / depth_view);
+    Some(Arrival { momentum_px: moved - position, depth_change })
 }
 
 /// The world position of the surface point at the centre of a pixel (equation 5); `None` without depth.
@@ -126,12 +142,19 @@ fn slope_confidence(view: &MotionView, slope: f64) -> Vec<f64> {
     (0..width * height).map(confidence).collect()
 }
 
-/// Confidence `exp(-r / error)`, where r is the difference between the depth of the next view at the target of the flow
-/// and the depth of the static point, relative to the latter; 1 if the depth of the next view is unknown.
-fn arrival_confidence(moved: DVec2, expected: StaticPoint, next: Option<&MotionView>, error: f64) -> f64 {
-    let arrived = next.and_then(|next| {
-        let depth = next.depth.depth_view[pixels::index_at(moved, next.depth.width, next.depth.height)?];
-        has_depth(depth).then_some(f64::from(depth))
-    });
-    arrived.map_or(1.0, |depth| (-(depth - expected.depth_view).abs() / expected.depth_view / error).exp())
+/// By how much the change of depth at each pixel differs from the median around it (3 × 3 pixels); 0 where it is
+/// unknown. A surface that approaches the camera changes evenly; a flow that ends on another surface does not.
+fn deviations(arrivals: &[Option<Arrival>], (width, height): (u32, u32)) -> Vec<f64> {
+    let change = |column: usize, row: usize| arrivals[row * width as usize + column]?.depth_change;
+    let deviation = |pixel: usize| {
+        let (column, row) = (pixel % width as usize, pixel / width as usize);
+        let rows = row.saturating_sub(1)..(row + 2).min(height as usize);
+        let columns = column.saturating_sub(1)..(column + 2).min(width as usize);
+        let mut around: Vec<f64> =
+            rows.flat_map(|row| columns.clone().filter_map(move |column| change(column, row))).collect();
+        let own = change(column, row)?;
+        let middle = around.len() / 2;
+        Some((own - *around.select_nth_unstable_by(middle, f64::total_cmp).1).abs())
+    };
+    (0..arrivals.len()).map(|pixel| deviation(pixel).unwrap_or(0.0)).collect()
 }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct Params {
     /// Maximum number of particles.
     pub count: usize,
-    /// Maximum number of particles as a share of the pixels with depth, which limits small images.
+    /// Maximum number of particles as a share of the pixels with depth at an instant, which limits small images.
     pub pixel_share: f64,
     /// Distances in frames between the canonical frame and the frames that it is compared with. `[1]` is the literal
     /// reading of the equations, which misses motion that starts later.
@@ -21,13 +21,27 @@ pub struct Params {
     /// Slope of the depth at which confidence falls to 1/e: the sum of the absolute differences to the right and lower
     /// neighbours, relative to the depth.
     pub depth_slope: f64,
-    /// Difference between the depth at the target of the flow and the depth of the static point, relative to the
-    /// latter, at which confidence falls to 1/e.
+    /// Deviation at which confidence falls to 1/e: of the change of depth along the flow, relative to the depth of the
+    /// static point, from the median of the surrounding pixels.
     pub depth_error: f64,
     /// Edge length of voxels with at most one particle each, in scene units; 0 keeps every particle.
     pub voxel_size: f64,
+    /// Instants whose training views particles are sampled from.
+    pub instants: Instants,
     /// Seed of the random draws.
     pub seed: u64,
+}
+
+/// Choice of instants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Instants {
+    /// The first instant, as in the paper.
+    First,
+    /// Every instant.
+    All,
+    /// Every instant where each has a single view, which sees objects from one side; otherwise the first.
+    Auto,
 }
 
 impl Default for Params {
@@ -40,6 +54,7 @@ impl Default for Params {
             depth_slope: 0.05, // a surface at 45° has 1 / (focal length in pixels); outlines have far more
             depth_error: 0.05,
             voxel_size: 0.01, // the voxel size of anchors (Lu et al. 2024)
+            instants: Instants::Auto,
             seed: 0,
         }
     }

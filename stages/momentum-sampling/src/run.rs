@@ -1,5 +1,6 @@
 //! The stage: samples particles from the first instant of a capture.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -14,7 +15,8 @@ use serde::Serialize;
 use crate::artifact::CanonicalView;
 use crate::maps::MotionView;
 use crate::momentum::{momentum, surface_point};
-use crate::{Params, Particles, sampling};
+
+use crate::{Instants, Params, Particles, sampling};
 
 /// The stage `momentum-sampling`.
 pub struct MomentumSampling;
@@ -81,7 +83,7 @@ struct Candidate {
 /// into the folder `dir`.
 pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
     priors.check_against(capture)?;
-    let (start_secs, canonical) = canonical_views(capture)?;
+    let (start_secs, canonical) = canonical_views(capture, params.instants)?;
     let found: Vec<_> =
         canonical.par_iter().map(|&index| candidates(capture, priors, index, params)).collect::<anyhow::Result<_>>()?;
     let mut strides: Vec<usize> = found.iter().flat_map(|(_, strides)| strides.iter().copied()).collect();
@@ -94,15 +96,17 @@ pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &
         let names: Vec<_> = canonical.iter().map(|index| capture.views[*index].name.as_str()).collect();
         let message = format!("no pixel of {} has both depth and flow", names.join(", "));
         return Err(Failure::new(FailureKind::BadInput, message)
-            .hint("momentum sampling requires both at the first instant of the training views")
+            .hint("momentum sampling requires both in a view that it samples from")
             .into());
     }
     let energies = sampling::energies(&candidates.iter().map(|it| it.squared_norm).collect::<Vec<_>>());
     if energies.iter().all(|energy| *energy == 0.0) {
-        tracing::warn!("nothing moves at the first instant; sampling particles uniformly");
+        tracing::warn!("nothing moves in the sampled views; sampling particles uniformly");
     }
     let order = sampling::draw_order(&energies, params.energy_weight, params.seed);
-    let count = params.count.min((params.pixel_share * candidates.len() as f64).round().max(1.0) as usize);
+    let times: BTreeSet<u64> = canonical.iter().map(|&index| capture.views[index].time_secs.to_bits()).collect();
+    let per_instant = params.pixel_share * candidates.len() as f64 / times.len() as f64;
+    let count = params.count.min(per_instant.round().max(1.0) as usize);
     let drawn = sampling::one_per_voxel(&order, |at| candidates[at].position_world, params.voxel_size, count);
     let canonical_view = |(view, index): (usize, &usize)| CanonicalView {
         index: *index,
@@ -125,14 +129,15 @@ pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &
     Ok(Sampled { particles, moving: moving_shares(&candidates, &drawn) })
 }
 
-/// All training views of the first instant.
-fn canonical_views(capture: &Capture) -> anyhow::Result<(f64, Vec<usize>)> {
-    let mut training = capture.views_of(Split::Train);
-    let (_, first) = training.next().context("the capture has no training view")?;
+/// The training views of the chosen instants, and the time of the first.
+fn canonical_views(capture: &Capture, instants: Instants) -> anyhow::Result<(f64, Vec<usize>)> {
     // Views are ordered by time within a split.
-    let same = |(_, view): &(usize, &scene::View)| view.time_secs == first.time_secs;
-    let views = capture.views_of(Split::Train).take_while(same).map(|(index, _)| index).collect();
-    Ok((first.time_secs, views))
+    let training: Vec<_> = capture.views_of(Split::Train).collect();
+    let (_, first) = training.first().context("the capture has no training view")?;
+    let alone = training.windows(2).all(|pair| pair[0].1.time_secs < pair[1].1.time_secs);
+    let all = instants == Instants::All || instants == Instants::Auto && alone;
+    let chosen = training.iter().filter(|(_, view)| all || view.time_secs == first.time_secs);
+    Ok((first.time_secs, chosen.map(|(index, _)| *index).collect()))
 }
 
 /// The candidate pixels of one view, and the strides of their momentum.

@@ -86,17 +86,17 @@ fn a_wrong_pose_causes_momentum() {
 #[test]
 fn confidence_falls_with_slope_and_depth_error() {
     let params = Params { strides: vec![1], ..Params::default() };
+    let (mut start, pixel) = (wall(0, 0.0, 0.5), 5 * WIDTH as usize + 4);
     let squared_norm = |start: &MotionView, next_depth: f32| {
         let next = |index: usize| {
             let mut view = wall(index, 0.0, 0.5);
-            view.depth.depth_view.fill(next_depth);
+            view.depth.depth_view[pixel] = next_depth;
             Ok(view)
         };
         momentum(start, &params, &next).unwrap().squared_norm
     };
-    let (mut start, pixel) = (wall(0, 0.0, 0.5), 5 * WIDTH as usize + 4);
     assert!((squared_norm(&start, DEPTH)[pixel].unwrap() - 0.25).abs() <= 1e-9);
-    // A depth error of 5 % gives a confidence of 1/e.
+    // A depth that deviates from its surroundings by 5 % gives a confidence of 1/e.
     let expected = 0.25 * (-2.0_f64).exp();
     assert!((squared_norm(&start, 1.05 * DEPTH)[pixel].unwrap() - expected).abs() <= 1e-6);
     start.depth.depth_view[pixel + 1] = 1.05 * DEPTH;
@@ -107,6 +107,20 @@ fn confidence_falls_with_slope_and_depth_error() {
     assert_eq!((found[pixel], found[pixel + 1]), (Some(0.0), None));
     start.flow.as_mut().unwrap().map.flow_px[pixel - 1] = [f32::NAN; 2];
     assert_eq!(squared_norm(&start, DEPTH)[pixel - 1], Some(0.0));
+}
+
+#[test]
+fn motion_towards_the_camera_keeps_its_weight() {
+    let params = Params { strides: vec![1], ..Params::default() };
+    let approaching = |index: usize| {
+        let mut view = wall(index, 0.0, 0.5);
+        if index > 0 {
+            view.depth.depth_view.fill(0.8 * DEPTH);
+        }
+        Ok(view)
+    };
+    let found = momentum(&wall(0, 0.0, 0.5), &params, &approaching).unwrap().squared_norm;
+    assert!((found[5 * WIDTH as usize + 4].unwrap() - 0.25).abs() <= 1e-9, "half a pixel per frame, fully weighted");
 }
 
 #[test]
