@@ -8,7 +8,7 @@ use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use super::{ANCHORS, AnchorSettings};
-use crate::bases::bounds::Bounds;
+use crate::bases::bounds::{self, Bounds};
 use crate::bases::heads::{HeadedNetwork, POSITION, in_scene_units};
 use crate::bases::hexplane::TimeAxis;
 use crate::bases::hexplane::field::{Field, PlaneWeights};
@@ -23,6 +23,8 @@ const GAUSSIAN_FIELD: &str = "gaussian_field";
 const GAUSSIAN_NETWORK: &str = "gaussian_network";
 /// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
 const MAX_TEXELS: usize = 4096;
+/// Maximum number of texels along time that follows from the number of frames (published code).
+const MOST_TIME_TEXELS: usize = 100;
 
 /// The planes of one field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,8 +34,9 @@ pub(crate) struct FieldSettings {
     pub channels: usize,
     /// Texels along x, y and z at multiplier 1.
     pub spatial_resolution: usize,
-    /// Texels along time in the published code's counting, of which it reads half.
-    pub time_resolution: usize,
+    /// Texels along time in the published code's counting, of which it reads half; unset: half the number of distinct
+    /// training times, at most 100 as in its settings for DyCheck and HyperNeRF.
+    pub time_resolution: Option<usize>,
     /// Multipliers of the spatial resolution, one set of planes each.
     pub multipliers: Vec<usize>,
     /// Weights of the planes' regularisers.
@@ -67,16 +70,16 @@ impl Default for DeformationSettings {
             temporal_smoothness,
             time_to_one,
         };
-        let field = |spatial_resolution, time_resolution, regularizers| FieldSettings {
+        let field = |spatial_resolution, regularizers| FieldSettings {
             channels: 16,
             spatial_resolution,
-            time_resolution,
+            time_resolution: None,
             multipliers: vec![1, 2],
             regularizers,
         };
         Self {
-            anchors: field(32, 10, weights(1e-4, 5e-4, 5e-5)),
-            gaussians: field(64, 100, weights(2e-4, 1e-3, 1e-4)),
+            anchors: FieldSettings { time_resolution: Some(10), ..field(32, weights(1e-4, 5e-4, 5e-5)) },
+            gaussians: field(64, weights(2e-4, 1e-3, 1e-4)),
             time_axis: TimeAxis::Full,
             width: 128,
             zero_heads: true,
@@ -87,15 +90,21 @@ impl Default for DeformationSettings {
 }
 
 impl FieldSettings {
-    fn build(&self, name: &'static str, axis: TimeAxis) -> Field {
-        let spatial = [self.spatial_resolution; 3];
-        Field::new(name, self.channels, spatial, self.time_resolution, &self.multipliers, axis)
+    fn build(&self, name: &'static str, axis: TimeAxis, scene: &SceneFacts) -> Field {
+        let time_resolution = self.time_resolution.unwrap_or(scene.time_count.div_ceil(2).min(MOST_TIME_TEXELS));
+        Field::new(name, self.channels, [self.spatial_resolution; 3], time_resolution, &self.multipliers, axis)
+    }
+
+    /// Features per point.
+    fn features(&self) -> usize {
+        self.channels * self.multipliers.len()
     }
 
     fn works(&self) -> bool {
         let few = |size: &usize| (1..=MAX_TEXELS).contains(size);
         let PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one } = self.regularizers;
-        [self.channels, self.spatial_resolution, self.time_resolution].iter().chain(&self.multipliers).all(few)
+        let sizes = [self.channels, self.spatial_resolution, self.time_resolution.unwrap_or(1)];
+        sizes.iter().chain(&self.multipliers).all(few)
             && !self.multipliers.is_empty()
             && [spatial_smoothness, temporal_smoothness, time_to_one].iter().all(|&w| w >= 0.0 && w.is_finite())
     }
@@ -109,7 +118,7 @@ impl DeformationSettings {
         let field = FieldSettings {
             channels: 2,
             spatial_resolution: 4,
-            time_resolution: 6,
+            time_resolution: Some(6),
             multipliers: vec![1, 2],
             regularizers: weights,
         };
@@ -151,48 +160,45 @@ pub(crate) struct AnchorChange {
 
 /// The field that moves anchors.
 pub(crate) struct AnchorDeformation {
-    field: Field,
+    planes: Planes,
     network: HeadedNetwork,
-    weights: PlaneWeights,
     zero_heads: bool,
 }
 
 impl AnchorDeformation {
     /// The field of anchors of these sizes.
     pub(crate) fn new(settings: &DeformationSettings, anchors: &AnchorSettings) -> Self {
-        let field = settings.anchors.build(ANCHOR_FIELD, settings.time_axis);
+        let planes = Planes::new(ANCHOR_FIELD, &settings.anchors, settings.time_axis);
         let heads = vec![(POSITION, 3), ("feature", anchors.features), ("offset", 3 * anchors.offsets), ("scale", 6)];
-        let network = HeadedNetwork::new(ANCHOR_NETWORK, field.features(), settings.width, heads);
-        Self { field, network, weights: settings.anchors.regularizers, zero_heads: settings.zero_heads }
+        let network = HeadedNetwork::new(ANCHOR_NETWORK, settings.anchors.features(), settings.width, heads);
+        Self { planes, network, zero_heads: settings.zero_heads }
     }
 
-    /// Adds box, planes and network.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: Streams) -> anyhow::Result<()> {
-        insert_box(state, ANCHOR_FIELD)?;
-        self.field.insert_planes(state, random);
+    /// Adds planes and network.
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, scene: &SceneFacts, random: Streams) {
+        self.planes.insert(state, scene, random);
         self.network.insert(state, self.zero_heads, random);
-        Ok(())
     }
 
     /// The changes of anchors at canonical positions [M, 3] at a time in [0, 1]; the network counts displacements in
-    /// units of `unit_world`.
+    /// units of [`SceneFacts::unit_world`].
     pub(crate) fn at<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
+        scene: &SceneFacts,
         positions: Var,
         time: f64,
-        unit_world: f64,
     ) -> AnchorChange {
-        let hidden = self.hidden(tape, model, positions, time);
+        let hidden = self.hidden(tape, model, scene, positions, time);
         let heads = self.network.heads(tape, model, &[POSITION, "feature", "offset", "scale"], hidden);
-        let positions = in_scene_units(tape, heads[0], unit_world);
+        let positions = in_scene_units(tape, heads[0], scene.unit_world);
         AnchorChange { positions, features: heads[1], offsets: heads[2], log_scales: heads[3] }
     }
 
     /// Positions [M, 3] in the field's box, as [−1, 1].
     pub(crate) fn inside<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var) -> Var {
-        self.field.inside(tape, model, positions)
+        bounds::inside(tape, model, ANCHOR_FIELD, positions)
     }
 
     /// The displacements [M, 3] of [`AnchorDeformation::at`] alone.
@@ -200,66 +206,70 @@ impl AnchorDeformation {
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
+        scene: &SceneFacts,
         positions: Var,
         time: f64,
-        unit_world: f64,
     ) -> Var {
-        let hidden = self.hidden(tape, model, positions, time);
-        self.network.displacements(tape, model, hidden, unit_world)
+        let hidden = self.hidden(tape, model, scene, positions, time);
+        self.network.displacements(tape, model, hidden, scene.unit_world)
     }
 
     /// Adds the regularisers of the planes.
     pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
-        self.field.regularize(step, &self.weights);
+        self.planes.regularize(step);
     }
 
-    fn hidden<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, positions: Var, time: f64) -> Var {
-        let features = self.field.at(tape, model, positions, time);
+    fn hidden<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        scene: &SceneFacts,
+        positions: Var,
+        time: f64,
+    ) -> Var {
+        let features = self.planes.field(scene).at(tape, model, positions, time);
         self.network.hidden(tape, model, features)
     }
 }
 
 /// The field that moves spawned Gaussians.
 pub(crate) struct GaussianDeformation {
-    field: Field,
+    planes: Planes,
     network: HeadedNetwork,
-    weights: PlaneWeights,
     zero_heads: bool,
 }
 
 impl GaussianDeformation {
     /// The field with these settings.
     pub(crate) fn new(settings: &DeformationSettings) -> Self {
-        let field = settings.gaussians.build(GAUSSIAN_FIELD, settings.time_axis);
+        let planes = Planes::new(GAUSSIAN_FIELD, &settings.gaussians, settings.time_axis);
         let heads = vec![(POSITION, 3), ("scale", 3), ("rotation", 4)];
-        let network = HeadedNetwork::new(GAUSSIAN_NETWORK, field.features(), settings.width, heads);
-        Self { field, network, weights: settings.gaussians.regularizers, zero_heads: settings.zero_heads }
+        let network = HeadedNetwork::new(GAUSSIAN_NETWORK, settings.gaussians.features(), settings.width, heads);
+        Self { planes, network, zero_heads: settings.zero_heads }
     }
 
-    /// Adds box, planes and network.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: Streams) -> anyhow::Result<()> {
-        insert_box(state, GAUSSIAN_FIELD)?;
-        self.field.insert_planes(state, random);
+    /// Adds planes and network.
+    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, scene: &SceneFacts, random: Streams) {
+        self.planes.insert(state, scene, random);
         self.network.insert(state, self.zero_heads, random);
-        Ok(())
     }
 
     /// Gaussians at a time in [0, 1]: the outputs of the heads are added to positions, logarithmic scales and unit
-    /// quaternions. The network counts displacements in units of `unit_world`.
+    /// quaternions. The network counts displacements in units of [`SceneFacts::unit_world`].
     pub(crate) fn deform<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
+        scene: &SceneFacts,
         spawned: SplatVars,
         time: f64,
-        unit_world: f64,
     ) -> SplatVars {
-        let features = self.field.at(tape, model, spawned.positions, time);
+        let features = self.planes.field(scene).at(tape, model, spawned.positions, time);
         let hidden = self.network.hidden(tape, model, features);
         let (log_scales, rotations) = spawned.shape.scales_and_rotations().expect("anchors spawn both");
         let rotations = quaternion::normalize(tape, rotations);
         let mut changes = self.network.heads(tape, model, &[POSITION, "scale", "rotation"], hidden);
-        changes[0] = in_scene_units(tape, changes[0], unit_world);
+        changes[0] = in_scene_units(tape, changes[0], scene.unit_world);
         let attributes = [spawned.positions, log_scales, rotations];
         let pairs: Vec<[Var; 2]> = attributes.into_iter().zip(changes).map(|(a, change)| [a, change]).collect();
         let moved = adds(tape, &pairs);
@@ -269,15 +279,41 @@ impl GaussianDeformation {
 
     /// Adds the regularisers of the planes.
     pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
-        self.field.regularize(step, &self.weights);
+        self.planes.regularize(step);
     }
 }
 
-/// Adds the box of a field: that of the anchors.
-fn insert_box<T: Real>(state: &mut ModelState<T>, field: &str) -> anyhow::Result<()> {
+/// The planes of one field on a scene whose number of frames is known later.
+struct Planes {
+    name: &'static str,
+    settings: FieldSettings,
+    axis: TimeAxis,
+}
+
+impl Planes {
+    fn new(name: &'static str, settings: &FieldSettings, axis: TimeAxis) -> Self {
+        Self { name, settings: settings.clone(), axis }
+    }
+
+    fn field(&self, scene: &SceneFacts) -> Field {
+        self.settings.build(self.name, self.axis, scene)
+    }
+
+    fn insert<T: Real>(&self, state: &mut ModelState<T>, scene: &SceneFacts, random: Streams) {
+        self.field(scene).insert_planes(state, random);
+    }
+
+    fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
+        self.field(step.scene).regularize(step, &self.settings.regularizers);
+    }
+}
+
+/// Adds the boxes of both fields, to the model's first state: that of the anchors.
+pub(crate) fn insert_boxes<T: Real>(state: &mut ModelState<T>) -> anyhow::Result<()> {
     let positions = state.get(&format!("{ANCHORS}.positions"))?;
     let row = |index: usize| std::array::from_fn(|axis| positions.row(index)[axis].to_f64() as f32);
     let positions: Vec<[f32; 3]> = (0..positions.rows()).map(row).collect();
-    Bounds::enclosing(&positions).insert(state, field);
+    let bounds = Bounds::enclosing(&positions);
+    [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().for_each(|field| bounds.insert(state, field));
     Ok(())
 }

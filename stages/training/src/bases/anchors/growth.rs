@@ -34,6 +34,7 @@ pub(crate) struct AnchorGrowth {
     growth: Growth,
     voxel_size: f64,
     per_anchor: usize,
+    starts_at_zero: &'static [&'static str],
     statistics: Statistics,
     guard: CollapseGuard,
 }
@@ -61,12 +62,18 @@ impl AnchorGrowth {
             growth,
             voxel_size: settings.voxel_size * unit_world,
             per_anchor: settings.offsets,
+            starts_at_zero: &["offsets"],
             statistics: Statistics::default(),
             guard: CollapseGuard::default(),
         }
     }
 
-    /// The number of views of an anchor that a decision needs.
+    /// Growth whose new anchors have zeros in these attributes, those of them that the model has.
+    pub(crate) fn with_zeros(self, starts_at_zero: &'static [&'static str]) -> Self {
+        Self { starts_at_zero, ..self }
+    }
+
+    /// The number of steps with an anchor in view that a decision needs.
     fn views_needed(&self) -> f64 {
         self.density.interval as f64 * self.growth.success
     }
@@ -85,14 +92,14 @@ impl AnchorGrowth {
             };
             let candidates: Vec<(usize, f32)> = gradients.iter().enumerate().filter_map(passes).collect();
             let free = self.free_cells(optimizer, &candidates, &places, cell_size)?;
-            add_anchors(optimizer, free, cell_size)?;
+            add_anchors(optimizer, free, cell_size, self.starts_at_zero)?;
         }
         self.statistics.reset_gradients(SEEN_SHARE * self.views_needed());
         self.statistics.resize(optimizer.population_len(ANCHORS)?);
         Ok(())
     }
 
-    /// The cells of Gaussians (slot, gradient) that hold no anchor, up to the cap on Gaussians: the largest gradients
+    /// The cells of Gaussians (slot, gradient) that hold no anchor, up to the cap on anchors: the largest gradients
     /// first.
     fn free_cells(
         &self,
@@ -114,7 +121,7 @@ impl AnchorGrowth {
             candidate.parents.push(slot / per_anchor);
             candidate.gradient = candidate.gradient.max(gradient);
         }
-        let capacity = (self.density.max_count / per_anchor).saturating_sub(anchors.len());
+        let capacity = self.density.max_count.saturating_sub(anchors.len());
         let mut free: Vec<_> = free.into_iter().collect();
         if free.len() > capacity {
             free.sort_by(|(_, a), (_, b)| b.gradient.total_cmp(&a.gradient));
@@ -143,8 +150,13 @@ impl AnchorGrowth {
 }
 
 /// Appends an anchor at the centre of every free cell: a copy of its first parent, with the maximum of every feature
-/// over all parents, zero offsets, and scales of the size of the cell.
-fn add_anchors(optimizer: &mut Optimizer, free: Vec<([i64; 3], Candidate)>, cell_size: f64) -> anyhow::Result<()> {
+/// over all parents, zeros in the attributes that start there, and scales of the size of the cell.
+fn add_anchors(
+    optimizer: &mut Optimizer,
+    free: Vec<([i64; 3], Candidate)>,
+    cell_size: f64,
+    starts_at_zero: &[&str],
+) -> anyhow::Result<()> {
     let first_new = optimizer.population_len(ANCHORS)?;
     let first_parents: Vec<usize> = free.iter().map(|(_, candidate)| candidate.parents[0]).collect();
     optimizer.append_copies(ANCHORS, &first_parents)?;
@@ -163,8 +175,12 @@ fn add_anchors(optimizer: &mut Optimizer, free: Vec<([i64; 3], Candidate)>, cell
             }
         }
     })?;
-    let columns = optimizer.tensor(&name("offsets"))?.row_len();
-    optimizer.edit(&name("offsets"), |offsets| offsets[first_new * columns..].fill(0.0))?;
+    for attribute in starts_at_zero {
+        // Attributes of motion exist only once it begins.
+        let Ok(tensor) = optimizer.tensor(&name(attribute)) else { continue };
+        let old = first_new * tensor.row_len();
+        optimizer.edit(&name(attribute), |values| values[old..].fill(0.0))?;
+    }
     optimizer.edit(&name("log_scales"), |scales| scales[6 * first_new..].fill(cell_size.ln() as f32))
 }
 

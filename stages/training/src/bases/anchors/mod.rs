@@ -16,7 +16,9 @@ mod initial;
 mod tests;
 mod views;
 
-pub(crate) use deformation::{AnchorChange, AnchorDeformation, DeformationSettings, GaussianDeformation};
+pub(crate) use deformation::{
+    AnchorChange, AnchorDeformation, DeformationSettings, FieldSettings, GaussianDeformation, insert_boxes,
+};
 pub(crate) use growth::AnchorGrowth;
 pub(crate) use initial::{insert_anchors, voxels};
 pub(crate) use views::{SpawnedGaussians, insert_view_networks, spawn};
@@ -57,6 +59,9 @@ pub(crate) struct AnchorSettings {
     pub offsets: usize,
     /// Width of the view networks.
     pub width: usize,
+    /// Whether the networks see the viewing direction, as published. Where every instant has a single camera, they can
+    /// tell the instants apart by it, and need not find the motion.
+    pub view_direction: bool,
     /// Criteria for new anchors; the table `density` sets their schedule and number.
     pub growth: Growth,
     /// Learning rate of the features.
@@ -95,6 +100,7 @@ impl Default for AnchorSettings {
             features: 32,
             offsets: 10,
             width: 32,
+            view_direction: true,
             growth: Growth::default(),
             feature_rate: 7.5e-3,
             offset_rate: LogLinear { start: 1e-2, end: 1e-4, steps: 30_000 },
@@ -187,12 +193,18 @@ pub(crate) fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &Tr
 pub(crate) struct AnchoredGaussians {
     shared: Shared,
     settings: AnchorSettings,
+    starts_at_zero: &'static [&'static str],
 }
 
 impl AnchoredGaussians {
     /// The base with these settings.
     pub(crate) fn new(shared: &Shared, settings: &AnchorSettings) -> Self {
-        Self { shared: shared.clone(), settings: settings.clone() }
+        Self { shared: shared.clone(), settings: settings.clone(), starts_at_zero: &["offsets"] }
+    }
+
+    /// The base whose new anchors have zeros in these attributes.
+    pub(crate) fn with_zeros(self, starts_at_zero: &'static [&'static str]) -> Self {
+        Self { starts_at_zero, ..self }
     }
 
     /// The Gaussians that the stored anchors spawn for a camera.
@@ -202,7 +214,7 @@ impl AnchoredGaussians {
         model: &Variables,
         camera: &PinholeCamera,
     ) -> SpawnedGaussians {
-        spawn(tape, model, &Anchors::stored(model), camera)
+        spawn(tape, model, &Anchors::stored(model), None, camera)
     }
 
     /// Adds the initial tensors, with anchors at these positions.
@@ -250,7 +262,8 @@ impl<T: Real> Base<T> for AnchoredGaussians {
 
     fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let Shared { density, schedule_scale, .. } = &self.shared;
-        vec![Box::new(AnchorGrowth::new(density, &self.settings, *schedule_scale, scene.unit_world))]
+        let growth = AnchorGrowth::new(density, &self.settings, *schedule_scale, scene.unit_world);
+        vec![Box::new(growth.with_zeros(self.starts_at_zero))]
     }
 }
 

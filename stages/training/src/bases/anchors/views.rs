@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use shaders::arrays::rows::{concat_columns, normalize, repeat_row, row_sum};
+use shaders::arrays::rows::{concat_columns, normalize, repeat_row, row_sum, scale_rows};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::geometry::point_lookup::in_view;
 use shaders::networks::linear::Activation;
@@ -22,12 +22,13 @@ pub(super) const VIEWS: &str = "views";
 /// Minimum distance in the viewing direction's denominator, scene units: a nearer anchor has no direction.
 const MIN_DISTANCE: f64 = 1e-8;
 
-/// Adds the three networks: F + 3 → width → outputs.
+/// Adds the three networks: F + 3 → width → outputs, or F → … without the viewing direction.
 pub(crate) fn insert_view_networks<T: Real>(state: &mut ModelState<T>, settings: &AnchorSettings, random: Streams) {
-    let AnchorSettings { features, offsets, width, .. } = *settings;
+    let AnchorSettings { features, offsets, width, view_direction, .. } = *settings;
+    let inputs = if view_direction { features + 3 } else { features };
     for (network, outputs) in [("opacity", offsets), ("shape", 7 * offsets), ("color", 3 * offsets)] {
         let [inner, outer] = layers(network);
-        insert_layer(state, &inner, features + 3, width, FirstWeights::Xavier, random);
+        insert_layer(state, &inner, inputs, width, FirstWeights::Xavier, random);
         insert_layer(state, &outer, width, outputs, FirstWeights::Xavier, random);
     }
 }
@@ -53,33 +54,50 @@ impl SpawnedGaussians {
     }
 }
 
-/// The Gaussians that anchors spawn for a camera.
+/// The Gaussians that anchors spawn for a camera. An anchor with a 0 in `drawn` [N, 1] spawns none, counts as outside
+/// of the view, and receives no gradient; `None` draws all.
 pub(crate) fn spawn<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
     anchors: &Anchors,
+    drawn: Option<Var>,
     camera: &PinholeCamera,
 ) -> SpawnedGaussians {
-    let count = tape.value(anchors.positions).rows();
-    let camera_position = tape.constant(Tensor::from_vec([3], camera.position_world().map(T::from_f64).to_vec()));
-    let camera_position = repeat_row(tape, camera_position, count);
-    let from_camera = sub(tape, anchors.positions, camera_position);
-    let direction = normalize(tape, from_camera, MIN_DISTANCE);
-    let seen = concat_columns(tape, &[anchors.features, direction]);
-
+    let seen = inputs(tape, model, anchors, camera);
     let opacities = network(tape, model, "opacity", seen);
     let opacities = hyperbolic_tangent(tape, opacities);
+    let opacities = only(tape, opacities, drawn);
     let shapes = network(tape, model, "shape", seen);
     let colors = network(tape, model, "color", seen);
     let colors = sigmoid(tape, colors);
     let Anchors { positions, log_scales, offsets, .. } = *anchors;
-    let parents = parents(tape, positions, opacities, camera);
+    let mut parents = parents(tape, positions, opacities, camera);
+    parents.in_view = only(tape, parents.in_view, drawn);
     let count = tape.value(opacities).len();
     let found = neural_gaussians(tape, &AnchorVars { positions, log_scales, offsets, opacities, shapes, colors });
     let NeuralGaussians { positions, log_scales, rotations, opacity_logits, sh, slots } = found;
     let shape = ShapeVars::ScaleRotation { log_scales, rotations };
     let splats = SplatVars { positions, shape, opacity_logits, sh };
     SpawnedGaussians { splats, slots, count, parents }
+}
+
+/// What the networks see: features, and the viewing direction if they are built for it.
+fn inputs<T: Real>(tape: &mut Tape<T>, model: &Variables, anchors: &Anchors, camera: &PinholeCamera) -> Var {
+    let columns = tape.value(model.get(&format!("{}.weight", layers("opacity")[0]))).row_len();
+    if columns == tape.value(anchors.features).row_len() {
+        return anchors.features;
+    }
+    let count = tape.value(anchors.positions).rows();
+    let camera_position = tape.constant(Tensor::from_vec([3], camera.position_world().map(T::from_f64).to_vec()));
+    let camera_position = repeat_row(tape, camera_position, count);
+    let from_camera = sub(tape, anchors.positions, camera_position);
+    let direction = normalize(tape, from_camera, MIN_DISTANCE);
+    concat_columns(tape, &[anchors.features, direction])
+}
+
+/// x [N, …] times `drawn` [N, 1]; `None` leaves x as it is.
+fn only<T: Real>(tape: &mut Tape<T>, x: Var, drawn: Option<Var>) -> Var {
+    drawn.map_or(x, |drawn| scale_rows(tape, x, drawn))
 }
 
 /// Values of anchors at `positions` [N, 3] for a camera, given the `opacities` [N, K] of their networks.

@@ -4,6 +4,7 @@
 #[cfg(test)]
 mod tests;
 
+use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::{columns, scale_rows};
 use shaders::pointwise::{add, sigmoid};
@@ -105,7 +106,7 @@ impl MotionDecomposition {
     fn new(shared: &Shared, settings: Settings) -> Self {
         let global = AnchorDeformation::new(&settings.deformation, &settings.anchors);
         let local = GaussianDeformation::new(&settings.deformation);
-        let base = AnchoredGaussians::new(shared, &settings.anchors);
+        let base = AnchoredGaussians::new(shared, &settings.anchors).with_zeros(&["offsets", "gates"]);
         let has_motion = shared.effects.has(MOTION);
         Self { base, settings, global, local, has_motion }
     }
@@ -121,18 +122,18 @@ impl MotionDecomposition {
             return self.base.spawn(tape, model, moment.camera);
         }
         let canonical = Anchors::stored(model);
-        let (segment_time, unit_world) = (self.segment_time(moment.time), moment.scene.unit_world);
-        let change = self.global.at(tape, model, canonical.positions, segment_time, unit_world);
+        let segment_time = self.segment_time(moment.time);
+        let change = self.global.at(tape, model, moment.scene, canonical.positions, segment_time);
         let moved = through_gates(tape, model.get(GATES), &canonical, &change);
-        let mut spawned = anchors::spawn(tape, model, &moved, moment.camera);
-        spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time, unit_world);
+        let mut spawned = anchors::spawn(tape, model, &moved, None, moment.camera);
+        spawned.splats = self.local.deform(tape, model, moment.scene, spawned.splats, moment.time);
         spawned
     }
 
-    /// The middle of the segment that contains a time in [0, 1].
+    /// The start of the segment that contains a time in [0, 1].
     fn segment_time(&self, time: f64) -> f64 {
         let segments = f64::from(self.settings.segments);
-        ((time * segments).floor().clamp(0.0, segments - 1.0) + 0.5) / segments
+        (time * segments).floor().clamp(0.0, segments - 1.0) / segments
     }
 }
 
@@ -159,16 +160,24 @@ impl<T: Real> Method<T> for MotionDecomposition {
         &self.base
     }
 
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
+        let mut state = self.base.initialize(start, points, random)?;
+        if self.has_motion {
+            anchors::insert_boxes(&mut state)?;
+        }
+        Ok(state)
+    }
+
     fn enter_phase(
         &self,
         phase: &str,
         mut state: ModelState<T>,
-        _start: &Start<'_>,
+        start: &Start<'_>,
         random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves(phase) {
-            self.global.insert(&mut state, random)?;
-            self.local.insert(&mut state, random)?;
+            self.global.insert(&mut state, start.scene(), random);
+            self.local.insert(&mut state, start.scene(), random);
             let count = state.get("anchors.positions")?.rows();
             state.insert(GATES, Tensor::zeros([count, 2]));
         }

@@ -9,14 +9,14 @@ use crate::bases::gaussians::{self, GRADIENT_SUM, SEEN_COUNT};
 use crate::method::{Parents, ScreenStats};
 
 pointwise! {
-    /// y = sum + term where count > 0, otherwise sum.
-    fn add_where_counted(sum, term, count) -> y {
-        return select(sum, sum + term, count > 0.0);
+    /// y = sum + term / count where count > 0, otherwise sum.
+    fn add_mean(sum, term, count) -> y {
+        return select(sum, sum + term / max(count, 1.0), count > 0.0);
     }
     gradients(dy) {
         sum: { return dy; }
-        term: { return select(0.0, dy, count > 0.0); }
-        count: { return 0.0; }
+        term: { return select(0.0, dy / max(count, 1.0), count > 0.0); }
+        count: { return 0.0 * dy; }
     }
 }
 
@@ -28,9 +28,9 @@ pub(crate) struct Statistics {
     per_anchor: usize,
     /// Statistics of the N·K slots.
     gaussians: gaussians::Statistics,
-    /// [N, 1] sums of the opacities of all Gaussians of the anchor.
+    /// [N, 1] sums over steps of the opacity of all Gaussians of the anchor, mean over the renders that have it in view.
     opacity_sum: Tensor<f32>,
-    /// [N, 1] number of renders with the anchor in view.
+    /// [N, 1] number of steps with the anchor in view.
     view_count: Tensor<f32>,
 }
 
@@ -44,7 +44,7 @@ struct Saved {
     seen_count: Vec<u32>,
     /// [N] sums of opacities.
     opacity_sum: Vec<f32>,
-    /// [N] number of renders with the anchor in view.
+    /// [N] number of steps with the anchor in view.
     view_count: Vec<u32>,
 }
 
@@ -92,7 +92,7 @@ impl Statistics {
         self.add_views(stats);
     }
 
-    /// Adds the views of one step. Opacities count for anchors that are in view in any of its renders.
+    /// Adds the views of one step. An anchor counts once, whatever the number of renders that have it in view.
     fn add_views(&mut self, stats: &ScreenStats<'_>) {
         let Some((first, others)) = stats.parents().split_first() else { return };
         let mut tape = Tape::new(first.in_view.device());
@@ -102,8 +102,8 @@ impl Statistics {
             (views, opacity) = (add(&mut tape, views, in_view), add(&mut tape, opacity, of_render));
         }
         let sums = [&self.opacity_sum, &self.view_count].map(|tensor| tape.constant(tensor.clone()));
-        let opacity_sum = add_where_counted(&mut tape, sums[0], opacity, views);
-        let view_count = add(&mut tape, sums[1], views);
+        let opacity_sum = add_mean(&mut tape, sums[0], opacity, views);
+        let view_count = add_mean(&mut tape, sums[1], views, views);
         [self.opacity_sum, self.view_count] = [opacity_sum, view_count].map(|sum| tape.value(sum).clone());
     }
 
@@ -112,7 +112,7 @@ impl Statistics {
         self.gaussians.rows().iter().map(|row| mean(row[GRADIENT_SUM], row[SEEN_COUNT], needed)).collect()
     }
 
-    /// [N] the mean opacity, summed over its Gaussians, of every anchor that is in view in more than `needed` renders.
+    /// [N] the mean opacity, summed over its Gaussians, of every anchor that is in view in more than `needed` steps.
     pub(crate) fn mean_opacities(&self, needed: f64) -> Vec<Option<f32>> {
         let rows = self.opacity_sum.as_slice().iter().zip(self.view_count.as_slice());
         rows.map(|(&sum, &count)| mean(sum, count, needed)).collect()
