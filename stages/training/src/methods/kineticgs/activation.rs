@@ -1,5 +1,7 @@
 //! Activation of each particle: a time window around a trained centre (KineticGS equations 7 to 9).
 
+use std::collections::BTreeMap;
+
 use shaders::losses::histogram::{divergence_from_uniform, soft_histogram};
 use shaders::networks::linear::Activation;
 use shaders::networks::positional_encoding::PositionalEncoding;
@@ -24,6 +26,8 @@ const LEAST_RADIUS: f64 = 0.01;
 const FIRST_RADIUS: f64 = 1.5;
 /// Standard deviation of the initial weights of Δ^ct, so that window centres differ; uniform here.
 const FIRST_CENTERS: f64 = 0.3;
+/// Times of the report on active particles, as shares of the clip.
+const REPORTED_TIMES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Bins of the histograms over (−1, 1).
 const BINS: usize = 32;
 
@@ -84,6 +88,27 @@ impl Windows {
         };
         let (opened, not_closed) = (edge(self.starts, 1.0), edge(self.ends, -1.0));
         mul(tape, opened, not_closed)
+    }
+
+    /// How many particles are active when, above a threshold, and the shape of the windows.
+    pub(crate) fn figures<T: Real>(&self, tape: &mut Tape<T>, threshold: f64) -> BTreeMap<String, f64> {
+        let mut figures = BTreeMap::new();
+        for time in REPORTED_TIMES {
+            let window = self.at(tape, time);
+            let window = tape.value(window).as_slice();
+            let active = window.iter().filter(|w| w.to_f64() > threshold).count();
+            let share = 100.0 * active as f64 / window.len() as f64;
+            figures.insert(format!("particles active at {:.0} % of the clip (%)", 100.0 * time), share);
+        }
+        let values = |var: Var| tape.value(var).as_slice().iter().map(|value| value.to_f64()).collect::<Vec<f64>>();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let (centers, starts, ends) = (values(self.centers), values(self.starts), values(self.ends));
+        let widths: Vec<f64> = starts.iter().zip(&ends).map(|(start, end)| end - start).collect();
+        let middle = mean(&centers);
+        let squares: Vec<f64> = centers.iter().map(|center| (center - middle).powi(2)).collect();
+        figures.insert("width of the windows, mean (% of the clip)".into(), 100.0 * mean(&widths));
+        figures.insert("window centres, standard deviation (% of the clip)".into(), 100.0 * mean(&squares).sqrt());
+        figures
     }
 
     /// Deviation of centres and half-widths from an even spread; shape [1].

@@ -10,10 +10,10 @@ use scene::{Camera, DepthMap};
 use shaders::arrays::rows::{gather, norm, row_dot, scale_rows};
 use shaders::arrays::totals::{total, weighted_mean};
 use shaders::geometry::point_lookup::{FlowMaps, PinholeCamera, flow_targets};
-use shaders::pointwise::{mul, sub};
+use shaders::pointwise::sub;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
-use super::particles::{Chosen, Moved, ParticleMotion, Particles};
+use super::particles::{Moved, ParticleMotion, Particles};
 use crate::data::{Dataset, FlowPrior, Supplements, ViewConstants, ViewPriors};
 use crate::model::Variables;
 
@@ -98,12 +98,13 @@ impl<'a> FlowView<'a> {
     }
 }
 
-/// The energy-flow error at `time_to`, the end of the flow; `None` if the host knows that no particle is visible.
+/// The energy-flow error at `time_to`, the end of the flow, of all particles that the view sees, active or not: the
+/// window of one that is closed learns to open where the flow moves it. `None` without particles.
 pub(crate) fn energy_flow<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
     motion: &ParticleMotion,
-    particles: &Particles<T>,
+    particles: &Particles<'_, T>,
     moved: &Moved,
     maps: &FlowMaps<T>,
     time_to: f64,
@@ -115,22 +116,13 @@ pub(crate) fn energy_flow<T: Real>(
     let positions = gather(tape, moved.anchors.positions, rows);
     let positions = tape.detach(positions);
     let targets = flow_targets(tape, positions, maps);
-    // Particles that are visible, and active at both times.
-    let gates = motion.gates(tape, particles, time_to);
-    let masks = [moved.active, gates.map(|gates| gates.active)];
-    let mask = masks.into_iter().flatten().fold(targets.seen, |both, mask| mul(tape, both, mask));
-    let chosen = Chosen::by(tape, Some(mask));
-    if chosen.is_empty() {
-        return None;
-    }
-    let found = motion.positions_at(tape, model, particles, (&chosen, gates), time_to);
-    let [expected, free, weights] = [targets.positions, targets.free, mask].map(|x| chosen.gather(tape, x));
-    let missed = sub(tape, found, expected);
-    let along = row_dot(tape, missed, free);
-    let along = scale_rows(tape, free, along);
+    let found = motion.positions_at(tape, model, particles, time_to);
+    let missed = sub(tape, found, targets.positions);
+    let along = row_dot(tape, missed, targets.free);
+    let along = scale_rows(tape, targets.free, along);
     let across = sub(tape, missed, along);
     let distances = norm(tape, across);
-    Some(Followed { distance: weighted_mean(tape, distances, weights), count: total(tape, mask) })
+    Some(Followed { distance: weighted_mean(tape, distances, targets.seen), count: total(tape, targets.seen) })
 }
 
 /// A map as a tensor [H, W, …].

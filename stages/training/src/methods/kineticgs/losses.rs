@@ -19,7 +19,7 @@ impl<T: Real> KineticGaussians<T> {
     pub(super) fn coarse_losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
         for view in step.views {
             step.clock.enter("motion");
-            let spawned = self.base.spawn(step.tape, step.model, &view.camera);
+            let spawned = self.static_gaussians(step.tape, step.model, &view.camera);
             let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
             let mask = self.static_pixels(step, view);
             anchors::photometric(step, rendered.color, view, mask);
@@ -49,11 +49,14 @@ impl<T: Real> KineticGaussians<T> {
         step.clock.enter("motion");
         let particles = self.particles(step.tape, step.model, step.scene);
         let pairs = self.neighbor_pairs(step, &particles, &weights);
+        if self.has(MOMENTUM_INIT) {
+            let (anchors, of_them) = (particles.population.rows.rows(), particles.population.rows.len());
+            step.count_skipped("motion of static anchors", anchors - of_them, anchors);
+        }
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);
             let moved = self.motion.at(step.tape, step.model, &particles, view.time);
-            self.count_skipped(step, &particles, &moved);
             let spawned = self.gaussians(step.tape, step.model, &moved, &moment);
             let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
             anchors::photometric(step, rendered.color, view, None);
@@ -66,35 +69,24 @@ impl<T: Real> KineticGaussians<T> {
         Ok(())
     }
 
-    fn count_skipped(&self, step: &mut Step<'_, T>, particles: &Particles<T>, moved: &Moved) {
-        let (anchors, of_them) = (particles.population.rows.rows(), particles.population.rows.len());
-        if self.has(MOMENTUM_INIT) {
-            step.count_skipped("motion of static anchors", anchors - of_them, anchors);
-        }
-        if let Some(active) = moved.active {
-            let kept = total(step.tape, active);
-            step.count_skipped_deferred("motion outside activation windows", kept, of_them);
-        }
-    }
-
     /// Pairs of neighbours among the particles; `None` if coherence is off.
     fn neighbor_pairs<'p>(
         &self,
         step: &mut Step<'_, T>,
-        particles: &'p Particles<T>,
+        particles: &'p Particles<'_, T>,
         weights: &Weights,
     ) -> Option<&'p Pairs> {
         if !self.has(COHERENCE) || weights.coherence == 0.0 {
             return None;
         }
         let search = self.settings.neighbors.draw(step.random.of("neighbors"));
-        particles.population.pairs(search, self.settings.anchors.voxel_size * particles.unit_world)
+        particles.population.pairs(search, self.settings.anchors.voxel_size * particles.scene.unit_world)
     }
 
     fn flow_loss(
         &self,
         step: &mut Step<'_, T>,
-        particles: &Particles<T>,
+        particles: &Particles<'_, T>,
         moved: &Moved,
         view: &TrainingView<T>,
         weights: &Weights,
@@ -126,7 +118,7 @@ impl<T: Real> KineticGaussians<T> {
     fn window_losses(
         &self,
         step: &mut Step<'_, T>,
-        particles: &Particles<T>,
+        particles: &Particles<'_, T>,
         pairs: Option<&Pairs>,
         weights: &Weights,
     ) {

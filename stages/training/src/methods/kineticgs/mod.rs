@@ -13,13 +13,19 @@ mod settings;
 mod tests;
 mod weights;
 
+use std::collections::BTreeMap;
+
 use anyhow::Context as _;
 use scene::cloud::PointCloud;
+use shaders::geometry::camera::PinholeCamera;
+use shaders::pointwise::{scale, shift};
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
-use crate::bases::anchors::{self, AnchorDeformation, AnchoredGaussians, FINE, GaussianDeformation, SpawnedGaussians};
+use crate::bases::anchors::{
+    self, AnchorDeformation, AnchoredGaussians, Anchors, FINE, GaussianDeformation, SpawnedGaussians,
+};
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss, Need};
@@ -118,25 +124,36 @@ impl<T: Real> KineticGaussians<T> {
         phase == FINE && self.has(MOTION)
     }
 
-    fn particles(&self, tape: &mut Tape<T>, model: &Variables, scene: &SceneFacts) -> Particles<T> {
+    fn particles<'s>(&self, tape: &mut Tape<T>, model: &Variables, scene: &'s SceneFacts) -> Particles<'s, T> {
         let population = self.population.of(tape, model);
-        self.motion.particles(tape, model, population, self.has(ACTIVATION), scene.unit_world)
+        self.motion.particles(tape, model, population, self.has(ACTIVATION), scene)
     }
 
     /// The Gaussians of a view at a moment.
     fn spawned(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> SpawnedGaussians {
         if !self.moves(moment.phase) {
-            return self.base.spawn(tape, model, moment.camera);
+            return self.static_gaussians(tape, model, moment.camera);
         }
         let particles = self.particles(tape, model, moment.scene);
         let moved = self.motion.at(tape, model, &particles, moment.time);
         self.gaussians(tape, model, &moved, moment)
     }
 
+    /// The Gaussians of the static anchors. Particles are neither drawn nor trained before they can move: elsewhere
+    /// than at their first instant, they would only learn to be transparent, and be pruned.
+    fn static_gaussians(&self, tape: &mut Tape<T>, model: &Variables, camera: &PinholeCamera) -> SpawnedGaussians {
+        let particles = model.find(DYNAMIC).filter(|_| !self.settings.coarse_all);
+        let is_static = particles.map(|flags| {
+            let negated = scale(tape, flags, -1.0);
+            shift(tape, negated, 1.0)
+        });
+        anchors::spawn(tape, model, &Anchors::stored(model), is_static, camera)
+    }
+
     /// The Gaussians of moved anchors at a moment.
     fn gaussians(&self, tape: &mut Tape<T>, model: &Variables, moved: &Moved, moment: &Moment<'_>) -> SpawnedGaussians {
-        let mut spawned = anchors::spawn(tape, model, &moved.anchors, moment.camera);
-        spawned.splats = self.local.deform(tape, model, spawned.splats, moment.time, moment.scene.unit_world);
+        let mut spawned = anchors::spawn(tape, model, &moved.anchors, None, moment.camera);
+        spawned.splats = self.local.deform(tape, model, moment.scene, spawned.splats, moment.time);
         spawned
     }
 }
@@ -162,6 +179,9 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
             state.insert(DYNAMIC, Tensor::from_vec([positions.len(), 1], flags));
         }
         self.base.insert(&mut state, positions, start.scene(), random)?;
+        if self.has(MOTION) {
+            anchors::insert_boxes(&mut state)?;
+        }
         Ok(state)
     }
 
@@ -169,12 +189,12 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         &self,
         phase: &str,
         mut state: ModelState<T>,
-        _start: &Start<'_>,
+        start: &Start<'_>,
         random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves(phase) {
-            self.motion.deformation.insert(&mut state, random)?;
-            self.local.insert(&mut state, random)?;
+            self.motion.deformation.insert(&mut state, start.scene(), random);
+            self.local.insert(&mut state, start.scene(), random);
             if self.has(ACTIVATION) {
                 activation::insert(&mut state, random);
             }
@@ -196,6 +216,18 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
 
     fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
         Ok(self.spawned(tape, model, moment).slots.map(|slots| slots.to_vec()))
+    }
+
+    fn figures(&self, tape: &mut Tape<T>, model: &Variables, scene: &SceneFacts) -> BTreeMap<String, f64> {
+        if !self.has(MOTION) {
+            return BTreeMap::new();
+        }
+        let particles = self.particles(tape, model, scene);
+        let rows = &particles.population.rows;
+        let share = 100.0 * rows.len() as f64 / rows.rows().max(1) as f64;
+        let windows = particles.windows.map(|windows| windows.figures(tape, self.settings.gate_threshold));
+        let shares = [("particles among the anchors (%)".to_string(), share)];
+        shares.into_iter().chain(windows.unwrap_or_default()).collect()
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::neighbors::Neighbors;
 use super::weights::LossSettings;
-use crate::bases::anchors::{AnchorSettings, DeformationSettings};
+use crate::bases::anchors::{AnchorSettings, DeformationSettings, FieldSettings};
 use crate::schedule::LogLinear;
 
 /// The method's table in a recipe.
@@ -19,7 +19,7 @@ pub(crate) struct Settings {
     pub gate_threshold: f64,
     /// Whether positions fade in and out with the window like all other attributes, instead of jumping at its borders.
     pub soft_location: bool,
-    /// Whether `coarse` also trains on moving pixels.
+    /// Whether `coarse` also trains on moving pixels, and draws and trains the particles where they start.
     pub coarse_all: bool,
     /// Neighbour search of the coherence loss.
     pub neighbors: Neighbors,
@@ -31,9 +31,11 @@ pub(crate) struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
+        // MoDec-GS reads the field of anchors at eight times, KineticGS at all.
+        let particles = FieldSettings { time_resolution: None, ..DeformationSettings::default().anchors };
         Self {
             anchors: AnchorSettings::default(),
-            deformation: DeformationSettings::default(),
+            deformation: DeformationSettings { anchors: particles, ..DeformationSettings::default() },
             gate_threshold: 0.01,
             soft_location: false,
             coarse_all: false,

@@ -5,13 +5,11 @@ mod training;
 
 use std::collections::BTreeSet;
 
-use shaders::arrays::rows::{scale_rows, segment_sum};
 use shaders::check;
-use shaders::pointwise::mul;
 use shaders::tape::{Device, Var};
 
 use super::*;
-use crate::bases::anchors::{Anchors, COARSE, DeformationSettings};
+use crate::bases::anchors::{COARSE, DeformationSettings};
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, NOTHING, ParticleSeeds, Streams, Supplements, ViewConstants};
 use crate::effects::Effects;
@@ -122,7 +120,8 @@ fn without_motion_no_motion_tensor_exists() {
 
 #[test]
 fn zero_initialised_heads_cause_no_motion() {
-    let world = World::fine(&ALL);
+    // With particles in `coarse` too, both phases draw the same Gaussians.
+    let world = World::new(&ALL, Settings { coarse_all: true, ..Settings::tiny() }, FINE);
     let positions = |phase: &str, time: f64| {
         let mut tape = Tape::new(Device::Cpu);
         let model = world.state.bind(&mut tape, |_| false);
@@ -150,75 +149,87 @@ fn with_split_windows(effects: &[&str]) -> World {
 const SPLIT_TIME: f64 = 0.5;
 
 #[test]
-fn skipping_inactive_particles_keeps_values_and_gradients() {
+fn closed_gates_keep_positions_and_pass_a_gradient_to_their_windows() {
     let world = with_split_windows(&[MOTION, ACTIVATION]);
-    let run = |skip: bool| {
-        let mut tape = Tape::<f64>::new(Device::Cpu);
-        let model = world.state.bind(&mut tape, |name| name != "anchors.positions");
-        let particles = world.method.particles(&mut tape, &model, &world.dataset.scene);
-        let anchors = if skip {
-            let moved = world.method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
-            let active = tape.value(moved.active.unwrap()).as_slice();
-            assert!(active.contains(&1.0) && active.contains(&0.0), "the test needs both kinds");
-            moved.anchors
-        } else {
-            without_skipping(&mut tape, &model, &world, &particles)
-        };
-        let outputs = [anchors.positions, anchors.features, anchors.offsets, anchors.log_scales];
-        let values = outputs.map(|var| tape.value(var).clone());
-        let weights = |value: &Tensor<f64>| Tensor::from_vec(value.shape(), check::noise(value.len(), 9));
-        let seeds: Vec<_> = outputs.into_iter().zip(values.iter().map(weights)).collect();
-        let mut gradients = tape.backward(&seeds);
-        let is_learnt = |name: &str| name.starts_with("activation.") || name.starts_with("anchor_");
-        let vars: Vec<Var> = model.iter().filter(|(name, _)| is_learnt(name)).map(|(_, var)| var).collect();
-        let gradients: Vec<_> = vars.into_iter().filter_map(|var| gradients.take(var)).collect();
-        (values, gradients)
-    };
-    let ((skipped, skipped_gradients), (all, all_gradients)) = (run(true), run(false));
-    for (skipped, all) in skipped.iter().zip(&all) {
-        check::agree(skipped, all, 1e-12).unwrap();
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let model = world.state.bind(&mut tape, |name| name.starts_with("activation."));
+    let particles = world.method.particles(&mut tape, &model, &world.dataset.scene);
+    let moved = world.method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
+    let window = particles.windows.unwrap().at(&mut tape, SPLIT_TIME);
+    let [canonical, found, displacements] =
+        [particles.positions, moved.anchors.positions, moved.displacements.unwrap()]
+            .map(|var| tape.value(var).as_slice().as_chunks::<3>().0.to_vec());
+    let is_open: Vec<bool> = tape.value(window).as_slice().iter().map(|&w| w > 0.01).collect();
+    assert!(is_open.contains(&true) && is_open.contains(&false), "the test needs both kinds");
+    for (at, &open) in is_open.iter().enumerate() {
+        let expected = if open { displacements[at] } else { [0.0; 3] };
+        let shift = [0, 1, 2].map(|axis| found[at][axis] - canonical[at][axis]);
+        assert!([0, 1, 2].iter().all(|&axis| (shift[axis] - expected[axis]).abs() <= 1e-12), "{at}: {shift:?}");
     }
-    assert!(!all_gradients.is_empty() && skipped_gradients.len() == all_gradients.len());
-    for (skipped, all) in skipped_gradients.iter().zip(&all_gradients) {
-        check::agree(skipped, all, 1e-10).unwrap();
-    }
-}
-
-/// Reference motion that evaluates the field for every particle and multiplies closed gates by zero.
-fn without_skipping(tape: &mut Tape<f64>, model: &Variables, world: &World, particles: &Particles<f64>) -> Anchors {
-    let motion = &world.method.motion;
-    let gates = particles.windows.unwrap().at(tape, SPLIT_TIME);
-    let open = |gate: &f64| if *gate > motion.gate_threshold { 1.0 } else { 0.0 };
-    let open =
-        Tensor::from_vec([particles.population.rows.len(), 1], tape.value(gates).as_slice().iter().map(open).collect());
-    let open = tape.constant(open);
-    let soft = mul(tape, gates, open);
-    let hard = crate::bases::gates::straight_through(tape, gates, motion.gate_threshold);
-    let hard = mul(tape, hard, open);
-    let change = motion.deformation.at(tape, model, particles.positions, SPLIT_TIME, 1.0);
-    let canonical = Anchors::stored(model);
-    let mut moved = |attribute: Var, change: Var, gate: Var| {
-        let gated = scale_rows(tape, change, gate);
-        let scattered = segment_sum(tape, gated, &particles.population.rows);
-        shaders::pointwise::add(tape, attribute, scattered)
-    };
-    Anchors {
-        positions: moved(canonical.positions, change.positions, hard),
-        features: moved(canonical.features, change.features, soft),
-        offsets: moved(canonical.offsets, change.offsets, soft),
-        log_scales: moved(canonical.log_scales, change.log_scales, soft),
-    }
+    // Only the closed particle with the widest gate pulls.
+    let closed = (0..is_open.len()).filter(|&at| !is_open[at]);
+    let widest = closed.max_by(|&a, &b| tape.value(window).as_slice()[a].total_cmp(&tape.value(window).as_slice()[b]));
+    let mut pull = vec![0.0; 3 * is_open.len()];
+    pull[3 * widest.unwrap()..][..3].copy_from_slice(&displacements[widest.unwrap()]);
+    let pull = Tensor::from_vec([is_open.len(), 3], pull);
+    let radius = model.get("activation.radius.bias");
+    let gradient = tape.backward(&[(moved.anchors.positions, pull)]).take(radius).unwrap();
+    assert!(gradient.as_slice()[0] > 0.0, "a wider window moves the particle: {gradient:?}");
 }
 
 #[test]
-fn skipped_motion_is_counted() {
-    let world = with_split_windows(&[MOTION, ACTIVATION]);
-    let (outcome, _) = world.step(FINE, 3);
-    let [inactive, particles] = outcome.skipped["motion outside activation windows"];
-    assert!(0 < inactive && inactive < particles);
+fn static_anchors_are_counted() {
     let (outcome, _) = World::fine(&ALL).step(FINE, 0);
     let [static_anchors, anchors] = outcome.skipped["motion of static anchors"];
     assert_eq!(anchors - static_anchors, 3);
+}
+
+#[test]
+fn coarse_neither_draws_nor_trains_particles() {
+    let observed = |coarse_all: bool| {
+        let world = World::new(&ALL, Settings { coarse_all, ..Settings::tiny() }, COARSE);
+        let (outcome, _) = world.step(COARSE, 0);
+        let flags = world.state.get(DYNAMIC).unwrap().as_slice().to_vec();
+        let rows = outcome.renders[0].rows.as_ref().unwrap();
+        let per_anchor = rows.count / flags.len();
+        let of_particles = |&&slot: &&u32| flags[slot as usize / per_anchor] == 1.0;
+        let drawn = rows.row_of_splat.as_ref().unwrap().iter().filter(of_particles).count();
+        (drawn, trained_in_coarse(&world))
+    };
+    assert_eq!(observed(false), (0, false));
+    let (drawn, trained) = observed(true);
+    assert!(drawn > 0 && trained, "the test scene shows its particles");
+}
+
+/// Whether a step of `coarse` gives the features of any particle a gradient.
+fn trained_in_coarse(world: &World) -> bool {
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let model = world.state.bind(&mut tape, |name| name == "anchors.features");
+    let camera = &world.dataset.train[0].camera;
+    let splats = world.method.static_gaussians(&mut tape, &model, camera).splats;
+    let weights = Tensor::from_vec(tape.value(splats.sh).shape(), check::noise(tape.value(splats.sh).len(), 3));
+    let ones = Tensor::full(tape.value(splats.opacity_logits).shape(), 1.0);
+    let mut gradients = tape.backward(&[(splats.sh, weights), (splats.opacity_logits, ones)]);
+    let gradient = gradients.take(model.get("anchors.features")).unwrap();
+    let flags = world.state.get(DYNAMIC).unwrap().as_slice();
+    let is_trained = |row: usize| flags[row] == 1.0 && gradient.row(row).iter().any(|&value| value != 0.0);
+    (0..flags.len()).any(is_trained)
+}
+
+#[test]
+fn the_report_says_how_many_particles_are_active_when() {
+    let world = with_split_windows(&[MOTION, ACTIVATION]);
+    let mut tape = Tape::new(Device::Cpu);
+    let model = world.state.bind(&mut tape, |_| false);
+    let figures = world.method.figures(&mut tape, &model, &world.dataset.scene);
+    let at_half = figures["particles active at 50 % of the clip (%)"];
+    assert!(0.0 < at_half && at_half < 100.0, "{figures:?}");
+    let width = figures["width of the windows, mean (% of the clip)"];
+    assert!((2.0..100.0).contains(&width), "{figures:?}");
+    let still = World::fine(&[]);
+    let mut tape = Tape::new(Device::Cpu);
+    let model = still.state.bind(&mut tape, |_| false);
+    assert!(still.method.figures(&mut tape, &model, &still.dataset.scene).is_empty());
 }
 
 #[test]

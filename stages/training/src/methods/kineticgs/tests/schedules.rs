@@ -4,30 +4,27 @@ use super::super::coherence::displacement_incoherence;
 use super::super::neighbors::{Neighbors, Pairs, Search};
 use super::super::weights::LossSettings;
 use super::*;
+use crate::bases::anchors::Anchors;
 use crate::data::Streams;
 
 #[test]
 fn neighbours_with_equal_motion_are_coherent() {
     let pairs = Pairs::new(&[[0, 1], [1, 2], [0, 2]], 3).unwrap();
-    let incoherence = |rows: Vec<f64>, active: Option<[f64; 3]>| {
+    let incoherence = |rows: Vec<f64>| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
         let displacements = Some(tape.constant(Tensor::from_vec([3, 3], rows)));
-        let active = active.map(|mask| tape.constant(Tensor::from_vec([3, 1], mask.to_vec())));
         let empty = tape.constant(Tensor::zeros([0, 3]));
         let anchors = Anchors { positions: empty, features: empty, offsets: empty, log_scales: empty };
-        let moved = Moved { anchors, active, displacements };
-        let value = displacement_incoherence(&mut tape, &moved, &pairs, 1.0).unwrap();
+        let value = displacement_incoherence(&mut tape, &Moved { anchors, displacements }, &pairs, 1.0).unwrap();
         tape.value(value).as_slice()[0]
     };
-    assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3), None), 0.0);
-    assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3), Some([1.0; 3])), 0.0);
-    // Only particles 0 and 2 are active: one pair in opposite motion, 4·0.01 in units of 0.01.
-    let opposite = [0.1, 0.0, 0.0, 7.0, 8.0, 9.0, -0.1, 0.0, 0.0];
-    let found = incoherence(opposite.to_vec(), Some([1.0, 0.0, 1.0]));
-    assert!((found - 4.0).abs() <= 1e-9, "{found}");
-    assert_eq!(incoherence(opposite.to_vec(), Some([0.0, 1.0, 0.0])), 0.0);
+    assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3)), 0.0);
+    // Two in opposite motion and one still: (0.01 + 0.01 + 0.04) / 3 in units of 0.02 / 3.
+    let opposite = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0];
+    let found = incoherence(opposite.to_vec());
+    assert!((found - 3.0).abs() <= 1e-9, "{found}");
     // Displacements far below the minimum unit do not blow up.
-    let tiny = incoherence(opposite.map(|x| 1e-8 * x).to_vec(), Some([1.0, 0.0, 1.0]));
+    let tiny = incoherence(opposite.map(|x| 1e-8 * x).to_vec());
     assert!(tiny <= 1e-9, "{tiny}");
 }
 
