@@ -7,8 +7,9 @@ use shaders::pointwise::adds;
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
-use super::{ANCHORS, AnchorSettings};
-use crate::bases::bounds::{self, Bounds};
+use super::AnchorSettings;
+use super::fields::{ANCHOR_FIELD, FieldSettings, GAUSSIAN_FIELD, MAX_TEXELS, Planes};
+use crate::bases::bounds;
 use crate::bases::heads::{HeadedNetwork, POSITION, in_scene_units};
 use crate::bases::hexplane::TimeAxis;
 use crate::bases::hexplane::field::{Field, PlaneWeights};
@@ -17,31 +18,8 @@ use crate::method::Step;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
-const ANCHOR_FIELD: &str = "anchor_field";
 const ANCHOR_NETWORK: &str = "anchor_network";
-const GAUSSIAN_FIELD: &str = "gaussian_field";
 const GAUSSIAN_NETWORK: &str = "gaussian_network";
-/// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
-const MAX_TEXELS: usize = 4096;
-/// Maximum number of texels along time that follows from the number of frames (published code).
-const MOST_TIME_TEXELS: usize = 100;
-
-/// The planes of one field.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct FieldSettings {
-    /// Channels per plane.
-    pub channels: usize,
-    /// Texels along x, y and z at multiplier 1.
-    pub spatial_resolution: usize,
-    /// Texels along time in the published code's counting, of which it reads half; unset: half the number of distinct
-    /// training times, at most 100 as in its settings for DyCheck and HyperNeRF.
-    pub time_resolution: Option<usize>,
-    /// Multipliers of the spatial resolution, one set of planes each.
-    pub multipliers: Vec<usize>,
-    /// Weights of the planes' regularisers.
-    pub regularizers: PlaneWeights,
-}
 
 /// The fields of anchors and of Gaussians, and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -86,27 +64,6 @@ impl Default for DeformationSettings {
             plane_rate: LogLinear { start: 1.6e-3, end: 1.6e-4, steps: 30_000 },
             network_rate: LogLinear::constant(1.6e-4),
         }
-    }
-}
-
-impl FieldSettings {
-    fn build(&self, name: &'static str, axis: TimeAxis, scene: &SceneFacts) -> Field {
-        let time_resolution = self.time_resolution.unwrap_or(scene.time_count.div_ceil(2).min(MOST_TIME_TEXELS));
-        Field::new(name, self.channels, [self.spatial_resolution; 3], time_resolution, &self.multipliers, axis)
-    }
-
-    /// Features per point.
-    fn features(&self) -> usize {
-        self.channels * self.multipliers.len()
-    }
-
-    fn works(&self) -> bool {
-        let few = |size: &usize| (1..=MAX_TEXELS).contains(size);
-        let PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one } = self.regularizers;
-        let sizes = [self.channels, self.spatial_resolution, self.time_resolution.unwrap_or(1)];
-        sizes.iter().chain(&self.multipliers).all(few)
-            && !self.multipliers.is_empty()
-            && [spatial_smoothness, temporal_smoothness, time_to_one].iter().all(|&w| w >= 0.0 && w.is_finite())
     }
 }
 
@@ -281,39 +238,4 @@ impl GaussianDeformation {
     pub(crate) fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
         self.planes.regularize(step);
     }
-}
-
-/// The planes of one field on a scene whose number of frames is known later.
-struct Planes {
-    name: &'static str,
-    settings: FieldSettings,
-    axis: TimeAxis,
-}
-
-impl Planes {
-    fn new(name: &'static str, settings: &FieldSettings, axis: TimeAxis) -> Self {
-        Self { name, settings: settings.clone(), axis }
-    }
-
-    fn field(&self, scene: &SceneFacts) -> Field {
-        self.settings.build(self.name, self.axis, scene)
-    }
-
-    fn insert<T: Real>(&self, state: &mut ModelState<T>, scene: &SceneFacts, random: Streams) {
-        self.field(scene).insert_planes(state, random);
-    }
-
-    fn regularize<T: Real>(&self, step: &mut Step<'_, T>) {
-        self.field(step.scene).regularize(step, &self.settings.regularizers);
-    }
-}
-
-/// Adds the boxes of both fields, to the model's first state: that of the anchors.
-pub(crate) fn insert_boxes<T: Real>(state: &mut ModelState<T>) -> anyhow::Result<()> {
-    let positions = state.get(&format!("{ANCHORS}.positions"))?;
-    let row = |index: usize| std::array::from_fn(|axis| positions.row(index)[axis].to_f64() as f32);
-    let positions: Vec<[f32; 3]> = (0..positions.rows()).map(row).collect();
-    let bounds = Bounds::enclosing(&positions);
-    [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().for_each(|field| bounds.insert(state, field));
-    Ok(())
 }

@@ -10,15 +10,15 @@
 //! | `views.{opacity, shape, color}.{0, 1}` | | networks of feature and view direction |
 
 mod deformation;
+mod fields;
 mod growth;
 mod initial;
 #[cfg(test)]
 mod tests;
 mod views;
 
-pub(crate) use deformation::{
-    AnchorChange, AnchorDeformation, DeformationSettings, FieldSettings, GaussianDeformation, insert_boxes,
-};
+pub(crate) use deformation::{AnchorChange, AnchorDeformation, DeformationSettings, GaussianDeformation};
+pub(crate) use fields::{FieldSettings, insert_boxes};
 pub(crate) use growth::AnchorGrowth;
 pub(crate) use initial::{insert_anchors, voxels};
 pub(crate) use views::{SpawnedGaussians, insert_view_networks, spawn};
@@ -60,7 +60,7 @@ pub(crate) struct AnchorSettings {
     /// Width of the view networks.
     pub width: usize,
     /// Whether the networks see the viewing direction, as published. Where every instant has a single camera, they can
-    /// tell the instants apart by it, and need not find the motion.
+    /// distinguish the instants by it, and need not find the motion.
     pub view_direction: bool,
     /// Criteria for new anchors; the table `density` sets their schedule and number.
     pub growth: Growth,
