@@ -84,14 +84,17 @@ struct Candidate {
 pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
     priors.check_against(capture)?;
     let (start_secs, canonical) = canonical_views(capture, params.instants)?;
-    let found: Vec<_> =
+    let found: Vec<(Vec<Candidate>, Vec<usize>)> =
         canonical.par_iter().map(|&index| candidates(capture, priors, index, params)).collect::<anyhow::Result<_>>()?;
     let mut strides: Vec<usize> = found.iter().flat_map(|(_, strides)| strides.iter().copied()).collect();
     strides.sort_unstable();
     strides.dedup();
-    let in_view =
-        |(view, (some, _)): (usize, (Vec<Candidate>, _))| some.into_iter().map(move |it| Candidate { view, ..it });
-    let candidates: Vec<Candidate> = found.into_iter().enumerate().flat_map(in_view).collect();
+    let in_view = |(view, (some, _)): (usize, (Vec<Candidate>, Vec<usize>))| {
+        some.into_iter().map(move |it| Candidate { view, ..it })
+    };
+    // A view without flow does not show what moves.
+    let with_flow = found.into_iter().enumerate().filter(|(_, (_, strides))| !strides.is_empty());
+    let candidates: Vec<Candidate> = with_flow.flat_map(in_view).collect();
     if strides.is_empty() || candidates.is_empty() {
         let names: Vec<_> = canonical.iter().map(|index| capture.views[*index].name.as_str()).collect();
         let message = format!("no pixel of {} has both depth and flow", names.join(", "));
