@@ -65,6 +65,12 @@ impl ViewFolder {
         &self.dir
     }
 
+    /// The only file, after its name without leading zeros and ending; none if there are more.
+    pub fn only_file(&self) -> Option<(&str, &Path)> {
+        let (stem, path) = self.by_stem.first_key_value().filter(|_| self.by_stem.len() == 1)?;
+        Some((stem, path))
+    }
+
     /// Finds the file of every view of `capture`. An error if `naming` leaves open which file belongs to which view.
     pub fn match_views(&self, capture: &Capture, naming: Naming) -> Result<MatchedFiles<'_>> {
         let chosen = matched_names(&self.by_stem, capture, naming).map_err(|error| error.at(&self.dir))?;

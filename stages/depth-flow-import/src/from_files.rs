@@ -1,6 +1,6 @@
 //! Maps of estimators, read from a folder.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use engine::{Failure, FailureKind};
 use scene::maps::alignment::Fit;
@@ -8,6 +8,7 @@ use scene::maps::formats::{self, Content};
 use scene::maps::{DepthKind, fit_to_view};
 use scene::{Capture, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
 
+use crate::map_file::{self, MapFile};
 use crate::params::{Alignment, MapKind};
 use crate::{FlowPrior, Params, ViewMaps, depth, flow, normals};
 
@@ -26,10 +27,10 @@ pub(crate) struct Files<'a> {
     params: &'a Params,
     videos: Videos,
     points: Option<PointCloud>,
-    depth: Vec<Option<PathBuf>>,
-    flow_forward: Vec<Option<PathBuf>>,
-    flow_backward: Vec<Option<PathBuf>>,
-    normals: Vec<Option<PathBuf>>,
+    depth: Vec<Option<MapFile>>,
+    flow_forward: Vec<Option<MapFile>>,
+    flow_backward: Vec<Option<MapFile>>,
+    normals: Vec<Option<MapFile>>,
     /// Number of files that belong to no view.
     pub(crate) unused: usize,
 }
@@ -60,10 +61,19 @@ impl<'a> Files<'a> {
         let mut files = |kind: MapKind, name: &str, needs: &dyn Fn(&View) -> bool| -> anyhow::Result<Vec<_>> {
             let folder = ViewFolder::open(&dir.join(name), &formats::EXTENSIONS)?.filter(|_| params.wants(kind));
             let Some(folder) = folder else { return Ok(vec![None; capture.views.len()]) };
+            if let Some(path) = map_file::whole_video(&folder, capture) {
+                let (content, ends) = match name {
+                    DEPTH => (Content::Depth, [0, 0]),
+                    NORMALS => (Content::Normals, [0, 0]),
+                    FLOW_FORWARD => (Content::Flow, [0, params.flow.stride]),
+                    _ => (Content::Flow, [params.flow.stride; 2]),
+                };
+                return map_file::frames(path, content, capture, ends);
+            }
             let is_required = |view: &View| view.split == Split::Train && !params.allow_missing && needs(view);
             let matched = captures::match_required(&folder, capture, params.naming, is_required)?;
             unused += matched.unused;
-            Ok(matched.files.into_iter().map(|path| path.map(Path::to_path_buf)).collect())
+            Ok(matched.files.into_iter().map(|path| path.map(MapFile::one)).collect())
         };
         let stride = i64::from(params.flow.stride);
         let is_training = |at: Option<usize>| at.is_some_and(|at| capture.views[at].split == Split::Train);
@@ -97,21 +107,22 @@ impl<'a> Files<'a> {
         let (camera, params) = (&self.capture.views[index].camera, self.params);
         let mut outcome = Outcome::default();
         let mut maps = ViewMaps::default();
-        if let Some(path) = &self.depth[index] {
-            if is_png(path) && params.depth.kind != DepthKind::InverseDepth && params.depth.units_per_value.is_none() {
+        if let Some(file) = &self.depth[index] {
+            let path = &file.path;
+            if file.is_png() && params.depth.kind != DepthKind::InverseDepth && params.depth.units_per_value.is_none() {
                 let hint = "set depth.units_per_value, e.g. 0.001 for millimetres in a scene in metres";
                 return Err(bad_input("integer depth without a scale").hint(hint).at(path).into());
             }
-            let (values, _) = fit_to_view(formats::read(path, Content::Depth)?, &camera.intrinsics, path)?;
+            let (values, _) = fit_to_view(file.read(Content::Depth)?, &camera.intrinsics, path)?;
             let (map, fit) = depth::depth_view(&values, camera, &params.depth, self.points.as_ref(), path)?;
             (maps.depth, outcome.fit) = (Some(map), fit);
         }
-        if let Some(path) = &self.normals[index] {
-            let (values, _) = fit_to_view(formats::read(path, Content::Normals)?, &camera.intrinsics, path)?;
-            maps.normals = Some(normals::normals_view(&values, camera, &params.normals, is_png(path), path)?);
+        if let Some(file) = &self.normals[index] {
+            let (values, _) = fit_to_view(file.read(Content::Normals)?, &camera.intrinsics, &file.path)?;
+            maps.normals = Some(normals::normals_view(&values, camera, &params.normals, file.is_png(), &file.path)?);
         }
-        if let Some(path) = &self.flow_forward[index] {
-            maps.flow = self.flow(index, path, &mut outcome)?;
+        if let Some(file) = &self.flow_forward[index] {
+            maps.flow = self.flow(index, file, &mut outcome)?;
         }
         Ok((maps, outcome))
     }
@@ -121,12 +132,12 @@ impl<'a> Files<'a> {
     pub(crate) fn shifted_flow(&self, index: usize, shift: i64) -> anyhow::Result<Option<(FlowMap, &View)>> {
         let view = &self.capture.views[index];
         let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
-        let file = self.videos.after(view, shift).and_then(|at| self.flow_forward[at].as_deref());
+        let file = self.videos.after(view, shift).and_then(|at| self.flow_forward[at].as_ref());
         let (Some(to), Some(file)) = (to, file) else { return Ok(None) };
         if [view, to].iter().any(|view| view.split != Split::Train) {
             return Ok(None);
         }
-        let (values, scale) = fit_to_view(formats::read(file, Content::Flow)?, &view.camera.intrinsics, file)?;
+        let (values, scale) = fit_to_view(file.read(Content::Flow)?, &view.camera.intrinsics, &file.path)?;
         Ok(Some((flow::flow_map(&values, scale), to)))
     }
 
@@ -137,7 +148,7 @@ impl<'a> Files<'a> {
 
     /// The flow from a training view to a later training view of the same video. Flow from or to any other view is
     /// dropped, because it was estimated from an image that training must not see.
-    fn flow(&self, index: usize, path: &Path, outcome: &mut Outcome) -> anyhow::Result<Option<FlowPrior>> {
+    fn flow(&self, index: usize, file: &MapFile, outcome: &mut Outcome) -> anyhow::Result<Option<FlowPrior>> {
         let view = &self.capture.views[index];
         let to = self.videos.after(view, self.params.flow.stride.into());
         let is_training = |at: &usize| self.capture.views[*at].split == Split::Train;
@@ -145,25 +156,21 @@ impl<'a> Files<'a> {
             outcome.flow_leads_nowhere = true;
             return Ok(None);
         };
-        let read = |path: &Path| -> scene::Result<FlowMap> {
-            let (values, scale) = fit_to_view(formats::read(path, Content::Flow)?, &view.camera.intrinsics, path)?;
+        let read = |file: &MapFile| -> scene::Result<FlowMap> {
+            let (values, scale) = fit_to_view(file.read(Content::Flow)?, &view.camera.intrinsics, &file.path)?;
             Ok(flow::flow_map(&values, scale))
         };
-        let forward = read(path)?;
+        let forward = read(file)?;
         if flow::known_share(&forward) == 0.0 {
-            return Err(bad_input("the flow map has no value").at(path).into());
+            return Err(bad_input("the flow map has no value").at(&file.path).into());
         }
         outcome.flow_is_zero = forward.flow_px.iter().all(|flow| *flow == [0.0; 2]);
-        let backward = self.flow_backward[to].as_deref().map(read).transpose()?;
+        let backward = self.flow_backward[to].as_ref().map(read).transpose()?;
         let map = flow::consistent(&forward, backward.as_ref(), &self.params.flow);
         outcome.flow_kept = Some(flow::known_share(&map));
         let target = &self.capture.views[to];
         Ok(Some(FlowPrior { map, camera_to: target.camera, time_to_secs: target.time_secs, view_to: Some(to) }))
     }
-}
-
-fn is_png(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"))
 }
 
 fn bad_input(message: &str) -> Failure {

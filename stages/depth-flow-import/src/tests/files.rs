@@ -301,3 +301,36 @@ fn flow_of_other_frames_is_noticed_by_the_images() {
     assert_eq!(shift_of(0), serde_json::Value::Null);
     assert_eq!(shift_of(1), serde_json::json!(-1));
 }
+
+/// The bytes of an `.npy` file of f32 values.
+fn npy(shape: &str, values: impl Iterator<Item = f32>) -> Vec<u8> {
+    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+    header += &" ".repeat(63 - (10 + header.len()) % 64);
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
+    bytes.extend(values.flat_map(f32::to_le_bytes));
+    bytes
+}
+
+#[test]
+fn one_array_may_hold_the_depth_of_a_whole_video() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = numbered_from_one(dir.path(), SceneKind::BouncingSpheres);
+    let depth = |view: &scene::View| capture.load_depth(view).unwrap().unwrap();
+    let (count, first) = (capture.views.len(), depth(&capture.views[0]));
+    let folder = maps.path().join("depth");
+    std::fs::create_dir_all(&folder).unwrap();
+    let write = |name: &str, frames: usize| {
+        let values = capture.views[..frames].iter().flat_map(|view| depth(view).depth_view);
+        let shape = format!("(1, {frames}, {}, {}, 1)", first.height, first.width);
+        std::fs::write(folder.join(name), npy(&shape, values)).unwrap();
+    };
+    write("clip_depths.npy", count);
+    let (_root, priors, _) = run(&capture, maps.path(), &params()).unwrap();
+    assert_eq!(depth_error(&capture, &priors).0, 0.0);
+    write("clip_depths.npy", count - 1);
+    let message = format!("{} maps in one array for a video of {count} frames", count - 1);
+    assert_refused(&capture, maps.path(), &params(), &[&message, "clip_depths.npy"]);
+}

@@ -69,6 +69,14 @@ pub fn read(path: &Path, content: Content) -> Result<FloatImage> {
     }
 }
 
+/// Decodes an array with the maps of all frames of a video, in their order: an npy file or an npz archive.
+pub fn read_video(path: &Path, content: Content) -> Result<Vec<FloatImage>> {
+    numpy::read_video(path, content)
+}
+
+/// File extensions that [`read_video`] supports.
+pub const VIDEO_EXTENSIONS: [&str; 2] = ["npy", "npz"];
+
 /// Interleaves the channels of an EXR file.
 fn read_exr(path: &Path, content: Content) -> Result<FloatImage> {
     let image = exr_file::read(path)?;

@@ -65,6 +65,8 @@ fn every_numpy_layout_decodes_to_the_same_image() {
         npy_bytes("<f4", false, "(2, 2, 3)", &bytes_of(&planes)),
         npy_bytes("<f4", true, "(2, 3, 2)", &bytes_of(&columns)),
         npy_bytes(">f8", false, "(2, 3, 2)", &doubles),
+        npy_bytes("<f4", false, "(1, 2, 3, 2)", &bytes_of(&interleaved)),
+        npy_bytes("<f4", false, "(1, 1, 2, 2, 3)", &bytes_of(&planes)),
     ];
     for (at, array) in arrays.iter().enumerate() {
         // In the shape [2, 2, 3], the channels can only be the first axis.
@@ -188,4 +190,17 @@ fn damaged_files_of_every_format_never_panic() {
         let refused = support::mangle::refused(&path(name), 300, |path| read(path, Content::Flow).map(drop));
         assert!(refused >= at_least, "only {refused} of 300 damaged versions of {name} were refused");
     }
+}
+
+#[test]
+fn videos_are_read_frame_by_frame() {
+    let values: Vec<f32> = (0..12).map(|value| value as f32).collect();
+    for shape in ["(2, 2, 3)", "(2, 2, 3, 1)", "(1, 2, 1, 2, 3)"] {
+        let (_dir, path) = file("depths.npy", &npy_bytes("<f4", false, shape, &bytes_of(&values)));
+        let frames = read_video(&path, Content::Depth).unwrap();
+        assert_eq!(frames.iter().map(|frame| &frame.values[..]).collect::<Vec<_>>(), [&values[..6], &values[6..]]);
+    }
+    let (_dir, path) = file("depths.npy", &npy_bytes("<f4", false, "(2, 6)", &bytes_of(&values)));
+    let error = read_video(&path, Content::Depth).unwrap_err().to_string();
+    assert!(error.contains("[T, H, W, 1] or [T, 1, H, W]"), "{error}");
 }
