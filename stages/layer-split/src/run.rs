@@ -80,11 +80,21 @@ impl Stage for LayerSplit {
         };
         let views = (0..masks.len()).map(write).collect::<anyhow::Result<_>>()?;
         let layers = Layers::save(context.output_dir(), source, views)?;
-        context.measure("moving_share", layers.moving_share())?;
+        let moving_share = layers.moving_share();
+        if moving_share > MOSTLY_MOVING && params.polarity == Polarity::SetMoves {
+            tracing::warn!(
+                "{:.0} % of the pixels move: if masks mark what rests (e.g. those of COLMAP), set polarity = \"set-rests\"",
+                100.0 * moving_share
+            );
+        }
+        context.measure("moving_share", moving_share)?;
         context.measure("views_without_a_mask", masks.iter().filter(|mask| mask.is_none()).count())?;
         Ok(layers)
     }
 }
+
+/// Share of moving pixels above which the polarity of masks is doubtful.
+const MOSTLY_MOVING: f64 = 0.6;
 
 /// Computes the masks of all views, `None` for views without evidence, and names the source that decided.
 fn masks(
@@ -105,7 +115,7 @@ fn masks(
         (LayerSource::TemporalMedian, ..) => Ok(("temporal-median", median::masks(context, capture, params)?)),
         (LayerSource::Auto, true, true, _) => Ok(("velocity+masks", per_view(context, count, known)?)),
         (LayerSource::Auto, true, false, _) => Ok(("velocity", per_view(context, count, known)?)),
-        (LayerSource::Auto, false, true, _) => Ok(("masks", per_view(context, count, known)?)),
+        (LayerSource::Auto, false, true, _) => Ok(("masks", checked(per_view(context, count, known)?, &capture.dir)?)),
         (_, _, _, Some(priors)) => Ok(("residual-flow", from_flow(context, capture, priors, params)?)),
         (_, _, _, None) => Err(no_evidence(params.source, capture).into()),
     }
@@ -164,9 +174,12 @@ fn from_files(context: &JobContext, capture: &Capture, params: &Params) -> anyho
         let moves = |value: &f32| is_set(value) == (params.polarity == Polarity::SetMoves);
         Ok(Mask { width: values.width, height: values.height, inside: values.values.iter().map(moves).collect() })
     };
-    let masks = per_view(context, files.len(), |index| files[index].map(|path| read(path, index)).transpose())?;
-    let known = || masks.iter().flatten();
-    if known().all(|mask| mask.count() == mask.inside.len()) {
+    checked(per_view(context, files.len(), |index| files[index].map(|path| read(path, index)).transpose())?, dir)
+}
+
+/// The masks of `dir`, unless they say that everything moves.
+fn checked(masks: Vec<Option<Mask>>, dir: &Path) -> anyhow::Result<Vec<Option<Mask>>> {
+    if masks.iter().flatten().all(|mask| mask.count() == mask.inside.len()) {
         let hint = "check polarity; threshold must be at least the grey level of pixels that are not set";
         return Err(Failure::new(FailureKind::BadInput, "every pixel of every mask moves").hint(hint).at(dir).into());
     }

@@ -237,6 +237,18 @@ fn masks_in_files_follow_polarity_and_threshold() {
 }
 
 #[test]
+fn masks_of_the_capture_that_say_that_everything_moves_are_rejected() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = capture(dir.path(), SceneKind::BouncingSpheres, CameraPath::Arc, &[Truth::Masks]);
+    for view in &capture.views {
+        let path = dir.path().join(view.mask.as_ref().unwrap());
+        image::GrayImage::from_pixel(64, 64, image::Luma([1])).save(path).unwrap();
+    }
+    let error = format!("{:#}", run(&capture, None, dir.path(), &Params::default()).unwrap_err());
+    assert!(error.contains("every pixel of every mask moves") && error.contains("polarity"), "{error}");
+}
+
+#[test]
 fn priors_are_read_only_if_they_decide() {
     let unread = |source: LayerSource, capture: Facts| {
         let context = PlanContext { data_root: Path::new(""), inputs: [("capture".to_owned(), vec![capture])].into() };

@@ -11,12 +11,16 @@ const KITTI_SCALE: f32 = 64.0;
 /// Offset of KITTI's flow code.
 const KITTI_OFFSET: f32 = 32768.0;
 
-/// Decodes a file: depth as 16-bit integers, masks as 8-bit grey levels, flow in pixels, normals scaled to [0, 1].
+/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels, flow in pixels, normals scaled to [0, 1].
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     let image = image_file::decode(path).map_err(|error| damaged("PNG file", error, path))?;
     let (width, height) = checked_size(image.width().into(), image.height().into(), path)?;
     let values = match (content, image) {
         (Content::Depth, DynamicImage::ImageLuma16(image)) => image.iter().map(|value| f32::from(*value)).collect(),
+        (Content::Depth, DynamicImage::ImageLuma8(image)) => image.iter().map(|value| f32::from(*value)).collect(),
+        (Content::Depth, DynamicImage::ImageRgb8(image)) if image.pixels().all(is_grey) => {
+            image.pixels().map(|pixel| f32::from(pixel.0[0])).collect()
+        }
         (Content::Flow, DynamicImage::ImageRgb16(image)) => image.pixels().flat_map(|pixel| kitti(pixel.0)).collect(),
         (Content::Mask, image) => image.into_luma8().iter().map(|value| f32::from(*value)).collect(),
         (Content::Normals, DynamicImage::ImageRgb16(image)) => {
@@ -27,7 +31,7 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
         }
         (_, image) => {
             let expected = match content {
-                Content::Depth => "16-bit grey (8-bit previews lose the scale)",
+                Content::Depth => "8- or 16-bit grey (a colour map is only a preview)",
                 Content::Flow => "16-bit RGB (red and green 64 · flow + 32768, blue 1 where valid)",
                 Content::Normals | Content::Mask => "8- or 16-bit RGB",
             };
@@ -35,6 +39,11 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
         }
     };
     Ok(FloatImage { width, height, channels: content.channels(), values })
+}
+
+/// Whether the channels are equal, as estimators write grey images that have three of them.
+fn is_grey(pixel: &image::Rgb<u8>) -> bool {
+    pixel.0[0] == pixel.0[1] && pixel.0[1] == pixel.0[2]
 }
 
 /// Decodes the flow of one KITTI pixel; NaN where it is not valid.

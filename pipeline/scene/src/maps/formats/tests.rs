@@ -143,12 +143,19 @@ fn png_decodes_kitti_flow_and_depth() {
     assert_eq!(values[..6], [0.0, 0.0, 1.5, -2.25, -511.984_38, 511.984_38]);
     assert!(values[6].is_nan());
     let error = read(&path, Content::Depth).unwrap_err().to_string();
-    assert!(error.contains("16-bit grey"), "{error}");
+    assert!(error.contains("8- or 16-bit grey"), "{error}");
 
     let path = dir.path().join("depth.png");
     let depth = vec![0_u16, 1, 65535, 32768, 1000, 12345];
     image::ImageBuffer::<image::Luma<u16>, _>::from_vec(3, 2, depth).unwrap().save(&path).unwrap();
     assert_eq!(read(&path, Content::Depth).unwrap().values, [0.0, 1.0, 65535.0, 32768.0, 1000.0, 12345.0]);
+
+    // Depth Anything V2 without a palette: 8 bits, three equal channels; with one, a picture.
+    image::RgbImage::from_vec(2, 1, vec![7, 7, 7, 255, 255, 255]).unwrap().save(&path).unwrap();
+    assert_eq!(read(&path, Content::Depth).unwrap().values, [7.0, 255.0]);
+    image::RgbImage::from_vec(2, 1, vec![7, 7, 7, 255, 80, 0]).unwrap().save(&path).unwrap();
+    let error = read(&path, Content::Depth).unwrap_err().to_string();
+    assert!(error.contains("a colour map is only a preview"), "{error}");
 }
 
 #[test]
