@@ -33,6 +33,7 @@ use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Var};
 
 use crate::data::{SceneFacts, Streams, TrainingView};
+use crate::effects::{Effect, VIEW_DEPENDENT_COLOR};
 use crate::method::{Base, Moment, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
@@ -44,6 +45,10 @@ pub(crate) const ANCHORS: &str = "anchors";
 pub(crate) const COARSE: &str = "coarse";
 /// All tensors are trained.
 pub(crate) const FINE: &str = "fine";
+/// The networks see the viewing direction, as published. Where colours do not depend on it and every instant has a single
+/// camera, it would only let the networks distinguish the instants instead of finding the motion.
+pub(crate) const VIEW_DIRECTION: Effect =
+    Effect { about: "the networks of the anchors see the viewing direction", ..VIEW_DEPENDENT_COLOR };
 /// Maximum values per anchor, far beyond any use: a larger value is a typing error.
 const MAX_VALUES: usize = 8192;
 
@@ -59,9 +64,6 @@ pub(crate) struct AnchorSettings {
     pub offsets: usize,
     /// Width of the view networks.
     pub width: usize,
-    /// Whether the networks see the viewing direction, as published. Where every instant has a single camera, they can
-    /// distinguish the instants by it, and need not find the motion.
-    pub view_direction: bool,
     /// Criteria for new anchors; the table `density` sets their schedule and number.
     pub growth: Growth,
     /// Learning rate of the features.
@@ -100,7 +102,6 @@ impl Default for AnchorSettings {
             features: 32,
             offsets: 10,
             width: 32,
-            view_direction: true,
             growth: Growth::default(),
             feature_rate: 7.5e-3,
             offset_rate: LogLinear { start: 1e-2, end: 1e-4, steps: 30_000 },
@@ -226,7 +227,8 @@ impl AnchoredGaussians {
         random: Streams,
     ) -> anyhow::Result<()> {
         insert_anchors(state, positions, &self.settings, scene.extent)?;
-        insert_view_networks(state, &self.settings, random);
+        let view_direction = self.shared.effects.has(VIEW_DIRECTION.name);
+        insert_view_networks(state, &self.settings, view_direction, random);
         Ok(())
     }
 

@@ -168,7 +168,7 @@ fn statistics_survive_a_checkpoint() {
 #[test]
 fn spawned_gaussians_have_slots_and_parents_in_view() {
     let mut state: ModelState<f64> = state_at(&[[0.0; 3], [0.0, 0.0, -20.0], [50.0, 0.0, 0.0]]).cast();
-    insert_view_networks(&mut state, &settings(), Streams::new(1));
+    insert_view_networks(&mut state, &settings(), true, Streams::new(1));
     // Opacities that do not depend on the view: one of two Gaussians.
     state.insert("views.opacity.1.weight", Tensor::zeros([2, 4]));
     state.insert("views.opacity.1.bias", Tensor::from_vec([2], vec![-1.0, 1.0]));
@@ -191,7 +191,7 @@ fn spawned_gaussians_have_slots_and_parents_in_view() {
 fn scattered() -> ModelState<f32> {
     let places: Vec<f32> = noise(120, 1).iter().map(|&place| 4.0 * place as f32).collect();
     let mut state = state_at(places.as_chunks::<3>().0);
-    insert_view_networks(&mut state, &settings(), Streams::new(1));
+    insert_view_networks(&mut state, &settings(), true, Streams::new(1));
     state
 }
 
@@ -271,4 +271,20 @@ fn the_number_of_time_knots_follows_the_frames() {
     // Half as many texels as frames in the published counting, of which the published code reads half.
     assert_eq!((texels(40, None), texels(80, None), texels(400, None)), (10, 20, 50));
     assert_eq!(texels(40, Some(12)), 6);
+}
+
+#[test]
+fn networks_without_the_viewing_direction_do_not_depend_on_the_camera() {
+    let colors = |view_direction: bool, shift: f64| {
+        let mut state: ModelState<f64> = state_at(&[[0.0; 3], [1.0, 0.0, 0.0]]).cast();
+        insert_view_networks(&mut state, &settings(), view_direction, Streams::new(1));
+        state.insert("views.opacity.1.bias", Tensor::full([2], 2.0));
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let camera = PinholeCamera { translation: [shift, 0.0, 5.0], ..camera() };
+        let spawned = spawn(&mut tape, &model, &Anchors::stored(&model), None, &camera);
+        tape.value(spawned.splats.sh).clone()
+    };
+    assert_ne!(colors(true, 0.0), colors(true, 1.0));
+    assert_eq!(colors(false, 0.0), colors(false, 1.0));
 }

@@ -23,8 +23,13 @@ pub(super) const VIEWS: &str = "views";
 const MIN_DISTANCE: f64 = 1e-8;
 
 /// Adds the three networks: F + 3 → width → outputs, or F → … without the viewing direction.
-pub(crate) fn insert_view_networks<T: Real>(state: &mut ModelState<T>, settings: &AnchorSettings, random: Streams) {
-    let AnchorSettings { features, offsets, width, view_direction, .. } = *settings;
+pub(crate) fn insert_view_networks<T: Real>(
+    state: &mut ModelState<T>,
+    settings: &AnchorSettings,
+    view_direction: bool,
+    random: Streams,
+) {
+    let AnchorSettings { features, offsets, width, .. } = *settings;
     let inputs = if view_direction { features + 3 } else { features };
     for (network, outputs) in [("opacity", offsets), ("shape", 7 * offsets), ("color", 3 * offsets)] {
         let [inner, outer] = layers(network);

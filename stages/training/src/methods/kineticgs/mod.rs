@@ -75,6 +75,7 @@ impl MethodFolder for Kineticgs {
             effect(ACTIVATION, "every particle moves within a window of time", &[Need::Times(4), Need::Effect(MOTION)]),
             effect(ENERGY_FLOW, "particles follow the optical flow", &[Need::Flow, Need::Depth, Need::Effect(MOTION)]),
             effect(COHERENCE, "neighbours move alike and at the same time", &[Need::Effect(MOTION)]),
+            anchors::VIEW_DIRECTION,
         ]
     }
 

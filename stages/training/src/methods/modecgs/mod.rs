@@ -25,7 +25,7 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
 use crate::shared::Shared;
 
-/// The method's only effect.
+/// The effect of both fields.
 const MOTION: &str = "motion";
 /// [N, 2] logits of each anchor's gates, for the motion of its position and for all other changes.
 const GATES: &str = "anchors.gates";
@@ -71,7 +71,8 @@ impl MethodFolder for Modecgs {
 
     fn effects() -> Vec<Effect> {
         let about = "anchors move between time segments, their Gaussians within them";
-        vec![Effect { name: MOTION, about, needs: &[Need::Times(2), Need::Motion], by_default: true }]
+        let motion = Effect { name: MOTION, about, needs: &[Need::Times(2), Need::Motion], by_default: true };
+        vec![motion, anchors::VIEW_DIRECTION]
     }
 
     fn check(settings: &Settings) -> Result<(), String> {
