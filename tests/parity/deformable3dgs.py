@@ -10,12 +10,11 @@ import rasteriser
 # The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
 DEPARTURES = {
     "box": "the network reads positions relative to the scene's box and predicts lengths in its unit",
-    "unit quaternions": "q/|q| + Δq is normalised before it turns a Gaussian",
+    "unit quaternions": "the sum of the unit quaternion and its change is normalised before it turns a Gaussian",
     "exact tiles": "a splat reaches every pixel where its alpha is at least 1/255, not the tiles of a square of 3σ",
     "visible": "a splat counts as visible if its box of alpha ≥ 1/255 touches the image, not if its square of 3σ does",
     "cap": "alphas capped at 0.99 have no gradient",
     "rates": "step i has the learning rates of i, not of i − 1",
-    "warm-up": "motion begins after `warm_up` steps, not in the last of them",
     "moments": "the optimiser's moments restart with the motion",
     "harmonics": "Adam counts the steps of the higher harmonics from their first use, not from the first iteration",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
@@ -58,7 +57,8 @@ class Original:
 
     def load(self, state, phase_begins):
         """Continues from a state of ours."""
-        gaussians.load(self.gaussians, state, keeps_moments=phase_begins and "moments" not in self.ours)
+        gaussians.load(self.gaussians, state, keeps_moments=phase_begins and "moments" not in self.ours,
+                       own_count="harmonics" in self.ours)
         if "network.bounds" not in state.value:
             return
         low, high = state.value["network.bounds"]
@@ -78,12 +78,11 @@ class Original:
         opt, model = self.opt, self.gaussians
         iteration = facts["iteration"] + (opt.warm_up if facts["phase"] == "all" else 0)
         view = self.views[facts["views"][0]]
-        if "rates" in self.ours:
-            self.set_rates(iteration)
+        self.set_rates(iteration if "rates" in self.ours else iteration - 1)
         if iteration % self.scene.params["harmonics"]["interval"] == 0:
             model.oneupSHdegree()
-        moves = iteration > opt.warm_up if "warm-up" in self.ours else iteration >= opt.warm_up
-        changes = self.changes(view) if moves else (0.0, 0.0, 0.0)
+        # The published code moves in the last step of the warm-up already, when our state has no network yet.
+        changes = self.changes(view) if iteration > opt.warm_up else (0.0, 0.0, 0.0)
         package = self.render(view, model, SimpleNamespace(debug=False, compute_cov3D_python=False,
                               convert_SHs_python=False), self.background, *changes)
         image, truth = package["render"], view.original_image
@@ -122,8 +121,6 @@ class Original:
                 model.reset_opacity()
         if "order" not in self.ours:
             self.update()
-        if "rates" not in self.ours:
-            self.set_rates(iteration)
         return order
 
     def densify(self, iteration, noise):

@@ -61,7 +61,7 @@ class Original:
         model = self.gaussians
         if phase_begins:
             model.training_setup(self.opt)
-        gaussians.load(model, state)
+        gaussians.load(model, state, own_count="harmonics" in self.ours)
         count = len(model._xyz)
         model._deformation_table, model._deformation_accum = torch.ones(count, dtype=torch.bool), torch.zeros(count, 3)
         low, high = state.value["field.bounds"]

@@ -13,9 +13,9 @@ ATTRIBUTES = (
 )
 
 
-def set_moments(optimizer, parameter, name, state):
-    """The moments of one tensor; a fresh optimizer has none."""
-    steps = state.after["optimizer_steps"][name]
+def set_moments(optimizer, parameter, name, state, counted_with=None):
+    """The moments of one tensor; a fresh optimizer has none. Steps may be counted with another tensor."""
+    steps = state.after["optimizer_steps"][counted_with or name]
     optimizer.state.pop(parameter, None)
     if steps > 0:
         optimizer.state[parameter] = {
@@ -23,8 +23,11 @@ def set_moments(optimizer, parameter, name, state):
             "exp_avg_sq": state.second_moment[name].clone()}
 
 
-def load(model, state, attributes=ATTRIBUTES, keeps_moments=False):
-    """Sets the Gaussians, their moments unless it `keeps_moments`, and the statistics of density control."""
+def load(model, state, attributes=ATTRIBUTES, keeps_moments=False, own_count=True):
+    """Sets the Gaussians, their moments unless it `keeps_moments`, and the statistics of density control.
+
+    Higher harmonics count their steps themselves, or, without `own_count`, with the positions.
+    """
     groups = {group["name"]: group for group in model.optimizer.param_groups}
     for name, group, attribute in attributes:
         kept = model.optimizer.state.pop(groups[group]["params"][0], None)
@@ -32,7 +35,8 @@ def load(model, state, attributes=ATTRIBUTES, keeps_moments=False):
         groups[group]["params"] = [parameter]
         setattr(model, attribute, parameter)
         if not keeps_moments:
-            set_moments(model.optimizer, parameter, name, state)
+            counted_with = "gaussians.positions" if group == "f_rest" and not own_count else None
+            set_moments(model.optimizer, parameter, name, state, counted_with)
         elif kept:
             model.optimizer.state[parameter] = kept
     statistics = torch.tensor(state.after["hooks"][0]["statistics"]).view(-1, 3)

@@ -7,8 +7,10 @@ pixel over a threshold, a point into the next texel, or exchanges two Gaussians 
 """
 
 import argparse
+import functools
 import importlib
 import json
+import os
 import pathlib
 import sys
 
@@ -23,7 +25,7 @@ RESYNC = 20
 FLOOR = 1e-6
 TOLERANCE = {"loss": 1e-4, "gradient": 1e-1, "change": 2e-2, "rate": 1e-6, "rows": 0.0}
 # Of the gradients right after a resynchronisation; in the steps after it, Adam and the network amplify roundings.
-FIRST_GRADIENT = 1e-2
+FIRST_GRADIENT = 2e-2
 
 
 def main():
@@ -40,6 +42,8 @@ def main():
     args = parser.parse_args()
     args.trace = args.trace.resolve()
     sys.path.insert(0, str(pathlib.Path(__file__).parent))
+    # The published code prints a lot.
+    show, sys.stdout = functools.partial(print, file=sys.stdout, flush=True), open(os.devnull, "w")
     mode = stand_ins.install(args.code.resolve())
     module = importlib.import_module(args.name)
     views, scene = trace.read_scene(args.trace)
@@ -50,15 +54,15 @@ def main():
     if args.each:
         for departure, about in module.DEPARTURES.items():
             original = module.Original(mode, views, scene, departures - {departure})
-            print(f"| {about} | {first_above(list(compare(original, args, stop=True)))} |", flush=True)
+            show(f"| {about} | {first_above(list(compare(original, args, stop=True)))} |")
         return
     records = []
     for record in compare(module.Original(mode, views, scene, departures - published), args, args.stop):
         records.append(record)
-        print(line(record), flush=True)
+        show(line(record))
     if args.out:
         args.out.write_text(json.dumps(records))
-    summarise(records)
+    summarise(records, show)
 
 
 def compare(original, args, stop):
@@ -154,19 +158,19 @@ def first_above(records):
     return f"none in steps {records[0]['step']} to {records[-1]['step']}"
 
 
-def summarise(records):
+def summarise(records, show=print):
     """A table of the differences, the density events, and the first step above a tolerance."""
-    print("\n| | largest after a resynchronisation | median | 95 % | largest | of, at step |\n|---|---|---|---|---|---|")
+    show("\n| | largest after a resynchronisation | median | 95 % | largest | of, at step |\n|---|---|---|---|---|---|")
     for kind in ("losses", "gradients", "outliers", "changes", "rates"):
         worst = max(records, key=lambda record: largest(record[kind])[0])
         values = sorted(largest(record[kind])[0] for record in records)
         share = [values[int(part * (len(values) - 1))] for part in (0.5, 0.95)]
         first = max(largest(record[kind])[0] for record in records if record["age"] == 0)
         value, name = largest(worst[kind])
-        print(f"| {kind} | {first:.1e} | {share[0]:.1e} | {share[1]:.1e} | {value:.1e} | `{name}`, {worst['step']} |")
+        show(f"| {kind} | {first:.1e} | {share[0]:.1e} | {share[1]:.1e} | {value:.1e} | `{name}`, {worst['step']} |")
     events = [f"{record['step']}: {record['rows'][0]}/{record['rows'][1]}" for record in records if record["event"]]
-    print(f"\n{len(records)} steps; rows ours/published after density events at {', '.join(events) or 'none'}")
-    print(f"First above tolerance: {first_above(records)}")
+    show(f"\n{len(records)} steps; rows ours/published after density events at {', '.join(events) or 'none'}")
+    show(f"First above tolerance: {first_above(records)}")
 
 
 if __name__ == "__main__":

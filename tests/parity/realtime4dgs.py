@@ -17,7 +17,6 @@ DEPARTURES = {
     "cap": "alphas capped at 0.99 have no gradient",
     "count": "the first step is step 1; the published counter begins at 2",
     "harmonics": "Adam counts the steps of higher harmonics and waves from their first use, not from the first iteration",
-    "waves": "both temporal waves begin with the last spatial degree, not one interval later each",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
     "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
 }
@@ -103,12 +102,13 @@ class Original:
 
         self.render, self.l1_loss, self.ssim = render, l1_loss, ssim
         self.mode, self.views, self.scene, self.ours = mode, views, scene, ours
+        length = scene.params["realtime4dgs"].get("clip_length", 1.0)
         for view in views:
-            view.timestamp = view.time
+            view.timestamp = view.time * length
         rasteriser.RULES = rasteriser.Rules("exact tiles" not in ours, "cap" not in ours, "visible" not in ours)
         self.opt = options(scene.params)
-        model = GaussianModel(scene.params["harmonics"]["degree"], gaussian_dim=4, time_duration=[0.0, 1.0], rot_4d=True,
-                              sh_degree_t=2)
+        model = GaussianModel(scene.params["harmonics"]["degree"], gaussian_dim=4, time_duration=[0.0, length],
+                              rot_4d=True, sh_degree_t=2)
         self.gaussians, self.background = model, torch.tensor(scene.background)
         model.spatial_lr_scale = scene.extent
         for attribute in [attribute for *_, attribute in ATTRIBUTES] + ["_features_rest"]:
@@ -121,7 +121,8 @@ class Original:
         merged = SimpleNamespace(value=converted(state.value), first_moment=converted(state.first_moment),
                                  second_moment=converted(state.second_moment, square=True), after=state.after)
         merged.after["optimizer_steps"]["rest"] = merged.after["optimizer_steps"]["gaussians.sh_rest"]
-        gaussians.load(model, merged, ATTRIBUTES + (("rest", "f_rest", "_features_rest"),))
+        attributes = ATTRIBUTES + (("rest", "f_rest", "_features_rest"),)
+        gaussians.load(model, merged, attributes, own_count="harmonics" in self.ours)
         self.wave_steps = state.after["optimizer_steps"]["gaussians.sh_waves"]
         model.t_gradient_accum = torch.zeros_like(model.denom)
 
@@ -165,8 +166,7 @@ class Original:
         """As by `oneupSHdegree` in every interval."""
         model, ups = self.gaussians, iteration // self.opt.sh_increase_interval
         model.active_sh_degree = min(ups, model.max_sh_degree)
-        waves = 2 if ups >= model.max_sh_degree else 0
-        model.active_sh_degree_t = waves if "waves" in self.ours else min(max(ups - model.max_sh_degree, 0), 2)
+        model.active_sh_degree_t = min(max(ups - model.max_sh_degree, 0), 2)
 
     def finish(self, iteration, packages, noise):
         """Statistics, the optimiser's step and density control."""

@@ -10,7 +10,7 @@ import rasteriser
 
 # The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
 DEPARTURES = {name: deformable3dgs.DEPARTURES[name] for name in (
-    "box", "exact tiles", "visible", "cap", "rates", "warm-up", "harmonics", "order", "radii")}
+    "box", "exact tiles", "visible", "cap", "rates", "harmonics", "order", "radii")}
 ATTRIBUTES = gaussians.ATTRIBUTES + (("gaussians.node_features", "feature", "feature"),)
 HEADS = {"translation": "gaussian_warp", "rotation": "gaussian_rotation", "scale": "gaussian_scaling",
          "frame": "local_rotation"}
@@ -63,7 +63,7 @@ class Original:
 
     def load(self, state, phase_begins):
         """Continues from a state of ours."""
-        gaussians.load(self.gaussians, state, ATTRIBUTES)
+        gaussians.load(self.gaussians, state, ATTRIBUTES, own_count="harmonics" in self.ours)
         low, high = state.value["network.bounds"]
         self.box = ((low + high) / 2, (high[0] - low[0]) / 2)
         layers = dict(self.warp.network.named_parameters())
@@ -109,16 +109,15 @@ class Original:
         opt, model = self.opt, self.gaussians
         iteration = facts["iteration"] + (opt.warm_up if facts["phase"] == "all" else 0)
         view = self.views[facts["views"][0]]
-        if "rates" in self.ours:
-            self.set_rates(iteration)
+        self.set_rates(iteration if "rates" in self.ours else iteration - 1)
         # Our degree counts the steps of the node stage, too.
         model.active_sh_degree = facts["sh_degree"]
         self.mode.uniform = noise.get("rigidity", torch.empty(0)).tolist()
         changes = self.deform.step(model.get_xyz.detach(), self.warp.expand_time(view.fid), iteration=iteration,
                                    feature=model.feature, motion_mask=model.motion_mask)
         self.mode.uniform = []
-        moves = iteration > opt.warm_up if "warm-up" in self.ours else iteration >= opt.warm_up
-        if not moves:
+        # The published code lets the motion learn in the last step of the warm-up already.
+        if iteration <= opt.warm_up:
             changes = {name: change if change is None else change.detach() for name, change in changes.items()}
         pipe = SimpleNamespace(debug=False, compute_cov3D_python=False, convert_SHs_python=False)
         package = self.render(view, model, pipe, self.background, changes["d_xyz"], changes["d_rotation"],
