@@ -14,13 +14,15 @@ use scene::Capture;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::train_state::TrainState;
+use super::tests::dataset;
+use super::train_state::{SavedState, TrainState};
 use super::*;
 use crate::artifact::{NamedTensor, write_tensors};
 use crate::data::{Dataset, NOTHING};
 use crate::method::StepOutcome;
 use crate::params::TrainingParams;
 use crate::planning::resolve_for;
+use crate::scene_tests::TestScene;
 
 /// Draws that are written for each purpose of a step.
 const DRAWS: usize = 60_000;
@@ -39,35 +41,53 @@ struct Request {
 }
 
 #[test]
-#[ignore = "a tool: tests/parity reads the files that it writes"]
 fn write_trace() {
-    let path = |key: &str| PathBuf::from(std::env::var_os(key).unwrap_or_else(|| panic!("{key} is not set")));
-    let dir = path("PARITY_TRACE");
-    let request: Request = serde_json::from_slice(&std::fs::read(path("PARITY_REQUEST")).unwrap()).unwrap();
-    let capture = Capture::open(&path("PARITY_CAPTURE")).unwrap();
-    let params = resolve_for(request.params.clone(), &capture).unwrap();
-    let dataset = Dataset::load(capture, 1).unwrap();
+    let given = |key: &str| std::env::var_os(key).map(PathBuf::from);
+    let Some(dir) = given("PARITY_TRACE") else { return a_traced_training_is_that_training() };
+    let [request, capture] = ["PARITY_REQUEST", "PARITY_CAPTURE"].map(|key| given(key).expect(key));
+    let request: Request = serde_json::from_slice(&std::fs::read(request).unwrap()).unwrap();
+    trace(&dir, &request, &Dataset::load(Capture::open(&capture).unwrap(), 1).unwrap());
+}
+
+/// Where no trace is asked for: describing steps changes none of them.
+fn a_traced_training_is_that_training() {
+    let (_capture, dataset) = dataset(TestScene::default());
+    let params = json!({ "method": "deformable3dgs", "iterations": { "warm-up": 3, "all": 5 },
+        "density": { "from": 1, "interval": 2, "gradient_threshold": 1e-9 }, "curve": { "points": 1 },
+        "deformable3dgs": { "network": { "depth": 2, "width": 8, "skip_after": 1 } } });
+    let request: Request =
+        serde_json::from_value(json!({ "params": params, "steps": 8, "noise": ["split"], "uniform": [] })).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let traced = trace(dir.path(), &request, &dataset);
+    let params = resolve_for(request.params.clone(), &dataset.capture).unwrap();
     let mut trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
+    (0..request.steps).for_each(|_| trainer.advance().unwrap());
+    assert_eq!(trainer.state.save(), traced);
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 10, "the scene, the start and eight steps");
+}
+
+/// Writes a training step by step; returns its last state.
+fn trace(dir: &Path, request: &Request, dataset: &Dataset) -> (SavedState, Tensors) {
+    let params = resolve_for(request.params.clone(), &dataset.capture).unwrap();
+    let mut trainer = Trainer::new(dataset, &NOTHING, &params).unwrap();
     trainer.setup.samples_influence = false;
-    write_scene(&dir, &trainer);
+    write_scene(dir, &trainer);
     let write = |step: u64, trainer: &Trainer<'_>, (mut of_step, facts): (Tensors, Value)| {
         let (saved, tensors) = trainer.state.save();
         of_step.extend(tensors);
         let metadata = json!({ "after": saved, "step": facts }).to_string();
-        std::fs::write(
-            dir.join(format!("{step:05}.safetensors")),
-            write_tensors(&of_step, Some(("trace", metadata))).unwrap(),
-        )
-        .unwrap();
+        let bytes = write_tensors(&of_step, Some(("trace", metadata))).unwrap();
+        std::fs::write(dir.join(format!("{step:05}.safetensors")), bytes).unwrap();
     };
     write(0, &trainer, (Tensors::new(), Value::Null));
     for step in 1..=request.steps {
         let before = trainer.state.clone();
-        let of_step = describe_next(&mut trainer, &request);
+        let of_step = describe_next(&mut trainer, request);
         trainer.state = before;
         trainer.advance().unwrap();
         write(step, &trainer, of_step);
     }
+    trainer.state.save()
 }
 
 /// Gradients, draws, losses, views and learning rates of the next step. The trainer's state is that amid the step.
