@@ -22,7 +22,18 @@ uniforms! {
         half_width: f32,
         half_height: f32,
         has_gradient: u32,
+        renders: f32,
     }
+}
+
+/// The gradient of a splat in a step with several renders, each of which has its share of the step's loss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepGradient {
+    /// The norm of the sum over the renders: gradients of different directions cancel.
+    OfSum,
+    /// The mean norm over the renders that show the splat, each with its whole loss (Yang et al. 2024, published code):
+    /// with R renders, R times the sum of the norms divided by the number of renders that show it.
+    MeanOverViews,
 }
 
 /// A render and the rows of a population that its splats are.
@@ -46,13 +57,14 @@ impl PopulationRender<'_> {
     }
 }
 
-/// Adds the renders of one step to statistics [N, 3]: the sum over steps of the norm of the gradient by the projected mean,
-/// in normalised device coordinates and summed over the renders; the number of steps in which the splat was visible; its largest radius in px.
-/// `None` if the renders are not on a GPU.
+/// Adds the renders of one step to statistics [N, 3]: the sum over steps of the gradient by the projected mean, in
+/// normalised device coordinates and defined by `step_gradient`; the number of steps in which the splat was visible; its
+/// largest radius in px. `None` if the renders are not on a GPU.
 pub fn observe(
     tape: &Tape<f32>,
     gradients: &Gradients<f32>,
     renders: &[PopulationRender],
+    step_gradient: StepGradient,
     statistics: &Tensor<f32>,
 ) -> Option<Tensor<f32>> {
     let gpu = tape.device().gpu()?;
@@ -68,13 +80,15 @@ pub fn observe(
         let gradient = gradients.get(rendered.means2d).map(|gradient| gradient.on_gpu(gpu));
         let [half_width, half_height] = size_px.map(|size| (0.5 * size) as f32);
         let has_gradient = u32::from(gradient.is_some());
-        let constants = ViewBlock { count: count as u32, half_width, half_height, has_gradient };
+        let (count_u32, renders) = (count as u32, renders.len() as f32);
+        let constants = ViewBlock { count: count_u32, half_width, half_height, has_gradient, renders };
         let read =
             [gradient.unwrap_or(conics), conics, &lists.rank_of_splat, statistics.on_gpu(gpu)].map(Binding::Read);
         let splats = Binding::Read(splat_of_row.as_ref().unwrap_or(&lists.rank_of_splat));
         let arrays = [&read[..], &[&sums, &observed].map(Binding::Write), &[splats]].concat();
         let rows = ("ROWS", u32::from(splat_of_row.is_some()));
-        let specialisation = [("FIRST", u32::from(index == 0)), ("LAST", u32::from(index == last)), rows];
+        let views = ("VIEWS", u32::from(step_gradient == StepGradient::MeanOverViews));
+        let specialisation = [("FIRST", u32::from(index == 0)), ("LAST", u32::from(index == last)), rows, views];
         SCREEN.launch(gpu, &specialisation, &constants, &arrays, Groups::Over(count));
     }
     Some(Tensor::from_gpu([count, COLUMNS], observed))

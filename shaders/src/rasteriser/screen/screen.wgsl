@@ -1,10 +1,11 @@
 // Screen-space statistics of every splat for density control: the gradient of its mean in normalised device
 // coordinates, whether it was visible, and its radius in pixels. FIRST starts a step; LAST ends it and adds it to the
 // statistics. The sums of a step with several renders pass from one launch to the next. If ROWS is 1, the splats are a
-// subset of the rows. One invocation per row.
+// subset of the rows. If VIEWS is 1, the norms of the renders' gradients are averaged over those that show the splat.
+// One invocation per row.
 #import gpu::elements
 #import gpu::nowhere
-#const FIRST, LAST, ROWS
+#const FIRST, LAST, ROWS, VIEWS
 
 struct View {
     count: u32,
@@ -12,6 +13,8 @@ struct View {
     half_width: f32,
     half_height: f32,
     has_gradient: u32,
+    // The number of renders of the step.
+    renders: f32,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -21,7 +24,8 @@ struct View {
 // [N, 3]: the sum over steps of the gradient's norm, the number of steps with the splat visible, and its largest
 // radius.
 @group(0) @binding(4) var<storage, read> statistics: array<f32>;
-// [N]: the gradient of this step so far, whether the splat was visible, and its largest radius.
+// [N]: the gradient of this step so far (VIEWS: the sum of the norms in x), the number of renders that show the splat,
+// and its largest radius.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> new_statistics: array<f32>;
 // [N]: the splat of a row, or NOWHERE.
@@ -52,17 +56,27 @@ fn run(row: u32) {
     }
     if (splat != NOWHERE && rank_of_splat[splat] != NOWHERE) {
         if (view.has_gradient == 1u) {
-            sum.x += gradients_px[2u * splat] * view.half_width;
-            sum.y += gradients_px[2u * splat + 1u] * view.half_height;
+            let gradient_x = gradients_px[2u * splat] * view.half_width;
+            let gradient_y = gradients_px[2u * splat + 1u] * view.half_height;
+            if (VIEWS == 1u) {
+                sum.x += sqrt(gradient_x * gradient_x + gradient_y * gradient_y);
+            } else {
+                sum.x += gradient_x;
+                sum.y += gradient_y;
+            }
         }
-        sum.z = 1.0;
+        sum.z += 1.0;
         sum.w = max(sum.w, radius_px(splat));
     }
     if (LAST == 0u) {
         sums[row] = sum;
         return;
     }
-    new_statistics[3u * row] = statistics[3u * row] + sqrt(sum.x * sum.x + sum.y * sum.y);
-    new_statistics[3u * row + 1u] = statistics[3u * row + 1u] + sum.z;
+    var gradient = sqrt(sum.x * sum.x + sum.y * sum.y);
+    if (VIEWS == 1u) {
+        gradient = sum.x * view.renders / max(sum.z, 1.0);
+    }
+    new_statistics[3u * row] = statistics[3u * row] + gradient;
+    new_statistics[3u * row + 1u] = statistics[3u * row + 1u] + min(sum.z, 1.0);
     new_statistics[3u * row + 2u] = max(statistics[3u * row + 2u], sum.w);
 }

@@ -2,7 +2,7 @@
 
 use std::cell::OnceCell;
 
-use shaders::rasteriser::screen::{self, PopulationRender};
+use shaders::rasteriser::screen::{self, PopulationRender, StepGradient};
 use shaders::tape::{Gradients, Tape, Tensor};
 
 use super::step::{ParentVars, RenderRecord};
@@ -15,6 +15,7 @@ pub(crate) struct ScreenStats<'a> {
     renders: Vec<&'a RenderRecord>,
     /// The tape of the renders and the gradients of the step.
     step: Option<(&'a Tape<f32>, &'a Gradients<f32>)>,
+    by_view: OnceCell<Vec<ScreenGradients>>,
     on_host: OnceCell<ScreenGradients>,
     parents: Vec<Parents>,
 }
@@ -28,7 +29,7 @@ pub(crate) struct Parents {
     pub opacity: Tensor<f32>,
 }
 
-/// Screen-space gradient, visibility and radius of each Gaussian of a population in the renders of one step.
+/// Screen-space gradient, visibility and radius of each Gaussian of a population in one or more renders of a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ScreenGradients {
     /// [N, 2] gradient of the loss by the projected mean, normalised device coordinates, summed over the renders.
@@ -54,6 +55,7 @@ impl<'a> ScreenStats<'a> {
                     population: &render.population,
                     renders: vec![render],
                     step: Some((tape, gradients)),
+                    by_view: OnceCell::new(),
                     on_host: OnceCell::new(),
                     parents: Vec::new(),
                 }),
@@ -65,10 +67,17 @@ impl<'a> ScreenStats<'a> {
         populations
     }
 
-    /// Given values of a population.
+    /// Given values of a population in one render.
     #[cfg(test)]
     pub(crate) fn of(population: &'a str, values: ScreenGradients) -> Self {
-        Self { population, renders: Vec::new(), step: None, on_host: values.into(), parents: Vec::new() }
+        Self::of_views(population, vec![values])
+    }
+
+    /// Given values of a population in each render.
+    #[cfg(test)]
+    pub(crate) fn of_views(population: &'a str, views: Vec<ScreenGradients>) -> Self {
+        let (by_view, on_host, parents) = (views.into(), OnceCell::new(), Vec::new());
+        Self { population, renders: Vec::new(), step: None, by_view, on_host, parents }
     }
 
     /// Adds one render's values of the parents.
@@ -82,20 +91,25 @@ impl<'a> ScreenStats<'a> {
         &self.parents
     }
 
-    /// The values of every Gaussian, read back from a GPU if necessary.
-    pub(crate) fn on_host(&self) -> &ScreenGradients {
-        self.on_host.get_or_init(|| {
-            let mut values = ScreenGradients::default();
-            if let Some((tape, gradients)) = self.step {
-                self.renders.iter().for_each(|render| values.add(render, tape, gradients));
-            }
-            values
+    /// The values of every Gaussian in each render, read back from a GPU if necessary.
+    pub(crate) fn by_view(&self) -> &[ScreenGradients] {
+        self.by_view.get_or_init(|| {
+            let Some((tape, gradients)) = self.step else { return Vec::new() };
+            self.renders.iter().map(|render| ScreenGradients::of(render, tape, gradients)).collect()
         })
+    }
+
+    /// The values of every Gaussian in all renders together, read back from a GPU if necessary.
+    pub(crate) fn on_host(&self) -> &ScreenGradients {
+        match self.by_view() {
+            [only] => only,
+            views => self.on_host.get_or_init(|| views.iter().fold(ScreenGradients::default(), ScreenGradients::join)),
+        }
     }
 
     /// Adds this step to the statistics of every Gaussian ([`screen::observe`]) on the GPU that rendered it; `None` for
     /// renders on the CPU.
-    pub(crate) fn observe_on_gpu(&self, statistics: &Tensor<f32>) -> Option<Tensor<f32>> {
+    pub(crate) fn observe_on_gpu(&self, gradient: StepGradient, statistics: &Tensor<f32>) -> Option<Tensor<f32>> {
         let (tape, gradients) = self.step?;
         let of_render = |render: &&'a RenderRecord| PopulationRender {
             rendered: &render.rendered,
@@ -103,7 +117,7 @@ impl<'a> ScreenStats<'a> {
             row_of_splat: render.row_of_splat(),
         };
         let renders: Vec<PopulationRender> = self.renders.iter().map(of_render).collect();
-        screen::observe(tape, gradients, &renders, statistics)
+        screen::observe(tape, gradients, &renders, gradient, statistics)
     }
 
     /// The number of Gaussians.
@@ -126,13 +140,11 @@ impl RenderRecord {
 }
 
 impl ScreenGradients {
-    /// Adds one render: sums gradients, joins visibility, keeps the larger radius. A pixel is 2 / size in normalised
-    /// device coordinates.
-    fn add(&mut self, render: &RenderRecord, tape: &Tape<f32>, gradients: &Gradients<f32>) {
+    /// The values of one render. A pixel is 2 / size in normalised device coordinates.
+    fn of(render: &RenderRecord, tape: &Tape<f32>, gradients: &Gradients<f32>) -> Self {
         let count = render.count;
-        self.gradient_ndc.resize(count, [0.0; 2]);
-        self.visible.resize(count, false);
-        self.radius_px.resize(count, 0.0);
+        let mut values = Self::default();
+        values.resize(count);
         let [half_width, half_height] = render.size_px.map(|size| 0.5 * size);
         let (visible, radius_px) = (render.rendered.visible(), render.rendered.radii_px(tape));
         let gradient_px = gradients.get(render.rendered.means2d);
@@ -141,13 +153,32 @@ impl ScreenGradients {
             let Some(at) = render.row_of_splat().map_or(first, |rows| rows.get(splat).map(|&row| row as usize)) else {
                 continue;
             };
-            self.visible[at] = true;
-            self.radius_px[at] = self.radius_px[at].max(radius_px[splat]);
+            values.visible[at] = true;
+            values.radius_px[at] = radius_px[splat];
             let Some(gradient) = gradient_px else { continue };
             let row = gradient.row(splat);
-            self.gradient_ndc[at][0] += (f64::from(row[0]) * half_width) as f32;
-            self.gradient_ndc[at][1] += (f64::from(row[1]) * half_height) as f32;
+            let [x, y] = [f64::from(row[0]) * half_width, f64::from(row[1]) * half_height];
+            values.gradient_ndc[at] = [x as f32, y as f32];
         }
+        values
+    }
+
+    /// Both: sums gradients, joins visibility, keeps the larger radius.
+    fn join(mut self, other: &Self) -> Self {
+        self.resize(other.visible.len());
+        for at in 0..other.visible.len() {
+            let ([x, y], [of_x, of_y]) = (self.gradient_ndc[at], other.gradient_ndc[at]);
+            self.gradient_ndc[at] = [x + of_x, y + of_y];
+            self.visible[at] |= other.visible[at];
+            self.radius_px[at] = self.radius_px[at].max(other.radius_px[at]);
+        }
+        self
+    }
+
+    fn resize(&mut self, count: usize) {
+        self.gradient_ndc.resize(count, [0.0; 2]);
+        self.visible.resize(count, false);
+        self.radius_px.resize(count, 0.0);
     }
 }
 

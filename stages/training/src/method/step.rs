@@ -99,6 +99,8 @@ pub(crate) struct Step<'a, T: Real> {
     pub iteration: u64,
     /// Spherical-harmonics degree in use.
     pub sh_degree: usize,
+    /// Intervals of `harmonics` that have passed in this phase, also after the last degree.
+    pub harmonics_intervals: u64,
     /// Settings of the rasteriser for the renders of the step.
     pub raster: RasterSettings,
     /// Random numbers, by purpose.

@@ -2,6 +2,7 @@
 
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
+use shaders::rasteriser::screen::StepGradient;
 
 use super::check::Checks;
 
@@ -12,6 +13,8 @@ pub(crate) struct Density {
     /// Threshold of cloning and splitting: the mean norm of the loss's gradient by the projected mean, in normalised
     /// device coordinates (gradients by pixels times half the image size).
     pub gradient_threshold: f64,
+    /// What a step with several views counts.
+    pub batch_gradient: BatchGradient,
     /// Iterations between two rounds of cloning and splitting.
     pub interval: u64,
     /// No rounds up to and including this iteration.
@@ -39,10 +42,31 @@ pub(crate) struct Density {
     pub max_count: usize,
 }
 
+/// The gradient of a Gaussian in a step with several views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum BatchGradient {
+    /// The norm of the gradient of the step's loss, in which every view has its share (published for 4DGaussians).
+    #[default]
+    OfSum,
+    /// The mean over the views that show the Gaussian, each as if it were alone in its step (published for 4D-GS).
+    MeanOverViews,
+}
+
+impl From<BatchGradient> for StepGradient {
+    fn from(gradient: BatchGradient) -> Self {
+        match gradient {
+            BatchGradient::OfSum => Self::OfSum,
+            BatchGradient::MeanOverViews => Self::MeanOverViews,
+        }
+    }
+}
+
 impl Default for Density {
     fn default() -> Self {
         Self {
             gradient_threshold: 2e-4,
+            batch_gradient: BatchGradient::default(),
             interval: 100,
             from: 500,
             until: 15_000,

@@ -17,7 +17,7 @@ use crate::effects::{Effects, NOTHING_LEFT_OUT};
 use crate::schedule::{Phase, stretch};
 use check::{Checks, is_count, is_positive};
 
-pub(crate) use density::Density;
+pub(crate) use density::{BatchGradient, Density};
 pub(crate) use initial_points::{InitialPoints, PointSource};
 pub(crate) use learning_rates::LearningRates;
 pub(crate) use rendering::{Curve, Harmonics, Loss};

@@ -66,7 +66,8 @@ impl Trainer<'_> {
         self.clock.enter("load");
         self.state.iteration += 1;
         let shared = &self.setup.params.shared;
-        if self.state.iteration.is_multiple_of(stretch(shared.harmonics.interval, shared.schedule_scale)) {
+        let harmonics_interval = stretch(shared.harmonics.interval, shared.schedule_scale);
+        if self.state.iteration.is_multiple_of(harmonics_interval) {
             self.state.sh_degree = (self.state.sh_degree + 1).min(shared.harmonics.degree);
         }
         let views: Vec<_> = (0..shared.batch).map(|_| self.next_view()).collect();
@@ -83,6 +84,7 @@ impl Trainer<'_> {
             phase: self.setup.phases[self.state.phase].name,
             iteration: self.state.iteration,
             sh_degree: self.state.sh_degree,
+            harmonics_intervals: self.state.iteration / harmonics_interval,
             raster: raster_settings(&dataset.scene, self.state.sh_degree),
             random: self.setup.streams().step(self.phase_name(), self.state.iteration),
             clock: &mut self.clock,

@@ -1,7 +1,7 @@
 //! Statistics of Gaussians over the renders since the last round of density control.
 
 use serde::{Deserialize, Serialize};
-use shaders::rasteriser::screen::COLUMNS;
+use shaders::rasteriser::screen::{COLUMNS, StepGradient};
 use shaders::tape::Tensor;
 
 use crate::method::{ScreenGradients, ScreenStats};
@@ -51,12 +51,18 @@ impl Statistics {
         &self.rows
     }
 
-    /// Adds the renders of one step, on the GPU that rendered them if there is one.
+    /// Adds the renders of one step with the gradient of their sum, on the GPU that rendered them if there is one.
     pub(crate) fn observe(&mut self, stats: &ScreenStats<'_>) {
+        self.observe_gradient(stats, StepGradient::OfSum);
+    }
+
+    /// Adds the renders of one step, on the GPU that rendered them if there is one.
+    pub(crate) fn observe_gradient(&mut self, stats: &ScreenStats<'_>, gradient: StepGradient) {
         self.resize(stats.rows());
-        match stats.observe_on_gpu(&self.rows) {
-            Some(rows) => self.rows = rows,
-            None => self.add(stats.on_host()),
+        match (stats.observe_on_gpu(gradient, &self.rows), gradient) {
+            (Some(rows), _) => self.rows = rows,
+            (None, StepGradient::OfSum) => self.add(stats.on_host()),
+            (None, StepGradient::MeanOverViews) => self.add_mean(stats.by_view()),
         }
     }
 
@@ -77,6 +83,22 @@ impl Statistics {
             row[GRADIENT_SUM] += (x * x + y * y).sqrt();
             row[SEEN_COUNT] += 1.0;
             row[RADIUS_PX] = row[RADIUS_PX].max(screen.radius_px[at]);
+        }
+    }
+
+    /// Adds the renders of one step on the host: gradients by [`StepGradient::MeanOverViews`].
+    fn add_mean(&mut self, views: &[ScreenGradients]) {
+        let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
+        for (at, row) in rows.iter_mut().enumerate() {
+            let (mut norms, mut shown) = (0.0, 0.0);
+            for view in views.iter().filter(|view| view.visible[at]) {
+                let [x, y] = view.gradient_ndc[at];
+                norms += (x * x + y * y).sqrt();
+                shown += 1.0_f32;
+                row[RADIUS_PX] = row[RADIUS_PX].max(view.radius_px[at]);
+            }
+            row[GRADIENT_SUM] += norms * views.len() as f32 / shown.max(1.0);
+            row[SEEN_COUNT] += shown.min(1.0);
         }
     }
 

@@ -9,7 +9,7 @@ use super::*;
 use crate::data::Streams;
 use crate::method::{AfterStep, ScreenGradients, ScreenStats, StepHook as _};
 use crate::model::{ModelState, Optimizer};
-use crate::shared::Density;
+use crate::shared::{BatchGradient, Density};
 
 fn scene() -> SceneFacts {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
@@ -224,4 +224,54 @@ fn children_in_space_time_follow_the_longest_axis() {
     }
     let shrunk = state.get("gaussians.log_scales_time").unwrap().as_slice();
     assert!(shrunk.iter().all(|value| (value - (-20.0 - 1.6_f32.ln())).abs() <= 1e-5));
+}
+
+/// Gradients of four Gaussians in one view; a Gaussian with a gradient of 0 is not visible.
+fn view(gradients: [[f32; 2]; 4]) -> ScreenGradients {
+    let visible = gradients.map(|gradient| gradient != [0.0; 2]).to_vec();
+    ScreenGradients { gradient_ndc: gradients.to_vec(), visible, radius_px: vec![3.0; 4] }
+}
+
+/// Sum of gradients and number of steps of each Gaussian after one step with these views.
+fn counted(gradient: BatchGradient, views: &[[[f32; 2]; 4]]) -> Vec<[f32; 2]> {
+    let mut statistics = statistics::Statistics::default();
+    let stats = ScreenStats::of_views(GAUSSIANS, views.iter().copied().map(view).collect());
+    statistics.observe_gradient(&stats, gradient.into());
+    statistics.rows().iter().map(|&[sum, steps, _]| [sum, steps]).collect()
+}
+
+#[test]
+fn views_of_a_batch_count_as_if_each_were_alone() {
+    // Every gradient is of a loss that has a quarter of the step's: seen alone, these views would give 4, 4, 20 and 0.
+    let (up, down, long) = ([1.0, 0.0], [-1.0, 0.0], [3.0, 4.0]);
+    let nothing = [0.0; 2];
+    let views =
+        [[up, up, long, nothing], [nothing, down, long, nothing], [nothing; 4], [nothing, nothing, long, nothing]];
+    let of_views = counted(BatchGradient::MeanOverViews, &views);
+    assert_eq!(of_views, [[4.0, 1.0], [4.0, 1.0], [20.0, 1.0], [0.0, 0.0]]);
+    // The norm of the sum: one view of four has a quarter, opposite directions cancel, three equal ones add up.
+    let of_sum = counted(BatchGradient::OfSum, &views);
+    assert_eq!(of_sum, [[1.0, 1.0], [0.0, 1.0], [15.0, 1.0], [0.0, 0.0]]);
+    for rule in [BatchGradient::MeanOverViews, BatchGradient::OfSum] {
+        assert_eq!(
+            counted(rule, &views[..1]),
+            [[1.0, 1.0], [1.0, 1.0], [5.0, 1.0], [0.0, 0.0]],
+            "{rule:?} of one view"
+        );
+    }
+}
+
+#[test]
+fn the_rule_for_batches_decides_which_gaussians_grow() {
+    let grown = |batch_gradient| {
+        let params = Density { batch_gradient, gradient_threshold: 2.0, ..density() };
+        let mut control = AdaptiveDensity::new(GAUSSIANS, &params, 1.0, false);
+        let mut optimizer = optimizer(four_gaussians());
+        let (one, opposite) = ([1.0, 0.0], [-1.0, 0.0]);
+        let views = [[one, one, [0.0; 2], [0.0; 2]], [[0.0; 2], opposite, [0.0; 2], [0.0; 2]]];
+        control.observe(&ScreenStats::of_views(GAUSSIANS, views.map(view).to_vec()));
+        after_step(&mut control, 10, &mut optimizer, 0);
+        positions(&optimizer.into_state()).len()
+    };
+    assert_eq!((grown(BatchGradient::MeanOverViews), grown(BatchGradient::OfSum)), (6, 4));
 }

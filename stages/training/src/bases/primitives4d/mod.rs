@@ -1,8 +1,10 @@
 //! Gaussians in space and time (Yang et al. 2024); a render at one time shows a slice of them.
 //!
+//! Their unit of time is the method's: rotations in four dimensions and initial lifetimes depend on it.
+//!
 //! | tensor | shape | stored as |
 //! |---|---|---|
-//! | `positions`, `times` | [N, 3], [N, 1] | scene units; share of the clip |
+//! | `positions`, `times` | [N, 3], [N, 1] | scene units; units of time |
 //! | `log_scales_time` | [N, 1] | logarithm of the standard deviation along the fourth axis |
 //! | `rotations_left`, `rotations_right` | [N, 4] | quaternions of the rotation in four dimensions |
 //! | `opacity_logits` | [N, 1] | at their own time, before the logistic function |
@@ -23,8 +25,9 @@ pub(crate) const MIN_SHARE: f64 = 0.05;
 
 /// Margin of the initial times beyond the clip, as a share of the clip (published code).
 const TIME_MARGIN: f64 = 0.1;
-/// The initial variance along time, as a share of the clip's squared length (published code).
-const INITIAL_VARIANCE_TIME: f64 = 0.2;
+/// The initial variance along time per length of the clip (published code): the standard deviation is √(0.2·L) units of
+/// time for a clip of L units.
+const INITIAL_VARIANCE_PER_LENGTH: f64 = 0.2;
 
 /// The parameters of a population, with the logarithms of its spatial scales [N, 3].
 pub(crate) fn parameters(model: &Variables, population: &str, log_scales: Var) -> Gaussians4dVars {
@@ -39,19 +42,26 @@ pub(crate) fn parameters(model: &Variables, population: &str, log_scales: Var) -
     }
 }
 
-/// Slices a population at a time in [0, 1]; Gaussians with less than [`MIN_SHARE`] of their opacity are hidden.
+/// Slices a population at a time in its unit; Gaussians with less than [`MIN_SHARE`] of their opacity are hidden.
 pub(crate) fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, time: f64) -> SlicedVars {
     slicing4d::slice(tape, parameters, time, MIN_SHARE)
 }
 
 /// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: times
-/// spread over the clip, a variance of a fifth of its squared length, and no motion.
-pub(crate) fn insert_time<T: Real>(state: &mut ModelState<T>, population: &str, count: usize, random: Streams) {
+/// spread over a clip of `length` units, a variance of a fifth of its length, and no motion.
+pub(crate) fn insert_time<T: Real>(
+    state: &mut ModelState<T>,
+    population: &str,
+    count: usize,
+    length: f64,
+    random: Streams,
+) {
     let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO].repeat(count);
     let mut times = random.tensor(&format!("{population}.times"));
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{population}.{attribute}"), tensor);
-    insert("times", uniform(&[count, 1], -TIME_MARGIN, 1.0 + TIME_MARGIN, &mut times));
-    insert("log_scales_time", Tensor::full([count, 1], T::from_f64(0.5 * INITIAL_VARIANCE_TIME.ln())));
+    insert("times", uniform(&[count, 1], -TIME_MARGIN * length, (1.0 + TIME_MARGIN) * length, &mut times));
+    let variance = INITIAL_VARIANCE_PER_LENGTH * length;
+    insert("log_scales_time", Tensor::full([count, 1], T::from_f64(0.5 * variance.ln())));
     insert("rotations_left", Tensor::from_vec([count, 4], identity.clone()));
     insert("rotations_right", Tensor::from_vec([count, 4], identity));
 }

@@ -117,6 +117,7 @@ impl World {
             phase: "fine",
             iteration: 1,
             sh_degree: 0,
+            harmonics_intervals: 0,
             raster: raster_settings(&self.dataset.scene, 0),
             random: Streams::new(1).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),

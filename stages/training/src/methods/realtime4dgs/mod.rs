@@ -8,8 +8,9 @@ mod tests;
 use std::collections::BTreeMap;
 
 use scene::cloud::PointCloud;
+use shaders::arrays::rows::columns;
 use shaders::networks::temporal_harmonics::temporal_harmonics;
-use shaders::pointwise::add;
+use shaders::pointwise::{add, scale};
 use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
@@ -22,7 +23,7 @@ use crate::effects::{Effect, Loss};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
-use crate::shared::Shared;
+use crate::shared::{BatchGradient, Density, Shared};
 use settings::{Settings, Switches};
 
 /// The only phase.
@@ -40,7 +41,8 @@ impl MethodFolder for Realtime4dgs {
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
-        Shared { iterations: BTreeMap::from([(TRAIN.into(), 30_000)]), batch: 4, ..Shared::default() }
+        let density = Density { batch_gradient: BatchGradient::MeanOverViews, ..Density::default() };
+        Shared { iterations: BTreeMap::from([(TRAIN.into(), 30_000)]), batch: 4, density, ..Shared::default() }
     }
 
     fn effects() -> Vec<Effect> {
@@ -54,7 +56,7 @@ impl MethodFolder for Realtime4dgs {
     #[cfg(test)]
     fn tiny_settings() -> Settings {
         // Large enough to matter next to the photometric loss.
-        Settings { rigid_weight: 10.0, rigid_samples: 4, rigid_neighbors: 3 }
+        Settings { clip_length: 2.0, rigid_weight: 10.0, rigid_samples: 4, rigid_neighbors: 3 }
     }
 
     fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
@@ -69,32 +71,60 @@ struct SpaceTimeGaussians {
 }
 
 impl SpaceTimeGaussians {
-    /// The Gaussians sliced at a time.
-    fn slice<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> (SplatVars, SlicedVars) {
+    /// The Gaussians sliced at a time, with this many waves of their colours.
+    fn slice<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        moment: &Moment<'_>,
+        waves: usize,
+    ) -> (SplatVars, SlicedVars) {
         let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
         let parameters = primitives4d::parameters(model, GAUSSIANS, var("log_scales"));
-        let sliced = primitives4d::slice(tape, &parameters, moment.time);
+        let sliced = primitives4d::slice(tape, &parameters, moment.time * self.settings.clip_length);
         let splats = SplatVars {
             positions: add(tape, var("positions"), sliced.displacements),
             shape: ShapeVars::Factor(sliced.factors),
             opacity_logits: sliced.opacity_logits,
-            sh: self.colors(tape, model, moment),
+            sh: self.colors(tape, model, moment, waves),
         };
         (splats, sliced)
     }
 
-    /// Spherical harmonics at a time: constant ones, plus the waves once all spatial degrees are active.
-    fn colors<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> Var {
+    /// Spherical harmonics at a time: constant ones plus the first `waves` waves.
+    fn colors<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>, waves: usize) -> Var {
         let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
         let degree = moment.sh_degree;
         let constant = var("sh_dc");
         let still = if degree > 0 { active_harmonics(tape, constant, var("sh_rest"), degree) } else { constant };
-        if !self.switches.temporal_color || degree < self.shared.harmonics.degree {
+        if waves == 0 {
             return still;
         }
         let count = (degree + 1).pow(2);
-        let changing = temporal_harmonics(tape, var("sh_waves"), var("times"), moment.time, count, count);
+        let active = match waves {
+            WAVES => var("sh_waves"),
+            fewer => columns(tape, var("sh_waves"), 0..3 * fewer * count),
+        };
+        let times = self.in_clips(tape, var("times"));
+        let changing = temporal_harmonics(tape, active, times, moment.time, count, count);
         add(tape, still, changing)
+    }
+
+    /// Times in the method's unit as shares of the clip.
+    fn in_clips<T: Real>(&self, tape: &mut Tape<T>, times: Var) -> Var {
+        let length = self.settings.clip_length;
+        if length == 1.0 { times } else { scale(tape, times, 1.0 / length) }
+    }
+
+    /// The waves that a step trains: one more per interval of the harmonics after the last of their degrees.
+    fn trained_waves(&self, intervals: u64) -> usize {
+        let after_degrees = intervals.saturating_sub(self.shared.harmonics.degree as u64) as usize;
+        if self.switches.temporal_color { after_degrees.min(WAVES) } else { 0 }
+    }
+
+    /// The waves that a render shows: all once every degree is in use, because waves that were never trained are 0.
+    fn shown_waves(&self, degree: usize) -> usize {
+        if self.switches.temporal_color && degree >= self.shared.harmonics.degree { WAVES } else { 0 }
     }
 }
 
@@ -107,10 +137,11 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
         if !self.switches.motion {
             return photometric_losses(self, step);
         }
+        let waves = self.trained_waves(step.harmonics_intervals);
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);
-            let (splats, sliced) = self.slice(step.tape, step.model, &moment);
+            let (splats, sliced) = self.slice(step.tape, step.model, &moment, waves);
             primitives4d::count_skipped(step, "Gaussians of other times", &sliced);
             let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
@@ -141,7 +172,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
         let mut state = ModelState::new();
         let kept = still.into_iter().filter(|(name, _)| !name.ends_with(".rotations"));
         kept.for_each(|(name, tensor)| state.insert(name, tensor));
-        primitives4d::insert_time(&mut state, GAUSSIANS, count, random);
+        primitives4d::insert_time(&mut state, GAUSSIANS, count, self.settings.clip_length, random);
         if self.switches.temporal_color {
             let coefficients = WAVES * (degree + 1).pow(2);
             state.insert(format!("{GAUSSIANS}.sh_waves"), Tensor::zeros([count, coefficients, 3]));
@@ -165,7 +196,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
         if !self.switches.motion {
             return Ok(gaussians::static_splats(tape, model, GAUSSIANS, moment.sh_degree));
         }
-        Ok(self.slice(tape, model, moment).0)
+        Ok(self.slice(tape, model, moment, self.shown_waves(moment.sh_degree)).0)
     }
 
     fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {

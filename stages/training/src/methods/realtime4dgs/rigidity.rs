@@ -14,7 +14,7 @@ use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::settings::Settings;
 
-/// The time over which displacements are compared, as a share of the clip (0.1 s of a clip of one second).
+/// The time over which displacements are compared, in the method's unit of time (published code).
 const DURATION: f64 = 0.1;
 /// 1 / (distance at which a neighbour's weight is e⁻¹)², in [`SceneFacts::unit_world`] (published code).
 const FALLOFF: f64 = 100.0;
@@ -22,7 +22,7 @@ const FALLOFF: f64 = 100.0;
 const ELSEWHERE: f64 = 1e3;
 
 /// Σ e^(−100·d²)·‖vᵢ − vⱼ‖ over random Gaussians i and the nearest neighbours j of each, divided by the number of
-/// pairs, with displacements v over a tenth of the clip and distances d at one time, both in `unit_world` scene units;
+/// pairs, with displacements v over a tenth of a unit of time and distances d at one time, both in `unit_world` scene units;
 /// positions [N, 3]. Absent Gaussians do not contribute. `None` with fewer than two Gaussians.
 pub(crate) fn loss<T: Real>(
     tape: &mut Tape<T>,

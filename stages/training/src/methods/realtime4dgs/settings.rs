@@ -4,10 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effect, Effects, Need};
 
-/// The method's table in a recipe: the loss of the effect `rigid`.
+/// The method's table in a recipe: the unit of time, and the loss of the effect `rigid`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {
+    /// Length of the clip in the method's unit of time, in which initial lifetimes (√(0.2·L)), step sizes of times and
+    /// rotations between space and time are measured: 1 for D-NeRF, the seconds of a multi-view video (10 for N3V).
+    pub clip_length: f64,
     /// Weight of the rigidity loss.
     pub rigid_weight: f64,
     /// Number of random Gaussians per view that are compared with their neighbours.
@@ -18,13 +21,16 @@ pub(crate) struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { rigid_weight: 1.0, rigid_samples: 4096, rigid_neighbors: 20 }
+        Self { clip_length: 1.0, rigid_weight: 1.0, rigid_samples: 4096, rigid_neighbors: 20 }
     }
 }
 
 impl Settings {
     /// An error message if the settings are invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
+        if !(self.clip_length > 0.0 && self.clip_length.is_finite()) {
+            return Err(format!("realtime4dgs: clip_length must be positive, not {}", self.clip_length));
+        }
         if self.rigid_samples == 0 || self.rigid_neighbors == 0 {
             return Err("realtime4dgs: rigid_samples and rigid_neighbors must be positive".into());
         }

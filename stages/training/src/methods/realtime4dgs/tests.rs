@@ -142,3 +142,69 @@ fn equal_motion_of_neighbours_has_zero_loss() {
     let (published, tiny) = (loss_of(velocities(), [1.0; 5]), loss_in(0.01, velocities(), [1.0; 5]));
     assert!((published - tiny).abs() <= 1e-9 * published, "{published} {tiny}");
 }
+
+#[test]
+fn waves_start_one_interval_after_another_behind_the_last_degree() {
+    let waves = |effects: &[&str], degree| {
+        let method = method(effects, degree);
+        (0..8).map(|intervals| method.trained_waves(intervals)).collect::<Vec<_>>()
+    };
+    assert_eq!(waves(&["motion", "temporal-color"], 3), [0, 0, 0, 0, 1, 2, 2, 2]);
+    assert_eq!(waves(&["motion", "temporal-color"], 0), [0, 1, 2, 2, 2, 2, 2, 2]);
+    assert_eq!(waves(&["motion"], 3), [0; 8]);
+}
+
+#[test]
+fn a_wave_that_has_not_started_gets_no_gradient() {
+    let dir = tempfile::tempdir().unwrap();
+    let (dataset, method) = (dataset(&dir), method(&["motion", "temporal-color"], 1));
+    let mut state = first_state(&method, &dataset);
+    let values = (0..30 * 8 * 3).map(|at| 0.01 * (at % 7) as f32).collect();
+    state.insert("gaussians.sh_waves", Tensor::from_vec([30, 8, 3], values));
+    let camera = dataset.train[0].camera;
+    let moment = Moment { scene: &dataset.scene, phase: TRAIN, time: 0.3, camera: &camera, sh_degree: 1 };
+    let by_wave = |waves| {
+        let mut tape = Tape::<f32>::new(Device::Cpu);
+        let model = state.bind(&mut tape, |name| name == "gaussians.sh_waves");
+        let colors = method.colors(&mut tape, &model, &moment, waves);
+        let ones = Tensor::full(tape.value(colors).shape(), 1.0);
+        let gradients = tape.backward(&[(colors, ones)]);
+        let of_waves = gradients.get(model.get("gaussians.sh_waves"));
+        let row = of_waves.map_or(vec![0.0; 24], |gradient| gradient.row(0).to_vec());
+        [0, 12].map(|first| row[first..first + 12].iter().all(|value| *value != 0.0))
+    };
+    assert_eq!([0, 1, 2].map(by_wave), [[false, false], [true, false], [true, true]]);
+}
+
+#[test]
+fn the_unit_of_time_sets_lifetimes_and_leaves_the_same_model_in_clips() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir);
+    let of_length = |clip_length| {
+        let plain = method(&["motion", "temporal-color"], 0);
+        SpaceTimeGaussians { settings: Settings { clip_length, ..Settings::default() }, ..plain }
+    };
+    let (one, ten) = (of_length(1.0), of_length(10.0));
+    let (first, scaled) = (first_state(&one, &dataset), first_state(&ten, &dataset));
+    let values = |state: &ModelState<f32>, name: &str| state.get(name).unwrap().as_slice().to_vec();
+    // √(0.2·10) = 1.414 of ten units, 0.141 of the clip; √0.2 = 0.447 where the clip is the unit.
+    let lifetime = |state| values(state, "gaussians.log_scales_time")[0].exp();
+    assert!((lifetime(&first) - 0.2_f32.sqrt()).abs() <= 1e-6 && (lifetime(&scaled) - 2.0_f32.sqrt()).abs() <= 1e-5);
+    let [times, of_ten] = [&first, &scaled].map(|state| values(state, "gaussians.times"));
+    assert!(times.iter().zip(&of_ten).all(|(time, of_ten)| (10.0 * time - of_ten).abs() <= 1e-5));
+    // The same Gaussians in the other unit make the same splats, colours included.
+    let mut converted = first_state(&one, &dataset);
+    let waves: Vec<f32> = (0..30 * 2 * 3).map(|at| 0.01 * (at % 7) as f32).collect();
+    converted.insert("gaussians.sh_waves", Tensor::from_vec([30, 2, 3], waves));
+    let mut in_ten = converted.clone();
+    in_ten.insert("gaussians.times", Tensor::from_vec([30, 1], times.iter().map(|time| 10.0 * time).collect()));
+    let long = lifetime(&first) * 10.0;
+    in_ten.insert("gaussians.log_scales_time", Tensor::full([30, 1], long.ln()));
+    let shown = |method, state| {
+        let (tape, splats, _) = splats(method, state, &dataset, 0.4, 0);
+        [splats.opacity_logits, splats.sh].map(|var| tape.value(var).clone())
+    };
+    let ([opacity, colors], [of_ten, colors_of_ten]) = (shown(&one, &converted), shown(&ten, &in_ten));
+    shaders::check::agree(&of_ten, &opacity, 1e-4).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+    shaders::check::agree(&colors_of_ten, &colors, 1e-4).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+}
