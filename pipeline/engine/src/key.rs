@@ -140,8 +140,11 @@ pub(crate) fn plan_id(node: &Node, producers: &[Node]) -> String {
     } = node;
     let inputs: BTreeMap<&String, Value> =
         inputs.iter().map(|input| (&input.port, plan_input_value(input, producers))).collect();
-    let sources: BTreeMap<&String, String> =
-        sources.iter().map(|PlanSource { name, path }| (name, path.to_string_lossy().replace('\\', "/"))).collect();
+    // Whether a source may be missing follows from the parameters.
+    let source = |PlanSource { name, path, optional: _ }: &'_ PlanSource| {
+        (name.clone(), path.to_string_lossy().replace('\\', "/"))
+    };
+    let sources: BTreeMap<String, String> = sources.iter().map(source).collect();
     canonical::sha256_hex(
         "pipeline/plan/1",
         &json!({ "stage": stage, "code": code, "params": params, "inputs": inputs, "sources": sources, "output": output }),

@@ -113,6 +113,9 @@ pub struct PlanSource {
     pub name: String,
     /// The path relative to the data root.
     pub path: PathBuf,
+    /// Whether the job also runs without it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub optional: bool,
 }
 
 /// The origin of a parameter value.

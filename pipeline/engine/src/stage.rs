@@ -161,6 +161,16 @@ pub struct Source {
     pub name: &'static str,
     /// The path relative to `--data-root`.
     pub path: PathBuf,
+    /// Whether the job also runs without it: a missing path is then no source of the job and no part of its key. Otherwise
+    /// the job's outcome is missing data.
+    pub optional: bool,
+}
+
+impl Source {
+    /// A source that a job cannot run without.
+    pub fn required(name: &'static str, path: PathBuf) -> Self {
+        Self { name, path, optional: false }
+    }
 }
 
 /// A problem with one parameter.

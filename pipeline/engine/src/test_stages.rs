@@ -47,6 +47,8 @@ pub(crate) struct WriteParams {
     pub(crate) text: String,
     /// A file that is appended to the text; relative to the data root.
     pub(crate) source: Option<PathBuf>,
+    /// Whether the text is written without the file if it is missing.
+    pub(crate) optional: bool,
 }
 
 impl Stage for Write {
@@ -60,7 +62,8 @@ impl Stage for Write {
     }
 
     fn sources(params: &WriteParams) -> Vec<Source> {
-        params.source.iter().map(|path| Source { name: "text", path: path.clone() }).collect()
+        let source = |path: &PathBuf| Source { name: "text", path: path.clone(), optional: params.optional };
+        params.source.iter().map(source).collect()
     }
 
     /// `empty`, unless there is a source file that is missing.
@@ -76,8 +79,10 @@ impl Stage for Write {
     }
 
     fn run(context: &JobContext, params: &WriteParams) -> anyhow::Result<Text> {
-        let source =
-            if params.source.is_some() { std::fs::read_to_string(context.source("text")?)? } else { "".into() };
+        let source = match params.source.is_some() && (context.has_source("text") || !params.optional) {
+            true => std::fs::read_to_string(context.source("text")?)?,
+            false => "".into(),
+        };
         Text::write(context.output_dir(), &format!("{}{source}", params.text))
     }
 }

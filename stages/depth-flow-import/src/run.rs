@@ -33,7 +33,7 @@ impl Stage for DepthFlowImport {
     fn sources(params: &Params) -> Vec<Source> {
         match params.source {
             MapSource::Capture | MapSource::SparsePoints => Vec::new(),
-            MapSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
+            MapSource::Files => vec![Source::required(FOLDER, params.folder.clone())],
         }
     }
 

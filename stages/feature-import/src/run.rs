@@ -35,7 +35,7 @@ impl Stage for FeatureImport {
     fn sources(params: &Params) -> Vec<Source> {
         match params.source {
             FeatureSource::Labels => Vec::new(),
-            FeatureSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
+            FeatureSource::Files => vec![Source::required(FOLDER, params.folder.clone())],
         }
     }
 

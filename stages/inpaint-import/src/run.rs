@@ -37,8 +37,8 @@ impl Stage for InpaintImport {
         if params.source == FillSource::Propagate {
             return Vec::new();
         }
-        let frames = Source { name: FOLDER, path: params.folder.clone() };
-        let depths = params.depth_folder.iter().map(|path| Source { name: DEPTH_FOLDER, path: path.clone() });
+        let frames = Source::required(FOLDER, params.folder.clone());
+        let depths = params.depth_folder.iter().map(|path| Source::required(DEPTH_FOLDER, path.clone()));
         [frames].into_iter().chain(depths).collect()
     }
 

@@ -34,7 +34,7 @@ impl Stage for LayerSplit {
 
     fn sources(params: &Params) -> Vec<Source> {
         match params.source {
-            LayerSource::Files => vec![Source { name: FOLDER, path: params.folder.clone() }],
+            LayerSource::Files => vec![Source::required(FOLDER, params.folder.clone())],
             LayerSource::Auto | LayerSource::ResidualFlow | LayerSource::TemporalMedian => Vec::new(),
         }
     }

@@ -38,7 +38,7 @@ impl Stage for SfmImport {
     }
 
     fn sources(params: &Params) -> Vec<Source> {
-        vec![Source { name: SOURCE, path: params.source.clone() }]
+        vec![Source::required(SOURCE, params.source.clone())]
     }
 
     fn check_params(params: &Params) -> Vec<ParamProblem> {

@@ -246,7 +246,7 @@ fn plan_ids_depend_on_everything_that_influences_results() {
         |node| node.inputs[0].artifact.1 += 1,
         |node| node.inputs[0].measurements = Measurements::Read,
         |node| node.inputs[0].producers.reverse(),
-        |node| node.sources.push(PlanSource { name: "a".into(), path: "b".into() }),
+        |node| node.sources.push(PlanSource { name: "a".into(), path: "b".into(), optional: false }),
     ];
     let mut ids = BTreeSet::from([node.plan_id.clone()]);
     for edit in edits {

@@ -141,7 +141,8 @@ fn inherited_from<'a>(
 
 /// What the stage derives from canonical parameters.
 pub(super) fn derive(stage: &dyn AnyStage, params: &Value) -> anyhow::Result<Derived> {
-    let source = |source: crate::Source| PlanSource { name: source.name.into(), path: source.path };
+    let source =
+        |crate::Source { name, path, optional }: crate::Source| PlanSource { name: name.into(), path, optional };
     Ok(Derived {
         sources: stage.sources(params)?.into_iter().map(source).collect(),
         threads: stage.resources(params)?.threads,

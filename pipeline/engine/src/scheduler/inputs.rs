@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use crate::digest::{SourceDigests, SourceError};
 use crate::job::{InputSpec, SourceSpec};
 use crate::{
-    ActionKey, Digest, Failure, FailureKind, KeyComponents, KeyInput, Measurements, Node, Plan, PlanInput, Store,
+    ActionKey, Digest, Failure, FailureKind, KeyComponents, KeyInput, Measurements, Node, Plan, PlanInput, PlanSource,
+    Store,
 };
 
 /// The outcome of a finished node, as its consumers see it.
@@ -83,11 +84,17 @@ impl NodeOutcome {
 
 /// The digests of all sources of the selected nodes, by path relative to the data root.
 #[derive(Default)]
-pub struct Sources(BTreeMap<PathBuf, Result<SourceState, Failure>>);
+pub struct Sources(BTreeMap<PathBuf, Result<SourceState, SourceFailure>>);
 
 struct SourceState {
     digest: Digest,
     spec: SourceSpec,
+}
+
+struct SourceFailure {
+    failure: Failure,
+    /// Whether nothing is at the source's path.
+    is_absent: bool,
 }
 
 impl Sources {
@@ -114,11 +121,13 @@ impl Sources {
     }
 
     fn of<'a>(&'a self, node: &'a Node) -> Result<BTreeMap<&'a str, &'a SourceState>, Failure> {
-        let state = |path: &Path| match self.0.get(path) {
-            Some(state) => state.as_ref().map_err(Clone::clone),
-            None => Err(Failure::new(FailureKind::World, "a source was not digested").at(path)),
+        let state = |source: &'a PlanSource| match self.0.get(&source.path) {
+            Some(Ok(state)) => Ok(Some((source.name.as_str(), state))),
+            Some(Err(SourceFailure { is_absent: true, .. })) if source.optional => Ok(None),
+            Some(Err(SourceFailure { failure, .. })) => Err(failure.clone()),
+            None => Err(Failure::new(FailureKind::World, "a source was not digested").at(&source.path)),
         };
-        node.sources.iter().map(|source| Ok((source.name.as_str(), state(&source.path)?))).collect()
+        node.sources.iter().filter_map(|source| state(source).transpose()).collect()
     }
 
     /// The digests of the sources of `node` by name.
@@ -133,11 +142,12 @@ impl Sources {
     }
 }
 
-fn source_state(digests: &SourceDigests, data_root: &Path, path: &Path) -> Result<SourceState, Failure> {
+fn source_state(digests: &SourceDigests, data_root: &Path, path: &Path) -> Result<SourceState, SourceFailure> {
     // The user's root may be relative, and the job may run in another folder.
+    let present = |failure: Failure| SourceFailure { failure, is_absent: false };
     let absolute = std::path::absolute(data_root.join(path))
-        .map_err(|error| Failure::new(FailureKind::World, error.to_string()).at(path))?;
-    let failure = |error: SourceError| match error {
+        .map_err(|error| present(Failure::new(FailureKind::World, error.to_string()).at(path)))?;
+    let typed = |error: SourceError| match error {
         SourceError::Missing(path) => Failure::new(FailureKind::MissingData, "the data is missing")
             .hint("add it, or choose another folder with --data-root")
             .at(path),
@@ -145,6 +155,10 @@ fn source_state(digests: &SourceDigests, data_root: &Path, path: &Path) -> Resul
             Failure::new(FailureKind::World, format!("cannot read the data ({error})")).at(path)
         }
         SourceError::Name(path) => Failure::new(FailureKind::BadInput, "a file's name is not UTF-8").at(path),
+    };
+    let failure = |error: SourceError| SourceFailure {
+        is_absent: matches!(&error, SourceError::Missing(path) if *path == absolute),
+        failure: typed(error),
     };
     // Taken before hashing, so that a change at any later time is detected after the job.
     let stat = SourceDigests::stat_digest(&absolute).map_err(failure)?;

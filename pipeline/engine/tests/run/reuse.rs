@@ -21,6 +21,7 @@ pub(crate) const TESTS: &[(&str, fn())] = &[
     ("jobs_on_a_device_run_once_per_class_of_devices", jobs_on_a_device_run_once_per_class_of_devices),
     ("selection_runs_only_what_it_needs", selection_runs_only_what_it_needs),
     ("a_source_that_changes_during_its_job_is_not_recorded", sources),
+    ("a_job_runs_without_an_optional_source_and_again_with_it", optional_sources),
     ("two_runs_share_one_store", two_runs_share_one_store),
 ];
 
@@ -217,6 +218,23 @@ fn sources() {
     assert!(note.contains("changed while the job ran"), "{note}");
     fs::write(&file, "three").unwrap();
     assert_eq!(world.text(&world.run(&[]), "work"), "threex");
+}
+
+fn optional_sources() {
+    let recipe =
+        "[nodes.text]\nstage = \"test-write\"\nparams = { text = \"a\", source = \"in.txt\", optional = true }\n";
+    let world = World::new(recipe);
+    let file = world.root.join("data/in.txt");
+    assert_eq!(world.text(&world.run(&[]), "text"), "a");
+    fs::write(&file, "b").unwrap();
+    assert_eq!(world.text(&world.run(&[]), "text"), "ab");
+    fs::write(&file, "c").unwrap();
+    assert_eq!(world.text(&world.run(&[]), "text"), "ac");
+    fs::remove_file(&file).unwrap();
+    let without = world.run(&[]);
+    assert_eq!((world.text(&without, "text").as_str(), without.counts.executed), ("a", 0), "the first result");
+    let required = world.run(&["nodes.text.params.optional=false"]);
+    assert_eq!(nodes(&required, Outcome::Failed), ["text"]);
 }
 
 fn two_runs_share_one_store() {
