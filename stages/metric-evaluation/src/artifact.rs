@@ -9,13 +9,13 @@ use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 
 use crate::image_file::Quantise;
+use crate::masks::{Keep, MaskName};
 use crate::metrics::metric::Metric;
 use crate::metrics::prompt_prior::TrivialOverlap;
 use crate::metrics::psnr::psnr_from_mse;
 use crate::metrics::score::Score;
 use crate::metrics::surfaces::MovingError;
 use crate::metrics::trivial::{Degenerate, MeanImage, MeanOver, Moments, Trivial};
-use crate::params::{Keep, MaskSource};
 
 /// Version of the metric definitions; values of different versions do not share a column.
 pub(crate) const METRIC_VERSION: u32 = 2;
@@ -35,16 +35,16 @@ pub struct Metrics {
     pub metric_version: u32,
     /// Quantisation of colours before the comparison.
     pub quantise: Quantise,
-    /// Source of the masks for masked metrics.
-    #[serde(default)]
-    pub mask: MaskSource,
-    /// Mask values that select pixels.
-    #[serde(default)]
-    pub mask_keeps: Keep,
+    /// The masks of masked metrics, with the mask values that select pixels.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub masks: BTreeMap<MaskName, Keep>,
     /// One entry per image, in the order of the capture.
     pub images: Vec<ImageMetrics>,
     /// Means over the images, and metrics that are defined for a set only.
     pub means: BTreeMap<Metric, Score>,
+    /// Means of masked metrics by mask, over the images that define them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub masked: BTreeMap<MaskName, BTreeMap<Metric, Score>>,
     /// Mean [`Metric::PromptIou`] per prompt over the images with visible classes of that prompt; undefined for a prompt
     /// without a class.
     #[serde(default)]
@@ -79,6 +79,9 @@ pub struct ImageMetrics {
     pub background_share: Option<f64>,
     /// Metrics of this image.
     pub values: BTreeMap<Metric, Score>,
+    /// Masked metrics of this image by mask.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub masked: BTreeMap<MaskName, BTreeMap<Metric, Score>>,
     /// The error on moving surfaces, if the capture has their velocity.
     #[serde(default)]
     pub moving: Option<MovingError>,
@@ -118,12 +121,27 @@ impl Metrics {
             let score = match metric {
                 Metric::PsnrPooled => pooled_psnr(images),
                 Metric::PsnrEmerging => emerging_psnr(images)?,
-                metric if metric.is_conditional() => mean_where_defined(images, *metric)?,
+                metric if metric.is_conditional() => {
+                    mean_where_defined(images.iter().map(|image| &image.values), *metric)?
+                }
                 _ => mean_score(images, *metric),
             };
             Some((*metric, score))
         };
         wanted.iter().filter_map(mean).collect()
+    }
+
+    /// Computes the means of the masked metrics in `wanted` by mask, over the images that define them.
+    pub(crate) fn masked_means_of(
+        images: &[ImageMetrics],
+        wanted: &BTreeSet<Metric>,
+    ) -> BTreeMap<MaskName, BTreeMap<Metric, Score>> {
+        let names: BTreeSet<MaskName> = images.iter().flat_map(|image| image.masked.keys().copied()).collect();
+        let means = |name: &MaskName| {
+            let values = || images.iter().filter_map(|image| image.masked.get(name));
+            wanted.iter().filter_map(|&metric| Some((metric, mean_where_defined(values(), metric)?))).collect()
+        };
+        names.iter().map(|name| (*name, means(name))).collect()
     }
 
     /// The mean over images of the PSNR of whole images, whatever metrics were computed; dB.
@@ -178,13 +196,12 @@ impl Metrics {
             Quantise::Trunc8 => "8-bit levels (truncated)",
             Quantise::None => "levels as stored",
         };
-        let mask = match (self.mask, self.mask_keeps) {
-            (MaskSource::None, _) => "",
-            (MaskSource::Labels, Keep::Nonzero) => " · masked by labels",
-            (MaskSource::Labels, Keep::Zero) => " · masked by the background's label",
-            (MaskSource::Files, Keep::Nonzero) => " · masked by files",
-            (MaskSource::Files, Keep::Zero) => " · masked by files that mark excluded pixels",
+        let condition = |(name, keeps): (&MaskName, &Keep)| match keeps {
+            Keep::Nonzero => String::new(),
+            Keep::Zero => format!(" · {} masks mark excluded pixels", name.heading()),
+            Keep::Half => format!(" · {} masks above one half", name.heading()),
         };
+        let mask: String = self.masks.iter().map(condition).collect();
         format!("{split} images · {levels} · per-image means · metric version {}{mask}", self.metric_version)
     }
 
@@ -203,7 +220,7 @@ impl Metrics {
 
 impl Artifact for Metrics {
     const NAME: &'static str = "metrics";
-    const SCHEMA: u32 = 3;
+    const SCHEMA: u32 = 4;
 
     fn open(dir: &Path) -> anyhow::Result<Self> {
         let path = dir.join(FILE);
@@ -232,9 +249,18 @@ impl Artifact for Metrics {
             );
             let overlaps_are_shares = image.prompt_ious.values().all(|overlap| (0.0..=1.0).contains(overlap));
             ensure!(overlaps_are_shares, "a prompt overlap of {} is outside of [0, 1]", image.name);
-            check_scores(&image.values).with_context(|| format!("image {}", image.name))?;
+            for scores in image.masked.values().chain([&image.values]) {
+                check_scores(scores).with_context(|| format!("image {}", image.name))?;
+            }
         }
-        check_scores(&self.means).context("means")?;
+        for scores in self.masked.values().chain([&self.means]) {
+            check_scores(scores).context("means")?;
+        }
+        let wanted = self.masked.values().flat_map(|means| means.keys().copied()).collect();
+        ensure!(
+            Self::masked_means_of(&self.images, &wanted) == self.masked,
+            "the masked means differ from those of the images"
+        );
         let recomputed = Self::means_of(&self.images, &self.means.keys().copied().collect());
         ensure!(recomputed == self.means, "the means differ from those of the images");
         let over = self.trivial.mean_image.map_or(MeanOver::AllImages, |mean| mean.over);
@@ -270,10 +296,10 @@ fn mean_score(images: &[ImageMetrics], metric: Metric) -> Score {
     if images.is_empty() { Score::undefined("no images") } else { Score::Value(sum / images.len() as f64) }
 }
 
-/// The mean over the images that define the metric. If none does, the reason of the first image; `None` if no image was
-/// measured.
-fn mean_where_defined(images: &[ImageMetrics], metric: Metric) -> Option<Score> {
-    let scores: Vec<&Score> = images.iter().filter_map(|image| image.values.get(&metric)).collect();
+/// The mean over the images whose scores define the metric. If none does, the reason of the first image; `None` if no
+/// image was measured.
+fn mean_where_defined<'a>(images: impl Iterator<Item = &'a BTreeMap<Metric, Score>>, metric: Metric) -> Option<Score> {
+    let scores: Vec<&Score> = images.filter_map(|scores| scores.get(&metric)).collect();
     let values: Vec<f64> = scores.iter().filter_map(|score| score.value()).collect();
     let first = scores.first()?;
     Some(if values.is_empty() {

@@ -9,7 +9,7 @@ use scene::{Protocol, Split};
 use crate::artifact::{METRIC_VERSION, Metrics, empty_set};
 use crate::image_file::Background;
 use crate::pairs::{Pair, evaluate_pairs};
-use crate::params::{Keep, MaskSource, MetricEvaluationParams};
+use crate::params::MetricEvaluationParams;
 use crate::scoring::perceptual::{self, Networks};
 use crate::scoring::trivial::{self, Truths};
 
@@ -64,8 +64,8 @@ pub fn evaluate_folders_with(
         split: Split::Test,
         metric_version: METRIC_VERSION,
         quantise: params.quantise,
-        mask: MaskSource::None,
-        mask_keeps: Keep::Nonzero,
+        masks: BTreeMap::new(),
+        masked: BTreeMap::new(),
         means: Metrics::means_of(&images, &params.metrics),
         prompts: BTreeMap::new(),
         trivial_prompts: BTreeMap::new(),

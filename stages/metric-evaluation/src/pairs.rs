@@ -83,6 +83,7 @@ fn evaluate_pair(
         without_motion: BTreeMap::new(),
         background_share: None,
         values: image_scores(&render, &truth, &params.metrics),
+        masked: BTreeMap::new(),
         moving: None,
         prompt_ious: BTreeMap::new(),
         trivial_ious: BTreeMap::new(),

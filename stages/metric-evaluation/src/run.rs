@@ -16,7 +16,7 @@ use crate::artifact::{ImageMetrics, METRIC_VERSION, Metrics, mean_trivial_overla
 use crate::metrics::score::Score;
 use crate::metrics::trivial::Trivial;
 use crate::pairs::evaluate_pairs;
-use crate::params::MetricEvaluationParams;
+use crate::params::{LPIPS_FOLDER, MetricEvaluationParams};
 use crate::scoring::perceptual::Networks;
 use crate::scoring::trivial::{self, Truths};
 use crate::scoring::{language, masked, perceptual, surfaces, video};
@@ -24,8 +24,6 @@ use crate::test_set::TestSet;
 
 /// The engine's name for the folder of LPIPS weights.
 const LPIPS_WEIGHTS: &str = "lpips_weights";
-/// The engine's name for the folder of masks.
-const MASK_FOLDER: &str = "mask_folder";
 /// The engine's name for the folder of features and flows.
 const FRAME_FEATURES: &str = "frame_features";
 
@@ -44,13 +42,15 @@ impl Stage for MetricEvaluation {
     }
 
     fn sources(params: &Self::Params) -> Vec<Source> {
-        let folders = [
-            (LPIPS_WEIGHTS, &params.lpips_weights),
-            (MASK_FOLDER, &params.mask_folder),
-            (FRAME_FEATURES, &params.frame_features),
-        ];
-        let given = folders.into_iter().filter(|(_, path)| !path.as_os_str().is_empty());
-        given.map(|(name, path)| Source { name, path: path.clone() }).collect()
+        // No recipe has to name the conventional folder, and no evaluation fails without it.
+        let is_convention = params.lpips_weights == Path::new(LPIPS_FOLDER);
+        let folders =
+            [(LPIPS_WEIGHTS, &params.lpips_weights, is_convention), (FRAME_FEATURES, &params.frame_features, false)];
+        let given = folders.into_iter().filter(|(_, path, _)| !path.as_os_str().is_empty());
+        let of_masks = params.masks.folders().map(|(name, files)| (name.key(), &files.folder, files.allow_missing));
+        let source =
+            |(name, path, optional): (&'static str, &PathBuf, bool)| Source { name, path: path.clone(), optional };
+        given.chain(of_masks).map(source).collect()
     }
 
     fn check_params(params: &Self::Params) -> Vec<ParamProblem> {
@@ -82,8 +82,8 @@ impl Stage for MetricEvaluation {
             split: renders.split,
             metric_version: METRIC_VERSION,
             quantise: params.quantise,
-            mask: params.mask,
-            mask_keeps: params.mask_keeps,
+            masks: params.masks.used().map(|mask| (mask.name, mask.keeps)).collect(),
+            masked: Metrics::masked_means_of(&images, &params.metrics),
             means: Metrics::means_of(&images, &params.metrics),
             prompts,
             trivial_prompts: mean_trivial_overlaps(&images),
@@ -138,8 +138,9 @@ fn evaluate(
     let networks = Networks::open(watch.folder(LPIPS_WEIGHTS), &params.metrics)?;
     for (index, image) in images.iter_mut().enumerate() {
         perceptual::add(image, &pairs[index], &networks, params, None)?;
-        if masked::is_wanted(params) {
-            masked::add(image, index, set, watch.folder(MASK_FOLDER), &networks, params)?;
+        for mask in masked::wanted(params) {
+            let folder = watch.folder(mask.name.key());
+            masked::add(image, index, set, (mask, folder), &networks, params)?;
         }
         watch.checkpoint(index + 1, pairs.len(), "images evaluated by networks and masks")?;
     }

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use crate::artifact::{Metrics, Remark};
+use crate::artifact::{ImageMetrics, Metrics, Remark};
+use crate::masks::MaskName;
 use crate::metrics::metric::Metric;
 use crate::metrics::prompt_prior::TrivialOverlap;
 use crate::metrics::psnr::PSNR_CAP_DB;
@@ -17,6 +18,7 @@ impl Metrics {
         let mut rows = vec![["metric", "mean", "worst", "worst image"].map(String::from)];
         let defined = self.means.iter().filter(|(_, mean)| mean.value().is_some());
         rows.extend(defined.map(|(metric, mean)| self.summary_row(*metric, mean)));
+        rows.extend(self.masked.iter().flat_map(|(mask, means)| self.masked_rows(*mask, means)));
         let widths: [usize; 4] =
             std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
         let mut text = format!("{} images · {}×{} px\n", self.n_images, self.protocol.width, self.protocol.height);
@@ -68,7 +70,7 @@ impl Metrics {
     /// One line per reason why metrics are undefined.
     fn undefined_lines(&self) -> String {
         let mut by_reason = BTreeMap::<&str, Vec<&str>>::new();
-        for (metric, mean) in &self.means {
+        for (metric, mean) in self.masked.values().flatten().chain(&self.means) {
             if let Score::Undefined { undefined } = mean {
                 by_reason.entry(undefined).or_default().push(metric.heading());
             }
@@ -80,12 +82,31 @@ impl Metrics {
     }
 
     fn summary_row(&self, metric: Metric, mean: &Score) -> [String; 4] {
-        let number = |value: f64| format!("{value:.*} {}", metric.decimals(), metric.unit()).trim_end().to_owned();
         let values = self.images.iter().filter_map(|image| Some((image.values.get(&metric)?.value()?, &image.name)));
+        Self::row(metric.heading().into(), metric, mean, values)
+    }
+
+    /// The rows of the metrics of one mask.
+    fn masked_rows(&self, mask: MaskName, means: &BTreeMap<Metric, Score>) -> Vec<[String; 4]> {
+        let value = |image: &ImageMetrics, metric: Metric| image.masked.get(&mask)?.get(&metric)?.value();
+        let row = |(&metric, mean): (&Metric, &Score)| {
+            let values = self.images.iter().filter_map(|image| Some((value(image, metric)?, &image.name)));
+            Self::row(format!("{} ({})", metric.heading(), mask.heading()), metric, mean, values)
+        };
+        means.iter().filter(|(_, mean)| mean.value().is_some()).map(row).collect()
+    }
+
+    fn row<'a>(
+        name: String,
+        metric: Metric,
+        mean: &Score,
+        values: impl Iterator<Item = (f64, &'a String)>,
+    ) -> [String; 4] {
+        let number = |value: f64| format!("{value:.*} {}", metric.decimals(), metric.unit()).trim_end().to_owned();
         let by_value = |a: &(f64, &String), b: &(f64, &String)| a.0.total_cmp(&b.0);
         let worst = if metric.higher_is_better() { values.min_by(by_value) } else { values.max_by(by_value) };
         [
-            metric.heading().into(),
+            name,
             mean.value().map_or_else(String::new, number),
             worst.map_or(String::new(), |(value, _)| number(value)),
             worst.map_or(String::new(), |(_, name)| name.clone()),

@@ -1,6 +1,6 @@
 //! The columns of tables: name, unit, direction and decimals of every measured value.
 
-use metric_evaluation::Metric;
+use metric_evaluation::{MaskName, Metric};
 use serde::{Deserialize, Serialize};
 
 /// A measured value of a run.
@@ -66,6 +66,64 @@ pub enum Column {
     /// A metric of the stage `metric-evaluation`.
     #[serde(untagged)]
     Metric(Metric),
+    /// A metric over the pixels of a mask.
+    #[serde(untagged)]
+    Masked(Masked),
+}
+
+/// A masked metric together with its mask, without which it has no meaning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(into = "&'static str", try_from = "String")]
+pub struct Masked {
+    /// The metric.
+    pub metric: Metric,
+    /// The mask.
+    pub mask: MaskName,
+}
+
+/// The names of a masked metric in files, by mask in the order of [`MaskName::ALL`].
+macro_rules! masked_keys {
+    ($metric:literal) => {
+        [
+            concat!($metric, "_co_visibility"),
+            concat!($metric, "_foreground"),
+            concat!($metric, "_labels"),
+            concat!($metric, "_other"),
+        ]
+    };
+}
+
+impl Masked {
+    /// Every masked metric with every mask.
+    fn all() -> impl Iterator<Item = Self> {
+        let masked = Metric::ALL.into_iter().filter(|metric| metric.is_masked());
+        masked.flat_map(|metric| MaskName::ALL.map(|mask| Self { metric, mask }))
+    }
+
+    fn key(self) -> &'static str {
+        let keys = match self.metric {
+            Metric::MaskedPsnr => masked_keys!("masked_psnr"),
+            Metric::MaskedSsim => masked_keys!("masked_ssim"),
+            Metric::MaskedSsimStrict => masked_keys!("masked_ssim_strict"),
+            Metric::MaskedLpips => masked_keys!("masked_lpips"),
+            metric => [metric.key(); 4],
+        };
+        keys[self.mask as usize]
+    }
+}
+
+impl From<Masked> for &'static str {
+    fn from(masked: Masked) -> Self {
+        masked.key()
+    }
+}
+
+impl TryFrom<String> for Masked {
+    type Error = String;
+
+    fn try_from(key: String) -> Result<Self, String> {
+        Self::all().find(|masked| masked.key() == key).ok_or_else(|| format!("unknown column {key}"))
+    }
 }
 
 impl Column {
@@ -125,7 +183,8 @@ impl Column {
 
     /// All columns, in the order of the CSV file.
     pub fn all() -> impl Iterator<Item = Self> {
-        Metric::ALL.into_iter().map(Self::Metric).chain(Self::COSTS)
+        let unmasked = Metric::ALL.into_iter().filter(|metric| !metric.is_masked()).map(Self::Metric);
+        unmasked.chain(Masked::all().map(Self::Masked)).chain(Self::COSTS)
     }
 
     /// Metrics that need more than images (exact maps, labels, masks, a static camera), which few captures provide; prompt IoU
@@ -135,12 +194,13 @@ impl Column {
             Metric::PromptIou => vec![Self::Metric(metric), Self::PromptIouConstant, Self::PromptIouPrior],
             metric => vec![Self::Metric(metric)],
         };
-        Metric::ALL.into_iter().filter(|metric| metric.is_conditional()).flat_map(with_trivial)
+        let unmasked = Metric::ALL.into_iter().filter(|metric| metric.is_conditional() && !metric.is_masked());
+        Masked::all().map(Self::Masked).chain(unmasked.flat_map(with_trivial))
     }
 
     fn metric(self) -> Option<Metric> {
         match self {
-            Self::Metric(metric) => Some(metric),
+            Self::Metric(metric) | Self::Masked(Masked { metric, .. }) => Some(metric),
             _ => None,
         }
     }
@@ -172,11 +232,16 @@ impl Column {
             Self::PromptIouConstant => "prompt_iou_constant",
             Self::PromptIouPrior => "prompt_iou_prior",
             Self::Metric(metric) => metric.key(),
+            Self::Masked(masked) => masked.key(),
         }
     }
 
     /// The column's name and unit in tables, e.g. `training (s)`.
     pub fn heading(self) -> String {
+        if let Self::Masked(Masked { metric, mask }) = self {
+            let unit = if metric.unit().is_empty() { String::new() } else { format!(" ({})", metric.unit()) };
+            return format!("{}, {}{unit}", metric.heading(), mask.heading());
+        }
         let (name, unit) = match self {
             Self::TrainingSecs => ("training", "s"),
             Self::Gaussians => ("Gaussians", ""),
@@ -201,7 +266,7 @@ impl Column {
             Self::PsnrMeanImage => ("mean image", "dB"),
             Self::PromptIouConstant => ("prompt IoU, best constant answer", ""),
             Self::PromptIouPrior => ("prompt IoU, spatial prior", ""),
-            Self::Metric(metric) => (metric.heading(), metric.unit()),
+            Self::Metric(metric) | Self::Masked(Masked { metric, .. }) => (metric.heading(), metric.unit()),
         };
         if unit.is_empty() { name.into() } else { format!("{name} ({unit})") }
     }

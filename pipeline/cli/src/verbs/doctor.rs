@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use engine::{DeviceClass, Store, exit};
-use metric_evaluation::lpips_files;
+use metric_evaluation::{LPIPS_FOLDER, lpips_files};
 use shaders::check::conformance;
 use shaders::gpu::{self, AdapterReport};
 
@@ -49,25 +49,35 @@ fn data_sets(data_root: &Path) -> Result<String, CliError> {
     Ok(found.iter().map(|line| format!("data set     {line}")).collect())
 }
 
-/// Whether the weights of LPIPS are below the data folder, and how to use or to get them.
+/// Whether the weights of LPIPS are in their conventional folder, or elsewhere below the data folder, and how to use them.
 fn lpips(data_root: &Path) -> String {
+    let convention = data_root.join(LPIPS_FOLDER);
     let entries = std::fs::read_dir(data_root).into_iter().flatten().flatten().map(|entry| entry.path());
-    let folders: Vec<PathBuf> =
-        [data_root.to_owned()].into_iter().chain(entries.filter(|path| path.is_dir())).collect();
-    let mut missing = Vec::new();
-    for (network, files) in lpips_files() {
-        match folders.iter().find(|folder| files.iter().all(|file| folder.join(file).is_file())) {
-            Some(folder) => {
-                let name = folder.strip_prefix(data_root).unwrap_or(folder).display();
-                return format!(
-                    "{network} in {}; use it with -s 'nodes.metrics.params.lpips_weights=\"{name}\"'",
-                    folder.display()
-                );
-            }
-            None => missing.push(files.join(" and ")),
-        }
+    let others = [data_root.to_owned()].into_iter().chain(entries.filter(|path| path.is_dir() && *path != convention));
+    let folders: Vec<PathBuf> = [convention.clone()].into_iter().chain(others).collect();
+    let has = |folder: &&PathBuf, files: &[&str]| files.iter().all(|file| folder.join(file).is_file());
+    let found: Vec<(&str, &PathBuf)> = lpips_files()
+        .iter()
+        .filter_map(|(network, files)| Some((*network, folders.iter().find(|folder| has(folder, files))?)))
+        .collect();
+    let Some((network, folder)) = found.first() else {
+        let (_, [classifier, head]) = lpips_files()[0];
+        return format!(
+            "not measured: put {classifier} and {head} into {} (pipeline eval --help)",
+            convention.display()
+        );
+    };
+    if **folder != convention {
+        let name = folder.strip_prefix(data_root).unwrap_or(folder).display();
+        return format!(
+            "{network} in {}; move it to {}, or use it with -s 'nodes.metrics.params.lpips_weights=\"{name}\"'",
+            folder.display(),
+            convention.display()
+        );
     }
-    format!("not measured: put {} into a folder below the data root (pipeline eval --help)", missing[0])
+    let here: Vec<&str> =
+        found.iter().filter(|(_, folder)| **folder == convention).map(|(network, _)| *network).collect();
+    format!("{} in {}, which every recipe uses", here.join(", "), convention.display())
 }
 
 /// The free space on the disks of the store and of the temporary folder.

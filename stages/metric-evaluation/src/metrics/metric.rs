@@ -206,6 +206,11 @@ impl Metric {
         self.definition().family
     }
 
+    /// Whether the metric is over the pixels of a mask, and has a value for each.
+    pub fn is_masked(self) -> bool {
+        self.family() == Family::Masked
+    }
+
     /// Whether the metric needs more than pairs of images. It is absent without these inputs, and its mean is over the
     /// images that define it.
     pub fn is_conditional(self) -> bool {

@@ -9,39 +9,68 @@ use super::perceptual::Networks;
 use crate::artifact::ImageMetrics;
 use crate::image_file::Image;
 use crate::lpips::{Backbone, InputRange};
+use crate::masks::{Keep, Mask};
 use crate::metrics::masked::{masked_mean, masked_psnr, masked_ssim};
-use crate::metrics::metric::{Family, Metric};
+use crate::metrics::metric::Metric;
 use crate::metrics::score::Score;
-use crate::params::{Keep, MaskSource, MetricEvaluationParams};
+use crate::params::MetricEvaluationParams;
 use crate::test_set::TestSet;
 
-/// Whether any masked metric is wanted.
-pub(crate) fn is_wanted(params: &MetricEvaluationParams) -> bool {
-    params.mask != MaskSource::None && params.metrics.iter().any(|metric| metric.family() == Family::Masked)
+/// The masks in use, if any masked metric is wanted.
+pub(crate) fn wanted(params: &MetricEvaluationParams) -> impl Iterator<Item = Mask<'_>> {
+    let is_wanted = params.metrics.iter().any(|metric| metric.is_masked());
+    params.masks.used().filter(move |_| is_wanted)
 }
 
-/// Adds masked metrics of the image at `index`; `folder` contains the masks if they are files.
+/// Adds the metrics of one mask of the image at `index`; its folder, if the mask is in files and the folder exists.
 pub(crate) fn add(
     image: &mut ImageMetrics,
     index: usize,
     set: &TestSet<'_>,
-    folder: Option<&Path>,
+    (mask, folder): (Mask<'_>, Option<&Path>),
     networks: &Networks,
     params: &MetricEvaluationParams,
 ) -> anyhow::Result<()> {
     let (_, view) = set.views[index];
-    let Some(mask) = mask(set, view, folder, params)? else { return Ok(()) };
+    let scores = match (mask.files, folder) {
+        (Some(files), None) => {
+            let reason = format!("no {} masks: {} is missing", mask.name.heading(), files.folder.display());
+            Metric::ALL.into_iter().map(|metric| (metric, Score::undefined(&reason))).collect()
+        }
+        (Some(_), Some(folder)) => scores(index, set, &selected(read(folder, view)?, mask.keeps), networks, params)?,
+        (None, _) => match set.capture.load_mask(view)? {
+            Some(labels) => scores(index, set, &selected(labels, mask.keeps), networks, params)?,
+            None => return Ok(()),
+        },
+    };
+    let is_wanted = |metric: Metric| metric.is_masked() && params.metrics.contains(&metric);
+    image.masked.insert(mask.name, scores.into_iter().filter(|(metric, _)| is_wanted(*metric)).collect());
+    Ok(())
+}
+
+/// The pixels that a mask selects.
+fn selected(map: LabelMap, keeps: Keep) -> Vec<bool> {
+    map.labels.into_iter().map(|value| keeps.selects(value)).collect()
+}
+
+/// The masked metrics of the image at `index`.
+fn scores(
+    index: usize,
+    set: &TestSet<'_>,
+    mask: &[bool],
+    networks: &Networks,
+    params: &MetricEvaluationParams,
+) -> anyhow::Result<Vec<(Metric, Score)>> {
     let [render, truth] = set.images(index, params)?;
-    let mut scores = vec![(Metric::MaskedPsnr, masked_psnr(&render, &truth, &mask))];
+    let mut scores = vec![(Metric::MaskedPsnr, masked_psnr(&render, &truth, mask))];
     if [Metric::MaskedSsim, Metric::MaskedSsimStrict].iter().any(|metric| params.metrics.contains(metric)) {
-        let ssim = masked_ssim(&render, &truth, &mask);
+        let ssim = masked_ssim(&render, &truth, mask);
         scores.extend([(Metric::MaskedSsim, ssim.dycheck), (Metric::MaskedSsimStrict, ssim.strict)]);
     }
     if params.metrics.contains(&Metric::MaskedLpips) {
-        scores.push((Metric::MaskedLpips, masked_lpips([render, truth], &mask, networks)));
+        scores.push((Metric::MaskedLpips, masked_lpips([render, truth], mask, networks)));
     }
-    image.values.extend(scores.into_iter().filter(|(metric, _)| params.metrics.contains(metric)));
-    Ok(())
+    Ok(scores)
 }
 
 /// LPIPS by pixel of images that are black outside of the mask, averaged over the mask.
@@ -58,22 +87,6 @@ fn masked_lpips(mut images: [Image; 2], mask: &[bool], networks: &Networks) -> S
         value
     });
     mean.unwrap_or(score)
-}
-
-/// The mask of a view; `None` if it has no mask.
-fn mask(
-    set: &TestSet<'_>,
-    view: &View,
-    folder: Option<&Path>,
-    params: &MetricEvaluationParams,
-) -> anyhow::Result<Option<Vec<bool>>> {
-    let map = match (params.mask, folder) {
-        (MaskSource::Labels, _) => set.capture.load_mask(view)?,
-        (MaskSource::Files, Some(folder)) => Some(read(folder, view)?),
-        (MaskSource::Files | MaskSource::None, _) => None,
-    };
-    let keeps = |label: u8| (label > 0) == (params.mask_keeps == Keep::Nonzero);
-    Ok(map.map(|map| map.labels.into_iter().map(keeps).collect()))
 }
 
 /// Reads the mask file of a view, which must have the view's size: `NAME.png`, or `NAME.png.png` as in one benchmark.

@@ -23,8 +23,8 @@ const VARIANTS: [(Metric, Backbone, InputRange); 5] = [
     (Metric::LpipsVggLegacy, Backbone::Vgg, InputRange::Unsigned),
 ];
 /// Reason for an undefined LPIPS without a folder of weights.
-pub(super) const NO_WEIGHTS: &str = "no LPIPS weights: set the parameter lpips_weights (`eval`: --lpips-weights) to a folder with \
-                          alexnet-owt-7be5be79.pth of torchvision and alex.pth of LPIPS 0.1 (or those of vgg, squeeze)";
+pub(super) const NO_WEIGHTS: &str = "no LPIPS weights: put alexnet-owt-7be5be79.pth of torchvision and alex.pth of LPIPS 0.1 (or those of \
+                          vgg, squeeze) into the folder lpips below the data root (`eval`: --lpips-weights)";
 
 /// The classifiers that the wanted metrics need.
 pub(crate) struct Networks(BTreeMap<Backbone, Weights>);

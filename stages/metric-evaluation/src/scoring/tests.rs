@@ -2,14 +2,15 @@
 
 use std::path::Path;
 
-use engine::{Digest, Failure, FailureKind, Source, Stage as _};
+use engine::{Artifact as _, Digest, Failure, FailureKind, Source, Stage as _};
 use glam::DVec3;
 use rendering::Renders;
 
 use crate::artifact::Metrics;
+use crate::masks::{Keep, LabelMask, MaskFiles, MaskName, Masks};
 use crate::metrics::metric::Metric;
 use crate::metrics::score::Score;
-use crate::params::{Keep, MaskSource, MetricEvaluationParams};
+use crate::params::MetricEvaluationParams;
 use crate::run::MetricEvaluation;
 use crate::scoring::perceptual::NO_WEIGHTS;
 use crate::tests::stage::{SIZE, picture, run_with, write_capture, write_capture_along, write_renders};
@@ -23,8 +24,16 @@ fn world(camera: Option<fn(f64) -> DVec3>) -> (tempfile::TempDir, Renders) {
     (root, renders)
 }
 
-fn masked(mask: MaskSource, mask_keeps: Keep) -> MetricEvaluationParams {
-    MetricEvaluationParams { mask, mask_keeps, ..MetricEvaluationParams::default() }
+fn masked(masks: Masks) -> MetricEvaluationParams {
+    MetricEvaluationParams { masks, ..MetricEvaluationParams::default() }
+}
+
+fn labels(labels: LabelMask) -> MetricEvaluationParams {
+    masked(Masks { labels, ..Masks::default() })
+}
+
+fn in_folder(folder: &str) -> MaskFiles {
+    MaskFiles { folder: folder.into(), ..MaskFiles::default() }
 }
 
 fn kind_of(error: &anyhow::Error) -> FailureKind {
@@ -39,17 +48,24 @@ fn labels_restrict_masked_metrics() {
     let mut image = picture(10);
     image.enumerate_pixels_mut().filter(|(x, ..)| *x < SIZE[0] / 2).for_each(|(.., pixel)| pixel.0 = [255; 3]);
     image.save(path).expect("written");
-    let on_ball = run_with(root.path(), &masked(MaskSource::Labels, Keep::Nonzero), &[]).expect("evaluated");
+    let psnr_of = |metrics: &Metrics| metrics.masked[&MaskName::Labels][&Metric::MaskedPsnr].value().expect("defined");
+    let on_ball = run_with(root.path(), &labels(LabelMask::Nonzero), &[]).expect("evaluated");
     let expected = -10.0 * (2.0 / 3.0 * (3.0_f64 / 255.0).powi(2)).log10();
-    let masked_psnr = on_ball.means[&Metric::MaskedPsnr].value().expect("defined");
-    assert!((masked_psnr - expected).abs() <= 1e-9, "{masked_psnr} instead of {expected}");
+    assert!((psnr_of(&on_ball) - expected).abs() <= 1e-9, "{} instead of {expected}", psnr_of(&on_ball));
     assert!(on_ball.means[&Metric::Psnr].value().expect("defined") < expected - 5.0);
-    let elsewhere = run_with(root.path(), &masked(MaskSource::Labels, Keep::Zero), &[]).expect("evaluated");
-    assert!(elsewhere.means[&Metric::MaskedPsnr].value().expect("defined") < expected - 5.0);
-    assert_ne!(on_ball.judged_by(), elsewhere.judged_by(), "masks are part of the conditions");
-    assert_eq!(on_ball.means[&Metric::MaskedLpips], Score::undefined(NO_WEIGHTS));
+    let elsewhere = run_with(root.path(), &labels(LabelMask::Zero), &[]).expect("evaluated");
+    assert!(psnr_of(&elsewhere) < expected - 5.0);
+    assert_ne!(on_ball.judged_by(), elsewhere.judged_by(), "the pixels that a mask selects are part of the conditions");
+    assert_eq!(on_ball.masked[&MaskName::Labels][&Metric::MaskedLpips], Score::undefined(NO_WEIGHTS));
+    assert!(on_ball.means.keys().all(|metric| !metric.is_masked()), "a masked value belongs to its mask");
     let unmasked = run_with(root.path(), &MetricEvaluationParams::default(), &[]).expect("evaluated");
-    assert!(!unmasked.means.contains_key(&Metric::MaskedPsnr));
+    assert!(unmasked.masked.is_empty());
+}
+
+/// Writes a mask that is `value` in all pixels.
+fn write_mask(folder: &Path, name: &str, size: [u32; 2], value: u8) {
+    std::fs::create_dir_all(folder).expect("folder");
+    image::GrayImage::from_pixel(size[0], size[1], image::Luma([value])).save(folder.join(name)).expect("written");
 }
 
 #[test]
@@ -57,20 +73,62 @@ fn mask_files_must_match_the_views() {
     let (root, _) = world(None);
     let folder = root.path().join("masks");
     std::fs::create_dir(&folder).expect("folder");
-    let write = |name: &str, size: [u32; 2], value: u8| {
-        image::GrayImage::from_pixel(size[0], size[1], image::Luma([value])).save(folder.join(name)).expect("written");
-    };
-    let evaluated = || run_with(root.path(), &masked(MaskSource::Files, Keep::Nonzero), &[("mask_folder", &folder)]);
+    let params = masked(Masks { co_visibility: in_folder("masks"), ..Masks::default() });
+    let evaluated = || run_with(root.path(), &params, &[("co_visibility", &folder)]);
     assert_eq!(kind_of(&evaluated().expect_err("no mask")), FailureKind::MissingData);
-    write("test_0.png", SIZE, 255);
-    write("test_1.png.png", [SIZE[0], 3], 255);
+    write_mask(&folder, "test_0.png", SIZE, 255);
+    write_mask(&folder, "test_1.png.png", [SIZE[0], 3], 255);
     assert_eq!(kind_of(&evaluated().expect_err("another size")), FailureKind::BadInput);
-    write("test_1.png.png", SIZE, 0);
+    write_mask(&folder, "test_1.png.png", SIZE, 0);
     let metrics = evaluated().expect("evaluated");
-    let scores: Vec<&Score> = metrics.images.iter().map(|image| &image.values[&Metric::MaskedSsim]).collect();
-    assert!(scores[0].value().is_some(), "{scores:?}");
-    assert_eq!(*scores[1], Score::undefined("the mask is empty"));
-    assert_eq!(metrics.means[&Metric::MaskedPsnr], metrics.images[0].values[&Metric::MaskedPsnr]);
+    let of_image = |at: usize, metric| &metrics.images[at].masked[&MaskName::CoVisibility][&metric];
+    assert!(of_image(0, Metric::MaskedSsim).value().is_some());
+    assert_eq!(*of_image(1, Metric::MaskedSsim), Score::undefined("the mask is empty"));
+    let mean = &metrics.masked[&MaskName::CoVisibility][&Metric::MaskedPsnr];
+    assert_eq!(mean, of_image(0, Metric::MaskedPsnr));
+    let keeping = |keeps| {
+        write_mask(&folder, "test_0.png", SIZE, 100);
+        let files = MaskFiles { keeps, ..in_folder("masks") };
+        let params = masked(Masks { co_visibility: files, ..Masks::default() });
+        let found = run_with(root.path(), &params, &[("co_visibility", &folder)]).expect("evaluated");
+        found.images[0].masked[&MaskName::CoVisibility][&Metric::MaskedPsnr].value().is_some()
+    };
+    assert_eq!([Keep::Nonzero, Keep::Zero, Keep::Half].map(keeping), [true, false, false]);
+    let mut forged = metrics.clone();
+    forged.masked.get_mut(&MaskName::CoVisibility).unwrap().insert(Metric::MaskedPsnr, Score::Value(1.0));
+    assert!(forged.check().is_err());
+}
+
+#[test]
+fn masks_of_one_job_are_kept_apart_and_one_may_be_missing() {
+    let (root, renders) = world(None);
+    // The left half of the first render is white; the masks select all pixels of one or of the other image.
+    let path = renders.image_path(&renders.views[0]);
+    image::RgbImage::from_pixel(SIZE[0], SIZE[1], image::Rgb([255; 3])).save(path).expect("written");
+    let [visible, object] = ["covisible", "u2net"].map(|name| root.path().join(name));
+    for (folder, values) in [(&visible, [255, 0]), (&object, [0, 255])] {
+        write_mask(folder, "test_0.png", SIZE, values[0]);
+        write_mask(folder, "test_1.png", SIZE, values[1]);
+    }
+    let optional = MaskFiles { allow_missing: true, ..in_folder("u2net") };
+    let params = masked(Masks { co_visibility: in_folder("covisible"), foreground: optional, ..Masks::default() });
+    let psnr = |metrics: &Metrics, mask| metrics.masked[&mask][&Metric::MaskedPsnr].value();
+    let of_image = |metrics: &Metrics, at: usize| metrics.images[at].values[&Metric::Psnr].value();
+    let both =
+        run_with(root.path(), &params, &[("co_visibility", &visible), ("foreground", &object)]).expect("evaluated");
+    let whole = [of_image(&both, 0), of_image(&both, 1)];
+    let close = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() <= 1e-9);
+    assert!(close(psnr(&both, MaskName::CoVisibility), whole[0]) && close(psnr(&both, MaskName::Foreground), whole[1]));
+    assert!(whole[0] < whole[1]);
+    // The folder of one mask is missing: its metrics say so, the others stay.
+    let one = run_with(root.path(), &params, &[("co_visibility", &visible)]).expect("evaluated");
+    assert_eq!(one.masked[&MaskName::CoVisibility], both.masked[&MaskName::CoVisibility]);
+    let reason = "no foreground masks: u2net is missing";
+    assert!(one.masked[&MaskName::Foreground].values().all(|score| *score == Score::undefined(reason)));
+    assert_eq!(one.judged_by(), both.judged_by(), "masks have their own columns");
+    let sources = MetricEvaluation::sources(&params);
+    let optional = |name: &str| sources.iter().find(|source| source.name == name).map(|source| source.optional);
+    assert_eq!(["co_visibility", "foreground", "lpips_weights"].map(optional), [Some(false), Some(true), Some(true)]);
 }
 
 #[test]
@@ -80,12 +138,16 @@ fn lpips_without_weights_is_undefined() {
     assert_eq!(metrics.means[&Metric::LpipsVgg], Score::undefined(NO_WEIGHTS));
     let empty = root.path().join("weights");
     std::fs::create_dir(&empty).expect("folder");
-    let params = MetricEvaluationParams { lpips_weights: "lpips".into(), ..MetricEvaluationParams::default() };
+    let params = MetricEvaluationParams { lpips_weights: "weights".into(), ..MetricEvaluationParams::default() };
     let metrics = run_with(root.path(), &params, &[("lpips_weights", &empty)]).expect("evaluated");
     let reason = "vgg16-397923af.pth is missing in the folder of LPIPS weights; torchvision publishes it: \
                   https://download.pytorch.org/models/vgg16-397923af.pth";
     assert_eq!(metrics.means[&Metric::LpipsVgg], Score::undefined(reason));
-    assert_eq!(MetricEvaluation::sources(&params), [Source { name: "lpips_weights", path: "lpips".into() }]);
+    assert_eq!(MetricEvaluation::sources(&params), [Source::required("lpips_weights", "weights".into())]);
+    let by_convention = Source { name: "lpips_weights", path: "lpips".into(), optional: true };
+    assert_eq!(MetricEvaluation::sources(&MetricEvaluationParams::default()), [by_convention]);
+    let without = MetricEvaluationParams { lpips_weights: "".into(), ..MetricEvaluationParams::default() };
+    assert!(MetricEvaluation::sources(&without).is_empty());
 }
 
 #[test]
@@ -174,13 +236,16 @@ fn features_of_other_renders_are_refused() {
 }
 
 #[test]
-fn unused_and_missing_folders_are_problems() {
+fn folders_outside_of_the_data_root_are_problems() {
     let keys = |params: MetricEvaluationParams| {
         MetricEvaluation::check_params(&params).into_iter().map(|problem| problem.key).collect::<Vec<_>>()
     };
-    assert_eq!(keys(masked(MaskSource::Files, Keep::Nonzero)), ["mask_folder"]);
-    let unread = MetricEvaluationParams { mask_folder: "masks".into(), ..MetricEvaluationParams::default() };
-    assert_eq!(keys(unread), ["mask_folder"]);
+    assert_eq!(
+        keys(masked(Masks { foreground: in_folder("../masks"), ..Masks::default() })),
+        ["masks.foreground.folder"]
+    );
+    let inverted = MaskFiles { keeps: Keep::Zero, ..in_folder("masks") };
+    assert!(keys(masked(Masks { other: inverted, ..Masks::default() })).is_empty());
     let outside = MetricEvaluationParams { lpips_weights: "../weights".into(), ..MetricEvaluationParams::default() };
     assert_eq!(keys(outside), ["lpips_weights"]);
 }

@@ -23,7 +23,7 @@ pub(crate) use influence::LossInfluence;
 pub use run::{CurvePoint, DEGENERATE, FrameScore, Job, Machine, Run, RunFailure, TensorGradient};
 pub(crate) use run::{FINISHED, failure_mark};
 
-use crate::column::Column;
+use crate::column::{Column, Masked};
 use degenerate::Circumstances;
 use measured::{RenderingMeasurements, TrainingMeasurements, measurements, time_and_machine};
 
@@ -211,6 +211,10 @@ impl Run {
         self.judged_by = Some(metrics.judged_by());
         let means = metrics.means.iter().map(|(metric, score)| (Column::Metric(*metric), score.clone()));
         self.figures.extend(means);
+        for (&mask, means) in &metrics.masked {
+            let column = |&metric: &Metric| Column::Masked(Masked { metric, mask });
+            self.figures.extend(means.iter().map(|(metric, score)| (column(metric), score.clone())));
+        }
         self.set(Column::PsnrConstant, Some(metrics.trivial.constant_psnr));
         self.set(Column::PsnrMeanImage, metrics.trivial.mean_image.map(|mean| mean.psnr));
         self.set(Column::AboveConstant, above_constant(metrics));

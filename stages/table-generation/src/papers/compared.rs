@@ -58,7 +58,7 @@ impl PaperTable {
         }
         let published = quantity.value(text).filter(|_| quantity.has_verdict());
         let found = place.find(method, report).and_then(|(group, row)| {
-            let (column, _) = quantity.measured_as().ok_or_else(|| why_unmeasured(quantity).to_owned())?;
+            let (column, _) = quantity.measured_as(place.mask).ok_or_else(|| why_unmeasured(quantity).to_owned())?;
             Ok((group, row, place.cell(group, row, column, report)?))
         });
         let (group, row, found) = match found {
@@ -69,7 +69,7 @@ impl PaperTable {
                 return cell;
             }
         };
-        let unit = quantity.measured_as().map_or(1.0, |(_, unit)| unit);
+        let unit = quantity.measured_as(place.mask).map_or(1.0, |(_, unit)| unit);
         cell.measured = Some(match found.mean {
             None => Measured::Missing(found.reason.clone().unwrap_or_else(|| "not measured".into())),
             Some(value) => Measured::Value {

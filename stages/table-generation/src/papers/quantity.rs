@@ -1,9 +1,9 @@
 //! The quantities that printed cells measure.
 
-use metric_evaluation::Metric;
+use metric_evaluation::{MaskName, Metric};
 use serde::Deserialize;
 
-use crate::column::Column;
+use crate::column::{Column, Masked};
 
 /// The quantity that a printed cell measures, in the unit of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
@@ -53,21 +53,27 @@ impl Quantity {
         }
     }
 
+    /// Whether the quantity is over the pixels of a mask, which the table has to name.
+    pub(crate) fn is_masked(self) -> bool {
+        matches!(self, Self::MaskedPsnr | Self::MaskedSsim | Self::MaskedLpips)
+    }
+
     /// The matching column, and the divisor that converts its values to the paper's unit; none if this project does
-    /// not measure the quantity.
-    pub(crate) fn measured_as(self) -> Option<(Column, f64)> {
+    /// not measure the quantity, and for a masked quantity without a mask.
+    pub(crate) fn measured_as(self, mask: Option<MaskName>) -> Option<(Column, f64)> {
         let metric = |keys: &[&str]| {
             let known = keys.iter().find_map(|key| Metric::ALL.into_iter().find(|metric| metric.key() == *key))?;
             Some((Column::Metric(known), 1.0))
         };
+        let masked = |metric: Metric| Some((Column::Masked(Masked { metric, mask: mask? }), 1.0));
         match self {
             Self::Psnr => Some((Column::PSNR, 1.0)),
             Self::Ssim => metric(&["ssim"]),
             Self::MsSsim => metric(&["ms_ssim"]),
             Self::Lpips => metric(&["lpips_vgg", "lpips_alex"]),
-            Self::MaskedPsnr => metric(&["masked_psnr"]),
-            Self::MaskedSsim => metric(&["masked_ssim"]),
-            Self::MaskedLpips => metric(&["masked_lpips"]),
+            Self::MaskedPsnr => masked(Metric::MaskedPsnr),
+            Self::MaskedSsim => masked(Metric::MaskedSsim),
+            Self::MaskedLpips => masked(Metric::MaskedLpips),
             Self::TrainMin => Some((Column::TrainingSecs, 60.0)),
             Self::Fps => Some((Column::FpsModel, 1.0)),
             Self::GaussiansK => Some((Column::Gaussians, 1e3)),

@@ -1,6 +1,7 @@
 //! A paper's tables as data, with the meaning of every cell.
 
 use anyhow::{Context as _, ensure};
+use metric_evaluation::MaskName;
 use serde::Deserialize;
 
 use super::quantity::{Quantity, is_blank};
@@ -33,6 +34,8 @@ pub(crate) struct PaperTable {
     pub caption: String,
     /// The protocol, as far as the paper states it.
     pub protocol: ClaimProtocol,
+    /// The mask of masked quantities; a table with such quantities has to name it.
+    pub mask: Option<MaskName>,
     /// The scenes that means cover; empty where the paper does not name them.
     #[serde(default)]
     pub scenes: Vec<String>,
@@ -68,6 +71,8 @@ pub(crate) struct Heading {
     pub scenes: Option<Vec<String>>,
     /// The protocol, where it differs from that of the table.
     pub protocol: Option<ClaimProtocol>,
+    /// The mask of masked quantities, where it differs from that of the table.
+    pub mask: Option<MaskName>,
     /// Who measured the values.
     pub kind: Kind,
     /// Remarks on the row or column.
@@ -85,6 +90,7 @@ pub(super) struct Place<'a> {
     pub(super) scenes: &'a [String],
     pub(super) is_mean: bool,
     pub(super) protocol: &'a ClaimProtocol,
+    pub(super) mask: Option<MaskName>,
 }
 
 impl Paper {
@@ -121,7 +127,10 @@ impl PaperTable {
                 self.columns.len()
             );
             for (column, text) in self.columns.iter().zip(printed) {
-                let Some(quantity) = self.place(row, column).quantity else { continue };
+                let place = self.place(row, column);
+                let Some(quantity) = place.quantity else { continue };
+                let has_mask = !quantity.is_masked() || place.mask.is_some();
+                ensure!(has_mask, "{} is over the pixels of a mask that the table does not name", column.label);
                 let is_number = quantity.value(text).is_none_or(|value| value.is_finite() && value > 0.0);
                 let is_known = quantity.value(text).is_some() || is_blank(text);
                 ensure!(is_number && is_known, "{} of {} is {text:?}", column.label, row.label);
@@ -143,6 +152,7 @@ impl PaperTable {
             scenes: scene.map_or(mean_of.as_slice(), std::slice::from_ref),
             is_mean: scene.is_none(),
             protocol: column.protocol.as_ref().or(row.protocol.as_ref()).unwrap_or(&self.protocol),
+            mask: column.mask.or(row.mask).or(self.mask),
         }
     }
 }

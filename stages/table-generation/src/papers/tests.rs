@@ -72,6 +72,8 @@ fn faulty_tables_are_rejected() {
         ("30.00 | 5 min", "-3 | 5 min"),
         ("30.00 | 5 min", "30.00 | 5 weeks"),
         ("quantity = \"psnr\"", "quantity = \"pnsr\""),
+        ("quantity = \"psnr\"", "quantity = \"masked_psnr\""),
+        ("scenes = [", "mask = \"covisible\"\n        scenes = ["),
         ("values =", "value ="),
     ];
     for (from, to) in planted {

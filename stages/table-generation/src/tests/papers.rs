@@ -1,7 +1,10 @@
 //! Tables of papers beside measurements: shape, verdicts, missing data.
 
+use metric_evaluation::MaskName;
+
 use super::content::text;
 use super::*;
+use crate::column::Masked;
 use crate::document::{Block, Table};
 
 const SCENES: [&str; 8] = ["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex"];
@@ -132,4 +135,55 @@ fn variants_are_found_by_their_axis() {
         "the whole method stands for the full variant"
     );
     assert_eq!(row(&table, "Ours w/o Attention", None)[2], "not run");
+}
+
+/// Runs of two methods on all scenes of DyCheck with the given masked PSNR of every mask.
+fn masked_runs(of_masks: &[(MaskName, Score)]) -> Vec<Run> {
+    let scenes = ["apple", "block", "paper-windmill", "space-out", "spin", "teddy", "wheel"];
+    let of_scene = |scene: &&str| {
+        let mut run = run(scene, "kineticgs", 0, 20.0);
+        run.protocol = Some(Protocol { dataset: "dycheck".into(), ..protocol(360) });
+        for (mask, score) in of_masks {
+            run.figures.insert(Column::Masked(Masked { metric: Metric::MaskedPsnr, mask: *mask }), score.clone());
+        }
+        run
+    };
+    scenes.iter().map(of_scene).collect()
+}
+
+/// The measured mPSNR over all scenes in Table 1 (foreground) and Table 2 (co-visibility) of KineticGS.
+fn masked_cells(of_masks: &[(MaskName, Score)]) -> [String; 2] {
+    let all = tables(masked_runs(of_masks), &["kineticgs"]);
+    let cell = |table: &Table, column: usize| {
+        let at = table.header.iter().enumerate().filter(|(_, text)| *text == "mPSNR").nth(column);
+        let beside = row(table, "KineticGS (Ours)", Some("measured"));
+        at.map_or_else(String::new, |(at, _)| beside[at].to_owned())
+    };
+    [cell(&all[0], 7), cell(&all[1], 0)]
+}
+
+#[test]
+fn a_cell_shows_the_mask_that_its_table_names_and_no_other() {
+    let (value, missing) = (Score::Value, Score::undefined("no foreground masks: u2net/apple is missing"));
+    let both = [(MaskName::Foreground, value(18.25)), (MaskName::CoVisibility, value(14.5))];
+    assert_eq!(masked_cells(&both), ["18.25", "14.50"]);
+    assert_eq!(masked_cells(&both[..1]), ["18.25", "not measured"], "no value of another mask fills the cell");
+    assert_eq!(masked_cells(&both[1..]), ["not measured", "14.50"]);
+    assert_eq!(masked_cells(&[(MaskName::Labels, value(30.0))]), ["not measured"; 2]);
+    let [foreground, co_visible] =
+        masked_cells(&[(MaskName::Foreground, missing), (MaskName::CoVisibility, value(14.5))]);
+    assert!(foreground.starts_with("–") && co_visible == "14.50", "{foreground} {co_visible}");
+}
+
+#[test]
+fn masked_columns_survive_files_under_their_names() {
+    let column = Column::Masked(Masked { metric: Metric::MaskedSsim, mask: MaskName::CoVisibility });
+    assert_eq!((column.key(), column.heading().as_str()), ("masked_ssim_co_visibility", "mSSIM, co-visibility"));
+    let keys: Vec<&str> = Column::all().map(Column::key).collect();
+    assert_eq!(keys.iter().collect::<std::collections::BTreeSet<_>>().len(), keys.len(), "keys are unique");
+    for column in Column::all() {
+        let figures: std::collections::BTreeMap<Column, f64> = [(column, 1.0)].into();
+        let text = serde_json::to_string(&figures).expect("written");
+        assert_eq!(serde_json::from_str::<std::collections::BTreeMap<Column, f64>>(&text).expect("read"), figures);
+    }
 }
