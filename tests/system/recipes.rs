@@ -49,6 +49,52 @@ fn every_method_is_in_ci_and_in_the_hard_cases() {
     }
 }
 
+/// A parameter of a training or evaluation of a recipe, by its dotted key.
+fn param(plan: &engine::Plan, node: &str, key: &str) -> serde_json::Value {
+    let found = plan.nodes.iter().find(|other| other.name == node);
+    let mut value = &found.unwrap_or_else(|| panic!("no {node}")).params;
+    for part in key.split('.') {
+        value = value.get(part).unwrap_or_else(|| panic!("{node} has no {key}"));
+    }
+    value.clone()
+}
+
+#[test]
+fn published_settings_reach_the_trainings_of_their_data_set_only() {
+    let plan = |name: &str| {
+        let recipe = root().join(format!("recipes/paper-{name}.toml"));
+        engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data"))
+            .unwrap_or_else(|error| panic!("{error}"))
+    };
+    let (phys4dgs, kineticgs, mcgs) = (plan("phys4dgs"), plan("kineticgs"), plan("mcgs"));
+    // arguments/hypernerf, dycheck, dynerf and dnerf of 4DGaussians; README of Deformable-3DGS; configs of 4D-GS.
+    let expected = [
+        (&phys4dgs, "train/broom2/deformable4dgs/0", "batch", "2"),
+        (&phys4dgs, "train/broom2/deformable4dgs/0", "deformable4dgs.time_resolution", "100"),
+        (&phys4dgs, "train/broom2/phys4dgs/0", "batch", "1"),
+        (&phys4dgs, "train/apple/deformable4dgs/0", "iterations.fine", "60000"),
+        (&phys4dgs, "train/cook_spinach/deformable4dgs/0", "deformable4dgs.multipliers", "[1,2]"),
+        (&phys4dgs, "train/cook_spinach/phys4dgs/0", "phys4dgs.field.multipliers", "[1,2,4]"),
+        (&phys4dgs, "train/flame_salmon/deformable4dgs/0", "batch", "4"),
+        (&phys4dgs, "train/lego/deformable4dgs/0", "deformable4dgs.width", "64"),
+        (&phys4dgs, "train/cook_spinach/realtime4dgs/0", "realtime4dgs.clip_length", "10.0"),
+        (&phys4dgs, "train/trex/realtime4dgs/0", "batch", "24"),
+        (&phys4dgs, "train/trex/realtime4dgs/0", "density.batch_gradient", "\"mean-over-views\""),
+        (&mcgs, "train/vrig-chicken/deformable4dgs/0", "deformable4dgs.temporal_smoothness", "0.001"),
+        (&mcgs, "train/vrig-chicken/deformable3dgs/0", "deformable3dgs.network.time_bands", "10"),
+        (&mcgs, "train/vrig-chicken/deformable3dgs/0", "iterations.all", "17000"),
+        (&mcgs, "train/lego/deformable3dgs/0", "deformable3dgs.network.time_bands", "6"),
+        (&kineticgs, "train/torchocolate/modecgs/0", "iterations.fine", "30000"),
+        (&kineticgs, "train/apple/scgs/0", "scgs.features", "2"),
+        (&kineticgs, "metrics/apple/scgs/0", "masks.co_visibility.folder", "\"dycheck/apple/covisible/2x/val\""),
+        (&kineticgs, "ablated-metrics/spin/2/full", "masks.foreground.keeps", "\"half\""),
+        (&kineticgs, "metrics/slice-banana/scgs/0", "masks.co_visibility.folder", "\"\""),
+    ];
+    for (plan, node, key, value) in expected {
+        assert_eq!(param(plan, node, key).to_string(), value, "{key} of {node}");
+    }
+}
+
 #[test]
 fn every_report_names_its_recipe() {
     for recipe in recipes() {
