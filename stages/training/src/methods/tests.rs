@@ -104,6 +104,7 @@ impl Case {
             phase: self.phase,
             iteration: 1,
             sh_degree: degree,
+            harmonics_intervals: 9,
             raster,
             random: Streams::new(2).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
