@@ -45,10 +45,8 @@ pub(crate) struct Write;
 pub(crate) struct WriteParams {
     /// The text.
     pub(crate) text: String,
-    /// A file that is appended to the text; relative to the data root.
+    /// A file that is appended to the text; relative to the data root. One in the folder `optional` may be missing.
     pub(crate) source: Option<PathBuf>,
-    /// Whether the text is written without the file if it is missing.
-    pub(crate) optional: bool,
 }
 
 impl Stage for Write {
@@ -62,7 +60,8 @@ impl Stage for Write {
     }
 
     fn sources(params: &WriteParams) -> Vec<Source> {
-        let source = |path: &PathBuf| Source { name: "text", path: path.clone(), optional: params.optional };
+        let source =
+            |path: &PathBuf| Source { name: "text", path: path.clone(), optional: path.starts_with("optional") };
         params.source.iter().map(source).collect()
     }
 
@@ -79,7 +78,7 @@ impl Stage for Write {
     }
 
     fn run(context: &JobContext, params: &WriteParams) -> anyhow::Result<Text> {
-        let source = match params.source.is_some() && (context.has_source("text") || !params.optional) {
+        let source = match context.has_source("text") {
             true => std::fs::read_to_string(context.source("text")?)?,
             false => "".into(),
         };

@@ -154,12 +154,13 @@ fn masked_runs(of_masks: &[(MaskName, Score)]) -> Vec<Run> {
 /// The measured mPSNR over all scenes in Table 1 (foreground) and Table 2 (co-visibility) of KineticGS.
 fn masked_cells(of_masks: &[(MaskName, Score)]) -> [String; 2] {
     let all = tables(masked_runs(of_masks), &["kineticgs"]);
-    let cell = |table: &Table, column: usize| {
-        let at = table.header.iter().enumerate().filter(|(_, text)| *text == "mPSNR").nth(column);
-        let beside = row(table, "KineticGS (Ours)", Some("measured"));
-        at.map_or_else(String::new, |(at, _)| beside[at].to_owned())
-    };
-    [cell(&all[0], 7), cell(&all[1], 0)]
+    // Table 1 is wide: a line for measured values, and one column per printed one. Its last mPSNR is the mean.
+    let means = all[0].header.iter().enumerate().filter(|(_, text)| *text == "mPSNR").last();
+    let (at, _) = means.expect("a column of means");
+    let foreground = row(&all[0], "KineticGS (Ours)", Some("measured"))[at].to_owned();
+    // In Table 2, measured values have columns of their own.
+    let at = all[1].header.iter().position(|text| text == "measured").expect("a column of measured values");
+    [foreground, row(&all[1], "KineticGS (Ours)", None)[at].to_owned()]
 }
 
 #[test]
