@@ -1,5 +1,7 @@
 //! The parameters of the stage.
 
+use std::collections::BTreeMap;
+
 use scene::Split;
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +14,9 @@ pub struct RenderingParams {
     /// When to write surfaces (coverage, depth, velocity and flow) and semantics (features and the relevancy of prompts,
     /// if the model has them).
     pub maps: Maps,
+    /// Values that replace tensors of the model, by name, e.g. `"mixing.shares" = [0, 0]`: what a part of a trained model
+    /// contributes, without a second training.
+    pub tensors: BTreeMap<String, Vec<f32>>,
 }
 
 /// The views whose surfaces and semantics are rendered beside their colours.
@@ -29,6 +34,6 @@ pub enum Maps {
 
 impl Default for RenderingParams {
     fn default() -> Self {
-        Self { split: Split::Test, maps: Maps::Known }
+        Self { split: Split::Test, maps: Maps::Known, tensors: BTreeMap::new() }
     }
 }

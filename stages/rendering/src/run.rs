@@ -1,5 +1,6 @@
 //! The stage: renders the views of a capture from a trained model.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use captures::CaptureArtifact;
@@ -45,7 +46,8 @@ impl Stage for Rendering {
     }
 
     fn run(context: &JobContext, params: &RenderingParams) -> anyhow::Result<Renders> {
-        let model = context.input::<Model>("model")?;
+        let mut model = context.input::<Model>("model")?;
+        replace(&mut model, &params.tensors)?;
         let capture = context.input::<CaptureArtifact>("capture")?.0;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let out = context.output_dir();
@@ -60,6 +62,24 @@ impl Stage for Rendering {
         context.measure("threads", pool.current_num_threads())?;
         Ok(renders)
     }
+}
+
+/// Replaces values of the model's tensors.
+pub(crate) fn replace(model: &mut Model, tensors: &BTreeMap<String, Vec<f32>>) -> anyhow::Result<()> {
+    for (name, values) in tensors {
+        let bad = |message: String| Failure::new(FailureKind::BadInput, message);
+        let Some(tensor) = model.tensors.get_mut(name) else {
+            let names: Vec<&str> = model.tensors.keys().map(String::as_str).collect();
+            let hint = format!("it has {}", names.join(", "));
+            return Err(bad(format!("the model has no tensor `{name}`")).hint(hint).into());
+        };
+        if tensor.values.len() != values.len() {
+            let counts = (tensor.values.len(), values.len());
+            return Err(bad(format!("tensor `{name}` has {} values, not {}", counts.0, counts.1)).into());
+        }
+        tensor.values.clone_from(values);
+    }
+    Ok(())
 }
 
 /// Renders the views of a split into `out` and times frames of them.

@@ -128,6 +128,28 @@ fn images_equal_the_players_in_the_captures_order() {
 }
 
 #[test]
+fn values_of_tensors_can_be_replaced() {
+    let (dir, mut model, capture) = trained("static3dgs");
+    let images = |model: &Model, name: &str| {
+        let params = RenderingParams { maps: Maps::None, ..RenderingParams::default() };
+        let (renders, _) = render(model, &capture, &params, Device::Cpu, &dir.path().join(name)).unwrap();
+        image_file::read_rgb(&renders.image_path(&renders.views[0])).unwrap()
+    };
+    let before = images(&model, "before");
+    let name = "gaussians.opacity_logits";
+    let count = model.tensors[name].values.len();
+    let replaced = |values| std::collections::BTreeMap::from([(name.to_string(), values)]);
+    crate::run::replace(&mut model, &replaced(vec![-100.0; count])).unwrap();
+    let after = images(&model, "after");
+    assert!(before != after && after.pixels().all(|pixel| *pixel == after[(0, 0)]));
+    let error = crate::run::replace(&mut model, &replaced(vec![0.0])).unwrap_err().to_string();
+    assert_eq!(error, format!("tensor `{name}` has {count} values, not 1"));
+    let unknown = std::collections::BTreeMap::from([("mixing.shares".to_string(), vec![0.0; 2])]);
+    let error = crate::run::replace(&mut model, &unknown).unwrap_err().to_string();
+    assert_eq!(error, "the model has no tensor `mixing.shares`");
+}
+
+#[test]
 fn absent_gaussians_are_left_out_of_exports_and_surfaces() {
     let (dir, mut model, capture) = trained("realtime4dgs");
     let durations = &mut model.tensors.get_mut("gaussians.log_scales_time").unwrap().values;
