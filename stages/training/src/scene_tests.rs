@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::DVec3;
-use image::RgbImage;
+use image::{GrayImage, RgbImage};
 use scene::{
     Camera, Capture, CaptureInfo, CaptureWriter, DepthMap, FlowMap, Frame, Intrinsics, LabelMap, NormalMap, PointCloud,
     Protocol, Split, TimeMap, VelocityMap,
@@ -30,11 +30,13 @@ pub(crate) struct TestScene {
     pub travel: f32,
     /// Pixels per side.
     pub size: u32,
+    /// Whether the coverage of the images is known.
+    pub with_coverage: bool,
 }
 
 impl Default for TestScene {
     fn default() -> Self {
-        Self { train_views: 8, val_views: 2, travel: 0.6, size: SIZE }
+        Self { train_views: 8, val_views: 2, travel: 0.6, size: SIZE, with_coverage: false }
     }
 }
 
@@ -96,12 +98,18 @@ impl TestScene {
             frame_index: at as u32,
             time_secs: 2.0 * time,
             image,
-            alpha: None,
+            alpha: self.with_coverage.then(|| self.coverage(&camera, time as f32)),
             depth: None,
             flow: None,
             mask: None,
             velocity: None,
         }
+    }
+
+    fn coverage(&self, camera: &Camera, time: f32) -> GrayImage {
+        let (tape, rendered, _) = self.blobs(camera, time, false);
+        let levels = tape.value(rendered.alpha).as_slice().iter().map(|alpha| (255.0 * alpha).round() as u8);
+        GrayImage::from_raw(self.size, self.size, levels.collect()).unwrap()
     }
 
     /// Every optional input of a training, for the training views: exact depth, optical flow to half a second later in

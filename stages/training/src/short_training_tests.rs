@@ -23,8 +23,13 @@ pub(crate) struct ShortTraining {
 impl ShortTraining {
     /// Runs every phase of a method for two steps, with these settings and exactly these effects.
     pub(crate) fn run(method: &str, settings: serde_json::Value, effects: &[&str]) -> Self {
+        Self::run_on(TestScene { size: 16, ..TestScene::default() }, method, settings, effects)
+    }
+
+    /// [`ShortTraining::run`] on another scene.
+    pub(crate) fn run_on(scene: TestScene, method: &str, settings: serde_json::Value, effects: &[&str]) -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let dataset = Dataset::load(TestScene { size: 16, ..TestScene::default() }.write(dir.path()), 1).unwrap();
+        let dataset = Dataset::load(scene.write(dir.path()), 1).unwrap();
         let defaults = TrainingParams::of(method).unwrap();
         let iterations: serde_json::Map<_, _> =
             defaults.shared.iterations.keys().map(|phase| (phase.clone(), json!(2))).collect();

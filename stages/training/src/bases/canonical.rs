@@ -14,7 +14,7 @@ use crate::data::{SceneFacts, Streams};
 use crate::method::{Base, Moment, Start, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, stretch};
-use crate::shared::Shared;
+use crate::shared::{LearningRates, Shared};
 
 /// The Gaussians are trained as a static scene.
 pub(crate) const WARM_UP: &str = "warm-up";
@@ -89,8 +89,7 @@ impl<T: Real> Base<T> for CanonicalGaussians {
     /// The learning rates of the Gaussians. That of the positions does not restart in [`ALL`].
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if tensor == "gaussians.positions" {
-            let rate = self.shared.learning_rates.position.scaled(POSITION_RATE_FACTOR * scene.unit_world);
-            return Some(rate.after(self.steps_before(phase)));
+            return Some(position_rate(&self.shared.learning_rates, scene).after(self.steps_before(phase)));
         }
         gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene)
     }
@@ -107,6 +106,11 @@ impl<T: Real> Base<T> for CanonicalGaussians {
         let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);
         vec![Box::new(control.after(stretch(self.steps_before(phase), *schedule_scale)))]
     }
+}
+
+/// The learning rate of positions.
+pub(crate) fn position_rate(rates: &LearningRates, scene: &SceneFacts) -> LogLinear {
+    rates.position.scaled(POSITION_RATE_FACTOR * scene.unit_world)
 }
 
 /// Attributes of canonical Gaussians at one moment; scales change after activation.

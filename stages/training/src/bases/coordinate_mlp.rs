@@ -112,7 +112,7 @@ pub(crate) struct CoordinateMlp {
 }
 
 impl CoordinateMlp {
-    /// A network whose hidden layers have the initial weights `first`.
+    /// A network whose hidden layers have the initial weights `first`; those of time have PyTorch's default.
     pub(crate) fn new(
         name: &'static str,
         settings: &CoordinateMlpSettings,
@@ -128,8 +128,8 @@ impl CoordinateMlp {
         let CoordinateMlpSettings { depth, width, time_features, .. } = self.settings;
         if time_features > 0 {
             let columns = self.time_encoding().columns(1);
-            insert_layer(state, &self.tensor("time.0"), columns, width, self.first, random);
-            insert_layer(state, &self.tensor("time.1"), width, time_features, self.first, random);
+            insert_layer(state, &self.tensor("time.0"), columns, width, FirstWeights::FanIn, random);
+            insert_layer(state, &self.tensor("time.1"), width, time_features, FirstWeights::FanIn, random);
         }
         for layer in 0..depth {
             let before = if layer == 0 { 0 } else { width };
@@ -144,6 +144,12 @@ impl CoordinateMlp {
     /// The learning rate of this network's tensors.
     pub(crate) fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
         (belongs(tensor, self.name) && tensor != bounds::tensor_name(self.name)).then_some(self.settings.rate)
+    }
+
+    /// Whether a tensor takes part in the output of a head.
+    pub(crate) fn reaches(&self, tensor: &str, head: &str) -> bool {
+        let is_other = |other: &Head| other.name != head && belongs(tensor, &self.tensor(other.name));
+        belongs(tensor, self.name) && !self.heads.iter().any(is_other)
     }
 
     /// The last hidden layer at every position [N, 3] (world) and time in [0, 1]: [T·N, width], time by time.

@@ -1,6 +1,7 @@
 //! Hooks that a method runs between steps.
 
 use dyn_clone::DynClone;
+use shaders::tape::Tensor;
 
 use super::screen::ScreenStats;
 use crate::data::{SceneFacts, StepRandom};
@@ -9,13 +10,16 @@ use crate::model::Optimizer;
 /// Runs between the steps of a phase: e.g. density control or annealing. Every method has an empty default, so a
 /// hook implements only what it needs. Its state is part of every checkpoint.
 pub(crate) trait StepHook: DynClone + Send {
-    /// Whether [`StepHook::observe`] is to be called in step `iteration` (counted from 1 within the phase).
+    /// Whether [`StepHook::observe`] and [`StepHook::observe_value`] are to be called in step `iteration` (counted from 1 within the phase).
     fn observes_at(&self, _iteration: u64) -> bool {
         false
     }
 
     /// Observes the renders of a step and their gradients, once per population, before the optimizer's step.
     fn observe(&mut self, _stats: &ScreenStats<'_>) {}
+
+    /// Observes a value that the method measured in the step ([`Step::measure`](super::Step::measure)).
+    fn observe_value(&mut self, _name: &str, _value: &Tensor<f32>) {}
 
     /// Whether [`StepHook::after_step`] reads values of rows on the host after step `iteration`, so that all pending
     /// steps must be checked first.

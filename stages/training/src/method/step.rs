@@ -120,6 +120,7 @@ pub(crate) struct Recorded {
     renders: Vec<RenderRecord>,
     skipped: SkippedWork,
     deferred: Vec<DeferredWork>,
+    measured: Vec<(&'static str, Var)>,
 }
 
 /// A work counter whose value only the device knows: its name, a scalar with the amount processed, the total amount.
@@ -171,9 +172,14 @@ impl<'a, T: Real> Step<'a, T> {
 
     /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
     pub(crate) fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
+        let target = self.tape.constant(view.image.clone());
+        self.photometric_to(color, target);
+    }
+
+    /// [`Step::photometric`] of a render against another image.
+    pub(crate) fn photometric_to(&mut self, color: Var, target: Var) {
         self.clock.enter("loss photometric");
         let share = 1.0 / self.views.len() as f64;
-        let target = self.tape.constant(view.image.clone());
         let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
         self.add_loss("photometric", share, value);
         self.clock.enter("losses");
@@ -187,6 +193,11 @@ impl<'a, T: Real> Step<'a, T> {
     /// Counts work of which only the device knows how much was `processed`, a scalar; the step does not wait for it.
     pub(crate) fn count_skipped_deferred(&mut self, what: &'static str, processed: Var, of: usize) {
         self.recorded.deferred.push((what, processed, of));
+    }
+
+    /// Shows a value of the step to the hooks that observe it ([`StepHook::observe_value`](super::StepHook)).
+    pub(crate) fn measure(&mut self, name: &'static str, value: Var) {
+        self.recorded.measured.push((name, value));
     }
 
     /// Adds `weight` · `value` to the objective, unless the training leaves this loss out.
@@ -212,19 +223,21 @@ pub(crate) struct StepOutcome<T: Real> {
     pub deferred: Vec<(&'static str, Tensor<T>, usize)>,
     /// Renders that drive populations.
     pub renders: Vec<RenderRecord>,
+    /// Values for the hooks, by name.
+    pub measured: Vec<(&'static str, Var)>,
 }
 
 /// Evaluates a method's losses on a step and differentiates their sum.
 pub(crate) fn run_step<T: Real>(method: &dyn Method<T>, mut step: Step<'_, T>) -> anyhow::Result<StepOutcome<T>> {
     method.losses(&mut step)?;
     step.clock.enter("backward");
-    let Step { tape, recorded: Recorded { losses, renders, skipped, deferred }, .. } = step;
+    let Step { tape, recorded: Recorded { losses, renders, skipped, deferred, measured }, .. } = step;
     let seeds: Vec<_> = losses.iter().map(|loss| loss.seed(tape)).collect();
     let gradients = tape.backward(&seeds);
     let value = |loss: &NamedLoss| (loss.name, loss.weight, tape.value(loss.value).clone());
     let values = losses.iter().map(value).collect();
     let deferred = deferred.iter().map(|&(what, var, of)| (what, tape.value(var).clone(), of)).collect();
-    Ok(StepOutcome { losses, values, gradients, skipped, deferred, renders })
+    Ok(StepOutcome { losses, values, gradients, skipped, deferred, renders, measured })
 }
 
 impl<T: Real> StepOutcome<T> {

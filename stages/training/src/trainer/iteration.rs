@@ -135,6 +135,7 @@ impl Trainer<'_> {
         let populations = ScreenStats::by_population(&outcome.renders, tape, &outcome.gradients);
         for hook in self.state.hooks.iter_mut().filter(|hook| hook.observes_at(iteration)) {
             populations.iter().for_each(|stats| hook.observe(stats));
+            outcome.measured.iter().for_each(|&(name, value)| hook.observe_value(name, tape.value(value)));
         }
     }
 

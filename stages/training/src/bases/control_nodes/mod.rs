@@ -5,19 +5,28 @@
 //! | `nodes.positions` | [M, 3] | canonical, scene units |
 //! | `nodes.log_radii` | [M, 1] | logarithm of the reach, scene units |
 
+mod node_stage;
 mod rigidity;
 mod selection;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use rigidity::{Rigidity, published_decay};
+#[cfg(test)]
+pub(crate) use node_stage::SETTLE_NODES;
+pub(crate) use node_stage::{NODE_PHASES, NodeStage, NodeStageSettings};
+pub(crate) use rigidity::{Rigidity, add_rigidity, published_decay};
 pub(crate) use selection::{farthest_points, sides};
 
 use serde::{Deserialize, Serialize};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
+use crate::bases::coordinate_mlp::Head;
+use crate::bases::layers::FirstWeights;
 use crate::model::ModelState;
 use crate::schedule::LogLinear;
+
+/// The head of the network that translates nodes, with the published initial weights: motion is close to zero.
+pub(crate) const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
 
 /// The population of nodes.
 pub(crate) const NODES: &str = "nodes";
@@ -83,7 +92,7 @@ pub(crate) fn insert_nodes<T: Real>(state: &mut ModelState<T>, positions: Tensor
 /// The chosen rows of a tensor.
 pub(crate) fn rows_of<T: Real>(tensor: &Tensor<T>, chosen: &[usize]) -> Tensor<T> {
     let values = chosen.iter().flat_map(|&row| tensor.row(row)).copied().collect();
-    Tensor::from_vec([chosen.len(), tensor.row_len()], values)
+    Tensor::from_vec([&[chosen.len()], &tensor.shape()[1..]].concat(), values)
 }
 
 /// Identity quaternions (1, 0, 0, 0), one per row.

@@ -4,6 +4,9 @@ use shaders::tape::{Device, Tape, Var};
 
 use super::*;
 
+/// A unit of published constants within whose reach all edges of a test lie.
+const EVERYWHERE: f64 = 1e3;
+
 fn tensor(rows: usize, columns: usize, seed: u64) -> Tensor<f64> {
     Tensor::from_vec([rows, columns], noise(rows * columns, seed))
 }
@@ -38,7 +41,7 @@ fn farthest_points_spread_and_are_distinct() {
 #[test]
 fn a_rigid_motion_has_no_energy_and_a_stretch_has() {
     let positions = tensor(40, 3, 1);
-    let rigidity = Rigidity::new(&positions, 6).unwrap();
+    let rigidity = Rigidity::new(&positions, 6, EVERYWHERE).unwrap();
     for angle in [0.0, 0.4, 3.0] {
         let rotation = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), angle);
         let found = energy(&rigidity, &positions, &rigidly_moved(&positions, rotation));
@@ -52,16 +55,29 @@ fn a_rigid_motion_has_no_energy_and_a_stretch_has() {
 }
 
 #[test]
+fn beyond_three_neighbours_only_short_edges_stay_rigid() {
+    // A cluster of two nodes and three single ones, none of which is near another.
+    let line = Tensor::from_vec([5, 3], [0.0, 0.05, 1.0, 2.1, 3.3].iter().flat_map(|&x| [x, 0.0, 0.0]).collect());
+    let mut pulled = line.clone();
+    pulled.make_mut()[12] += 0.5;
+    let of_unit = |unit: f64| energy(&Rigidity::new(&line, 4, unit).unwrap(), &line, &pulled);
+    // All nodes are neighbours of the last one, four edges in each direction; three of its own and one to it are near.
+    let (all, published) = (of_unit(EVERYWHERE), of_unit(1.0));
+    assert!((all - 8.0 * 0.25).abs() <= 1e-12, "{all}");
+    assert!((published - 4.0 * 0.25).abs() <= 1e-12, "{published}");
+}
+
+#[test]
 fn the_energy_gradient_agrees_with_central_differences() {
     let (before, after) = (tensor(9, 3, 1), tensor(9, 3, 2));
-    let rigidity = Rigidity::new(&before, 4).unwrap();
+    let rigidity = Rigidity::new(&before, 4, EVERYWHERE).unwrap();
     gradients(|tape, vars| rigidity.energy(tape, vars[0], vars[1]), &[before, after], TOLERANCE).unwrap();
 }
 
 #[test]
 fn a_gradient_for_other_rotations_is_rejected() {
     let (before, after) = (tensor(9, 3, 1), tensor(9, 3, 2));
-    let rigidity = Rigidity::new(&before, 4).unwrap();
+    let rigidity = Rigidity::new(&before, 4, EVERYWHERE).unwrap();
     let faulty = |tape: &mut Tape<f64>, vars: &[Var]| {
         let held = tape.detach(vars[0]);
         rigidity.energy(tape, held, vars[1])
@@ -72,11 +88,11 @@ fn a_gradient_for_other_rotations_is_rejected() {
 #[test]
 fn degenerate_neighbourhoods_are_finite() {
     let coincident = Tensor::zeros([4, 3]);
-    assert_eq!(energy(&Rigidity::new(&coincident, 3).unwrap(), &coincident, &coincident), 0.0);
+    assert_eq!(energy(&Rigidity::new(&coincident, 3, EVERYWHERE).unwrap(), &coincident, &coincident), 0.0);
     let line = Tensor::from_vec([4, 3], (0..12).map(|at| if at % 3 == 0 { f64::from(at) } else { 0.0 }).collect());
     let turned = rigidly_moved(&line, DQuat::from_rotation_z(1.0));
-    assert!(energy(&Rigidity::new(&line, 3).unwrap(), &line, &turned) <= 1e-24);
-    assert!(Rigidity::new(&Tensor::<f64>::zeros([1, 3]), 3).is_none());
+    assert!(energy(&Rigidity::new(&line, 3, EVERYWHERE).unwrap(), &line, &turned) <= 1e-24);
+    assert!(Rigidity::new(&Tensor::<f64>::zeros([1, 3]), 3, 1.0).is_none());
 }
 
 #[test]

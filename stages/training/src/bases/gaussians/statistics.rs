@@ -46,11 +46,6 @@ impl Statistics {
         self.rows.as_slice().as_chunks().0
     }
 
-    /// The statistics [N, 3] on their device.
-    pub(crate) fn tensor(&self) -> &Tensor<f32> {
-        &self.rows
-    }
-
     /// Adds the renders of one step with the gradient of their sum, on the GPU that rendered them if there is one.
     pub(crate) fn observe(&mut self, stats: &ScreenStats<'_>) {
         self.observe_gradient(stats, StepGradient::OfSum);

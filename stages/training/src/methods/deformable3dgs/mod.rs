@@ -5,7 +5,6 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 use shaders::geometry::quaternion;
 use shaders::pointwise::add;
@@ -18,11 +17,12 @@ use crate::bases::coordinate_mlp::{CoordinateMlp, CoordinateMlpSettings, Head};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
 use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, TimeNoise};
 use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
 use crate::model::{ModelState, Variables};
-use crate::schedule::{LogLinear, stretch};
+use crate::schedule::LogLinear;
 use crate::shared::Shared;
 
 /// Heads of the network, randomly initialised as published.
@@ -47,7 +47,11 @@ pub(crate) struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { network: CoordinateMlpSettings::default(), time_noise: 0.1, time_noise_until: 20_000 }
+        Self {
+            network: CoordinateMlpSettings::default(),
+            time_noise: FIRST_TIME_NOISE,
+            time_noise_until: TIME_NOISE_UNTIL,
+        }
     }
 }
 
@@ -68,12 +72,7 @@ impl MethodFolder for Deformable3dgs {
                 by_default: true,
             },
             SKIP_STILL,
-            Effect {
-                name: "time-noise",
-                about: "annealed noise on the times of training views, against wrong poses of real scenes",
-                needs: &[Need::Effect("motion")],
-                by_default: false,
-            },
+            TIME_NOISE,
         ]
     }
 
@@ -98,20 +97,19 @@ impl MethodFolder for Deformable3dgs {
                 &[POSITION, ROTATION, SCALE],
             ),
             moves: shared.effects.has("motion"),
-            has_time_noise: shared.effects.has("motion") && shared.effects.has("time-noise"),
+            time_noise: (shared.effects.has("motion") && shared.effects.has(TIME_NOISE.name))
+                .then(|| TimeNoise::new(settings.time_noise, settings.time_noise_until)),
             shared: shared.clone(),
-            settings,
         })
     }
 }
 
 struct DeformedGaussians {
     shared: Shared,
-    settings: Settings,
     canonical: CanonicalGaussians,
     network: CoordinateMlp,
     moves: bool,
-    has_time_noise: bool,
+    time_noise: Option<TimeNoise>,
 }
 
 impl<T: Real> Method<T> for DeformedGaussians {
@@ -170,17 +168,11 @@ impl<T: Real> Method<T> for DeformedGaussians {
 }
 
 impl DeformedGaussians {
-    /// The time of a training view; with the effect `time-noise`, perturbed by noise that decays over the training
-    /// (annealing smooth training, section 3.4).
+    /// The time of a training view; with the effect `time-noise`, perturbed by noise that decays over the training.
     fn training_time<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> f64 {
-        if !self.has_time_noise || step.phase == WARM_UP {
-            return view.time;
+        match self.time_noise.filter(|_| step.phase == ALL) {
+            Some(noise) => noise.time(step, view, self.canonical.iterations(WARM_UP)),
+            None => view.time,
         }
-        let scale = self.shared.schedule_scale;
-        let iteration = stretch(self.canonical.iterations(WARM_UP), scale) + step.iteration;
-        let until = stretch(self.settings.time_noise_until, scale);
-        let left = (1.0 - iteration as f64 / until.max(1) as f64).max(0.0);
-        let noise: f64 = StandardNormal.sample(step.random.of("time noise"));
-        view.time + noise * self.settings.time_noise * left / step.scene.time_count as f64
     }
 }

@@ -1,21 +1,22 @@
 //! Values that change per step without being learnt: the mixing shares, the noise level and the visibility of every
 //! node. They are model tensors, so that checkpoints and renders include them.
 
-use shaders::arrays::rows::{columns, concat_columns};
+use shaders::arrays::rows::columns;
 use shaders::geometry::neighbor_blend::{Neighbors, blend};
 use shaders::pointwise;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::settings::Settings;
 use super::{NOISE, SHARES, VISIBILITY};
-use crate::bases::gaussians::{GAUSSIANS, SEEN_COUNT, Statistics};
-use crate::method::{AfterStep, ScreenStats, StepHook};
+use crate::method::{AfterStep, StepHook};
 use crate::model::ModelState;
 use crate::schedule::stretch;
 
-/// Weight of one step in the running mean of visibility: a memory of about a hundred views, roughly one pass over a
-/// capture.
-const STEP_SHARE: f64 = 0.01;
+/// Number of steps between two measurements of visibility, each of which costs about a render.
+pub(crate) const STEPS_PER_LOOK: u64 = 10;
+/// Weight of one measurement in the running mean of visibility: a memory of about a hundred steps, roughly one pass over
+/// a capture.
+const LOOK_SHARE: f64 = 0.1;
 
 /// Adds the mixing shares and, if `has_noise`, the noise level and the visibility of the nodes.
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise: bool) -> anyhow::Result<()> {
@@ -71,14 +72,14 @@ impl StepHook for Ramp {
     }
 }
 
-/// Maintains a running mean of the visible share of every node's Gaussians.
+/// Maintains a running mean of the visible share of the weight of every node's Gaussians.
 #[derive(Clone)]
 pub(crate) struct Visibility {
     per_gaussian: usize,
     /// First iteration at which visibility is no longer needed, because no noise is left.
     noise_until: u64,
-    /// [N, 3] statistics of the latest step alone: the second column is 1 for visible Gaussians.
-    seen: Option<Statistics>,
+    /// [N, 2] of the latest step: the visible and the whole weight of every Gaussian.
+    seen: Option<Tensor<f32>>,
 }
 
 impl Visibility {
@@ -93,11 +94,9 @@ impl StepHook for Visibility {
         iteration < self.noise_until
     }
 
-    fn observe(&mut self, stats: &ScreenStats<'_>) {
-        if stats.population == GAUSSIANS {
-            let mut seen = Statistics::default();
-            seen.observe(stats);
-            self.seen = Some(seen);
+    fn observe_value(&mut self, name: &str, value: &Tensor<f32>) {
+        if name == VISIBILITY {
+            self.seen = Some(value.clone());
         }
     }
 
@@ -106,7 +105,7 @@ impl StepHook for Visibility {
         let [gaussians, nodes, before] =
             ["gaussians.positions", "nodes.positions", VISIBILITY].map(|name| optimizer.tensor(name));
         let neighbors = Neighbors::nearest(gaussians?, nodes?, self.per_gaussian);
-        let after = updated_visibility(seen.tensor(), before?, &neighbors);
+        let after = updated_visibility(&seen, before?, &neighbors);
         optimizer.set_values(VISIBILITY, after)
     }
 }
@@ -123,24 +122,19 @@ pointwise! {
     }
 }
 
-/// The running means [M, 1] updated with the statistics [N, 3] of one step, on the statistics' device.
-fn updated_visibility(statistics: &Tensor<f32>, before: &Tensor<f32>, neighbors: &Neighbors) -> Tensor<f32> {
+/// The running means [M, 1] updated with the visible and the whole weights [N, 2] of one step, on their device.
+fn updated_visibility(seen: &Tensor<f32>, before: &Tensor<f32>, neighbors: &Neighbors) -> Tensor<f32> {
     let (gaussians, nodes) = (neighbors.points(), neighbors.nodes());
-    let mut tape = Tape::new(statistics.device());
-    let statistics = tape.constant(statistics.clone());
-    let seen = columns(&mut tape, statistics, SEEN_COUNT..SEEN_COUNT + 1);
-    let ones = tape.constant(Tensor::full([gaussians, 1], 1.0));
-    let counted = concat_columns(&mut tape, &[seen, ones]);
+    let mut tape = Tape::new(seen.device());
     // The gradient of a blend with weights of 1 sums over the Gaussians that follow each node.
     let weights = tape.constant(Tensor::full([gaussians, neighbors.per_point()], 1.0));
     let of_nodes = tape.leaf(Tensor::zeros([nodes, 2]));
     let blended = blend(&mut tape, weights, of_nodes, neighbors);
-    let seed = tape.value(counted).clone();
-    let sums = tape.backward(&[(blended, seed)]).take(of_nodes).expect("a leaf");
+    let sums = tape.backward(&[(blended, seen.clone())]).take(of_nodes).expect("a leaf");
     let sums = tape.constant(sums);
     let [seen, all] = [0, 1].map(|column| columns(&mut tape, sums, column..column + 1));
     let before = tape.constant(before.clone());
-    let after = updated_mean(&mut tape, before, seen, all, STEP_SHARE);
+    let after = updated_mean(&mut tape, before, seen, all, LOOK_SHARE);
     tape.value(after).clone()
 }
 
@@ -152,16 +146,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn visibility_is_a_running_mean_of_seen_shares() {
+    fn visibility_is_a_running_mean_of_visible_weights() {
         let tensor = |shape: [usize; 2], values: &[f32]| Tensor::from_vec(shape, values.to_vec());
         let gaussians = tensor([4, 1], &[0.0, 0.1, 0.2, 1.0]);
         let nodes = tensor([3, 1], &[0.0, 1.0, 9.0]);
-        let statistics = tensor([4, 3], &[5.0, 1.0, 2.0, 0.0, 0.0, 0.0, 3.0, 1.0, 7.0, 0.0, 0.0, 0.0]);
+        let weights = tensor([4, 2], &[0.9, 0.9, 0.0, 0.2, 0.1, 0.4, 0.0, 0.6]);
         let before = tensor([3, 1], &[0.5, 1.0, 0.25]);
         for device in [Some(Device::Cpu), test_gpu().map(Device::Gpu)].into_iter().flatten() {
-            let [statistics, before] = [&statistics, &before].map(|tensor| tensor.clone().moved_to(device));
-            let after = updated_visibility(&statistics, &before, &Neighbors::nearest(&gaussians, &nodes, 1));
-            let expected = [0.5 + 0.01 * (2.0 / 3.0 - 0.5), 0.99, 0.25];
+            let [weights, before] = [&weights, &before].map(|tensor| tensor.clone().moved_to(device));
+            let after = updated_visibility(&weights, &before, &Neighbors::nearest(&gaussians, &nodes, 1));
+            let expected = [0.5 + 0.1 * (1.0 / 1.5 - 0.5), 0.9, 0.25];
             assert!(after.as_slice().iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-6), "{after:?}");
         }
     }

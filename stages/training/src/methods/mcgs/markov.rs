@@ -102,7 +102,7 @@ impl Chain {
     /// Predicts the motion of M nodes at `times` times from the states before each. `history` holds ([`Chain::window`]
     /// + times)·M rows, state by state; its last state is not read. The result has times·M rows.
     ///
-    /// A prediction is the last state plus the predicted step (equations 5, 12 and 13): Δμ + δμ and δq⊗Δq, where δq is
+    /// A prediction is the last state plus the predicted step (equations 5, 12 and 13): Δμ + δμ and Δq⊗δq, where δq is
     /// (1, 0, 0, 0) + δ, normalised.
     ///
     /// The network outputs steps in units of one frame's share of the capture's duration, and lengths in scene extents:
@@ -147,7 +147,7 @@ impl Chain {
         let rotations = part(tape, history.rotations, last, times);
         NodeMotion {
             translations: add(tape, translations, shift),
-            rotations: quaternion::multiply(tape, turn, rotations),
+            rotations: quaternion::multiply(tape, rotations, turn),
         }
     }
 

@@ -9,6 +9,7 @@ mod physics;
 mod settings;
 #[cfg(test)]
 mod tests;
+mod visibility;
 
 use rand::RngExt as _;
 use shaders::arrays::rows::{RowIndex, gather};
@@ -18,25 +19,30 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
-use crate::bases::control_nodes::{Rigidity, farthest_points, insert_nodes, published_decay, rows_of, sides};
+use crate::bases::control_nodes::{
+    NODE_PHASES, NodeStage, Rigidity, farthest_points, insert_nodes, published_decay, rows_of, sides,
+};
 use crate::bases::gaussians::{self, GAUSSIANS, logit};
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::data::{SceneFacts, Streams};
+use crate::bases::time_noise::{TIME_NOISE, TimeNoise};
+use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
-use crate::schedule::LogLinear;
+use crate::schedule::{LogLinear, Phase};
 use crate::shared::Shared;
-use controls::{Ramp, Visibility};
+use controls::{Ramp, STEPS_PER_LOOK, Visibility};
 use motion::Nodes;
 use node_motion::{NodeMotion, Predictions, frame_interval};
-use settings::Settings;
+use scene::cloud::PointCloud;
+use settings::{NodeSource, Settings};
 
 /// [2]: the mixing shares λ_pos and λ_rot.
 const SHARES: &str = "mixing.shares";
 /// [1]: the remaining noise level, from 1 down to 0.
 const NOISE: &str = "mixing.noise";
-/// [M, 1]: running mean of the share of a node's Gaussians that are visible per step; initially 1.
+/// [M, 1]: running mean of the visible share of the weight of a node's Gaussians; initially 1. Also the name of the
+/// measured weights.
 const VISIBILITY: &str = "nodes.visibility";
 
 /// Gaussians below this opacity do not become nodes, because they mark no surface.
@@ -53,7 +59,9 @@ impl MethodFolder for Mcgs {
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
-        Shared { iterations: [(WARM_UP.into(), 3000), (ALL.into(), 27_000)].into(), ..Shared::default() }
+        let iterations = NODE_PHASES.into_iter().chain([(WARM_UP, 3000), (ALL, 27_000)]);
+        let iterations = iterations.map(|(phase, count)| (phase.into(), count)).collect();
+        Shared { iterations, ..Shared::default() }
     }
 
     fn effects() -> Vec<Effect> {
@@ -74,6 +82,7 @@ impl MethodFolder for Mcgs {
                 "penalties on the acceleration and the speed of nodes",
                 &[Need::Times(3), Need::Effect("motion")],
             ),
+            TIME_NOISE,
         ]
     }
 
@@ -89,10 +98,15 @@ impl MethodFolder for Mcgs {
     fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
         let moves = shared.effects.has("motion");
         let on = |name: &str| moves && shared.effects.has(name);
+        let nodes = Nodes::new(&settings, on("attention"));
+        let stage = NodeStage::new(shared, &settings.node_stage, &settings.nodes, nodes.network(), on("arap"));
+        let time_noise = on(TIME_NOISE.name).then(|| TimeNoise::new(settings.time_noise, settings.time_noise_until));
         Box::new(MarkovGaussians {
             canonical: CanonicalGaussians::new(shared),
-            nodes: Nodes::new(&settings, on("attention")),
+            stage: (moves && settings.nodes_from == NodeSource::Candidates).then(|| stage.with_noise(time_noise)),
+            nodes,
             moves,
+            time_noise,
             has_noise: on("noise"),
             is_rigid: on("arap"),
             has_physics: on("physics"),
@@ -106,8 +120,11 @@ struct MarkovGaussians {
     shared: Shared,
     settings: Settings,
     canonical: CanonicalGaussians,
+    /// The stage before the warm-up, if nodes are chosen from candidates.
+    stage: Option<NodeStage>,
     nodes: Nodes,
     moves: bool,
+    time_noise: Option<TimeNoise>,
     has_noise: bool,
     is_rigid: bool,
     has_physics: bool,
@@ -118,6 +135,19 @@ impl<T: Real> Method<T> for MarkovGaussians {
         &self.canonical
     }
 
+    fn phases(&self) -> Vec<Phase> {
+        let of_nodes = NodeStage::phases(&self.shared, self.stage.is_some());
+        [of_nodes, vec![self.canonical.phase(WARM_UP), self.canonical.phase(ALL)]].concat()
+    }
+
+    fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
+        let Some(stage) = &self.stage else { return self.canonical.initialize(start, points, random) };
+        let mut state = ModelState::new();
+        stage.insert_candidates(&mut state, start.scene(), points)?;
+        self.nodes.network().insert(&mut state, points, random);
+        Ok(state)
+    }
+
     fn enter_phase(
         &self,
         phase: &str,
@@ -125,9 +155,19 @@ impl<T: Real> Method<T> for MarkovGaussians {
         start: &Start<'_>,
         random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
+        if let Some(stage) = &self.stage {
+            state = stage.enter_phase(phase, WARM_UP, state)?;
+            if phase == WARM_UP {
+                let points = start.initial_points(&self.shared)?;
+                gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points)?;
+            }
+        }
         if self.moves && phase == ALL {
-            self.choose_nodes(&mut state)?;
-            self.nodes.insert(&mut state, &start.initial_points(&self.shared)?, random);
+            if self.stage.is_none() {
+                self.choose_nodes(&mut state)?;
+                self.nodes.network().insert(&mut state, &start.initial_points(&self.shared)?, random);
+            }
+            self.nodes.insert_chain(&mut state, random);
             controls::insert(&mut state, &self.settings, self.has_noise)?;
             static_mask::insert(&mut state, &self.shared.effects, start)?;
         }
@@ -135,14 +175,25 @@ impl<T: Real> Method<T> for MarkovGaussians {
     }
 
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        let of_nodes = || Some(self.nodes.learning_rate(tensor)?.after(self.canonical.iterations(WARM_UP)));
+        if let Some(stage) = self.stage.as_ref().filter(|_| NodeStage::has(phase)) {
+            return stage.learning_rate(phase, tensor, scene);
+        }
+        let of_nodes = || {
+            let law = self.nodes.learning_rate(tensor).filter(|_| phase == ALL)?;
+            Some(law.after(self.canonical.iterations(WARM_UP)))
+        };
         Method::<T>::base(self).learning_rate(phase, tensor, scene).or_else(of_nodes)
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
+        if let Some(stage) = self.stage.as_ref().filter(|_| NodeStage::has(moment.phase)) {
+            return Ok(stage.splats(tape, model, moment));
+        }
         let canonical = self.canonical.splats(tape, model, moment)?;
         if !self.moves || moment.phase == WARM_UP {
-            return Ok(canonical);
+            // Gaussians that restart among trained nodes follow them from the start.
+            let motion = self.stage.as_ref().map(|_| self.nodes.direct(tape, model, &[moment.time]));
+            return Ok(motion.map_or(canonical, |motion| self.nodes.carry(tape, model, canonical, &motion)));
         }
         let predictions = self.nodes.predict(tape, model, &[moment.time], moment.scene);
         let motion = self.nodes.mix(tape, model, &predictions);
@@ -150,15 +201,23 @@ impl<T: Real> Method<T> for MarkovGaussians {
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if let Some(stage) = self.stage.as_ref().filter(|_| NodeStage::has(step.phase)) {
+            return stage.losses(step);
+        }
         if !self.moves || step.phase == WARM_UP {
             return photometric_losses(self, step);
         }
         static_mask::count_skipped(step);
+        let looks = self.has_noise && step.iteration.is_multiple_of(STEPS_PER_LOOK) && noise::left(step) > 0.0;
         for view in step.views {
             step.clock.enter("motion");
             let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);
-            let motion = self.training_motion(step, view.time);
+            let time = self.training_time(step, view);
+            let motion = self.training_motion(step, time);
             let splats = self.nodes.carry(step.tape, step.model, canonical, &motion);
+            if looks {
+                visibility::measure(step, &splats, view)?;
+            }
             let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
         }
@@ -166,6 +225,9 @@ impl<T: Real> Method<T> for MarkovGaussians {
     }
 
     fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+        if let Some(stage) = self.stage.as_ref().filter(|_| NodeStage::has(phase)) {
+            return stage.hooks(phase, scene);
+        }
         let mut hooks: Vec<Box<dyn StepHook>> = Vec::new();
         if self.moves && phase == ALL {
             let scale = self.shared.schedule_scale;
@@ -196,6 +258,12 @@ impl MarkovGaussians {
         let diagonal = sides(&chosen).iter().map(|side| side * side).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
         insert_nodes(state, chosen, self.settings.nodes.first_radius * diagonal);
         Ok(())
+    }
+
+    /// The time of a training view, with noise if the effect is on.
+    fn training_time<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> f64 {
+        let noisy = self.time_noise.map(|noise| noise.time(step, view, self.canonical.iterations(WARM_UP)));
+        noisy.unwrap_or(view.time)
     }
 
     /// Node motion at the time of a training view; adds the losses over the neighbouring frames.
@@ -251,7 +319,7 @@ impl MarkovGaussians {
         let nodes = step.model.get("nodes.positions");
         let [before, after] = [1, 2].map(|frame| add(step.tape, nodes, frames[frame].translations));
         let neighbors = self.settings.nodes.rigid_neighbors;
-        let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors) else { return };
+        let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors, step.scene.unit_world) else { return };
         let energy = rigidity.energy(step.tape, before, after);
         step.add_loss("rigidity", weight, energy);
     }

@@ -1,7 +1,6 @@
 //! Node motion from a direct branch (a coordinate MLP of position and time), the Markov chain and their mixture, and its
 //! application to the Gaussians. Equations are those of the MCGS paper.
 
-use scene::cloud::PointCloud;
 use shaders::arrays::rows::{RowIndex, gather};
 use shaders::geometry::neighbor_blend::{Neighbors, blend, weights};
 use shaders::geometry::quaternion;
@@ -12,9 +11,9 @@ use shaders::tape::{Real, Tape, Tensor};
 use super::SHARES;
 use super::markov::Chain;
 use super::node_motion::{NETWORK, NodeMotion, Predictions, frame_interval};
-use super::settings::Settings;
+use super::settings::{NodeSource, Settings};
 use crate::bases::canonical::{Moved, moved, scales_and_rotations};
-use crate::bases::control_nodes::{NODES, identity_rotations};
+use crate::bases::control_nodes::{NODES, TRANSLATION, identity_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::layers::FirstWeights;
 use crate::bases::static_mask;
@@ -22,8 +21,7 @@ use crate::data::{SceneFacts, Streams};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
-/// Output heads of the direct branch, whose initial motion is close to zero.
-const TRANSLATION: Head = Head { name: "translation", outputs: 3, first: FirstWeights::Normal(1e-5) };
+/// The second head of the direct branch, whose initial motion is close to zero.
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
 
 /// The control nodes with both motion branches.
@@ -37,19 +35,26 @@ impl Nodes {
     /// Nodes with the method's settings; the chain attends over its window if `attends`.
     pub(crate) fn new(settings: &Settings, attends: bool) -> Self {
         let heads = [TRANSLATION, ROTATION];
-        let network = CoordinateMlp::new(NETWORK, &settings.network, FirstWeights::FanIn, &heads);
+        let network = CoordinateMlp::new(NETWORK, &settings.network, FirstWeights::He, &heads);
         Self { settings: settings.clone(), network, chain: Chain::new(&settings.chain, attends) }
     }
 
-    /// Adds the tensors of both branches; the points give the bounding box of the network.
-    pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, points: &PointCloud, random: Streams) {
-        self.network.insert(state, points, random);
+    /// The network of the direct branch.
+    pub(crate) fn network(&self) -> &CoordinateMlp {
+        &self.network
+    }
+
+    /// Adds the tensors of the chain.
+    pub(crate) fn insert_chain<T: Real>(&self, state: &mut ModelState<T>, random: Streams) {
         self.chain.insert(state, random);
     }
 
-    /// Learning rates of nodes and branches.
+    /// Learning rates of nodes and branches. Nodes of the node stage stay where they are, as in SC-GS.
     pub(crate) fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
-        let is_learnt = ["nodes.positions", "nodes.log_radii"].contains(&tensor);
+        let is_learnt = match tensor {
+            "nodes.positions" => self.settings.nodes_from == NodeSource::Gaussians,
+            tensor => tensor == "nodes.log_radii",
+        };
         let of_nodes = || is_learnt.then_some(self.settings.nodes.rate);
         let of_chain = || belongs(tensor, Chain::NAME).then_some(self.settings.network.rate);
         self.network.learning_rate(tensor).or_else(of_chain).or_else(of_nodes)
@@ -137,7 +142,7 @@ impl Nodes {
     ) -> SplatVars {
         let nodes = model.get(&format!("{NODES}.positions"));
         let log_radii = model.get(&format!("{NODES}.log_radii"));
-        let (points, count) = (canonical.positions, self.settings.nodes.per_gaussian);
+        let (points, count) = (tape.detach(canonical.positions), self.settings.nodes.per_gaussian);
         let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), count);
         let weights = weights(tape, points, nodes, log_radii, None, &neighbors);
         let shift = blend(tape, weights, motion.translations, &neighbors);
@@ -147,7 +152,7 @@ impl Nodes {
         let sum = blend(tape, weights, aligned, &neighbors);
         let turn = quaternion::normalize(tape, sum);
         let (_, rotations) = scales_and_rotations(&canonical);
-        let positions = add(tape, points, shift);
+        let positions = add(tape, canonical.positions, shift);
         let rotations = quaternion::multiply(tape, turn, rotations);
         moved(tape, canonical, Moved { positions, rotations, scale_changes: None })
     }

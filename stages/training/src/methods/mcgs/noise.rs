@@ -30,6 +30,11 @@ impl Default for NoiseSettings {
     }
 }
 
+/// The remaining share of the noise.
+pub(crate) fn left<T: Real>(step: &Step<'_, T>) -> f64 {
+    step.tape.value(step.model.get(NOISE)).as_slice()[0].to_f64()
+}
+
 /// Adds noise to the chained motion of one time: Δμ + η·N(0, σ²) and SLERP(Δq, Δq + N(0, σ²), η_q), with η = 1 + 2(1 −
 /// visibility) per node and η_q half of it, at most 1.
 pub(crate) fn disturb<T: Real>(
@@ -37,7 +42,7 @@ pub(crate) fn disturb<T: Real>(
     predictions: &Predictions,
     settings: &NoiseSettings,
 ) -> Predictions {
-    let left = step.tape.value(step.model.get(NOISE)).as_slice()[0].to_f64();
+    let left = left(step);
     if left == 0.0 {
         return *predictions;
     }

@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 use super::markov::ChainSettings;
 use super::noise::NoiseSettings;
 use super::physics::PhysicsSettings;
-use crate::bases::control_nodes::ControlNodeSettings;
+use crate::bases::control_nodes::{ControlNodeSettings, NodeStageSettings};
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
+use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE_UNTIL};
 
 /// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,6 +17,10 @@ pub(crate) struct Settings {
     pub network: CoordinateMlpSettings,
     /// The control nodes.
     pub nodes: ControlNodeSettings,
+    /// What becomes a node.
+    pub nodes_from: NodeSource,
+    /// The candidates, if nodes are chosen from them.
+    pub node_stage: NodeStageSettings,
     /// The Markov chain.
     pub chain: ChainSettings,
     /// How direct and predicted motion are mixed.
@@ -26,6 +31,20 @@ pub(crate) struct Settings {
     pub rigidity: f64,
     /// Weights of the effect `physics`.
     pub physics: PhysicsSettings,
+    /// Initial standard deviation of the effect `time-noise`, in frame intervals.
+    pub time_noise: f64,
+    /// Iteration at which the time noise reaches zero.
+    pub time_noise_until: u64,
+}
+
+/// What becomes a control node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum NodeSource {
+    /// Gaussians at the end of the static warm-up. Their nodes learn their positions.
+    Gaussians,
+    /// Candidates of the node stage of SC-GS, trained before the Gaussians.
+    Candidates,
 }
 
 /// The chain's shares λ of the motion (equations 10 and 11), which grow linearly.
@@ -55,11 +74,15 @@ impl Default for Settings {
         Self {
             network: CoordinateMlpSettings::default(),
             nodes: ControlNodeSettings::default(),
+            nodes_from: NodeSource::Gaussians,
+            node_stage: NodeStageSettings::default(),
             chain: ChainSettings::default(),
             mixing: Mixing::default(),
             noise: NoiseSettings::default(),
             rigidity: 1e-4,
             physics: PhysicsSettings::default(),
+            time_noise: FIRST_TIME_NOISE,
+            time_noise_until: TIME_NOISE_UNTIL,
         }
     }
 }
@@ -77,6 +100,7 @@ impl Settings {
             noise: NoiseSettings { rotation: 0.2, ..NoiseSettings::default() },
             rigidity: 0.01,
             physics: PhysicsSettings { acceleration: 0.01, speed_penalty: 0.01, ..PhysicsSettings::default() },
+            ..Self::default()
         }
     }
 
@@ -84,11 +108,20 @@ impl Settings {
     pub(crate) fn check(&self) -> Result<(), String> {
         self.network.check()?;
         self.nodes.check()?;
+        self.node_stage.check()?;
         self.chain.check()?;
         let Mixing { first, position, rotation, direct_views, .. } = self.mixing;
         let shares = [first, position, rotation, direct_views];
         let PhysicsSettings { acceleration, speed_penalty, turning } = self.physics;
-        let weights = [self.rigidity, acceleration, speed_penalty, turning, self.noise.position, self.noise.rotation];
+        let weights = [
+            self.rigidity,
+            acceleration,
+            speed_penalty,
+            turning,
+            self.noise.position,
+            self.noise.rotation,
+            self.time_noise,
+        ];
         let good = [
             (shares.iter().all(|share| (0.0..=1.0).contains(share)), "shares of the mixing must be 0 to 1"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),

@@ -63,7 +63,8 @@ fn nodes(settings: &Settings, attends: bool) -> (Nodes, ModelState<f64>) {
     let mut state = ModelState::new();
     insert_nodes(&mut state, Tensor::from_vec([5, 3], noise(15, 1)), 0.3);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
-    nodes.insert(&mut state, &points, Streams::new(1));
+    nodes.network().insert(&mut state, &points, Streams::new(1));
+    nodes.insert_chain(&mut state, Streams::new(1));
     controls::insert(&mut state, settings, false).unwrap();
     (nodes, state)
 }
@@ -106,6 +107,25 @@ fn an_untrained_chain_repeats_the_last_state() {
             "the direct branch does not move between the frames"
         );
     }
+}
+
+#[test]
+fn candidates_become_nodes_that_stay_where_they_are() {
+    let settings = Settings { nodes_from: NodeSource::Candidates, ..Settings::tiny() };
+    let method = Mcgs::build::<f64>(&Mcgs::shared_defaults(), settings.clone());
+    let phases: Vec<_> = method.phases().into_iter().map(|phase| (phase.name, phase.iterations)).collect();
+    let expected =
+        [("place-candidates", 2000), ("choose-nodes", 5500), ("settle-nodes", 2500), (WARM_UP, 3000), (ALL, 27_000)];
+    assert_eq!(phases, expected);
+    let learns = |method: &dyn Method<f64>, phase, tensor| method.learning_rate(phase, tensor, &scene(11)).is_some();
+    assert!(learns(&*method, "settle-nodes", "candidates.positions"));
+    assert!(!learns(&*method, ALL, "nodes.positions") && learns(&*method, ALL, "nodes.log_radii"));
+    assert!(!learns(&*method, WARM_UP, "network.hidden.0.weight") && learns(&*method, ALL, "network.hidden.0.weight"));
+    let trained = ShortTraining::run(Mcgs::NAME, to_value(settings).unwrap(), &["motion"]);
+    assert!(trained.count_tensors("nodes.") > 0 && trained.count_tensors("candidates.") == 0);
+    let of_gaussians = Mcgs::build::<f64>(&Mcgs::shared_defaults(), Settings::tiny());
+    assert!(of_gaussians.phases()[..3].iter().all(|phase| phase.iterations == 0));
+    assert!(learns(&*of_gaussians, ALL, "nodes.positions"));
 }
 
 #[test]

@@ -1,6 +1,5 @@
 //! SC-GS (Huang et al. 2024): a few hundred control nodes, moved by a coordinate network, carry all Gaussians.
 
-mod candidates;
 mod nodes;
 #[cfg(test)]
 mod tests;
@@ -12,26 +11,20 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
-use crate::bases::control_nodes::{ControlNodeSettings, published_decay};
+use crate::bases::control_nodes::{
+    ControlNodeSettings, NODE_PHASES, NodeStage, NodeStageSettings, add_rigidity, published_decay,
+};
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
-use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::bases::gaussians::{self, GAUSSIANS};
 use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, TimeNoise};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
-use crate::schedule::{LogLinear, Phase, stretch};
+use crate::schedule::{LogLinear, Phase};
 use crate::shared::{Density, Shared};
 use nodes::Nodes;
-
-/// The population of candidates.
-const CANDIDATES: &str = "candidates";
-/// The phase that places the node candidates, each rendered as a static Gaussian. If they moved from the first step on,
-/// the network would learn to move all of them out of the image, because random points are worse than an empty
-/// background.
-const PLACE_CANDIDATES: &str = "place-candidates";
-/// The phase in which candidates move.
-const CHOOSE_NODES: &str = "choose-nodes";
 
 /// SC-GS: sparse control nodes carry canonical Gaussians (Huang et al. 2024).
 pub(crate) struct Scgs;
@@ -48,7 +41,7 @@ pub(crate) struct Settings {
     pub features: usize,
     /// Learning rate of the Gaussians' learnt coordinates.
     pub feature_rate: f64,
-    /// Number of points that become initial candidates, evenly chosen.
+    /// Number of initial candidates, points that lie far apart.
     pub candidates: usize,
     /// Maximum number of candidates.
     pub max_candidates: usize,
@@ -56,6 +49,10 @@ pub(crate) struct Settings {
     pub rigidity: f64,
     /// Weight of the effect `arap` on candidates.
     pub candidate_rigidity: f64,
+    /// Initial standard deviation of the effect `time-noise`, in frame intervals.
+    pub time_noise: f64,
+    /// Iteration at which the time noise reaches zero, in the node stage and after it.
+    pub time_noise_until: u64,
 }
 
 impl Default for Settings {
@@ -65,11 +62,20 @@ impl Default for Settings {
             nodes: ControlNodeSettings { rate: LogLinear::constant(8e-4), ..ControlNodeSettings::default() },
             features: 8,
             feature_rate: 2.5e-3,
-            candidates: 2048,
+            candidates: 512,
             max_candidates: 8192,
             rigidity: 1e-4,
             candidate_rigidity: 1e-2,
+            time_noise: FIRST_TIME_NOISE,
+            time_noise_until: TIME_NOISE_UNTIL,
         }
+    }
+}
+
+impl Settings {
+    fn node_stage(&self) -> NodeStageSettings {
+        let Self { candidates, max_candidates, candidate_rigidity: rigidity, .. } = *self;
+        NodeStageSettings { candidates, max_candidates, rigidity }
     }
 }
 
@@ -79,9 +85,9 @@ impl MethodFolder for Scgs {
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
-        let iterations = [(PLACE_CANDIDATES, 2000), (CHOOSE_NODES, 5500), (WARM_UP, 3000), (ALL, 67_000)];
+        let iterations = NODE_PHASES.into_iter().chain([(WARM_UP, 3000), (ALL, 67_000)]);
         Shared {
-            iterations: iterations.map(|(phase, count)| (phase.into(), count)).into(),
+            iterations: iterations.map(|(phase, count)| (phase.into(), count)).collect(),
             density: Density { until: 50_000, ..Density::default() },
             ..Shared::default()
         }
@@ -102,19 +108,19 @@ impl MethodFolder for Scgs {
                 needs: &[Need::Effect("motion")],
                 by_default: true,
             },
+            TIME_NOISE,
         ]
     }
 
     fn check(settings: &Settings) -> Result<(), String> {
         settings.network.check()?;
         settings.nodes.check()?;
-        let weights = [settings.rigidity, settings.candidate_rigidity];
+        settings.node_stage().check()?;
         let good = [
             (settings.features <= 64, "features must be 64 at most"),
             (settings.feature_rate > 0.0 && settings.feature_rate.is_finite(), "feature_rate must be positive"),
-            (settings.candidates > 0, "candidates must be at least 1"),
-            (settings.max_candidates >= settings.candidates, "max_candidates must not be less than candidates"),
-            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
+            (settings.time_noise >= 0.0 && settings.time_noise.is_finite(), "time_noise must not be negative"),
+            (settings.rigidity >= 0.0 && settings.rigidity.is_finite(), "weights must not be negative"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
@@ -133,11 +139,19 @@ impl MethodFolder for Scgs {
 
     fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
         let moves = shared.effects.has("motion");
+        let is_rigid = moves && shared.effects.has("arap");
+        let time_noise = (moves && shared.effects.has(TIME_NOISE.name))
+            .then(|| TimeNoise::new(settings.time_noise, settings.time_noise_until));
+        let nodes = Nodes::new(&settings);
+        let stage = NodeStage::new(shared, &settings.node_stage(), &settings.nodes, nodes.network(), is_rigid)
+            .with_noise(time_noise);
         Box::new(SparselyControlled {
             canonical: CanonicalGaussians::new(shared),
-            nodes: Nodes::new(&settings),
+            stage,
+            nodes,
+            time_noise,
             moves,
-            is_rigid: moves && shared.effects.has("arap"),
+            is_rigid,
             shared: shared.clone(),
             settings,
         })
@@ -148,7 +162,9 @@ struct SparselyControlled {
     shared: Shared,
     settings: Settings,
     canonical: CanonicalGaussians,
+    stage: NodeStage,
     nodes: Nodes,
+    time_noise: Option<TimeNoise>,
     moves: bool,
     is_rigid: bool,
 }
@@ -159,12 +175,8 @@ impl<T: Real> Method<T> for SparselyControlled {
     }
 
     fn phases(&self) -> Vec<Phase> {
-        let of_candidates = |name| match self.moves {
-            true => self.canonical.phase(name),
-            false => Phase { name, iterations: 0 },
-        };
-        let [place, choose] = [PLACE_CANDIDATES, CHOOSE_NODES].map(of_candidates);
-        vec![place, choose, self.canonical.phase(WARM_UP), self.canonical.phase(ALL)]
+        let of_nodes = NodeStage::phases(&self.shared, self.moves);
+        [of_nodes, vec![self.canonical.phase(WARM_UP), self.canonical.phase(ALL)]].concat()
     }
 
     fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
@@ -172,9 +184,8 @@ impl<T: Real> Method<T> for SparselyControlled {
             return self.canonical.initialize(start, points, random);
         }
         let mut state = ModelState::new();
-        let degree = self.shared.harmonics.degree;
-        candidates::insert(&mut state, start.scene(), points, self.settings.candidates, degree)?;
-        self.nodes.insert_network(&mut state, points, random);
+        self.stage.insert_candidates(&mut state, start.scene(), points)?;
+        self.nodes.network().insert(&mut state, points, random);
         Ok(state)
     }
 
@@ -185,10 +196,14 @@ impl<T: Real> Method<T> for SparselyControlled {
         start: &Start<'_>,
         _random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
-        if !self.moves || phase != WARM_UP {
+        if !self.moves {
             return Ok(state);
         }
-        let mut state = self.nodes.choose(state)?;
+        let mut state = self.stage.enter_phase(phase, WARM_UP, state)?;
+        if phase != WARM_UP {
+            return Ok(state);
+        }
+        self.nodes.insert_gates_and_features(&mut state)?;
         // The Gaussians restart from the initial points, like the candidates.
         let points = start.initial_points(&self.shared)?;
         gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points)?;
@@ -199,13 +214,12 @@ impl<T: Real> Method<T> for SparselyControlled {
 
     fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         if self.has_candidates(phase) {
-            let law = candidates::learning_rate(&self.shared.learning_rates, tensor, scene);
-            let of_candidates = law.map(|law| law.after(self.steps_of_candidates_before(phase)));
-            let of_network = || self.nodes.learning_rate_among_candidates(tensor).filter(|_| phase == CHOOSE_NODES);
-            return of_candidates.or_else(of_network);
+            return self.stage.learning_rate(phase, tensor, scene);
         }
         let of_gaussians = Method::<T>::base(self).learning_rate(phase, tensor, scene);
-        of_gaussians.or_else(|| self.nodes.learning_rate(tensor, phase == ALL, self.steps_before_all()))
+        // The schedule of the network restarts with the Gaussians, which learn alone first.
+        let of_nodes = || self.nodes.learning_rate(tensor, self.canonical.iterations(WARM_UP)).filter(|_| phase == ALL);
+        of_gaussians.or_else(of_nodes)
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
@@ -213,8 +227,7 @@ impl<T: Real> Method<T> for SparselyControlled {
             return self.canonical.splats(tape, model, moment);
         }
         if self.has_candidates(moment.phase) {
-            let nodes = (moment.phase == CHOOSE_NODES).then_some(&self.nodes);
-            return Ok(candidates::splats(tape, model, nodes, moment));
+            return Ok(self.stage.splats(tape, model, moment));
         }
         let canonical = self.canonical.splats(tape, model, moment)?;
         Ok(static_mask::move_some(tape, model, canonical, |tape, some, rows| {
@@ -223,51 +236,39 @@ impl<T: Real> Method<T> for SparselyControlled {
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
+        if self.has_candidates(step.phase) {
+            return self.stage.losses(step);
+        }
         static_mask::count_skipped(step);
-        let population = if self.has_candidates(step.phase) { CANDIDATES } else { GAUSSIANS };
         for view in step.views {
             step.clock.enter("motion");
-            let splats = self.splats(step.tape, step.model, &step.moment(view))?;
-            let rendered = step.render(&splats, None, view, Observed::All(population))?;
+            let before = if step.phase == ALL { self.canonical.iterations(WARM_UP) } else { 0 };
+            let noisy = self.time_noise.map(|noise| noise.time(step, view, before));
+            let moment = Moment { time: noisy.unwrap_or(view.time), ..step.moment(view) };
+            let splats = self.splats(step.tape, step.model, &moment)?;
+            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
         }
-        if self.is_rigid && [CHOOSE_NODES, ALL].contains(&step.phase) {
-            let weight = match step.phase {
-                CHOOSE_NODES => self.settings.candidate_rigidity,
-                _ => self.rigidity_weight(step.iteration),
-            };
-            self.nodes.add_rigidity(step, population, weight);
+        if self.is_rigid && step.phase == ALL {
+            let (weight, positions) = (self.rigidity_weight(step.iteration), step.model.get("nodes.positions"));
+            add_rigidity(step, self.nodes.network(), positions, self.settings.nodes.rigid_neighbors, weight);
         }
         Ok(())
     }
 
     fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
-        if [PLACE_CANDIDATES, CHOOSE_NODES].contains(&phase) {
-            let white = scene.background == [1.0; 3];
-            let density = Density { max_count: self.settings.max_candidates, ..self.shared.density.clone() };
-            let scale = self.shared.schedule_scale;
-            let before = stretch(self.steps_of_candidates_before(phase), scale);
-            let control = AdaptiveDensity::new(CANDIDATES, &density, scale, white).after(before);
-            return if self.moves { vec![Box::new(control)] } else { Vec::new() };
+        match NodeStage::has(phase) {
+            true if self.moves => self.stage.hooks(phase, scene),
+            true => Vec::new(),
+            false => Method::<T>::base(self).hooks(phase, scene),
         }
-        Method::<T>::base(self).hooks(phase, scene)
     }
 }
 
 impl SparselyControlled {
     /// Whether the model of a phase consists of node candidates.
     fn has_candidates(&self, phase: &str) -> bool {
-        self.moves && [PLACE_CANDIDATES, CHOOSE_NODES].contains(&phase)
-    }
-
-    /// Number of candidate steps before a phase, before stretching.
-    fn steps_of_candidates_before(&self, phase: &str) -> u64 {
-        if phase == CHOOSE_NODES { self.canonical.iterations(PLACE_CANDIDATES) } else { 0 }
-    }
-
-    /// Number of network steps before [`ALL`], before stretching.
-    fn steps_before_all(&self) -> u64 {
-        [PLACE_CANDIDATES, CHOOSE_NODES, WARM_UP].map(|phase| self.canonical.iterations(phase)).iter().sum()
+        self.moves && NodeStage::has(phase)
     }
 
     /// The weight of rigidity in [`ALL`]; its schedule counts the steps of the Gaussians.
