@@ -50,13 +50,13 @@ impl Ramp {
     }
 
     /// The mixing shares [λ_pos, λ_rot] after `iteration` steps.
-    fn shares_at(&self, iteration: u64) -> [f64; 2] {
+    pub(super) fn shares_at(&self, iteration: u64) -> [f64; 2] {
         let [first, position, rotation] = self.shares;
         let progress = (iteration as f64 / self.shares_until as f64).min(1.0);
         [position, rotation].map(|last| first + (last - first) * progress)
     }
 
-    fn noise_at(&self, iteration: u64) -> f64 {
+    pub(super) fn noise_at(&self, iteration: u64) -> f64 {
         (1.0 - iteration as f64 / self.noise_until as f64).max(0.0)
     }
 }

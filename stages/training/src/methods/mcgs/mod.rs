@@ -13,6 +13,7 @@ mod visibility;
 
 use rand::RngExt as _;
 use shaders::arrays::rows::{RowIndex, gather};
+use shaders::geometry::camera::PinholeCamera;
 use shaders::pointwise::add;
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
@@ -190,7 +191,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             return Ok(stage.splats(tape, model, moment));
         }
         let canonical = self.canonical.splats(tape, model, moment)?;
-        if !self.moves || moment.phase == WARM_UP {
+        if !self.moves || moment.phase != ALL {
             // Gaussians that restart among trained nodes follow them from the start.
             let motion = self.stage.as_ref().map(|_| self.nodes.direct(tape, model, &[moment.time]));
             return Ok(motion.map_or(canonical, |motion| self.nodes.carry(tape, model, canonical, &motion)));
@@ -204,7 +205,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
         if let Some(stage) = self.stage.as_ref().filter(|_| NodeStage::has(step.phase)) {
             return stage.losses(step);
         }
-        if !self.moves || step.phase == WARM_UP {
+        if !self.moves || step.phase != ALL {
             return photometric_losses(self, step);
         }
         static_mask::count_skipped(step);
@@ -213,7 +214,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             step.clock.enter("motion");
             let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);
             let time = self.training_time(step, view);
-            let motion = self.training_motion(step, time);
+            let motion = self.training_motion(step, time, &view.camera);
             let splats = self.nodes.carry(step.tape, step.model, canonical, &motion);
             if looks {
                 visibility::measure(step, &splats, view)?;
@@ -271,7 +272,7 @@ impl MarkovGaussians {
     /// A random share of the views renders the direct branch alone. The mixture continues that branch's previous state,
     /// so with mixtures alone, an error in the branch that alternates in sign from frame to frame would never show in
     /// an image.
-    fn training_motion<T: Real>(&self, step: &mut Step<'_, T>, time: f64) -> NodeMotion {
+    fn training_motion<T: Real>(&self, step: &mut Step<'_, T>, time: f64, camera: &PinholeCamera) -> NodeMotion {
         if step.random.of("direct views").random::<f64>() < self.settings.mixing.direct_views {
             step.count_skipped("chain in views of the direct branch", 1, 1);
             return self.nodes.direct(step.tape, step.model, &[time]);
@@ -282,7 +283,7 @@ impl MarkovGaussians {
         let weight = self.rigidity_weight(step.iteration);
         if !has_neighbors || !(self.has_physics || weight > 0.0) {
             let predictions = self.nodes.predict(step.tape, step.model, &[time], step.scene);
-            return self.noisy(step, &predictions);
+            return self.noisy(step, &predictions, camera);
         }
         let times = [time - frame, time, time + frame];
         let predictions = self.nodes.predict(step.tape, step.model, &times, step.scene);
@@ -300,13 +301,13 @@ impl MarkovGaussians {
         let nodes = step.tape.value(frames[1].translations).rows();
         let middle = RowIndex::new((nodes..2 * nodes).map(|row| row as u32).collect(), times.len() * nodes);
         let of_middle = predictions.map(|var| gather(step.tape, var, &middle));
-        self.noisy(step, &of_middle)
+        self.noisy(step, &of_middle, camera)
     }
 
     /// The mixture of direct and predicted motion, with noise on the prediction if the effect is on.
-    fn noisy<T: Real>(&self, step: &mut Step<'_, T>, predictions: &Predictions) -> NodeMotion {
+    fn noisy<T: Real>(&self, step: &mut Step<'_, T>, predictions: &Predictions, camera: &PinholeCamera) -> NodeMotion {
         let predictions = match self.has_noise {
-            true => noise::disturb(step, predictions, &self.settings.noise),
+            true => noise::disturb(step, predictions, &self.settings.noise, camera),
             false => *predictions,
         };
         self.nodes.mix(step.tape, step.model, &predictions)

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::scale_rows;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::geometry::quaternion;
 use shaders::pointwise;
 use shaders::pointwise::{add, scale, shift};
@@ -16,8 +17,9 @@ use crate::method::Step;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct NoiseSettings {
-    /// Initial standard deviation of positions, as a share of the scene's extent.
-    pub position: f64,
+    /// Initial standard deviation of positions, px of an image at the distance of one extent of the scene. In lengths of
+    /// the scene, what is a pixel in an image of 800 px would be an eighth of one in an image of 100 px.
+    pub position_px: f64,
     /// Initial standard deviation of quaternions.
     pub rotation: f64,
     /// The iteration at which the noise reaches zero, counted from the start of the training.
@@ -26,7 +28,14 @@ pub(crate) struct NoiseSettings {
 
 impl Default for NoiseSettings {
     fn default() -> Self {
-        Self { position: 5e-3, rotation: 0.02, until: 20_000 }
+        Self { position_px: 5.0, rotation: 0.1, until: 20_000 }
+    }
+}
+
+impl NoiseSettings {
+    /// The initial standard deviation of positions in the images of a camera, scene units.
+    fn position_world(&self, extent: f64, camera: &PinholeCamera) -> f64 {
+        self.position_px * extent / camera.focal[0]
     }
 }
 
@@ -41,6 +50,7 @@ pub(crate) fn disturb<T: Real>(
     step: &mut Step<'_, T>,
     predictions: &Predictions,
     settings: &NoiseSettings,
+    camera: &PinholeCamera,
 ) -> Predictions {
     let left = left(step);
     if left == 0.0 {
@@ -50,7 +60,7 @@ pub(crate) fn disturb<T: Real>(
     let scaled = scale(step.tape, visibility, -2.0);
     let strength = shift(step.tape, scaled, 3.0);
     let shares = at_most_one(step.tape, strength, 0.5);
-    let position = left * settings.position * step.scene.extent;
+    let position = left * settings.position_world(step.scene.extent, camera);
     let [shifts, turns] = [(3, position), (4, left * settings.rotation)].map(|(columns, deviation)| {
         let draws = draws(step, columns, deviation);
         step.tape.constant(draws)
@@ -76,5 +86,33 @@ pointwise! {
     }
     gradients(dy) {
         x: { return select(0.0, factor * dy, factor * x < 1.0); }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::methods::mcgs::controls::Ramp;
+    use crate::methods::mcgs::settings::Settings;
+
+    #[test]
+    fn the_noise_in_the_mixture_reaches_most_of_a_pixel_at_every_size() {
+        let (settings, ramp) = (Settings::default(), Ramp::new(&Settings::default(), 3000, 1.0));
+        for width in [64, 800] {
+            let camera = PinholeCamera {
+                width,
+                height: width,
+                focal: [1.1 * width as f64; 2],
+                center: [0.5 * width as f64; 2],
+                rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                translation: [0.0; 3],
+            };
+            // The mixture contains the share λ of the noise, of which a part is left.
+            let share = |iteration| ramp.shares_at(iteration)[0] * ramp.noise_at(iteration);
+            let largest = (0..27_000).step_by(100).map(share).fold(0.0, f64::max);
+            // A node at the distance of one extent that is always visible.
+            let pixels = largest * settings.noise.position_world(4.0, &camera) / 4.0 * camera.focal[0];
+            assert!((0.8..1.2).contains(&pixels), "{pixels} px at {width}");
+        }
     }
 }

@@ -25,7 +25,7 @@ pub(crate) struct PhysicsSettings {
 
 impl Default for PhysicsSettings {
     fn default() -> Self {
-        Self { acceleration: 1e-3, speed_penalty: 1e-4, turning: 0.1 }
+        Self { acceleration: 0.1, speed_penalty: 1e-3, turning: 0.1 }
     }
 }
 

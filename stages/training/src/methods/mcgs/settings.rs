@@ -118,7 +118,7 @@ impl Settings {
             acceleration,
             speed_penalty,
             turning,
-            self.noise.position,
+            self.noise.position_px,
             self.noise.rotation,
             self.time_noise,
         ];
