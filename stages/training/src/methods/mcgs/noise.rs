@@ -34,7 +34,7 @@ impl Default for NoiseSettings {
 
 impl NoiseSettings {
     /// The initial standard deviation of positions in the images of a camera, scene units.
-    fn position_world(&self, extent: f64, camera: &PinholeCamera) -> f64 {
+    pub(super) fn position_world(&self, extent: f64, camera: &PinholeCamera) -> f64 {
         self.position_px * extent / camera.focal[0]
     }
 }
@@ -86,33 +86,5 @@ pointwise! {
     }
     gradients(dy) {
         x: { return select(0.0, factor * dy, factor * x < 1.0); }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::methods::mcgs::controls::Ramp;
-    use crate::methods::mcgs::settings::Settings;
-
-    #[test]
-    fn the_noise_in_the_mixture_reaches_most_of_a_pixel_at_every_size() {
-        let (settings, ramp) = (Settings::default(), Ramp::new(&Settings::default(), 3000, 1.0));
-        for width in [64, 800] {
-            let camera = PinholeCamera {
-                width,
-                height: width,
-                focal: [1.1 * width as f64; 2],
-                center: [0.5 * width as f64; 2],
-                rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-                translation: [0.0; 3],
-            };
-            // The mixture contains the share λ of the noise, of which a part is left.
-            let share = |iteration| ramp.shares_at(iteration)[0] * ramp.noise_at(iteration);
-            let largest = (0..27_000).step_by(100).map(share).fold(0.0, f64::max);
-            // A node at the distance of one extent that is always visible.
-            let pixels = largest * settings.noise.position_world(4.0, &camera) / 4.0 * camera.focal[0];
-            assert!((0.8..1.2).contains(&pixels), "{pixels} px at {width}");
-        }
     }
 }

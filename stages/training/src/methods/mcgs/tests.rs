@@ -166,3 +166,24 @@ fn zero_node_motion_leaves_gaussians_unchanged() {
     let rotations = |splats: &SplatVars| tape.value(splats.shape.scales_and_rotations().unwrap().1).clone();
     shaders::check::agree(&rotations(&carried), &rotations(&canonical), 1e-14).unwrap();
 }
+
+#[test]
+fn the_noise_in_the_mixture_reaches_most_of_a_pixel_at_every_size() {
+    let (settings, ramp) = (Settings::default(), controls::Ramp::new(&Settings::default(), 3000, 1.0));
+    for width in [64, 800] {
+        let camera = PinholeCamera {
+            width,
+            height: width,
+            focal: [1.1 * width as f64; 2],
+            center: [0.5 * width as f64; 2],
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [0.0; 3],
+        };
+        // The mixture contains the share λ of the noise, of which a part is left.
+        let share = |iteration| ramp.shares_at(iteration)[0] * ramp.noise_at(iteration);
+        let largest = (0..27_000).step_by(100).map(share).fold(0.0, f64::max);
+        // A node at the distance of one extent that is always visible.
+        let pixels = largest * settings.noise.position_world(4.0, &camera) / 4.0 * camera.focal[0];
+        assert!((0.8..1.2).contains(&pixels), "{pixels} px at {width}");
+    }
+}
