@@ -16,7 +16,7 @@ const BETTER: f64 = 0.8;
 const MAJORITY: f64 = 0.75;
 
 /// The shift by one frame, −1 or 1, with which the flow explains the images clearly better; none if there is none, or
-/// too little flow to tell.
+/// if too little flow can be checked.
 pub(crate) fn better_shift(files: &Files<'_>) -> anyhow::Result<Option<i64>> {
     let count = files.capture().views.len();
     let candidates: Vec<usize> = (0..count).step_by(count.div_ceil(CHECKED).max(1)).collect();
