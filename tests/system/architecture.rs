@@ -93,7 +93,7 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
         ],
     ),
     ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),
-    ("metric-evaluation", &["Metrics", "Metric", "Score", "Trivial", "MeanImage", "Degenerate"]),
+    ("metric-evaluation", &["Metrics", "Metric", "MaskName", "Score", "Trivial", "MeanImage", "Degenerate"]),
 ];
 
 /// Helpers for tests: every crate's tests may use them, its product code must not.

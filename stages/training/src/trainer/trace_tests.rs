@@ -49,7 +49,7 @@ fn write_trace() {
     trace(&dir, &request, &Dataset::load(Capture::open(&capture).unwrap(), 1).unwrap());
 }
 
-/// Where no trace is asked for: describing steps changes none of them.
+/// Without a requested trace: describing steps changes none of them.
 fn a_traced_training_is_that_training() {
     let (_capture, dataset) = dataset(TestScene::default());
     let params = json!({ "method": "deformable3dgs", "iterations": { "warm-up": 3, "all": 5 },

@@ -60,7 +60,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// The layout of an array of this shape; none if it is no image of so many channels.
+    /// The layout of an array of this shape; none if it is no image with this many channels.
     fn of(shape: &[usize], channels: usize) -> Option<Self> {
         let (height, width, strides) = match *shape {
             [height, width] if channels == 1 => (height, width, [width, 1, 0]),
