@@ -155,13 +155,12 @@ fn masked_runs(of_masks: &[(MaskName, Score)]) -> Vec<Run> {
 fn masked_cells(of_masks: &[(MaskName, Score)]) -> [String; 2] {
     let all = tables(masked_runs(of_masks), &["kineticgs"]);
     // Table 1 is wide: a line for measured values, and one column per printed one. Its last mPSNR is the mean.
-    let means = all[0].header.iter().enumerate().filter(|(_, text)| *text == "mPSNR").last();
-    let (at, _) = means.expect("a column of means");
-    let foreground = row(&all[0], "KineticGS (Ours)", Some("measured"))[at].clone();
+    let at = all[0].header.iter().rposition(|text| text == "mPSNR").expect("a column of means");
+    let foreground = row(&all[0], "KineticGS (Ours)", Some("measured"))[at];
     // In Table 2, measured values have columns of their own.
     let at = all[1].header.iter().position(|text| text == "measured").expect("a column of measured values");
     // The reason of a missing mean names a scene before it.
-    [foreground, row(&all[1], "KineticGS (Ours)", None)[at].clone()]
+    [foreground, row(&all[1], "KineticGS (Ours)", None)[at]]
         .map(|cell| cell.rsplit(": ").next().expect("a part").to_owned())
 }
 

@@ -137,7 +137,7 @@ impl NodeStage {
     ) -> anyhow::Result<ModelState<T>> {
         match phase {
             SETTLE_NODES => self.keep_chosen(state),
-            phase if phase == after_stage => self.into_nodes(state),
+            phase if phase == after_stage => self.nodes_of(state),
             _ => Ok(state),
         }
     }
@@ -152,7 +152,7 @@ impl NodeStage {
         Ok(state)
     }
 
-    fn into_nodes<T: Real>(&self, candidates: ModelState<T>) -> anyhow::Result<ModelState<T>> {
+    fn nodes_of<T: Real>(&self, candidates: ModelState<T>) -> anyhow::Result<ModelState<T>> {
         let positions = candidates.get("candidates.positions")?.clone();
         let mut state = ModelState::new();
         let others = candidates.into_iter().filter(|(name, _)| !belongs(name, CANDIDATES));
