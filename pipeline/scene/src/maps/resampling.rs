@@ -11,7 +11,7 @@ const PATCH_PX: u32 = 14;
 /// Resamples a map to the size of a view and returns it with the horizontal and vertical scale factors.
 ///
 /// Every pixel takes the nearest value of the file: a mean across an edge would belong to neither side. A map with
-/// another aspect ratio is an error, unless both sides are multiples of [`PATCH_PX`] and rounding to them explains it.
+/// another aspect ratio is an error, unless both sides are multiples of `PATCH_PX` and rounding to them explains it.
 pub fn fit_to_view(image: FloatImage, view: &Intrinsics, path: &Path) -> Result<(FloatImage, [f32; 2])> {
     let (width, height) = (view.width, view.height);
     if (image.width, image.height) == (width, height) {
