@@ -1,12 +1,15 @@
 //! NumPy `.npy` files with arrays of any shape.
 
-use std::io::Cursor;
+use std::io::{Cursor, Read as _};
 use std::path::Path;
 
 use npyz::{DType, NpyFile, Order};
 
 use crate::image_file::read_file;
 use crate::{Error, Result};
+
+/// Largest decompressed array: a cloud of 10 million points with 7 doubles each, against archives that expand without end.
+const MAX_MEMBER_BYTES: u64 = 560_000_000;
 
 /// A decoded array.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +23,15 @@ pub struct NpyArray {
 /// Reads an array of floats (half, single or double), integers of up to 32 bits (u1, u2, i4), or booleans (0 and 1).
 pub fn read(path: &Path) -> Result<NpyArray> {
     parse(&read_file(path)?, path)
+}
+
+/// Reads the array called `name` from an `.npz` archive, like [`read`].
+pub fn read_member(path: &Path, name: &str) -> Result<NpyArray> {
+    let mut archive = zip::ZipArchive::new(Cursor::new(read_file(path)?)).map_err(|error| damaged(&error, path))?;
+    let member = archive.by_name(&format!("{name}.npy")).map_err(|error| damaged(&error, path))?;
+    let mut bytes = Vec::new();
+    member.take(MAX_MEMBER_BYTES).read_to_end(&mut bytes).map_err(|error| damaged(&error, path))?;
+    parse(&bytes, path)
 }
 
 /// Decodes the bytes of an `.npy` file, like [`read`]; errors name `path`.

@@ -38,7 +38,7 @@ pub(crate) fn native_size(dir: &Path, params: &Params) -> Option<(u32, u32)> {
 /// The capture, if its files can be read quickly; problems with them are reported by the import.
 fn listed(dir: &Path, params: &Params) -> Option<SourceCapture> {
     let format = recognise(dir, params.format).ok()?;
-    let is_quick = matches!(format, Format::Blender | Format::Nerfstudio | Format::Nerfies | Format::N3v);
+    let is_quick = !matches!(format, Format::Auto | Format::Colmap);
     if is_quick { read_views(dir, params).ok() } else { None }
 }
 

@@ -22,6 +22,8 @@ pub struct Params {
     /// COLMAP: the folder of images in the capture, e.g. `images_4`. If unset: the smallest copy `images_2`, `images_4`, … of
     /// at least `width`, otherwise `images`. Names and sizes must be those of the model.
     pub images: Option<PathBuf>,
+    /// EasyVolcap: the folder of `intri.yml` and `extri.yml` in the capture, e.g. `optimized`. If unset: the capture itself.
+    pub calibration: Option<PathBuf>,
     /// The background for compositing transparent images and for rendering models of this capture.
     pub background: Background,
     /// Blender and nerfstudio: the official split that serves as the test split. The literature uses `val` for D-NeRF's Lego.
@@ -32,6 +34,13 @@ pub struct Params {
     /// Captures without an official split (COLMAP, nerfstudio without lists of file names, Blender without test and val
     /// files): every n-th image, starting with the first, is a test view; of a rig, every n-th camera. 0 makes no test views.
     pub every_nth: u32,
+    /// Rigs: the names of the cameras that are test views, e.g. `["08"]`. Empty: those of the benchmark (`cam00` of Neural 3D
+    /// Video, 10 of Technicolor, the test file of Dynamic 3D Gaussians), otherwise every `every_nth`-th camera.
+    pub test_cameras: Vec<String>,
+    /// Rigs: the number of the first frame, as in the file names. If unset: the first frame that exists.
+    pub first_frame: Option<u64>,
+    /// Rigs: number of frames. If unset: all, and of Neural 3D Video at most 300.
+    pub frame_count: Option<u32>,
     /// Number of validation views, evenly spread over the official val split, or held out of the training views if there is
     /// no such split. If unset: Blender's official val split, unless it serves as the test split; otherwise none.
     pub val_count: Option<u32>,
@@ -39,7 +48,7 @@ pub struct Params {
     pub frame_step: u32,
     /// Maximum number of training views, evenly spread, after `frame_step`.
     pub train_limit: Option<u32>,
-    /// COLMAP, Nerfies and Neural 3D Video: frames per second of the video that the images come from.
+    /// Frames per second of the videos that the images come from. Transforms files state times instead.
     pub fps: f64,
     /// Whether all images show the same instant (photos of a static scene).
     #[serde(rename = "static")]
@@ -66,6 +75,17 @@ pub enum Format {
     Colmap,
     /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`: Nerfies, HyperNeRF and DyCheck.
     Nerfies,
+    /// `intri.yml`, `extri.yml` and `images/CAMERA/FRAME.jpg`: EasyMocap, EasyVolcap, ENeRF-Outdoor, MobileStage.
+    EasyVolcap,
+    /// CMU Panoptic: `train_meta.json` and `ims/` of Dynamic 3D Gaussians, or `calibration_*.json` and `hdImgs/` of the
+    /// studio's toolbox.
+    Panoptic,
+    /// `cameras_parameters.txt` and `SCENE_undist_FFFFF_CC.png`: the light-field videos of Technicolor.
+    Technicolor,
+    /// `poses_bounds.npy` and `images/`: photos of a static scene, as LLFF stores them.
+    Llff,
+    /// `poses_bounds.npy`, `images/` and `mv_images/`: NVIDIA's Dynamic Scenes, as NSFF prepares them.
+    Nvidia,
     /// `poses_bounds.npy` and the frames of each camera in `camNN/images` or `camNN`: Neural 3D Video.
     N3v,
 }
@@ -110,10 +130,14 @@ impl Default for Params {
             width: None,
             resize: None,
             images: None,
+            calibration: None,
             background: Background::White,
             test_split: TestSplit::Test,
             protocol: String::new(),
             every_nth: 8, // the split of LLFF, Mip-NeRF 360 and the 3DGS loaders
+            test_cameras: Vec::new(),
+            first_frame: None,
+            frame_count: None,
             val_count: None,
             frame_step: 1,
             train_limit: None,
@@ -134,6 +158,11 @@ impl Format {
             Self::Nerfstudio => "nerfstudio",
             Self::Colmap => "colmap",
             Self::Nerfies => "nerfies",
+            Self::EasyVolcap => "easyvolcap",
+            Self::Panoptic => "panoptic",
+            Self::Technicolor => "technicolor",
+            Self::Llff => "llff",
+            Self::Nvidia => "nvidia",
             Self::N3v => "n3v",
         }
     }
@@ -183,6 +212,13 @@ impl Params {
                 "the folder of images must be inside the capture",
                 "e.g. images = \"images_4\"",
             ),
+            (
+                self.calibration.as_deref().is_some_and(|folder| !relative(folder)),
+                "calibration",
+                "the folder of the calibration must be inside the capture",
+                "e.g. calibration = \"optimized\"",
+            ),
+            (self.frame_count == Some(0), "frame_count", "must be at least 1", "omit it to keep every frame"),
             (self.width == Some(0), "width", "must be at least 1 pixel", "omit it to keep the native size"),
             (
                 self.width.is_some_and(|width| width > MAX_WIDTH),

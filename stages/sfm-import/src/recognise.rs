@@ -9,7 +9,7 @@ use crate::files::children;
 use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
-use crate::{blender, colmap, n3v, nerfies, nerfstudio};
+use crate::{blender, colmap, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, technicolor};
 
 /// Reads the capture in `dir`; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
@@ -24,6 +24,11 @@ pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Format::Colmap => colmap::read(dir, params),
         Format::Nerfies => nerfies::read(dir, params),
         Format::N3v => n3v::read(dir, params),
+        Format::EasyVolcap => easy_volcap::read(dir, params),
+        Format::Panoptic => panoptic::read(dir, params),
+        Format::Technicolor => technicolor::read(dir, params),
+        Format::Llff => llff::read(dir, params),
+        Format::Nvidia => nvidia::read(dir, params),
         Format::Nerfstudio => nerfstudio::read(dir, params),
         _ => blender::read(dir, params),
     }
@@ -63,6 +68,11 @@ fn formats_of(dir: &Path) -> Vec<Format> {
         (Format::Colmap, is_colmap(dir)),
         (Format::Nerfies, nerfies::is_present(dir)),
         (Format::N3v, n3v::is_present(dir)),
+        (Format::EasyVolcap, easy_volcap::is_present(dir)),
+        (Format::Panoptic, panoptic::is_present(dir)),
+        (Format::Technicolor, technicolor::is_present(dir)),
+        (Format::Nvidia, nvidia::is_present(dir)),
+        (Format::Llff, is_llff(dir)),
     ];
     present.into_iter().filter(|(_, is_present)| *is_present).map(|(format, _)| format).collect()
 }
@@ -74,15 +84,25 @@ fn is_colmap(dir: &Path) -> bool {
     model.is_some_and(|model| !model.starts_with(dir.join("colmap")) || !has_transforms())
 }
 
+/// Whether `dir` is an LLFF capture. Its files are also those of rigs and of COLMAP models that more is known about.
+fn is_llff(dir: &Path) -> bool {
+    llff::is_present(dir) && !n3v::is_present(dir) && !nvidia::is_present(dir) && !is_colmap(dir)
+}
+
 /// The error for a folder without the wanted format: it lists the files found and the supported layouts.
 fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     let what = match wanted {
-        Format::Auto => "not a Blender/D-NeRF, nerfstudio, COLMAP, Nerfies/HyperNeRF or Neural 3D Video capture",
+        Format::Auto => "no capture in a known format",
         Format::Blender => "not a Blender/D-NeRF capture",
         Format::Nerfstudio => "not a nerfstudio capture",
         Format::Colmap => "not a COLMAP capture",
         Format::Nerfies => "not a Nerfies/HyperNeRF capture",
         Format::N3v => "not a Neural 3D Video capture",
+        Format::EasyVolcap => "not an EasyVolcap capture",
+        Format::Panoptic => "not a CMU Panoptic capture",
+        Format::Technicolor => "not a Technicolor capture",
+        Format::Llff => "not an LLFF capture",
+        Format::Nvidia => "not a capture of NVIDIA's Dynamic Scenes",
     };
     let mut found: Vec<String> = children(dir);
     let hint = if found.is_empty() {

@@ -1,6 +1,7 @@
 //! Helpers that the tests of several crates share: skipping a test whose requirements this machine lacks, and damaging
 //! files. No product code may depend on this crate, and its sources are not part of the code fingerprint.
 
+pub mod fakes;
 pub mod mangle;
 
 use std::io::Write;

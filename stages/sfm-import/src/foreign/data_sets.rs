@@ -1,7 +1,7 @@
 //! Layouts of published data sets.
 
 use super::listing::Listing;
-use crate::n3v;
+use crate::{n3v, poses_bounds};
 
 /// How to state cameras of any origin.
 const TO_COLMAP: &str = "write a COLMAP model instead: the frames in images/CAMERA/FRAME.png, one line per camera in \
@@ -17,11 +17,11 @@ pub(super) fn neural_3d_video_without_poses(listing: &Listing) -> Option<String>
     })
 }
 
-/// LLFF: poses of one folder of images.
+/// LLFF without its photos.
 pub(super) fn llff(listing: &Listing) -> Option<String> {
-    listing.has("poses_bounds.npy").then(|| {
-        "poses_bounds.npy is read beside one folder per camera (cam00/images, cam01/images, …, as in Neural 3D Video), not \
-         beside a single folder of images (LLFF): add the COLMAP model that it was made from (sparse/0)"
+    listing.has(poses_bounds::FILE).then(|| {
+        "poses_bounds.npy has the poses of LLFF, but the images are missing: put them into images/, in the order of its rows, \
+         or the frames of a rig into cam00/images, cam01/images, …"
             .into()
     })
 }
@@ -44,10 +44,12 @@ pub(super) fn nerfies(listing: &Listing) -> Option<String> {
 /// Calibrations of EasyMocap and EasyVolcap: ENeRF-Outdoor, MobileStage, ZJU-MoCap.
 pub(super) fn easy_volcap(listing: &Listing) -> Option<String> {
     match (listing.has("intri.yml"), listing.has("extri.yml")) {
-        (true, true) => Some(format!(
-            "intri.yml and extri.yml are a calibration of EasyMocap or EasyVolcap: {TO_COLMAP}; Rot and T of extri.yml are \
-             such a pose"
-        )),
+        (true, true) => Some(
+            "intri.yml and extri.yml are a calibration of EasyMocap or EasyVolcap without frames: put them into \
+             images/CAMERA/000000.jpg, with the names of intri.yml; from videos with `ffmpeg -i videos/CAMERA.mp4 -qscale:v 2 \
+             -start_number 0 images/CAMERA/%06d.jpg`"
+                .into(),
+        ),
         (true, false) => Some(
             "intri.yml has the lenses of an EasyMocap or EasyVolcap calibration, but extri.yml with the poses is missing".into(),
         ),
@@ -58,19 +60,23 @@ pub(super) fn easy_volcap(listing: &Listing) -> Option<String> {
     }
 }
 
-/// Panoptic Sports as Dynamic 3D Gaussians stores it.
+/// Panoptic Sports as Dynamic 3D Gaussians stores it, without its images.
 pub(super) fn dynamic_3d_gaussians(listing: &Listing) -> Option<String> {
-    listing
-        .has("train_meta.json")
-        .then(|| format!("train_meta.json is the layout of Dynamic 3D Gaussians: {TO_COLMAP}; its w2c are such poses"))
+    listing.has("train_meta.json").then(|| {
+        "train_meta.json has the cameras of the layout of Dynamic 3D Gaussians, but the folder ims with the images is missing: \
+         check that the download is complete"
+            .into()
+    })
 }
 
 /// Calibrations of the CMU Panoptic Studio.
 pub(super) fn panoptic(listing: &Listing) -> Option<String> {
     let file = listing.marked("json", &["calibDataSource"])?;
+    let name = "rename it to calibration_SEQUENCE.json, and ";
     Some(format!(
-        "{file} is a calibration of the CMU Panoptic Studio: {TO_COLMAP}; take the cameras of one type (hd), whose R and t \
-         are such poses, in centimetres"
+        "{file} is a calibration of the CMU Panoptic Studio without frames: {}extract them with hdImgsExtractor.sh of \
+         panoptic-toolbox (hdImgs/00_00/00_00_00000000.jpg)",
+        if file.starts_with("calibration") { "" } else { name },
     ))
 }
 
@@ -83,13 +89,13 @@ pub(super) fn driving(listing: &Listing) -> Option<String> {
 
 /// Rigs with their own calibration files.
 pub(super) fn motion_capture(listing: &Listing) -> Option<String> {
-    let names = ["annots.npy", "cameras_parameters.txt", "rig_config.json"];
+    let names = ["annots.npy", "rig_config.json"];
     match names.into_iter().find(|name| listing.has(name))? {
         "rig_config.json" => Some(
             "rig_config.json describes a rig without poses: run `colmap rig_configurator` and `colmap mapper`, and name the \
              folder with sparse/ and images/"
                 .into(),
         ),
-        file => Some(format!("{file} is a calibration of ZJU-MoCap or Technicolor: {TO_COLMAP}")),
+        file => Some(format!("{file} is a calibration of ZJU-MoCap: {TO_COLMAP}")),
     }
 }

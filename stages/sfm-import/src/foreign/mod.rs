@@ -45,7 +45,9 @@ pub(crate) fn next_step(dir: &Path) -> String {
     known.unwrap_or_else(|| {
         "supported: transforms_{train,val,test}.json (Blender, D-NeRF), transforms.json (nerfstudio, instant-ngp), images/ \
          beside sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
-         DyCheck), or poses_bounds.npy beside cam00/images, cam01/images, … (Neural 3D Video)"
+         DyCheck), poses_bounds.npy beside cam00/images, cam01/images, … (Neural 3D Video) or images/ (LLFF), intri.yml \
+         and extri.yml beside images/CAMERA/ (EasyVolcap), train_meta.json beside ims/ or calibration_*.json beside hdImgs/ \
+         (CMU Panoptic), or cameras_parameters.txt (Technicolor)"
             .into()
     })
 }

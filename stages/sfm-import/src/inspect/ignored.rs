@@ -85,7 +85,9 @@ fn is_metadata(format: Format, name: &str) -> bool {
     const COLMAP: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
     match format {
         Format::Nerfies => NERFIES.contains(&name),
-        Format::N3v => name == "poses_bounds.npy",
+        Format::N3v | Format::Llff | Format::Nvidia => name == "poses_bounds.npy",
+        Format::EasyVolcap => ["intri.yml", "extri.yml", "optimized"].contains(&name),
+        Format::Panoptic => name == "init_pt_cld.npz",
         Format::Colmap => {
             let stem = name.strip_suffix(".bin").or(name.strip_suffix(".txt"));
             stem.is_some_and(|stem| COLMAP.contains(&stem))

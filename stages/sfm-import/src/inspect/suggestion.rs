@@ -23,7 +23,9 @@ pub(super) fn params(source: &SourceCapture, samples: Option<&Samples>, width: u
             params.push(("every_nth", "8".into()))
         }
         Format::Colmap => params.extend([("every_nth", "8".into()), ("fps", "30.0".into())]),
-        Format::Nerfies => params.push(("fps", "30.0".into())),
+        Format::Nerfies | Format::EasyVolcap | Format::Panoptic | Format::Technicolor => {
+            params.push(("fps", "30.0".into()))
+        }
         _ if source.name == "lego" && source.dataset == "dnerf" => params.push(("test_split", text("val"))),
         _ => (),
     }

@@ -152,6 +152,11 @@ impl Summary {
             (Format::Nerfstudio, _) => "nerfstudio or instant-ngp (transforms.json)",
             (Format::Colmap, _) => "COLMAP sparse model",
             (Format::Nerfies, _) => "Nerfies, HyperNeRF or DyCheck (one camera file per view)",
+            (Format::EasyVolcap, _) => "EasyVolcap: ENeRF-Outdoor, MobileStage (intri.yml, extri.yml)",
+            (Format::Panoptic, _) => "CMU Panoptic",
+            (Format::Technicolor, _) => "Technicolor light field (cameras_parameters.txt)",
+            (Format::Llff, _) => "LLFF (poses_bounds.npy and images)",
+            (Format::Nvidia, _) => "NVIDIA Dynamic Scene (poses_bounds.npy, images and mv_images)",
             (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and one folder of frames per camera)",
         }
     }

@@ -3,27 +3,25 @@
 //!
 //! Rows correspond to cameras in the order of their names. `cam00` is the test camera; all others are for training.
 
-mod poses;
-pub(crate) mod videos;
+pub(crate) mod cameras;
 
 use std::path::Path;
 
-use scene::{Camera, PointCloud, Split};
+use scene::PointCloud;
 
-use self::videos::Video;
-pub(crate) use self::videos::camera_names;
-use crate::bounds::StatedBounds;
+pub(crate) use self::cameras::camera_names;
 use crate::error::{Result, bad};
-use crate::files::{self, image_size};
+use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::{Format, Params};
-use crate::source::{Frame, SourceCapture, time_map};
-use crate::split;
+use crate::poses_bounds::{self, Stated};
+use crate::rig::{self, RigCamera, Video, videos};
+use crate::source::{Frame, SourceCapture};
 
 /// The test camera, at the centre of the rig.
 const HELD_OUT: &str = "cam00";
 /// Number of frames that published numbers are measured on: all frames of a scene, or the first of flame_salmon's 1200.
-const FRAMES: usize = 300;
+const FRAMES: u32 = 300;
 /// File names of the point cloud of the first frame, in world coordinates of the poses, as in loaders derived from
 /// 4DGaussians.
 const POINTS: [&str; 2] = ["points3D_downsample2.ply", "points3D.ply"];
@@ -33,104 +31,59 @@ const UNSYNCHRONISED: &str =
 
 /// Whether `dir` has this format.
 pub(crate) fn is_present(dir: &Path) -> bool {
-    dir.join(poses::FILE).is_file() && !camera_names(dir).is_empty()
+    dir.join(poses_bounds::FILE).is_file() && !camera_names(dir).is_empty()
 }
 
 /// Reads the poses and the names of the frames; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
-    let mut videos = videos::read(dir)?;
-    let names: Vec<&str> = videos.iter().map(|video| video.camera.as_str()).collect();
-    if !names.contains(&HELD_OUT) {
+    let mut videos = cameras::read(dir)?;
+    let names: Vec<String> = videos.iter().map(|video| video.camera.clone()).collect();
+    if params.test_cameras.is_empty() && !names.iter().any(|name| name == HELD_OUT) {
         let message = format!("the test camera {HELD_OUT} is missing (found {})", names.join(", "));
         let hint = "download or extract its frames; the protocol of Neural 3D Video holds out this camera";
         return Err(bad(message).hint(hint).at(dir));
     }
-    if dir.ends_with("coffee_martini") && names.contains(&"cam13") {
+    if dir.ends_with("coffee_martini") && names.iter().any(|name| name == "cam13") {
         warnings.push(UNSYNCHRONISED.into());
     }
-    let cameras = poses::read(&dir.join(poses::FILE), &names)?;
-    let reduction = reduction(&videos[0].frames[0], &cameras[0])?;
-    let count = keep_first(&mut videos, &mut warnings);
-    let is_static = params.static_scene || count == 1;
-    let mut frames = frames(&videos, &cameras, reduction, &dir.join(poses::FILE), params.fps);
-    if is_static {
-        frames.iter_mut().zip(0..).for_each(|(frame, index)| {
-            (frame.camera_index, frame.frame_index, frame.time_secs) = (index, 0, 0.0);
-        });
+    let stated_in = dir.join(poses_bounds::FILE);
+    let stated = poses_bounds::read(&stated_in, &names)?;
+    let reduction = poses_bounds::reduction(image_size(&videos[0].frames[0])?, &stated[0].camera);
+    videos::select(&mut videos, params, Some(FRAMES), &mut warnings)?;
+    let count = videos[0].frames.len();
+    let cameras = rig_cameras(videos, &stated, reduction);
+    let mut frames = rig::frames(&cameras, &stated_in, params.fps);
+    let rule = hold_out(&mut frames, &cameras, params)?;
+    let points = points(dir, &mut warnings)?;
+    let rules = split_rules(rule, count, reduction);
+    let capture = rig::capture(dir, (Format::N3v, "n3v"), frames, rules, params);
+    Ok(SourceCapture { wants_test: true, points, warnings, ..capture })
+}
+
+/// The cameras at the size of their frames, which is 1/`reduction` of the stated one.
+fn rig_cameras(videos: Vec<Video>, stated: &[Stated], reduction: u32) -> Vec<RigCamera> {
+    let camera = |(video, stated): (Video, &Stated)| {
+        let camera = poses_bounds::reduced(&stated.camera, reduction);
+        let lens = Lens::pinhole(camera.intrinsics);
+        RigCamera { video, lens, camera_from_world: camera.camera_from_world, masks: Vec::new() }
+    };
+    videos.into_iter().zip(stated).map(camera).collect()
+}
+
+/// Holds out the central camera, or those that the parameters name.
+fn hold_out(frames: &mut [Frame], cameras: &[RigCamera], params: &Params) -> Result<String> {
+    if params.test_cameras.is_empty() {
+        rig::hold_out(frames, cameras, &[HELD_OUT.into()], params)?;
+        return Ok("camera 0 held out".into());
     }
-    let time_map = time_map(&frames, is_static, params.fps);
-    let mut rules = split_rules(count, reduction);
-    rules.extend(split::refine(&mut frames, params));
-    Ok(SourceCapture {
-        name: files::name(dir),
-        format: Format::N3v,
-        dataset: "n3v",
-        wants_test: true,
-        split_rule: rules.join(", "),
-        time_rule: if is_static { "one instant".into() } else { "index / (count - 1)".into() },
-        time_map,
-        frames,
-        points: points(dir, &mut warnings)?,
-        cloud: None,
-        stated_bounds: StatedBounds::default(),
-        quality: None,
-        warnings,
-    })
-}
-
-/// The integer factor by which the images are smaller than the videos that the poses describe. Returns 1 if the sizes are
-/// not in such a ratio; each image is then reported for its size.
-fn reduction(image: &Path, camera: &Camera) -> Result<u32> {
-    let (width, height) = image_size(image)?;
-    let full = camera.intrinsics;
-    let factor = (f64::from(full.width) / f64::from(width)).round().max(1.0) as u32;
-    let is_fraction = reduced(full.width, factor) == width && reduced(full.height, factor) == height;
-    Ok(if is_fraction { factor } else { 1 })
-}
-
-fn reduced(side: u32, factor: u32) -> u32 {
-    (f64::from(side) / f64::from(factor)).round() as u32
-}
-
-/// Keeps the frames that published numbers are measured on, and returns their count.
-fn keep_first(videos: &mut [Video], warnings: &mut Vec<String>) -> usize {
-    let found = videos[0].frames.len();
-    if found > FRAMES {
-        warnings.push(format!("only the first {FRAMES} of {found} frames are used, as in the literature"));
-        videos.iter_mut().for_each(|video| video.frames.truncate(FRAMES));
-    }
-    found.min(FRAMES)
-}
-
-/// All frames, sorted by time, then camera.
-fn frames(videos: &[Video], cameras: &[Camera], reduction: u32, stated_in: &Path, fps: f64) -> Vec<Frame> {
-    let mut frames = Vec::new();
-    for (camera_index, (video, camera)) in (0..).zip(videos.iter().zip(cameras)) {
-        let full = camera.intrinsics;
-        let camera = camera.resized(reduced(full.width, reduction), reduced(full.height, reduction));
-        frames.extend((0..).zip(&video.frames).map(|(frame_index, image)| Frame {
-            name: format!("{}_{frame_index:04}", video.camera),
-            split: if video.camera == HELD_OUT { Split::Test } else { Split::Train },
-            image: image.clone(),
-            mask: None,
-            depth: None,
-            lens: Lens::pinhole(camera.intrinsics),
-            camera_from_world: camera.camera_from_world,
-            camera_index,
-            frame_index,
-            time_secs: f64::from(frame_index) / fps,
-            stated_in: stated_in.to_owned(),
-        }));
-    }
-    frames.sort_by_key(|frame: &Frame| (frame.frame_index, frame.camera_index));
-    frames
+    rig::hold_out(frames, cameras, &params.test_cameras, params)
 }
 
 /// The split rule, and every difference of the images from those of the literature.
-fn split_rules(count: usize, reduction: u32) -> Vec<String> {
-    let mut rules = vec!["camera 0 held out".to_owned()];
-    if count != FRAMES {
+fn split_rules(held_out: String, count: usize, reduction: u32) -> Vec<String> {
+    let mut rules = vec![held_out];
+    if count != FRAMES as usize {
         rules.push(format!("{count} frames"));
     }
     if reduction > 1 {

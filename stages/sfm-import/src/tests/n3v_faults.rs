@@ -88,7 +88,7 @@ fn videos_without_frames_are_refused_with_the_extraction_command() {
     }
     assert!(run(dir.path(), &Params::default()).is_ok());
     let readme = include_str!("../../README.md");
-    assert!(readme.contains(crate::n3v::videos::EXTRACT), "the README and the error name different commands");
+    assert!(readme.contains(crate::n3v::cameras::EXTRACT), "the README and the error name different commands");
 }
 
 #[test]

@@ -8,15 +8,23 @@ use scene::{Camera, Intrinsics, RigidTransform, npy_file};
 use crate::error::{Result, bad};
 
 /// The file name.
-pub(super) const FILE: &str = "poses_bounds.npy";
+pub(crate) const FILE: &str = "poses_bounds.npy";
 
 /// Numbers per row: a 3×5 matrix in row-major order, then the near and the far depth of the scene.
 const ROW_LENGTH: usize = 17;
 /// Larger sides, in pixels, indicate a damaged file.
 const MAX_SIDE: f64 = 65536.0;
 
-/// Reads the cameras of the full-size videos, one per name; errors name the camera.
-pub(super) fn read(path: &Path, names: &[&str]) -> Result<Vec<Camera>> {
+/// A row of the file.
+pub(crate) struct Stated {
+    /// The camera of the full-size image, without distortion and with the principal point at the image centre.
+    pub(crate) camera: Camera,
+    /// The depth of the nearest and of the farthest point; `None` if the file states zeros.
+    pub(crate) depth_view: Option<[f64; 2]>,
+}
+
+/// Reads the rows, one per name; errors name the camera.
+pub(crate) fn read(path: &Path, names: &[String]) -> Result<Vec<Stated>> {
     let array = npy_file::read(path).map_err(|error| bad(error.message).at(path))?;
     let [rows, ROW_LENGTH] = *array.shape.as_slice() else {
         return Err(bad(format!("the array has shape {:?} instead of [cameras, {ROW_LENGTH}]", array.shape)).at(path));
@@ -31,18 +39,18 @@ pub(super) fn read(path: &Path, names: &[&str]) -> Result<Vec<Camera>> {
                     remove folders of other captures";
         return Err(bad(message).hint(hint).at(path));
     }
-    let named = |(row, name): (&[f64], &&str)| {
-        camera(row).map_err(|failure| bad(format!("{name}: {}", failure.message)).at(path))
+    let named = |(row, name): (&[f64], &String)| {
+        stated(row).map_err(|failure| bad(format!("{name}: {}", failure.message)).at(path))
     };
     array.values.chunks_exact(ROW_LENGTH).zip(names).map(named).collect()
 }
 
-/// The camera of one row, without distortion and with the principal point at the image centre.
+/// The contents of one row.
 ///
 /// The 3×5 matrix is [rotation | centre | (height, width, focal length in pixels)], camera to world, and the columns of
 /// its rotation are the camera's down, right and backward axes: those of OpenCV (right, down, forward) are the second,
 /// the first, and the third negated.
-fn camera(row: &[f64]) -> Result<Camera> {
+fn stated(row: &[f64]) -> Result<Stated> {
     if let Some(at) = row.iter().position(|value| !value.is_finite()) {
         return Err(bad(format!("value {at} of the row is {}", row[at])));
     }
@@ -53,7 +61,8 @@ fn camera(row: &[f64]) -> Result<Camera> {
     if ![width, height].iter().all(|side| side.fract() == 0.0 && (1.0..MAX_SIDE).contains(side)) {
         return Err(bad(format!("{width}×{height} is not a valid video size")));
     }
-    if !(0.0 < near && near < far) {
+    let has_bounds = [near, far] != [0.0, 0.0];
+    if has_bounds && !(0.0 < near && near < far) {
         return Err(bad(format!("the depth bounds {near} and {far} are not a positive range")));
     }
     let world_from_camera =
@@ -63,5 +72,24 @@ fn camera(row: &[f64]) -> Result<Camera> {
     let intrinsics = Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x, center_y };
     let camera = Camera { intrinsics, camera_from_world: world_from_camera.inverse() };
     camera.check().map_err(|error| bad(error.message))?;
-    Ok(camera)
+    Ok(Stated { camera, depth_view: has_bounds.then_some([near, far]) })
+}
+
+/// The integer factor by which images of this size are smaller than those that the poses describe. Returns 1 if the sizes
+/// are not in such a ratio; each image is then reported for its size.
+pub(crate) fn reduction(image: (u32, u32), camera: &Camera) -> u32 {
+    let full = camera.intrinsics;
+    let factor = (f64::from(full.width) / f64::from(image.0)).round().max(1.0) as u32;
+    let is_fraction = side(full.width, factor) == image.0 && side(full.height, factor) == image.1;
+    if is_fraction { factor } else { 1 }
+}
+
+/// The camera of images at 1/`factor` of the size.
+pub(crate) fn reduced(camera: &Camera, factor: u32) -> Camera {
+    let full = camera.intrinsics;
+    camera.resized(side(full.width, factor), side(full.height, factor))
+}
+
+fn side(full: u32, factor: u32) -> u32 {
+    (f64::from(full) / f64::from(factor)).round() as u32
 }

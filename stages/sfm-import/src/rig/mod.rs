@@ -1,0 +1,115 @@
+//! Rigs: cameras that film the same instants, each with the frames of its video.
+
+pub(crate) mod videos;
+
+use std::path::{Path, PathBuf};
+
+use scene::{RigidTransform, Split};
+
+pub(crate) use self::videos::Video;
+use crate::bounds::StatedBounds;
+use crate::error::{Result, bad};
+use crate::files;
+use crate::image_names::view_name;
+use crate::lens::Lens;
+use crate::params::{Format, Params};
+use crate::source::{Frame, SourceCapture, time_map};
+use crate::split;
+
+/// A fixed camera and its video.
+pub(crate) struct RigCamera {
+    /// The frames.
+    pub(crate) video: Video,
+    /// The lens, at the size of the frames.
+    pub(crate) lens: Lens,
+    /// World to view coordinates, with OpenCV's axes.
+    pub(crate) camera_from_world: RigidTransform,
+    /// One mask per frame, or none at all.
+    pub(crate) masks: Vec<Option<PathBuf>>,
+}
+
+/// All frames for training, sorted by time, then camera. The instant of a frame is its rank, in units of 1 / `fps`.
+pub(crate) fn frames(cameras: &[RigCamera], stated_in: &Path, fps: f64) -> Vec<Frame> {
+    let mut frames = Vec::new();
+    for (camera_index, camera) in (0..).zip(cameras) {
+        let name = view_name(&format!("{}.", camera.video.camera));
+        frames.extend((0..).zip(&camera.video.frames).map(|(frame_index, image)| Frame {
+            name: format!("{name}_{frame_index:04}"),
+            split: Split::Train,
+            image: image.clone(),
+            mask: camera.masks.get(frame_index as usize).cloned().flatten(),
+            depth: None,
+            lens: camera.lens,
+            camera_from_world: camera.camera_from_world,
+            camera_index,
+            frame_index,
+            time_secs: f64::from(frame_index) / fps,
+            stated_in: stated_in.to_owned(),
+        }));
+    }
+    frames.sort_by_key(|frame: &Frame| (frame.frame_index, frame.camera_index));
+    frames
+}
+
+/// Makes the frames of `held_out` cameras test views, and returns the rule. Without such cameras, every `every_nth`-th
+/// camera is held out.
+pub(crate) fn hold_out(
+    frames: &mut [Frame],
+    cameras: &[RigCamera],
+    held_out: &[String],
+    params: &Params,
+) -> Result<String> {
+    if held_out.is_empty() {
+        return Ok(split::hold_out(frames, false, params));
+    }
+    let names: Vec<&str> = cameras.iter().map(|camera| camera.video.camera.as_str()).collect();
+    if let Some(unknown) = held_out.iter().find(|name| !names.contains(&name.as_str())) {
+        let message = format!("the test camera {unknown} is missing (found {})", names.join(", "));
+        return Err(bad(message).hint("download its frames, or set test_cameras to cameras of this rig"));
+    }
+    for frame in frames {
+        if held_out.iter().any(|name| name == names[frame.camera_index as usize]) {
+            frame.split = Split::Test;
+        }
+    }
+    let plural = if held_out.len() == 1 { "camera" } else { "cameras" };
+    Ok(format!("{plural} {} held out", held_out.join(" ")))
+}
+
+/// The capture of these frames, whose test views are marked; `rules` say how, for the protocol. There are no points yet.
+pub(crate) fn capture(
+    dir: &Path,
+    (format, dataset): (Format, &'static str),
+    mut frames: Vec<Frame>,
+    mut rules: Vec<String>,
+    params: &Params,
+) -> SourceCapture {
+    let is_static = params.static_scene || frames.iter().all(|frame| frame.frame_index == frames[0].frame_index);
+    if is_static {
+        at_one_instant(&mut frames);
+    }
+    let time_map = time_map(&frames, is_static, params.fps);
+    rules.extend(split::refine(&mut frames, params));
+    SourceCapture {
+        name: files::name(dir),
+        format,
+        dataset,
+        wants_test: params.every_nth > 0 || !params.test_cameras.is_empty(),
+        split_rule: rules.join(", "),
+        time_rule: if is_static { "one instant".into() } else { "index / (count - 1)".into() },
+        time_map,
+        frames,
+        points: Vec::new(),
+        cloud: None,
+        stated_bounds: StatedBounds::default(),
+        quality: None,
+        warnings: Vec::new(),
+    }
+}
+
+/// Puts all frames at one instant, with a camera each.
+fn at_one_instant(frames: &mut [Frame]) {
+    frames.iter_mut().zip(0..).for_each(|(frame, index)| {
+        (frame.camera_index, frame.frame_index, frame.time_secs) = (index, 0, 0.0);
+    });
+}

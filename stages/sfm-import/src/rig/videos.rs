@@ -1,0 +1,112 @@
+//! The numbered frames of the videos of a rig.
+
+use std::path::{Path, PathBuf};
+
+use crate::error::{Result, bad};
+use crate::image_names::image_names;
+use crate::params::Params;
+
+/// The frames of one camera, in order.
+pub(crate) struct Video {
+    /// Name of the camera, e.g. `cam00`.
+    pub(crate) camera: String,
+    /// One image per instant.
+    pub(crate) frames: Vec<PathBuf>,
+    /// The number of the first frame.
+    pub(crate) first: u64,
+}
+
+/// The images directly in a folder, in natural order.
+pub(crate) fn images(folder: &Path) -> Vec<PathBuf> {
+    let names = image_names(folder).into_iter().filter(|name| !name.contains('/'));
+    names.map(|name| folder.join(name)).collect()
+}
+
+impl Video {
+    /// The frames of one camera, in the order of the numbers that end their names. Numbers must be consecutive, because a
+    /// gap would shift all later frames in time.
+    pub(crate) fn new(camera: String, frames: Vec<PathBuf>) -> Result<Self> {
+        let numbers = frames.iter().map(|path| number(path)).collect::<Result<Vec<_>>>()?;
+        Self::numbered(camera, numbers.into_iter().zip(frames).collect())
+    }
+
+    /// Like [`Video::new`], with the number of each frame.
+    pub(crate) fn numbered(camera: String, frames: Vec<(u64, PathBuf)>) -> Result<Self> {
+        let is_gap = |pair: &[(u64, PathBuf)]| pair[1].0.checked_sub(pair[0].0) != Some(1);
+        if let Some(at) = frames.windows(2).position(is_gap) {
+            let message = format!("{camera} has frame {} after frame {}", frames[at + 1].0, frames[at].0);
+            let hint = "frames must be consecutive and unique; to skip training views, set frame_step";
+            return Err(bad(message).hint(hint).at(&frames[at + 1].1));
+        }
+        let first = frames.first().map_or(0, |(number, _)| *number);
+        Ok(Self { camera, frames: frames.into_iter().map(|(_, path)| path).collect(), first })
+    }
+
+    fn frames_text(&self) -> String {
+        let last = self.first + self.frames.len().saturating_sub(1) as u64;
+        format!("{} frames ({} to {last})", self.frames.len(), self.first)
+    }
+
+    /// Keeps `count` frames from the number `first` on.
+    fn keep(&mut self, first: u64, count: usize) {
+        let skipped = usize::try_from(first.saturating_sub(self.first)).unwrap_or(usize::MAX).min(self.frames.len());
+        self.frames.drain(..skipped);
+        self.frames.truncate(count);
+        self.first += skipped as u64;
+    }
+}
+
+/// Keeps the instants that `first_frame` and `frame_count` ask for, `default_count` if they ask for none, and checks that
+/// all videos have them. Returns how they differ from all frames, for the protocol.
+pub(crate) fn select(
+    videos: &mut [Video],
+    params: &Params,
+    default_count: Option<u32>,
+    warnings: &mut Vec<String>,
+) -> Result<()> {
+    let Some(reference) = videos.first() else { return Err(bad("the rig has no camera")) };
+    let (found, first) = (reference.frames.len(), params.first_frame.unwrap_or(reference.first));
+    let count = params.frame_count.or(default_count).map_or(usize::MAX, |count| count as usize);
+    videos.iter_mut().for_each(|video| video.keep(first, count));
+    if params.frame_count.is_none() && found > count {
+        warnings.push(format!("only the first {count} of {found} frames are used, as in the literature"));
+    }
+    same_instants(videos)?;
+    let (kept, video) = (videos[0].frames.len(), &videos[0]);
+    let lacks = params.frame_count.is_some_and(|wanted| kept < wanted as usize);
+    if kept == 0 || lacks || video.first != first {
+        let message = format!("{} has {} from number {first} on", video.camera, video.frames_text());
+        return Err(bad(message).hint("change first_frame or frame_count, or download the other frames"));
+    }
+    Ok(())
+}
+
+/// Refuses videos with different numbers.
+fn same_instants(videos: &[Video]) -> Result<()> {
+    let reference = &videos[0];
+    let differs = |video: &&Video| (video.first, video.frames.len()) != (reference.first, reference.frames.len());
+    let Some(video) = videos.iter().find(differs) else { return Ok(()) };
+    let message = format!(
+        "{} has {}, but {} has {}",
+        video.camera,
+        video.frames_text(),
+        reference.camera,
+        reference.frames_text()
+    );
+    let hint = "all cameras must show the same instants: extract the frames of both again";
+    let folder = video.frames.first().or(reference.frames.first()).and_then(|path| path.parent());
+    let failure = bad(message).hint(hint);
+    Err(match folder {
+        Some(folder) => failure.at(folder),
+        None => failure,
+    })
+}
+
+/// The frame number in a file name, e.g. 12 for `frame_0012.png`.
+fn number(path: &Path) -> Result<u64> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let digits = stem.rsplit(|symbol: char| !symbol.is_ascii_digit()).next().unwrap_or_default();
+    digits.parse().map_err(|_| {
+        bad("the file name does not end in a frame number").hint("name the frames 0000.png, 0001.png, …").at(path)
+    })
+}

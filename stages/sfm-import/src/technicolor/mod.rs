@@ -1,0 +1,124 @@
+//! The light-field videos of Technicolor (Sabater et al. 2017): sixteen cameras, `cameras_parameters.txt` with a line per
+//! camera, and all frames in one folder, `SCENE_undist_FFFFF_CC.png`.
+//!
+//! A line has f cu cv ar sk d1 d2 qw qx qy qz tx ty tz, after a line of titles; the pose is world-to-camera with OpenCV's
+//! axes, as in the loaders of HyperReel and SpacetimeGaussians, which use `f` for both axes and neither `sk` nor `d1`, `d2`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use engine::{Failure, FailureKind};
+use glam::{DMat3, DQuat, DVec3};
+use scene::{Intrinsics, RigidTransform};
+
+use crate::error::{Result, bad};
+use crate::files::{self, image_size, read_bytes};
+use crate::lens::Lens;
+use crate::params::{Format, Params};
+use crate::rig::{self, RigCamera, Video, videos};
+use crate::source::SourceCapture;
+
+const FILE: &str = "cameras_parameters.txt";
+/// Numbers per line.
+const LINE_LENGTH: usize = 14;
+/// The camera that HyperReel and SpacetimeGaussians hold out, in the second row and third column of the rig.
+const HELD_OUT: &str = "10";
+/// Largest relative difference of the aspect ratio from 1 that changes no pixel by more than one of 2048.
+const ASPECT_TOLERANCE: f64 = 5e-4;
+
+/// Whether `dir` has this format.
+pub(crate) fn is_present(dir: &Path) -> bool {
+    dir.join(FILE).is_file()
+}
+
+/// Reads the cameras and the names of the frames; opens images no further than their headers.
+pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    let path = dir.join(FILE);
+    let mut warnings = Vec::new();
+    let mut videos = videos(dir)?;
+    let stated = cameras(&path, &mut warnings)?;
+    videos::select(&mut videos, params, None, &mut warnings).map_err(|failure| failure.at(dir))?;
+    let with_camera = |video: Video| -> Result<RigCamera> {
+        let stated = video.camera.parse().ok().and_then(|index: usize| stated.get(index));
+        let lacks = || bad(format!("there is no line for camera {} of the images", video.camera)).at(&path);
+        let stated = stated.ok_or_else(lacks)?;
+        let (width, height) = image_size(&video.frames[0])?;
+        let intrinsics = Intrinsics { width, height, ..stated.intrinsics };
+        let camera_from_world = stated.camera_from_world;
+        Ok(RigCamera { video, lens: Lens::pinhole(intrinsics), camera_from_world, masks: Vec::new() })
+    };
+    let cameras = videos.into_iter().map(with_camera).collect::<Result<Vec<_>>>()?;
+    let mut frames = rig::frames(&cameras, &path, params.fps);
+    let has_central = cameras.iter().any(|camera| camera.video.camera == HELD_OUT);
+    let usual = if has_central { vec![HELD_OUT.to_owned()] } else { Vec::new() };
+    let held_out = if params.test_cameras.is_empty() { &usual } else { &params.test_cameras };
+    let rule = rig::hold_out(&mut frames, &cameras, held_out, params).map_err(|failure| failure.at(dir))?;
+    let rules = vec![rule, format!("{} frames", cameras[0].video.frames.len())];
+    let capture = rig::capture(dir, (Format::Technicolor, "technicolor"), frames, rules, params);
+    Ok(SourceCapture { wants_test: capture.wants_test || has_central, warnings, ..capture })
+}
+
+/// The frames of each camera, by the numbers at the end of their names.
+fn videos(dir: &Path) -> Result<Vec<Video>> {
+    let mut by_camera: BTreeMap<String, Vec<(u64, PathBuf)>> = BTreeMap::new();
+    for path in videos::images(dir) {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut parts = stem.rsplitn(3, '_');
+        let (camera, frame) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
+        let (Ok(_), Ok(number)) = (camera.parse::<u8>(), frame.parse()) else { continue };
+        if !stem.contains("undist") {
+            let hint = "use the undistorted images of the release (SCENE_undist_FFFFF_CC.png): loaders in the literature \
+                        do, and the files do not say which model d1 and d2 belong to";
+            return Err(bad("an image with the distortion of its lens").hint(hint).at(path));
+        }
+        by_camera.entry(camera.to_owned()).or_default().push((number, path));
+    }
+    if by_camera.is_empty() {
+        let failure = Failure::new(FailureKind::MissingData, format!("no frames beside {FILE}"));
+        return Err(failure.hint("frames are named SCENE_undist_00001_00.png: download and unpack them").at(dir));
+    }
+    by_camera.into_iter().map(|(camera, frames)| Video::numbered(camera, frames)).collect()
+}
+
+/// The pose and, apart from the size, the lens of a line.
+struct Stated {
+    intrinsics: Intrinsics,
+    camera_from_world: RigidTransform,
+}
+
+/// The lines in order; a first line without numbers has the titles.
+fn cameras(path: &Path, warnings: &mut Vec<String>) -> Result<Vec<Stated>> {
+    let text = String::from_utf8(read_bytes(path)?).map_err(|_| bad("the file is not text").at(path))?;
+    let mut cameras = Vec::new();
+    for (line, text) in (1..).zip(text.lines()) {
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let is_title = line == 1 && words.first().is_none_or(|word| word.parse::<f64>().is_err());
+        if words.is_empty() || is_title {
+            continue;
+        }
+        let values: Option<Vec<f64>> =
+            words.iter().map(|word| word.parse().ok().filter(|it: &f64| it.is_finite())).collect();
+        let values = values.filter(|values| values.len() == LINE_LENGTH);
+        let message = || format!("line {line} is not {LINE_LENGTH} numbers (f cu cv ar sk d1 d2 qw qx qy qz tx ty tz)");
+        cameras.push(camera(&values.ok_or_else(|| bad(message()).at(path))?, line, path)?);
+        let aspect: f64 = words[3].parse().unwrap_or(1.0);
+        if warnings.is_empty() && !((aspect - 1.0).abs() <= ASPECT_TOLERANCE) {
+            warnings
+                .push(format!("the aspect ratio {aspect} in {} is not used, as in the literature", files::name(path)));
+        }
+    }
+    Ok(cameras)
+}
+
+fn camera(values: &[f64], line: usize, path: &Path) -> Result<Stated> {
+    let quaternion = DQuat::from_xyzw(values[8], values[9], values[10], values[7]);
+    if !((quaternion.length() - 1.0).abs() <= 1e-3) {
+        let message = format!("line {line}: the quaternion qw qx qy qz has the length {}", quaternion.length());
+        return Err(bad(message).at(path));
+    }
+    let (focal, center_x, center_y) = (values[0], values[1], values[2]);
+    let intrinsics = Intrinsics { width: 0, height: 0, focal_x: focal, focal_y: focal, center_x, center_y };
+    let rotation = DMat3::from_quat(quaternion.normalize());
+    let translation = DVec3::new(values[11], values[12], values[13]);
+    Ok(Stated { intrinsics, camera_from_world: RigidTransform { rotation, translation } })
+}

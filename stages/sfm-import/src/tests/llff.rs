@@ -1,0 +1,85 @@
+//! Captures with `poses_bounds.npy` beside single folders of images: LLFF and NVIDIA's Dynamic Scenes.
+
+use scene::Split;
+use support::fakes::Fake;
+
+use super::rigs::misfit_px;
+use super::support::*;
+use crate::recognise::read;
+use crate::{Format, Params};
+
+#[test]
+fn photos_of_llff_are_a_static_capture() {
+    let fake = Fake::small(9, 1);
+    let dir = tempfile::tempdir().unwrap();
+    fake.llff(dir.path());
+    let capture = read(dir.path(), &Params::default()).unwrap();
+    assert!(misfit_px(&fake, &capture) <= 1e-9);
+    let test: Vec<&str> = capture.frames.iter().filter(|it| it.split == Split::Test).map(|it| &*it.name).collect();
+    assert_eq!((test, capture.format), (vec!["IMG_0000", "IMG_0008"], Format::Llff));
+    assert_eq!((capture.split_rule.as_str(), capture.time_rule.as_str()), ("1 of 8 images", "one instant"));
+    assert!(run(dir.path(), &Params::default()).is_ok());
+    std::fs::remove_file(dir.path().join("images/IMG_0003.png")).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["poses of 9 cameras, but there are 8"]);
+}
+
+#[test]
+fn smaller_copies_of_photos_are_read_for_their_width() {
+    let fake = Fake::small(4, 1);
+    let dir = tempfile::tempdir().unwrap();
+    fake.llff(dir.path());
+    std::fs::rename(dir.path().join("images"), dir.path().join("originals")).unwrap();
+    let (small, large) = (Fake { size: (12, 8), ..fake.clone() }, Fake { size: (24, 16), ..fake });
+    large.llff(dir.path());
+    small.write_frames(|camera, _| dir.path().join(format!("images_2/IMG_{camera:04}.png")));
+    let read_at = |width| read(dir.path(), &Params { width, ..Params::default() }).unwrap();
+    assert_eq!(read_at(Some(12)).split_rule, "1 of 8 images, images at 1/2");
+    assert_eq!(read_at(Some(13)).split_rule, "1 of 8 images");
+    assert!(misfit_px(&small, &read_at(Some(12))) <= 1e-9 && misfit_px(&large, &read_at(None)) <= 1e-9);
+}
+
+#[test]
+fn dynamic_scenes_are_tested_on_the_other_cameras() {
+    let fake = Fake { cameras: 12, ..Fake::small(12, 13) };
+    let dir = tempfile::tempdir().unwrap();
+    fake.nvidia(dir.path());
+    let capture = read(dir.path(), &Params::default()).unwrap();
+    assert!(misfit_px(&fake, &capture) <= 1e-9);
+    assert_eq!([capture.count(Split::Train), capture.count(Split::Test)], [13, 13 * 11]);
+    assert_eq!(capture.format, Format::Nvidia);
+    let train: Vec<u32> =
+        capture.frames.iter().filter(|it| it.split == Split::Train).map(|it| it.camera_index).collect();
+    assert_eq!(train, [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 0]);
+    assert!(run(dir.path(), &Params::default()).is_ok());
+    let missing = dir.path().join("mv_images/00002/cam05.jpg");
+    std::fs::remove_file(missing).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["the test view is missing", "00002"]);
+}
+
+#[test]
+fn training_images_of_another_size_are_refused() {
+    let fake = Fake::small(12, 12);
+    let dir = tempfile::tempdir().unwrap();
+    fake.nvidia(dir.path());
+    let half = Fake { size: (12, 8), ..fake };
+    std::fs::remove_dir_all(dir.path().join("mv_images")).unwrap();
+    half.write_frames(|camera, frame| dir.path().join(format!("mv_images/{frame:05}/cam{:02}.jpg", camera + 1)));
+    assert_refused(dir.path(), &Params::default(), &["24×16, but test views of 12×8", "set images"]);
+    half.write_frames(|_, frame| dir.path().join(format!("images_12x8/{frame:05}.png")));
+    let params = Params { images: Some("images_12x8".into()), ..Params::default() };
+    assert!(run(dir.path(), &params).is_ok());
+}
+
+/// A real rig whose file states no depth bounds.
+#[test]
+fn zero_depth_bounds_are_none() {
+    let Some(real) = support::data("formats/captures/llff-poses-bounds-rig/poses_bounds.npy") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::copy(real, dir.path().join("poses_bounds.npy")).unwrap();
+    let image = image::RgbImage::new(640, 480);
+    std::fs::create_dir(dir.path().join("images")).unwrap();
+    (0..26).for_each(|index| image.save(dir.path().join(format!("images/{index:02}.png"))).unwrap());
+    let capture = read(dir.path(), &Params::default()).unwrap();
+    assert_eq!(capture.frames.len(), 26);
+    assert!(capture.problems().is_empty(), "{:?}", capture.problems());
+}
