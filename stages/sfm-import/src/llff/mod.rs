@@ -54,7 +54,11 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     if reduction > 1 {
         rules.push(format!("images at 1/{reduction}"));
     }
-    Ok(rig::capture(dir, (Format::Llff, "llff"), frames, rules, params))
+    let unbounded = stated.iter().filter(|row| row.depth_view.is_none()).count();
+    let warning = format!("{unbounded} rows of {} state no depth range", poses_bounds::FILE);
+    let warnings = if unbounded > 0 { vec![warning] } else { Vec::new() };
+    let capture = rig::capture(dir, (Format::Llff, "llff"), frames, rules, params);
+    Ok(SourceCapture { warnings, ..capture })
 }
 
 /// The photos in the order of their names, their rows, and the factor by which they are smaller than these state.
