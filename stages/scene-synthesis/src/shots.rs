@@ -91,7 +91,7 @@ fn held_out_shots(params: &Params, split: Split, count: usize) -> impl Iterator<
         let way = if split == Split::Test { share } else { 1.0 - share + 0.31 / count as f64 };
         let (azimuth, elevation) = match params.camera {
             CameraPath::Hemisphere | CameraPath::Orbit => (TAU * way, ELEVATION),
-            CameraPath::Arc => (arc(params, 1.0 - way).0, ELEVATION + 0.1),
+            CameraPath::Arc => (arc(params, 1.0 - way).0, ELEVATION + nod(params)),
             CameraPath::Rig => {
                 rig(params, (params.rig_cameras / 2) as f64 - if split == Split::Test { 0.5 } else { 0.25 })
             }
@@ -118,9 +118,13 @@ fn random_direction(random: &mut ChaCha8Rng) -> (f64, f64) {
 /// Azimuth and elevation at a share of the way of an arc: a swing to the right and to the left, in front of the scene.
 fn arc(params: &Params, share: f64) -> (f64, f64) {
     let swing = params.swing_degrees.to_radians();
-    // A third of the published 30° swing goes upwards and downwards.
-    let nod = 0.1 * swing / FRAC_PI_6;
-    (-0.5 * PI + swing * (TAU * share).sin(), ELEVATION + nod * (2.0 * TAU * share).cos())
+    (-0.5 * PI + swing * (TAU * share).sin(), ELEVATION + nod(params) * (2.0 * TAU * share).cos())
+}
+
+/// How far an arc goes upwards and downwards, in radians: 0.1 for a swing of 30°, and in proportion to it. The held-out
+/// cameras stay within it, because a narrow arc says nothing about views from far above.
+fn nod(params: &Params) -> f64 {
+    0.1 * params.swing_degrees.to_radians() / FRAC_PI_6
 }
 
 /// Azimuth and elevation of a camera in a rig: a half circle in front of the scene, alternating in height. A fractional
