@@ -16,7 +16,6 @@ DEPARTURES = {
     "cap": "alphas capped at 0.99 have no gradient",
     "rates": "step i has the learning rates of i, not of i − 1",
     "moments": "the optimiser's moments restart with the motion",
-    "harmonics": "Adam counts the steps of the higher harmonics from their first use, not from the first iteration",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
     "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
 }
@@ -57,8 +56,7 @@ class Original:
 
     def load(self, state, phase_begins):
         """Continues from a state of ours."""
-        gaussians.load(self.gaussians, state, keeps_moments=phase_begins and "moments" not in self.ours,
-                       own_count="harmonics" in self.ours)
+        gaussians.load(self.gaussians, state, keeps_moments=phase_begins and "moments" not in self.ours)
         if "network.bounds" not in state.value:
             return
         low, high = state.value["network.bounds"]
@@ -88,8 +86,6 @@ class Original:
         image, truth = package["render"], view.original_image
         loss = (1 - opt.lambda_dssim) * self.l1_loss(image, truth) + opt.lambda_dssim * (1 - self.ssim(image, truth))
         loss.backward()
-        if "harmonics" in self.ours and model.active_sh_degree == 0:
-            model._features_rest.grad = None
         layers = dict(self.deform.deform.named_parameters())
         gradients = gaussians.gradients(model)
         gradients |= {ours: layers[theirs].grad for ours, theirs in self.names.items() if layers[theirs].grad is not None}

@@ -12,7 +12,6 @@ DEPARTURES = {
     "exact tiles": "a splat reaches every pixel where its alpha is at least 1/255, not the tiles of a square of 3σ",
     "visible": "a splat counts as visible if its box of alpha ≥ 1/255 touches the image, not if its square of 3σ does",
     "cap": "alphas capped at 0.99 have no gradient",
-    "harmonics": "Adam counts the steps of the higher harmonics from their first use, not from the first iteration",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
     "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
 }
@@ -61,7 +60,7 @@ class Original:
         model = self.gaussians
         if phase_begins:
             model.training_setup(self.opt)
-        gaussians.load(model, state, own_count="harmonics" in self.ours)
+        gaussians.load(model, state)
         count = len(model._xyz)
         model._deformation_table, model._deformation_accum = torch.ones(count, dtype=torch.bool), torch.zeros(count, 3)
         low, high = state.value["field.bounds"]
@@ -119,8 +118,6 @@ class Original:
         if opt.lambda_dssim:
             loss = loss + opt.lambda_dssim * (1 - self.ssim(images, truths))
         loss.backward()
-        if "harmonics" in self.ours and model.active_sh_degree == 0:
-            model._features_rest.grad = None
         gradients = gaussians.gradients(model) | self.of_field(lambda parameter: parameter.grad)
         gradients = {name: gradient.clone() for name, gradient in gradients.items()}
         with torch.no_grad():

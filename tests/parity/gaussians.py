@@ -13,9 +13,9 @@ ATTRIBUTES = (
 )
 
 
-def set_moments(optimizer, parameter, name, state, counted_with=None):
-    """The moments of one tensor; a fresh optimizer has none. Steps may be counted with another tensor."""
-    steps = state.after["optimizer_steps"][counted_with or name]
+def set_moments(optimizer, parameter, name, state):
+    """The moments of one tensor; a fresh optimizer has none."""
+    steps = state.after["optimizer_steps"][name]
     optimizer.state.pop(parameter, None)
     if steps > 0:
         optimizer.state[parameter] = {
@@ -23,11 +23,8 @@ def set_moments(optimizer, parameter, name, state, counted_with=None):
             "exp_avg_sq": state.second_moment[name].clone()}
 
 
-def load(model, state, attributes=ATTRIBUTES, keeps_moments=False, own_count=True):
-    """Sets the Gaussians, their moments unless it `keeps_moments`, and the statistics of density control.
-
-    Higher harmonics count their steps themselves, or, without `own_count`, with the positions.
-    """
+def load(model, state, attributes=ATTRIBUTES, keeps_moments=False):
+    """Sets the Gaussians, their moments unless it `keeps_moments`, and the statistics of density control."""
     groups = {group["name"]: group for group in model.optimizer.param_groups}
     for name, group, attribute in attributes:
         kept = model.optimizer.state.pop(groups[group]["params"][0], None)
@@ -35,8 +32,7 @@ def load(model, state, attributes=ATTRIBUTES, keeps_moments=False, own_count=Tru
         groups[group]["params"] = [parameter]
         setattr(model, attribute, parameter)
         if not keeps_moments:
-            counted_with = "gaussians.positions" if group == "f_rest" and not own_count else None
-            set_moments(model.optimizer, parameter, name, state, counted_with)
+            set_moments(model.optimizer, parameter, name, state)
         elif kept:
             model.optimizer.state[parameter] = kept
     statistics = torch.tensor(state.after["hooks"][0]["statistics"]).view(-1, 3)

@@ -16,7 +16,6 @@ DEPARTURES = {
     "visible": "a splat counts as visible if its box of alpha ≥ 1/255 touches the image, not if its square of 3σ does",
     "cap": "alphas capped at 0.99 have no gradient",
     "count": "the first step is step 1; the published counter begins at 2",
-    "harmonics": "Adam counts the steps of higher harmonics and waves from their first use, not from the first iteration",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
     "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
 }
@@ -122,8 +121,7 @@ class Original:
                                  second_moment=converted(state.second_moment, square=True), after=state.after)
         merged.after["optimizer_steps"]["rest"] = merged.after["optimizer_steps"]["gaussians.sh_rest"]
         attributes = ATTRIBUTES + (("rest", "f_rest", "_features_rest"),)
-        gaussians.load(model, merged, attributes, own_count="harmonics" in self.ours)
-        self.wave_steps = state.after["optimizer_steps"]["gaussians.sh_waves"]
+        gaussians.load(model, merged, attributes)
         model.t_gradient_accum = torch.zeros_like(model.denom)
 
     def in_our_names(self, get):
@@ -155,8 +153,6 @@ class Original:
             loss.backward()
             total += loss.item()
             packages.append(package)
-        if "harmonics" in self.ours and model.active_sh_degree == 0:
-            model._features_rest.grad = None
         gradients = {name: gradient.clone() for name, gradient in self.in_our_names(lambda tensor: tensor.grad).items()}
         with torch.no_grad():
             order = self.finish(iteration, packages, noise)
@@ -199,17 +195,8 @@ class Original:
             return shared.order()
 
     def update(self):
-        optimizer, rest = self.gaussians.optimizer, self.gaussians._features_rest
-        before = rest[:, 15:].clone()
-        optimizer.step()
-        optimizer.zero_grad(set_to_none=True)
-        if "harmonics" in self.ours and self.gaussians.active_sh_degree_t > 0:
-            # The published waves share their count of steps with the harmonics; ours have their own.
-            self.wave_steps += 1
-            moments, rate = optimizer.state[rest], self.rates()["gaussians.sh_waves"]
-            first = moments["exp_avg"][:, 15:] / (1 - 0.9**self.wave_steps)
-            second = moments["exp_avg_sq"][:, 15:] / (1 - 0.999**self.wave_steps)
-            rest[:, 15:] = before - rate * first / (second.sqrt() + 1e-15)
+        self.gaussians.optimizer.step()
+        self.gaussians.optimizer.zero_grad(set_to_none=True)
 
     def rates(self):
         groups = {group["name"]: group["lr"] for group in self.gaussians.optimizer.param_groups}

@@ -10,7 +10,7 @@ import rasteriser
 
 # The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
 DEPARTURES = {name: deformable3dgs.DEPARTURES[name] for name in (
-    "box", "exact tiles", "visible", "cap", "rates", "harmonics", "order", "radii")}
+    "box", "exact tiles", "visible", "cap", "rates", "order", "radii")}
 ATTRIBUTES = gaussians.ATTRIBUTES + (("gaussians.node_features", "feature", "feature"),)
 HEADS = {"translation": "gaussian_warp", "rotation": "gaussian_rotation", "scale": "gaussian_scaling",
          "frame": "local_rotation"}
@@ -63,7 +63,7 @@ class Original:
 
     def load(self, state, phase_begins):
         """Continues from a state of ours."""
-        gaussians.load(self.gaussians, state, ATTRIBUTES, own_count="harmonics" in self.ours)
+        gaussians.load(self.gaussians, state, ATTRIBUTES)
         low, high = state.value["network.bounds"]
         self.box = ((low + high) / 2, (high[0] - low[0]) / 2)
         layers = dict(self.warp.network.named_parameters())
@@ -129,8 +129,6 @@ class Original:
             losses["rigidity"] = float(self.deform.reg_loss)
             loss = loss + self.deform.reg_loss
         loss.backward()
-        if "harmonics" in self.ours and model.active_sh_degree == 0:
-            model._features_rest.grad = None
         gradients = {name: gradient.clone() for name, gradient in self.in_our_names(lambda tensor: tensor.grad).items()}
         package["viewspace_points_densify"] = package["viewspace_points"]
         with torch.no_grad():

@@ -126,8 +126,9 @@ impl Group {
         self.replace(data.map(|data| Tensor::from_vec(shape.clone(), data)));
     }
 
-    /// Counts one more update; the new count.
-    pub(super) fn count_step(&mut self) -> u64 {
+    /// Counts one more update; the new count. Called alone, it stands for an update without effect: a gradient of zero and
+    /// moments of zero.
+    pub fn count_step(&mut self) -> u64 {
         self.step += 1;
         self.step
     }

@@ -106,8 +106,12 @@ impl Optimizer {
             anyhow::bail!("a gradient of {unknown}, which the model does not have");
         }
         let update = |(name, learner): (&'a String, &'a mut Learner)| {
-            let (gradient, rate) = (gradients.get(name.as_str())?, learner.rate?);
-            Some(Update { group: &mut learner.group, gradient: Some(gradient), learning_rate: rate.at(iteration) })
+            let rate = learner.rate?;
+            let gradient = gradients.get(name.as_str());
+            if gradient.is_none() && constant_of(name).is_some_and(|constant| gradients.contains_key(constant.as_str())) {
+                learner.group.count_step();
+            }
+            Some(Update { group: &mut learner.group, gradient: Some(gradient?), learning_rate: rate.at(iteration) })
         };
         Ok(self.learners.iter_mut().filter_map(update).collect())
     }
@@ -223,6 +227,13 @@ const VALUE: &str = "value.";
 const FIRST: &str = "first_moment.";
 const SECOND: &str = "second_moment.";
 
+/// The constant harmonic that belongs to a tensor of higher harmonics. Both count the same steps, as in the published
+/// code, where harmonics above the current degree have a gradient of zero.
+fn constant_of(name: &str) -> Option<String> {
+    let (population, attribute) = name.rsplit_once('.')?;
+    ["sh_rest", "sh_waves"].contains(&attribute).then(|| format!("{population}.sh_dc"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -261,6 +272,19 @@ mod tests {
         restored.step(&gradients(), 2).unwrap();
         assert_eq!(saved.save(), restored.save());
         assert_eq!(saved.into_state().get("points_of_others").unwrap().as_slice(), [7.0]);
+    }
+
+    #[test]
+    fn higher_harmonics_count_the_steps_before_their_first_use() {
+        let mut state = ModelState::new();
+        for name in ["g.sh_dc", "g.sh_rest", "g.other"] {
+            state.insert(name, Tensor::full([1, 1], 0.0));
+        }
+        let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(0.1)));
+        optimizer.step(&[("g.sh_dc", Tensor::full([1, 1], 1.0))].into(), 1).unwrap();
+        let (_, steps) = optimizer.save();
+        assert_eq!([steps["g.sh_dc"], steps["g.sh_rest"], steps["g.other"]], [1, 1, 0]);
+        assert_eq!(optimizer.tensor("g.sh_rest").unwrap().as_slice(), [0.0]);
     }
 
     #[test]
