@@ -108,7 +108,9 @@ impl Optimizer {
         let update = |(name, learner): (&'a String, &'a mut Learner)| {
             let rate = learner.rate?;
             let gradient = gradients.get(name.as_str());
-            if gradient.is_none() && constant_of(name).is_some_and(|constant| gradients.contains_key(constant.as_str())) {
+            let constant_learns =
+                || constant_of(name).is_some_and(|constant| gradients.contains_key(constant.as_str()));
+            if gradient.is_none() && constant_learns() {
                 learner.group.count_step();
             }
             Some(Update { group: &mut learner.group, gradient: Some(gradient?), learning_rate: rate.at(iteration) })
