@@ -118,6 +118,8 @@ fn options(plan: &Plan, root: &Path) -> RunOptions {
         command: vec!["false".into()],
         stop: StopRequests::default(),
         heartbeat: Duration::from_secs(30),
+        lease: engine::scheduler::LEASE,
+        share: None,
     }
 }
 

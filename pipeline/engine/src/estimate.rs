@@ -42,7 +42,7 @@ impl Estimator {
     /// Learns from records, oldest first. Records of this machine are preferred: those of others are used for groups
     /// without any.
     pub fn new<'a>(records: impl Iterator<Item = &'a ActionRecord> + Clone) -> Self {
-        let host = crate::job::host_name();
+        let host = crate::process::host_name();
         let (mut own, mut others) = (Self::default(), Self::default());
         for record in records {
             let estimator = if record.provenance.host == host { &mut own } else { &mut others };

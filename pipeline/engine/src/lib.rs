@@ -22,6 +22,7 @@ mod fingerprint;
 mod key;
 mod library;
 mod lock;
+mod process;
 mod registry;
 mod resolution;
 mod stage;

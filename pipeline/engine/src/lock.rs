@@ -1,12 +1,9 @@
-//! Advisory locks on files. They save work; correctness never depends on them, and none outlives its process.
+//! Advisory locks between the processes of one machine. They save work; correctness never depends on them, and none
+//! outlives its process. A file system without locks counts as one that nobody else uses.
 
 use std::fs::{File, TryLockError};
-use std::io;
+use std::io::{self, ErrorKind};
 use std::path::Path;
-use std::time::Duration;
-
-/// Time between two attempts of a waiting process: short beside a job, and rare enough to cost nothing.
-const RETRY: Duration = Duration::from_millis(50);
 
 /// Opens the lock file at `path`, creating it if needed.
 pub(crate) fn open(path: &Path) -> io::Result<File> {
@@ -18,17 +15,17 @@ pub(crate) fn try_exclusive(file: &File) -> io::Result<bool> {
     match file.try_lock() {
         Ok(()) => Ok(true),
         Err(TryLockError::WouldBlock) => Ok(false),
-        Err(TryLockError::Error(error)) => Err(error),
+        Err(TryLockError::Error(error)) => if_supported(error).map(|()| true),
     }
 }
 
-/// Locks `file` exclusively, waiting until it is free or `give_up` returns true. Returns whether the lock is held.
-pub(crate) fn wait_exclusive(file: &File, give_up: impl Fn() -> bool) -> io::Result<bool> {
-    while !try_exclusive(file)? {
-        if give_up() {
-            return Ok(false);
-        }
-        std::thread::sleep(RETRY);
-    }
-    Ok(true)
+/// Locks `file` together with others, waiting while another process holds it exclusively.
+pub(crate) fn shared(file: &File) -> io::Result<()> {
+    file.lock_shared().or_else(if_supported)
+}
+
+/// Ignores the error of a file system without locks.
+fn if_supported(error: io::Error) -> io::Result<()> {
+    let is_unsupported = error.kind() == ErrorKind::Unsupported || error.raw_os_error() == Some(libc::ENOLCK);
+    if is_unsupported { Ok(()) } else { Err(error) }
 }

@@ -9,7 +9,7 @@ use crate::explain::{Change, Component, diff};
 use crate::graph::NodeState;
 use crate::scheduler::{Done, NodeOutcome, Readiness, Sources, readiness};
 use crate::store::{ActionRecord, FailureRecord, Lookup};
-use crate::{ActionKey, DeviceClass, Failure, KeyComponents, Node, Plan, Store, lock};
+use crate::{ActionKey, DeviceClass, Failure, KeyComponents, Node, Plan, Store};
 
 /// The predicted state of a job.
 #[derive(Clone, Debug, Serialize)]
@@ -161,7 +161,7 @@ impl Predictor<'_> {
         let last_failure = self.store.failure(&key).map(Box::new);
         let node = &self.plan.nodes[index];
         let recipe = &self.plan.recipe;
-        let running = self.is_running(&key);
+        let running = self.store.holder(&key).is_some();
         let has_checkpoint = !running && self.store.has_checkpoint(&key);
         let changes = match (found.is_empty(), self.history()?.newest(recipe, node, None)) {
             (false, _) => found,
@@ -204,12 +204,6 @@ impl Predictor<'_> {
             self.history = Some(History::read(self.store)?);
         }
         Ok(self.history.get_or_insert_default())
-    }
-
-    /// Whether a process holds the action's lock.
-    fn is_running(&self, key: &ActionKey) -> bool {
-        let file = std::fs::File::open(self.store.lock_file(key.as_str()));
-        file.is_ok_and(|file| lock::try_exclusive(&file).is_ok_and(|free| !free))
     }
 }
 

@@ -41,8 +41,7 @@ pub(crate) fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
             text += &plan::line(&session.plan.nodes[index].name, prediction);
         }
         if let State::WillRun { last_failure: Some(failed), .. } = &prediction.state {
-            let dir = session.store.run_dir(&failed.provenance.run).join("jobs").join(&failed.provenance.node);
-            text += &format!("             log: {}\n", dir.display());
+            text += &format!("             log: {}\n", failed.log_dir.display());
         }
     }
     print(&text)?;

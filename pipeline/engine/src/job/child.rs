@@ -1,7 +1,6 @@
 //! The scheduler's side of a job: starts the child process, forwards its progress, and determines how it ended.
 
 use std::ffi::OsString;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
@@ -105,6 +104,11 @@ impl ProcessHandle {
         self.lock().stop.is_some()
     }
 
+    /// The id of the child's process while it runs.
+    pub fn pid(&self) -> Option<u32> {
+        self.lock().pid.and_then(|pid| u32::try_from(pid.as_raw_nonzero().get()).ok())
+    }
+
     fn has_started(&self, pid: Pid) {
         let mut process = self.lock();
         process.pid = Some(pid);
@@ -122,20 +126,17 @@ impl ProcessHandle {
 
 /// Runs one job in a child process and waits until it ends.
 ///
-/// `command` is the program and its first arguments; the path of the job's specification is appended. `lock` becomes
-/// the child's standard input, so that the child holds the lock even if this process dies first.
+/// `command` is the program and its first arguments; the path of the job's specification is appended.
 pub fn supervise(
     command: &[OsString],
     spec: &JobSpec,
-    lock: &File,
     handle: &ProcessHandle,
     on_progress: &(dyn Fn(Progress) + Sync),
 ) -> anyhow::Result<Ended> {
-    fs::create_dir_all(&spec.dir).context("cannot create the job's folder")?;
     let spec_file = spec.dir.join("job.json");
     fs::write(&spec_file, serde_json::to_vec_pretty(spec)?).context("cannot write the job")?;
     let memory_kills = failure::kernel_memory_kills();
-    let mut child = start(command, spec, &spec_file, lock)?;
+    let mut child = start(command, spec, &spec_file)?;
     let pid = Pid::from_child(&child);
     handle.has_started(pid);
     let stdout = child.stdout.take().context("the child has no output")?;
@@ -159,7 +160,7 @@ pub fn supervise(
     Ok(Ended { status: apply_time_limit(status, death.timed_out), peak_rss_bytes, log_tail })
 }
 
-fn start(command: &[OsString], spec: &JobSpec, spec_file: &Path, lock: &File) -> anyhow::Result<std::process::Child> {
+fn start(command: &[OsString], spec: &JobSpec, spec_file: &Path) -> anyhow::Result<std::process::Child> {
     let (program, arguments) = command.split_first().context("no command to run jobs with")?;
     let kept = ENVIRONMENT.iter().filter_map(|name| Some((name, std::env::var_os(name)?)));
     Command::new(program)
@@ -169,7 +170,7 @@ fn start(command: &[OsString], spec: &JobSpec, spec_file: &Path, lock: &File) ->
         .envs(kept)
         .env("RAYON_NUM_THREADS", spec.threads.to_string())
         .process_group(0)
-        .stdin(lock.try_clone()?)
+        .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(fs::File::create(spec.dir.join("stderr"))?.into_parts().0)
         .spawn()

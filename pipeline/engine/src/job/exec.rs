@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use super::{InputSpec, JobSpec, JobStatus, Line, failure, log, machine, signals};
 use crate::digest::SourceDigests;
-use crate::store::{ActionRecord, Provenance, Publication, Store};
+use crate::store::{ActionRecord, Lookup, Provenance, Publication, Store};
 use crate::{ActionKey, AnyStage, Failure, FailureKind, InputRecord, JobContext, Progress, Registry, exit};
 
 /// The minimum time between two progress reports.
@@ -97,7 +97,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
         plan_id: spec.plan_id.clone(),
         run: spec.run.clone(),
         device: spec.device_of_run,
-        host: machine::host_name(),
+        host: crate::process::host_name(),
         threads: spec.threads,
         work,
         started_at_secs: started_at.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64(),
@@ -135,7 +135,7 @@ fn commit(
             return Ok(JobStatus::Published { content, measurements, note: Some(note) });
         }
     }
-    if spec.replace {
+    if spec.replace && !matches!(store.lookup(key), Lookup::Hit(first) if first.provenance.run == spec.run) {
         store.retire_record(key)?;
     }
     let record = ActionRecord::new(spec.components.clone(), provenance, publication);
@@ -144,7 +144,7 @@ fn commit(
         return Ok(JobStatus::Published { content, measurements, note: None });
     }
     match store.lookup(key) {
-        crate::store::Lookup::Hit(first) => Ok(JobStatus::Published {
+        Lookup::Hit(first) => Ok(JobStatus::Published {
             content: first.content,
             measurements: first.measurements,
             note: (first.content != content)

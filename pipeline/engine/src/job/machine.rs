@@ -24,11 +24,6 @@ pub(super) fn card(registry: &Registry) -> Value {
     })
 }
 
-/// The machine's name.
-pub(crate) fn host_name() -> String {
-    rustix::system::uname().nodename().to_string_lossy().into_owned()
-}
-
 /// The number of physical cores: distinct pairs of socket and core.
 fn cores() -> Option<usize> {
     let text = fs::read_to_string("/proc/cpuinfo").ok()?;

@@ -18,8 +18,18 @@ pub struct StopRequests {
 impl StopRequests {
     /// Starts to count the signals INT, TERM and HUP of this process.
     pub fn listen() -> io::Result<Self> {
+        Self::listen_to(&[SIGINT, SIGTERM, SIGHUP])
+    }
+
+    /// Starts to count the signals INT, TERM, HUP and USR1 of this process. Batch systems announce the end of an
+    /// allocation with USR1.
+    pub fn listen_in_batch() -> io::Result<Self> {
+        Self::listen_to(&[SIGINT, SIGTERM, SIGHUP, SIGUSR1])
+    }
+
+    fn listen_to(signals: &[i32]) -> io::Result<Self> {
         let requests = Self::default();
-        let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+        let mut signals = Signals::new(signals)?;
         let counter = requests.clone();
         std::thread::Builder::new().name("signals".into()).spawn(move || {
             for signal in signals.forever() {
@@ -45,10 +55,11 @@ impl StopRequests {
         self.request(SIGPIPE);
     }
 
-    /// The signal of the last request: `INT`, `TERM` or `PIPE`.
+    /// The signal of the last request: `INT`, `TERM`, `USR1` or `PIPE`.
     pub fn last_signal(&self) -> &'static str {
         match i32::try_from(self.signal.load(Ordering::SeqCst)) {
             Ok(SIGTERM) => "TERM",
+            Ok(SIGUSR1) => "USR1",
             Ok(SIGPIPE) => "PIPE",
             _ => "INT",
         }

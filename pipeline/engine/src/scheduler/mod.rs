@@ -6,6 +6,7 @@
 
 mod inputs;
 mod launch;
+mod share;
 mod stop;
 mod summary;
 
@@ -19,13 +20,15 @@ use anyhow::Context;
 
 use crate::event::{Counts, Event, EventLog, NodeResult, Outcome};
 use crate::job::{Ended, JobStatus, StopRequests};
-use crate::store::{ActionRecord, Lookup};
+use crate::store::{ActionRecord, FailureRecord, Lookup};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents, Plan, Progress, Store};
 
 pub use inputs::{Done, NodeOutcome, Readiness, Sources, readiness};
+pub use share::{Crew, Share};
 pub use summary::RunSummary;
 
 use launch::Running;
+use share::Parking;
 
 /// The longest time between two checks of clocks and stop requests while jobs run.
 const TICK: Duration = Duration::from_millis(50);
@@ -62,7 +65,15 @@ pub struct RunOptions {
     pub stop: StopRequests,
     /// The time between two heartbeat events.
     pub heartbeat: Duration,
+    /// After this time without a sign of life, another process may take a job over.
+    pub lease: Duration,
+    /// This process's part in a run that several processes share; none if it runs alone.
+    pub share: Option<Share>,
 }
+
+/// The usual length of a lease. A dead process of the same machine is noticed at once; the lease covers frozen processes
+/// and other machines.
+pub const LEASE: Duration = Duration::from_secs(60);
 
 /// Runs the targets of `plan` and their producers. `watcher` receives every event.
 ///
@@ -77,17 +88,20 @@ pub fn run(
     let clock = Instant::now();
     let _in_use = store.enter()?;
     let selected = plan.with_ancestors(&options.targets);
-    let (run, run_dir) = new_run(store)?;
-    let plan_file = run_dir.join("plan.json");
-    fs_err::write(&plan_file, serde_json::to_vec(plan)?).context("cannot write the plan")?;
-    let mut events = EventLog::create(&run_dir.join("events.jsonl"), watcher)?;
+    let (run, events_file) = match &options.share {
+        Some(share) if share.following.is_none() => (share.run.clone(), format!("events-{}.jsonl", share.name)),
+        Some(share) => (share.run.clone(), EVENTS.into()),
+        None => (begin(plan, store)?, EVENTS.into()),
+    };
+    let run_dir = store.run_dir(&run);
+    let mut events = EventLog::create(&run_dir.join(&events_file), watcher)?;
     events.emit(&Event::Planned { run: run.clone(), recipe: plan.recipe.clone(), jobs: selected.len() });
     let sources = Sources::digest(plan, &selected, &options.data_root, store, options.rehash)?;
 
     let mut scheduler = Scheduler::new(plan, store, options, run.clone(), selected, sources, events);
     scheduler.run()?;
     let mut summary = scheduler.finish(clock.elapsed().as_secs_f64());
-    let path = run_dir.join("summary.json");
+    let path = run_dir.join(events_file.replace("events", "summary").replace(".jsonl", ".json"));
     if let Err(error) = fs_err::write(&path, serde_json::to_vec_pretty(&summary)?) {
         // The caller still gets the summary.
         summary.not_kept.get_or_insert(format!("cannot write the run's summary: {error}"));
@@ -95,24 +109,30 @@ pub fn run(
     Ok(summary)
 }
 
-/// The name (start time and process id, sortable) and the folder of a new run.
-fn new_run(store: &Store) -> anyhow::Result<(String, PathBuf)> {
+/// The file of a run's events.
+const EVENTS: &str = "events.jsonl";
+
+/// Creates the folder of a new run, with its plan. Returns the run's name: start time and process id, sortable.
+pub fn begin(plan: &Plan, store: &Store) -> anyhow::Result<String> {
     let now = humantime::format_rfc3339_millis(SystemTime::now()).to_string();
     let name = format!("{}-{}", now.replace(['-', ':'], ""), std::process::id());
     let dir = store.run_dir(&name);
     fs_err::create_dir_all(&dir).context("cannot create the run's folder")?;
-    Ok((name, dir))
+    fs_err::write(dir.join("plan.json"), serde_json::to_vec(plan)?).context("cannot write the plan")?;
+    Ok(name)
 }
 
 /// Messages from the threads of running jobs; each begins with the index of the node.
 enum Message {
-    /// The job waits for another run's result.
-    Waiting(usize),
     /// The job's process has started.
     Started(usize),
     Progress(usize, Progress),
-    /// Another run has made the result in the meantime.
+    /// Another process has made the result in the meantime.
     Found(usize, Box<ActionRecord>),
+    /// The job has failed in another process of this run.
+    FoundFailed(usize, Box<FailureRecord>),
+    /// Another process has taken the job over.
+    Lost(usize),
     /// The job's process has ended, after this time.
     Ended(usize, anyhow::Result<Ended>, Duration),
 }
@@ -137,6 +157,8 @@ struct Scheduler<'a> {
     /// narrower jobs of later rank never overtake it.
     queue: BTreeMap<usize, (usize, Box<KeyComponents>)>,
     running: BTreeMap<usize, Running>,
+    /// Ready nodes that other processes hold or may launch.
+    parking: Parking,
     /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
     in_flight: BTreeMap<ActionKey, Vec<usize>>,
     outcomes: Vec<Option<NodeOutcome>>,
@@ -168,6 +190,7 @@ impl<'a> Scheduler<'a> {
         }
         let ready = selected.iter().copied().filter(|&index| unfinished_producers[index] == 0).collect();
         let (sender, receiver) = channel();
+        let begin = options.share.as_ref().map_or(0.0, |share| share.begin);
         Self {
             plan,
             store,
@@ -180,9 +203,10 @@ impl<'a> Scheduler<'a> {
             consumers,
             unfinished_producers,
             ready,
-            ranks: plan.depth_first_ranks(),
+            ranks: share::ranks_from(begin, plan.depth_first_ranks()),
             queue: BTreeMap::new(),
             running: BTreeMap::new(),
+            parking: Parking::default(),
             in_flight: BTreeMap::new(),
             outcomes: vec![None; plan.nodes.len()],
             results: BTreeMap::new(),
@@ -199,8 +223,13 @@ impl<'a> Scheduler<'a> {
                 self.dispatch(index)?;
             }
             self.handle_stop_requests();
+            self.look_at_parked()?;
+            if !self.ready.is_empty() {
+                continue;
+            }
             self.launch_jobs()?;
-            if self.running.is_empty() {
+            let waits = !self.parking.is_empty() && !self.has_stopped_launching() && !self.has_left();
+            if self.running.is_empty() && !waits {
                 // No job runs and none can be launched: all are finished, or launching has stopped.
                 return Ok(());
             }
@@ -231,29 +260,31 @@ impl<'a> Scheduler<'a> {
             waiting.push(index);
             return Ok(());
         }
-        if !self.options.force.contains(&index) {
-            match self.store.lookup(&key) {
-                Lookup::Hit(record) => {
-                    self.finish_from_record(index, &record);
-                    return Ok(());
-                }
-                Lookup::Damaged { reason, paths } => {
-                    let message = format!("{} runs again: {reason}", self.plan.nodes[index].name);
-                    self.events.emit(&Event::Warning { message });
-                    self.store.discard(&paths).context("cannot move damaged files to quarantine")?;
-                }
-                Lookup::Miss => {}
+        match self.store.lookup(&key) {
+            Lookup::Hit(record) if !self.is_outdated(index, &record) => {
+                self.finish_from_record(index, &record);
+                return Ok(());
             }
+            Lookup::Damaged { reason, paths } => {
+                let message = format!("{} runs again: {reason}", self.plan.nodes[index].name);
+                self.events.emit(&Event::Warning { message });
+                self.store.discard(&paths).context("cannot move damaged files to quarantine")?;
+            }
+            Lookup::Hit(_) | Lookup::Miss => {}
         }
+        let failed = self.failure_in_crew(&key);
         self.in_flight.insert(key, Vec::new());
-        self.queue.insert(self.ranks[index], (index, components));
+        match failed {
+            Some(failed) => self.finish_failed(index, failed),
+            None if self.may_launch(index) => _ = self.queue.insert(self.ranks[index], (index, components)),
+            None => self.park(index, components),
+        }
         Ok(())
     }
 
     fn receive(&mut self, message: Message) {
         let name = |index: usize| self.plan.nodes[index].name.clone();
         match message {
-            Message::Waiting(index) => self.events.emit(&Event::Waiting { node: name(index) }),
             Message::Started(index) => {
                 let Some(job) = self.running.get_mut(&index) else { return };
                 job.process_started = Some(Instant::now());
@@ -266,11 +297,16 @@ impl<'a> Scheduler<'a> {
                 self.events.emit(&Event::Progress { node: name(index), progress });
             }
             Message::Found(index, record) => {
+                self.running.remove(&index);
+                self.finish_in_flight(index, &record);
+            }
+            Message::FoundFailed(index, failed) => {
+                self.running.remove(&index);
+                self.finish_failed(index, *failed);
+            }
+            Message::Lost(index) => {
                 let Some(job) = self.running.remove(&index) else { return };
-                self.finish_from_record(index, &record);
-                for follower in self.in_flight.remove(&job.key).unwrap_or_default() {
-                    self.finish_from_record(follower, &record);
-                }
+                self.lose(index, job);
             }
             Message::Ended(index, ended, wall) => self.receive_end(index, ended, wall),
         }
@@ -303,7 +339,7 @@ impl<'a> Scheduler<'a> {
     fn finish_from_record(&mut self, index: usize, record: &ActionRecord) {
         self.store.touch(record);
         let done = Done { key: record.key.clone(), content: record.content, measurements: record.measurements };
-        self.finish_node(index, NodeOutcome::Done(done), None);
+        self.finish_node(index, NodeOutcome::Done(done), self.result_of_crew(record));
     }
 
     /// Records the outcome of a node and releases its consumers. `result` has the details of a job that ran.

@@ -38,6 +38,7 @@ impl RunSummary {
             return match signal.as_str() {
                 "TERM" => exit::TERMINATED,
                 "PIPE" => exit::READER_GONE,
+                "USR1" => exit::CHECKPOINTED,
                 _ => exit::INTERRUPTED,
             };
         }

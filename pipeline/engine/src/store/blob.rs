@@ -29,7 +29,7 @@ impl Store {
     /// Stores bytes durably as a blob.
     pub(super) fn put_bytes(&self, bytes: &[u8]) -> io::Result<Digest> {
         let digest = Digest::of(bytes);
-        let file = tempfile::NamedTempFile::new_in(self.root.join("tmp"))?;
+        let file = self.scratch_file()?;
         let mut open = file.as_file();
         let written = open.write_all(bytes);
         let protected = written.and_then(|()| open.set_permissions(Permissions::from_mode(0o444)));

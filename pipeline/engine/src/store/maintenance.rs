@@ -97,7 +97,7 @@ impl Store {
     /// Removes the records whose plan id is not in `keep_plan_ids` and that no run made or used within `max_age`, then
     /// everything that no remaining record needs. The caller holds the store's exclusive lock.
     ///
-    /// This includes the views, result links and markers of removed artifacts, all locks and scratch files, and
+    /// This includes the views, result links and markers of removed artifacts, all claims and scratch files, and
     /// checkpoints, failures, quarantined files and run folders older than `max_age`.
     pub fn gc(&self, keep_plan_ids: &BTreeSet<String>, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
@@ -157,7 +157,7 @@ impl Store {
         links.retain(|link| is_own(link) && !leads_to_kept(link));
         files.extend(links);
         files.extend(files_below(&self.root.join("tmp"))?);
-        files.extend(files_below(&self.root.join("locks"))?);
+        files.extend(files_below(&self.root.join("claims"))?);
         for folder in ["checkpoints", "failures", "quarantine", "runs"] {
             let old = files_below(&self.root.join(folder))?.into_iter().filter(|path| is_older(path, max_age));
             files.extend(old);

@@ -10,11 +10,14 @@
 //! failures/<action key>.json  the last failure of an action; never a cache hit
 //! checkpoints/<action key>/   checkpoints of an interrupted job
 //! runs/<run>/                 plan, events and one folder per job with its logs
-//! locks/, tmp/, quarantine/   advisory locks, scratch files, damaged files
+//! claims/<action key>         the process that works on the action, as a lease with a heartbeat
+//! tmp/, quarantine/           scratch files, damaged files
 //! ```
-//! Locks only save work. Correctness rests on content addressing and on renames that never replace a file.
+//! Claims only save work. Correctness rests on content addressing and on renames that never replace a file, so a store may
+//! lie on a network file system and serve processes of many machines.
 
 mod blob;
+mod claim;
 mod lookup;
 mod maintenance;
 mod manifest;
@@ -31,8 +34,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use fs_err as fs;
 
+use crate::process::ProcessId;
 use crate::{Failure, FailureKind};
 
+pub use claim::{Claim, Holder, Watch};
 pub use lookup::Lookup;
 pub use maintenance::{Damage, GcReport, Usage};
 pub use manifest::{Manifest, ManifestFile};
@@ -46,9 +51,12 @@ const FORMAT: u32 = 1;
 const NEW_FORMAT_PREFIX: &str = ".FORMAT-";
 
 /// The folders of a new store. Others are created when needed.
-const FOLDERS: [&str; 9] = ["cas", "verified", "views", "records", "failures", "checkpoints", "runs", "locks", "tmp"];
+const FOLDERS: [&str; 9] = ["cas", "verified", "views", "records", "failures", "checkpoints", "runs", "claims", "tmp"];
 
-/// A store on a local disk. It is cheap to clone, and holds no lock and no open file.
+/// Scratch files of other machines are removed at this age: no job takes a month.
+const MAX_SCRATCH_AGE: std::time::Duration = std::time::Duration::from_secs(30 * 24 * 3600);
+
+/// A store on a local disk or a network file system. It is cheap to clone, and holds no lock and no open file.
 #[derive(Clone, Debug)]
 pub struct Store {
     root: PathBuf,
@@ -110,21 +118,17 @@ impl Store {
         entries.is_ok_and(|mut entries| entries.next().is_some())
     }
 
-    /// The file that a job with this action key locks while it runs.
-    pub fn lock_file(&self, action_key: &str) -> PathBuf {
-        self.root.join("locks").join(action_key)
-    }
-
     /// The file that caches source digests.
     pub fn stat_cache_file(&self) -> PathBuf {
         self.root.join("sources.json")
     }
 
-    /// Marks the store as in use until the returned file is dropped. Scratch files are not removed in the meantime.
+    /// Marks the store as in use by this machine until the returned file is dropped. Garbage collection waits for that; it
+    /// learns from claims whether another machine uses the store.
     pub fn lock_shared(&self) -> io::Result<File> {
         let path = self.root.join("LOCK");
         let file = crate::lock::open(&path)?;
-        file.lock_shared().map_err(at_path(&path))?;
+        crate::lock::shared(&file).map_err(at_path(&path))?;
         Ok(file)
     }
 
@@ -132,31 +136,43 @@ impl Store {
     pub fn try_lock_exclusive(&self) -> anyhow::Result<Option<File>> {
         let path = self.root.join("LOCK");
         let file = crate::lock::open(&path).context("cannot lock the store")?;
-        Ok(crate::lock::try_exclusive(&file).map_err(at_path(&path)).context("cannot lock the store")?.then_some(file))
+        let is_alone = crate::lock::try_exclusive(&file).map_err(at_path(&path)).context("cannot lock the store")?;
+        Ok((is_alone && !self.has_live_claims()?).then_some(file))
     }
 
-    /// Marks the store as in use. If no other process uses it, scratch files of crashed runs are removed first.
+    /// Marks the store as in use, after removing the scratch files of processes that have crashed.
     pub fn enter(&self) -> anyhow::Result<File> {
-        if let Some(_alone) = self.try_lock_exclusive()? {
-            for entry in fs::read_dir(self.root.join("tmp"))? {
-                let path = entry?.path();
-                if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) }?;
+        for entry in fs::read_dir(self.root.join("tmp"))? {
+            let path = entry?.path();
+            if !is_abandoned(&path) {
+                continue;
+            }
+            let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+            match removed {
+                // Another process removes it, too.
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                other => other?,
             }
         }
         self.lock_shared().context("cannot lock the store")
     }
 
-    /// Creates a scratch folder on the store's file system, which is removed when dropped. The caller holds the shared
-    /// lock.
+    /// Creates a scratch folder on the store's file system, which is removed when dropped.
     pub fn scratch(&self, purpose: &str) -> io::Result<tempfile::TempDir> {
-        tempfile::Builder::new().prefix(&format!("{purpose}-")).tempdir_in(self.root.join("tmp"))
+        let prefix = format!("{}-{purpose}-", ProcessId::own().tag());
+        tempfile::Builder::new().prefix(&prefix).tempdir_in(self.root.join("tmp"))
+    }
+
+    /// Creates a scratch file, which is removed when dropped.
+    fn scratch_file(&self) -> io::Result<tempfile::NamedTempFile> {
+        new_file(&format!("{}-", ProcessId::own().tag()), &self.root.join("tmp"))
     }
 
     /// Writes a file durably that must not exist yet: temporary file (in the folder that the next run cleans), fsync,
     /// rename that never replaces.
     fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
-        let mut file = new_file("", &self.root.join("tmp"))?;
+        let mut file = self.scratch_file()?;
         file.write_all(bytes).map_err(at_path(path))?;
         file.as_file().sync_all().map_err(at_path(path))?;
         file.persist_noclobber(path).map_err(|error| at_path(path)(error.error))?;
@@ -166,7 +182,7 @@ impl Store {
     /// Writes a file atomically, replacing an existing one.
     pub(crate) fn write_over(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let _in_use = self.lock_shared()?;
-        let mut file = new_file("", &self.root.join("tmp"))?;
+        let mut file = self.scratch_file()?;
         file.write_all(bytes).map_err(at_path(path))?;
         file.persist(path).map_err(|error| at_path(path)(error.error))?;
         Ok(())
@@ -222,6 +238,16 @@ impl Store {
             },
         }
     }
+}
+
+/// Whether a scratch file's process has crashed: the process is of this machine and has ended, or nothing has changed for
+/// so long that no process can still need it.
+fn is_abandoned(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let tag = name.splitn(4, '-').take(3).collect::<Vec<_>>().join("-");
+    let changed = fs::symlink_metadata(path).and_then(|meta| meta.modified());
+    let is_old = changed.is_ok_and(|at| at.elapsed().is_ok_and(|age| age > MAX_SCRATCH_AGE));
+    ProcessId::tag_has_ended(&tag) || is_old
 }
 
 /// Adds the path to the message of an error that does not name its file.

@@ -48,6 +48,9 @@ pub struct FailureRecord {
     pub failure: Failure,
     /// The last lines of the job's logs.
     pub log_tail: Vec<String>,
+    /// The folder with the job's logs.
+    #[serde(default)]
+    pub log_dir: PathBuf,
 }
 
 /// The job that ran an action, with time and machine. Never part of a key.
@@ -89,9 +92,16 @@ impl ActionRecord {
 }
 
 impl FailureRecord {
-    /// Creates the record of a failure.
-    pub fn new(components: KeyComponents, provenance: Provenance, failure: Failure, log_tail: Vec<String>) -> Self {
-        Self { version: VERSION, key: ActionKey::new(&components), components, provenance, failure, log_tail }
+    /// Creates the record of a failure; `log_dir` has the job's logs, with these last lines.
+    pub fn new(
+        components: KeyComponents,
+        provenance: Provenance,
+        failure: Failure,
+        log_tail: Vec<String>,
+        log_dir: PathBuf,
+    ) -> Self {
+        let key = ActionKey::new(&components);
+        Self { version: VERSION, key, components, provenance, failure, log_tail, log_dir }
     }
 }
 

@@ -37,7 +37,7 @@ fn publish(store: &Store, name: &str, text: &str) -> ActionRecord {
     record
 }
 
-fn key(name: &str) -> ActionKey {
+pub(super) fn key(name: &str) -> ActionKey {
     ActionKey::new(&components(name))
 }
 
@@ -45,7 +45,7 @@ fn is_hit(store: &Store, name: &str) -> bool {
     matches!(store.lookup(&key(name)), Lookup::Hit(_))
 }
 
-fn with_store(test: impl FnOnce(&Store)) {
+pub(super) fn with_store(test: impl FnOnce(&Store)) {
     let root = tempfile::tempdir().unwrap();
     test(&Store::open(&root.path().join("store")).unwrap());
 }
@@ -348,17 +348,36 @@ fn gc_keeps_planned_and_recent_results() {
 }
 
 #[test]
-fn scratch_is_removed_only_when_no_process_uses_the_store() {
+fn scratch_of_ended_processes_is_removed() {
     with_store(|store| {
-        let left = store.root().join("tmp/left by a crash");
+        let mut process = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        let left = store.root().join(format!("tmp/{}-job-x", crate::process::ProcessId::local(process.id()).tag()));
+        let foreign = store.root().join("tmp/of another machine");
+        let own = store.scratch("job").unwrap();
         fs::create_dir(&left).unwrap();
-        let other = store.lock_shared().unwrap();
-        let _entered = store.enter().unwrap();
-        assert!(left.exists());
-        drop((other, _entered));
-        let _entered = store.enter().unwrap();
-        assert!(!left.exists());
+        fs::create_dir(&foreign).unwrap();
+        drop(store.enter().unwrap());
+        assert!(left.exists() && own.path().exists());
+        process.kill().unwrap();
+        process.wait().unwrap();
+        drop(store.enter().unwrap());
+        assert_eq!(
+            (left.exists(), own.path().exists(), foreign.exists()),
+            (cfg!(not(target_os = "linux")), true, true)
+        );
+    });
+}
+
+#[test]
+fn a_store_in_use_is_not_locked_exclusively() {
+    with_store(|store| {
+        let entered = store.enter().unwrap();
         assert!(store.try_lock_exclusive().unwrap().is_none());
+        drop(entered);
+        let claim = store.try_claim(&key("a"), "run", 1).unwrap().unwrap();
+        assert!(store.try_lock_exclusive().unwrap().is_none());
+        drop(claim);
+        assert!(store.try_lock_exclusive().unwrap().is_some());
     });
 }
 

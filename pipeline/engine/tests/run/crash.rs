@@ -88,7 +88,7 @@ fn start(world: &World) -> Child {
 }
 
 /// The job processes of a scheduler: the children of all of its threads.
-fn children(scheduler: &Child) -> Vec<Pid> {
+pub(crate) fn children(scheduler: &Child) -> Vec<Pid> {
     let tasks = fs::read_dir(format!("/proc/{}/task", scheduler.id()));
     let lists = tasks.into_iter().flatten().flatten().map(|task| fs::read_to_string(task.path().join("children")));
     let pids = lists.flatten().flat_map(|list| list.split_whitespace().map(str::to_owned).collect::<Vec<_>>());

@@ -5,6 +5,7 @@ mod crash;
 mod outcomes;
 mod predict;
 mod reuse;
+mod share;
 #[path = "../../src/test_stages.rs"]
 mod test_stages;
 mod world;
@@ -20,6 +21,7 @@ fn main() -> ExitCode {
     match words[1..] {
         ["exec-job", spec] => execute(spec, &world::registry()),
         ["exec-rebuilt-job", spec] => execute(spec, &world::rebuilt_registry()),
+        ["work", root, run, part] => world::work(Path::new(root), run, part),
         ["schedule", root] => world::schedule(Path::new(root)),
         _ => libtest_mimic::run(&Arguments::from_args(), trials()).exit_code(),
     }
@@ -36,7 +38,7 @@ fn execute(spec: &str, registry: &engine::Registry) -> ExitCode {
 }
 
 fn trials() -> Vec<Trial> {
-    let tests = [reuse::TESTS, outcomes::TESTS, predict::TESTS, crash::TESTS].concat();
+    let tests = [reuse::TESTS, outcomes::TESTS, predict::TESTS, crash::TESTS, share::TESTS].concat();
     let trial = |(name, test): (&'static str, fn())| {
         Trial::test(name, move || {
             test();

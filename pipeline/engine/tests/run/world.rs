@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use engine::event::{Event, Outcome};
 use engine::job::StopRequests;
-use engine::scheduler::{self, RunOptions, RunSummary};
+use engine::scheduler::{self, RunOptions, RunSummary, Share};
 use engine::{CodeTable, CrateCode, Digest, Plan, Registry, Store};
 use tempfile::TempDir;
 
@@ -102,6 +102,8 @@ impl World {
             command: vec![std::env::current_exe().unwrap().into(), "exec-job".into()],
             stop: StopRequests::default(),
             heartbeat: Duration::from_secs(30),
+            lease: scheduler::LEASE,
+            share: None,
         }
     }
 
@@ -145,6 +147,29 @@ pub(crate) fn schedule(root: &Path) -> ExitCode {
     let world = World { root: root.to_owned(), _keep: None };
     let plan = world.plan(&[]);
     let mut options = world.options(&plan);
+    options.stop = StopRequests::listen().unwrap();
+    let summary = scheduler::run(&plan, &world.store(), &options, &mut |_| ()).unwrap();
+    ExitCode::from(summary.exit_code(false))
+}
+
+/// The lease in shared runs: a frozen process loses its jobs after this time.
+pub(crate) const SHORT_LEASE: Duration = Duration::from_millis(500);
+
+/// Takes part in the shared run `run` of an existing world, like a worker of the program does.
+pub(crate) fn work(root: &Path, run: &str, part: &str) -> ExitCode {
+    let world = World { root: root.to_owned(), _keep: None };
+    let plan = world.plan(&[]);
+    let begin = part.parse::<f64>().unwrap() / 10.0;
+    let mut options = RunOptions { jobs: 1, lease: SHORT_LEASE, ..world.options(&plan) };
+    options.share = Some(Share {
+        run: run.into(),
+        name: format!("worker-{part}"),
+        begin,
+        following: None,
+        only: None,
+        missing: None,
+        idle: None,
+    });
     options.stop = StopRequests::listen().unwrap();
     let summary = scheduler::run(&plan, &world.store(), &options, &mut |_| ()).unwrap();
     ExitCode::from(summary.exit_code(false))

@@ -1,0 +1,114 @@
+//! A crew of worker processes on this machine.
+
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use anyhow::Context;
+use engine::event::Event;
+use engine::job::StopRequests;
+use engine::scheduler::{Crew, RunOptions, RunSummary, Share, begin, run};
+use engine::{Plan, Store};
+use fs_err as fs;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::{Process, RunFile};
+
+/// The time between two looks at the workers.
+const TICK: Duration = Duration::from_millis(100);
+
+/// One worker of a crew.
+#[derive(Clone, Debug)]
+pub struct Worker {
+    /// The device as typed.
+    pub device: String,
+    /// The maximum number of jobs at a time.
+    pub jobs: usize,
+    /// The number of threads of all its jobs.
+    pub threads: usize,
+}
+
+/// Runs a plan with several workers, each a process of its own, and returns the usual summary. `process` is this one, which
+/// only follows the workers, and does what is left if all of them have died. `watcher` receives every event.
+pub fn run_with_workers(
+    (plan, store): (&Plan, &Store),
+    file: &RunFile,
+    workers: &[Worker],
+    process: &Process,
+    watcher: &mut dyn FnMut(&Event),
+) -> anyhow::Result<RunSummary> {
+    let name = begin(plan, store)?;
+    file.write(store, &name)?;
+    let crew = Crew::default();
+    let share = follower(&name, &crew);
+    let options = file.options(process, share);
+    std::thread::scope(|scope| {
+        // The workers end with the thread that starts them.
+        let watch = scope.spawn(|| {
+            let children = start(store, &name, workers, &options);
+            let ended = children.and_then(|children| wait(children, &options.stop));
+            crew.take_over();
+            ended
+        });
+        let summary = run(plan, store, &options, watcher);
+        watch.join().map_err(|_| anyhow::anyhow!("the thread that watches the workers panicked"))??;
+        summary
+    })
+}
+
+/// The part of a process that only follows others.
+pub(crate) fn follower(run: &str, crew: &Crew) -> Share {
+    Share {
+        run: run.into(),
+        name: "follower".into(),
+        begin: 0.0,
+        following: Some(crew.clone()),
+        only: None,
+        missing: None,
+        idle: None,
+    }
+}
+
+fn start(store: &Store, run: &str, workers: &[Worker], options: &RunOptions) -> anyhow::Result<Vec<Child>> {
+    let program = options.command.first().context("no command to run workers with")?;
+    let start = |(at, worker): (usize, &Worker)| {
+        let log = fs::File::create(log_file(&store.run_dir(run), at + 1))?.into_parts().0;
+        let mut command = Command::new(program);
+        command.arg("--store").arg(store.root()).args(["worker", run]);
+        command.args(["--part", &format!("{}/{}", at + 1, workers.len()), "--device", &worker.device]);
+        command.args(["--jobs", &worker.jobs.to_string(), "--threads", &worker.threads.to_string()]);
+        command.args(["--parent", &std::process::id().to_string()]);
+        // In a group of its own: this process passes on what the user types.
+        command.process_group(0).stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
+        command.spawn().context("cannot start a worker")
+    };
+    workers.iter().enumerate().map(start).collect()
+}
+
+/// The file with what a worker prints; workers are numbered from 1.
+pub fn log_file(run_dir: &Path, worker: usize) -> std::path::PathBuf {
+    run_dir.join(format!("worker-{worker}.log"))
+}
+
+/// Waits until all workers have ended. Each new stop request goes to all of them.
+fn wait(mut children: Vec<Child>, stop: &StopRequests) -> anyhow::Result<()> {
+    let mut passed_on = 0;
+    loop {
+        let mut living = Vec::new();
+        for child in &mut children {
+            if child.try_wait()?.is_none() {
+                living.push(Pid::from_child(child));
+            }
+        }
+        if living.is_empty() {
+            return Ok(());
+        }
+        if passed_on < stop.count() {
+            passed_on += 1;
+            // Fails only if the worker has just ended.
+            living.iter().for_each(|pid| _ = kill_process(*pid, Signal::TERM));
+        }
+        std::thread::sleep(TICK);
+    }
+}

@@ -1,0 +1,263 @@
+//! Runs that several processes share: each takes ready jobs that no other process holds.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::{Duration, Instant};
+
+use super::{NodeOutcome, Scheduler, launch::Running};
+use crate::event::{Event, NodeResult, Outcome};
+use crate::store::{ActionRecord, FailureRecord, Lookup, Watch};
+use crate::{ActionKey, Failure, FailureKind, KeyComponents, Progress, Store};
+
+/// The shortest and the longest time between two looks at the jobs that others hold.
+const POLL: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
+/// A look may take this share of the time, so that many waiting jobs do not load a file server.
+const POLL_SHARE: u32 = 20;
+
+/// The part of one process in a run that several processes share.
+#[derive(Clone, Debug)]
+pub struct Share {
+    /// The run's name. Its folder exists and has the plan.
+    pub run: String,
+    /// This process's name in the run, e.g. `worker-3`; it names the file of its events.
+    pub name: String,
+    /// Where in the order of jobs this process begins, from 0 to 1, so that workers do not contend for the same jobs.
+    pub begin: f64,
+    /// If present, this process launches no job while the crew works.
+    pub following: Option<Crew>,
+    /// The only jobs that this process may launch; none means all.
+    pub only: Option<BTreeSet<usize>>,
+    /// What jobs that nobody works on, and that this process may not launch, count as; none means that they did not run.
+    pub missing: Option<Failure>,
+    /// End if there was nothing to launch for this long, although others still work.
+    pub idle: Option<Duration>,
+}
+
+/// The other processes of a shared run, as somebody who watches them reports.
+#[derive(Clone, Debug, Default)]
+pub struct Crew(Arc<AtomicU8>);
+
+impl Crew {
+    // 0 while the crew works.
+    const TAKE_OVER: u8 = 1;
+    const LEAVE: u8 = 2;
+
+    /// The crew has ended, and the follower launches what is left.
+    pub fn take_over(&self) {
+        self.0.store(Self::TAKE_OVER, Ordering::SeqCst);
+    }
+
+    /// The crew has ended, and so does the follower.
+    pub fn leave(&self) {
+        self.0.store(Self::LEAVE, Ordering::SeqCst);
+    }
+
+    fn is(&self, state: u8) -> bool {
+        self.0.load(Ordering::SeqCst) == state
+    }
+}
+
+/// A job that another process holds or may launch.
+pub(super) struct Parked {
+    components: Box<KeyComponents>,
+    key: ActionKey,
+    watch: Watch,
+    /// Whether the display knows that another process runs the job.
+    is_shown: bool,
+}
+
+/// The jobs that others hold, and the time of the next look at them.
+pub(super) struct Parking {
+    jobs: BTreeMap<usize, Parked>,
+    next_look: Instant,
+    /// The last time at which this process had a job.
+    last_busy: Instant,
+    /// Whether the last look came after the crew had ended.
+    is_last: bool,
+}
+
+impl Default for Parking {
+    fn default() -> Self {
+        let now = Instant::now();
+        Self { jobs: Default::default(), next_look: now, last_busy: now, is_last: false }
+    }
+}
+
+impl Parking {
+    pub(super) fn is_empty(&self) -> bool {
+        self.jobs.is_empty()
+    }
+}
+
+/// The failure of a job in another process of a shared run. Failures of the machine do not count: another machine may do
+/// better, and each process tries a job once.
+pub(super) fn failure_in(share: &Share, store: &Store, key: &ActionKey) -> Option<FailureRecord> {
+    let failed = store.failure(key)?;
+    (failed.provenance.run == share.run && failed.failure.kind != FailureKind::World).then_some(failed)
+}
+
+/// The ranks of nodes for a process that begins at this place in the order, from 0 to 1, and wraps around.
+pub(super) fn ranks_from(begin: f64, ranks: Vec<usize>) -> Vec<usize> {
+    let count = ranks.len().max(1);
+    let first = (begin * count as f64) as usize % count;
+    ranks.into_iter().map(|rank| (rank + count - first) % count).collect()
+}
+
+impl Scheduler<'_> {
+    /// Whether this process may launch a job now.
+    pub(super) fn may_launch(&self, index: usize) -> bool {
+        let Some(share) = &self.options.share else { return true };
+        let follows = share.following.as_ref().is_some_and(|crew| !crew.is(Crew::TAKE_OVER));
+        !follows && share.only.as_ref().is_none_or(|only| only.contains(&index))
+    }
+
+    /// Sets a job aside that another process holds or may launch.
+    pub(super) fn park(&mut self, index: usize, components: Box<KeyComponents>) {
+        let key = ActionKey::new(&components);
+        let is_followed = !self.may_launch(index);
+        if !is_followed {
+            self.events.emit(&Event::Waiting { node: self.plan.nodes[index].name.clone() });
+        }
+        let parked = Parked { components, key, watch: Watch::default(), is_shown: !is_followed };
+        self.parking.jobs.insert(index, parked);
+    }
+
+    /// Whether nothing more will happen to the parked jobs: no process works on them, or this one does not wait.
+    pub(super) fn has_left(&self) -> bool {
+        let Some(share) = &self.options.share else { return false };
+        let is_idle = share.idle.is_some_and(|idle| self.parking.last_busy.elapsed() > idle);
+        is_idle || self.parking.is_last
+    }
+
+    /// Looks at the parked jobs: finishes those with a result, and queues those that nobody holds any more.
+    pub(super) fn look_at_parked(&mut self) -> anyhow::Result<()> {
+        if !self.running.is_empty() {
+            self.parking.last_busy = Instant::now();
+        }
+        let crew = self.options.share.as_ref().and_then(|share| share.following.as_ref());
+        self.parking.is_last = crew.is_some_and(|crew| crew.is(Crew::LEAVE));
+        if self.parking.jobs.is_empty() || (Instant::now() < self.parking.next_look && !self.parking.is_last) {
+            return Ok(());
+        }
+        let clock = Instant::now();
+        let claimed = self.store.claimed()?;
+        let indices: Vec<usize> = self.parking.jobs.keys().copied().collect();
+        for index in indices {
+            self.look_at(index, &claimed)?;
+        }
+        let pause = (clock.elapsed() * POLL_SHARE).clamp(POLL[0], POLL[1].max(clock.elapsed()));
+        self.parking.next_look = Instant::now() + pause;
+        Ok(())
+    }
+
+    fn look_at(&mut self, index: usize, claimed: &BTreeSet<String>) -> anyhow::Result<()> {
+        let Some(mut parked) = self.parking.jobs.remove(&index) else { return Ok(()) };
+        if claimed.contains(parked.key.as_str()) {
+            self.show_progress(index, &mut parked);
+            let is_free = self.may_launch(index)
+                && self.store.break_expired_claim(&parked.key, &mut parked.watch, self.options.lease)?;
+            if !is_free {
+                self.parking.jobs.insert(index, parked);
+                return Ok(());
+            }
+        }
+        match self.store.lookup(&parked.key) {
+            Lookup::Hit(record) if !self.is_outdated(index, &record) => self.finish_in_flight(index, &record),
+            _ => match self.failure_in_crew(&parked.key) {
+                Some(failed) => self.finish_failed(index, failed),
+                None if self.may_launch(index) => {
+                    self.queue.insert(self.ranks[index], (index, parked.components));
+                }
+                None => self.keep_or_give_up(index, parked),
+            },
+        }
+        Ok(())
+    }
+
+    /// Handles a job that this process may not launch and that has no result.
+    fn keep_or_give_up(&mut self, index: usize, parked: Parked) {
+        let missing = self.options.share.as_ref().and_then(|share| share.missing.clone());
+        let Some(failure) = missing else {
+            self.parking.jobs.insert(index, parked);
+            return;
+        };
+        let record =
+            FailureRecord::new(*parked.components, self.provenance(index), failure, Vec::new(), Default::default());
+        // Without the record, other processes of the run do not learn why the job has no result.
+        let _ = self.store.put_failure(&record);
+        self.finish_failed(index, record);
+    }
+
+    /// Shows a job of another process as running.
+    fn show_progress(&mut self, index: usize, parked: &mut Parked) {
+        let Some(holder) = self.store.holder(&parked.key) else { return };
+        let node = self.plan.nodes[index].name.clone();
+        if !parked.is_shown {
+            parked.is_shown = true;
+            let key = parked.key.to_string();
+            self.events.emit(&Event::Started { node: node.clone(), key, threads: holder.threads });
+        }
+        if holder.progress != Progress::default() {
+            self.events.emit(&Event::Progress { node, progress: holder.progress });
+        }
+    }
+
+    /// The failure of a job in another process of this run.
+    pub(super) fn failure_in_crew(&self, key: &ActionKey) -> Option<FailureRecord> {
+        failure_in(self.options.share.as_ref()?, self.store, key)
+    }
+
+    /// Finishes a node that failed in another process, and the nodes that waited for the same result.
+    pub(super) fn finish_failed(&mut self, index: usize, failed: FailureRecord) {
+        let outcome = NodeOutcome::Failed { failure: failed.failure, key: Some(failed.key.clone()) };
+        let mut result = NodeResult::new(Outcome::Failed);
+        result.wall_secs = Some(failed.provenance.wall_secs);
+        result.log_dir = Some(failed.log_dir).filter(|dir| dir.is_absolute());
+        self.finish_node(index, outcome.clone(), Some(result));
+        for follower in self.in_flight.remove(&failed.key).unwrap_or_default() {
+            self.finish_node(follower, outcome.clone(), None);
+        }
+    }
+
+    /// Finishes a queued, parked or running node, and the nodes that waited for the same result.
+    pub(super) fn finish_in_flight(&mut self, index: usize, record: &ActionRecord) {
+        self.finish_from_record(index, record);
+        for follower in self.in_flight.remove(&record.key).unwrap_or_default() {
+            self.finish_from_record(follower, record);
+        }
+    }
+
+    /// Whether a forced job has to run although the store has this record: one of this run is its own result.
+    pub(super) fn is_outdated(&self, index: usize, record: &ActionRecord) -> bool {
+        self.options.force.contains(&index) && record.provenance.run != self.run
+    }
+
+    /// Takes a job back whose claim another process has taken away.
+    pub(super) fn lose(&mut self, index: usize, job: Running) {
+        let node = &self.plan.nodes[index].name;
+        let message = format!("{node} is left to another process, because this one was silent for too long");
+        self.events.emit(&Event::Warning { message });
+        self.park(index, job.components);
+    }
+
+    /// The result of a node whose record another process of this run has made.
+    pub(super) fn result_of_crew(&self, record: &ActionRecord) -> Option<NodeResult> {
+        let made = &record.provenance;
+        let is_of_crew = self.options.share.is_some() && made.run == self.run;
+        is_of_crew.then(|| NodeResult { wall_secs: Some(made.wall_secs), ..NodeResult::new(Outcome::Executed) })
+    }
+
+    fn provenance(&self, index: usize) -> crate::store::Provenance {
+        let node = &self.plan.nodes[index];
+        crate::store::Provenance {
+            recipe: self.plan.recipe.clone(),
+            node: node.name.clone(),
+            plan_id: node.plan_id.clone(),
+            run: self.run.clone(),
+            device: self.plan.device,
+            host: crate::process::host_name(),
+            ..Default::default()
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! Runs that several processes share: whatever happens to some of them, the results are those of an undisturbed run.
+
+use std::collections::BTreeMap;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use engine::Failure;
+use engine::FailureKind;
+use engine::event::Outcome;
+use engine::scheduler::{self, Crew, RunOptions, RunSummary, Share};
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::world::{GRID, SHORT_LEASE, World, contents};
+
+pub(crate) const TESTS: &[(&str, fn())] = &[
+    ("workers_run_each_job_once", workers_run_each_job_once),
+    ("failures_are_shared_and_retried_by_the_next_run", failures_are_shared_and_retried_by_the_next_run),
+    ("killed_workers_lose_nothing", killed_workers_lose_nothing),
+    ("a_frozen_worker_loses_its_jobs_and_stops", a_frozen_worker_loses_its_jobs_and_stops),
+    ("a_restricted_process_reports_what_is_missing", a_restricted_process_reports_what_is_missing),
+];
+
+/// A larger grid whose jobs take some time.
+fn slow_grid(steps: usize) -> World {
+    let slow = GRID.replace("steps = 3, sleep_millis = 10", &format!("steps = {steps}, sleep_millis = 10"));
+    World::new(&slow.replace(r#"seed = ["p", "q"]"#, r#"seed = ["p", "q", "r", "s"]"#))
+}
+
+/// Starts workers of a new shared run.
+fn start(world: &World, count: usize) -> (String, Vec<Child>) {
+    let run = scheduler::begin(&world.plan(&[]), &world.store()).unwrap();
+    let start = |part: usize| {
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.arg("work").arg(&world.root).args([&run, &part.to_string()]);
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    };
+    let children = (0..count).map(start).collect();
+    (run, children)
+}
+
+fn share(run: &str, following: Option<Crew>) -> Share {
+    Share { run: run.into(), name: "test".into(), begin: 0.0, following, only: None, missing: None, idle: None }
+}
+
+/// Takes part in the run, and returns its summary.
+fn join(world: &World, share: Share) -> RunSummary {
+    world.run_with(
+        &[],
+        |options: &mut RunOptions| {
+            (options.share, options.lease) = (Some(share), SHORT_LEASE);
+        },
+        |_, _| (),
+    )
+}
+
+/// How often each job was executed, by the events of all processes of the run.
+fn executions(world: &World, run: &str) -> BTreeMap<String, usize> {
+    let mut counts = BTreeMap::new();
+    for entry in std::fs::read_dir(world.store().run_dir(run)).unwrap() {
+        let path = entry.unwrap().path();
+        if !path.file_name().unwrap().to_string_lossy().starts_with("events-") {
+            continue;
+        }
+        for line in std::fs::read_to_string(path).unwrap().lines() {
+            let event: serde_json::Value = serde_json::from_str(line).unwrap();
+            if event["event"] == "started" {
+                *counts.entry(event["node"].as_str().unwrap().to_owned()).or_default() += 1;
+            }
+        }
+    }
+    counts
+}
+
+fn workers_run_each_job_once() {
+    let world = slow_grid(5);
+    let (run, mut workers) = start(&world, 3);
+    let crew = Crew::default();
+    let summary = std::thread::scope(|scope| {
+        let follower = scope.spawn(|| join(&world, share(&run, Some(crew.clone()))));
+        workers.iter_mut().for_each(|worker| assert!(worker.wait().unwrap().success()));
+        follower.join().unwrap()
+    });
+    assert_eq!(summary.exit_code(true), engine::exit::OK, "{:?}", summary.results);
+    assert_eq!((summary.counts.executed, summary.counts.cached), (11, 0));
+    assert_eq!(contents(&summary), contents(&slow_grid(5).run(&[])));
+    let executions = executions(&world, &run);
+    assert_eq!(executions.len(), 11, "{executions:?}");
+    assert!(executions.values().all(|count| *count == 1), "{executions:?}");
+}
+
+fn failures_are_shared_and_retried_by_the_next_run() {
+    let world = World::new(&GRID.replace("steps = 3", "fail = \"diverged\", steps = 3"));
+    let (run, mut workers) = start(&world, 2);
+    workers.iter_mut().for_each(|worker| _ = worker.wait().unwrap());
+    let summary = join(&world, share(&run, None));
+    assert_eq!((summary.counts.failed, summary.counts.executed), (4, 3), "{:?}", summary.counts);
+    assert!(summary.failures().all(|(_, result, _)| result.log_dir.as_ref().is_some_and(|dir| dir.is_dir())));
+    let executions = executions(&world, &run);
+    assert!(executions.values().all(|count| *count == 1), "{executions:?}");
+    assert_eq!(world.run(&[]).counts.failed, 4);
+}
+
+fn killed_workers_lose_nothing() {
+    let world = slow_grid(8);
+    let (run, mut workers) = start(&world, 3);
+    for worker in &mut workers {
+        std::thread::sleep(Duration::from_millis(120));
+        worker.kill().unwrap();
+        worker.wait().unwrap();
+    }
+    let crew = Crew::default();
+    crew.take_over();
+    let clock = Instant::now();
+    let summary = join(&world, share(&run, Some(crew)));
+    assert_eq!(summary.exit_code(true), engine::exit::OK, "{:?}", summary.results);
+    assert_eq!(contents(&summary), contents(&slow_grid(8).run(&[])));
+    assert!(clock.elapsed() < Duration::from_secs(60) && world.store().verify(false).unwrap().is_empty());
+}
+
+fn a_frozen_worker_loses_its_jobs_and_stops() {
+    let world = slow_grid(30);
+    let (run, mut workers) = start(&world, 1);
+    let signal = |worker: &Child, signal| kill_process(Pid::from_child(worker), signal).unwrap();
+    // The child of the frozen worker is frozen, too, like on a suspended machine.
+    let jobs = || crate::crash::children(&workers[0]);
+    while jobs().is_empty() || world.store().claimed().unwrap().is_empty() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    std::thread::sleep(2 * SHORT_LEASE / 5);
+    let frozen = jobs();
+    signal(&workers[0], Signal::STOP);
+    frozen.iter().for_each(|job| _ = kill_process(*job, Signal::STOP));
+    let summary = join(&world, share(&run, None));
+    assert_eq!(summary.exit_code(true), engine::exit::OK, "{:?}", summary.results);
+    assert_eq!(contents(&summary), contents(&slow_grid(30).run(&[])));
+    assert_eq!(summary.counts.total, summary.counts.done());
+
+    frozen.iter().for_each(|job| _ = kill_process(*job, Signal::CONT));
+    signal(&workers[0], Signal::CONT);
+    let clock = Instant::now();
+    assert!(workers[0].wait().unwrap().success(), "it ends with the results of the others");
+    assert!(clock.elapsed() < 4 * SHORT_LEASE, "it goes on for {:?}", clock.elapsed());
+    assert_eq!(contents(&world.run(&[])), contents(&summary));
+    assert!(world.store().verify(false).unwrap().is_empty() && world.store().claimed().unwrap().is_empty());
+}
+
+fn a_restricted_process_reports_what_is_missing() {
+    let world = World::new(GRID);
+    let plan = world.plan(&[]);
+    let run = scheduler::begin(&plan, &world.store()).unwrap();
+    let of = |template: &str| {
+        let found = plan.nodes.iter().enumerate().filter(|(_, node)| node.template == template);
+        Some(found.map(|(index, _)| index).collect())
+    };
+    let only_texts = join(&world, Share { only: of("text"), idle: Some(Duration::ZERO), ..share(&run, None) });
+    assert_eq!((only_texts.counts.executed, only_texts.counts.not_run), (2, 5));
+    let missing = Some(Failure::new(FailureKind::Crashed, "nobody ran it"));
+    let list = join(&world, Share { only: of("list"), missing, ..share(&run, None) });
+    assert_eq!((list.counts.executed, list.counts.failed), (3, 4), "{:?}", list.results);
+    assert!(list.results["work/ball/p"].outcome == Outcome::Failed && world.text(&list, "list").contains("Crashed"));
+    // A follower of the same run learns why the jobs have no result.
+    let crew = Crew::default();
+    crew.leave();
+    assert_eq!(join(&world, share(&run, Some(crew))).counts, list.counts);
+}
