@@ -10,10 +10,11 @@ use crate::product::root;
 
 /// For each crate, the workspace crates that it may depend on: the stages whose artifacts it reads, the engine, the
 /// vocabulary, and the crate that joins the two. Dependencies of tests and benchmarks count, except those on [`SUPPORT`].
-const ALLOWED: [(&str, &[&str]); 18] = [
+const ALLOWED: [(&str, &[&str]); 19] = [
     ("engine", &[]),
     ("scene", &[]),
     ("captures", &["engine", "scene"]),
+    ("cluster", &["engine"]),
     ("support", &[]),
     // `shaders::check` compares kernels in the tests of several crates, and skips where there is no adapter.
     ("shaders", &["scene", SUPPORT]),
@@ -50,6 +51,7 @@ const ALLOWED: [(&str, &[&str]); 18] = [
         "cli",
         &[
             "engine",
+            "cluster",
             "scene",
             "shaders",
             "scene-synthesis",

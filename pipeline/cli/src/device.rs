@@ -24,6 +24,18 @@ impl ChosenDevice {
         }
     }
 
+    /// Parses the names of `--devices`: adapters by number or as [`Self::choose`] accepts them, or `all` hardware adapters.
+    pub(crate) fn choose_several(wanted: &[String]) -> Result<Vec<Self>, CliError> {
+        let adapters = gpu::adapters();
+        if wanted == ["all"] {
+            let hardware: Vec<Self> = adapters.iter().filter(|adapter| adapter.is_hardware()).map(Self::Gpu).collect();
+            let none = || refused(AdapterError::None);
+            return if hardware.is_empty() { Err(none()) } else { Ok(hardware) };
+        }
+        let by_number = |name: &String| name.parse::<usize>().ok().and_then(|at| adapters.get(at)).map(Self::Gpu);
+        wanted.iter().map(|name| by_number(name).map_or_else(|| Self::choose(name), Ok)).collect()
+    }
+
     /// The device's class, which is part of the keys of jobs that compute on it.
     pub(crate) fn class(self) -> DeviceClass {
         match self {

@@ -68,6 +68,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
     let store = cli.store;
     match cli.verb {
         Verb::Run(args) => verbs::run::run(&store, &args),
+        Verb::Worker(args) => verbs::worker::worker(&store, &args),
         Verb::Plan(args) => verbs::plan::plan(&store, &args),
         Verb::Explain(args) => verbs::explain::explain(&store, &args),
         Verb::Status(args) => verbs::status::status(&store, &args),

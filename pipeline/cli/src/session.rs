@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use cluster::RunFile;
 use engine::recipe::{Overrides, StageOverride};
 use engine::scheduler::Sources;
 use engine::status::{History, Prediction, State, predict};
@@ -58,6 +59,20 @@ impl Session {
         let targets = (0..plan.nodes.len()).collect();
         let (data_root, is_plain) = (recipe.with.data_root.clone(), recipe.with.is_plain());
         Ok(Self { plan, store: store()?, data_root, device, is_plain, targets, force: BTreeSet::new(), rehash: false })
+    }
+
+    /// The session of a shared run, on this device.
+    pub(crate) fn of_run(store: Store, file: &RunFile, plan: Plan, device: ChosenDevice) -> Self {
+        Self {
+            plan,
+            store,
+            data_root: file.data_root.clone(),
+            device,
+            is_plain: file.is_plain,
+            targets: file.targets.clone(),
+            force: file.force.clone(),
+            rehash: false,
+        }
     }
 
     /// Replaces the selection.

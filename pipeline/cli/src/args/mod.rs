@@ -15,7 +15,7 @@ use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
-use values::{at_least_one, half_width_db, log_filter, parse_times, row_pair};
+use values::{at_least_one, half_width_db, log_filter, parse_times, part, row_pair};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
@@ -38,6 +38,8 @@ would have to run, 10 some jobs failed, 11 a table or check differs, 12 damaged 
 pub(crate) enum Verb {
     /// Run the jobs whose results are missing from the store, and print the tables
     Run(RunArgs),
+    /// Join a run that several processes share, and take jobs that no other process holds
+    Worker(WorkerArgs),
     /// Show which jobs a run would execute, and why
     Plan(PlanArgs),
     /// Explain why one job runs and where each of its parameters comes from
@@ -110,6 +112,17 @@ pub(crate) struct RunArgs {
     /// Use N threads for all jobs together (default: all of this machine)
     #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub(crate) threads: Option<usize>,
+    /// Share the run among N worker processes, which divide threads and jobs among them
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    pub(crate) workers: Option<usize>,
+    /// Compute on several devices of this machine, one worker on each: all, or a list of adapters by number (as `doctor`
+    /// lists them, from 0), PCI bus or part of the name, e.g. 0,1
+    #[arg(long, value_delimiter = ',', value_name = "DEVICE,…", conflicts_with = "workers")]
+    pub(crate) devices: Vec<String>,
+    /// Take a job over whose process showed no sign of life for TIME: a frozen process, or one of another machine that
+    /// died (processes of this machine are noticed at once)
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", default_value = "60s")]
+    pub(crate) lease: Duration,
     /// Start no further jobs after the first failure
     #[arg(long, conflicts_with = "max_failures")]
     pub(crate) fail_fast: bool,
@@ -139,6 +152,30 @@ pub(crate) struct RunArgs {
     /// Log filter for the jobs, e.g. debug or training=trace
     #[arg(long, default_value = "info", value_parser = log_filter, value_name = "FILTER")]
     pub(crate) log: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct WorkerArgs {
+    /// Name of the run: a folder of STORE/runs (default: the newest shared run)
+    pub(crate) run: Option<String>,
+    /// Begin at part K of N of the jobs, so that workers do not contend for the same ones, e.g. 2/4
+    #[arg(long, value_parser = part, value_name = "K/N", default_value = "1/1")]
+    pub(crate) part: (usize, usize),
+    /// Run up to N jobs at the same time (default: the number of threads)
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    pub(crate) jobs: Option<usize>,
+    /// Use N threads for all jobs together (default: all of this machine)
+    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    pub(crate) threads: Option<usize>,
+    /// Device to compute on (default: as the run was started with)
+    #[arg(long, value_name = "DEVICE")]
+    pub(crate) device: Option<String>,
+    /// End after TIME without a free job, although other workers still have some
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
+    pub(crate) idle: Option<Duration>,
+    /// End with this process
+    #[arg(long, hide = true, value_name = "PID")]
+    pub(crate) parent: Option<u32>,
 }
 
 #[derive(Debug, Args)]

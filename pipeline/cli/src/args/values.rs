@@ -76,6 +76,14 @@ pub(crate) fn at_least_one(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|&count| count > 0).ok_or_else(|| "expected a positive whole number".to_owned())
 }
 
+/// Parses `K/N` with 1 ≤ K ≤ N.
+pub(crate) fn part(text: &str) -> Result<(usize, usize), String> {
+    let parsed = text.split_once('/').and_then(|(k, n)| Some((k.parse().ok()?, n.parse().ok()?)));
+    parsed
+        .filter(|(k, n)| (1..=*n).contains(k))
+        .ok_or_else(|| format!("expected K/N with 1 ≤ K ≤ N, e.g. 2/4, not {text}"))
+}
+
 /// Parses the number of seeds of `--replicates`.
 pub(crate) fn replicates(text: &str) -> Result<usize, String> {
     let count = at_least_one(text)?;

@@ -15,3 +15,5 @@ pub(crate) mod run;
 pub(crate) mod status;
 pub(crate) mod table;
 pub(crate) mod tools;
+pub(crate) mod worker;
+mod workers;

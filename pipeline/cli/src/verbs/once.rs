@@ -18,6 +18,7 @@ use crate::display::{self, Eta, profile, summary};
 use crate::error::CliError;
 use crate::measured::{self, Measured};
 use crate::session::Session;
+use crate::verbs::workers;
 
 /// Without a terminal, a line is printed at least this often to show that the run is alive.
 const HEARTBEAT: Duration = Duration::from_secs(30);
@@ -54,7 +55,10 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
             closed = Some(error);
         }
     };
-    let result = scheduler::run(&session.plan, &session.store, &options, watch)?;
+    let result = match workers::of(&session, args, recipe)? {
+        Some(workers) => workers.run(&session, &options, watch)?,
+        None => scheduler::run(&session.plan, &session.store, &options, watch)?,
+    };
     drop(display);
     summary::print(&session, &result, &recipe.recipe);
     let Measured { runs, differences } = measured::of_run(&session, &result)?;
@@ -91,12 +95,14 @@ fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
         command: vec![own_program()?.into(), "exec-job".into()],
         stop: StopRequests::listen().context("cannot listen to signals")?,
         heartbeat: HEARTBEAT,
+        lease: args.lease,
+        share: None,
     })
 }
 
 /// The path of this program. On Linux it is a link to the running image, which does not change when a build replaces
 /// the file, so all jobs of a run execute the code that the plan was made with.
-fn own_program() -> anyhow::Result<PathBuf> {
+pub(super) fn own_program() -> anyhow::Result<PathBuf> {
     let image = PathBuf::from("/proc/self/exe");
     if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find the program's own file") }
 }

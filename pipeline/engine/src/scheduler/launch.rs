@@ -11,7 +11,7 @@ use anyhow::Context;
 use super::share::failure_in;
 use super::{Message, RunOptions, Scheduler, inputs};
 use crate::job::{Ended, JobSpec, JobStatus, ProcessHandle, Stop, supervise};
-use crate::store::{ActionRecord, Claim, FailureRecord, Lookup, Provenance, Store};
+use crate::store::{Claim, FailureRecord, Lookup, Provenance, Store};
 use crate::{ActionKey, DeviceClass, Failure, FailureKind, KeyComponents, Node, Progress};
 
 /// The time until the first beat of a claim, which names the child's process.
