@@ -10,11 +10,12 @@ use crate::product::root;
 
 /// For each crate, the workspace crates that it may depend on: the stages whose artifacts it reads, the engine, the
 /// vocabulary, and the crate that joins the two. Dependencies of tests and benchmarks count, except those on [`SUPPORT`].
-const ALLOWED: [(&str, &[&str]); 19] = [
+const ALLOWED: [(&str, &[&str]); 20] = [
     ("engine", &[]),
     ("scene", &[]),
     ("captures", &["engine", "scene"]),
     ("cluster", &["engine"]),
+    ("sweep", &[]),
     ("support", &[]),
     // `shaders::check` compares kernels in the tests of several crates, and skips where there is no adapter.
     ("shaders", &["scene", SUPPORT]),
@@ -52,6 +53,7 @@ const ALLOWED: [(&str, &[&str]); 19] = [
         &[
             "engine",
             "cluster",
+            "sweep",
             "scene",
             "shaders",
             "scene-synthesis",

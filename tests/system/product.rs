@@ -172,7 +172,7 @@ pub(crate) struct RunEvents {
 }
 
 impl RunEvents {
-    fn read(lines: &str) -> Self {
+    pub(crate) fn read(lines: &str) -> Self {
         let (mut contents, mut counts) = (BTreeMap::new(), BTreeMap::new());
         for line in lines.lines() {
             let event: Value = serde_json::from_str(line).expect("a line of JSON");

@@ -69,6 +69,8 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
     match cli.verb {
         Verb::Run(args) => verbs::run::run(&store, &args),
         Verb::Worker(args) => verbs::worker::worker(&store, &args),
+        Verb::Attach(args) => verbs::cluster::attach(&store, &args),
+        Verb::Cancel { run } => verbs::cluster::cancel(&store, run.as_deref()),
         Verb::Plan(args) => verbs::plan::plan(&store, &args),
         Verb::Explain(args) => verbs::explain::explain(&store, &args),
         Verb::Status(args) => verbs::status::status(&store, &args),
@@ -85,7 +87,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Cache(CacheVerb::Verify { repair }) => verbs::cache::verify(&store, repair),
         Verb::Cache(CacheVerb::Gc(args)) => verbs::cache::gc(&store, &args),
         Verb::Cache(CacheVerb::Du) => verbs::cache::du(&store),
-        Verb::Doctor { data_root, device } => verbs::doctor::doctor(&store, &data_root, device.as_deref()),
+        Verb::Doctor(args) => verbs::doctor::doctor(&store, &args),
         Verb::Completions { shell } => verbs::tools::completions(shell),
         Verb::ExecJob { job } => Ok(engine::job::execute(&job, &stages())?),
     }

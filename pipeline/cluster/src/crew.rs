@@ -57,11 +57,11 @@ pub fn run_with_workers(
     })
 }
 
-/// The part of a process that only follows others.
+/// The part of a process that only follows others, and reports to the user.
 pub(crate) fn follower(run: &str, crew: &Crew) -> Share {
     Share {
         run: run.into(),
-        name: "follower".into(),
+        name: String::new(),
         begin: 0.0,
         following: Some(crew.clone()),
         only: None,

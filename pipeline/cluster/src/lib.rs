@@ -1,7 +1,26 @@
 #![doc = include_str!("../README.md")]
 
-mod crew;
-mod run_file;
+pub mod slurm;
 
+mod attendance;
+mod batches;
+mod cells;
+mod crew;
+mod element;
+mod file;
+mod follow;
+mod needs;
+mod probe;
+mod program;
+mod run_file;
+mod wave;
+
+pub use batches::{After, Batch};
+pub use cells::{Cell, Cells, Class};
 pub use crew::{Worker, log_file, run_with_workers};
+pub use element::Role;
+pub use file::{ClassOptions, ClusterFile};
+pub use probe::probe_file_system;
+pub use program::keep_program;
 pub use run_file::{Process, RunFile};
+pub use wave::{ClusterRun, Site, Wave};

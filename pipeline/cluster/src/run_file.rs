@@ -86,6 +86,7 @@ impl RunFile {
             threads: process.threads,
             device: process.device.clone(),
             profile: self.profile,
+            pause_at: Default::default(),
             max_failures: self.max_failures,
             timeout: self.timeout,
             rehash: false,

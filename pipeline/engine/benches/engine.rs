@@ -111,6 +111,7 @@ fn options(plan: &Plan, root: &Path) -> RunOptions {
         threads: 1,
         device: "cpu".into(),
         profile: false,
+        pause_at: Default::default(),
         max_failures: None,
         timeout: None,
         rehash: false,

@@ -59,6 +59,9 @@ pub struct JobContext {
     pub device: String,
     /// Whether to profile the job, which slows it down.
     pub profile: bool,
+    /// The share of its work, between 0 and 1, after which the job is to save a checkpoint and stop as if it was requested
+    /// to. The result of the job that continues from there must not depend on it.
+    pub pause_at: Option<f64>,
     /// The producers on each port.
     pub inputs: BTreeMap<String, Vec<InputRecord>>,
     /// The absolute path of each declared source.
@@ -86,6 +89,7 @@ impl JobContext {
             threads: 1,
             device: "cpu".into(),
             profile: false,
+            pause_at: None,
             inputs: BTreeMap::new(),
             sources: BTreeMap::new(),
             output_dir,

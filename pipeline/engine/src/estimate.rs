@@ -3,7 +3,9 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
 
 use crate::store::ActionRecord;
 use crate::{Node, Plan, Work};
@@ -21,6 +23,41 @@ const PRIOR: f64 = 0.0002;
 /// The weight of a measurement of the same job, relative to one of another job with equal work.
 const SAME_JOB: f64 = 4.0;
 
+/// Measurements that the assumed scatter counts as: one measured job says little about the next.
+const ASSUMED_COUNT: f64 = 2.0;
+/// The assumed scatter of the logarithm of the seconds of comparable jobs.
+const ASSUMED_SCATTER: f64 = 0.35;
+/// How much less certain a prediction is per factor e between its work and that of the nearest measurement.
+const SCATTER_PER_SCALE: f64 = 0.15;
+/// The scatter between machines.
+const SCATTER_BETWEEN_MACHINES: f64 = 0.5;
+/// The half-width of a range in standard deviations: nine of ten jobs of normal scatter.
+const RANGE: f64 = 1.645;
+
+/// The predicted time of a job.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The expected seconds.
+    pub secs: f64,
+    /// The range in which nine of ten jobs are expected to end, in seconds.
+    pub range_secs: [f64; 2],
+    /// The number of comparable measured jobs.
+    pub measurements: usize,
+    /// Whether one of them was this job, perhaps with other parameters.
+    pub has_same_job: bool,
+    /// Whether they were measured on other machines.
+    pub is_foreign: bool,
+}
+
+impl Estimate {
+    /// A range around `secs` from the standard deviation of its logarithm.
+    fn of(secs: f64, scatter: f64, measurements: usize, has_same_job: bool, is_foreign: bool) -> Self {
+        let between = if is_foreign { SCATTER_BETWEEN_MACHINES } else { 0.0 };
+        let factor = (RANGE * scatter.hypot(between)).exp();
+        Self { secs, range_secs: [secs / factor, secs * factor], measurements, has_same_job, is_foreign }
+    }
+}
+
 /// Predicts the seconds of jobs from the measured jobs of the same stage, kind and device class.
 #[derive(Clone, Debug, Default)]
 pub struct Estimator {
@@ -28,6 +65,8 @@ pub struct Estimator {
     groups: BTreeMap<[String; 3], Vec<Sample>>,
     /// Stage and job → parameters and seconds of the last run, for jobs whose work is unknown.
     last: BTreeMap<[String; 2], (serde_json::Value, f64)>,
+    /// The groups and jobs that were measured on other machines only.
+    foreign: BTreeSet<Vec<String>>,
 }
 
 /// A measured job.
@@ -48,8 +87,18 @@ impl Estimator {
             let estimator = if record.provenance.host == host { &mut own } else { &mut others };
             estimator.learn(record);
         }
-        others.groups.into_iter().for_each(|(group, samples)| _ = own.groups.entry(group).or_insert(samples));
-        others.last.into_iter().for_each(|(job, secs)| _ = own.last.entry(job).or_insert(secs));
+        for (group, samples) in others.groups {
+            if !own.groups.contains_key(&group) {
+                own.foreign.insert(group.to_vec());
+                own.groups.insert(group, samples);
+            }
+        }
+        for (job, secs) in others.last {
+            if !own.last.contains_key(&job) {
+                own.foreign.insert(job.to_vec());
+                own.last.insert(job, secs);
+            }
+        }
         own
     }
 
@@ -76,11 +125,19 @@ impl Estimator {
 
     /// The expected seconds of a job of `plan`; `None` if no comparable job was measured.
     pub fn secs(&self, plan: &Plan, node: &Node) -> Option<f64> {
+        self.estimate(plan, node).map(|estimate| estimate.secs)
+    }
+
+    /// The predicted time of a job of `plan`; `None` if no comparable job was measured.
+    pub fn estimate(&self, plan: &Plan, node: &Node) -> Option<Estimate> {
         let Some(Work { kind, amounts }) = &node.work else {
-            let (params, secs) = self.last.get(&[node.stage.clone(), node.name.clone()])?;
-            return (*params == node.params).then_some(*secs);
+            let job = [node.stage.clone(), node.name.clone()];
+            let (params, secs) = self.last.get(&job)?;
+            let is_foreign = self.foreign.contains(job.as_slice());
+            return (*params == node.params).then(|| Estimate::of(*secs, ASSUMED_SCATTER, 1, true, is_foreign));
         };
-        let samples = self.groups.get(&[&node.stage, kind, plan.device_of(node).as_str()].map(str::to_owned))?;
+        let group = [&node.stage, kind, plan.device_of(node).as_str()].map(str::to_owned);
+        let samples = self.groups.get(&group)?;
         let nearby: Vec<Weighted<'_>> = samples.iter().filter_map(|sample| weighted(sample, node, *amounts)).collect();
         if nearby.is_empty() {
             return None;
@@ -89,7 +146,13 @@ impl Estimator {
         let fits = ratios.map(|ratio| (ratio, Fit::of(&nearby, ratio)));
         let cost = |(ratio, fit): &(f64, Fit)| fit.variance + PRIOR * ratio.ln().powi(2);
         let (ratio, fit) = fits.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
-        Some(fit.log_rate.exp() * total(*amounts, ratio))
+        let secs = fit.log_rate.exp() * total(*amounts, ratio);
+        let count = nearby.len() as f64;
+        let scatter = (fit.variance * count + ASSUMED_SCATTER.powi(2) * ASSUMED_COUNT) / (count + ASSUMED_COUNT);
+        let nearest = nearby.iter().map(|one| one.distance).fold(f64::INFINITY, f64::min);
+        let has_same_job = nearby.iter().any(|one| one.sample.node == node.name);
+        let scatter = scatter.sqrt().hypot(SCATTER_PER_SCALE * nearest);
+        Some(Estimate::of(secs, scatter, nearby.len(), has_same_job, self.foreign.contains(group.as_slice())))
     }
 }
 
@@ -97,6 +160,8 @@ impl Estimator {
 struct Weighted<'a> {
     sample: &'a Sample,
     weight: f64,
+    /// The logarithm of the factor between the amounts of work, summed over both.
+    distance: f64,
 }
 
 /// The measurement with a weight that falls with the relative difference of the work; `None` if it is not comparable.
@@ -111,7 +176,8 @@ fn weighted<'a>(sample: &'a Sample, node: &Node, amounts: [f64; 2]) -> Option<We
         return None;
     }
     let same_job = if sample.node == node.name { SAME_JOB } else { 1.0 };
-    Some(Weighted { sample, weight: same_job / (0.1 + scales[0] + scales[1]).powi(2) })
+    let distance = scales[0] + scales[1];
+    Some(Weighted { sample, weight: same_job / (0.1 + distance).powi(2), distance })
 }
 
 /// Seconds per unit of work, fitted for one ratio between the costs of the two amounts.

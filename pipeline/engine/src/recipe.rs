@@ -21,6 +21,9 @@
 //! [[set]]                               # later rules win; -s on the command line overrides them all
 //! when = { scene = "lego" }
 //! nodes.train.params.iterations = 500
+//! [sweep]                               # a search over parameters: `pipeline run` tries values, and changes no key
+//! trials = 40
+//! parameters = { "nodes.train.params.schedule_scale" = "log(0.01, 1)" }
 //! ```
 
 mod all;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
-use crate::estimate::Estimator;
+use crate::estimate::{Estimate, Estimator};
 use crate::explain::{Change, Component, diff};
 use crate::graph::NodeState;
 use crate::scheduler::{Done, NodeOutcome, Readiness, Sources, readiness};
@@ -62,6 +62,8 @@ pub struct Prediction {
     /// The wall time of a cached job; for a job that may run, the time predicted from comparable jobs, in seconds. None if
     /// nothing comparable was measured.
     pub expected_secs: Option<f64>,
+    /// What the predicted time of a job that may run rests on.
+    pub estimate: Option<Estimate>,
 }
 
 impl Prediction {
@@ -135,15 +137,16 @@ impl Predictor<'_> {
             Readiness::Waiting => self.waiting(index)?,
         };
         let node = &self.plan.nodes[index];
-        let expected_secs = match &state {
-            State::Cached { record } => Some(record.provenance.wall_secs),
+        let (expected_secs, estimate) = match &state {
+            State::Cached { record } => (Some(record.provenance.wall_secs), None),
             State::WillRun { .. } | State::Pending { .. } => {
                 let plan = self.plan;
-                self.history()?.estimator.secs(plan, node)
+                let estimate = self.history()?.estimator.estimate(plan, node);
+                (estimate.map(|estimate| estimate.secs), estimate)
             }
-            _ => None,
+            _ => (None, None),
         };
-        Ok(Prediction { state, expected_secs })
+        Ok(Prediction { state, expected_secs, estimate })
     }
 
     fn ready(&mut self, index: usize, components: &KeyComponents) -> anyhow::Result<State> {

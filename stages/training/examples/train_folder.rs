@@ -26,7 +26,7 @@ fn main() -> anyhow::Result<()> {
     let checkpoints = Path::new(out).join("checkpoint");
     std::fs::create_dir_all(&checkpoints)?;
     let (stop, on_progress) = (&AtomicBool::new(false), &|_| ());
-    let watch = Watch { stop, on_progress, checkpoint_dir: &checkpoints, device: Device::Cpu };
+    let watch = Watch { stop, pause_at: None, on_progress, checkpoint_dir: &checkpoints, device: Device::Cpu };
     let trained = train(capture.clone(), &NOTHING, &params, None, &watch)?;
     let Trained { model, report, .. } = trained.context("the stop flag is never set")?;
     model.save(Path::new(out))?;

@@ -40,5 +40,5 @@ pub use device::compute_on;
 pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};
 pub use player::{Edit, Player, Positions, SemanticImage};
-pub use stage::{Trained, Training, Watch, train};
+pub use stage::{Rung, Trained, Training, Watch, train};
 pub use trainer::{Report, Trainer, psnr, to_bytes};

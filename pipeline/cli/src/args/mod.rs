@@ -1,10 +1,12 @@
 //! The command line: every verb with its options. The docstrings below are the help texts.
 
 mod recipe;
+mod sweep;
 mod values;
 
+pub(crate) use self::sweep::{SweepArgs, SweepSettings};
 pub(crate) use recipe::{Conditions, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
-pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
+pub(crate) use values::{BatchSystem, ExportFormat, GraphFormat, TableFormat, Times};
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -40,6 +42,13 @@ pub(crate) enum Verb {
     Run(RunArgs),
     /// Join a run that several processes share, and take jobs that no other process holds
     Worker(WorkerArgs),
+    /// Follow a run that was submitted to a cluster, and print its results
+    Attach(AttachArgs),
+    /// Cancel the batch jobs of a run; trainings save their progress
+    Cancel {
+        /// Name of the run: a folder of STORE/runs (default: the newest shared run)
+        run: Option<String>,
+    },
     /// Show which jobs a run would execute, and why
     Plan(PlanArgs),
     /// Explain why one job runs and where each of its parameters comes from
@@ -78,15 +87,7 @@ pub(crate) enum Verb {
     #[command(subcommand)]
     Cache(CacheVerb),
     /// Check whether this machine has what runs need: store, data, GPUs
-    Doctor {
-        /// Folder that the sources in recipes are relative to
-        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
-        data_root: PathBuf,
-        /// Check only this GPU, and require that it is usable: a part of its name, its PCI id (e.g. 10de:2335), its PCI
-        /// bus, or gpu for the one that is likely fastest; cpu checks none
-        #[arg(long, value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]
-        device: Option<String>,
-    },
+    Doctor(DoctorArgs),
     /// Print a completion script for a shell
     Completions {
         /// Shell to complete commands for
@@ -112,7 +113,17 @@ pub(crate) struct RunArgs {
     /// Use N threads for all jobs together (default: all of this machine)
     #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// Share the run among N worker processes, which divide threads and jobs among them
+    /// Submit the jobs to a batch system: one batch job per training with the renders and metrics that only it feeds
+    #[arg(long, value_enum, value_name = "SYSTEM", conflicts_with_all = ["frozen", "devices", "profile", "precision"])]
+    pub(crate) on: Option<BatchSystem>,
+    /// Cluster file (TOML): partitions, accounts, limits and extra options by class of jobs; see pipeline/cluster
+    #[arg(long, value_name = "FILE", requires = "on")]
+    pub(crate) cluster: Option<PathBuf>,
+    /// Return after the submission; `pipeline attach` follows the run
+    #[arg(long, requires = "on")]
+    pub(crate) detach: bool,
+    /// Share the run among N worker processes, which divide threads and jobs among them; on a cluster, submit N pilots
+    /// that take any ready jobs, instead of one batch job per training
     #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub(crate) workers: Option<usize>,
     /// Compute on several devices of this machine, one worker on each: all, or a list of adapters by number (as `doctor`
@@ -143,6 +154,8 @@ pub(crate) struct RunArgs {
     /// iteration and, for trainings of this run, the time of each kernel; timing kernels slows a training down
     #[arg(long, conflicts_with = "json")]
     pub(crate) profile: bool,
+    #[command(flatten)]
+    pub(crate) sweep: SweepArgs,
     /// Treat missing data as a failure
     #[arg(long)]
     pub(crate) require_data: bool,
@@ -152,6 +165,29 @@ pub(crate) struct RunArgs {
     /// Log filter for the jobs, e.g. debug or training=trace
     #[arg(long, default_value = "info", value_parser = log_filter, value_name = "FILTER")]
     pub(crate) log: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DoctorArgs {
+    /// Folder that the sources in recipes are relative to
+    #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+    pub(crate) data_root: PathBuf,
+    /// Check only this GPU, and require that it is usable: a part of its name, its PCI id (e.g. 10de:2335), its PCI
+    /// bus, or gpu for the one that is likely fastest; cpu checks none
+    #[arg(long, value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]
+    pub(crate) device: Option<String>,
+    /// Also check what runs on a cluster need: the store's file system, Slurm and, if named, a cluster file
+    #[arg(long, value_name = "FILE", num_args = 0..=1)]
+    pub(crate) cluster: Option<Option<PathBuf>>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct AttachArgs {
+    /// Name of the run: a folder of STORE/runs (default: the newest shared run)
+    pub(crate) run: Option<String>,
+    /// Print events as JSON lines
+    #[arg(long)]
+    pub(crate) json: bool,
 }
 
 #[derive(Debug, Args)]
@@ -173,6 +209,15 @@ pub(crate) struct WorkerArgs {
     /// End after TIME without a free job, although other workers still have some
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
     pub(crate) idle: Option<Duration>,
+    /// Be a batch job of this wave
+    #[arg(long, hide = true, value_name = "N")]
+    pub(crate) wave: Option<usize>,
+    /// Compute the cell of the own element of this batch
+    #[arg(long, hide = true, value_name = "N", requires = "wave")]
+    pub(crate) batch: Option<usize>,
+    /// Close the wave
+    #[arg(long, hide = true, requires = "wave")]
+    pub(crate) report: bool,
     /// End with this process
     #[arg(long, hide = true, value_name = "PID")]
     pub(crate) parent: Option<u32>,

@@ -40,6 +40,12 @@ pub(crate) enum ExportFormat {
     PlySeq,
 }
 
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum BatchSystem {
+    /// Slurm
+    Slurm,
+}
+
 /// Times in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Times(pub(crate) Vec<f64>);

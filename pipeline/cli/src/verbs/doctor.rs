@@ -8,6 +8,7 @@ use metric_evaluation::{LPIPS_FOLDER, lpips_files};
 use shaders::check::conformance;
 use shaders::gpu::{self, AdapterReport};
 
+use crate::args::DoctorArgs;
 use crate::error::CliError;
 use crate::output::{bytes, print};
 use crate::stages::stages;
@@ -15,7 +16,8 @@ use crate::verbs::library;
 
 /// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store, or the GPU
 /// that the user named, is unusable.
-pub(crate) fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Result<u8, CliError> {
+pub(crate) fn doctor(store: &Path, args: &DoctorArgs) -> Result<u8, CliError> {
+    let (data_root, device) = (args.data_root.as_path(), args.device.as_deref());
     let mut text = format!("pipeline {}\n", env!("CARGO_PKG_VERSION"));
     text += &format!("threads      {}\n", std::thread::available_parallelism().map_or(1, usize::from));
     let store_is_sound = match try_store(store) {
@@ -37,7 +39,11 @@ pub(crate) fn doctor(store: &Path, data_root: &Path, device: Option<&str>) -> Re
     text += &format!("recipes      {recipes} built in; `pipeline recipes list`\n");
     print(&text)?;
     let device_is_sound = try_adapters(device)?;
-    Ok(if store_is_sound && device_is_sound { exit::OK } else { exit::INFRASTRUCTURE })
+    let cluster_is_sound = match &args.cluster {
+        Some(file) => try_cluster(store, file.as_deref())?,
+        None => true,
+    };
+    Ok(if store_is_sound && device_is_sound && cluster_is_sound { exit::OK } else { exit::INFRASTRUCTURE })
 }
 
 /// The data sets that have scenes below the data folder.
@@ -108,6 +114,34 @@ fn try_store(path: &Path) -> anyhow::Result<String> {
     drop(in_use);
     let busy = if store.try_lock_exclusive()?.is_some() { "idle" } else { "in use by a run" };
     Ok(format!("{}: writable, {busy}", store.root().display()))
+}
+
+/// Checks the store's file system, Slurm and the cluster file. Returns whether all are usable.
+fn try_cluster(store: &Path, file: Option<&Path>) -> Result<bool, CliError> {
+    let folder = store.ancestors().find(|path| path.is_dir()).unwrap_or(Path::new("."));
+    let mut is_sound = true;
+    match cluster::probe_file_system(folder) {
+        Ok(lines) => lines.iter().try_for_each(|line| print(&format!("file system  {line}\n")))?,
+        Err(error) => {
+            is_sound = false;
+            print(&format!("file system  NOT USABLE for several processes: {error:#}\n"))?;
+        }
+    }
+    let settings = ["SLURM_VERSION", "MaxArraySize", "PreemptMode", "AccountingStorageType"];
+    let read =
+        settings.iter().map(|key| Ok(format!("{key} {}", cluster::slurm::config(key)?.unwrap_or("unknown".into()))));
+    match read.collect::<anyhow::Result<Vec<String>>>() {
+        Ok(values) => print(&format!("slurm        {}\n", values.join(", ")))?,
+        Err(error) => {
+            is_sound = false;
+            print(&format!("slurm        NOT USABLE: {error:#}\n"))?;
+        }
+    }
+    if let Some(file) = file {
+        cluster::ClusterFile::read(file)?;
+        print(&format!("cluster file {}: valid\n", file.display()))?;
+    }
+    Ok(is_sound)
 }
 
 /// Describes all GPUs, or the named one, and compares each with the CPU. Returns whether the named GPU is usable;

@@ -1,6 +1,7 @@
 //! One function per verb. Each returns the exit code.
 
 pub(crate) mod cache;
+pub(crate) mod cluster;
 pub(crate) mod compare;
 pub(crate) mod decisions;
 pub(crate) mod doctor;
@@ -12,6 +13,7 @@ mod once;
 pub(crate) mod plan;
 pub(crate) mod results;
 pub(crate) mod run;
+mod search;
 pub(crate) mod status;
 pub(crate) mod table;
 pub(crate) mod tools;

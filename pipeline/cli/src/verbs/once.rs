@@ -18,7 +18,7 @@ use crate::display::{self, Eta, profile, summary};
 use crate::error::CliError;
 use crate::measured::{self, Measured};
 use crate::session::Session;
-use crate::verbs::workers;
+use crate::verbs::{cluster, workers};
 
 /// Without a terminal, a line is printed at least this often to show that the run is alive.
 const HEARTBEAT: Duration = Duration::from_secs(30);
@@ -37,12 +37,17 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
         refuse_to_run(&Session::read_only(store, recipe)?.select(&args.selection)?)?;
     }
     let session = Session::open(store, recipe)?.select(&args.selection)?;
-    if session.needs_device()? {
+    if args.on.is_none() && session.needs_device()? {
         session.device.check()?;
     }
     let predictions = session.predict()?;
     refuse_without_data(&session, &predictions)?;
-    let options = options(&session, args)?;
+    let stop = StopRequests::listen().context("cannot listen to signals")?;
+    let options = options(&session, args, stop)?;
+    let submitted = args.on.map(|_| cluster::submit(&session, args, recipe)).transpose()?.flatten();
+    if args.detach {
+        return Ok(Ended { code: exit::OK, differences: Vec::new() });
+    }
     let eta = Eta::new(&session, &predictions, options.threads)?;
     let mut display = display::choose(args.json, eta);
     let mut closed = None;
@@ -55,9 +60,13 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
             closed = Some(error);
         }
     };
-    let result = match workers::of(&session, args, recipe)? {
-        Some(workers) => workers.run(&session, &options, watch)?,
-        None => scheduler::run(&session.plan, &session.store, &options, watch)?,
+    let result = match (submitted, workers::of(&session, args, recipe)?) {
+        (Some(run), _) => {
+            let process = workers::process(&options);
+            cluster::follow((&session.store, &session.plan), &run, &process, watch)?
+        }
+        (_, Some(workers)) => workers.run(&session, &options, watch)?,
+        (None, None) => scheduler::run(&session.plan, &session.store, &options, watch)?,
     };
     drop(display);
     summary::print(&session, &result, &recipe.recipe);
@@ -77,7 +86,8 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
     Ok(Ended { code, differences })
 }
 
-fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
+/// The options of a run in this process.
+pub(super) fn options(session: &Session, args: &RunArgs, stop: StopRequests) -> anyhow::Result<RunOptions> {
     let available = || std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.unwrap_or_else(available);
     Ok(RunOptions {
@@ -88,12 +98,13 @@ fn options(session: &Session, args: &RunArgs) -> anyhow::Result<RunOptions> {
         threads,
         device: session.device.id(),
         profile: args.profile,
+        pause_at: Default::default(),
         max_failures: if args.fail_fast { Some(1) } else { args.max_failures },
         timeout: args.timeout,
         rehash: session.rehash,
         log_filter: args.log.clone(),
         command: vec![own_program()?.into(), "exec-job".into()],
-        stop: StopRequests::listen().context("cannot listen to signals")?,
+        stop,
         heartbeat: HEARTBEAT,
         lease: args.lease,
         share: None,

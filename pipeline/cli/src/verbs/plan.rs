@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use engine::Plan;
+use engine::estimate::Estimate;
 use engine::explain::{Change, RootCause, root_causes};
 use engine::status::{Prediction, State};
 use serde_json::json;
@@ -95,7 +96,8 @@ fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {
     let words: Vec<String> = words.iter().map(|(word, count)| format!("{count} {word}")).collect();
     let to_run = predictions.values().filter(|prediction| prediction.may_run());
     let known: Vec<f64> = to_run.clone().filter_map(|prediction| prediction.expected_secs).collect();
-    let about = duration(known.iter().sum());
+    let about =
+        duration(known.iter().sum()) + &range(&predictions.values().filter_map(|one| one.estimate).collect::<Vec<_>>());
     let time = match (known.len(), to_run.count() - known.len()) {
         (0, 0) => String::new(),
         (_, 0) => format!("; about {about} of work"),
@@ -108,6 +110,21 @@ fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {
         }
     };
     format!("\n{}: {}{time}\n", count(predictions.len(), "job"), words.join(", "))
+}
+
+/// ` (8 min to 15 min, from 14 measurements)`: the range of a sum of independent predictions, and what they rest on.
+fn range(estimates: &[Estimate]) -> String {
+    if estimates.is_empty() {
+        return String::new();
+    }
+    let secs: f64 = estimates.iter().map(|one| one.secs).sum();
+    let spread = |end: usize| estimates.iter().map(|one| (one.range_secs[end] - one.secs).powi(2)).sum::<f64>().sqrt();
+    let [low, high] = [(secs - spread(0)).max(0.0), secs + spread(1)].map(duration);
+    let measurements = estimates.iter().map(|one| one.measurements).max().unwrap_or(0);
+    let foreign = estimates.iter().filter(|one| one.is_foreign).count();
+    let elsewhere = if foreign > 0 { format!(", {foreign} of them on other machines only") } else { String::new() };
+    let jobs = count(estimates.len(), "job");
+    format!(" ({low} to {high}; {jobs}, each predicted from up to {}{elsewhere})", count(measurements, "measurement"))
 }
 
 fn render_causes(plan: &Plan, causes: &[RootCause]) -> String {

@@ -2,13 +2,12 @@
 
 use std::path::Path;
 
+use ::cluster::{Role, RunFile};
 use anyhow::Context;
-use cluster::{Process, RunFile};
-use engine::job::StopRequests;
 use engine::scheduler::{self, Share};
 use engine::{Failure, FailureKind, Store};
 
-use super::once::own_program;
+use super::cluster;
 use crate::args::WorkerArgs;
 use crate::device::ChosenDevice;
 use crate::display::{Display, lines::Lines};
@@ -26,8 +25,20 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     if session.needs_device()? {
         device.check()?;
     }
+    let process = cluster::process(device, args.jobs, args.threads)?;
+    let mut display = Lines::default();
+    // Lines go to standard error, where a reader that left does not matter.
+    let watch = &mut |event: &engine::event::Event| _ = display.show(event);
     let (part, of) = args.part;
-    let process = process(args, device)?;
+    if let Some(number) = args.wave {
+        let element = std::env::var("SLURM_ARRAY_TASK_ID").ok().and_then(|text| text.parse().ok());
+        let role = match (args.batch, element) {
+            _ if args.report => Role::Report,
+            (Some(batch), Some(number)) => Role::Cell { batch, number },
+            _ => Role::Pilot { part, of, idle: args.idle },
+        };
+        return cluster::batch_job(&session, &run, &file, &process, (number, role), watch);
+    }
     let share = Share {
         run,
         name: format!("worker-{part}"),
@@ -37,11 +48,7 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
         missing: None,
         idle: args.idle,
     };
-    let options = file.options(&process, share);
-    let mut display = Lines::default();
-    // Lines go to standard error, where a reader that left does not matter.
-    let watch = &mut |event: &engine::event::Event| _ = display.show(event);
-    let summary = scheduler::run(&session.plan, &session.store, &options, watch)?;
+    let summary = scheduler::run(&session.plan, &session.store, &file.options(&process, share), watch)?;
     Ok(summary.exit_code(false))
 }
 
@@ -79,15 +86,4 @@ fn refuse_other_class(device: ChosenDevice, planned: engine::DeviceClass) -> Res
     let message = format!("the run was planned for a {}, not for {}", planned.as_str(), device.id());
     let hint = format!("add --device {}", planned.as_str());
     Err(CliError::Input(Failure::new(FailureKind::BadInput, message).hint(hint).into()))
-}
-
-fn process(args: &WorkerArgs, device: ChosenDevice) -> Result<Process, CliError> {
-    let threads = args.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    Ok(Process {
-        jobs: args.jobs.unwrap_or(threads),
-        threads,
-        device: device.id(),
-        command: vec![own_program()?.into(), "exec-job".into()],
-        stop: StopRequests::listen().context("cannot listen to signals")?,
-    })
 }

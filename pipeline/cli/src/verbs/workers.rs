@@ -1,6 +1,6 @@
 //! `run --workers` and `run --devices`: a run that several processes of this machine share.
 
-use cluster::{Process, RunFile, Worker, run_with_workers};
+use ::cluster::{Process, RunFile, Worker, run_with_workers};
 use engine::event::Event;
 use engine::scheduler::{RunOptions, RunSummary};
 use engine::{Failure, FailureKind};
@@ -20,7 +20,7 @@ pub(super) struct Workers {
 pub(super) fn of(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> Result<Option<Workers>, CliError> {
     let available = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.unwrap_or(available);
-    let devices = match (args.workers, &args.devices[..]) {
+    let devices = match (args.workers.filter(|_| args.on.is_none()), &args.devices[..]) {
         (None, []) => return Ok(None),
         (Some(count), _) => vec![session.device.id(); count],
         (None, names) => devices(session, names)?,
@@ -69,13 +69,17 @@ impl Workers {
         options: &RunOptions,
         watch: &mut dyn FnMut(&Event),
     ) -> anyhow::Result<RunSummary> {
-        let process = Process {
-            jobs: options.jobs,
-            threads: options.threads,
-            device: options.device.clone(),
-            command: options.command.clone(),
-            stop: options.stop.clone(),
-        };
-        run_with_workers((&session.plan, &session.store), &self.file, &self.workers, &process, watch)
+        run_with_workers((&session.plan, &session.store), &self.file, &self.workers, &process(options), watch)
+    }
+}
+
+/// This process as a part of a shared run.
+pub(super) fn process(options: &RunOptions) -> Process {
+    Process {
+        jobs: options.jobs,
+        threads: options.threads,
+        device: options.device.clone(),
+        command: options.command.clone(),
+        stop: options.stop.clone(),
     }
 }

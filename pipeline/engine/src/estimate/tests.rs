@@ -82,3 +82,24 @@ fn a_job_of_unknown_work_takes_as_long_as_with_equal_parameters() {
     changed.params["steps"] = 11.into();
     assert_eq!(estimator.secs(&plan, &changed), None);
 }
+
+#[test]
+fn ranges_narrow_with_measurements_and_widen_with_distance() {
+    let mut estimator = Estimator::default();
+    let (plan, ten) = steps(10.0);
+    let width = |estimator: &Estimator, amount: f64| {
+        let (plan, node) = steps(amount);
+        let one = estimator.estimate(&plan, &node).unwrap();
+        assert!(one.range_secs[0] < one.secs && one.secs < one.range_secs[1], "{one:?}");
+        (one.range_secs[1] / one.range_secs[0], one.measurements)
+    };
+    estimator.add_run(&plan, &ten, 2.0);
+    let (first, count) = width(&estimator, 10.0);
+    assert_eq!(count, 1);
+    assert!(width(&estimator, 1000.0).0 > first, "a prediction for 100 times the work is as certain");
+    (0..9).for_each(|_| estimator.add_run(&plan, &ten, 2.0));
+    let (tenth, count) = width(&estimator, 10.0);
+    assert!(count == 10 && tenth < 0.8 * first, "{tenth} after {first}");
+    (0..9).for_each(|at| estimator.add_run(&plan, &ten, if at % 2 == 0 { 1.0 } else { 4.0 }));
+    assert!(width(&estimator, 10.0).0 > tenth, "scatter does not widen the range");
+}

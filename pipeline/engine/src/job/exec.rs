@@ -177,6 +177,7 @@ fn job_context(
         threads: spec.threads,
         device: spec.device.clone(),
         profile: spec.profile,
+        pause_at: spec.pause_at,
         inputs,
         sources,
         output_dir,

@@ -53,6 +53,8 @@ pub struct JobSpec {
     pub device_of_run: DeviceClass,
     /// Whether to profile the job.
     pub profile: bool,
+    /// The share of its work after which the job pauses, with a checkpoint.
+    pub pause_at: Option<f64>,
     /// Whether the result replaces an earlier record of the same key (`--force`).
     pub replace: bool,
     /// The filter of the job's log, e.g. `info` or `training=debug`.

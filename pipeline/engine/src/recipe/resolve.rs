@@ -37,6 +37,8 @@ pub fn resolve_with(
     let Some(mut loaded) = load::load(path, overrides, library, &mut report) else {
         return report.finish(None);
     };
+    // A search is the program's matter: it resolves the recipe once per trial.
+    loaded.root.shift_remove("sweep");
     all::expand(&mut loaded, registry, &mut report);
     let known = KnownParams::of(&loaded.root, registry);
     let recipe = raw::read(loaded, &known, &mut report);

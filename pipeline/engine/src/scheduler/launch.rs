@@ -100,6 +100,7 @@ impl Scheduler<'_> {
             device: self.device_of(node),
             device_of_run: self.plan.device,
             profile: self.options.profile,
+            pause_at: self.options.pause_at.get(&index).copied(),
             replace: self.options.force.contains(&index),
             log_filter: self.options.log_filter.clone(),
             dir: dir.clone(),

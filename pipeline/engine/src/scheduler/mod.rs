@@ -51,6 +51,9 @@ pub struct RunOptions {
     pub device: String,
     /// Whether to profile the jobs.
     pub profile: bool,
+    /// The share of its work, between 0 and 1, after which a node's job pauses: it saves a checkpoint and counts as
+    /// interrupted, and a later run continues it. For stages that know [`JobContext::pause_at`](crate::JobContext).
+    pub pause_at: BTreeMap<usize, f64>,
     /// Launch no more jobs after this many failures.
     pub max_failures: Option<usize>,
     /// Stop jobs that run longer than this.
@@ -89,7 +92,7 @@ pub fn run(
     let _in_use = store.enter()?;
     let selected = plan.with_ancestors(&options.targets);
     let (run, events_file) = match &options.share {
-        Some(share) if share.following.is_none() => (share.run.clone(), format!("events-{}.jsonl", share.name)),
+        Some(share) if !share.name.is_empty() => (share.run.clone(), format!("events-{}.jsonl", share.name)),
         Some(share) => (share.run.clone(), EVENTS.into()),
         None => (begin(plan, store)?, EVENTS.into()),
     };

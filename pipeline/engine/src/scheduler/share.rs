@@ -20,7 +20,8 @@ const POLL_SHARE: u32 = 20;
 pub struct Share {
     /// The run's name. Its folder exists and has the plan.
     pub run: String,
-    /// This process's name in the run, e.g. `worker-3`; it names the file of its events.
+    /// This process's name in the run, e.g. `worker-3`; it names the files of its events and of its summary. Empty for the
+    /// process that reports to the user.
     pub name: String,
     /// Where in the order of jobs this process begins, from 0 to 1, so that workers do not contend for the same jobs.
     pub begin: f64,
@@ -51,6 +52,11 @@ impl Crew {
     /// The crew has ended, and so does the follower.
     pub fn leave(&self) {
         self.0.store(Self::LEAVE, Ordering::SeqCst);
+    }
+
+    /// Whether the crew has ended.
+    pub fn has_ended(&self) -> bool {
+        self.is(Self::TAKE_OVER) || self.is(Self::LEAVE)
     }
 
     fn is(&self, state: u8) -> bool {
@@ -155,7 +161,8 @@ impl Scheduler<'_> {
         let Some(mut parked) = self.parking.jobs.remove(&index) else { return Ok(()) };
         if claimed.contains(parked.key.as_str()) {
             self.show_progress(index, &mut parked);
-            let is_free = self.may_launch(index)
+            let gives_up = self.options.share.as_ref().is_some_and(|share| share.missing.is_some());
+            let is_free = (self.may_launch(index) || gives_up)
                 && self.store.break_expired_claim(&parked.key, &mut parked.watch, self.options.lease)?;
             if !is_free {
                 self.parking.jobs.insert(index, parked);

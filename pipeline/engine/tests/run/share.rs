@@ -39,7 +39,9 @@ fn start(world: &World, count: usize) -> (String, Vec<Child>) {
 }
 
 fn share(run: &str, following: Option<Crew>) -> Share {
-    Share { run: run.into(), name: "test".into(), begin: 0.0, following, only: None, missing: None, idle: None }
+    // The events of a follower repeat those of the workers.
+    let name = if following.is_some() { "" } else { "test" }.into();
+    Share { run: run.into(), name, begin: 0.0, following, only: None, missing: None, idle: None }
 }
 
 /// Takes part in the run, and returns its summary.
@@ -118,7 +120,7 @@ fn killed_workers_lose_nothing() {
 }
 
 fn a_frozen_worker_loses_its_jobs_and_stops() {
-    let world = slow_grid(30);
+    let world = slow_grid(120);
     let (run, mut workers) = start(&world, 1);
     let signal = |worker: &Child, signal| kill_process(Pid::from_child(worker), signal).unwrap();
     // The child of the frozen worker is frozen, too, like on a suspended machine.
@@ -126,13 +128,13 @@ fn a_frozen_worker_loses_its_jobs_and_stops() {
     while jobs().is_empty() || world.store().claimed().unwrap().is_empty() {
         std::thread::sleep(Duration::from_millis(5));
     }
-    std::thread::sleep(2 * SHORT_LEASE / 5);
+    std::thread::sleep(SHORT_LEASE / 5);
     let frozen = jobs();
     signal(&workers[0], Signal::STOP);
     frozen.iter().for_each(|job| _ = kill_process(*job, Signal::STOP));
     let summary = join(&world, share(&run, None));
     assert_eq!(summary.exit_code(true), engine::exit::OK, "{:?}", summary.results);
-    assert_eq!(contents(&summary), contents(&slow_grid(30).run(&[])));
+    assert_eq!(contents(&summary), contents(&slow_grid(120).run(&[])));
     assert_eq!(summary.counts.total, summary.counts.done());
 
     frozen.iter().for_each(|job| _ = kill_process(*job, Signal::CONT));

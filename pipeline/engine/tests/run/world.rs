@@ -95,6 +95,7 @@ impl World {
             threads: 4,
             device: "cpu".into(),
             profile: false,
+            pause_at: Default::default(),
             max_failures: None,
             timeout: None,
             rehash: false,
@@ -152,8 +153,8 @@ pub(crate) fn schedule(root: &Path) -> ExitCode {
     ExitCode::from(summary.exit_code(false))
 }
 
-/// The lease in shared runs: a frozen process loses its jobs after this time.
-pub(crate) const SHORT_LEASE: Duration = Duration::from_millis(500);
+/// The lease in shared runs: a frozen process loses its jobs after this time. Long beside the syncs of a busy disk.
+pub(crate) const SHORT_LEASE: Duration = Duration::from_secs(2);
 
 /// Takes part in the shared run `run` of an existing world, like a worker of the program does.
 pub(crate) fn work(root: &Path, run: &str, part: &str) -> ExitCode {

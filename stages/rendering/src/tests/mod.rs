@@ -100,7 +100,7 @@ fn trained_with(params: Value, supplements: &Supplements) -> (tempfile::TempDir,
     let tables = [small, params].into_iter().filter_map(|table| table.as_object().cloned());
     let params: TrainingParams = serde_json::from_value(Value::Object(tables.flatten().collect())).unwrap();
     let (stop, on_progress) = (&AtomicBool::new(false), &|_| ());
-    let watch = Watch { stop, on_progress, checkpoint_dir: &checkpoints, device: Device::Cpu };
+    let watch = Watch { stop, pause_at: None, on_progress, checkpoint_dir: &checkpoints, device: Device::Cpu };
     let model = train(capture.clone(), supplements, &params, None, &watch).unwrap().unwrap().model;
     model.save(&model_dir).unwrap();
     (dir, model, capture)

@@ -220,7 +220,7 @@ mod tests {
         };
         let (go, stopped) = (AtomicBool::new(false), AtomicBool::new(true));
         let (on_progress, checkpoint_dir) = (&|_| (), dir.path());
-        let watch = |stop| Watch { stop, on_progress, checkpoint_dir, device: Device::Cpu };
+        let watch = |stop| Watch { stop, pause_at: None, on_progress, checkpoint_dir, device: Device::Cpu };
         let fitted = |budget| fit(&dataset, &NOTHING, &params(budget), &watch(&go)).unwrap().unwrap();
         let (first, choice) = fitted(2.0);
         let choice = choice.unwrap();

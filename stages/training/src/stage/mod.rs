@@ -2,6 +2,7 @@
 
 mod budget;
 mod inputs;
+mod rung;
 mod watch;
 
 use std::sync::atomic::Ordering;
@@ -27,6 +28,7 @@ use crate::params::TrainingParams;
 use crate::planning::{self, START};
 use crate::trainer::{Checkpoint, Earlier, Report, Trainer};
 
+pub use rung::Rung;
 pub use watch::Watch;
 
 use budget::Choice;
@@ -101,7 +103,8 @@ impl Stage for Training {
                 tracing::warn!("{} has no timestamps: kernels are counted, not timed", device.name());
             }
             let (stop, on_progress) = (&*context.stop, &*context.on_progress);
-            let watch = Watch { stop, on_progress, checkpoint_dir: context.checkpoint_dir(), device };
+            let (pause_at, checkpoint_dir) = (context.pause_at, context.checkpoint_dir());
+            let watch = Watch { stop, pause_at, on_progress, checkpoint_dir, device };
             pool.install(|| {
                 let supplements = given.load(&capture)?;
                 train(capture, &supplements, params, start, &watch)
@@ -169,10 +172,14 @@ pub fn train(
     let (mut saved, mut reported) = (Instant::now(), Instant::now());
     while !trainer.is_done() {
         trainer.advance()?;
-        let stopping = watch.stop.load(Ordering::Relaxed);
+        let is_paused = !trainer.is_done() && watch.is_due(trainer.steps());
+        let stopping = is_paused || watch.stop.load(Ordering::Relaxed);
         if stopping || saved.elapsed() >= CHECKPOINT_INTERVAL {
             trainer.checkpoint()?.save(watch.checkpoint_dir)?;
             saved = Instant::now();
+        }
+        if is_paused {
+            Rung::of(&trainer.report(), trainer.steps()).save(watch.checkpoint_dir)?;
         }
         if stopping {
             return Ok(None);
@@ -228,6 +235,33 @@ mod tests {
             context.inputs.insert(port.name.into(), Vec::new());
         }
         context
+    }
+
+    #[test]
+    fn a_paused_job_says_how_far_it_came_and_continues_to_the_same_bytes() {
+        let dir = tempfile::tempdir().unwrap();
+        let capture = dir.path().join("capture");
+        TestScene::default().write(&capture);
+        let params = json!({
+            "iterations": { "train": 40 }, "initial_points": { "random_count": 40 }, "curve": { "points": 4, "views": 1 },
+        });
+        let params: TrainingParams = serde_json::from_value(params).unwrap();
+        let undisturbed = context(&dir.path().join("undisturbed"), &capture);
+        Training::run(&undisturbed, &params).unwrap();
+        let mut paused = context(&dir.path().join("paused"), &capture);
+        let curve = undisturbed.measurements.borrow()["curve"].clone();
+        for (share, steps, points) in [(0.25, 10, 2), (0.6, 24, 3)] {
+            paused.pause_at = Some(share);
+            let failure = Training::run(&paused, &params).unwrap_err().downcast::<Failure>().unwrap();
+            assert_eq!(failure.kind, FailureKind::Interrupted);
+            let rung = Rung::load(paused.checkpoint_dir()).unwrap();
+            assert_eq!((rung.steps, rung.total_steps), (steps, 40));
+            assert_eq!(rung.psnr_val, curve[points - 1]["psnr_val"].as_f64());
+        }
+        paused.pause_at = None;
+        Training::run(&paused, &params).unwrap();
+        let read = |context: &JobContext| std::fs::read(context.output_dir().join("model.safetensors")).unwrap();
+        assert_eq!(read(&undisturbed), read(&paused));
     }
 
     #[test]

@@ -1,0 +1,171 @@
+//! `run --sweep`: a search over parameters, from the command line and from the recipe's `[sweep]`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use ::sweep::{Parameter, Space, Strategy};
+use clap::{Args, ValueEnum};
+use serde::Deserialize;
+
+use super::values::at_least_one;
+
+/// Trials if nothing else is said.
+const TRIALS: usize = 20;
+/// One of so many trials of a rung continues.
+const REDUCTION: usize = 3;
+/// Rungs of a search that is not a grid.
+const RUNGS: usize = 3;
+
+/// How values are chosen.
+#[derive(Clone, Copy, Debug, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum StrategyName {
+    /// Every combination
+    Grid,
+    /// Independent values
+    Random,
+    /// Evenly spread values (Sobol)
+    Sobol,
+    /// Half of the trials near the best ones so far (TPE)
+    Tpe,
+}
+
+/// The options of a search. Those of the command line win over those of the recipe.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct SweepArgs {
+    /// Search over a parameter, e.g. nodes.train.params.schedule_scale=0.1,0.3 or KEY=log(1e-4,1e-2), uniform(0,1),
+    /// int(1,8); can be repeated. The search maximises PSNR on validation views; see pipeline/sweep
+    #[arg(long = "sweep", value_name = "KEY=VALUES", help_heading = "Search")]
+    #[arg(conflicts_with_all = ["on", "workers", "devices", "frozen", "precision", "profile", "budget", "only", "force", "json"])]
+    pub(crate) parameters: Vec<Parameter>,
+    /// How values are chosen (default: grid if there are few combinations, otherwise tpe)
+    #[arg(long, value_enum, help_heading = "Search")]
+    pub(crate) strategy: Option<StrategyName>,
+    /// Start at most N trials (default: 20); more trials later continue the same search
+    #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
+    pub(crate) trials: Option<usize>,
+    /// Compare trials at N points of the training and continue only the best (default: 3; grid: 1, all are completed)
+    #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
+    pub(crate) rungs: Option<usize>,
+    /// Continue one of N trials at each rung (default: 3)
+    #[arg(long, value_parser = clap::value_parser!(u64).range(2..), value_name = "N", help_heading = "Search")]
+    pub(crate) reduction: Option<u64>,
+    /// Start no trial after TIME, e.g. 8h
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", help_heading = "Search")]
+    pub(crate) within: Option<Duration>,
+    /// Discard trials whose training takes longer than TIME on average
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", help_heading = "Search")]
+    pub(crate) max_training: Option<Duration>,
+    /// Seed of the search
+    #[arg(long, value_name = "N", help_heading = "Search")]
+    pub(crate) sweep_seed: Option<u64>,
+}
+
+/// `[sweep]` of a recipe.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Table {
+    parameters: BTreeMap<String, toml::Value>,
+    strategy: Option<StrategyName>,
+    trials: Option<usize>,
+    rungs: Option<usize>,
+    reduction: Option<u64>,
+    within: Option<String>,
+    max_training: Option<String>,
+    seed: Option<u64>,
+}
+
+/// A search with all defaults filled in.
+#[derive(Clone, Debug)]
+pub(crate) struct SweepSettings {
+    pub(crate) space: Space,
+    pub(crate) strategy: Strategy,
+    pub(crate) trials: usize,
+    pub(crate) rungs: usize,
+    pub(crate) reduction: usize,
+    pub(crate) within: Option<Duration>,
+    pub(crate) max_training: Option<Duration>,
+    pub(crate) seed: u64,
+}
+
+impl SweepArgs {
+    /// The search that the command line and the text of the recipe ask for; none if neither does. The error says what is
+    /// wrong with `[sweep]`.
+    pub(crate) fn settings(&self, recipe: &Path, text: &str) -> Result<Option<SweepSettings>, String> {
+        let wrong = |message: String| format!("{}: [sweep]: {message}", recipe.display());
+        // Errors of the recipe's syntax are reported when it is resolved.
+        let root: toml::Table = text.parse().unwrap_or_default();
+        let table = match root.get("sweep") {
+            Some(table) => table.clone().try_into::<Table>().map_err(|error| wrong(error.to_string()))?,
+            None => Table::default(),
+        };
+        let mut parameters: Vec<Parameter> = Vec::new();
+        for (key, values) in &table.parameters {
+            parameters.push(Parameter::new(key, &words(values)).map_err(wrong)?);
+        }
+        parameters.retain(|old| self.parameters.iter().all(|new| new.key != old.key));
+        parameters.extend(self.parameters.iter().cloned());
+        if parameters.is_empty() {
+            return Ok(None);
+        }
+        let space = Space(parameters);
+        let time = |text: &Option<String>| text.as_deref().map(humantime::parse_duration).transpose();
+        let trials = self.trials.or(table.trials);
+        let few = space.grid_size().filter(|size| *size <= trials.unwrap_or(TRIALS));
+        let named = self.strategy.or(table.strategy);
+        let strategy = match (named, few) {
+            (Some(StrategyName::Grid), _) | (None, Some(_)) => Strategy::Grid,
+            (Some(StrategyName::Random), _) => Strategy::Random,
+            (Some(StrategyName::Sobol), _) => Strategy::Sobol,
+            (Some(StrategyName::Tpe) | None, _) => Strategy::Tpe,
+        };
+        let grid = space.grid_size().filter(|_| strategy == Strategy::Grid);
+        if strategy == Strategy::Grid && grid.is_none() {
+            return Err("a grid needs listed values for every parameter, e.g. KEY=0.1,0.3".into());
+        }
+        Ok(Some(SweepSettings {
+            trials: trials.or(grid).unwrap_or(TRIALS).min(grid.unwrap_or(usize::MAX)),
+            rungs: self.rungs.or(table.rungs).unwrap_or(if grid.is_some() { 1 } else { RUNGS }).max(1),
+            reduction: self.reduction.or(table.reduction).map_or(REDUCTION, |reduction| reduction.max(2) as usize),
+            within: self.within.or(time(&table.within).map_err(|error| wrong(error.to_string()))?),
+            max_training: self.max_training.or(time(&table.max_training).map_err(|error| wrong(error.to_string()))?),
+            seed: self.sweep_seed.or(table.seed).unwrap_or(0),
+            space,
+            strategy,
+        }))
+    }
+}
+
+/// The values of a parameter in `[sweep]` as on the command line: text, or an array of values.
+fn words(values: &toml::Value) -> String {
+    match values {
+        toml::Value::String(text) => text.clone(),
+        toml::Value::Array(items) => items.iter().map(toml::Value::to_string).collect::<Vec<_>>().join(","),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RECIPE: &str = "[sweep]\ntrials = 7\nparameters = { \"a.b\" = [1, 2], \"c\" = \"log(0.1, 1)\" }\n";
+
+    #[test]
+    fn the_command_line_wins_over_the_recipe() {
+        let settings = |args: &SweepArgs, text| args.settings(Path::new("x.toml"), text);
+        let of_recipe = settings(&SweepArgs::default(), RECIPE).unwrap().unwrap();
+        assert_eq!((of_recipe.trials, of_recipe.strategy, of_recipe.rungs), (7, Strategy::Tpe, 3));
+        let args = SweepArgs { parameters: vec!["c=1,2".parse().unwrap()], trials: Some(3), ..SweepArgs::default() };
+        let both = settings(&args, RECIPE).unwrap().unwrap();
+        let keys: Vec<String> = both.space.0.iter().map(ToString::to_string).collect();
+        assert_eq!(keys, ["a.b=1,2", "c=1,2"]);
+        assert_eq!((both.trials, both.strategy), (3, Strategy::Tpe), "four combinations are more than three trials");
+        let grid = settings(&SweepArgs { trials: None, ..args }, "").unwrap().unwrap();
+        assert_eq!((grid.trials, grid.strategy, grid.rungs), (2, Strategy::Grid, 1));
+        assert!(settings(&SweepArgs::default(), "").unwrap().is_none());
+        let wrong = settings(&SweepArgs::default(), &RECIPE.replace("trials", "trails")).unwrap_err();
+        assert!(wrong.contains("x.toml") && wrong.contains("trails"), "{wrong}");
+    }
+}

@@ -1,0 +1,145 @@
+//! Runs on a cluster: `run --on slurm`, `attach`, `cancel`, and the batch jobs themselves.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use ::cluster::{ClusterFile, ClusterRun, Process, Role, RunFile, Site, keep_program, slurm};
+use engine::event::Event;
+use engine::scheduler::{self, RunSummary};
+use engine::{Plan, Store, exit};
+
+use super::once::own_program;
+use super::worker::named_or_newest;
+use super::workers::run_file;
+use crate::args::{AttachArgs, RecipeArgs, RunArgs};
+use crate::device::ChosenDevice;
+use crate::display::{self, Eta, summary};
+use crate::error::CliError;
+use crate::measured::{self, Measured};
+use crate::output::{count, note};
+use crate::session::{Session, TRAINING};
+
+/// The size of arrays if Slurm does not say what it allows.
+const MAX_ARRAY: usize = 1000;
+
+/// Submits the jobs of `session` that have to run. Returns the run's name; none if no job has to run.
+pub(super) fn submit(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> Result<Option<String>, CliError> {
+    let cluster = args.cluster.as_deref().map(ClusterFile::read).transpose()?.unwrap_or_default();
+    let predictions = session.predict()?;
+    let nodes: BTreeSet<usize> = predictions.iter().filter(|(_, job)| job.may_run()).map(|(&index, _)| index).collect();
+    if nodes.is_empty() {
+        return Ok(None);
+    }
+    // Slurm numbers elements below this value.
+    let max_array = slurm::config("MaxArraySize")?.and_then(|text| text.parse::<usize>().ok());
+    let site = Site {
+        cluster,
+        program: keep_program(&session.store)?,
+        training: TRAINING.into(),
+        pilots: args.workers,
+        max_array: max_array.map_or(MAX_ARRAY, |size| size.saturating_sub(1).max(1)),
+    };
+    let run = scheduler::begin(&session.plan, &session.store)?;
+    run_file(session, args, recipe)?.write(&session.store, &run)?;
+    let cluster_run = ClusterRun { store: &session.store, run: run.clone(), plan: &session.plan, site };
+    cluster_run.create()?;
+    if let Some(wave) = cluster_run.submit(1, &nodes)? {
+        let arrays = count(wave.jobs.len(), "array");
+        let cells = count(wave.cells.cells.len(), "cell");
+        note(&format!("run {run}: submitted {cells} in {arrays}; logs in {}", cluster_run.folder().display()));
+        note(&format!("follow with `pipeline attach {run}`, stop with `pipeline cancel {run}`"));
+    }
+    Ok(Some(run))
+}
+
+/// Follows a run on a cluster to its end, and returns its summary.
+pub(super) fn follow(
+    (store, plan): (&Store, &Plan),
+    run: &str,
+    process: &Process,
+    watch: &mut dyn FnMut(&Event),
+) -> anyhow::Result<RunSummary> {
+    let (file, _) = RunFile::read(store, run)?;
+    let summary = ClusterRun::read(store, run, plan)?.follow(&file, process, watch)?;
+    if summary.stopped_by.is_some() {
+        note(&format!(
+            "the batch jobs go on; `pipeline attach {run}` follows them, `pipeline cancel {run}` stops them"
+        ));
+    }
+    Ok(summary)
+}
+
+/// `attach`: follows a run that was submitted before.
+pub(crate) fn attach(store: &Path, args: &AttachArgs) -> Result<u8, CliError> {
+    let store = Store::open(store)?;
+    let run = named_or_newest(&store, args.run.as_deref())?;
+    let (file, plan) = RunFile::read(&store, &run)?;
+    refuse_local(&store, &run)?;
+    let recipe = file.recipe.clone();
+    let session = Session::of_run(store, &file, plan, ChosenDevice::Cpu);
+    let eta = Eta::new(&session, &session.predict()?, 1)?;
+    let mut display = display::choose(args.json, eta);
+    let process = process(ChosenDevice::Cpu, None, None)?;
+    // A reader that left ends the waiting, like a signal.
+    let watch = &mut |event: &Event| {
+        if display.show(event).is_err() {
+            process.stop.reader_is_gone();
+        }
+    };
+    let result = follow((&session.store, &session.plan), &run, &process, watch)?;
+    drop(display);
+    summary::print(&session, &result, &recipe);
+    let Measured { runs, .. } = measured::of_run(&session, &result)?;
+    let is_degenerate = summary::print_degenerate(&runs);
+    Ok(match result.exit_code(false) {
+        exit::OK if is_degenerate => exit::DEGENERATE,
+        code => code,
+    })
+}
+
+/// `cancel`: cancels the batch jobs of a run.
+pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
+    let store = Store::open(store)?;
+    let run = named_or_newest(&store, run)?;
+    refuse_local(&store, &run)?;
+    let (_, plan) = RunFile::read(&store, &run)?;
+    let jobs = ClusterRun::read(&store, &run, &plan)?.cancel()?;
+    note(&format!("run {run}: cancelled {}; trainings have saved their progress", count(jobs, "batch job")));
+    Ok(exit::OK)
+}
+
+fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {
+    if ClusterRun::exists(store, run) {
+        return Ok(());
+    }
+    let hint = "its processes end with the one that started it: press Ctrl-C there";
+    Err(CliError::nothing(format!("run {run} is not on a cluster"), hint))
+}
+
+/// The work of a batch job of wave `number`; returns its exit code.
+pub(super) fn batch_job(
+    session: &Session,
+    run: &str,
+    file: &RunFile,
+    process: &Process,
+    (number, role): (usize, Role),
+    watch: &mut dyn FnMut(&Event),
+) -> Result<u8, CliError> {
+    let cluster_run = ClusterRun::read(&session.store, run, &session.plan)?;
+    Ok(cluster_run.work((file, process), number, role, watch)?)
+}
+
+/// This process, as a part of a shared run; in a batch job, USR1 asks it to stop.
+pub(super) fn process(device: ChosenDevice, jobs: Option<usize>, threads: Option<usize>) -> Result<Process, CliError> {
+    // Where a batch system does not bind its jobs to processors, it still says how many belong to this one.
+    let granted = || std::env::var("SLURM_CPUS_ON_NODE").ok().and_then(|text| text.parse().ok());
+    let available = || std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = threads.or_else(granted).unwrap_or_else(available);
+    Ok(Process {
+        jobs: jobs.unwrap_or(threads),
+        threads,
+        device: device.id(),
+        command: vec![own_program()?.into(), "exec-job".into()],
+        stop: engine::job::StopRequests::listen_in_batch()?,
+    })
+}

@@ -1,0 +1,102 @@
+//! Follows a run on a cluster: shows its progress, and closes a wave whose last job was lost.
+
+use std::time::{Duration, Instant};
+
+use engine::event::Event;
+use engine::scheduler::{Crew, RunSummary, run};
+
+use crate::crew::follower;
+use crate::slurm::{self, is_alive};
+use crate::wave::ClusterRun;
+use crate::{Process, RunFile};
+
+/// The time between two looks at the run's own files.
+const TICK: Duration = Duration::from_millis(500);
+
+impl ClusterRun<'_> {
+    /// Waits for the end of the run, and returns the usual summary. A stop request to `process` ends the waiting and leaves
+    /// the batch jobs alone. `watcher` receives every event.
+    pub fn follow(
+        &self,
+        file: &RunFile,
+        process: &Process,
+        watcher: &mut dyn FnMut(&Event),
+    ) -> anyhow::Result<RunSummary> {
+        let crew = Crew::default();
+        let options = file.options(process, follower(&self.run, &crew));
+        std::thread::scope(|scope| {
+            let watch = scope.spawn(|| {
+                let watched = self.watch(file, process, &crew);
+                crew.leave();
+                watched
+            });
+            let summary = run(self.plan, self.store, &options, watcher);
+            // A summary before the end of the batch jobs means that all results are there.
+            crew.leave();
+            watch.join().map_err(|_| anyhow::anyhow!("the thread that watches the batch jobs panicked"))??;
+            summary
+        })
+    }
+
+    /// Returns when the run has ended or the user stops waiting.
+    fn watch(&self, file: &RunFile, process: &Process, crew: &Crew) -> anyhow::Result<()> {
+        let mut watch = Patience::default();
+        let mut asked = Instant::now();
+        while !self.has_ended() && process.stop.count() == 0 && !crew.has_ended() {
+            std::thread::sleep(TICK);
+            if asked.elapsed() < self.site.cluster.poll {
+                continue;
+            }
+            asked = Instant::now();
+            if watch.is_over(self.lives()?, self.site.cluster.patience) {
+                let number = self.newest_wave()?.map_or(1, |wave| wave.number);
+                self.close(file, process, number, &mut |_| ())?;
+                watch = Patience::default();
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a job of the newest wave may still do something; `None` if that is unknown. A job that Slurm does not know
+    /// may have ended, or Slurm may have lost it: a process that still has a claim speaks for itself.
+    fn lives(&self) -> anyhow::Result<Option<bool>> {
+        let Some(wave) = self.newest_wave()? else { return Ok(Some(false)) };
+        let ids: Vec<u64> = wave.jobs.iter().chain(&wave.report).copied().collect();
+        let Some(states) = slurm::states(&ids) else { return Ok(None) };
+        Ok(Some(states.values().any(is_alive)))
+    }
+}
+
+/// How long nothing has been alive. An answer that is missing proves nothing.
+#[derive(Default)]
+struct Patience {
+    silent_since: Option<Instant>,
+}
+
+impl Patience {
+    fn is_over(&mut self, lives: Option<bool>, patience: Duration) -> bool {
+        match lives {
+            None => false,
+            Some(true) => {
+                self.silent_since = None;
+                false
+            }
+            Some(false) => self.silent_since.get_or_insert_with(Instant::now).elapsed() >= patience,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_answers_are_no_evidence() {
+        let mut patience = Patience::default();
+        assert!(!patience.is_over(None, Duration::ZERO));
+        assert!(!patience.is_over(Some(true), Duration::ZERO));
+        assert!(patience.is_over(Some(false), Duration::ZERO));
+        assert!(!patience.is_over(Some(false), Duration::from_secs(60)));
+        assert!(!patience.is_over(Some(true), Duration::ZERO) && patience.silent_since.is_none());
+    }
+}

@@ -1,0 +1,29 @@
+//! A copy of this program in the store, so that a build during the night does not change what waiting jobs run.
+
+use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use engine::{Digest, Store};
+use fs_err as fs;
+
+/// Copies this program into the store, unless it is there, and returns the path of the copy.
+pub fn keep_program(store: &Store) -> anyhow::Result<PathBuf> {
+    let own = std::env::current_exe().context("cannot find the program's own file")?;
+    // On Linux the link leads to the running image even if the file was replaced.
+    let image = PathBuf::from("/proc/self/exe");
+    let source = if image.exists() { image } else { own };
+    let bytes = fs::read(source)?;
+    let folder = store.root().join("programs");
+    let path = folder.join(format!("pipeline-{}", Digest::of(&bytes).short()));
+    if !path.exists() {
+        fs::create_dir_all(&folder)?;
+        let mut file = tempfile::NamedTempFile::new_in(&folder)?;
+        file.write_all(&bytes)?;
+        file.as_file().set_permissions(std::fs::Permissions::from_mode(0o755))?;
+        file.as_file().sync_all()?;
+        file.persist(&path)?;
+    }
+    Ok(path)
+}

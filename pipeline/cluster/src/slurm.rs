@@ -1,0 +1,120 @@
+//! Slurm's commands. Their answers are hints: results and failures are read from the store.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+
+/// Attempts to reach the controller, which may be restarting.
+const TRIES: u32 = 6;
+/// The pause after the first attempt; it doubles with each one, to about a minute in total.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+
+/// The state of an array or job, in words of Slurm, e.g. `PENDING`, with the reason for it.
+pub type States = BTreeMap<u64, BTreeSet<(String, String)>>;
+
+/// States in which a job may still do something.
+const ALIVE: [&str; 12] = [
+    "PENDING",
+    "RUNNING",
+    "SUSPENDED",
+    "COMPLETING",
+    "CONFIGURING",
+    "REQUEUED",
+    "REQUEUE_HOLD",
+    "REQUEUE_FED",
+    "RESIZING",
+    "SIGNALING",
+    "STAGE_OUT",
+    "STOPPED",
+];
+
+/// Whether a job in one of these states may still do something.
+pub fn is_alive(states: &BTreeSet<(String, String)>) -> bool {
+    states.iter().any(|(state, _)| ALIVE.contains(&state.as_str()))
+}
+
+/// Submits a job or array and returns its id. `script` is the text of a shell script.
+pub fn submit(options: &[String], script: &std::path::Path) -> anyhow::Result<u64> {
+    let mut arguments: Vec<&OsStr> = vec!["--parsable".as_ref()];
+    arguments.extend(options.iter().map(OsStr::new));
+    arguments.push(script.as_os_str());
+    let text = patiently("sbatch", &arguments)?;
+    let id = text.trim().split(';').next().unwrap_or_default();
+    id.parse().with_context(|| format!("sbatch printed {text:?} instead of a job id"))
+}
+
+/// The states of these jobs, without those that Slurm does not know; `None` if it could not be asked.
+pub fn states(ids: &[u64]) -> Option<States> {
+    let output = call("squeue", ["-h", "-t", "all", "--me", "-o", "%F|%T|%r"].map(OsStr::new)).ok()?;
+    if !output.status.success() {
+        return None;
+    }
+    let mut states = States::new();
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        let mut parts = line.split('|').map(str::trim);
+        let (Some(id), Some(state), Some(reason)) = (parts.next(), parts.next(), parts.next()) else { continue };
+        let Some(id) = id.parse().ok().filter(|id| ids.contains(id)) else { continue };
+        states.entry(id).or_default().insert((state.into(), reason.into()));
+    }
+    Some(states)
+}
+
+/// Cancels jobs. Those that have ended are no error.
+pub fn cancel(ids: &[u64]) -> anyhow::Result<()> {
+    let ids: Vec<String> = ids.iter().map(u64::to_string).collect();
+    patiently("scancel", &ids.iter().map(OsStr::new).collect::<Vec<_>>()).map(drop)
+}
+
+/// Puts the job that this process belongs to back into the queue.
+pub fn requeue_own() -> anyhow::Result<()> {
+    let variable = |name| std::env::var(name).ok();
+    // The id of an array's last element is that of the whole array.
+    let element =
+        variable("SLURM_ARRAY_JOB_ID").zip(variable("SLURM_ARRAY_TASK_ID")).map(|(job, task)| format!("{job}_{task}"));
+    let id = element.or_else(|| variable("SLURM_JOB_ID")).context("this process is no Slurm job")?;
+    patiently("scontrol", &["requeue".as_ref(), OsStr::new(&id)]).map(drop)
+}
+
+/// The nodes that Slurm knows.
+pub fn nodes() -> anyhow::Result<BTreeSet<String>> {
+    let text = patiently("sinfo", &["-h", "-N", "-o", "%N"].map(OsStr::new))?;
+    Ok(text.split_whitespace().map(str::to_owned).collect())
+}
+
+/// A value of Slurm's configuration, e.g. of `MaxArraySize`.
+pub fn config(key: &str) -> anyhow::Result<Option<String>> {
+    let text = patiently("scontrol", &["show", "config"].map(OsStr::new))?;
+    let pairs = text.lines().filter_map(|line| line.split_once('='));
+    Ok(pairs.into_iter().find(|(name, _)| name.trim() == key).map(|(_, value)| value.trim().to_owned()))
+}
+
+/// Runs a command and returns its output. While the controller does not answer, tries again.
+fn patiently(program: &str, arguments: &[&OsStr]) -> anyhow::Result<String> {
+    let mut pause = FIRST_PAUSE;
+    for attempt in 1.. {
+        let output = call(program, arguments.iter().copied())?;
+        if output.status.success() {
+            return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+        }
+        let message = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        let is_away = ["Unable to contact", "timed out", "Connection refused", "not responding", "temporarily"];
+        if attempt == TRIES || !is_away.iter().any(|text| message.contains(text)) {
+            bail!("{program} failed: {message}");
+        }
+        std::thread::sleep(pause);
+        pause *= 2;
+    }
+    unreachable!("the last attempt returns")
+}
+
+fn call<'a>(program: &str, arguments: impl IntoIterator<Item = &'a OsStr>) -> anyhow::Result<Output> {
+    let mut command = Command::new(program);
+    command.args(arguments).stdin(Stdio::null());
+    // A job that submits others must not hand its own allocation on.
+    let of_job = |name: &String| name.starts_with("SLURM_") && name != "SLURM_CONF";
+    std::env::vars().map(|(name, _)| name).filter(of_job).for_each(|name| _ = command.env_remove(name));
+    command.output().with_context(|| format!("cannot start {program}; is Slurm installed on this machine?"))
+}

@@ -1,0 +1,270 @@
+//! Waves: what was submitted together. The last job of a wave submits the next one for cells that ended without a result.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use engine::{Plan, Store};
+use fs_err as fs;
+use serde::{Deserialize, Serialize};
+
+use crate::batches::{After, Batch, batches};
+use crate::cells::{Cells, Class};
+use crate::file::ClusterFile;
+use crate::needs::Needs;
+use crate::run_file::read_json;
+use crate::slurm;
+
+/// The options of a run on a cluster, beside those of every shared run.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Site {
+    /// The cluster file.
+    pub cluster: ClusterFile,
+    /// The program, at a path that all machines see.
+    pub program: PathBuf,
+    /// The id of the stage that makes a job a cell.
+    pub training: String,
+    /// The number of pilots; none if every cell is a job of its own.
+    pub pilots: Option<usize>,
+    /// The largest number of elements of an array.
+    pub max_array: usize,
+}
+
+/// A shared run on a cluster.
+#[derive(Debug)]
+pub struct ClusterRun<'a> {
+    /// The store.
+    pub store: &'a Store,
+    /// The run's name.
+    pub run: String,
+    /// The plan.
+    pub plan: &'a Plan,
+    /// The options.
+    pub site: Site,
+}
+
+/// What was submitted together.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Wave {
+    /// The number, from 1.
+    pub number: usize,
+    /// The cells and collecting jobs without a result.
+    pub cells: Cells,
+    /// The arrays of cells; empty with pilots.
+    pub batches: Vec<Batch>,
+    /// The ids of the arrays, and of the array of pilots.
+    pub jobs: Vec<u64>,
+    /// The id of the last job, which collects results.
+    pub report: Option<u64>,
+    /// Machines that are avoided because jobs vanished on them.
+    pub excluded: BTreeSet<String>,
+}
+
+impl<'a> ClusterRun<'a> {
+    /// Reads the options of a run that was submitted before.
+    pub fn read(store: &'a Store, run: &str, plan: &'a Plan) -> anyhow::Result<Self> {
+        let site = read_json(&folder(store, run).join("site.json"))?;
+        Ok(Self { store, run: run.into(), plan, site })
+    }
+
+    /// Whether a run was submitted to a cluster.
+    pub fn exists(store: &Store, run: &str) -> bool {
+        folder(store, run).join("site.json").exists()
+    }
+
+    /// Writes the options, before the first wave.
+    pub fn create(&self) -> anyhow::Result<()> {
+        fs::create_dir_all(self.folder())?;
+        Ok(fs::write(self.folder().join("site.json"), serde_json::to_vec_pretty(&self.site)?)?)
+    }
+
+    /// The folder with scripts, waves and logs.
+    pub fn folder(&self) -> PathBuf {
+        folder(self.store, &self.run)
+    }
+
+    /// The wave with this number.
+    pub fn wave(&self, number: usize) -> anyhow::Result<Wave> {
+        read_json(&self.wave_file(number))
+    }
+
+    /// The newest wave, if anything was submitted.
+    pub fn newest_wave(&self) -> anyhow::Result<Option<Wave>> {
+        let newest = (1..).take_while(|number| self.wave_file(*number).exists()).last();
+        newest.map(|number| self.wave(number)).transpose()
+    }
+
+    /// The ids of all jobs of the run.
+    pub fn jobs(&self) -> anyhow::Result<Vec<u64>> {
+        let mut ids = Vec::new();
+        for number in (1..).take_while(|number| self.wave_file(*number).exists()) {
+            let wave = self.wave(number)?;
+            ids.extend(wave.jobs.iter().chain(&wave.report));
+        }
+        Ok(ids)
+    }
+
+    fn wave_file(&self, number: usize) -> PathBuf {
+        self.folder().join(format!("wave-{number}.json"))
+    }
+
+    /// Submits `nodes`, which have no result yet. Returns `None` if another process has submitted a wave of this number.
+    pub fn submit(&self, number: usize, nodes: &BTreeSet<usize>) -> anyhow::Result<Option<Wave>> {
+        let cells = Cells::of(self.plan, nodes, |node| node.stage == self.site.training);
+        let all = (0..cells.cells.len()).collect();
+        let batches =
+            if self.site.pilots.is_some() { Vec::new() } else { batches(&cells.cells, &all, self.site.max_array) };
+        let excluded = self.suspects(number)?;
+        let mut wave = Wave { number, cells, batches, excluded, ..Wave::default() };
+        match fs::OpenOptions::new().write(true).create_new(true).open(self.wave_file(number)) {
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => return Ok(None),
+            created => drop(created?),
+        }
+        self.write(&wave)?;
+        let needs = Needs::read(self.store)?;
+        match self.site.pilots {
+            Some(count) => self.submit_pilots(&mut wave, &needs, count)?,
+            None => self.submit_batches(&mut wave, &needs)?,
+        }
+        self.submit_report(&mut wave)?;
+        Ok(Some(wave))
+    }
+
+    fn submit_batches(&self, wave: &mut Wave, needs: &Needs) -> anyhow::Result<()> {
+        for (at, batch) in wave.batches.clone().into_iter().enumerate() {
+            let cells: Vec<&BTreeSet<usize>> =
+                batch.elements.values().map(|cell| &wave.cells.cells[*cell].nodes).collect();
+            let mut options = self.options(wave, batch.class, &format!("{at}-%a"));
+            let numbers: Vec<String> = batch.elements.keys().map(u32::to_string).collect();
+            options.push(format!("--array={}%{}", numbers.join(","), self.site.cluster.throttle));
+            options.extend(dependency(&batch.after, &wave.jobs).map(|text| format!("--dependency={text}")));
+            options.extend(self.limits(batch.class, &cells, needs, wave.number));
+            let command = format!("--batch {at}");
+            let id = self.send(wave, &format!("{at}"), batch.class, &command, &options)?;
+            wave.jobs.push(id);
+            self.write(wave)?;
+        }
+        Ok(())
+    }
+
+    fn submit_pilots(&self, wave: &mut Wave, needs: &Needs, count: usize) -> anyhow::Result<()> {
+        let class = wave.cells.cells.iter().map(|cell| cell.class).max().unwrap_or(Class::Cpu);
+        let nodes: Vec<&BTreeSet<usize>> = wave.cells.cells.iter().map(|cell| &cell.nodes).collect();
+        let mut options = self.options(wave, class, "pilot-%a");
+        options.push(format!("--array=1-{count}%{}", self.site.cluster.throttle));
+        options.extend(self.limits(class, &nodes, needs, wave.number));
+        let command = format!("--part \"$SLURM_ARRAY_TASK_ID/{count}\" --idle 60s");
+        let id = self.send(wave, "pilots", class, &command, &options)?;
+        wave.jobs.push(id);
+        self.write(wave)
+    }
+
+    /// The job that runs after all others, whatever became of them.
+    fn submit_report(&self, wave: &mut Wave) -> anyhow::Result<()> {
+        let mut options = self.options(wave, Class::Report, "report");
+        let after: Vec<String> = wave.jobs.iter().map(u64::to_string).collect();
+        options.extend((!after.is_empty()).then(|| format!("--dependency=afterany:{}", after.join(":"))));
+        options.extend(self.limits(Class::Report, &[], &Needs::read(self.store)?, wave.number));
+        wave.report = Some(self.send(wave, "report", Class::Report, "--report", &options)?);
+        self.write(wave)
+    }
+
+    /// The options of every job of a class; `log` names its log.
+    fn options(&self, wave: &Wave, class: Class, log: &str) -> Vec<String> {
+        let of_class = self.site.cluster.class(class);
+        let number = wave.number;
+        let mut options = vec![
+            format!("--job-name={}-{}", self.plan.recipe, word(class)),
+            format!("--comment={}", self.run),
+            format!("--output={}/wave-{number}-{log}.log", self.folder().display()),
+            format!("--signal=B:USR1@{}", self.site.cluster.signal_lead.as_secs().max(1)),
+            "--open-mode=append".into(),
+            "--requeue".into(),
+            "--kill-on-invalid-dep=yes".into(),
+        ];
+        let named = [("partition", of_class.partition), ("account", of_class.account), ("qos", of_class.qos)];
+        options.extend(named.into_iter().filter_map(|(name, value)| Some(format!("--{name}={}", value?))));
+        options.extend(of_class.cpus.map(|cpus| format!("--cpus-per-task={cpus}")));
+        options.extend(of_class.gres.map(|gres| format!("--gres={gres}")));
+        let excluded: Vec<&str> = wave.excluded.iter().map(String::as_str).collect();
+        options.extend((!excluded.is_empty()).then(|| format!("--exclude={}", excluded.join(","))));
+        options.extend(of_class.extra);
+        options
+    }
+
+    /// The limits of time and memory: those of the cluster file, or those that measurements suggest.
+    fn limits(&self, class: Class, cells: &[&BTreeSet<usize>], needs: &Needs, attempt: usize) -> Vec<String> {
+        let of_class = self.site.cluster.class(class);
+        let predicted = || if cells.is_empty() { None } else { needs.time(self.plan, cells, attempt) };
+        let minutes = of_class.time.or_else(predicted).map(|time| time.as_secs().div_ceil(60).max(1));
+        let nodes = cells.iter().flat_map(|nodes| nodes.iter().copied());
+        let memory = of_class.memory.or_else(|| needs.memory(self.plan, nodes));
+        minutes
+            .map(|minutes| format!("--time={minutes}"))
+            .into_iter()
+            .chain(memory.map(|text| format!("--mem={text}")))
+            .collect()
+    }
+
+    /// Writes the script of a job and submits it.
+    fn send(&self, wave: &Wave, name: &str, class: Class, command: &str, options: &[String]) -> anyhow::Result<u64> {
+        let number = wave.number;
+        let path = self.folder().join(format!("wave-{number}-{name}.sh"));
+        let quoted = |path: &Path| format!("'{}'", path.display().to_string().replace('\'', r"'\''"));
+        let mut script = format!("#!/bin/bash\n# {} jobs of run {}\n", word(class), self.run);
+        self.site.cluster.prologue.iter().for_each(|line| script += &format!("{line}\n"));
+        // `exec`: the program is what Slurm sends signals to.
+        script += &format!(
+            "exec {} --store {} worker {} --wave {number} {command}\n",
+            quoted(&self.site.program),
+            quoted(self.store.root()),
+            self.run
+        );
+        fs::write(&path, script)?;
+        slurm::submit(options, &path).with_context(|| format!("cannot submit {}", path.display()))
+    }
+
+    fn write(&self, wave: &Wave) -> anyhow::Result<()> {
+        let path = self.wave_file(wave.number);
+        let new = path.with_extension("new");
+        fs::write(&new, serde_json::to_vec_pretty(wave)?)?;
+        Ok(fs::rename(new, path)?)
+    }
+
+    /// The machines on which at least two jobs of the wave before this one vanished without a word, unless no machine would
+    /// be left.
+    fn suspects(&self, number: usize) -> anyhow::Result<BTreeSet<String>> {
+        let suspects = crate::attendance::suspects(&self.folder(), number.saturating_sub(1))?;
+        if suspects.is_empty() {
+            return Ok(suspects);
+        }
+        let others = slurm::nodes()?.iter().any(|node| !suspects.contains(node));
+        Ok(if others { suspects } else { BTreeSet::new() })
+    }
+}
+
+/// A dependency as Slurm writes it; `jobs` are the ids of earlier batches.
+fn dependency(after: &After, jobs: &[u64]) -> Option<String> {
+    match after {
+        After::Nothing => None,
+        After::Corresponding(batch) => Some(format!("aftercorr:{}", jobs[*batch])),
+        After::Elements(elements) => {
+            let elements: Vec<String> =
+                elements.iter().map(|(batch, number)| format!("{}_{number}", jobs[*batch])).collect();
+            Some(format!("afterok:{}", elements.join(":")))
+        }
+    }
+}
+
+fn word(class: Class) -> &'static str {
+    match class {
+        Class::Prepare => "prepare",
+        Class::Cpu => "cpu",
+        Class::Gpu => "gpu",
+        Class::Report => "report",
+    }
+}
+
+fn folder(store: &Store, run: &str) -> PathBuf {
+    store.run_dir(run).join("slurm")
+}

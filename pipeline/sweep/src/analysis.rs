@@ -1,0 +1,128 @@
+//! What a search shows: the best over cost, the trade-off with time, and which parameters matter.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::history::Entry;
+
+/// Groups into which the values of a parameter are divided.
+const GROUPS: usize = 4;
+/// Resamples for an interval.
+const RESAMPLES: usize = 400;
+
+/// The best objective of completed trials after so many seconds of training of the whole search: (seconds, objective), one
+/// pair per improvement. `last` is the rung that completes a trial.
+pub fn best_over_cost(entries: &[Entry], last: usize) -> Vec<(f64, f64)> {
+    let mut spent_by_trial = std::collections::BTreeMap::new();
+    let (mut spent, mut best, mut curve) = (0.0, f64::NEG_INFINITY, Vec::new());
+    for entry in entries {
+        // The seconds of an entry count from the beginning of its trial.
+        let before = spent_by_trial.insert(entry.trial, entry.secs).unwrap_or(0.0);
+        spent += (entry.secs - before).max(0.0);
+        if let Some(objective) = entry.objective.filter(|objective| entry.rung == last && *objective > best) {
+            best = objective;
+            curve.push((spent, objective));
+        }
+    }
+    curve
+}
+
+/// The completed trials that no other one beats in both objective and seconds, fastest first.
+pub fn pareto(entries: &[Entry], last: usize) -> Vec<&Entry> {
+    let mut completed: Vec<&Entry> =
+        entries.iter().filter(|entry| entry.rung == last && entry.objective.is_some()).collect();
+    completed.sort_by(|a, b| {
+        a.secs.total_cmp(&b.secs).then(b.objective.unwrap_or(0.0).total_cmp(&a.objective.unwrap_or(0.0)))
+    });
+    let mut best = f64::NEG_INFINITY;
+    completed.retain(|entry| {
+        let objective = entry.objective.unwrap_or(f64::NEG_INFINITY);
+        let is_better = objective > best;
+        best = best.max(objective);
+        is_better
+    });
+    completed
+}
+
+/// How much of the spread of the objective a parameter explains.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Importance {
+    /// The share of the variance between groups of equal or similar values, adjusted for the number of groups.
+    pub share: f64,
+    /// The 5th and the 95th percentile of the share over resampled trials.
+    pub interval: [f64; 2],
+}
+
+/// The importance of each parameter for trials that were compared with each other, by their points and objectives; empty
+/// with too few trials to say anything.
+pub fn importance(compared: &[(Vec<f64>, f64)]) -> Vec<Importance> {
+    let Some((first, _)) = compared.first().filter(|_| compared.len() >= 2 * GROUPS) else { return Vec::new() };
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let of_parameter = |at: usize| {
+        let all: Vec<(f64, f64)> = compared.iter().map(|(point, objective)| (point[at], *objective)).collect();
+        let mut resampled: Vec<f64> = (0..RESAMPLES)
+            .map(|_| explained(&(0..all.len()).map(|_| all[random.random_range(0..all.len())]).collect::<Vec<_>>()))
+            .collect();
+        resampled.sort_by(f64::total_cmp);
+        let interval = [RESAMPLES / 20, RESAMPLES - 1 - RESAMPLES / 20].map(|rank| resampled[rank]);
+        Importance { share: explained(&all), interval }
+    };
+    (0..first.len()).map(of_parameter).collect()
+}
+
+/// The adjusted share of the variance between groups of neighbouring coordinates.
+fn explained(pairs: &[(f64, f64)]) -> f64 {
+    let mut sorted = pairs.to_vec();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let count = sorted.len() as f64;
+    let mean = sorted.iter().map(|(_, value)| value).sum::<f64>() / count;
+    let total: f64 = sorted.iter().map(|(_, value)| (value - mean).powi(2)).sum();
+    if !(total > 0.0) {
+        return 0.0;
+    }
+    let size = sorted.len().div_ceil(GROUPS);
+    let within: f64 = sorted
+        .chunks(size)
+        .map(|group| {
+            let mean = group.iter().map(|(_, value)| value).sum::<f64>() / group.len() as f64;
+            group.iter().map(|(_, value)| (value - mean).powi(2)).sum::<f64>()
+        })
+        .sum();
+    let groups = sorted.chunks(size).count() as f64;
+    let adjusted = 1.0 - (within / (count - groups).max(1.0)) / (total / (count - 1.0));
+    adjusted.clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::tests::entry;
+
+    #[test]
+    fn cost_counts_a_continued_trial_once() {
+        let entries = [
+            entry(0, 0, 0.1, Some(1.0), 10.0),
+            entry(1, 0, 0.2, Some(2.0), 10.0),
+            entry(1, 1, 0.2, Some(3.0), 30.0),
+            entry(0, 1, 0.1, Some(2.0), 25.0),
+        ];
+        assert_eq!(best_over_cost(&entries, 1), [(40.0, 3.0)]);
+        let front: Vec<usize> = pareto(&entries, 1).iter().map(|entry| entry.trial).collect();
+        assert_eq!(front, [0, 1], "the faster one first, then the better one");
+    }
+
+    #[test]
+    fn the_parameter_that_matters_is_found() {
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut trial = || {
+            let point: Vec<f64> = (0..2).map(|_| random.random_range(0.0..1.0)).collect();
+            let value = 10.0 * point[0] + random.random_range(-0.5..0.5);
+            (point, value)
+        };
+        let compared: Vec<_> = (0..40).map(|_| trial()).collect();
+        let found = importance(&compared);
+        assert!(found[0].share > 0.8 && found[0].interval[0] > 0.6, "{found:?}");
+        assert!(found[1].share < 0.2 && found[1].interval[0] < 0.05, "{found:?}");
+        assert!(importance(&compared[..3]).is_empty());
+    }
+}

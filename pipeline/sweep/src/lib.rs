@@ -1,0 +1,13 @@
+#![doc = include_str!("../README.md")]
+
+mod analysis;
+mod halving;
+mod history;
+mod sampler;
+mod space;
+
+pub use analysis::{Importance, best_over_cost, importance, pareto};
+pub use halving::{Halving, Next, Reached};
+pub use history::{Entry, History};
+pub use sampler::{Sampler, Strategy};
+pub use space::{Parameter, Space};

@@ -1,0 +1,173 @@
+//! A recipe on a real Slurm: with and without disturbances, its artifacts are those of an undisturbed local run.
+
+mod daemons;
+
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::product::{Ended, RunEvents, World, program};
+use daemons::Slurm;
+
+/// A cluster file for the small machine of the test.
+const CLUSTER: &str = r#"
+poll = "1s"
+patience = "6s"
+signal_lead = "20s"
+[class.cpu]
+cpus = 1
+memory = "100M"
+time = "10m"
+"#;
+
+/// The longest time that a run may take.
+const PATIENCE: Duration = Duration::from_secs(150);
+
+/// A world whose trainings take a few seconds each, with a cluster file.
+fn world(iterations: usize) -> World {
+    let world = World::with_edit("{ train = 40 }", &format!("{{ train = {iterations} }}"));
+    std::fs::write(world.path("cluster.toml"), CLUSTER).expect("the cluster file is written");
+    world
+}
+
+/// `run --on slurm` with further arguments.
+fn run_on(slurm: &Slurm, world: &World, arguments: &[&str]) -> Command {
+    let mut command = world.command("run", &["--json", "--on", "slurm", "--cluster", "cluster.toml", "--lease", "5s"]);
+    command.args(arguments).envs([slurm.variable()]);
+    command
+}
+
+fn attach(slurm: &Slurm, world: &World) -> RunEvents {
+    let mut command = program(&["attach", "--json", "--store"]);
+    command.arg(world.path("store")).envs([slurm.variable()]).current_dir(world.path(""));
+    RunEvents::read(&Ended::of(command).ok())
+}
+
+#[test]
+fn cells_and_pilots_on_slurm_give_the_results_of_a_local_run() {
+    let Some(slurm) = Slurm::start() else { return };
+    let (local, cells, pilots) = (world(40), world(40), world(40));
+    let expected = local.run(&[]);
+    let of_cells = RunEvents::read(&Ended::of(run_on(&slurm, &cells, &[])).ok());
+    assert_eq!(of_cells.timeless(), expected.timeless());
+    let of_pilots = RunEvents::read(&Ended::of(run_on(&slurm, &pilots, &["--workers", "2"])).ok());
+    assert_eq!(of_pilots.timeless(), expected.timeless());
+    for world in [&cells, &pilots] {
+        let again = RunEvents::read(&Ended::of(run_on(&slurm, world, &[])).ok());
+        assert_eq!(again.counts["executed"], 0);
+        let store = world.path("store").display().to_string();
+        Ended::of(program(&["cache", "verify", "--store", &store])).ok();
+    }
+}
+
+#[test]
+fn disturbances_on_slurm_change_no_result() {
+    let Some(mut slurm) = Slurm::start() else { return };
+    let (local, disturbed) = (world(4000), world(4000));
+    let expected = local.run(&[]);
+    let mut submitter = start(run_on(&slurm, &disturbed, &[]));
+    let clock = Instant::now();
+
+    wait_until("an element runs", || !slurm.running().is_empty());
+    // A younger controller forgets jobs that it has not saved yet.
+    std::thread::sleep(Duration::from_secs(6));
+    submitter.kill().expect("the submitter is killed");
+    submitter.wait().expect("the submitter has ended");
+    slurm.restart_controller();
+    wait_until("the controller answers", || slurm.ask("scontrol", &["ping"]).contains("UP"));
+    for disturb in [requeue, cancel, kill_worker, freeze_worker] {
+        wait_until("an element runs", || !slurm.running().is_empty() || slurm.ask("squeue", &["-h"]).is_empty());
+        disturb(&slurm);
+    }
+    // A job of a higher partition evicts what runs.
+    let cpus = std::thread::available_parallelism().map_or(1, usize::from).to_string();
+    slurm.ask("sbatch", &["-p", "urgent", "-n", &cpus, "--mem=100M", "-o", "/dev/null", "--wrap", "sleep 2"]);
+    let ended = attach(&slurm, &disturbed);
+    println!("a disturbed run took {:.1} s", clock.elapsed().as_secs_f64());
+    assert_eq!(ended.timeless(), expected.timeless());
+    assert_eq!(disturbed.run(&[]).counts["executed"], 0);
+    let store = disturbed.path("store").display().to_string();
+    Ended::of(program(&["cache", "verify", "--store", &store])).ok();
+}
+
+#[test]
+fn a_cancelled_run_is_continued_by_the_next_one() {
+    let Some(slurm) = Slurm::start() else { return };
+    let world = world(4000);
+    Ended::of(run_on(&slurm, &world, &["--detach"])).ok();
+    wait_until("an element runs", || !slurm.running().is_empty());
+    let mut cancel = program(&["cancel", "--store"]);
+    cancel.arg(world.path("store")).envs([slurm.variable()]);
+    Ended::of(cancel).ok();
+    wait_until("all jobs have ended", || slurm.ask("squeue", &["-h"]).trim().is_empty());
+    let status = world.call("status", &[]).ok();
+    assert!(!status.contains("running"), "{status}");
+    assert_eq!(world.run(&[]).timeless().len(), crate::product::TINY_JOBS - 1);
+}
+
+#[test]
+fn time_limits_in_mid_training_change_no_result() {
+    if std::env::var_os("NIGHTLY").is_none() {
+        support::skip("NIGHTLY is not set: Slurm's shortest time limit is a minute");
+        return;
+    }
+    let Some(slurm) = Slurm::start() else { return };
+    let (local, limited) = (world(100_000), world(100_000));
+    let cluster = CLUSTER.replace("10m", "1m").replace("20s", "25s");
+    std::fs::write(limited.path("cluster.toml"), cluster).expect("the cluster file is written");
+    let expected = local.run(&[]);
+    let ended = RunEvents::read(&Ended::of(run_on(&slurm, &limited, &[])).ok());
+    assert_eq!(ended.timeless(), expected.timeless());
+    let jobs = slurm.ask("scontrol", &["show", "jobs", "-o"]);
+    let restarts = jobs.split_whitespace().filter_map(|word| word.strip_prefix("Restarts=")?.parse::<u32>().ok());
+    let restarts: u32 = restarts.sum();
+    println!("{restarts} restarts at time limits");
+    assert!(restarts > 0, "no time limit struck:\n{jobs}");
+}
+
+fn start(mut command: Command) -> Child {
+    command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
+}
+
+fn wait_until(what: &str, is_so: impl Fn() -> bool) {
+    let clock = Instant::now();
+    while !is_so() {
+        assert!(clock.elapsed() < PATIENCE, "not reached: {what}");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}
+
+fn requeue(slurm: &Slurm) {
+    slurm.running().first().into_iter().for_each(|id| _ = slurm.ask("scontrol", &["requeue", id]));
+}
+
+fn cancel(slurm: &Slurm) {
+    slurm.running().first().into_iter().for_each(|id| _ = slurm.ask("scancel", &[id]));
+}
+
+/// The processes of batch jobs: those whose command line has `worker` and this Slurm's variable.
+fn workers(slurm: &Slurm) -> Vec<Pid> {
+    let (name, value) = slurm.variable();
+    let variable = format!("{name}={}", value.display());
+    let pids = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = pids.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
+    let is_worker = |pid: &i32| {
+        let read = |file: &str| std::fs::read(format!("/proc/{pid}/{file}")).unwrap_or_default();
+        let has = |bytes: Vec<u8>, text: &str| bytes.split(|byte| *byte == 0).any(|part| part == text.as_bytes());
+        has(read("cmdline"), "worker") && has(read("environ"), &variable)
+    };
+    pids.filter(is_worker).filter_map(Pid::from_raw).collect()
+}
+
+fn kill_worker(slurm: &Slurm) {
+    workers(slurm).first().into_iter().for_each(|pid| _ = kill_process(*pid, Signal::KILL));
+}
+
+/// Stops a worker for longer than its lease, then lets it go on.
+fn freeze_worker(slurm: &Slurm) {
+    let Some(pid) = workers(slurm).first().copied() else { return };
+    let _ = kill_process(pid, Signal::STOP);
+    std::thread::sleep(Duration::from_secs(8));
+    let _ = kill_process(pid, Signal::CONT);
+}
